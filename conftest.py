@@ -46,4 +46,6 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
     reasons = Counter(str(report.longrepr[2]).removeprefix("Skipped: ") for report in skipped)
     listed = "; ".join(f"{count} x {reason}" for reason, count in reasons.most_common())
     terminalreporter.write_line(f"{len(skipped)} skipped: {listed}.")
-    terminalreporter.write_line("`.ci/tools` installs emulators, compilers and a browser; pip, the packages.")
+    terminalreporter.write_line(
+        "`.ci/tools` installs emulators, compilers and a browser; pip, the packages."
+    )

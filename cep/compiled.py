@@ -1,8 +1,9 @@
 """Compilation of the innermost loops by numba, cached between runs, without the interpreter's lock.
 
-numba keys the machine code it keeps by the file of each function alone, and a loop into which other modules' functions
-were inlined would survive their change. So the folder of the kept code is named after all compiled sources together.
-Whoever can write there can have his code run here: no folder is used that another user can write.
+numba keys the machine code it keeps by the file of each function alone, and a loop into which
+other modules' functions were inlined would survive their change. So the folder of the kept code is
+named after all compiled sources together. Whoever can write there can have his code run here: no
+folder is used that another user can write.
 """
 
 from __future__ import annotations
@@ -22,8 +23,6 @@ from typing import TypeVar, cast
 import numba
 from numba import njit
 
-__all__ = ["compiled", "inlined", "kept_folder"]
-
 F = TypeVar("F", bound=Callable[..., object])
 _OPTIONS = {
     "nogil": True,
@@ -38,8 +37,8 @@ _NAME = "compiled-"
 def compiled(function: F) -> F:
     """Compile at the first call; the machine code is kept in the package's folder, or else in the user's cache folder.
 
-    Where neither can be written, it is compiled anew in every run, which a warning says. Threads may run it side by
-    side.
+    Where neither can be written, it is compiled anew in every run, which a warning says. Threads
+    may run it side by side.
     """
     return _compile(function)
 
@@ -102,7 +101,8 @@ def _is_own(folder: Path) -> bool:
 
 
 def _compile(function: F, **more: object) -> F:
-    folder, before = _cache_folder(), numba.config.CACHE_DIR
+    folder = _cache_folder()
+    before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(folder or "")
     try:
         return cast(F, njit(cache=folder is not None, **_OPTIONS, **more)(function))
@@ -119,7 +119,9 @@ def _cache_folder() -> Path | None:
             return Path(named)
         return _passing_folder(named)
     try:
-        otherwise = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coded-exposure"
+        otherwise = (
+            Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coded-exposure"
+        )
     except RuntimeError:  # this user has no home
         otherwise = None
     package = Path(__file__).parent

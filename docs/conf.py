@@ -40,7 +40,9 @@ html_static_path: list[str] = []
 html_extra_path = ["audit.html"]  # one page that works without the site
 
 
-def _keep_bars(_app: Any, _kind: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
+def _keep_bars(
+    _app: Any, _kind: str, _name: str, _object: Any, _options: Any, lines: list[str]
+) -> None:
     """Keep ``|H|`` of a docstring from being read as a substitution."""
     lines[:] = [re.sub(r"(?<![`\\])\|(\w)\|", r"\\|\1\\|", line) for line in lines]
 

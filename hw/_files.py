@@ -31,7 +31,9 @@ def content(path: str | Path, *, most_bytes: int = _MOST_BYTES) -> bytes:
     with regular_file(path).open("rb") as stream:
         data = stream.read(most_bytes + 1)
     if len(data) > most_bytes:
-        raise ValueError(f"it is too large, a file of this kind has at most {most_bytes >> 20} MiB")
+        raise ValueError(
+            f"it is too large, a file of this kind has at most {most_bytes >> 20} MiB"
+        )
     return data
 
 
@@ -45,7 +47,9 @@ def decoded(data: bytes) -> str:
     """
     mark = next((mark for mark in _MARKS if data.startswith(mark)), b"")
     if mark:
-        text = data.removeprefix(mark).decode(_MARKS[mark], errors="replace")  # a cut end is the parser's to tell
+        text = data.removeprefix(mark).decode(
+            _MARKS[mark], errors="replace"
+        )  # a cut end is the parser's to tell
     elif len(data) > 1 and 0 in data[:2]:
         text = data.decode("utf-16-le" if data[0] else "utf-16-be", errors="replace")
     else:

@@ -14,8 +14,6 @@ from typing import Any
 from hw._files import content
 from hw.program import Program
 
-__all__ = ["DeviceProfile", "load_profile", "parse_profile", "profile_names", "refusal"]
-
 _SCHEMA = "hw.device/1"
 _PROFILE_BYTES = 2**20
 
@@ -47,11 +45,14 @@ class DeviceProfile:
     max_rate_hz : float or None
         Highest rate of openings, taken at the two openings nearest to each other.
     dead_time_ns : int
-        Time the device is blind after an opening (frame overhead): every gap must last longer than that or as long.
+        Time the device is blind after an opening (frame overhead): every gap must last longer than
+        that or as long.
     on_bias_ns : int
-        Time the device adds to every opening by itself; the command is shortened by it, and must remain possible.
+        Time the device adds to every opening by itself; the command is shortened by it, and must
+        remain possible.
     rise_ns, fall_ns : int
-        Time the shutter takes from closed to fully open, and back, each a straight ramp that begins at its edge.
+        Time the shutter takes from closed to fully open, and back, each a straight ramp that
+        begins at its edge.
     closed_level : int
         Output level, 0 or 1, at which the shutter is closed.
 
@@ -85,9 +86,12 @@ class DeviceProfile:
         for field in fields(self):
             _check_field(field.name, getattr(self, field.name), optional=field.default is None)
         for low, high in (("min_chip_ns", "max_chip_ns"), ("min_on_ns", "max_on_ns")):
-            least, most = getattr(self, low), getattr(self, high)
+            least = getattr(self, low)
+            most = getattr(self, high)
             if least is not None and most is not None and least > most:
-                raise ValueError(f"{low} is {least} but {high} is {most}: the least must not exceed the most")
+                raise ValueError(
+                    f"{low} is {least} but {high} is {most}: the least must not exceed the most"
+                )
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any], *, source: str = "profile") -> DeviceProfile:
@@ -101,12 +105,20 @@ class DeviceProfile:
         given = dict(table)
         schema = given.pop("schema", None)
         if schema != _SCHEMA:
-            raise ValueError(f'{source} has schema {str(schema)[:40]!r}: schema = "{_SCHEMA}" is needed')
+            raise ValueError(
+                f'{source} has schema {str(schema)[:40]!r}: schema = "{_SCHEMA}" is needed'
+            )
         known = {field.name for field in fields(cls)}
         unknown = sorted(set(given) - known)
         if unknown:
-            raise ValueError(f"{source} has unknown field {unknown[0][:40]!r}: known are {', '.join(sorted(known))}")
-        missing = [field.name for field in fields(cls) if field.default is MISSING and field.name not in given]
+            raise ValueError(
+                f"{source} has unknown field {unknown[0][:40]!r}: known are {', '.join(sorted(known))}"
+            )
+        missing = [
+            field.name
+            for field in fields(cls)
+            if field.default is MISSING and field.name not in given
+        ]
         if missing:
             raise ValueError(f"{source} has no {missing[0]}: every profile needs one")
         try:
@@ -116,7 +128,11 @@ class DeviceProfile:
 
     def to_dict(self) -> dict[str, Any]:
         """Content of the profile's file: its schema, and the fields that are not left out."""
-        stated = {field.name: value for field in fields(self) if (value := getattr(self, field.name)) != field.default}
+        stated = {
+            field.name: value
+            for field in fields(self)
+            if (value := getattr(self, field.name)) != field.default
+        }
         return {"schema": _SCHEMA, **stated}
 
     def check(self, program: Program) -> tuple[str, ...]:
@@ -130,9 +146,12 @@ class DeviceProfile:
         Returns
         -------
         tuple of str
-            One sentence per broken limit, with the figure found and the figure that would be right.
+            One sentence per broken limit, with the figure found and the figure that would be
+            right.
         """
-        return tuple(f"{self.name}: {problem}" for problem in (*self._grid(program), *self._runs(program)))
+        return tuple(
+            f"{self.name}: {problem}" for problem in (*self._grid(program), *self._runs(program))
+        )
 
     def _grid(self, program: Program) -> list[str]:
         found: list[str] = []
@@ -140,7 +159,9 @@ class DeviceProfile:
         if chip % self.tick_ns:
             below = chip - chip % self.tick_ns
             near = " or ".join(str(value) for value in (below, below + self.tick_ns) if value)
-            found.append(f"chip of {chip} ns is not a whole number of {self.tick_ns} ns ticks; {near} ns would be")
+            found.append(
+                f"chip of {chip} ns is not a whole number of {self.tick_ns} ns ticks; {near} ns would be"
+            )
         if self.min_chip_ns is not None and chip < self.min_chip_ns:
             found.append(f"chip of {_time(chip)} is too short; at least {_time(self.min_chip_ns)}")
         if self.max_chip_ns is not None and chip > self.max_chip_ns:
@@ -152,18 +173,24 @@ class DeviceProfile:
     def _runs(self, program: Program) -> list[str]:
         found: list[str] = []
         edges = program.edges
-        opened, closed = [t for t, level in edges if level], [t for t, level in edges if not level]
+        opened = [t for t, level in edges if level]
+        closed = [t for t, level in edges if not level]
         on = [end - start for start, end in zip(opened, closed, strict=True)]
         off = [start - end for start, end in zip(opened[1:], closed[:-1], strict=True)]
-        # The shutter may rest closed before and after as long as it likes: only gaps between openings are limited.
-        least_on = max(self.min_on_ns or 0, self.tick_ns if self.on_bias_ns else 0) + self.on_bias_ns
+        # The shutter may rest closed before and after as long as it likes: only gaps between
+        # openings are limited.
+        least_on = (
+            max(self.min_on_ns or 0, self.tick_ns if self.on_bias_ns else 0) + self.on_bias_ns
+        )
         if min(on) < least_on:
             bias = f" (its own {_time(self.on_bias_ns)} included)" if self.on_bias_ns else ""
             found.append(f"shortest opening is {_time(min(on))}; at least {_time(least_on)}{bias}")
         if self.max_on_ns is not None and max(on) > self.max_on_ns:
             found.append(f"longest opening is {_time(max(on))}; at most {_time(self.max_on_ns)}")
         if self.min_off_ns is not None and off and min(off) < self.min_off_ns:
-            found.append(f"shortest gap between openings is {_time(min(off))}; at least {_time(self.min_off_ns)}")
+            found.append(
+                f"shortest gap between openings is {_time(min(off))}; at least {_time(self.min_off_ns)}"
+            )
         if off and min(off) < self.dead_time_ns:
             found.append(
                 f"shortest gap between openings is {_time(min(off))}; the dead time is {_time(self.dead_time_ns)}"
@@ -175,7 +202,9 @@ class DeviceProfile:
         if self.max_rate_hz is not None and len(opened) > 1:
             rate_hz = 1e9 / min(b - a for a, b in pairwise(opened))
             if rate_hz > self.max_rate_hz:
-                found.append(f"openings come at up to {rate_hz:.4g} Hz; at most {self.max_rate_hz:.4g} Hz")
+                found.append(
+                    f"openings come at up to {rate_hz:.4g} Hz; at most {self.max_rate_hz:.4g} Hz"
+                )
         return found
 
 
@@ -204,7 +233,13 @@ def parse_profile(text: str, *, source: str = "profile") -> DeviceProfile:
 def profile_names() -> tuple[str, ...]:
     """Names of the built-in profiles, sorted."""
     folder = resources.files("hw") / "profiles"
-    return tuple(sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")))
+    return tuple(
+        sorted(
+            item.name.removesuffix(".toml")
+            for item in folder.iterdir()
+            if item.name.endswith(".toml")
+        )
+    )
 
 
 def load_profile(name: str | Path) -> DeviceProfile:
@@ -222,17 +257,25 @@ def load_profile(name: str | Path) -> DeviceProfile:
             raise ValueError(
                 f"device profile {text_name!r} is unknown: built in are {', '.join(names)}; or name a .toml file"
             )
-        text = (resources.files("hw") / "profiles" / f"{text_name}.toml").read_text(encoding="utf-8")
+        text = (resources.files("hw") / "profiles" / f"{text_name}.toml").read_text(
+            encoding="utf-8"
+        )
         return parse_profile(text, source=text_name)
     try:
         text = content(name, most_bytes=_PROFILE_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError:
         text = "\0"
     except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else _one_line(error)
-        raise ValueError(f"{text_name} cannot be read: {reason}; name a built-in profile or a .toml file") from None
+        reason = (
+            error.strerror if isinstance(error, OSError) and error.strerror else _one_line(error)
+        )
+        raise ValueError(
+            f"{text_name} cannot be read: {reason}; name a built-in profile or a .toml file"
+        ) from None
     if "\0" in text:  # UTF-16 without a mark is UTF-8 with zeros
-        raise ValueError(f"{text_name} is not UTF-8: a device profile is a TOML file, save it as UTF-8")
+        raise ValueError(
+            f"{text_name} is not UTF-8: a device profile is a TOML file, save it as UTF-8"
+        )
     return parse_profile(text, source=text_name)
 
 
@@ -249,7 +292,8 @@ def refusal(problems: Sequence[str], limits: DeviceProfile) -> str:
         name
         for name in profile_names()
         if limits.max_chips is not None
-        and (limits.tick_ns, limits.max_chips) == ((known := load_profile(name)).tick_ns, known.max_chips)
+        and (limits.tick_ns, limits.max_chips)
+        == ((known := load_profile(name)).tick_ns, known.max_chips)
     )
     hint = next((f"; search a code that can with --device {name}" for name in alike), "")
     return f"program cannot be played: {'; '.join(problems)}{hint}"

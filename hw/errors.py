@@ -4,18 +4,6 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-__all__ = [
-    "BadLengthError",
-    "BadOpError",
-    "DeviceError",
-    "DutyLimitError",
-    "ErrorCode",
-    "OnLimitError",
-    "OutOfRangeError",
-    "WrongStateError",
-    "device_error",
-]
-
 
 class ErrorCode(IntEnum):
     """Error byte of a CXP1 reply."""
@@ -59,15 +47,32 @@ class OnLimitError(DeviceError):
 
 _KINDS: dict[int, tuple[type[DeviceError], str]] = {
     ErrorCode.BAD_OP: (BadOpError, "unknown request: its firmware is another version"),
-    ErrorCode.BAD_LENGTH: (BadLengthError, "wrong payload length: its firmware is another version"),
-    ErrorCode.OUT_OF_RANGE: (OutOfRangeError, "value out of range: check chip time and number of chips"),
-    ErrorCode.WRONG_STATE: (WrongStateError, "not allowed in its present state: ask STATUS; load before arm, arm "
-                            "before trigger, abort before load"),
-    ErrorCode.DUTY_LIMIT: (DutyLimitError, "open for too much of the time: use a code with fewer open chips"),
-    ErrorCode.ON_LIMIT: (OnLimitError, "an opening is too long: use shorter runs of open chips, or shorter chips"),
-}  # fmt: skip
+    ErrorCode.BAD_LENGTH: (
+        BadLengthError,
+        "wrong payload length: its firmware is another version",
+    ),
+    ErrorCode.OUT_OF_RANGE: (
+        OutOfRangeError,
+        "value out of range: check chip time and number of chips",
+    ),
+    ErrorCode.WRONG_STATE: (
+        WrongStateError,
+        "not allowed in its present state: ask STATUS; load before arm, arm "
+        "before trigger, abort before load",
+    ),
+    ErrorCode.DUTY_LIMIT: (
+        DutyLimitError,
+        "open for too much of the time: use a code with fewer open chips",
+    ),
+    ErrorCode.ON_LIMIT: (
+        OnLimitError,
+        "an opening is too long: use shorter runs of open chips, or shorter chips",
+    ),
+}
 
-_OWED = "a play was cut short, and no other may begin before it would have ended: wait, then arm again"
+_OWED = (
+    "a play was cut short, and no other may begin before it would have ended: wait, then arm again"
+)
 
 
 def device_error(code: int, *, request: str, source: str) -> DeviceError:

@@ -7,18 +7,6 @@ import os
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-__all__ = [
-    "LinkError",
-    "OpenPort",
-    "PortError",
-    "PortInfo",
-    "SerialPort",
-    "list_ports",
-    "one_line",
-    "open_port",
-    "port_named",
-]
-
 _POLL_S = 0.01
 _ERRNO_HINTS = {
     2: "there is no such port: plug the device in, or look at the port's name",
@@ -101,7 +89,8 @@ class OpenPort:
 
     def close(self) -> None:
         """Close it; may be called again."""
-        port, self._port = self._port, None
+        port = self._port
+        self._port = None
         if port is not None:
             with contextlib.suppress(Exception):  # an unplugged port may refuse even this
                 port.close()
@@ -113,7 +102,9 @@ class OpenPort:
 
     def _gone(self, error: Exception) -> LinkError:
         self.close()
-        return LinkError(f"{self.name} is gone ({one_line(error)}): plug the device in and open the port again")
+        return LinkError(
+            f"{self.name} is gone ({one_line(error)}): plug the device in and open the port again"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +130,9 @@ def list_ports() -> tuple[PortInfo, ...]:
     """List the serial ports of this machine, sorted by name."""
     from serial.tools import list_ports as tool
 
-    found = (PortInfo(p.device, p.description or "", p.serial_number or None) for p in tool.comports())
+    found = (
+        PortInfo(p.device, p.description or "", p.serial_number or None) for p in tool.comports()
+    )
     return tuple(sorted(found, key=lambda info: info.port))
 
 
@@ -155,15 +148,17 @@ def port_named(name: str) -> str:
         return name
     found = [info.port for info in list_ports() if info.serial_number == name]
     if len(found) > 1:
-        raise PortError(f"serial number {name} is that of {' and '.join(found)}: name one of the ports")
+        raise PortError(
+            f"serial number {name} is that of {' and '.join(found)}: name one of the ports"
+        )
     return found[0] if found else name
 
 
 def open_port(port: str, *, baud: int = 115200) -> SerialPort:
     """Open a serial port exclusively.
 
-    Where the system allows it, the line that resets an Arduino is left as it is when the port is closed, so that
-    opening it again finds the board and its program as they were.
+    Where the system allows it, the line that resets an Arduino is left as it is when the port is
+    closed, so that opening it again finds the board and its program as they were.
 
     Parameters
     ----------
@@ -184,10 +179,14 @@ def open_port(port: str, *, baud: int = 115200) -> SerialPort:
     if isinstance(baud, bool) or not isinstance(baud, int) or not 0 < baud <= 10**7:
         raise PortError(f"baud is {baud!r}: a whole number 1..10000000 is needed, usually 115200")
     try:
-        opened: Any = serial.Serial(port_named(port), baud, timeout=_POLL_S, write_timeout=1.0, exclusive=True)
+        opened: Any = serial.Serial(
+            port_named(port), baud, timeout=_POLL_S, write_timeout=1.0, exclusive=True
+        )
     except PortError:
         raise
-    except Exception as error:  # SerialException, ValueError, OSError or termios.error, by platform and driver
+    except (
+        Exception
+    ) as error:  # SerialException, ValueError, OSError or termios.error, by platform and driver
         hint = _ERRNO_HINTS.get(_errno(error), one_line(error))
         raise PortError(f"{port} cannot be opened: {hint}") from None
     with contextlib.suppress(Exception):

@@ -8,8 +8,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-__all__ = ["MAX_CHIP_NS", "Program"]
-
 MAX_CHIP_NS = 2**63 - 1
 """Longest chip, ns."""
 
@@ -18,20 +16,22 @@ MAX_CHIP_NS = 2**63 - 1
 class Program:
     """A binary shutter code with its chip time, as a shutter plays it.
 
-    All times are integer nanoseconds, so that no exporter and no device ever rounds an edge. The shutter is
-    closed before time 0 and after the last chip.
+    All times are integer nanoseconds, so that no exporter and no device ever rounds an edge. The
+    shutter is closed before time 0 and after the last chip.
 
     Parameters
     ----------
     bits : str
-        One character per chip, ``"1"`` open and ``"0"`` closed, in playing order; at least one chip is open.
+        One character per chip, ``"1"`` open and ``"0"`` closed, in playing order; at least one
+        chip is open.
     chip_ns : int
         Duration of one chip in nanoseconds, 1..2^63 - 1.
 
     Raises
     ------
     ValueError
-        If `bits` is empty, has other characters or no open chip, or if `chip_ns` is not a positive integer.
+        If `bits` is empty, has other characters or no open chip, or if `chip_ns` is not a positive
+        integer.
 
     Examples
     --------
@@ -47,18 +47,28 @@ class Program:
 
     def __post_init__(self) -> None:
         if not isinstance(self.bits, str):
-            raise ValueError(f"bits is a {type(self.bits).__name__}: pass a str of 0 and 1, or use Program.from_bits")
+            raise ValueError(
+                f"bits is a {type(self.bits).__name__}: pass a str of 0 and 1, or use Program.from_bits"
+            )
         if not self.bits:
             raise ValueError("bits is empty: a shutter code needs at least one chip")
         for index, character in enumerate(self.bits):
             if character not in "01":
-                raise ValueError(f"bits has {character!r} at chip {index}: only 0 (closed) and 1 (open) can be played")
+                raise ValueError(
+                    f"bits has {character!r} at chip {index}: only 0 (closed) and 1 (open) can be played"
+                )
         if "1" not in self.bits:
-            raise ValueError(f"bits has no open chip among {len(self.bits)}: at least one must be 1")
+            raise ValueError(
+                f"bits has no open chip among {len(self.bits)}: at least one must be 1"
+            )
         if isinstance(self.chip_ns, bool) or not isinstance(self.chip_ns, int):
-            raise ValueError(f"chip_ns is {self.chip_ns!r}: it must be a whole number of nanoseconds (an int)")
+            raise ValueError(
+                f"chip_ns is {self.chip_ns!r}: it must be a whole number of nanoseconds (an int)"
+            )
         if not 0 < self.chip_ns <= MAX_CHIP_NS:
-            raise ValueError(f"chip_ns is {self.chip_ns:.6g} ns: it must be at least 1 and below 2^63")
+            raise ValueError(
+                f"chip_ns is {self.chip_ns:.6g} ns: it must be at least 1 and below 2^63"
+            )
 
     @classmethod
     def from_bits(cls, bits: str | Sequence[int], *, chip_ns: int) -> Program:
@@ -87,8 +97,8 @@ class Program:
         Parameters
         ----------
         edges : iterable of (time_ns, level)
-            Strictly increasing times on the chip grid; levels alternate and begin with an opening. The shutter is
-            closed again at ``chips * chip_ns`` at the latest.
+            Strictly increasing times on the chip grid; levels alternate and begin with an opening.
+            The shutter is closed again at ``chips * chip_ns`` at the latest.
         chip_ns : int
             Chip time in nanoseconds.
         chips : int
@@ -97,13 +107,16 @@ class Program:
         Raises
         ------
         ValueError
-            If a time is off the grid, out of order or out of range, a level repeats, or the shutter stays open.
+            If a time is off the grid, out of order or out of range, a level repeats, or the
+            shutter stays open.
         """
-        chip_ns, chips = _integer(chip_ns, "chip_ns"), _integer(chips, "chips")
+        chip_ns = _integer(chip_ns, "chip_ns")
+        chips = _integer(chips, "chips")
         if chip_ns < 1 or chips < 1:
             raise ValueError(f"chip_ns is {chip_ns} and chips is {chips}: both must be at least 1")
         pieces: list[str] = []
-        done, level = 0, 0
+        done = 0
+        level = 0
         for index, (time_ns, new_level) in enumerate(edges):
             chip, rest = divmod(time_ns, chip_ns)
             if rest:
@@ -111,17 +124,24 @@ class Program:
                     f"edge {index} at {time_ns} ns is off the grid: times must be multiples of {chip_ns} ns"
                 )
             if new_level != 1 - level:
-                raise ValueError(f"edge {index} has level {new_level}: {1 - level} must follow {level}")
+                raise ValueError(
+                    f"edge {index} has level {new_level}: {1 - level} must follow {level}"
+                )
             if chip < done or (index and chip == done):
-                raise ValueError(f"edge {index} at {time_ns} ns is out of order: times must increase from 0")
+                raise ValueError(
+                    f"edge {index} at {time_ns} ns is out of order: times must increase from 0"
+                )
             if chip > chips or (new_level and chip == chips):
                 raise ValueError(
                     f"edge {index} at {time_ns} ns is past the end: {chips} chips last {chips * chip_ns} ns"
                 )
             pieces.append(str(level) * (chip - done))
-            done, level = chip, new_level
+            done = chip
+            level = new_level
         if level:
-            raise ValueError(f"edges leave the shutter open: the last one must close it by {chips * chip_ns} ns")
+            raise ValueError(
+                f"edges leave the shutter open: the last one must close it by {chips * chip_ns} ns"
+            )
         pieces.append("0" * (chips - done))
         return cls("".join(pieces), chip_ns)
 
@@ -151,17 +171,21 @@ class Program:
     @property
     def runs(self) -> tuple[tuple[int, int], ...]:
         """Stretches of equal level as (level, duration_ns); durations sum to `duration_ns`."""
-        return tuple((int(level), self.chip_ns * sum(1 for _ in same)) for level, same in groupby(self.bits))
+        return tuple(
+            (int(level), self.chip_ns * sum(1 for _ in same)) for level, same in groupby(self.bits)
+        )
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:
         """Changes of level as (time_ns, level), starting from closed and ending closed."""
         edges: list[tuple[int, int]] = []
-        time_ns, level = 0, 0
+        time_ns = 0
+        level = 0
         for new_level, length_ns in self.runs:
             if new_level != level:
                 edges.append((time_ns, new_level))
-            time_ns, level = time_ns + length_ns, new_level
+            time_ns = time_ns + length_ns
+            level = new_level
         if level:
             edges.append((time_ns, 0))
         return tuple(edges)
@@ -200,11 +224,14 @@ def _digit(value: object, index: int) -> str:
             return "1"
     except ValueError:  # NumPy: a row of a two-dimensional array has no truth value
         pass
-    raise ValueError(f"bits has {str(value)[:40]!r} at chip {index}: only 0 (closed) and 1 (open) can be played")
+    raise ValueError(
+        f"bits has {str(value)[:40]!r} at chip {index}: only 0 (closed) and 1 (open) can be played"
+    )
 
 
 def _integer(value: object, name: str) -> int:
-    # NumPy integers are welcome, booleans and floats are not: 1.5e5 ns silently truncated is another code.
+    # NumPy integers are welcome, booleans and floats are not: 1.5e5 ns silently truncated is
+    # another code.
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise ValueError(f"{name} is {value!r}: it must be a whole number (an int)")
     return int(value.__index__())

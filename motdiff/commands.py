@@ -13,14 +13,10 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motdiff.files.inputs import printable
 from motdiff.files.outputs import check_file, check_folder
-
-__all__ = ["parser", "run"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _TILE_IN = 1.3
 
@@ -40,7 +36,9 @@ measured where the motion is known:
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
     built: argparse.ArgumentParser = _Parser(
-        prog="python -m motdiff", epilog=_EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m motdiff",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = built.add_subparsers(required=True, metavar="COMMAND")
     for add in (_add_train, _add_prepare, _add_pack, _add_export, _add_sample):
@@ -55,7 +53,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
     try:
         given.check(given.out)  # before anything is read
         command(given)
-    except (ValueError, FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError) as error:
+    except (
+        ValueError,
+        FileNotFoundError,
+        FileExistsError,
+        NotADirectoryError,
+        IsADirectoryError,
+    ) as error:
         return _told(error, 2)
     except (OSError, FloatingPointError, RuntimeError) as error:
         return _told(error, 1)
@@ -85,10 +89,17 @@ _Commands = argparse._SubParsersAction  # the only name argparse has for it
 def _add_train(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser = commands.add_parser("train", help="train, or go on training")
     parser.add_argument("config", type=Path, help="TOML file of the run")
-    parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the run: checkpoint, log, plot")
-    parser.add_argument("--device", default="", help="cpu or cuda; the GPU of this process where there is one")
     parser.add_argument(
-        "--minutes", type=float, default=float("inf"), help="end this piece after so many minutes, with all it does"
+        "-o", "--out", type=Path, required=True, help="folder of the run: checkpoint, log, plot"
+    )
+    parser.add_argument(
+        "--device", default="", help="cpu or cuda; the GPU of this process where there is one"
+    )
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        default=float("inf"),
+        help="end this piece after so many minutes, with all it does",
     )
     parser.add_argument("--validate-every", type=int, default=1000, metavar="STEPS")
     parser.add_argument("--save-every", type=float, default=60.0, metavar="SECONDS")
@@ -104,7 +115,9 @@ def _train(given: argparse.Namespace) -> None:
             read_config(given.config),
             given.out,
             device=_device(given.device),
-            pace=Pace(minutes=given.minutes, save_s=given.save_every, validate_steps=given.validate_every),
+            pace=Pace(
+                minutes=given.minutes, save_s=given.save_every, validate_steps=given.validate_every
+            ),
             workers=os.cpu_count() or 1,
         )
 
@@ -140,11 +153,25 @@ def _device(wanted: str) -> str:
 
 
 def _add_prepare(commands: _Commands[argparse.ArgumentParser]) -> None:
-    parser = commands.add_parser("prepare", help="simulate samples ahead, for training without a GPU")
-    parser.add_argument("config", type=Path, help="TOML file of the run (photos, motions, photography)")
-    parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the shards; existing ones are kept")
-    parser.add_argument("--shards", default="0:10", metavar="FIRST:LAST[:STEP]", help="64 samples each")
-    parser.add_argument("--held-out", action="store_true", help="of the photos held out for validation")
+    parser = commands.add_parser(
+        "prepare", help="simulate samples ahead, for training without a GPU"
+    )
+    parser.add_argument(
+        "config", type=Path, help="TOML file of the run (photos, motions, photography)"
+    )
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        required=True,
+        help="folder of the shards; existing ones are kept",
+    )
+    parser.add_argument(
+        "--shards", default="0:10", metavar="FIRST:LAST[:STEP]", help="64 samples each"
+    )
+    parser.add_argument(
+        "--held-out", action="store_true", help="of the photos held out for validation"
+    )
     parser.set_defaults(command=_prepare, check=check_folder)
 
 
@@ -165,7 +192,9 @@ def _prepare(given: argparse.Namespace) -> None:
             photography=source.photography,
             shards=shards,
             seed=source.seed,
-            on_shard=lambda shard: print(f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True),  # noqa: T201
+            on_shard=lambda shard: print(
+                f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True
+            ),  # noqa: T201
         )
 
 
@@ -190,7 +219,9 @@ def _add_export(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.add_argument("run", type=Path, help="folder of the run")
     parser.add_argument("-o", "--out", type=Path, required=True, help=".safetensors file")
     parser.add_argument("--offset", type=float, default=0.0, help="taken from the path's logits")
-    parser.add_argument("--card", type=Path, help="JSON file: what else the header should say (data, figures)")
+    parser.add_argument(
+        "--card", type=Path, help="JSON file: what else the header should say (data, figures)"
+    )
     parser.set_defaults(command=_export, check=check_file)
 
 
@@ -203,7 +234,9 @@ def _export(given: argparse.Namespace) -> None:
     if not isinstance(card, dict | None):
         raise ValueError(f"{given.card}: must hold a JSON object")
     score = last_validation(given.run / "log.csv")
-    size = export_weights(given.run / "checkpoint", given.out, offset=given.offset, card=card, validation_mnc=score)
+    size = export_weights(
+        given.run / "checkpoint", given.out, offset=given.offset, card=card, validation_mnc=score
+    )
     runs = read_card(given.out)["run"]["history"]
     samples, hours = (sum(line[name] for line in runs) for name in ("samples", "hours"))
     told = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
@@ -213,9 +246,13 @@ def _export(given: argparse.Namespace) -> None:
 
 
 def _add_sample(commands: _Commands[argparse.ArgumentParser]) -> None:
-    parser = commands.add_parser("sample", help="draw motions from one blurred photo and show them as they are")
+    parser = commands.add_parser(
+        "sample", help="draw motions from one blurred photo and show them as they are"
+    )
     parser.add_argument("photo", type=Path, help="its middle 256 x 256 px are looked at")
-    parser.add_argument("-o", "--out", type=Path, required=True, help=".png file: the photo and the drawn PSFs")
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, help=".png file: the photo and the drawn PSFs"
+    )
     parser.add_argument("--weights", type=Path, help="the shipped ones when omitted")
     parser.add_argument("--count", type=int, default=8)
     parser.add_argument("--steps", type=int, default=10)
@@ -245,11 +282,15 @@ def _sample(given: argparse.Namespace) -> None:
         raise ValueError(f"--count: must be at least 1, got {given.count}")
     top, left = ((n - PHOTO_PX) // 2 for n in image.shape[:2])
     middle = image[top : top + PHOTO_PX, left : left + PHOTO_PX]
-    light = luminance(middle if middle.dtype.kind == "f" else to_linear(middle / np.iinfo(middle.dtype).max))[None]
+    light = luminance(
+        middle if middle.dtype.kind == "f" else to_linear(middle / np.iinfo(middle.dtype).max)
+    )[None]
     classical = quick_search(light, sigma=noise_sigma(light[0]))
     generator = torch.Generator().manual_seed(given.seed)
     network = load_network(given.weights or DEFAULT_WEIGHTS)
-    psfs = draw_psfs(network, light, classical, count=given.count, steps=given.steps, generator=generator)
+    psfs = draw_psfs(
+        network, light, classical, count=given.count, steps=given.steps, generator=generator
+    )
     write_bytes(given.out, _drawn_sheet(light[0], classical, psfs))
 
 
@@ -265,8 +306,14 @@ def _drawn_sheet(photo: FloatArray, classical: FloatArray, psfs: FloatArray) -> 
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    titles = ["photo", *["classical"] * len(classical), *[f"draw {i + 1}" for i in range(len(psfs))]]
-    figure = Figure(figsize=(_TILE_IN * len(titles), _TILE_IN + 0.3), layout="constrained", facecolor="white")
+    titles = [
+        "photo",
+        *["classical"] * len(classical),
+        *[f"draw {i + 1}" for i in range(len(psfs))],
+    ]
+    figure = Figure(
+        figsize=(_TILE_IN * len(titles), _TILE_IN + 0.3), layout="constrained", facecolor="white"
+    )
     FigureCanvasAgg(figure)
     pictures = [np.clip(photo, 0, 1) ** (1 / 2.2), *np.sqrt(classical), *np.sqrt(psfs)]
     for place, (title, picture) in enumerate(zip(titles, pictures, strict=True)):

@@ -9,33 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motdiff.metrics import mnc_subpixel
-
-__all__ = [
-    "CLIPPED_LEVEL",
-    "CROP_PX",
-    "LEAST_PX",
-    "best_crops",
-    "best_windows",
-    "blur_differs_warning",
-    "check_size",
-    "clipped_mask",
-    "exposure_gain",
-    "luminance",
-    "pick_crops",
-    "textured_luminance",
-    "uniformity",
-]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 CROP_PX = 256
 """Side of the crops in which motion is searched, px."""
 LEAST_PX = 48
 """Least side of a photo in which the classical search is tried, px."""
 CLIPPED_LEVEL = 0.98  # JPEG and demosaicing leave a clipped area a little below full scale
-_CLIPPED_SHARE = 0.02  # a crop with this share of clipped pixels is used only when there is nothing else
+_CLIPPED_SHARE = (
+    0.02  # a crop with this share of clipped pixels is used only when there is nothing else
+)
 _OVERLAP_SHARE = 0.25
-_FULL, _DARKEST = 0.95, 1e-6  # a dim photo is brightened up to the first
+_FULL = 0.95  # a dim photo is brightened up to the first
+_DARKEST = 1e-6
 _LEAST_GAIN = 1.5  # a photo that would gain less is bright enough, and stays as it is
 _WHOLE = 1.25  # a photo larger than a crop by up to this is taken whole
 
@@ -60,7 +46,11 @@ def luminance(photo: ArrayLike) -> FloatArray:
     if not np.isfinite(image).all():
         raise ValueError("photo: must be finite, found NaN or infinity")
     # a large photo comes in single precision, and is never held in double with all its colours
-    return np.asarray(image, dtype=np.float64) if image.ndim == 2 else image.mean(axis=2, dtype=np.float64)
+    return (
+        np.asarray(image, dtype=np.float64)
+        if image.ndim == 2
+        else image.mean(axis=2, dtype=np.float64)
+    )
 
 
 def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:
@@ -81,7 +71,8 @@ def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:
 def exposure_gain(photo: ArrayLike) -> float:
     """Factor that brightens a dim photo as far as full scale allows; 1 for a bright one.
 
-    What is searched and chosen by limits on light and noise then hardly depends on a photo's exposure.
+    What is searched and chosen by limits on light and noise then hardly depends on a photo's
+    exposure.
 
     Parameters
     ----------
@@ -110,7 +101,9 @@ def check_size(photo: ArrayLike, *, least_px: int) -> None:
     """
     height, width = np.shape(photo)[:2]
     if min(height, width) < least_px:
-        raise ValueError(f"photo: needs at least {least_px} x {least_px} px, got {width} x {height}")
+        raise ValueError(
+            f"photo: needs at least {least_px} x {least_px} px, got {width} x {height}"
+        )
 
 
 def clipped_mask(photo: ArrayLike, *, level: float = CLIPPED_LEVEL) -> NDArray[np.bool_]:
@@ -128,8 +121,9 @@ def clipped_mask(photo: ArrayLike, *, level: float = CLIPPED_LEVEL) -> NDArray[n
 def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list[tuple[int, int]]:
     """Choose crops that constrain the blur best: edges in several directions, few clipped pixels, little overlap.
 
-    The value of a crop is the smaller eigenvalue of its structure tensor (the summed outer products of the gradient):
-    stripes of one direction, which hide the motion along them, have the value 0.
+    The value of a crop is the smaller eigenvalue of its structure tensor (the summed outer
+    products of the gradient): stripes of one direction, which hide the motion along them, have the
+    value 0.
 
     Parameters
     ----------
@@ -159,23 +153,33 @@ def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list
     clipped = clipped_mask(photo)
     dy, dx = _gradients(image)
     dy[clipped], dx[clipped] = 0, 0
-    rows, columns = (_starts(n, length) for n, length in zip(image.shape, (height, width), strict=True))
+    rows, columns = (
+        _starts(n, length) for n, length in zip(image.shape, (height, width), strict=True)
+    )
 
     def window_mean(values: NDArray[np.float64]) -> FloatArray:
         summed = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
         np.cumsum(values, axis=0, out=summed[1:, 1:])
         np.cumsum(summed, axis=1, out=summed)
-        low, high = summed[rows], summed[rows + height]
-        total = high[:, columns + width] - high[:, columns] - low[:, columns + width] + low[:, columns]
+        low = summed[rows]
+        high = summed[rows + height]
+        total = (
+            high[:, columns + width] - high[:, columns] - low[:, columns + width] + low[:, columns]
+        )
         return np.asarray(total / (height * width), dtype=np.float64)
 
-    xx, yy, xy = window_mean(dx * dx), window_mean(dy * dy), window_mean(dx * dy)
+    xx = window_mean(dx * dx)
+    yy = window_mean(dy * dy)
+    xy = window_mean(dx * dy)
     smaller = 0.5 * (xx + yy - np.hypot(xx - yy, 2 * xy))
     # a clipped crop ranks behind every other one, by the same measure
-    score = np.maximum(smaller, 0) * np.maximum(1 - window_mean(clipped.astype(np.float64)) / _CLIPPED_SHARE, 1e-6)
+    score = np.maximum(smaller, 0) * np.maximum(
+        1 - window_mean(clipped.astype(np.float64)) / _CLIPPED_SHARE, 1e-6
+    )
     chosen: list[tuple[int, int]] = []
     for index in np.argsort(-score, axis=None, kind="stable"):
-        row, column = int(rows[index // len(columns)]), int(columns[index % len(columns)])
+        row = int(rows[index // len(columns)])
+        column = int(columns[index % len(columns)])
         if all(_overlap(row - r, column - c, height, width) <= _OVERLAP_SHARE for r, c in chosen):
             chosen.append((row, column))
             if len(chosen) == count:
@@ -227,13 +231,12 @@ def blur_differs_warning(psfs: Sequence[ArrayLike], *, limit: float = 0.75) -> s
     score = uniformity(psfs)
     if score >= limit:
         return None
-    return (
-        f"The blur differs across the photo (mutual MNC {score:.2f} of {len(psfs)} crops): no single trajectory fits."
-    )
+    return f"The blur differs across the photo (mutual MNC {score:.2f} of {len(psfs)} crops): no single trajectory fits."
 
 
 def _gradients(image: FloatArray) -> tuple[FloatArray, FloatArray]:
-    dy, dx = np.zeros_like(image), np.zeros_like(image)
+    dy = np.zeros_like(image)
+    dx = np.zeros_like(image)
     dy[:-1], dx[:, :-1] = np.diff(image, axis=0), np.diff(image, axis=1)
     return dy, dx
 

@@ -6,28 +6,24 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motdiff.trajectory import Trajectory
-
-__all__ = [
-    "DEFAULT_AXES",
-    "GyroTrace",
-    "image_rates_rad_s",
-    "roll_rad",
-    "trajectory_from_gyro",
-]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 DEFAULT_AXES = "right,down,forward"
 """Directions of a sensor's x, y and z axes where none are given: the axes of the camera itself."""
 
 _DIRECTIONS = {
-    "right": (1, 0, 0), "left": (-1, 0, 0), "down": (0, 1, 0), "up": (0, -1, 0), "forward": (0, 0, 1),
+    "right": (1, 0, 0),
+    "left": (-1, 0, 0),
+    "down": (0, 1, 0),
+    "up": (0, -1, 0),
+    "forward": (0, 0, 1),
     "back": (0, 0, -1),
-}  # fmt: skip
-_SUBSTEPS = 8  # trajectory samples per gyro interval: rates are linear there, hence angles quadratic
+}
+_SUBSTEPS = (
+    8  # trajectory samples per gyro interval: rates are linear there, hence angles quadratic
+)
 
 
 @dataclass(frozen=True)
@@ -57,14 +53,19 @@ class GyroTrace:
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        t, rate = np.array(self.t_s, dtype=np.float64), np.array(self.rate_rad_s, dtype=np.float64)
+        t = np.array(self.t_s, dtype=np.float64)
+        rate = np.array(self.rate_rad_s, dtype=np.float64)
         if t.ndim != 1 or rate.shape != (t.size, 3):
-            raise ValueError(f"gyro trace: t_s must be (N,) and rate_rad_s (N, 3), got {t.shape} and {rate.shape}")
+            raise ValueError(
+                f"gyro trace: t_s must be (N,) and rate_rad_s (N, 3), got {t.shape} and {rate.shape}"
+            )
         if t.size < 2:
             raise ValueError(f"gyro trace: needs at least 2 rows, got {t.size}")
         bad = ~(np.isfinite(t) & np.isfinite(rate).all(axis=1))
         if bad.any():
-            raise ValueError(f"gyro trace: row {int(bad.argmax()) + 1} holds NaN or infinity, all must be finite")
+            raise ValueError(
+                f"gyro trace: row {int(bad.argmax()) + 1} holds NaN or infinity, all must be finite"
+            )
         if not (np.diff(t) > 0).all():
             row = int(np.argmax(np.diff(t) <= 0)) + 2
             raise ValueError(
@@ -89,18 +90,18 @@ class GyroTrace:
 def image_rates_rad_s(trace: GyroTrace, *, axes: str = DEFAULT_AXES) -> FloatArray:
     """Angular rates (N, 2), rad/s, that move the image to the right and down.
 
-    A camera that turns about the axis that points down pans to the right, so the scene moves left; one that turns
-    about the axis that points right tilts up, so the scene moves down.
+    A camera that turns about the axis that points down pans to the right, so the scene moves left;
+    one that turns about the axis that points right tilts up, so the scene moves down.
 
     Parameters
     ----------
     trace : GyroTrace
     axes : str
-        Directions in which the sensor's x, y and z axes point, as one sees them from behind the camera with the photo
-        upright: three of right, left, up, down, forward, back. The default "right,down,forward" is that of a camera;
-        a phone held upright (Android, iOS; rear camera) is "right,up,back"; held sideways, its top to the left, it is
-        "up,left,back", and its top to the right "down,right,back"; a drone that looks ahead is often
-        "forward,right,down".
+        Directions in which the sensor's x, y and z axes point, as one sees them from behind the
+        camera with the photo upright: three of right, left, up, down, forward, back. The default
+        "right,down,forward" is that of a camera; a phone held upright (Android, iOS; rear camera)
+        is "right,up,back"; held sideways, its top to the left, it is "up,left,back", and its top
+        to the right "down,right,back"; a drone that looks ahead is often "forward,right,down".
 
     Raises
     ------
@@ -128,13 +129,18 @@ def _camera_rates_rad_s(trace: GyroTrace, axes: str) -> FloatArray:
 
 
 def trajectory_from_gyro(
-    trace: GyroTrace, *, focal_px: float, start_s: float, exposure_s: float, axes: str = DEFAULT_AXES
+    trace: GyroTrace,
+    *,
+    focal_px: float,
+    start_s: float,
+    exposure_s: float,
+    axes: str = DEFAULT_AXES,
 ) -> Trajectory:
     """Integrate the rates over the exposure: the trajectory, with known direction and dwell.
 
-    Small angles: image displacement = focal length x angle, the same over the whole photo. Roll about the optical axis
-    (see :func:`roll_rad`), translation of the camera and rolling shutter are left out. Rates are taken as linear
-    between rows.
+    Small angles: image displacement = focal length x angle, the same over the whole photo. Roll
+    about the optical axis (see :func:`roll_rad`), translation of the camera and rolling shutter
+    are left out. Rates are taken as linear between rows.
 
     Parameters
     ----------
@@ -149,7 +155,8 @@ def trajectory_from_gyro(
     Raises
     ------
     ValueError
-        If the exposure does not lie within the trace, a number is not positive, or the axes are none.
+        If the exposure does not lie within the trace, a number is not positive, or the axes are
+        none.
     """
     for name, value in (("focal_px", focal_px), ("exposure_s", exposure_s)):
         if not (math.isfinite(value) and value > 0):
@@ -158,10 +165,13 @@ def trajectory_from_gyro(
     return Trajectory.from_samples(focal_px * angles, t=times, direction="known")
 
 
-def roll_rad(trace: GyroTrace, *, start_s: float, exposure_s: float, axes: str = DEFAULT_AXES) -> float:
+def roll_rad(
+    trace: GyroTrace, *, start_s: float, exposure_s: float, axes: str = DEFAULT_AXES
+) -> float:
     """Largest change of the roll angle, rad, during the exposure, which :func:`trajectory_from_gyro` leaves out.
 
-    A pixel r px from the photo's centre moves by up to ``r * roll`` px in addition to the trajectory.
+    A pixel r px from the photo's centre moves by up to ``r * roll`` px in addition to the
+    trajectory.
 
     Parameters
     ----------
@@ -179,7 +189,9 @@ def _integrated(
     """Integrate to times (T,) s and angles (T, K) rad over the exposure, exact for rates linear between rows."""
     ends = float(trace.t_s[0]), float(trace.t_s[-1])
     t = trace.t_s - start_s  # a clock that counts from 1970 has no digits to spare
-    slack = 8 * float(np.spacing(max(abs(start_s), *map(abs, ends))))  # what rounding may cost at the ends
+    slack = 8 * float(
+        np.spacing(max(abs(start_s), *map(abs, ends)))
+    )  # what rounding may cost at the ends
     if not (t[0] <= slack and exposure_s <= t[-1] + slack):
         raise ValueError(
             f"start_s: the exposure {start_s:.4f}..{start_s + exposure_s:.4f} s must lie within the trace, "

@@ -10,24 +10,8 @@ from scipy import fft
 
 from motdiff.psf_frame import moved
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = [
-    "SAME_KERNEL_MNC",
-    "laid_on",
-    "mnc",
-    "mnc_matrix",
-    "mnc_subpixel",
-    "ordered_distance_px",
-    "path_distance_px",
-    "psnr",
-    "psnr_ssim_up_to_shift",
-    "psnr_up_to_shift",
-    "register_shift",
-    "ssim_up_to_shift",
-    "timed_distance_px",
-]
-
-FloatArray = NDArray[np.float64]
 SAME_KERNEL_MNC = 0.95
 """Estimates of one photo's kernel count as the same from this sub-pixel MNC on, docs/decisions/network.md."""
 _SUBPIXEL_STEP_PX = 0.05
@@ -56,7 +40,8 @@ def mnc(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
 def mnc_subpixel(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
     """MNC over shifts to 0.05 px: the cross-correlation is interpolated band-limited around its integer maximum.
 
-    Integer shifts punish a perfect PSF that sits half a pixel off (0.80 on Levin's); this does not.
+    Integer shifts punish a perfect PSF that sits half a pixel off (0.80 on Levin's); this does
+    not.
 
     Parameters
     ----------
@@ -101,7 +86,8 @@ def mnc_matrix(psfs: Sequence[ArrayLike]) -> FloatArray:
 
 def register_shift(psf_a: ArrayLike, psf_b: ArrayLike) -> tuple[float, float]:
     """Shift (dx, dy) px that moves ``psf_b``, by frame centre, onto ``psf_a``, to 0.05 px."""
-    a, b = np.asarray(psf_a), np.asarray(psf_b)
+    a = np.asarray(psf_a)
+    b = np.asarray(psf_b)
     row, column = _subpixel_peak(_correlation(a, b))[1]
     # index of zero displacement between the frames' centres, size // 2
     return (
@@ -126,7 +112,8 @@ def path_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 200) -> flo
         Points compared along each path.
     """
     p, q = (path.arc_resampled(samples) for path in (a, b))
-    p, q = p - p.mean(axis=0), q - q.mean(axis=0)
+    p = p - p.mean(axis=0)
+    q = q - q.mean(axis=0)
     return float(min(np.linalg.norm(p - other, axis=1).mean() for other in (q, q[::-1])))
 
 
@@ -147,8 +134,9 @@ def timed_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 401) -> fl
 def ordered_distance_px(a: ArrayLike, b: ArrayLike, *, step_px: float = 0.25) -> float:
     """Mean distance, px, of two drawn paths under their best monotone matching, for the better of the two directions.
 
-    Dynamic time warping over points evenly spaced along both paths: small errors of arc length do not add up, as they
-    do in :func:`path_distance_px`, but a loop run the wrong way round counts in full. Nothing is centred.
+    Dynamic time warping over points evenly spaced along both paths: small errors of arc length do
+    not add up, as they do in :func:`path_distance_px`, but a loop run the wrong way round counts
+    in full. Nothing is centred.
 
     Parameters
     ----------
@@ -164,13 +152,19 @@ def ordered_distance_px(a: ArrayLike, b: ArrayLike, *, step_px: float = 0.25) ->
     """
     if not (np.isfinite(step_px) and step_px > 0):
         raise ValueError(f"step_px: must be a positive number, got {step_px}")
-    p, q = _evenly_spaced("a", a, step_px), _evenly_spaced("b", b, step_px)
+    p = _evenly_spaced("a", a, step_px)
+    q = _evenly_spaced("b", b, step_px)
     distance = np.linalg.norm(p[:, None] - q[None], axis=-1)
     return min(_warped_mean(distance), _warped_mean(distance[:, ::-1]))
 
 
 def psnr_up_to_shift(
-    restored: ArrayLike, sharp: ArrayLike, *, max_shift_px: float = 5.0, step_px: float = 0.25, crop_px: int = 15
+    restored: ArrayLike,
+    sharp: ArrayLike,
+    *,
+    max_shift_px: float = 5.0,
+    step_px: float = 0.25,
+    crop_px: int = 15,
 ) -> float:
     """PSNR, dB, of ``restored`` against ``sharp`` (peak 1), best over translations, borders cropped.
 
@@ -186,14 +180,24 @@ def psnr_up_to_shift(
 
 
 def ssim_up_to_shift(
-    restored: ArrayLike, sharp: ArrayLike, *, max_shift_px: float = 5.0, step_px: float = 0.25, crop_px: int = 15
+    restored: ArrayLike,
+    sharp: ArrayLike,
+    *,
+    max_shift_px: float = 5.0,
+    step_px: float = 0.25,
+    crop_px: int = 15,
 ) -> float:
     """SSIM at the translation with the best PSNR, borders cropped; arguments as :func:`psnr_up_to_shift`."""
     return _ssim(*_best_aligned(restored, sharp, max_shift_px, step_px, crop_px))
 
 
 def psnr_ssim_up_to_shift(
-    restored: ArrayLike, sharp: ArrayLike, *, max_shift_px: float = 5.0, step_px: float = 0.25, crop_px: int = 15
+    restored: ArrayLike,
+    sharp: ArrayLike,
+    *,
+    max_shift_px: float = 5.0,
+    step_px: float = 0.25,
+    crop_px: int = 15,
 ) -> tuple[float, float]:
     """Both of :func:`psnr_up_to_shift` and :func:`ssim_up_to_shift` in the time of one."""
     aligned, target = _best_aligned(restored, sharp, max_shift_px, step_px, crop_px)
@@ -215,8 +219,15 @@ def _ssim(image: FloatArray, target: FloatArray) -> float:
 
 def _evenly_spaced(name: str, path: ArrayLike, step_px: float) -> FloatArray:
     points = np.asarray(path, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1:] != (2,) or not len(points) or not np.isfinite(points).all():
-        raise ValueError(f"{name}: must be finite (N, 2) points with N >= 1, got shape {points.shape}")
+    if (
+        points.ndim != 2
+        or points.shape[1:] != (2,)
+        or not len(points)
+        or not np.isfinite(points).all()
+    ):
+        raise ValueError(
+            f"{name}: must be finite (N, 2) points with N >= 1, got shape {points.shape}"
+        )
     arc = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
     where = np.linspace(0, arc[-1], max(2, int(np.ceil(arc[-1] / step_px)) + 1))
     return np.stack([np.interp(where, arc, points[:, axis]) for axis in (0, 1)], axis=-1)
@@ -227,10 +238,14 @@ def _warped_mean(distance: FloatArray) -> float:
     best = np.empty_like(distance)
     best[0] = np.cumsum(distance[0])
     for i in range(1, len(distance)):
-        entered = np.minimum(best[i - 1], np.r_[np.inf, best[i - 1, :-1]])  # from above, straight or diagonally
+        entered = np.minimum(
+            best[i - 1], np.r_[np.inf, best[i - 1, :-1]]
+        )  # from above, straight or diagonally
         run = np.cumsum(distance[i])
         best[i] = run + np.minimum.accumulate(entered - run + distance[i])
-    i, j, pairs = distance.shape[0] - 1, distance.shape[1] - 1, 1
+    i = distance.shape[0] - 1
+    j = distance.shape[1] - 1
+    pairs = 1
     while i or j:
         steps = [(i - 1, j - 1)] if i and j else []
         steps += [(i - 1, j)] if i else []
@@ -242,7 +257,8 @@ def _warped_mean(distance: FloatArray) -> float:
 
 def _correlation(psf_a: ArrayLike, psf_b: ArrayLike) -> FloatArray:
     """Full normalised cross-correlation; index (h_b - 1, w_b - 1) is the zero shift of the frames' corners."""
-    a, b = _checked("psf_a", psf_a), _checked("psf_b", psf_b)
+    a = _checked("psf_a", psf_a)
+    b = _checked("psf_b", psf_b)
     shape = (a.shape[0] + b.shape[0] - 1, a.shape[1] + b.shape[1] - 1)
     product = fft.rfft2(a, shape) * fft.rfft2(b[::-1, ::-1], shape)
     full = fft.irfft2(product, shape)
@@ -252,7 +268,9 @@ def _correlation(psf_a: ArrayLike, psf_b: ArrayLike) -> FloatArray:
 def _checked(name: str, psf: ArrayLike) -> FloatArray:
     image = np.asarray(psf, dtype=np.float64)
     if image.ndim != 2 or not np.isfinite(image).all() or not np.any(image):
-        raise ValueError(f"{name}: must be a finite (H, W) array with some light, got shape {image.shape}")
+        raise ValueError(
+            f"{name}: must be a finite (H, W) array with some light, got shape {image.shape}"
+        )
     return image
 
 
@@ -281,11 +299,14 @@ def _interpolator(size: int, positions: FloatArray) -> NDArray[np.complex128]:
 def _best_aligned(
     restored: ArrayLike, sharp: ArrayLike, max_shift_px: float, step_px: float, crop_px: int
 ) -> tuple[FloatArray, FloatArray]:
-    moving, target = np.asarray(restored, dtype=np.float64), np.asarray(sharp, dtype=np.float64)
+    moving = np.asarray(restored, dtype=np.float64)
+    target = np.asarray(sharp, dtype=np.float64)
     if moving.shape != target.shape:
         raise ValueError(f"restored: shape {moving.shape} differs from sharp's {target.shape}")
     if min(target.shape[:2]) <= 2 * crop_px + 2:
-        raise ValueError(f"crop_px: {crop_px} leaves nothing of a photo of {target.shape[1]} x {target.shape[0]} px")
+        raise ValueError(
+            f"crop_px: {crop_px} leaves nothing of a photo of {target.shape[1]} x {target.shape[0]} px"
+        )
     window = (slice(crop_px, -crop_px or None),) * 2
 
     room = int(np.ceil(max_shift_px)) + 3  # refined shifts may leave the range a little
@@ -294,9 +315,12 @@ def _best_aligned(
 
     def shifted(dx: float, dy: float) -> FloatArray:
         # bilinear, by slices: the error is evaluated 171 times
-        row, column = room + crop_px - dy, room + crop_px - dx
-        y, x = int(np.floor(row)), int(np.floor(column))
-        lower, right = row - y, column - x
+        row = room + crop_px - dy
+        column = room + crop_px - dx
+        y = int(np.floor(row))
+        x = int(np.floor(column))
+        lower = row - y
+        right = column - x
         rows = padded[y : y + height]
         if lower:
             rows = (1 - lower) * rows + lower * padded[y + 1 : y + 1 + height]
@@ -304,7 +328,8 @@ def _best_aligned(
         return (1 - right) * columns + right * rows[:, x + 1 : x + 1 + width] if right else columns
 
     reference = target[window]
-    best, step = (0.0, 0.0), max(1.0, step_px)
+    best = (0.0, 0.0)
+    step = max(1.0, step_px)
     span = max_shift_px
     while True:  # coarse to fine; the error is smooth in the shift
         candidates = [
@@ -317,4 +342,5 @@ def _best_aligned(
         best = candidates[int(np.argmin(errors))]
         if step <= step_px:
             return shifted(*best), reference
-        span, step = step, max(step / 2, step_px)
+        span = step
+        step = max(step / 2, step_px)

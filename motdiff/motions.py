@@ -9,18 +9,10 @@ import numpy as np
 from motdiff.gyro import GyroTrace, trajectory_from_gyro
 from motdiff.trajectory import Trajectory
 
-__all__ = [
-    "DEBLURGAN_EXPL",
-    "boracchi_foi",
-    "quadratic",
-    "random_gyro_motion",
-    "random_straight",
-    "with_smooth_error",
-]
-
 DEBLURGAN_EXPL = (0.01, 0.009, 0.008, 0.007, 0.005, 0.003)
 _WINDOW_TRIES = 200
-_RECORDED_AXES = "right,up,back"  # a phone's; other axes would draw the mirror images of the published tables' motions
+# a phone's; other axes would draw the mirror images of the published tables' motions
+_RECORDED_AXES = "right,up,back"
 _ERROR_KNOTS = 101
 
 
@@ -38,19 +30,21 @@ def boracchi_foi(
 ) -> Trajectory:
     """Draw a random walk of constant speed with inertia and sudden reversals, as DeblurGAN's training data.
 
-    Arc length is exactly ``max_length_px``; the path is centred on its time-mean (the original is not centred).
+    Arc length is exactly ``max_length_px``; the path is centred on its time-mean (the original is
+    not centred).
 
     Parameters
     ----------
     rng : numpy.random.Generator
     max_length_px : float, px
     expl : float, optional
-        "Anxiety": scales every random change of the velocity; drawn from :data:`DEBLURGAN_EXPL` when omitted.
+        "Anxiety": scales every random change of the velocity; drawn from :data:`DEBLURGAN_EXPL`
+        when omitted.
     samples : int
         Points on the path, evenly spaced in time.
     inertia_max, big_shake_max, gaussian_max : float
-        Upper ends of the uniform laws of the pull to the start, the probability of a big shake (times ``expl`` per
-        step) and the strength of the Gaussian changes.
+        Upper ends of the uniform laws of the pull to the start, the probability of a big shake
+        (times ``expl`` per step) and the strength of the Gaussian changes.
     big_shake_strength, big_shake_spread_rad : float
         A big shake adds the velocity turned by 180 degrees +- the spread, times the strength.
 
@@ -61,8 +55,9 @@ def boracchi_foi(
 
     References
     ----------
-    Boracchi and Foi, "Modeling the performance of image restoration from motion blur", IEEE TIP 21(8), 2012.
-    Kupyn et al., "DeblurGAN", CVPR 2018, Algorithm 1, with the constants of its released code.
+    Boracchi and Foi, "Modeling the performance of image restoration from motion blur", IEEE TIP
+    21(8), 2012. Kupyn et al., "DeblurGAN", CVPR 2018, Algorithm 1, with the constants of its
+    released code.
     """
     _positive("max_length_px", max_length_px)
     if samples < 2:
@@ -70,7 +65,9 @@ def boracchi_foi(
     if expl is None:
         expl = float(rng.choice(DEBLURGAN_EXPL))
     _positive("expl", expl)
-    inertia, big_shake, gaussian = (top * rng.random() for top in (inertia_max, big_shake_max, gaussian_max))
+    inertia, big_shake, gaussian = (
+        top * rng.random() for top in (inertia_max, big_shake_max, gaussian_max)
+    )
     angle_rad = rng.uniform(0, 2 * np.pi)
     steps = samples - 1
     # all in units of one step, so that the velocity has modulus 1
@@ -78,9 +75,12 @@ def boracchi_foi(
     shakes: list[complex] = (expl * gaussian * (normal[0] + 1j * normal[1])).tolist()
     when = np.flatnonzero(rng.random(steps) < big_shake * expl)
     turns = np.pi + big_shake_spread_rad * rng.uniform(-1, 1, when.size)
-    kicks = dict(zip(when.tolist(), (big_shake_strength * np.exp(1j * turns)).tolist(), strict=True))
+    kicks = dict(
+        zip(when.tolist(), (big_shake_strength * np.exp(1j * turns)).tolist(), strict=True)
+    )
     pull = expl * inertia * max_length_px / steps
-    velocity, position = complex(math.cos(angle_rad), math.sin(angle_rad)), 0j
+    velocity = complex(math.cos(angle_rad), math.sin(angle_rad))
+    position = 0j
     path = [position]
     for i, shake in enumerate(shakes):
         velocity += shake - pull * position + (kicks[i] * velocity if i in kicks else 0)
@@ -91,7 +91,9 @@ def boracchi_foi(
     return Trajectory.from_samples(np.column_stack([points.real, points.imag]), direction="known")
 
 
-def random_straight(rng: np.random.Generator, *, min_length_px: float = 5.0, max_length_px: float = 40.0) -> Trajectory:
+def random_straight(
+    rng: np.random.Generator, *, min_length_px: float = 5.0, max_length_px: float = 40.0
+) -> Trajectory:
     """Draw a uniform straight motion, length and angle uniform.
 
     Parameters
@@ -119,14 +121,16 @@ def quadratic(
     min_length_px, max_length_px : float, px
         Range of the arc length.
     max_bend : float
-        Largest change of velocity during the exposure over the mean velocity; below 2 the motion never turns back.
+        Largest change of velocity during the exposure over the mean velocity; below 2 the motion
+        never turns back.
     samples : int
         Points on the path, evenly spaced in time.
 
     Raises
     ------
     ValueError
-        If the lengths are not positive and ordered, ``max_bend`` is negative, or there are fewer than 2 samples.
+        If the lengths are not positive and ordered, ``max_bend`` is negative, or there are fewer
+        than 2 samples.
     """
     if samples < 2:
         raise ValueError(f"samples: needs at least 2, got {samples}")
@@ -173,15 +177,20 @@ def random_gyro_motion(
     _positive("extent_px", extent_px)
     spare_s = trace.duration_s - exposure_s
     if spare_s < 0:
-        raise ValueError(f"exposure_s: {exposure_s} s does not fit the trace of {trace.duration_s:.3g} s")
+        raise ValueError(
+            f"exposure_s: {exposure_s} s does not fit the trace of {trace.duration_s:.3g} s"
+        )
     for _ in range(_WINDOW_TRIES):
         start_s = float(trace.t_s[0]) + spare_s * rng.random()
-        motion = trajectory_from_gyro(trace, focal_px=1.0, start_s=start_s, exposure_s=exposure_s, axes=_RECORDED_AXES)
+        motion = trajectory_from_gyro(
+            trace, focal_px=1.0, start_s=start_s, exposure_s=exposure_s, axes=_RECORDED_AXES
+        )
         if motion.extent_px < min_extent_rad:
             continue
         if rotate:
             turn = rng.uniform(0, 2 * np.pi)
-            c, s = math.cos(turn), math.sin(turn)
+            c = math.cos(turn)
+            s = math.sin(turn)
             xy = motion.xy @ np.array([[c, s], [-s, c]])
             motion = Trajectory.from_samples(xy, t=motion.t, direction="known")
         return motion.scaled(extent_px / motion.extent_px)
@@ -191,7 +200,12 @@ def random_gyro_motion(
 
 
 def with_smooth_error(
-    trajectory: Trajectory, error_px: float, *, rng: np.random.Generator, smooth_over: float = 0.12, sign: float = 1.0
+    trajectory: Trajectory,
+    error_px: float,
+    *,
+    rng: np.random.Generator,
+    smooth_over: float = 0.12,
+    sign: float = 1.0,
 ) -> Trajectory:
     """Draw a path near another one, as an estimate is near the truth: a Gaussian process is added.
 
@@ -216,9 +230,13 @@ def with_smooth_error(
     _positive("smooth_over", smooth_over)
     knots = np.linspace(0, 1, _ERROR_KNOTS)
     alike = np.exp(-0.5 * ((knots[:, None] - knots) / smooth_over) ** 2)
-    drawn = np.linalg.cholesky(alike + 1e-8 * np.eye(knots.size)) @ rng.standard_normal((knots.size, 2))
+    drawn = np.linalg.cholesky(alike + 1e-8 * np.eye(knots.size)) @ rng.standard_normal(
+        (knots.size, 2)
+    )
     t = np.union1d(trajectory.t, knots)
-    error = np.stack([np.interp(t, knots, axis) for axis in drawn.T], axis=1) * (sign * error_px / 2**0.5)
+    error = np.stack([np.interp(t, knots, axis) for axis in drawn.T], axis=1) * (
+        sign * error_px / 2**0.5
+    )
     return Trajectory.from_samples(trajectory.at(t) + error, t=t, direction=trajectory.direction)
 
 
@@ -229,5 +247,7 @@ def _positive(name: str, value: float) -> None:
 
 def _drawn_length(rng: np.random.Generator, low_px: float, high_px: float) -> float:
     if not (math.isfinite(high_px) and 0 < low_px <= high_px):
-        raise ValueError(f"min_length_px: must be positive and at most max_length_px, got {low_px} and {high_px}")
+        raise ValueError(
+            f"min_length_px: must be positive and at most max_length_px, got {low_px} and {high_px}"
+        )
     return float(rng.uniform(low_px, high_px))

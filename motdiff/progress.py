@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from threading import Lock
 
-__all__ = ["Progress"]
-
 _MOST = 0.999  # before the work is finished, however wrong its plan was
 
 
 class Progress:
     """Tells the finished share of a work whose parts cost differently, and whose plan may change on the way.
 
-    The share moves through what is left of it as the work moves through what is left of the plan: a longer plan slows
-    it down, a shorter one speeds it up. Several threads may work.
+    The share moves through what is left of it as the work moves through what is left of the plan:
+    a longer plan slows it down, a shorter one speeds it up. Several threads may work.
 
     Parameters
     ----------
@@ -25,7 +23,8 @@ class Progress:
     def __init__(self, tell: Callable[[float], None] | None = None) -> None:
         self._tell = tell or (lambda _share: None)
         self._lock = Lock()
-        self._share, self._left = 0.0, 0.0
+        self._share = 0.0
+        self._left = 0.0
 
     def expect(self, cost: float) -> None:
         """Plan what is left from now on, in any unit; it replaces the plan so far."""
@@ -52,7 +51,8 @@ class Progress:
 
         def tell(share: float) -> None:
             nonlocal spent
-            more, spent = cost * share - spent, cost * share
+            more = cost * share - spent
+            spent = cost * share
             self.spend(more)
 
         return tell
@@ -60,5 +60,6 @@ class Progress:
     def finish(self) -> None:
         """Tell that all is done."""
         with self._lock:
-            self._share, self._left = 1.0, 0.0
+            self._share = 1.0
+            self._left = 0.0
             self._tell(1.0)

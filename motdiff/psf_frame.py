@@ -1,28 +1,16 @@
 """The frame of PSFs and HR maps: its size, where zero displacement lies, and how a kernel is brought to it.
 
-Zero displacement of a PSF lies at index ``size // 2`` of each axis, in odd and even frames alike. An HR map covers the
-same field more finely: displacement d px lies at index ``MAP_CENTRE + MAP_PITCH * d``.
+Zero displacement of a PSF lies at index ``size // 2`` of each axis, in odd and even frames alike.
+An HR map covers the same field more finely: displacement d px lies at index ``MAP_CENTRE +
+MAP_PITCH * d``.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-__all__ = [
-    "MAP_CENTRE",
-    "MAP_PITCH",
-    "MAP_PX",
-    "PSF_PX",
-    "centred",
-    "centroid_px",
-    "in_frame",
-    "margins",
-    "moved",
-    "without_faint_light",
-]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 PSF_PX = 64
 """Side of the PSF frame, px: fixed for the networks and the field of HR maps, the default elsewhere."""

@@ -6,27 +6,15 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft
 
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = [
-    "add_noise",
-    "blur_symmetric",
-    "blur_valid",
-    "border_px",
-    "photograph",
-    "to_display",
-    "to_linear",
-    "valid_window",
-    "visible",
-]
-
-FloatArray = NDArray[np.float64]
-
-_SRGB_KNEE_LINEAR, _SRGB_KNEE_DISPLAY = 0.0031308, 0.0031308 * 12.92
+_SRGB_KNEE_LINEAR = 0.0031308
+_SRGB_KNEE_DISPLAY = 0.0031308 * 12.92
 
 
 def valid_window(shape: tuple[int, ...], psf_shape: tuple[int, ...]) -> tuple[slice, slice]:
@@ -43,8 +31,12 @@ def valid_window(shape: tuple[int, ...], psf_shape: tuple[int, ...]) -> tuple[sl
         If the PSF is larger than the image.
     """
     if psf_shape[0] > shape[0] or psf_shape[1] > shape[1]:
-        raise ValueError(f"psf: {psf_shape[1]} x {psf_shape[0]} px does not fit an image of {shape[1]} x {shape[0]} px")
-    rows, columns = (slice(p - 1 - p // 2, n - p // 2) for n, p in zip(shape, psf_shape, strict=False))
+        raise ValueError(
+            f"psf: {psf_shape[1]} x {psf_shape[0]} px does not fit an image of {shape[1]} x {shape[0]} px"
+        )
+    rows, columns = (
+        slice(p - 1 - p // 2, n - p // 2) for n, p in zip(shape, psf_shape, strict=False)
+    )
     return rows, columns
 
 
@@ -55,11 +47,13 @@ def blur_valid(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
     ----------
     sharp : (H, W) or (H, W, C) array_like, linear light
     psf : (S, S) array_like
-        Zero displacement at index ``S // 2``; true convolution, so a point at p draws the PSF around p.
+        Zero displacement at index ``S // 2``; true convolution, so a point at p draws the PSF
+        around p.
 
     Returns
     -------
-    (H - S + 1, W - S + 1[, C]) float64, the blurred ``sharp[valid_window(sharp.shape, psf.shape)]``.
+    (H - S + 1, W - S + 1[, C]) float64, the blurred ``sharp[valid_window(sharp.shape,
+    psf.shape)]``.
 
     Raises
     ------
@@ -75,7 +69,9 @@ def blur_valid(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
         spectrum = spectrum[..., None]
     blurred = fft.irfft2(fft.rfft2(image, size, axes=(0, 1)) * spectrum, size, axes=(0, 1))
     rows, columns = kernel.shape
-    return np.ascontiguousarray(blurred[rows - 1 : image.shape[0], columns - 1 : image.shape[1]], dtype=np.float64)
+    return np.ascontiguousarray(
+        blurred[rows - 1 : image.shape[0], columns - 1 : image.shape[1]], dtype=np.float64
+    )
 
 
 def blur_symmetric(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
@@ -96,7 +92,11 @@ def blur_symmetric(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
 
 
 def add_noise(
-    photo: ArrayLike, rng: np.random.Generator, *, photons_full_scale: float | None = None, read_sigma: float = 0.0
+    photo: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    photons_full_scale: float | None = None,
+    read_sigma: float = 0.0,
 ) -> FloatArray:
     """Add photon (Poisson) and read (Gaussian) noise; nothing is clipped.
 
@@ -120,9 +120,13 @@ def add_noise(
     noisy = clean
     if photons_full_scale is not None:
         if not (math.isfinite(photons_full_scale) and photons_full_scale > 0):
-            raise ValueError(f"photons_full_scale: must be a positive number, got {photons_full_scale}")
+            raise ValueError(
+                f"photons_full_scale: must be a positive number, got {photons_full_scale}"
+            )
         if clean.size and clean.min() < -1e-6:
-            raise ValueError(f"photo: light must be non-negative to count photons, got {clean.min():.3g}")
+            raise ValueError(
+                f"photo: light must be non-negative to count photons, got {clean.min():.3g}"
+            )
         # FFT blurring leaves values of -1e-17 in black areas
         noisy = rng.poisson(np.maximum(clean, 0) * photons_full_scale) / photons_full_scale
     if read_sigma > 0:
@@ -146,13 +150,16 @@ def photograph(
     ----------
     scene : (H, W) or (H, W, C) array_like, linear light 0..1
     motion : Trajectory or (S, S) PSF
-        A trajectory is drawn in the smallest odd frame that holds it; a coded exposure comes as its light-true PSF.
+        A trajectory is drawn in the smallest odd frame that holds it; a coded exposure comes as
+        its light-true PSF.
     rng : numpy.random.Generator
     borders : {"real", "symmetric"}
-        Light comes from beyond the photo, as :func:`blur_valid`, or is mirrored there, as :func:`blur_symmetric`.
+        Light comes from beyond the photo, as :func:`blur_valid`, or is mirrored there, as
+        :func:`blur_symmetric`.
     photons_full_scale, read_sigma : as :func:`add_noise`
     record : callable, optional
-        From noisy light to recorded values, such as a converter's rounding; clipping to 0..1 when omitted.
+        From noisy light to recorded values, such as a converter's rounding; clipping to 0..1 when
+        omitted.
 
     Returns
     -------
@@ -163,7 +170,11 @@ def photograph(
     ValueError
         If an argument is malformed, or the PSF larger than the scene.
     """
-    psf = motion.psf(motion.frame_size() | 1) if isinstance(motion, Trajectory) else np.asarray(motion, np.float64)
+    psf = (
+        motion.psf(motion.frame_size() | 1)
+        if isinstance(motion, Trajectory)
+        else np.asarray(motion, np.float64)
+    )
     blurred = blur_valid(scene, psf) if _are_real(borders) else blur_symmetric(scene, psf)
     light = add_noise(blurred, rng, photons_full_scale=photons_full_scale, read_sigma=read_sigma)
     return np.clip(light, 0, 1) if record is None else record(light)
@@ -221,7 +232,8 @@ def _are_real(borders: str) -> bool:
 
 
 def _checked(sharp: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    image, kernel = np.asarray(sharp, dtype=np.float64), np.asarray(psf, dtype=np.float64)
+    image = np.asarray(sharp, dtype=np.float64)
+    kernel = np.asarray(psf, dtype=np.float64)
     if image.ndim not in (2, 3):
         raise ValueError(f"sharp: must be (H, W) or (H, W, C), got shape {image.shape}")
     if kernel.ndim != 2 or kernel.size == 0:

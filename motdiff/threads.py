@@ -12,11 +12,11 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-__all__ = ["one_thread", "one_thread_a_call", "side_by_side"]
-
 _Result = TypeVar("_Result")
 
-_ALONE = ContextVar("_ALONE", default=False)  # torch's own count does not matter: small arrays are fastest with 1
+_ALONE = ContextVar(
+    "_ALONE", default=False
+)  # torch's own count does not matter: small arrays are fastest with 1
 _WITHIN = ContextVar("_WITHIN", default=False)
 
 
@@ -24,10 +24,11 @@ _WITHIN = ContextVar("_WITHIN", default=False)
 def one_thread_a_call() -> Iterator[None]:
     """Keep each call of torch, and of the BLAS under numpy and scipy, to one thread while the context lasts.
 
-    Threads on small arrays mostly wait, and on a busy machine they wait for a core each time: a photo that took 2.5 s
-    with one thread took 14 s and 24 CPU-s with four on four busy cores. :func:`side_by_side` runs independent jobs in
-    parallel. Torch's sums may depend on the number of threads in their last bits.
-    Where several threads of a process are within it at once, the BLAS may have more again when one of them leaves.
+    Threads on small arrays mostly wait, and on a busy machine they wait for a core each time: a
+    photo that took 2.5 s with one thread took 14 s and 24 CPU-s with four on four busy cores.
+    :func:`side_by_side` runs independent jobs in parallel. Torch's sums may depend on the number
+    of threads in their last bits. Where several threads of a process are within it at once, the
+    BLAS may have more again when one of them leaves.
     """
     if _WITHIN.get():
         yield
@@ -48,7 +49,8 @@ class _Threads:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._users, self._limited = 0, False
+        self._users = 0
+        self._limited = False
 
     @contextmanager
     def one_a_call(self) -> Iterator[None]:
@@ -57,8 +59,10 @@ class _Threads:
         with self._lock:
             if not self._users:
                 self._before = torch.get_num_threads()
-            # one at a time: a second one would find the first's limit, and leave it to the process for ever
-            limits, self._limited = not self._limited, True
+            # one at a time: a second one would find the first's limit, and leave it to the process
+            # for ever
+            limits = not self._limited
+            self._limited = True
             self._users += 1
         try:
             _one_thread_here()
@@ -78,7 +82,8 @@ _THREADS = _Threads()
 def _one_thread_here() -> None:
     import torch
 
-    torch.get_num_threads()  # a thread that has not asked takes the process's count at its first call, not its own
+    # a thread that has not asked takes the process's count at its first call, not its own
+    torch.get_num_threads()
     torch.set_num_threads(1)
 
 
@@ -86,8 +91,8 @@ def _one_thread_here() -> None:
 def one_thread() -> Iterator[None]:
     """Keep everything, :func:`side_by_side` as well, to one thread while the context lasts.
 
-    For work that runs beside others of its kind, and for processor time: threads that wait for each other count as
-    such.
+    For work that runs beside others of its kind, and for processor time: threads that wait for
+    each other count as such.
     """
     token = _ALONE.set(True)
     try:
@@ -102,8 +107,9 @@ def side_by_side(
 ) -> list[_Result]:
     """Run every job without gradients, as many at a time as there are cores, and give their results in order.
 
-    One at a time within :func:`one_thread`, and fewer where the environment says so: a process that shares the machine
-    with others of its kind, as a benchmark's workers do, is started with ``OMP_NUM_THREADS``.
+    One at a time within :func:`one_thread`, and fewer where the environment says so: a process
+    that shares the machine with others of its kind, as a benchmark's workers do, is started with
+    ``OMP_NUM_THREADS``.
 
     Parameters
     ----------
@@ -116,7 +122,8 @@ def side_by_side(
     results: list[_Result] = []
     workers = max(1, min(len(jobs), _cores()))
     with one_thread_a_call(), ThreadPoolExecutor(workers, initializer=_one_thread_here) as pool:
-        # each with the context of here: a job that runs others side by side keeps to one thread as well
+        # each with the context of here: a job that runs others side by side keeps to one thread as
+        # well
         runs = [pool.submit(copy_context().run, torch.no_grad()(job)) for job in jobs]
         try:
             for run in runs:

@@ -1,7 +1,7 @@
 """Trajectory of the image during one exposure, with its exact OTF, PSF and HR map (numpy only).
 
-A :class:`Trajectory` is piecewise linear in time. So the OTF is a sum of
-closed-form segment terms, and the PSF on a pixel grid is integrated exactly, so no rasterising error enters a design.
+A :class:`Trajectory` is piecewise linear in time. So the OTF is a sum of closed-form segment
+terms, and the PSF on a pixel grid is integrated exactly, so no rasterising error enters a design.
 """
 
 from __future__ import annotations
@@ -15,25 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX, PSF_PX
-
-__all__ = [
-    "LONGEST_PX",
-    "Direction",
-    "Segments",
-    "Trajectory",
-    "bilinear_otf",
-    "check_length",
-    "pixel_aperture_otf",
-    "slice_of",
-    "slice_psfs",
-    "thin_path",
-    "thinned_knots",
-]
-
+from motdiff.types import ComplexArray, FloatArray
 
 Direction = Literal["known", "unknown"]
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 LONGEST_PX = 4096.0
 """Longest path that is handled, px: it passes every pixel of the usual PSF frame once, or crosses a large photo."""
@@ -69,11 +53,14 @@ class Trajectory:
     Parameters
     ----------
     t : (T,) float
-        Times as a fraction of the exposure, strictly increasing from 0 to 1. Dwell is their spacing.
+        Times as a fraction of the exposure, strictly increasing from 0 to 1. Dwell is their
+        spacing.
     xy : (T, 2) float, px
-        Displacement, x to the right and y down, with its time-mean at (0, 0) and straight between samples.
+        Displacement, x to the right and y down, with its time-mean at (0, 0) and straight between
+        samples.
     direction : {"known", "unknown"}
-        Whether the order in time is known, or only up to reversal (one uncoded photo can never tell).
+        Whether the order in time is known, or only up to reversal (one uncoded photo can never
+        tell).
 
     Raises
     ------
@@ -101,18 +88,24 @@ class Trajectory:
         t = np.array(self.t, dtype=np.float64)
         xy = np.array(self.xy, dtype=np.float64)
         if t.ndim != 1 or xy.shape != (t.size, 2):
-            raise ValueError(f"trajectory: t must be (T,) and xy (T, 2), got {t.shape} and {xy.shape}")
+            raise ValueError(
+                f"trajectory: t must be (T,) and xy (T, 2), got {t.shape} and {xy.shape}"
+            )
         if t.size < 2:
             raise ValueError(f"trajectory: needs at least 2 samples, got {t.size}")
         if not (np.isfinite(t).all() and np.isfinite(xy).all()):
             raise ValueError("trajectory: t and xy must be finite, found NaN or infinity")
         if not (np.diff(t) > 0).all():
             where = int(np.argmin(np.diff(t))) + 1
-            raise ValueError(f"trajectory: t must be strictly increasing, but t[{where}] <= t[{where - 1}]")
+            raise ValueError(
+                f"trajectory: t must be strictly increasing, but t[{where}] <= t[{where - 1}]"
+            )
         if abs(t[0]) > 1e-9 or abs(t[-1] - 1) > 1e-9:
             raise ValueError(f"trajectory: t must run from 0 to 1, got {t[0]:g} to {t[-1]:g}")
         if self.direction not in ("known", "unknown"):
-            raise ValueError(f'trajectory: direction must be "known" or "unknown", got {self.direction!r}')
+            raise ValueError(
+                f'trajectory: direction must be "known" or "unknown", got {self.direction!r}'
+            )
         mean = _time_mean(t, xy)
         if np.abs(mean).max() > _CENTRE_TOLERANCE_PX * max(1.0, float(np.abs(xy).max())):
             raise ValueError(
@@ -124,10 +117,12 @@ class Trajectory:
         object.__setattr__(self, "t", t)
         object.__setattr__(self, "xy", xy)
 
-    # -- making one ---------------------------------------------------------------------------------------------
+    # -- making one -------------------------------------------------------------------------------
 
     @classmethod
-    def from_samples(cls, xy: ArrayLike, *, t: ArrayLike | None = None, direction: Direction = "unknown") -> Trajectory:
+    def from_samples(
+        cls, xy: ArrayLike, *, t: ArrayLike | None = None, direction: Direction = "unknown"
+    ) -> Trajectory:
         """Make a trajectory from raw samples: times are rescaled to 0..1 and the path is centred.
 
         Parameters
@@ -145,13 +140,20 @@ class Trajectory:
         points = np.asarray(xy, dtype=np.float64)
         times = np.linspace(0, 1, len(points)) if t is None else np.asarray(t, dtype=np.float64)
         well_formed = times.ndim == 1 and times.size > 1 and points.shape == (times.size, 2)
-        if well_formed and np.isfinite(times).all() and np.isfinite(points).all() and times[-1] > times[0]:
+        if (
+            well_formed
+            and np.isfinite(times).all()
+            and np.isfinite(points).all()
+            and times[-1] > times[0]
+        ):
             times = (times - times[0]) / (times[-1] - times[0])
             points = points - _time_mean(times, points)
         return cls(times, points, direction)
 
     @classmethod
-    def straight(cls, length_px: float, *, angle_rad: float = 0.0, direction: Direction = "unknown") -> Trajectory:
+    def straight(
+        cls, length_px: float, *, angle_rad: float = 0.0, direction: Direction = "unknown"
+    ) -> Trajectory:
         """Make a uniform straight motion of ``length_px``; the angle turns from +x (right) towards +y (down).
 
         Examples
@@ -162,7 +164,7 @@ class Trajectory:
         end = 0.5 * length_px * np.array([np.cos(angle_rad), np.sin(angle_rad)])
         return cls(np.array([0.0, 1.0]), np.array([-end, end]), direction)
 
-    # -- measuring and changing one -----------------------------------------------------------------------------
+    # -- measuring and changing one ---------------------------------------------------------------
 
     @property
     def x(self) -> FloatArray:
@@ -192,7 +194,9 @@ class Trajectory:
     def at(self, t: ArrayLike) -> FloatArray:
         """Displacement (..., 2) px at times ``t`` (...) as a fraction of the exposure."""
         times = np.asarray(t, dtype=np.float64)
-        return np.stack([np.interp(times, self.t, self.x), np.interp(times, self.t, self.y)], axis=-1)
+        return np.stack(
+            [np.interp(times, self.t, self.x), np.interp(times, self.t, self.y)], axis=-1
+        )
 
     def reversed(self) -> Trajectory:
         """Return the same path run backwards in time: the uncoded OTF stays, a coded one changes."""
@@ -216,7 +220,8 @@ class Trajectory:
     def thinned(self, tolerance_px: float = 1e-4) -> Trajectory:
         """Return the path with fewer samples, nowhere and at no time more than ``tolerance_px`` from this one.
 
-        Its OTF differs by at most ``2 pi |f| tolerance_px``. Made for paths of a million samples, in about a second.
+        Its OTF differs by at most ``2 pi |f| tolerance_px``. Made for paths of a million samples,
+        in about a second.
 
         Raises
         ------
@@ -243,7 +248,7 @@ class Trajectory:
         slice_index = slice_of(0.5 * (u[1:] + u[:-1]), cuts)
         return Segments(slice_index, np.diff(u), points[:-1], points[1:])
 
-    # -- optics -------------------------------------------------------------------------------------------------
+    # -- optics -----------------------------------------------------------------------------------
 
     def otf(self, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> ComplexArray:
         r"""Exact OTF, ``H(f) = integral_0^1 exp(-2 pi i f . p(t)) dt``, at any real frequencies.
@@ -254,13 +259,15 @@ class Trajectory:
 
         Returns
         -------
-        complex ndarray of the broadcast shape. No pixel grid is involved; multiply by :func:`bilinear_otf` or
-        :func:`pixel_aperture_otf` for sampling.
+        complex ndarray of the broadcast shape. No pixel grid is involved; multiply by
+        :func:`bilinear_otf` or :func:`pixel_aperture_otf` for sampling.
         """
         (whole,) = self.slice_otfs((0.0, 1.0), fx_cy_px, fy_cy_px)
         return np.asarray(whole, dtype=np.complex128)
 
-    def slice_otfs(self, edges: Sequence[float] | FloatArray, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> ComplexArray:
+    def slice_otfs(
+        self, edges: Sequence[float] | FloatArray, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike
+    ) -> ComplexArray:
         """Exact OTF of each time slice, (slices, ...): they sum to the part of the exposure that the edges span.
 
         Parameters
@@ -268,12 +275,16 @@ class Trajectory:
         edges : (slices + 1,) increasing times within 0..1
         fx_cy_px, fy_cy_px : array_like, broadcast together, cycles/px
         """
-        fx, fy = np.broadcast_arrays(np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64))
+        fx, fy = np.broadcast_arrays(
+            np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64)
+        )
         pieces = self.segments(edges)
         out = np.zeros((len(edges) - 1, fx.size), dtype=np.complex128)
-        flat_x, flat_y = fx.ravel(), fy.ravel()
+        flat_x = fx.ravel()
+        flat_y = fy.ravel()
         step = max(1, _OTF_CHUNK // max(1, pieces.dt.size))
-        middle, delta = 0.5 * (pieces.a + pieces.b), pieces.b - pieces.a
+        middle = 0.5 * (pieces.a + pieces.b)
+        delta = pieces.b - pieces.a
         starts = np.flatnonzero(np.diff(pieces.slice_index, prepend=-1))
         for lo in range(0, fx.size, step):
             f = np.stack([flat_x[lo : lo + step], flat_y[lo : lo + step]])
@@ -299,18 +310,22 @@ class Trajectory:
         """Light-true PSF of each time slice, (slices, size, size): each sums to its share of the exposure."""
         needed = self.frame_size()
         if size < needed:
-            raise ValueError(f"size: the path needs a PSF frame of at least {needed} px, got {size}")
+            raise ValueError(
+                f"size: the path needs a PSF frame of at least {needed} px, got {size}"
+            )
         return slice_psfs(self.t, self.xy, _checked_edges(edges), size)
 
     def frame_size(self, least_px: int = 1) -> int:
         """Smallest PSF frame of at least ``least_px`` that holds the whole path, px."""
-        low, high = np.floor(self.xy.min()), np.floor(self.xy.max()) + 1
+        low = np.floor(self.xy.min())
+        high = np.floor(self.xy.max()) + 1
         return int(max(least_px, -2 * low, 2 * high + 1))
 
     def hr_map(self) -> NDArray[np.uint8]:
         """Binary map (256, 256) of the path at a pitch of 1/4 px, one pixel wide and 8-connected.
 
-        Displacement d px sits at index ``129.5 + 4 d``, so that 4 x 4 box means land on the 64-px PSF's grid.
+        Displacement d px sits at index ``129.5 + 4 d``, so that 4 x 4 box means land on the 64-px
+        PSF's grid.
 
         Raises
         ------
@@ -320,7 +335,9 @@ class Trajectory:
         samples = int(np.ceil(8 * self.length_px)) + 2
         index = np.rint(MAP_CENTRE + MAP_PITCH * self.arc_resampled(samples)).astype(np.intp)
         if index.min() < 0 or index.max() >= MAP_PX:
-            raise ValueError(f"trajectory: leaves the 64-px field of the HR map (extent {self.extent_px:.1f} px)")
+            raise ValueError(
+                f"trajectory: leaves the 64-px field of the HR map (extent {self.extent_px:.1f} px)"
+            )
         hr = np.zeros((MAP_PX, MAP_PX), np.uint8)
         pixels = thin_path(index)
         hr[pixels[:, 1], pixels[:, 0]] = 1
@@ -334,7 +351,8 @@ def bilinear_otf(fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> FloatArray:
 
 def pixel_aperture_otf(fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> FloatArray:
     """OTF of a square pixel with full fill, ``sinc(fx) sinc(fy)`` (frequencies in cycles/px)."""
-    fx, fy = np.asarray(fx_cy_px, dtype=np.float64), np.asarray(fy_cy_px, dtype=np.float64)
+    fx = np.asarray(fx_cy_px, dtype=np.float64)
+    fy = np.asarray(fy_cy_px, dtype=np.float64)
     return np.asarray(np.sinc(fx) * np.sinc(fy), dtype=np.float64)
 
 
@@ -344,7 +362,13 @@ def _time_mean(t: FloatArray, xy: FloatArray) -> FloatArray:
 
 def _checked_edges(edges: Sequence[float] | FloatArray) -> FloatArray:
     cuts = np.asarray(edges, dtype=np.float64)
-    if cuts.ndim != 1 or cuts.size < 2 or not (np.diff(cuts) > 0).all() or cuts[0] < 0 or cuts[-1] > 1:
+    if (
+        cuts.ndim != 1
+        or cuts.size < 2
+        or not (np.diff(cuts) > 0).all()
+        or cuts[0] < 0
+        or cuts[-1] > 1
+    ):
         raise ValueError("edges: need at least two times, increasing, within 0..1")
     return cuts
 
@@ -355,8 +379,8 @@ _GAUSS_NODE = 1.0 / np.sqrt(3.0)  # two-point Gauss-Legendre: exact for the quad
 def slice_psfs(t: FloatArray, xy: FloatArray, edges: FloatArray, size: int) -> FloatArray:
     """Integrate the path, seen through the bilinear hat of each pixel, over each time slice.
 
-    Inside one cell of the pixel grid and one straight piece the hat is a quadratic in time, so cutting at every
-    grid line makes two Gauss nodes exact.
+    Inside one cell of the pixel grid and one straight piece the hat is a quadratic in time, so
+    cutting at every grid line makes two Gauss nodes exact.
 
     Parameters
     ----------
@@ -373,7 +397,8 @@ def slice_psfs(t: FloatArray, xy: FloatArray, edges: FloatArray, size: int) -> F
     crossings = [_grid_crossings(t, xy[:, axis]) for axis in (0, 1)]
     u = np.union1d(np.concatenate([t, *crossings]), edges)
     u = u[(u >= edges[0]) & (u <= edges[-1])]
-    du, mid = np.diff(u), 0.5 * (u[1:] + u[:-1])
+    du = np.diff(u)
+    mid = 0.5 * (u[1:] + u[:-1])
 
     def at(times: FloatArray) -> FloatArray:
         return np.stack([np.interp(times, t, xy[:, axis]) for axis in (0, 1)], axis=-1)
@@ -386,8 +411,11 @@ def slice_psfs(t: FloatArray, xy: FloatArray, edges: FloatArray, size: int) -> F
         for dx in (0, 1):
             for dy in (0, 1):
                 weight = 0.5 * du * np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
-                column, row = cell[:, 0] + dx + size // 2, cell[:, 1] + dy + size // 2
-                psfs += np.bincount((slice_index * size + row) * size + column, weight, minlength=psfs.size)
+                column = cell[:, 0] + dx + size // 2
+                row = cell[:, 1] + dy + size // 2
+                psfs += np.bincount(
+                    (slice_index * size + row) * size + column, weight, minlength=psfs.size
+                )
     return psfs.reshape(-1, size, size)
 
 
@@ -420,7 +448,8 @@ def thin_path(index: NDArray[np.intp]) -> NDArray[np.intp]:
 
 def _grid_crossings(t: FloatArray, values: FloatArray) -> FloatArray:
     """Find the times at which a coordinate passes an integer; pixel centres bound the bilinear cells."""
-    low, high = np.minimum(values[:-1], values[1:]), np.maximum(values[:-1], values[1:])
+    low = np.minimum(values[:-1], values[1:])
+    high = np.maximum(values[:-1], values[1:])
     first = np.ceil(low)
     count = np.maximum(np.floor(high) - first + 1, 0).astype(np.intp)
     count[values[:-1] == values[1:]] = 0
@@ -434,9 +463,10 @@ def _grid_crossings(t: FloatArray, values: FloatArray) -> FloatArray:
 def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray[np.intp]:
     """Choose samples between which a path is straight in space and time, to within a tolerance.
 
-    Neighbouring intervals are joined in pairs, these in pairs again, and so on, as long as every sample between the
-    ends lies within the tolerance of the straight, uniform motion between them. That takes O(T log T), or O(T) where
-    nothing can be joined, and gives up to a few times as many samples as the fewest possible.
+    Neighbouring intervals are joined in pairs, these in pairs again, and so on, as long as every
+    sample between the ends lies within the tolerance of the straight, uniform motion between them.
+    That takes O(T log T), or O(T) where nothing can be joined, and gives up to a few times as many
+    samples as the fewest possible.
 
     Parameters
     ----------
@@ -450,16 +480,21 @@ def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray
     (K,) int, increasing, from 0 to T - 1
     """
     kept = np.ones(t.size, dtype=bool)
-    joined: NDArray[np.bool_] = np.ones(t.size - 1, dtype=bool)  # whether each block of intervals is straight
+    joined: NDArray[np.bool_] = np.ones(
+        t.size - 1, dtype=bool
+    )  # whether each block of intervals is straight
     width = 1
     while joined.size > 1:
         width *= 2
         blocks = joined.size // 2
-        straight: NDArray[np.bool_] = np.asarray(joined[: 2 * blocks].reshape(blocks, 2).all(axis=1))
+        straight: NDArray[np.bool_] = np.asarray(
+            joined[: 2 * blocks].reshape(blocks, 2).all(axis=1)
+        )
         candidates = np.flatnonzero(straight)
         if not candidates.size:
             break
-        first, last = candidates * width, (candidates + 1) * width
+        first = candidates * width
+        last = (candidates + 1) * width
         times = t[: blocks * width].reshape(blocks, width)[candidates]
         share = (times - t[first, None]) / (t[last] - t[first])[:, None]
         distance2 = np.zeros(share.shape)

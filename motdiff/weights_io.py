@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     _Network = TypeVar("_Network", bound=nn.Module)
 
-__all__ = ["filled", "halved", "read_card", "read_header", "read_tensors", "write_with_card"]
-
 
 def read_header(path: Path | str) -> dict[str, str]:
     """Read the header of a safetensors file, without torch.
@@ -72,14 +70,23 @@ def halved(state: Mapping[str, Tensor], *, source: Path | str) -> dict[str, Tens
     ValueError
         If float16 cannot hold a value.
     """
-    tensors = {name: (t.half() if t.is_floating_point() else t).contiguous() for name, t in state.items()}
-    if wrong := next((name for name, tensor in tensors.items() if not tensor.isfinite().all()), None):
+    tensors = {
+        name: (t.half() if t.is_floating_point() else t).contiguous() for name, t in state.items()
+    }
+    if wrong := next(
+        (name for name, tensor in tensors.items() if not tensor.isfinite().all()), None
+    ):
         raise ValueError(f"{source}: {wrong} holds values that float16 cannot, above 65504")
     return tensors
 
 
 def write_with_card(
-    state: Mapping[str, Tensor], target: Path | str, *, schema: str, card: Mapping[str, Any], source: Path | str
+    state: Mapping[str, Tensor],
+    target: Path | str,
+    *,
+    schema: str,
+    card: Mapping[str, Any],
+    source: Path | str,
 ) -> int:
     """Write a network's state as float16, with a JSON card under the name of its schema; returns the bytes.
 

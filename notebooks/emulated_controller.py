@@ -14,17 +14,20 @@
 # %% [markdown]
 # # A controller that plays the code, and the PSF as achieved
 #
-# **Question.** The code was computed. Did the shutter play it? **Answer.** Record the shutter's signal with a logic
-# analyser and compare. The recording gives the chips as played, the error of the controller's clock and the jitter,
-# and from them the PSF with which the photo should be restored.
+# **Question.** The code was computed. Did the shutter play it? **Answer.** Record the shutter's
+# signal with a logic analyser and compare. The recording gives the chips as played, the error of
+# the controller's clock and the jitter, and from them the PSF with which the photo should be
+# restored.
 #
-# No board is needed here: the shipped firmware runs on an emulated Arduino Uno whose clock is 4 % slow, like that of
-# a board without a crystal. The emulator needs gcc, libsimavr-dev and libelf-dev.
+# No board is needed here: the shipped firmware runs on an emulated Arduino Uno whose clock is 4 %
+# slow, like that of a board without a crystal. The emulator needs gcc, libsimavr-dev and
+# libelf-dev.
 
 # %% [markdown]
 # ## Upload and play
 #
-# The code is played twice: as it is, and with chips that the controller shortens by the known error of its clock.
+# The code is played twice: as it is, and with chips that the controller shortens by the known
+# error of its clock.
 
 # %%
 import tempfile
@@ -58,9 +61,13 @@ with tempfile.TemporaryDirectory() as folder:
     recording = Path(folder, "played.vcd")
     try:
         report, emulated = emulated_plays(recording), True
-        print(f"{report.chips} chips of {report.chip_ns} ns read back by {report.firmware}: {report.read_back}")
+        print(
+            f"{report.chips} chips of {report.chip_ns} ns read back by {report.firmware}: {report.read_back}"
+        )
     except EmulationError as missing:
-        recording.write_text(EXPORTERS["vcd"].export(Program.from_bits(code.bits, chip_ns=code.chip_ns)))
+        recording.write_text(
+            EXPORTERS["vcd"].export(Program.from_bits(code.bits, chip_ns=code.chip_ns))
+        )
         emulated = False
         print(f"{missing}. The recording of an ideal shutter is read instead.")
     played = cep.read_playback(recording, code, signal="shutter")
@@ -68,8 +75,8 @@ with tempfile.TemporaryDirectory() as folder:
 # %% [markdown]
 # ## The recording
 #
-# A logic analyser sees edges. `cep.read_playback` finds the plays in a VCD or Saleae file, and fits a clock to
-# each: the first play lasts 1 / (1 - 0.04) times as long as commanded.
+# A logic analyser sees edges. `cep.read_playback` finds the plays in a VCD or Saleae file, and
+# fits a clock to each: the first play lasts 1 / (1 - 0.04) times as long as commanded.
 
 # %%
 for number, play in enumerate(played.plays, start=1):
@@ -96,8 +103,8 @@ _ = axes.set_yticks([1.3 * row + 0.5 for row in range(len(labels))], labels)
 # %% [markdown]
 # ## The PSF as achieved
 #
-# Over a straight motion of 48 px in the commanded 32 ms. The slow shutter spreads the same chips over 2 px more of
-# the path, and it lets in more light.
+# Over a straight motion of 48 px in the commanded 32 ms. The slow shutter spreads the same chips
+# over 2 px more of the path, and it lets in more light.
 
 # %%
 motion = cep.Trajectory.straight(48.0)
@@ -110,13 +117,16 @@ figure, axes = plt.subplots(figsize=(10, 3), layout="constrained")
 x_px = np.arange(size) - size // 2
 axes.step(x_px, commanded.sum(axis=0), where="mid", color="0.5", label="commanded")
 axes.step(x_px, achieved.sum(axis=0), where="mid", label="achieved, play 1")
-axes.set(xlabel="x, px", ylabel="light, share of the exposure per px", xlim=(-30, 30), ylim=(0, 0.028))
+axes.set(
+    xlabel="x, px", ylabel="light, share of the exposure per px", xlim=(-30, 30), ylim=(0, 0.028)
+)
 _ = axes.legend(loc="upper center", ncols=2)
 
 # %% [markdown]
 # ## What it is worth
 #
-# The photo was taken by the shutter as it was. Restored with the PSF as commanded it has ghosts beside each edge.
+# The photo was taken by the shutter as it was. Restored with the PSF as commanded it has ghosts
+# beside each edge.
 
 # %%
 scene = data.camera()[60:380, 80:440] / 255
@@ -129,15 +139,20 @@ figure, axes = plt.subplots(1, 3, figsize=(12, 4.6), layout="constrained")
 axes[0].imshow(photo[inner], cmap="gray")
 axes[0].set(title="coded photo", xticks=[], yticks=[])
 quality_db = {}
-for view, (name, psf) in zip(axes[1:], {"as commanded": commanded, "as achieved": achieved}.items(), strict=True):
+for view, (name, psf) in zip(
+    axes[1:], {"as commanded": commanded, "as achieved": achieved}.items(), strict=True
+):
     sharp = cep.restore(photo, psf, camera=camera).image
     quality_db[name] = -10 * np.log10(np.mean((sharp[inner] - truth[inner]) ** 2))
     view.imshow(sharp[inner], cmap="gray", vmin=0, vmax=1)
-    view.set(title=f"restored with the PSF {name}: {quality_db[name]:.1f} dB", xticks=[], yticks=[])
+    view.set(
+        title=f"restored with the PSF {name}: {quality_db[name]:.1f} dB", xticks=[], yticks=[]
+    )
 if emulated:
     assert quality_db["as achieved"] > quality_db["as commanded"] + 1.5
 
 # %% [markdown]
-# In the shell: `cep hw emulate uno --link uno --vcd played.vcd` in one window, `cep upload code.json --port uno
+# In the shell: `cep hw emulate uno --link uno --vcd played.vcd` in one window, `cep upload
+# code.json --port uno
 # --play` in another, then `cep hw verify code.json --capture played.vcd --linear 48 -o played.json`, whose PSF `cep
 # deblur --psf` takes.

@@ -14,16 +14,18 @@
 # %% [markdown]
 # # The famous code of 2006, and a published one with a hidden zero
 #
-# **Question.** Can a published shutter code be trusted? **Answer.** Measure it between the points of the grid too.
-# The code of 2006 keeps every frequency of a straight motion. Another published one was judged on a grid of
-# frequencies, which stepped over a true zero. Three flipped chips repair it.
+# **Question.** Can a published shutter code be trusted? **Answer.** Measure it between the points
+# of the grid too. The code of 2006 keeps every frequency of a straight motion. Another published
+# one was judged on a grid of frequencies, which stepped over a true zero. Three flipped chips
+# repair it.
 
 # %% [markdown]
 # ## Two codes
 #
-# `raskar-52` is the code of [Raskar, Agrawal and Tumblin](https://doi.org/10.1145/1179352.1141957), 52 chips of
-# which 26 are open. `merl-31-t62` has 31 chips, 21 of them open, and was published with a minimum of 0.088 times its
-# value at frequency 0.
+# `raskar-52` is the code of [Raskar, Agrawal and
+# Tumblin](https://doi.org/10.1145/1179352.1141957), 52 chips of which 26 are open. `merl-31-t62`
+# has 31 chips, 21 of them open, and was published with a minimum of 0.088 times its value at
+# frequency 0.
 
 # %%
 import numpy as np
@@ -57,12 +59,14 @@ famous, hidden = (audits[name] for name in names)
 assert abs(famous.metrics.min_chip - 1.3237) < 1e-4
 assert hidden.null
 assert hidden.grids[0].verdict == "hides the zero"
-assert abs(hidden.grids[0].minimum / 21 - 0.088) < 1e-3  # the published claim is that of the 31-point DFT
+assert (
+    abs(hidden.grids[0].minimum / 21 - 0.088) < 1e-3
+)  # the published claim is that of the 31-point DFT
 assert all(cep.verify(found.certificate) for found in audits.values())
 
 # %% [markdown]
-# The zero is proven in whole numbers: it is a root of unity, and the polynomial of the code is divisible by the
-# polynomial of that root.
+# The zero is proven in whole numbers: it is a root of unity, and the polynomial of the code is
+# divisible by the polynomial of that root.
 
 # %%
 print(f"{hidden.certificate.at[0]:.6f} cycles per chip, by: {hidden.certificate.method}")
@@ -83,15 +87,17 @@ axes.semilogy(cycles, modulus, lw=1, label="all frequencies")
 grid = np.fft.rfftfreq(31), np.abs(np.fft.rfft(code.array))
 axes.semilogy(*grid, "o", label="31-point DFT")
 axes.axvline(hidden.certificate.at[0], color="C3", lw=1, ls=":", label="the zero")
-axes.set(xlabel="frequency, cycles per chip", ylabel="|P|, chips", ylim=(1e-3, 40), title="merl-31-t62")
+axes.set(
+    xlabel="frequency, cycles per chip", ylabel="|P|, chips", ylim=(1e-3, 40), title="merl-31-t62"
+)
 axes.legend()
 assert grid[1].min() > 1.8
 
 # %% [markdown]
 # ## The repair
 #
-# The audit also looks at all codes that differ in up to three chips. One flip removes the zero, and three give the
-# best minimum.
+# The audit also looks at all codes that differ in up to three chips. One flip removes the zero,
+# and three give the best minimum.
 
 # %%
 for neighbour in hidden.neighbours:
@@ -104,7 +110,8 @@ assert proven.lower > 1.14
 # %% [markdown]
 # ## What it is worth in a photo
 #
-# A straight motion of 31 px, one pixel a chip, and a camera of little noise. Each photo is restored with its true PSF.
+# A straight motion of 31 px, one pixel a chip, and a camera of little noise. Each photo is
+# restored with its true PSF.
 
 # %%
 scene = data.camera()[60:380, 100:420] / 255
@@ -128,6 +135,8 @@ assert quality["repaired"] > quality["merl-31-t62"] + 1.5
 assert quality["merl-31-t62"] > quality["open shutter"] + 1.5
 
 # %% [markdown]
-# The rule that follows: never report a minimum from a grid. `cep audit CODE` prints the same from the shell, and
-# [the league table](../docs/league.md) has every published code that we know. Whether any code is better than a
-# shorter exposure is another question: [should you code at all?](should_you_code.py)
+# The rule that follows: never report a minimum from a grid. `cep audit CODE` prints the same from
+# the shell, and
+# the shell, and [the league table](../docs/league.md) has every published code that we know.
+# Whether any code is better than a shorter exposure is another question: [should you code at
+# all?](should_you_code.py)

@@ -15,13 +15,15 @@
 # # Why one open photo cannot know the order, and the calibration that does
 #
 # **Question.** Why is one photo with an open shutter not enough to design a code?
-# **Answer.** It shows where the camera went, but not when. A shutter code is played in time: along a path in the wrong
-# order it is a code for another motion. Photos of the same motion through known codes show the order.
+# **Answer.** It shows where the camera went, but not when. A shutter code is played in time: along
+# a path in the wrong order it is a code for another motion. Photos of the same motion through
+# known codes show the order.
 
 # %% [markdown]
 # ## Two motions, one blur
 #
-# A camera runs into a loop and out of it. The second motion runs round the same loop the other way.
+# A camera runs into a loop and out of it. The second motion runs round the same loop the other
+# way.
 
 # %%
 import numpy as np
@@ -40,7 +42,9 @@ def motion(around):
     """Into the loop for 30 % of the exposure, around it for 45 %, and out."""
     durations = (0.30, 0.45, 0.25)
     begins = np.cumsum((0, *durations))
-    t = np.concatenate([begin + span * time[:-1] for begin, span in zip(begins, durations, strict=False)])
+    t = np.concatenate(
+        [begin + span * time[:-1] for begin, span in zip(begins, durations, strict=False)]
+    )
     points = np.concatenate([inward[:-1], around[:-1], outward])
     return cep.Trajectory.from_samples(points, t=np.append(t, 1.0), direction="known")
 
@@ -52,7 +56,10 @@ one, other = motion(loop), motion(loop[::-1])
 
 # %%
 code = cep.ShutterCode("111000011011")
-psfs = [[cep.coded_psf(path, through, 49) for through in (cep.ShutterCode("1"), code)] for path in (one, other)]
+psfs = [
+    [cep.coded_psf(path, through, 49) for through in (cep.ShutterCode("1"), code)]
+    for path in (one, other)
+]
 assert np.abs(psfs[0][0] - psfs[1][0]).max() < 1e-12
 assert np.abs(psfs[0][1] - psfs[1][1]).sum() > 0.5 * psfs[0][1].sum()
 
@@ -61,7 +68,9 @@ for row, (name, path) in enumerate({"one motion": one, "another": other}.items()
     at = path.at(np.linspace(0, 1, 160))
     at -= 0.5 * (at.min(axis=0) + at.max(axis=0))
     drawn = axes[row, 0].scatter(*at.T, c=np.linspace(0, 1, 160), s=10, cmap="viridis")
-    axes[row, 0].set(title=name, aspect="equal", xlim=(-24, 24), ylim=(24, -24), xlabel="x, px", ylabel="y, px")
+    axes[row, 0].set(
+        title=name, aspect="equal", xlim=(-24, 24), ylim=(24, -24), xlabel="x, px", ylabel="y, px"
+    )
     for column, title in enumerate(("its blur, shutter open", f"its blur through {code.bits}")):
         axes[row, 1 + column].imshow(psfs[row][column], cmap="gray", vmin=0)
         axes[row, 1 + column].set(title=title, xticks=[], yticks=[])
@@ -70,9 +79,9 @@ _ = figure.colorbar(drawn, ax=axes[:, 0], location="left", label="time, share of
 # %% [markdown]
 # ## What a mistake costs
 #
-# A code is searched along the one motion, and another along the other. Both are then judged where the camera moves
-# the first way. `mse_db` is the expected error after restoration, lower is better. The code for the wrong order is no
-# better than the best of 15 random ones.
+# A code is searched along the one motion, and another along the other. Both are then judged where
+# the camera moves the first way. `mse_db` is the expected error after restoration, lower is
+# better. The code for the wrong order is no better than the best of 15 random ones.
 
 # %%
 camera = cep.Camera(photons_full_scale=20_000, read_noise_e=100)
@@ -102,9 +111,9 @@ print(f"random codes, mean and best     {np.mean(random_db):6.2f} dB, {np.min(ra
 # %% [markdown]
 # ## The calibration that knows
 #
-# Four photos of the same motion: one with the shutter open, and three through the bit planes of a Gray code, which
-# number eight bins of the exposure. `cep calibration-set` designs such sets for a shutter's limits. The photos are
-# fitted by one path together.
+# Four photos of the same motion: one with the shutter open, and three through the bit planes of a
+# Gray code, which number eight bins of the exposure. `cep calibration-set` designs such sets for a
+# shutter's limits. The photos are fitted by one path together.
 
 # %%
 from skimage import data
@@ -127,10 +136,14 @@ def off_px(path, truth):
     return np.sqrt(np.mean(np.sum((apart - apart.mean(axis=0)) ** 2, axis=1)))
 
 
-print(f"{off_px(found.best, one):.2f} px from the true motion, {off_px(found.best, other):.2f} px from the other one")
+print(
+    f"{off_px(found.best, one):.2f} px from the true motion, {off_px(found.best, other):.2f} px from the other one"
+)
 assert off_px(found.best, one) < 0.6 < off_px(found.best, other)
 
 # %% [markdown]
-# From files: `cep calibrate open.png p2.png p3.png p4.png --code open --code 00001111 --code 00111100 --code 01100110
-# -o motion`. One photo of a small light through a code will do as well (`--method point --code`). With a code in use,
-# `cep refine` improves the calibration by every photo taken.
+# From files: `cep calibrate open.png p2.png p3.png p4.png --code open --code 00001111 --code
+# 00111100 --code 01100110
+# 00111100 --code 01100110 -o motion`. One photo of a small light through a code will do as well
+# (`--method point --code`). With a code in use, `cep refine` improves the calibration by every
+# photo taken.

@@ -15,18 +15,20 @@
 # # Quickstart: a shutter code for your camera's motion
 #
 # **Question.** How does one blurred photo lead to a shutter code, and what is the code worth?
-# **Answer.** In four calls: `estimate_motion`, `optimize`, `capture` and `restore`. Here the code is expected to gain
-# 1.7 dB over the open shutter in a mean scene. In the photo at hand it gains 0.5 dB.
+# **Answer.** In four calls: `estimate_motion`, `optimize`, `capture` and `restore`. Here the code
+# is expected to gain 1.7 dB over the open shutter in a mean scene. In the photo at hand it gains
+# 0.5 dB.
 #
-# A moving camera blurs a photo along its path. If the shutter opens and closes in a well-chosen pattern while the
-# camera moves, the blur keeps more of the detail and can be undone better. Which pattern is best depends on the path.
-# `cep demo` goes through the same chain from the shell.
+# A moving camera blurs a photo along its path. If the shutter opens and closes in a well-chosen
+# pattern while the camera moves, the blur keeps more of the detail and can be undone better. Which
+# pattern is best depends on the path. `cep demo` goes through the same chain from the shell.
 
 # %% [markdown]
 # ## A blurred photo
 #
-# With a photo of your own: `blurred = cep.read_image("blurred.jpg")`. Here the scene is a public-domain picture that
-# scikit-image carries, its values taken as linear light, and the camera shakes along a bent path.
+# With a photo of your own: `blurred = cep.read_image("blurred.jpg")`. Here the scene is a
+# public-domain picture that scikit-image carries, its values taken as linear light, and the camera
+# shakes along a bent path.
 
 # %%
 import numpy as np
@@ -44,8 +46,9 @@ blurred = cep.capture(scene, truth, camera=camera, rng=rng)
 # %% [markdown]
 # ## Its motion
 #
-# With a sharp photo of the same scene at hand, the method `reference` is the most exact. Without one, leave both
-# arguments out: the blind method estimates the motion from the blurred photo alone.
+# With a sharp photo of the same scene at hand, the method `reference` is the most exact. Without
+# one, leave both arguments out: the blind method estimates the motion from the blurred photo
+# alone.
 
 # %%
 estimate = cep.estimate_motion(blurred, method="reference", sharp=scene)
@@ -54,20 +57,22 @@ estimate
 # %% [markdown]
 # ## A code for it
 #
-# One photo with an open shutter cannot tell which way the camera ran along its path, so the code must serve both
-# directions; the search takes care of that. `duty` is the open part of the exposure. `mse` asks for the smallest
-# expected error of the restored photo.
+# One photo with an open shutter cannot tell which way the camera ran along its path, so the code
+# must serve both directions; the search takes care of that. `duty` is the open part of the
+# exposure. `mse` asks for the smallest expected error of the restored photo.
 
 # %%
-problem = cep.SearchProblem.along(estimate, chips=20, duty=(0.35, 0.7), objective="mse", camera=camera, exposure_s=0.02)
+problem = cep.SearchProblem.along(
+    estimate, chips=20, duty=(0.35, 0.7), objective="mse", camera=camera, exposure_s=0.02
+)
 result = cep.optimize(problem, steps=100_000, seed=0)
 print(result)
 result
 
 # %% [markdown]
-# The first line says whether to code at all. The table compares the code with what would be used instead of it, by the
-# expected error in its last column: lower is better. The smallest MTF is 0 in all rows, as it is along most bent
-# paths. What counts is how few frequencies are that weak.
+# The first line says whether to code at all. The table compares the code with what would be used
+# instead of it, by the expected error in its last column: lower is better. The smallest MTF is 0
+# in all rows, as it is along most bent paths. What counts is how few frequencies are that weak.
 #
 # The error is that of the worse direction, so the gain holds whichever way the camera ran.
 
@@ -79,9 +84,10 @@ assert problem.both_directions(estimate.best)
 # %% [markdown]
 # ## What it gains
 #
-# The same camera, the same motion, the same exposure time: once with the shutter open, once with the code. The coded
-# photo has less light, which is why the gain depends on the noise. Both are restored along the estimated path, and
-# compared with the scene. The expected gain is that of a mean scene; this one gains less.
+# The same camera, the same motion, the same exposure time: once with the shutter open, once with
+# the code. The coded photo has less light, which is why the gain depends on the noise. Both are
+# restored along the estimated path, and compared with the scene. The expected gain is that of a
+# mean scene; this one gains less.
 
 # %%
 psnr_db = {}
@@ -96,12 +102,12 @@ for name, code in {"open shutter": cep.ShutterCode("1"), "coded": result.code}.i
 assert 0.3 < psnr_db["coded"] - psnr_db["open shutter"] < result.verdict.gains_db["code"]
 
 # %% [markdown]
-# Save what you need: `estimate.save("motion")`, `result.save("code.json")`, `sharp.save("sharp.png")`. The commands
-# read these files: `cep upload code.json --port /dev/ttyACM0 --arm` puts the code on a shutter controller, as
-# `cep.open_shutter` does in Python.
+# Save what you need: `estimate.save("motion")`, `result.save("code.json")`,
+# `sharp.save("sharp.png")`. The commands read these files: `cep upload code.json --port
+# /dev/ttyACM0 --arm` puts the code on a shutter controller, as `cep.open_shutter` does in Python.
 #
-# Codes that others published can be named. Here the one of 2006 on a straight motion of 52 px: its spectrum |P| stays
-# above 1.3 chips, so no frequency is lost.
+# Codes that others published can be named. Here the one of 2006 on a straight motion of 52 px: its
+# spectrum |P| stays above 1.3 chips, so no frequency is lost.
 
 # %%
 classic = cep.audit(cep.load_code("raskar-52"), cep.Trajectory.straight(52.0), flips=1)

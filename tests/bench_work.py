@@ -27,8 +27,13 @@ def size_of(*, file):
 
 
 def returns(*, what):
-    return {"nothing": None, "nan": {"a": float("nan")}, "inf": {"a": -np.inf}, "list": {"a": [1]},
-            "numpy": {"a": np.float32(0.1), "b": np.int64(3), "c": np.bool_(True)}}[what]  # fmt: skip
+    return {
+        "nothing": None,
+        "nan": {"a": float("nan")},
+        "inf": {"a": -np.inf},
+        "list": {"a": [1]},
+        "numpy": {"a": np.float32(0.1), "b": np.int64(3), "c": np.bool_(True)},
+    }[what]
 
 
 def fails(*, value):

@@ -45,13 +45,20 @@ class Shown:
 def pages():
     """Return the documents for users, in order, with the prose of the notebooks as text."""
     folders = [ROOT / name for name in ("docs", "notebooks", "hw", "motdiff")]
-    paths = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(p for folder in folders for p in folder.rglob("*.md"))]
+    paths = [
+        ROOT / "README.md",
+        ROOT / "CONTRIBUTING.md",
+        *(p for folder in folders for p in folder.rglob("*.md")),
+    ]
     for path in sorted(paths):
         if path.name not in GENERATED and not LEFT_OUT & set(path.parts):
             yield str(path.relative_to(ROOT)), path.read_text(encoding="utf-8")
     for path in sorted((ROOT / "notebooks").glob("*.py")):
         cells = jupytext.read(path).cells
-        yield str(path.relative_to(ROOT)), "\n\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
+        yield (
+            str(path.relative_to(ROOT)),
+            "\n\n".join(cell.source for cell in cells if cell.cell_type == "markdown"),
+        )
 
 
 def lines_of(text, language):
@@ -86,11 +93,15 @@ def shown():
             for line in lines_of(text, language):
                 yield from (Shown(page, words, whole=True) for words in commands_in(line))
         for span in _SPAN.findall(_FENCE.sub("", text)):
-            line = re.sub(r"[][]|\.\.\.", "", " ".join(span.split()))  # optional parts count, repetition does not
+            line = re.sub(
+                r"[][]|\.\.\.", "", " ".join(span.split())
+            )  # optional parts count, repetition does not
             yield from (Shown(page, words, whole=False) for words in commands_in(line))
     for name, command in _with_examples(command_line(), "cep"):
         for example in command.examples:
-            yield from (Shown(f"{name} --help", words, whole=True) for words in commands_in(example))
+            yield from (
+                Shown(f"{name} --help", words, whole=True) for words in commands_in(example)
+            )
 
 
 @functools.cache
@@ -108,7 +119,8 @@ def _with_examples(command, name):
 def fault(command):
     """Parse a command as the program does, down to the values of its options; return its complaint, or None.
 
-    A mention may leave out what is required, end with an option that wants a value, and say N for a number.
+    A mention may leave out what is required, end with an option that wants a value, and say N for
+    a number.
     """
     words = [word for word in command.words if word not in _AT_ONCE]
     if not command.whole:
@@ -118,8 +130,12 @@ def fault(command):
     told = io.StringIO()
     try:
         with contextlib.redirect_stderr(told), contextlib.redirect_stdout(told):
-            _parse(command_line(), words[1:]) if words[0] == "cep" else parser().parse_args(words[3:])
-    except Exception as error:  # typer brings its own click or uses the one installed: told apart by name
+            _parse(command_line(), words[1:]) if words[0] == "cep" else parser().parse_args(
+                words[3:]
+            )
+    except (
+        Exception
+    ) as error:  # typer brings its own click or uses the one installed: told apart by name
         text = error.format_message() if hasattr(error, "format_message") else repr(error)
         lacking = type(error).__name__ in _LACKING or "requires an argument" in text
     except SystemExit:

@@ -32,7 +32,8 @@ class _FullFile:
 def full_disk(monkeypatch, *, writes=None):
     """Let the disk take ``writes`` files and folders and nothing more; yields a list that counts them."""
     counted = []
-    open_, mkdir = io.open, os.mkdir
+    open_ = io.open
+    mkdir = os.mkdir
 
     def counted_open(file, mode="r", *arguments, **options):
         opened = open_(file, mode, *arguments, **options)

@@ -2,9 +2,10 @@
 
     python tests/fuzz_readers.py --count 2000 --seed 1
 
-Case K of a seed is always the same file. Readers run in worker processes, so that a crash, a hang and memory are seen:
-a case may take 20 s, and 1.5 GiB of address space beyond what the worker had before it. Prints a table of outcomes, and
-one line for each case that is neither accepted nor refused well. Exit code 1 where there is any.
+Case K of a seed is always the same file. Readers run in worker processes, so that a crash, a hang
+and memory are seen: a case may take 20 s, and 1.5 GiB of address space beyond what the worker had
+before it. Prints a table of outcomes, and one line for each case that is neither accepted nor
+refused well. Exit code 1 where there is any.
 """
 
 import argparse
@@ -29,7 +30,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-ACCEPTED, REFUSED = "accepted", "refused"
+ACCEPTED = "accepted"
+REFUSED = "refused"
 GOOD = (ACCEPTED, REFUSED)
 BAD = ("unclear", "noisy", "exception", "memory", "hang", "crash")
 LONGEST_LINE = 400
@@ -37,7 +39,7 @@ LIMIT_S = 20.0
 MOST_GROWTH = 1536 * 2**20
 
 
-# -- readers and good files -----------------------------------------------------------------------------------------
+# -- readers and good files -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -60,9 +62,14 @@ def _trajectory(path):
 def _trajectory_seeds():
     path = {"t": [0.0, 0.25, 0.7, 1.0], "x": [-5.0, 0.0, 2.5, 5.0], "y": [0.0, 1.5, -3.0, 0.25]}
     document = {
-        "schema": "cep.trajectory/1", "units": "px", "direction": "unknown", **path, "weight": 0.7,
-        "alternatives": [{"weight": 0.3, **path}], "source": {"method": "test", "image": "a.png", "seed": 3},
-    }  # fmt: skip
+        "schema": "cep.trajectory/1",
+        "units": "px",
+        "direction": "unknown",
+        **path,
+        "weight": 0.7,
+        "alternatives": [{"weight": 0.3, **path}],
+        "source": {"method": "test", "image": "a.png", "seed": 3},
+    }
     return [json.dumps(document, indent=1).encode()]
 
 
@@ -74,9 +81,13 @@ def _code(path):
 
 def _code_seeds():
     document = {
-        "schema": "cep.code/1", "bits": "1011001110001111", "chip_ns": 250_000, "metrics": {"min_mtf": 0.12},
-        "problem": {"seed": 3, "open": [4, 9]}, "certificate": {"lower": 0.11},
-    }  # fmt: skip
+        "schema": "cep.code/1",
+        "bits": "1011001110001111",
+        "chip_ns": 250_000,
+        "metrics": {"min_mtf": 0.12},
+        "problem": {"seed": 3, "open": [4, 9]},
+        "certificate": {"lower": 0.11},
+    }
     return [json.dumps(document, indent=1).encode()]
 
 
@@ -87,7 +98,13 @@ def _camera(path):
 
 
 def _camera_json_seeds():
-    figures = {"photons_full_scale": 9000.0, "read_noise_e": 3, "bits": 12, "response": "linear", "black_level": 0.01}
+    figures = {
+        "photons_full_scale": 9000.0,
+        "read_noise_e": 3,
+        "bits": 12,
+        "response": "linear",
+        "black_level": 0.01,
+    }
     return [json.dumps({"schema": "cep.camera/1", **figures}, indent=1).encode()]
 
 
@@ -107,13 +124,37 @@ def _studio(path):
 
 def _studio_seeds():
     state = {
-        "motion": {"kind": "path", "direction": "known", "t": [0, 0.25, 1], "x": [-5.0, 0.5, 5.0], "y": [0, 1.5, 0.25]},
-        "bits": "1011001110001111", "exposure": "1/30", "camera": "video-8bit", "photons": 2000, "read_noise": None,
-        "device": "flc", "path_error": 0.25, "open": [4, 9], "min_open": 2, "view": "restored", "left": "snapshot",
-        "pins": [{"name": "code 1", "bits": "1010"}], "photo": "", "search": {"steps": 500, "seed": 2},
-    }  # fmt: skip
-    parts = {"trajectory": {"t": [0, 1], "x": [0, 1], "y": [0, 1]}, "code": {"bits": "101", "chip_ns": 5}}
-    return [json.dumps({"schema": "cep.studio/1", "state": state, **parts, "commands": ["cep"]}, indent=1).encode()]
+        "motion": {
+            "kind": "path",
+            "direction": "known",
+            "t": [0, 0.25, 1],
+            "x": [-5.0, 0.5, 5.0],
+            "y": [0, 1.5, 0.25],
+        },
+        "bits": "1011001110001111",
+        "exposure": "1/30",
+        "camera": "video-8bit",
+        "photons": 2000,
+        "read_noise": None,
+        "device": "flc",
+        "path_error": 0.25,
+        "open": [4, 9],
+        "min_open": 2,
+        "view": "restored",
+        "left": "snapshot",
+        "pins": [{"name": "code 1", "bits": "1010"}],
+        "photo": "",
+        "search": {"steps": 500, "seed": 2},
+    }
+    parts = {
+        "trajectory": {"t": [0, 1], "x": [0, 1], "y": [0, 1]},
+        "code": {"bits": "101", "chip_ns": 5},
+    }
+    return [
+        json.dumps(
+            {"schema": "cep.studio/1", "state": state, **parts, "commands": ["cep"]}, indent=1
+        ).encode()
+    ]
 
 
 def _file(*parts):
@@ -198,12 +239,15 @@ def _encoded(suffix, image, *options):
 
 
 def _png_seeds():
-    return [_encoded(".png", image) for image in (_scene(), _scene(1), _scene(4), _scene(3, np.uint16))]
+    return [
+        _encoded(".png", image) for image in (_scene(), _scene(1), _scene(4), _scene(3, np.uint16))
+    ]
 
 
 def _png_mended(data):
     """Give every chunk the checksum of what it now holds."""
-    out, at = data[:8], 8
+    out = data[:8]
+    at = 8
     while at + 12 <= len(data):
         length = int.from_bytes(data[at : at + 4], "big")
         if at + 12 + length > len(data):
@@ -215,13 +259,19 @@ def _png_mended(data):
 
 
 def _tiff_seeds():
-    none, lzw = (cv2.IMWRITE_TIFF_COMPRESSION, 1), (cv2.IMWRITE_TIFF_COMPRESSION, 5)
+    none = (cv2.IMWRITE_TIFF_COMPRESSION, 1)
+    lzw = (cv2.IMWRITE_TIFF_COMPRESSION, 5)
     return [
         _encoded(".tif", _scene(), *lzw),
         _encoded(".tif", _scene(1, np.uint16), *none),
         _encoded(".tif", _scene().astype(np.float32) / 255, *none),
         _tiff(_scene(), compression="adobe_deflate", predictor=True, tile=(16, 16), bigtiff=True),
-        _tiff(_scene(3, np.uint16).transpose(2, 0, 1), photometric="rgb", planarconfig="separate", byteorder=">"),
+        _tiff(
+            _scene(3, np.uint16).transpose(2, 0, 1),
+            photometric="rgb",
+            planarconfig="separate",
+            byteorder=">",
+        ),
     ]
 
 
@@ -234,18 +284,33 @@ def _tiff(image, **options):
 
 
 def _jpeg_seeds():
-    return [_encoded(".jpg", _scene()), _encoded(".jpg", _scene(1), cv2.IMWRITE_JPEG_PROGRESSIVE, 1)]
+    return [
+        _encoded(".jpg", _scene()),
+        _encoded(".jpg", _scene(1), cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
+    ]
 
 
 def _webp_seeds():
-    return [_encoded(".webp", _scene(), cv2.IMWRITE_WEBP_QUALITY, quality) for quality in (80, 101)]
+    return [
+        _encoded(".webp", _scene(), cv2.IMWRITE_WEBP_QUALITY, quality) for quality in (80, 101)
+    ]
 
 
 def dng(cfa, *, filters=(0, 1, 1, 2)):
     """Encode a mosaic (H, W) uint16, RGGB unless given, as a DNG whose camera sees sRGB's primaries."""
     import tifffile
 
-    to_camera = (3.2404542, -1.5371385, -0.4985314, -0.9692660, 1.8760108, 0.0415560, 0.0556434, -0.2040259, 1.0572252)
+    to_camera = (
+        3.2404542,
+        -1.5371385,
+        -0.4985314,
+        -0.9692660,
+        1.8760108,
+        0.0415560,
+        0.0556434,
+        -0.2040259,
+        1.0572252,
+    )
     matrix = [part for value in to_camera for part in (round(value * 10**7), 10**7)]
     tags = [
         (33421, "H", 2, (2, 2), True),  # CFARepeatPatternDim
@@ -259,12 +324,20 @@ def dng(cfa, *, filters=(0, 1, 1, 2)):
         (50778, "H", 1, 21, True),  # CalibrationIlluminant1: D65
     ]
     stream = BytesIO()
-    tifffile.imwrite(stream, cfa, photometric=32803, extratags=tags, metadata=None, software="test")
+    tifffile.imwrite(
+        stream, cfa, photometric=32803, extratags=tags, metadata=None, software="test"
+    )
     return stream.getvalue()
 
 
 def _dng_seeds():
-    return [dng(np.kron(np.random.default_rng(3).integers(2000, 60000, (6, 7)), np.ones((8, 8))).astype(np.uint16))]
+    return [
+        dng(
+            np.kron(
+                np.random.default_rng(3).integers(2000, 60000, (6, 7)), np.ones((8, 8))
+            ).astype(np.uint16)
+        )
+    ]
 
 
 def _psf(path):
@@ -289,12 +362,19 @@ def _mat(variables, **options):
     stream = BytesIO()
     savemat(stream, variables, **options)
     data = stream.getvalue()
-    return data if options.get("format") == "4" else b"MATLAB 5.0 MAT-file".ljust(116) + data[116:]  # has the time
+    return (
+        data if options.get("format") == "4" else b"MATLAB 5.0 MAT-file".ljust(116) + data[116:]
+    )  # has the time
 
 
 def _mat_seeds():
     kernel = np.outer([0.0, 1.0, 2.0, 1.0], [1.0, 3.0, 1.0, 0.5]) / 22
-    extra = {"psf": kernel, "note": "a text", "parts": {"a": 1.0, "b": [1, 2]}, "cells": np.array([1, "x"], object)}
+    extra = {
+        "psf": kernel,
+        "note": "a text",
+        "parts": {"a": 1.0, "b": [1, 2]},
+        "cells": np.array([1, "x"], object),
+    }
     return [
         _mat({"psf": kernel}),
         _mat(extra),
@@ -312,7 +392,10 @@ def _levin(path):
 def _levin_seeds():
     photo = _scene(1)[:, :, 0] / 255
     kernel = np.outer([0.0, 1.0, 2.0], [1.0, 3.0, 1.0]) / 15
-    return [_mat({"x": photo, "y": photo, "f": kernel}, do_compression=packed) for packed in (False, True)]
+    return [
+        _mat({"x": photo, "y": photo, "f": kernel}, do_compression=packed)
+        for packed in (False, True)
+    ]
 
 
 def _denoiser(path):
@@ -351,9 +434,15 @@ READERS = {
     "studio": Reader(".json", _studio_seeds, _studio, text=True),
     "camera.json": Reader(".json", _camera_json_seeds, _camera, text=True),
     "camera.toml": Reader(".toml", _camera_toml_seeds, _camera, text=True),
-    "coded protocol": Reader(".toml", _file("cep", "bench", "coded", "paper.toml"), _coded_protocol, text=True),
-    "blind protocol": Reader(".toml", _file("cep", "bench", "blind", "ours.toml"), _blind_protocol, text=True),
-    "training config": Reader(".toml", _file("motdiff", "configs", "gpu.toml"), _training_config, text=True),
+    "coded protocol": Reader(
+        ".toml", _file("cep", "bench", "coded", "paper.toml"), _coded_protocol, text=True
+    ),
+    "blind protocol": Reader(
+        ".toml", _file("cep", "bench", "blind", "ours.toml"), _blind_protocol, text=True
+    ),
+    "training config": Reader(
+        ".toml", _file("motdiff", "configs", "gpu.toml"), _training_config, text=True
+    ),
     "gyro": Reader(".txt", _gyro_seeds, _gyro, text=True),
     "vcd": Reader(".vcd", _vcd_seeds, _capture, text=True),
     "saleae": Reader(".csv", _saleae_seeds, _capture, text=True),
@@ -374,33 +463,91 @@ READERS = {
         mend=_safetensors_mended,
     ),
     "network": Reader(
-        ".safetensors", _file("motdiff", "weights", "motdiff.safetensors"), _network, mend=_safetensors_mended
+        ".safetensors",
+        _file("motdiff", "weights", "motdiff.safetensors"),
+        _network,
+        mend=_safetensors_mended,
     ),
     "correction": Reader(
-        ".safetensors", _file("motdiff", "weights", "correction.safetensors"), _correction, mend=_safetensors_mended
+        ".safetensors",
+        _file("motdiff", "weights", "correction.safetensors"),
+        _correction,
+        mend=_safetensors_mended,
     ),
     "learned code": Reader(
-        ".safetensors", _file("lab", "trainings", "dce", "dce.safetensors"), _learned_code, mend=_safetensors_mended
+        ".safetensors",
+        _file("lab", "trainings", "dce", "dce.safetensors"),
+        _learned_code,
+        mend=_safetensors_mended,
     ),
 }
 
 
-# -- mutations ------------------------------------------------------------------------------------------------------
+# -- mutations ------------------------------------------------------------------------------------
 
 _HEAD = 4096
 _MOST_BYTES = 2**23  # memory in proportion to a long file is no fault
 _NUMBER = re.compile(rb"-?[0-9][0-9.]*")
 _NUMBERS = (
-    b"0", b"-1", b"1e400", b"-1e400", b"1e-400", b"NaN", b"nan", b"inf", b"Infinity", b"9" * 5000, b"1" + b"0" * 400,
-    b"9223372036854775808", b"18446744073709551616", b"0x10", b"1_0", b"2147483648", b"1e18", b"0.1", b"99999999",
-)  # fmt: skip
+    b"0",
+    b"-1",
+    b"1e400",
+    b"-1e400",
+    b"1e-400",
+    b"NaN",
+    b"nan",
+    b"inf",
+    b"Infinity",
+    b"9" * 5000,
+    b"1" + b"0" * 400,
+    b"9223372036854775808",
+    b"18446744073709551616",
+    b"0x10",
+    b"1_0",
+    b"2147483648",
+    b"1e18",
+    b"0.1",
+    b"99999999",
+)
 _VALUES = (
-    b"null", b"true", b'"text"', b"[]", b"{}", b"[1, 2]", b'{"a": 1}', b"", b'"' + b"x" * 2**20 + b'"', b"1979-05-27",
-    b"0x" + b"f" * 5000, b"[[[1]]]",
-    b'"\\u0000"', b'"\\ud800"', b"'\x1b[31m'", b'"line\\nline"', b"[" * 10**5, b'{"a":' * 10**5,
-    b"[" * 10**5 + b"1" + b"]" * 10**5, b"[" * 400 + b"1" + b"]" * 400,
-)  # fmt: skip
-_WORDS = (0, 1, 2, 5, 9, 14, 15, 0xFF, 0x7FFF, 0xFFFF, 0x7530, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0x40000000)
+    b"null",
+    b"true",
+    b'"text"',
+    b"[]",
+    b"{}",
+    b"[1, 2]",
+    b'{"a": 1}',
+    b"",
+    b'"' + b"x" * 2**20 + b'"',
+    b"1979-05-27",
+    b"0x" + b"f" * 5000,
+    b"[[[1]]]",
+    b'"\\u0000"',
+    b'"\\ud800"',
+    b"'\x1b[31m'",
+    b'"line\\nline"',
+    b"[" * 10**5,
+    b'{"a":' * 10**5,
+    b"[" * 10**5 + b"1" + b"]" * 10**5,
+    b"[" * 400 + b"1" + b"]" * 400,
+)
+_WORDS = (
+    0,
+    1,
+    2,
+    5,
+    9,
+    14,
+    15,
+    0xFF,
+    0x7FFF,
+    0xFFFF,
+    0x7530,
+    0x7FFFFFFF,
+    0x80000000,
+    0xFFFFFFFF,
+    0x40000000,
+)
 
 
 def mutated(reader: Reader, rng: random.Random) -> bytes:
@@ -432,12 +579,22 @@ def _truncate(data, rng):
 
 def _insert(data, rng):
     at = _place(data, rng)
-    piece = rng.choice((rng.randbytes(rng.randrange(1, 64)), b"\0" * rng.randrange(1, 300), b"\xff" * 16, b"\n", b" "))
+    piece = rng.choice(
+        (
+            rng.randbytes(rng.randrange(1, 64)),
+            b"\0" * rng.randrange(1, 300),
+            b"\xff" * 16,
+            b"\n",
+            b" ",
+        )
+    )
     return data[:at] + piece + data[at:]
 
 
 def _duplicate(data, rng):
-    at, length, times = _place(data, rng), rng.choice((1, 4, 16, 200, 5000)), rng.choice((1, 1, 3, 50))
+    at = _place(data, rng)
+    length = rng.choice((1, 4, 16, 200, 5000))
+    times = rng.choice((1, 1, 3, 50))
     return data[:at] + data[at : at + length] * times + data[at:]
 
 
@@ -447,7 +604,8 @@ def _delete(data, rng):
 
 
 def _overwrite(data, rng):
-    at, length = _place(data, rng), rng.choice((1, 2, 4, 8, 64))
+    at = _place(data, rng)
+    length = rng.choice((1, 2, 4, 8, 64))
     piece = rng.choice((b"\0", b"\xff", b"\x7f", rng.randbytes(1))) * length
     return data[:at] + piece[: max(0, len(data) - at)] + data[at + length :]
 
@@ -461,7 +619,12 @@ def _word(data, rng):
 
 
 def _mark(data, rng):
-    return rng.choice((b"\xef\xbb\xbf", b"\xff\xfe", b"\xfe\xff", b"\0", b"\x1f\x8b", b"PK\3\4", b"\n")) + data
+    return (
+        rng.choice(
+            (b"\xef\xbb\xbf", b"\xff\xfe", b"\xfe\xff", b"\0", b"\x1f\x8b", b"PK\3\4", b"\n")
+        )
+        + data
+    )
 
 
 def _append(data, rng):
@@ -484,7 +647,9 @@ def _number(data, rng):
 
 
 def _value(data, rng):
-    found = list(re.finditer(rb'(?<=[:=] )[^\n,]+|(?<=[ ,\[])"[^"\n]*"', data)) or list(_NUMBER.finditer(data))
+    found = list(re.finditer(rb'(?<=[:=] )[^\n,]+|(?<=[ ,\[])"[^"\n]*"', data)) or list(
+        _NUMBER.finditer(data)
+    )
     if not found:
         return data
     spot = rng.choice(found)
@@ -509,17 +674,43 @@ def _line(data, rng):
 
 
 def _whole(data, rng):
-    return rng.choice((b"", b"\n", b"null", b"[]", b"{}", b"3", b'"a"', b"\0" * 64, b"[" * 10**6, rng.randbytes(300)))
+    return rng.choice(
+        (
+            b"",
+            b"\n",
+            b"null",
+            b"[]",
+            b"{}",
+            b"3",
+            b'"a"',
+            b"\0" * 64,
+            b"[" * 10**6,
+            rng.randbytes(300),
+        )
+    )
 
 
 _OF_BYTES = (
-    _flip, _flip, _truncate, _insert, _duplicate, _delete, _overwrite, _word, _word, _word, _mark, _append, _recode,
-    _number, _whole,
-)  # fmt: skip
+    _flip,
+    _flip,
+    _truncate,
+    _insert,
+    _duplicate,
+    _delete,
+    _overwrite,
+    _word,
+    _word,
+    _word,
+    _mark,
+    _append,
+    _recode,
+    _number,
+    _whole,
+)
 _OF_TEXT = (_number, _number, _value, _value, _line, _truncate, _duplicate)
 
 
-# -- one case -------------------------------------------------------------------------------------------------------
+# -- one case -------------------------------------------------------------------------------------
 
 
 def case(seed: int, number: int) -> tuple[str, bytes]:
@@ -553,15 +744,25 @@ def _outcome(reader: Reader, path: Path) -> tuple[str, str]:
     except Warning as error:
         return "noisy", f"{type(error).__name__}: {error}"[:300]
     except (ValueError, OSError) as error:
-        said = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
-        clear = path.name in said and said.isprintable() and len(said.replace(str(path), "")) <= LONGEST_LINE
-        return (REFUSED if clear else "unclear"), f"{type(error).__name__}: {said[:300]!r} ({len(said)} characters)"
+        said = (
+            f"{error.filename}: {error.strerror}"
+            if isinstance(error, OSError) and error.filename
+            else str(error)
+        )
+        clear = (
+            path.name in said
+            and said.isprintable()
+            and len(said.replace(str(path), "")) <= LONGEST_LINE
+        )
+        return (
+            REFUSED if clear else "unclear"
+        ), f"{type(error).__name__}: {said[:300]!r} ({len(said)} characters)"
     except Exception as error:
         return "exception", f"{type(error).__name__}: {error}"[:300]
     return ACCEPTED, ""
 
 
-# -- many cases -----------------------------------------------------------------------------------------------------
+# -- many cases -----------------------------------------------------------------------------------
 
 
 def _work(seed: int, numbers: range) -> None:
@@ -569,7 +770,10 @@ def _work(seed: int, numbers: range) -> None:
     import resource
 
     with tempfile.TemporaryDirectory() as folder:
-        for name, reader in READERS.items():  # libraries are loaded, and threads started, before memory counts
+        for (
+            name,
+            reader,
+        ) in READERS.items():  # libraries are loaded, and threads started, before memory counts
             good = Path(folder) / f"good{reader.suffix}"
             good.write_bytes(reader.seeds()[0])
             if name != "webp":
@@ -586,7 +790,12 @@ def _work(seed: int, numbers: range) -> None:
             kind, text = outcome(READERS[name], path)
             grown = _kilobytes("VmPeak") * 1024 - base
             excess = grown > MOST_GROWTH
-            _say(end=number, reader=name, kind="memory" if excess else kind, text=text or f"{grown / 2**20:.0f} MiB")
+            _say(
+                end=number,
+                reader=name,
+                kind="memory" if excess else kind,
+                text=text or f"{grown / 2**20:.0f} MiB",
+            )
             if excess:  # the peak cannot be reset
                 return
 
@@ -606,11 +815,16 @@ def _outcomes(seed: int, count: int) -> Iterator[tuple[int, str, str, str]]:
     at = 0
     while at < count:
         command = [sys.executable, __file__, "--seed", str(seed), "--worker", str(at), str(count)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as worker:
-            begun, waited = "", time.monotonic() + 300  # loading the libraries
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        ) as worker:
+            begun = ""  # loading the libraries
+            waited = time.monotonic() + 300
             buffer = b""
             while True:
-                ready, _, _ = select.select([worker.stdout], [], [], max(0.0, waited - time.monotonic()))
+                ready, _, _ = select.select(
+                    [worker.stdout], [], [], max(0.0, waited - time.monotonic())
+                )
                 if not ready:
                     worker.kill()
                     yield at, begun, "hang", f"longer than {LIMIT_S:g} s"
@@ -626,10 +840,13 @@ def _outcomes(seed: int, count: int) -> Iterator[tuple[int, str, str, str]]:
                 for line in lines:
                     said = json.loads(line)
                     if "begin" in said:
-                        begun, waited = said["reader"], time.monotonic() + LIMIT_S
+                        begun = said["reader"]
+                        waited = time.monotonic() + LIMIT_S
                     else:
                         yield said["end"], said["reader"], said["kind"], said["text"]
-                        begun, at, waited = "", said["end"] + 1, time.monotonic() + 60
+                        begun = ""
+                        at = said["end"] + 1
+                        waited = time.monotonic() + 60
 
 
 def main():
@@ -649,7 +866,9 @@ def main():
             print(f"case {number}, {name}: {kind}: {text}", flush=True)  # noqa: T201
             if given.keep:
                 given.keep.mkdir(exist_ok=True)
-                (given.keep / f"{number}{READERS[name].suffix}").write_bytes(case(given.seed, number)[1])
+                (given.keep / f"{number}{READERS[name].suffix}").write_bytes(
+                    case(given.seed, number)[1]
+                )
     kinds = (*GOOD, *BAD)
     rows = [("reader", *kinds)]
     rows += [(name, *(str(counts[name, kind]) for kind in kinds)) for name in READERS]

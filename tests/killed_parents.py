@@ -10,7 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-_START_S, _END_S = 120.0, 30.0
+_START_S = 120.0
+_END_S = 30.0
 
 
 def outliving(program: str, *, busy: Path, least: int = 1) -> list[str]:
@@ -70,7 +71,12 @@ def _lives(pid):
 
 
 def _command(pid):
-    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")[:200]
+    return (
+        Path(f"/proc/{pid}/cmdline")
+        .read_bytes()
+        .replace(b"\0", b" ")
+        .decode(errors="replace")[:200]
+    )
 
 
 def _kill(pid):

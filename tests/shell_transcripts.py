@@ -11,12 +11,16 @@ from pathlib import Path
 PROMPTS = ("$ ", "> ")
 ROOT = Path(__file__).resolve().parent.parent
 NUMBER = re.compile(r"-?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
-SIGNED = re.compile(r"\b(gain|lose) N dB")  # of nearly nothing: the sign hangs on the processor's last bits
+SIGNED = re.compile(
+    r"\b(gain|lose) N dB"
+)  # of nearly nothing: the sign hangs on the processor's last bits
 
 
 def transcript_of(page):
     """Return the lines of all transcripts of a page, in order."""
-    fences = re.findall(r"^```console\n(.*?)^```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    fences = re.findall(
+        r"^```console\n(.*?)^```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
     return "".join(fences).splitlines()
 
 
@@ -26,21 +30,34 @@ def run_transcript(lines, folder):
     script = ["set -eu", *(line[2:] for line in lines if line.startswith(PROMPTS))]
     programs = folder / "bin"
     programs.mkdir()
-    for name, arguments in {"cep": "-c 'from cep.commands.main import run; run()'", "python": ""}.items():
+    for name, arguments in {
+        "cep": "-c 'from cep.commands.main import run; run()'",
+        "python": "",
+    }.items():
         (programs / name).write_text(f'#!/bin/sh\nexec {python} {arguments} "$@"\n')
         (programs / name).chmod(0o755)
     environment = {
-        **os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100", "PATH": f"{programs}:{os.environ['PATH']}",
-    }  # fmt: skip
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "COLUMNS": "100",
+        "PATH": f"{programs}:{os.environ['PATH']}",
+    }
     done = subprocess.run(
-        ["bash", "-c", "\n".join(script)], cwd=folder, env=environment, capture_output=True, text=True, timeout=1800,
+        ["bash", "-c", "\n".join(script)],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=1800,
         check=False,
-    )  # fmt: skip
+    )
     kept = "".join(path.read_text() for path in folder.glob("emulator*.txt"))
     assert done.returncode == 0, kept + done.stdout + done.stderr
     shown = _words(line for line in lines if not line.startswith(PROMPTS))
     printed = _words(done.stdout.splitlines())
-    assert printed == shown, "\n".join(difflib.unified_diff(shown, printed, "shown", "printed", lineterm=""))
+    assert printed == shown, "\n".join(
+        difflib.unified_diff(shown, printed, "shown", "printed", lineterm="")
+    )
 
 
 def _words(lines):

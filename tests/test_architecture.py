@@ -1,7 +1,7 @@
 """The rules of the design, read from the source: layers, circles, heavy imports, size, docstrings and ``__all__``.
 
-A rule is a function from modules to complaints, one line for each offence with the file's name. Each rule is applied to
-all modules at once, and to made-up ones that break it.
+A rule is a function from modules to complaints, one line for each offence with the file's name.
+Each rule is applied to all modules at once, and to made-up ones that break it.
 """
 
 import ast
@@ -17,7 +17,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 
-# -- the design, as data ----------------------------------------------------------------------------------------------
+# -- the design, as data --------------------------------------------------------------------------
 
 MAY_IMPORT = {
     "motdiff": {"motdiff"},  # motion is useful without shutters and codes
@@ -46,27 +46,52 @@ UNPICKLING = {
     "torch.load",
     "yaml",
 }
-RUNNING = {"eval", "exec", "torch.load", "torch.export.load", "torch.jit.load", "torch.package.PackageImporter"}
+RUNNING = {
+    "eval",
+    "exec",
+    "torch.load",
+    "torch.export.load",
+    "torch.jit.load",
+    "torch.package.PackageImporter",
+}
 UNSAFE_OPTIONS = {("allow_pickle", "True"), ("weights_only", "False")}
 
 COMMANDS = "cep/commands/"
 LIGHT = "cep.search.search_options"  # imports what it needs within its functions
 COMMANDS_MAY_IMPORT = {
-    "__future__", "collections", "contextlib", "dataclasses", "os", "pathlib", "re", "shutil", "signal", "sys",
-    "textwrap", "time", "traceback", "typing", "typer", "cep",
-}  # fmt: skip
+    "__future__",
+    "collections",
+    "contextlib",
+    "dataclasses",
+    "os",
+    "pathlib",
+    "re",
+    "shutil",
+    "signal",
+    "sys",
+    "textwrap",
+    "time",
+    "traceback",
+    "typing",
+    "typer",
+    "cep",
+}
 """At the top of a command's module: `cep --help` answers in under half a second."""
 
 
 @cache
 def listed_modules():
     """Patterns of the modules that may import torch or numba at their top: where ruff's TID253 is ignored."""
-    ignores = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["ruff"]["lint"]["per-file-ignores"]
+    ignores = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["ruff"]["lint"][
+        "per-file-ignores"
+    ]
     patterns = {}
     for glob, rules in ignores.items():
         if "TID253" in rules and glob.startswith(tuple(f"{package}/" for package in MAY_IMPORT)):
             for part in _alternatives(glob):
-                patterns[part] = re.compile(re.escape(part).replace(r"\*\*", ".*").replace(r"\*", "[^/]*") + "$")
+                patterns[part] = re.compile(
+                    re.escape(part).replace(r"\*\*", ".*").replace(r"\*", "[^/]*") + "$"
+                )
     return patterns
 
 
@@ -75,7 +100,7 @@ def _alternatives(glob):
     return [f"{inner[1]}{choice}{inner[3]}" for choice in inner[2].split(",")] if inner else [glob]
 
 
-# -- modules ----------------------------------------------------------------------------------------------------------
+# -- modules --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -135,7 +160,9 @@ def runtime_top_level(tree):
         yield node
         if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
             pending.extend(
-                child for child in ast.iter_child_nodes(node) if isinstance(child, ast.stmt | ast.excepthandler)
+                child
+                for child in ast.iter_child_nodes(node)
+                if isinstance(child, ast.stmt | ast.excepthandler)
             )
 
 
@@ -147,13 +174,15 @@ def within(name, names):
     return any(name == other or name.startswith(f"{other}.") for other in names)
 
 
-# -- the rules --------------------------------------------------------------------------------------------------------
+# -- the rules ------------------------------------------------------------------------------------
 
 
 def imports_point_downward(modules):
     """Motdiff and hw import neither cep nor each other; nothing imports lab."""
     for module in modules:
-        upward = {root_of(name) for name in module.imports} & set(MAY_IMPORT) - MAY_IMPORT[module.package]
+        upward = {root_of(name) for name in module.imports} & set(MAY_IMPORT) - MAY_IMPORT[
+            module.package
+        ]
         for package in sorted(upward):
             yield f"{module.path}: imports {package}"
 
@@ -194,7 +223,8 @@ def listed_modules_need_their_listing(modules):
     """An allowance that is no longer needed must go."""
     for listed, pattern in listed_modules().items():
         if not any(
-            pattern.match(module.path) and LISTED & {root_of(name) for name in module.top_imports} for module in modules
+            pattern.match(module.path) and LISTED & {root_of(name) for name in module.top_imports}
+            for module in modules
         ):
             yield f"pyproject.toml: TID253 is ignored for {listed}, where no module imports torch or numba at its top"
 
@@ -219,7 +249,10 @@ def no_file_runs_code(modules):
         for node in ast.walk(module.tree):
             if isinstance(node, ast.Call) and (call := ast.unparse(node.func)) in RUNNING:
                 yield f"{module.path}:{node.lineno}: {call} runs code that files hold"
-            if isinstance(node, ast.keyword) and (node.arg, ast.unparse(node.value)) in UNSAFE_OPTIONS:
+            if (
+                isinstance(node, ast.keyword)
+                and (node.arg, ast.unparse(node.value)) in UNSAFE_OPTIONS
+            ):
                 yield f"{module.path}:{node.value.lineno}: {node.arg} runs code that files hold"
 
 
@@ -229,7 +262,9 @@ def commands_start_light(modules):
             continue
         own = COMMANDS.strip("/").replace("/", ".")
         for name in sorted(module.top_imports):
-            if root_of(name) not in COMMANDS_MAY_IMPORT or (name.startswith("cep.") and not within(name, {own, LIGHT})):
+            if root_of(name) not in COMMANDS_MAY_IMPORT or (
+                name.startswith("cep.") and not within(name, {own, LIGHT})
+            ):
                 yield f"{module.path}: imports {name} at its top: import it inside the command"
 
 
@@ -248,7 +283,8 @@ def public_modules_list_what_they_offer(modules):
         assignments = [
             node.value
             for node in module.tree.body
-            if isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets)
+            if isinstance(node, ast.Assign)
+            and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets)
         ]
         if len(assignments) != 1:
             yield f"{module.path}: has {len(assignments) or 'no'} __all__"
@@ -292,7 +328,7 @@ RULES = {
     )
 }
 
-# -- applied to the source --------------------------------------------------------------------------------------------
+# -- applied to the source ------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -317,7 +353,7 @@ def test_the_source_keeps_the_rule(rule, modules):
     assert not complaints, "\n".join(["", *complaints])
 
 
-# -- applied to offenders ---------------------------------------------------------------------------------------------
+# -- applied to offenders -------------------------------------------------------------------------
 
 DOC = '"""A module."""\n'
 MADE_UP = {  # a file called bad breaks the rule, a file called good keeps it
@@ -390,7 +426,9 @@ MADE_UP = {  # a file called bad breaks the rule, a file called good keeps it
 @pytest.mark.parametrize("rule", MADE_UP)
 def test_the_rule_names_every_offender_and_nobody_else(rule):
     complaints = "\n".join(RULES[rule]([Module(*file) for file in MADE_UP[rule].items()]))
-    assert [path for path in MADE_UP[rule] if path in complaints] == [path for path in MADE_UP[rule] if "bad" in path]
+    assert [path for path in MADE_UP[rule] if path in complaints] == [
+        path for path in MADE_UP[rule] if "bad" in path
+    ]
 
 
 def test_every_rule_is_tried_on_offenders():

@@ -28,7 +28,18 @@ def test_children_of_a_background_job_can_be_interrupted(tmp_path):
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         ran = subprocess.run(
-            [sys.executable, "-m", "pytest", "-p", "conftest", "-p", "no:cacheprovider", "--rootdir", ".", "."],
+            [
+                sys.executable,
+                "-m",
+                "pytest",
+                "-p",
+                "conftest",
+                "-p",
+                "no:cacheprovider",
+                "--rootdir",
+                ".",
+                ".",
+            ],
             cwd=tmp_path,
             env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])},
             capture_output=True,

@@ -13,13 +13,17 @@ GONE = {
     "motdiff/weights/README.md: python -m motdiff eval": "its figures were measured by the former command",
 }
 
-TRANSCRIPTS = [page for page, _ in pages() if page not in RUN_ELSEWHERE and transcript_of(ROOT / page)]
+TRANSCRIPTS = [
+    page for page, _ in pages() if page not in RUN_ELSEWHERE and transcript_of(ROOT / page)
+]
 
 
 def test_every_command_that_is_shown_is_accepted():
     commands = list(dict.fromkeys(shown()))
     assert len(commands) > 250
-    assert {"README.md", "docs/howto/robot.md", "notebooks/quickstart.py"} <= {command.page for command in commands}
+    assert {"README.md", "docs/howto/robot.md", "notebooks/quickstart.py"} <= {
+        command.page for command in commands
+    }
     faults = {str(command): text for command in commands if (text := fault(command))}
     assert {name: text for name, text in faults.items() if name not in GONE} == {}
     assert faults.keys() == GONE.keys(), "a command that is back needs no exception"

@@ -27,7 +27,9 @@ def without_code(text):
 
 def anchors(path):
     """Anchors of a document's headings, as GitHub makes them."""
-    text = re.sub(r"^```.*?^```$", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(
+        r"^```.*?^```$", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+    )
     seen: dict[str, int] = {}
     for heading in re.findall(r"^#+ +(.*?)\s*$", text, re.MULTILINE):
         shown = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading)
@@ -57,7 +59,9 @@ def test_links_lead_somewhere(document):
         if re.match(r"[a-z]+:", link):
             continue  # another site
         target, _, anchor = link.partition("#")
-        problems.append(problem((document.parent / target).resolve() if target else document, anchor))
+        problems.append(
+            problem((document.parent / target).resolve() if target else document, anchor)
+        )
     assert not list(filter(None, problems))
 
 
@@ -81,7 +85,10 @@ def test_the_index_of_decisions_lists_each_record_once():
     records = []
     for path in set(folder.glob("*.md")) - {folder / "README.md"}:
         titles = re.findall(r"^#+ +(.*?)\s*$", path.read_text(encoding="utf-8"), re.MULTILINE)
-        records += [(title, f"{path.name}#{anchor}") for title, anchor in zip(titles, anchors(path), strict=True)][1:]
+        records += [
+            (title, f"{path.name}#{anchor}")
+            for title, anchor in zip(titles, anchors(path), strict=True)
+        ][1:]
     index = (folder / "README.md").read_text(encoding="utf-8")
     listed = re.findall(r"^- \[(.*)\]\(([\w-]+\.md#[\w-]+)\)$", index, re.MULTILINE)
     assert len(records) > 20

@@ -11,7 +11,15 @@ from fuzz_readers import ACCEPTED, GOOD, READERS, REFUSED, mutated, outcome
 from named_pipes import empty_pipe
 
 COUNT = 40
-SLOW = {"mat": 4, "mat photo": 2, "levin": 2, "denoiser": 8, "network": 8, "correction": 8, "learned code": 8}
+SLOW = {
+    "mat": 4,
+    "mat photo": 2,
+    "levin": 2,
+    "denoiser": 8,
+    "network": 8,
+    "correction": 8,
+    "learned code": 8,
+}
 """Cases of readers that take long: a process of its own for each file, or megabytes."""
 
 
@@ -59,7 +67,9 @@ class Trap:
 def pickles(mark):
     """Pickles of a :class:`Trap` as they come: bare, by torch, and as arrays of objects."""
     trap = np.array([[Trap(mark)]], dtype=object)
-    checkpoint, array, arrays = BytesIO(), BytesIO(), BytesIO()
+    checkpoint = BytesIO()
+    array = BytesIO()
+    arrays = BytesIO()
     torch.save(Trap(mark), checkpoint)
     np.save(array, trap, allow_pickle=True)
     np.savez(arrays, psf=trap, blurred=trap)

@@ -18,16 +18,21 @@ def test_the_learning_path_lists_every_notebook():
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_is_paired(path):
-    script, notebook = jupytext.read(path), jupytext.read(path.with_suffix(".ipynb"))
+    script = jupytext.read(path)
+    notebook = jupytext.read(path.with_suffix(".ipynb"))
     assert [(cell.cell_type, cell.source) for cell in script.cells] == [
         (cell.cell_type, cell.source) for cell in notebook.cells
     ]
-    assert all(not cell.get("outputs") for cell in notebook.cells), "outputs are not kept under version control"
+    assert all(not cell.get("outputs") for cell in notebook.cells), (
+        "outputs are not kept under version control"
+    )
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_links_of_a_notebook_lead_somewhere(path):
-    text = "\n".join(cell.source for cell in jupytext.read(path).cells if cell.cell_type == "markdown")
+    text = "\n".join(
+        cell.source for cell in jupytext.read(path).cells if cell.cell_type == "markdown"
+    )
     targets = [target for target in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in target]
     assert all((FOLDER / target.partition("#")[0]).exists() for target in targets)
 
@@ -41,9 +46,17 @@ def test_a_notebook_runs(path, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", root)
     notebook = jupytext.read(path)
     client = nbclient.NotebookClient(
-        notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+        notebook,
+        timeout=600,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(tmp_path)}},
     )
     client.execute()
     assert not list(tmp_path.iterdir()), "files left behind"
-    pictures = [o for cell in notebook.cells for o in cell.get("outputs", []) if "image/png" in o.get("data", {})]
+    pictures = [
+        o
+        for cell in notebook.cells
+        for o in cell.get("outputs", [])
+        if "image/png" in o.get("data", {})
+    ]
     assert len(pictures) >= 2

@@ -18,14 +18,21 @@ def test_the_python_example_runs(capsys):
     assert len([line for line in example.splitlines() if line.strip()]) <= 10
     exec(compile(example, "README.md", "exec"), {})
     sentence, code, *_ = capsys.readouterr().out.splitlines()
-    assert sentence.startswith(("Code this exposure", "Coding does not pay here", "Pulse", "Leave the shutter open"))
+    assert sentence.startswith(
+        ("Code this exposure", "Coding does not pay here", "Pulse", "Leave the shutter open")
+    )
     bits = code.partition(":")[0]
     assert len(bits) == 20
     assert set(bits) == {"0", "1"}
 
 
 def test_the_tour_shows_every_command():
-    tour = [words for block in blocks("sh") for line in block.splitlines() for words in commands_in(line)]
+    tour = [
+        words
+        for block in blocks("sh")
+        for line in block.splitlines()
+        for words in commands_in(line)
+    ]
     assert {words[1] for words in tour if words[0] == "cep"} == set(command_line().commands) - {
         "demo"
     }  # it has its own place

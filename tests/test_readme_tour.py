@@ -73,7 +73,14 @@ def write_inputs():
     for name in ("sharp.png", "sharp.jpg"):
         cep.write_image(name, scene)
     Path("SHOTS").mkdir()
-    photos = ["blurred.jpg", "photo.jpg", "open.png", *(f"run{n}.png" for n in "123"), "SHOTS/one.png", "SHOTS/two.png"]
+    photos = [
+        "blurred.jpg",
+        "photo.jpg",
+        "open.png",
+        *(f"run{n}.png" for n in "123"),
+        "SHOTS/one.png",
+        "SHOTS/two.png",
+    ]
     for name in photos:
         cep.write_image(name, cep.capture(scene, PATH, None, camera, rng=rng))
     cep.write_image("coded.png", cep.capture(scene, PATH, chips, camera, rng=rng))
@@ -85,12 +92,19 @@ def write_inputs():
     times = np.arange(12, 12.6, 0.002)
     rates = [0.05 * np.cos(40 * times), 0.1 + 0 * times, 0 * times]
     log = np.stack([times, *rates], 1)
-    np.savetxt("gyro.csv", log, delimiter=",", header="t_s,wx_rad_s,wy_rad_s,wz_rad_s", comments="")
+    np.savetxt(
+        "gyro.csv", log, delimiter=",", header="t_s,wx_rad_s,wy_rad_s,wz_rad_s", comments=""
+    )
     Path("mymodule.py").write_text(MODULE)
     Path("motion").mkdir()
     write_motion(Path("motion/trajectory.json"), StoredMotion(PATH))
     write_code(Path("code.json"), StoredCode(chips))
-    setting = {"motion": {"kind": "example", "name": "shake"}, "bits": CODE, "exposure": "20ms", "camera": "video-8bit"}
+    setting = {
+        "motion": {"kind": "example", "name": "shake"},
+        "bits": CODE,
+        "exposure": "20ms",
+        "camera": "video-8bit",
+    }
     Path("studio.json").write_text(json.dumps(Views().saved(read_setting(setting), setting)))
 
 
@@ -102,7 +116,11 @@ def blocks(page):
 
 def tour(page):
     """Return those of them that are run here."""
-    return [one for one in blocks(page) if one.startswith(RUN_ALTHOUGH) or not one.startswith(tuple(NOT_RUN))]
+    return [
+        one
+        for one in blocks(page)
+        if one.startswith(RUN_ALTHOUGH) or not one.startswith(tuple(NOT_RUN))
+    ]
 
 
 def run(command):
@@ -111,7 +129,9 @@ def run(command):
     if words[0] != "cep":
         return motdiff(words[3:])
     if words[1:3] == ["hw", "verify"]:  # the code is recorded as it was exported
-        assert main(["export", "code.json", "--format", "vcd", "-o", "capture.vcd", "--force"]) == 0
+        assert (
+            main(["export", "code.json", "--format", "vcd", "-o", "capture.vcd", "--force"]) == 0
+        )
     command = command_line().commands[words[1]]
     command = getattr(command, "commands", {}).get(words[2], command)  # of a group
     offered = {option for parameter in command.params for option in parameter.opts}
@@ -119,7 +139,9 @@ def run(command):
 
 
 @pytest.mark.slow(reason="the whole chain, several ways")
-@pytest.mark.parametrize("page", [page for page in PAGES if tour(page)], ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if tour(page)], ids=lambda page: page.stem
+)
 def test_the_commands_of_a_tour_run_in_their_order(page, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
@@ -132,4 +154,8 @@ def test_the_commands_of_a_tour_run_in_their_order(page, tmp_path, monkeypatch, 
 
 def test_every_exception_is_needed():
     commands = [command for page in PAGES for command in blocks(page)]
-    assert [start for start in (*NOT_RUN, *RUN_ALTHOUGH) if not any(one.startswith(start) for one in commands)] == []
+    assert [
+        start
+        for start in (*NOT_RUN, *RUN_ALTHOUGH)
+        if not any(one.startswith(start) for one in commands)
+    ] == []

@@ -31,7 +31,9 @@ BENT = Trajectory.from_samples([[0, 0], [8, 2], [9, 9]], direction="known")
 
 
 def extension():
-    spec = importlib.util.spec_from_file_location("schema_tables", ROOT / "docs" / "_extensions" / "schema_tables.py")
+    spec = importlib.util.spec_from_file_location(
+        "schema_tables", ROOT / "docs" / "_extensions" / "schema_tables.py"
+    )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -46,15 +48,20 @@ def schema(name):
 
 def faults(document, name, part=None):
     found = schema(name)["$defs"][part] if part else schema(name)
-    return [f"{error.json_path}: {error.message}" for error in Draft202012Validator(found).iter_errors(document)]
+    return [
+        f"{error.json_path}: {error.message}"
+        for error in Draft202012Validator(found).iter_errors(document)
+    ]
 
 
-# -- the schemas themselves -----------------------------------------------------------------------------------------
+# -- the schemas themselves -----------------------------------------------------------------------
 
 
 def test_every_schema_of_the_packages_is_listed():
     folders = {path.parent for path in FILES.values()}
-    assert sorted(FILES.values()) == sorted(path for folder in folders for path in folder.glob("*.json"))
+    assert sorted(FILES.values()) == sorted(
+        path for folder in folders for path in folder.glob("*.json")
+    )
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -77,7 +84,7 @@ def test_the_page_of_files_names_all_fields():
     assert {name.partition("#")[0] for name in extension()._MARKED.findall(page)} == FILES.keys()
 
 
-# -- what is written ------------------------------------------------------------------------------------------------
+# -- what is written ------------------------------------------------------------------------------
 
 
 def written(path):
@@ -124,13 +131,27 @@ def test_calibration_sets(tmp_path):
 
 def test_tables_of_the_benchmarks():
     figures = {
-        (row, photo, "m"): {"gain": float(len(row) + len(photo))} for row in ("a", "bb") for photo in ("p", "qq")
+        (row, photo, "m"): {"gain": float(len(row) + len(photo))}
+        for row in ("a", "bb")
+        for photo in ("p", "qq")
     }
     columns = [Column("gain", "gain, dB", "high")]
     table = tabulate("t", figures, columns, rng=np.random.default_rng(0), row=0, cluster=(1, 2))
-    about = {"command": "python -m lab bench", "seed": 0, "warnings": ["few"], "machines": [
-        {"processor": "x", "cores": 2, "memory_gib": None, "system": "s", "python": "3", "versions": {}},
-    ]}  # fmt: skip
+    about = {
+        "command": "python -m lab bench",
+        "seed": 0,
+        "warnings": ["few"],
+        "machines": [
+            {
+                "processor": "x",
+                "cores": 2,
+                "memory_gib": None,
+                "system": "s",
+                "python": "3",
+                "versions": {},
+            },
+        ],
+    }
     assert faults(json.loads(tables_json([table], **about)), "bench") == []
     codes = {"codes": [{"name": "raskar-52", "chips": 4, "open": 3, "bits": "1011"}]}
     assert faults(json.loads(made_json(codes, **about)), "bench") == []
@@ -146,23 +167,41 @@ def test_proofs():
 
 
 def test_programs():
-    assert faults(json.loads(export_program(Program.from_bits("10110", chip_ns=1000), "json")), "program") == []
+    assert (
+        faults(
+            json.loads(export_program(Program.from_bits("10110", chip_ns=1000), "json")), "program"
+        )
+        == []
+    )
 
 
-# -- of one mind with the readers -----------------------------------------------------------------------------------
+# -- of one mind with the readers -----------------------------------------------------------------
 
 VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers(-3, 20) | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
-    | st.sampled_from([1.0, 12.0, "px", "known", "unknown", "linear", "srgb", "1011", "000", ""]) | st.text(max_size=4),
-    lambda inner: st.lists(inner, max_size=3)
-    | st.dictionaries(st.sampled_from(["t", "x", "y", "weight"]), inner, max_size=3),
+    st.none()
+    | st.booleans()
+    | st.integers(-3, 20)
+    | st.integers()
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.sampled_from([1.0, 12.0, "px", "known", "unknown", "linear", "srgb", "1011", "000", ""])
+    | st.text(max_size=4),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.sampled_from(["t", "x", "y", "weight"]), inner, max_size=3)
+    ),
     max_leaves=6,
-)  # fmt: skip
+)
 
 
 def places(value, here=()):
     """Every place within a document, the document itself left out."""
-    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    inner = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     for key, item in inner:
         yield (*here, key)
         yield from places(item, (*here, key))
@@ -181,19 +220,40 @@ def mutated(draw, document):
         if what == "drop":
             del holder[place[-1]]
         elif what == "add" and isinstance(holder, dict):
-            holder[draw(st.sampled_from(["iso", "weight", "gain_e_per_dn", "source"]))] = draw(VALUES)
+            holder[draw(st.sampled_from(["iso", "weight", "gain_e_per_dn", "source"]))] = draw(
+                VALUES
+            )
         else:
             holder[place[-1]] = draw(VALUES)
     return changed
 
 
 SAMPLES = {"t": [0, 0.25, 1], "x": [0.0, 1.5, -2.0], "y": [0, 1, 0]}
-MOTION = {"schema": "cep.trajectory/1", "units": "px", "direction": "known", **SAMPLES, "weight": 0.5,
-          "alternatives": [{"weight": 0.5, **SAMPLES}], "source": {"method": "pmp"}}  # fmt: skip
-CODE = {"schema": "cep.code/1", "bits": "1011", "chip_ns": 1000, "metrics": {"min_mtf": 0.1}, "problem": {},
-        "certificate": None}  # fmt: skip
+MOTION = {
+    "schema": "cep.trajectory/1",
+    "units": "px",
+    "direction": "known",
+    **SAMPLES,
+    "weight": 0.5,
+    "alternatives": [{"weight": 0.5, **SAMPLES}],
+    "source": {"method": "pmp"},
+}
+CODE = {
+    "schema": "cep.code/1",
+    "bits": "1011",
+    "chip_ns": 1000,
+    "metrics": {"min_mtf": 0.1},
+    "problem": {},
+    "certificate": None,
+}
 CAMERA = Camera.load("sony-imx250").to_dict()
-STUDIO = {"schema": "cep.studio/1", "state": {"bits": "1"}, "trajectory": {}, "code": {}, "commands": ["cep audit 1"]}
+STUDIO = {
+    "schema": "cep.studio/1",
+    "state": {"bits": "1"},
+    "trajectory": {},
+    "code": {},
+    "commands": ["cep audit 1"],
+}
 BEYOND = {
     "trajectory": ("equally long", "strictly increasing", "from 0 to 1"),
     "code": ("only 0 and 1",),
@@ -208,9 +268,11 @@ def read_camera(path):
 
 
 READERS = {
-    "trajectory": (MOTION, read_motion), "code": (CODE, read_code), "camera": (CAMERA, read_camera),
+    "trajectory": (MOTION, read_motion),
+    "code": (CODE, read_code),
+    "camera": (CAMERA, read_camera),
     "studio": (STUDIO, partial(read_json, schema="cep.studio/1")),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", READERS)
@@ -271,7 +333,9 @@ def test_a_pattern_ends_where_the_text_ends():
     ],
 )
 def test_a_fault_is_one_short_line(value, said):
-    found = fault({"a": value()}, {"properties": {"a": {"type": "number", "minimum": 0, "maximum": 1}}})
+    found = fault(
+        {"a": value()}, {"properties": {"a": {"type": "number", "minimum": 0, "maximum": 1}}}
+    )
     assert found.startswith(said)
     assert len(found) < 400
     assert len(found.splitlines()) == 1

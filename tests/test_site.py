@@ -32,7 +32,9 @@ class Page(HTMLParser):
 
     def __init__(self, path):
         super().__init__()
-        self.links, self.loaded, self.places = [], [], set()
+        self.links = []
+        self.loaded = []
+        self.places = set()
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag, attrs):
@@ -49,7 +51,18 @@ def site(tmp_path_factory):
     if any(importlib.util.find_spec(name) is None for name in ("sphinx", "furo", "myst_parser")):
         give_up("sphinx, furo and myst-parser not installed: make docs")
     folder = tmp_path_factory.mktemp("site")
-    build = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "docs", str(folder)]
+    build = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-q",
+        "-W",
+        "--keep-going",
+        "-b",
+        "html",
+        "docs",
+        str(folder),
+    ]
     done = subprocess.run(build, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return folder
@@ -71,15 +84,27 @@ def test_the_site(site):
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             if not target.exists():
                 wrong.append(f"{path.name}: {link} does not exist")
-            elif parts.fragment and target in pages and unquote(parts.fragment) not in pages[target].places:
+            elif (
+                parts.fragment
+                and target in pages
+                and unquote(parts.fragment) not in pages[target].places
+            ):
                 wrong.append(f"{path.name}: {link} has no such place")
     styles = [
-        path for path in site.rglob("*.css") if re.search(r"@import|url\(\s*['\"]?(https?:)?//", path.read_text())
+        path
+        for path in site.rglob("*.css")
+        if re.search(r"@import|url\(\s*['\"]?(https?:)?//", path.read_text())
     ]
     assert not wrong
     assert not styles
     text = (site / "command-line.html").read_text(encoding="utf-8")
-    for option in {name for command in commands() for one in command.params for name in one.opts if name[0] == "-"}:
+    for option in {
+        name
+        for command in commands()
+        for one in command.params
+        for name in one.opts
+        if name[0] == "-"
+    }:
         assert option in text
     python = (site / "python.html").read_text(encoding="utf-8")
     assert all(f"cep.{name}" in python for name in front_door if name != "__version__")

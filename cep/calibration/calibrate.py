@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.files.files import write_psf
 from cep.files.images import write_image
@@ -26,31 +26,24 @@ from motdiff.files.plugins import is_reference
 from motdiff.files.trajectories import StoredMotion, write_motion
 from motdiff.gyro import GyroTrace
 from motdiff.psf_frame import PSF_PX
-
-__all__ = [
-    "CALIBRATION_FILES",
-    "METHODS",
-    "Calibration",
-    "check_apart",
-    "check_options",
-    "check_photo",
-    "check_several",
-    "check_texture",
-    "check_times",
-    "estimate_motion",
-    "make_estimator",
-    "write_calibration",
-]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 METHODS = ("motdiff", "pmp", "reference", "point", "gyro", "coded")
 """Names of the estimators: blind by diffusion model and classically, with a sharp photo, of a light, by gyroscope,
 from photos taken through known codes."""
 
-CALIBRATION_FILES = ("trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png", "sharpened.png")
+CALIBRATION_FILES = (
+    "trajectory.json",
+    "psf.npy",
+    "psf.mat",
+    "psf.png",
+    "map.png",
+    "preview.png",
+    "sharpened.png",
+)
 """What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field,
-``sharpened.png`` only of a photo with an open shutter, where a restoration is better than the photo."""
+``sharpened.png`` only of a photo with an open shutter, where a restoration is better than the
+photo."""
 
 _TOGETHER = ("motdiff", "pmp")  # search photos of one motion together
 
@@ -62,7 +55,11 @@ _LEAST_PX = {
 _LEAST_CONTRAST = 2 / 255
 _LOADING = {"motdiff": (0.12, 0.28, 0.36), "pmp": (0.12, 0.26, 0.32), "coded": (0.02, 0.05, 0.06)}
 """Of an estimate's share: torch is on its way, is there, and so is the estimator; docs/decisions/code.md."""
-_NEEDED = {"reference": {"sharp"}, "gyro": {"gyro", "focal_px", "start_s", "exposure_s"}, "coded": {"codes"}}
+_NEEDED = {
+    "reference": {"sharp"},
+    "gyro": {"gyro", "focal_px", "start_s", "exposure_s"},
+    "coded": {"codes"},
+}
 _ALLOWED = {"motdiff": {"samples"}, "gyro": {"axes", "rate_unit"}, "point": {"codes"}}
 
 
@@ -73,16 +70,19 @@ def check_options(method: str, options: Mapping[str, object]) -> None:
     ----------
     method : str
     options : mapping
-        Those of :func:`make_estimator` that differ from method to method, and ``rate_unit``, that of the recording
-        for "gyro"; None is not given.
+        Those of :func:`make_estimator` that differ from method to method, and ``rate_unit``, that
+        of the recording for "gyro"; None is not given.
 
     Raises
     ------
     ValueError
-        If the method is not known, or an option it needs is missing or one that is not its own is given.
+        If the method is not known, or an option it needs is missing or one that is not its own is
+        given.
     """
     if method not in METHODS and not is_reference(method):
-        raise ValueError(f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}")
+        raise ValueError(
+            f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}"
+        )
     given = {name for name, value in options.items() if value is not None}
     wanted = _NEEDED.get(method, set())
     for name in sorted(wanted - given):
@@ -109,7 +109,8 @@ def make_estimator(
 
     Parameters
     ----------
-    method : {"motdiff", "pmp", "reference", "point", "gyro", "coded"}, or ``module:name`` of the user's own
+    method : {"motdiff", "pmp", "reference", "point", "gyro", "coded"}, or ``module:name`` of the
+    user's own
     samples : int, optional
         For "motdiff": motions drawn.
     seed : int
@@ -117,20 +118,24 @@ def make_estimator(
     sharp : (H, W) or (H, W, 3) array_like, linear light 0..1
         For "reference": a sharp photo of the same scene.
     gyro, focal_px, start_s, exposure_s
-        For "gyro": the recording, the focal length in px, and when on the recording's clock the shutter was open.
+        For "gyro": the recording, the focal length in px, and when on the recording's clock the
+        shutter was open.
     axes : str, optional
-        For "gyro": directions of the recording's axes, as of :func:`motdiff.gyro.image_rates_rad_s`; taken as
-        "right,down,forward", with a warning, when omitted. A phone held upright has "right,up,back".
+        For "gyro": directions of the recording's axes, as of
+        :func:`motdiff.gyro.image_rates_rad_s`; taken as "right,down,forward", with a warning, when
+        omitted. A phone held upright has "right,up,back".
     codes : sequence of ShutterCode, optional
-        For "coded", and for "point" where the light was photographed through codes: of each photo, in order.
+        For "coded", and for "point" where the light was photographed through codes: of each photo,
+        in order.
     progress : callable, optional
-        Called with the finished share 0..1 of loading and estimating, and what is being done, by methods that take
-        long.
+        Called with the finished share 0..1 of loading and estimating, and what is being done, by
+        methods that take long.
 
     Raises
     ------
     ValueError
-        If the method is not known, or an option it needs is missing or one that is not its own is given.
+        If the method is not known, or an option it needs is missing or one that is not its own is
+        given.
     """
     check_options(
         method,
@@ -160,7 +165,9 @@ def make_estimator(
     ):
         from motdiff.estimators.gyro import GyroEstimator
 
-        return GyroEstimator(gyro, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s, axes=axes)
+        return GyroEstimator(
+            gyro, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s, axes=axes
+        )
     if method == "point" and codes is None:
         from motdiff.estimators.point import PointEstimator
 
@@ -189,7 +196,9 @@ def make_estimator(
     else:
         from motdiff.estimators.motdiff import MotDiffEstimator
 
-        made = MotDiffEstimator(samples=8 if samples is None else samples, seed=seed, progress=tell)
+        made = MotDiffEstimator(
+            samples=8 if samples is None else samples, seed=seed, progress=tell
+        )
     tell(0.0)
     return made
 
@@ -201,8 +210,8 @@ class Calibration(MotionEstimate):
     Attributes
     ----------
     photo : (H, W) or (H, W, 3) float, linear light 0..1
-        The first one where there are several, of those not left out. The other attributes are those of
-        :class:`motdiff.estimators.base.MotionEstimate`.
+        The first one where there are several, of those not left out. The other attributes are
+        those of :class:`motdiff.estimators.base.MotionEstimate`.
     """
 
     photo: FloatArray = field(kw_only=True, repr=False)
@@ -217,7 +226,9 @@ class Calibration(MotionEstimate):
         gamma: str | float = "srgb",
     ) -> dict[str, Path]:
         """Write the files of :data:`CALIBRATION_FILES`; see :func:`write_calibration`."""
-        return write_calibration(folder, self, self.photo, source=source, force=force, bits=bits, gamma=gamma)
+        return write_calibration(
+            folder, self, self.photo, source=source, force=force, bits=bits, gamma=gamma
+        )
 
     def _repr_png_(self) -> bytes:
         return png_bytes(trajectory_figure(self.photo, self.best))
@@ -250,21 +261,23 @@ def estimate_motion(
     Parameters
     ----------
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1; or a list or tuple of arrays
-        Several show one motion, of one scene or of different ones: with an open shutter they are searched together, for
-        "motdiff", "pmp" and estimators with a method ``estimate_from(photos)``.
+        Several show one motion, of one scene or of different ones: with an open shutter they are
+        searched together, for "motdiff", "pmp" and estimators with a method
+        ``estimate_from(photos)``.
     method : str or Estimator, optional
-        One of :data:`METHODS`; an estimator of your own, or its ``module:name``. "motdiff" when omitted, "coded" with
-        ``codes``.
+        One of :data:`METHODS`; an estimator of your own, or its ``module:name``. "motdiff" when
+        omitted, "coded" with ``codes``.
     samples, seed, sharp, gyro, focal_px, start_s, exposure_s, axes, progress
         As of :func:`make_estimator`.
     codes : sequence of ShutterCode, optional
-        The code of each photo, all open for an open shutter: the order in time of the motion is found as well. For
-        "coded", and for "point".
+        The code of each photo, all open for an open shutter: the order in time of the motion is
+        found as well. For "coded", and for "point".
 
     Raises
     ------
     ValueError
-        If the method or an option is not valid, the photo is too small or without texture, or the estimator refuses it.
+        If the method or an option is not valid, the photo is too small or without texture, or the
+        estimator refuses it.
 
     Examples
     --------
@@ -278,13 +291,21 @@ def estimate_motion(
     (16, 17, 'unknown')
     """
     options: dict[str, Any] = {
-        "samples": samples, "sharp": sharp, "gyro": gyro, "focal_px": focal_px, "start_s": start_s,
-        "exposure_s": exposure_s, "axes": axes, "codes": codes,
-    }  # fmt: skip
+        "samples": samples,
+        "sharp": sharp,
+        "gyro": gyro,
+        "focal_px": focal_px,
+        "start_s": start_s,
+        "exposure_s": exposure_s,
+        "axes": axes,
+        "codes": codes,
+    }
     if method is None:
         method = "motdiff" if codes is None else "coded"
     if codes is not None:
-        return _from_codes(photo, options, method=method, codes=codes, seed=seed, progress=progress)
+        return _from_codes(
+            photo, options, method=method, codes=codes, seed=seed, progress=progress
+        )
     photos = _photos(photo)
     if isinstance(method, str):
         check_options(method, options)
@@ -307,7 +328,9 @@ def estimate_motion(
         name = method if isinstance(method, str) else type(method).__name__
         return _calibration(as_estimate(estimator.estimate(pixels[0]), name), pixels[0])
     if not hasattr(estimator, "estimate_from"):
-        raise ValueError(f"method: {method} takes one photo, for it has no method estimate_from(photos)")
+        raise ValueError(
+            f"method: {method} takes one photo, for it has no method estimate_from(photos)"
+        )
     found: MotionEstimate = estimator.estimate_from(pixels)
     left_out = found.details.get("left_out", [])
     assert isinstance(left_out, list)
@@ -323,12 +346,18 @@ def check_several(method: str) -> None:
         If the method is one of :data:`METHODS` and not among those that search photos together.
     """
     if method in METHODS and method not in _TOGETHER:
-        raise ValueError(f"method: {method} takes one photo; several of one motion go with {' or '.join(_TOGETHER)}")
+        raise ValueError(
+            f"method: {method} takes one photo; several of one motion go with {' or '.join(_TOGETHER)}"
+        )
 
 
 def _photos(given: ArrayLike | Sequence[ArrayLike]) -> list[ArrayLike]:
     """List the photos of a list or tuple of arrays; anything else, as an image of nested numbers, is one."""
-    if isinstance(given, list | tuple) and given and all(isinstance(one, np.ndarray) and one.ndim > 1 for one in given):
+    if (
+        isinstance(given, list | tuple)
+        and given
+        and all(isinstance(one, np.ndarray) and one.ndim > 1 for one in given)
+    ):
         return [*given]
     return [np.asarray(given)]
 
@@ -347,20 +376,29 @@ def check_apart(photos: Sequence[ArrayLike]) -> None:
 
 
 def _calibration(found: MotionEstimate, photo: FloatArray) -> Calibration:
-    return Calibration(**{one.name: getattr(found, one.name) for one in fields(MotionEstimate)}, photo=photo)
+    return Calibration(
+        **{one.name: getattr(found, one.name) for one in fields(MotionEstimate)}, photo=photo
+    )
 
 
 def _from_codes(
-    photos: ArrayLike | Sequence[ArrayLike], options: dict[str, Any], *, method: str | Estimator,
-    codes: Sequence[ShutterCode], seed: int, progress: Callable[[float, str], None],
-) -> Calibration:  # fmt: skip
+    photos: ArrayLike | Sequence[ArrayLike],
+    options: dict[str, Any],
+    *,
+    method: str | Estimator,
+    codes: Sequence[ShutterCode],
+    seed: int,
+    progress: Callable[[float, str], None],
+) -> Calibration:
     if not isinstance(method, str):
         raise ValueError("codes: not valid with an estimator of your own")
     check_options(method, options)
     check_times(codes)
     given = list(photos) if isinstance(photos, Sequence) else [photos]
     if len(given) == 1 < len(codes) and np.ndim(given[0]) >= 3:
-        raise ValueError("photo: give the photos of several codes as a list or tuple, not as one array")
+        raise ValueError(
+            "photo: give the photos of several codes as a list or tuple, not as one array"
+        )
     check_codes([code.bits for code in codes], photos=len(given))
     check_photos(given, method)
     check_apart(given)
@@ -422,7 +460,8 @@ def check_photos(photos: Sequence[ArrayLike], method: str) -> None:
     Raises
     ------
     ValueError
-        Beginning with ``photo:``, where there are several with ``photo 2:``, what is wrong with it.
+        Beginning with ``photo:``, where there are several with ``photo 2:``, what is wrong with
+        it.
     """
     for i, photo in enumerate(photos, 1):
         try:
@@ -441,10 +480,19 @@ def check_texture(photo: ArrayLike) -> None:
         If the photo's values span less than two steps of 8 bit.
     """
     pixels = np.asarray(photo)
-    low, high = float(pixels.min()), float(pixels.max())
+    low = float(pixels.min())
+    high = float(pixels.max())
     if high - low < _LEAST_CONTRAST:
-        shade = "black" if high < _LEAST_CONTRAST else "white" if low > 1 - _LEAST_CONTRAST else "the same"
-        raise ValueError(f"the photo is {shade} all over: motion shows only where the scene has texture")
+        shade = (
+            "black"
+            if high < _LEAST_CONTRAST
+            else "white"
+            if low > 1 - _LEAST_CONTRAST
+            else "the same"
+        )
+        raise ValueError(
+            f"the photo is {shade} all over: motion shows only where the scene has texture"
+        )
 
 
 def write_calibration(
@@ -495,7 +543,9 @@ def write_calibration(
         if best.frame_size() <= PSF_PX:
             write_image(made / "map.png", best.hr_map(), gamma="linear")
         save(trajectory_figure(photo, best), made / "preview.png")
-        if "order_confidence" not in estimate.details:  # a photo through a code has a PSF of its own
+        if (
+            "order_confidence" not in estimate.details
+        ):  # a photo through a code has a PSF of its own
             restored = sharpen(photo, estimate)
             if not restored.kept:
                 write_image(made / "sharpened.png", restored.image, bits=bits, gamma=gamma)

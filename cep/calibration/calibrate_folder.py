@@ -7,25 +7,35 @@ from pathlib import Path
 from typing import Any
 
 from cep.calibration.calibrate import CALIBRATION_FILES, check_options, write_calibration
-from cep.jobs.folders import FolderResults, NotWrittenError, is_spelled, run_folder
 from cep.calibration.photo_cell import estimate_from_figures, estimate_photo, estimator_version
 from cep.files.images import PHOTO_SUFFIXES, parse_gamma, read_image, read_photo
 from cep.files.outputs import claim_folder
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.engine import Engine
+from cep.jobs.folders import FolderResults, NotWrittenError, is_spelled, run_folder
 from motdiff.estimators.base import MotionEstimate
-
-__all__ = ["calibrate_folder", "describe_motion", "photos_in", "sharp_of", "unreadable"]
-
 
 _SUMMARY = "motions.csv"
 _OF_THE_ESTIMATE = (
-    "psf_confidence", "path_confidence", "order_confidence", "path_uncertainty_px", "repeatability", "left_out",
-)  # fmt: skip
+    "psf_confidence",
+    "path_confidence",
+    "order_confidence",
+    "path_uncertainty_px",
+    "repeatability",
+    "left_out",
+)
 """Figures of some estimators alone."""
 _COLUMNS = (
-    "photo", "length_px", "extent_px", "direction", "confidence", "seconds", "method", "warnings", "failure",
-)  # fmt: skip
+    "photo",
+    "length_px",
+    "extent_px",
+    "direction",
+    "confidence",
+    "seconds",
+    "method",
+    "warnings",
+    "failure",
+)
 
 
 def calibrate_folder(
@@ -50,10 +60,11 @@ def calibrate_folder(
     folder : Path
         Photos.
     output : Path, optional
-        Folder to write into, with a folder for each photo, named like it, and ``motions.csv``; ``FOLDER_motion`` when
-        omitted.
+        Folder to write into, with a folder for each photo, named like it, and ``motions.csv``;
+        ``FOLDER_motion`` when omitted.
     method, samples, seed
-        As of :func:`cep.calibration.calibrate.make_estimator`; no "gyro", whose ``start_s`` is that of one photo.
+        As of :func:`cep.calibration.calibrate.make_estimator`; no "gyro", whose ``start_s`` is
+        that of one photo.
     sharp : Path, optional
         For "reference": a sharp photo, or a folder with one for each photo, by name.
     gamma : str
@@ -81,55 +92,85 @@ def calibrate_folder(
         If there are no photos, a file is in the way, or an option is not valid.
     """
     if method == "gyro":
-        raise ValueError("method gyro: start_s is the opening of one photo; give the photos of a folder one by one")
+        raise ValueError(
+            "method gyro: start_s is the opening of one photo; give the photos of a folder one by one"
+        )
     check_options(method, {"samples": samples, "sharp": sharp})
     parse_gamma(gamma)
     photos = photos_in(folder, but=sharp)
     sharps = {} if sharp is None else sharp_of(photos, sharp)
     if sharp is not None and not sharp.is_dir():
-        read_image(sharp, gamma=gamma, variable="x")  # what is wrong with it is wrong with every photo
-    named = folder if folder.name not in ("", "..") else folder.resolve()  # as "." has no name of its own
+        read_image(
+            sharp, gamma=gamma, variable="x"
+        )  # what is wrong with it is wrong with every photo
+    named = (
+        folder if folder.name not in ("", "..") else folder.resolve()
+    )  # as "." has no name of its own
     target = output or named.with_name(f"{named.name}_motion")
     claim_folder(target, [_SUMMARY], force=force)
     for photo in photos:
         claim_folder(target / photo.stem, CALIBRATION_FILES, force=force)
     by_label = {_label(photo): photo for photo in photos}
-    failures = {label: reason for label, photo in by_label.items() if (reason := unreadable(photo))}
+    failures = {
+        label: reason for label, photo in by_label.items() if (reason := unreadable(photo))
+    }
     version = estimator_version(method)
     cells = [
         Cell(
             (label,),
             estimate_photo,
             {
-                "photo": photo, "method": method, "samples": samples, "gamma": gamma, "seed": seed,
+                "photo": photo,
+                "method": method,
+                "samples": samples,
+                "gamma": gamma,
+                "seed": seed,
                 "sharp": sharps.get(photo),
             },
             version,
         )
         for label, photo in by_label.items()
         if label not in failures
-    ]  # fmt: skip
+    ]
 
     def write(label: str, figures: Mapping[str, Figure]) -> dict[str, Any]:
         """Write what was found in a photo as ``cep calibrate PHOTO`` does."""
         photo = by_label[label]
         try:
             read = read_photo(photo, gamma=gamma)
-        except (ValueError, OSError) as error:  # it was there when its motion was estimated, maybe hours ago
+        except (
+            ValueError,
+            OSError,
+        ) as error:  # it was there when its motion was estimated, maybe hours ago
             raise NotWrittenError(f"has changed since: {error}") from None
         found, warnings = estimate_from_figures(figures)
         source = {"image": str(photo), "seed": seed}
         bits = min(read.bits, 16)
         files = write_calibration(
-            target / photo.stem, found, read.pixels, source=source, force=force, bits=bits, gamma=gamma
+            target / photo.stem,
+            found,
+            read.pixels,
+            source=source,
+            force=force,
+            bits=bits,
+            gamma=gamma,
         )
         return describe_motion(found, files, seconds=figures["seconds"], warnings=warnings)
 
     return run_folder(
-        target, {label: target / photo.stem for label, photo in by_label.items()}, cells, noun="photos",
-        files=CALIBRATION_FILES, summary=_SUMMARY, columns=_COLUMNS, failures=failures, write=write,
-        engine=Engine.of(target, cache=cache, workers=workers, dask=dask), force=force, progress=progress,
-    )  # fmt: skip
+        target,
+        {label: target / photo.stem for label, photo in by_label.items()},
+        cells,
+        noun="photos",
+        files=CALIBRATION_FILES,
+        summary=_SUMMARY,
+        columns=_COLUMNS,
+        failures=failures,
+        write=write,
+        engine=Engine.of(target, cache=cache, workers=workers, dask=dask),
+        force=force,
+        progress=progress,
+    )
 
 
 def describe_motion(
@@ -187,14 +228,20 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
         if path.suffix.lower() in PHOTO_SUFFIXES
         and not path.name.startswith(".")
         and not (path.name.endswith("_psf.png") and path.with_suffix(".npy").is_file())
-        and (path.is_file() or not path.exists())  # a link that leads nowhere is told of, not passed over
+        and (
+            path.is_file() or not path.exists()
+        )  # a link that leads nowhere is told of, not passed over
         and not (but is not None and path.exists() and path.samefile(but))
     ]
     if not found:
-        raise ValueError(f"{root}: holds no photos (.png, .tif, .jpg, .webp or RAW files; subfolders are left alone)")
+        raise ValueError(
+            f"{root}: holds no photos (.png, .tif, .jpg, .webp or RAW files; subfolders are left alone)"
+        )
     by_stem: dict[str, Path] = {}
     for path in found:
-        other = by_stem.setdefault(path.stem.casefold(), path)  # some file systems do not tell A from a
+        other = by_stem.setdefault(
+            path.stem.casefold(), path
+        )  # some file systems do not tell A from a
         if other is not path:
             raise ValueError(
                 f"{root}: {other.name} and {path.name} would be written to one folder {path.stem}; rename one of them"

@@ -13,21 +13,23 @@ import numpy as np
 from cep.calibration.order_codes import search_order_codes
 from cep.calibration.order_separation import BLIND_ERROR, OrderSeparation, ordered_walks
 from cep.files.files import StoredCode, json_text, write_code
-from cep.files.outputs import new_folder, write_text
+from cep.files.outputs import new_folder
 from cep.optics.code import ShutterCode
 from cep.search.limits import Limits, RunLimits, check_feasible
 from cep.search.playable import within_device
 from hw.device import DeviceProfile, load_profile
 from hw.export import export_program, file_name
 from hw.program import Program
+from motdiff.files.outputs import write_text
 
-__all__ = ["SET_FILE", "SET_SCHEMA", "CalibrationSet", "Separation", "calibration_set", "set_files"]
-
-SET_FILE, SET_SCHEMA = "set.json", "cep.calibration-set/1"
+SET_FILE = "set.json"
+SET_SCHEMA = "cep.calibration-set/1"
 
 _LENGTH_PX = 60.0
-_DESIGN_WALKS, _TEST_WALKS = 64, 64
-_LEAST_CHIPS, _MOST_CHIPS = 4, 512  # the walks' slices take 0.6 MB a chip
+_DESIGN_WALKS = 64
+_TEST_WALKS = 64
+_LEAST_CHIPS = 4  # the walks' slices take 0.6 MB a chip
+_MOST_CHIPS = 512
 _MOST_PHOTOS = 8
 
 
@@ -45,12 +47,14 @@ class Separation:
     walks : int
     length_px : float, px
     resolved : int
-        Walks of which each other order, six at most, changes the photos by more than a blind search errs.
+        Walks of which each other order, six at most, changes the photos by more than a blind
+        search errs.
     median, worst_tenth : float
-        Over all other orders: energy of the change of the photos' PSFs over that of the open shutter's PSF.
+        Over all other orders: energy of the change of the photos' PSFs over that of the open
+        shutter's PSF.
     conditioning : float
-        Smallest rms MTF of the codes below :data:`cep.calibration.order_separation.BAND_CY_PX`; a tenth of the walks have
-        less.
+        Smallest rms MTF of the codes below :data:`cep.calibration.order_separation.BAND_CY_PX`; a
+        tenth of the walks have less.
     """
 
     walks: int
@@ -81,13 +85,15 @@ class CalibrationSet:
     def sources(self) -> tuple[str, ...]:
         """What each code is called: ``open``, or the name of its file."""
         return tuple(
-            "open" if code.open_chips == code.chips else f"code_{i}.json" for i, code in enumerate(self.codes, 1)
+            "open" if code.open_chips == code.chips else f"code_{i}.json"
+            for i, code in enumerate(self.codes, 1)
         )
 
     @property
     def summary(self) -> str:
         """What to do, how often it was enough, and what the set resolves."""
-        found, count = self.separation, len(self.codes)
+        found = self.separation
+        count = len(self.codes)
         steps = ", ".join(
             f"P{i} {'with the shutter open' if name == 'open' else f'through {name}'}"
             for i, name in enumerate(self.sources, 1)
@@ -98,7 +104,9 @@ class CalibrationSet:
         )
         right = _RIGHT.get(count)
         measured = (
-            "" if right is None else f" So many photos told the order of {right[0]} of {right[1]} simulated walks."
+            ""
+            if right is None
+            else f" So many photos told the order of {right[0]} of {right[1]} simulated walks."
         )
         return f"Take {count} {'photo' if count == 1 else 'photos'} of the motion, {steps}.{measured} {resolved}"
 
@@ -106,7 +114,8 @@ class CalibrationSet:
         """Return the command that finds the motion from the photos P1, P2, ..., with the set in ``folder``."""
         photos = " ".join(f"P{i}" for i in range(1, len(self.codes) + 1))
         codes = " ".join(
-            f"--code {name if name == 'open' else quote(str(Path(folder) / name))}" for name in self.sources
+            f"--code {name if name == 'open' else quote(str(Path(folder) / name))}"
+            for name in self.sources
         )
         return f"cep calibrate {photos} {codes} -o motion"
 
@@ -115,7 +124,13 @@ class CalibrationSet:
         return {
             "summary": self.summary,
             "photos": [
-                {"photo": f"P{i}", "code": name, "bits": code.bits, "open": code.open_chips, "pulses": code.pulses}
+                {
+                    "photo": f"P{i}",
+                    "code": name,
+                    "bits": code.bits,
+                    "open": code.open_chips,
+                    "pulses": code.pulses,
+                }
                 for i, (name, code) in enumerate(zip(self.sources, self.codes, strict=True), 1)
             ],
             "command": self.command(folder),
@@ -125,7 +140,9 @@ class CalibrationSet:
             "separation": self.separation,
         }
 
-    def save(self, folder: Path | str, *, file_format: str = "csv", force: bool = False) -> list[Path]:
+    def save(
+        self, folder: Path | str, *, file_format: str = "csv", force: bool = False
+    ) -> list[Path]:
         """Write ``set.json``, and each code as a ``code.json`` and as a timed program; all files or none.
 
         Parameters
@@ -145,11 +162,16 @@ class CalibrationSet:
             write_text(made / SET_FILE, json_text({"schema": SET_SCHEMA, **self.to_dict(folder)}))
             for i, code in enumerate(self.codes, 1):
                 device = None if self.device is None else self.device.to_dict()
-                about = {"calibration_set": [one.bits for one in self.codes], "photo": i, "device": device}
+                about = {
+                    "calibration_set": [one.bits for one in self.codes],
+                    "photo": i,
+                    "device": device,
+                }
                 write_code(made / f"code_{i}.json", StoredCode(code, problem=about))
                 program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
                 write_text(
-                    made / file_name(f"code_{i}", file_format), export_program(program, file_format, device=self.device)
+                    made / file_name(f"code_{i}", file_format),
+                    export_program(program, file_format, device=self.device),
                 )
         return [Path(folder) / name for name in names]
 
@@ -157,7 +179,11 @@ class CalibrationSet:
 def set_files(photos: int, file_format: str) -> tuple[str, ...]:
     """Names of the files of a set."""
     stems = [f"code_{i}" for i in range(1, photos + 1)]
-    return (SET_FILE, *(f"{stem}.json" for stem in stems), *(file_name(stem, file_format) for stem in stems))
+    return (
+        SET_FILE,
+        *(f"{stem}.json" for stem in stems),
+        *(file_name(stem, file_format) for stem in stems),
+    )
 
 
 def calibration_set(
@@ -203,7 +229,9 @@ def calibration_set(
     profile = load_profile(device) if isinstance(device, str) else device
     limits = Limits(chips, (1, chips))
     if profile is not None:
-        playable = within_device(profile, chips=chips, chip_ns=chip_ns, open_range=(1, chips), runs=RunLimits())
+        playable = within_device(
+            profile, chips=chips, chip_ns=chip_ns, open_range=(1, chips), runs=RunLimits()
+        )
         limits = Limits(chips, playable.open_range, playable.runs)
     check_feasible(limits)
     progress(0.0, "simulating walks")
@@ -213,7 +241,11 @@ def calibration_set(
     )
     progress(0.2, "searching codes")
     codes = search_order_codes(
-        limits, photos, measure=design, rng=rng, progress=lambda share: progress(0.2 + 0.7 * share, "searching codes")
+        limits,
+        photos,
+        measure=design,
+        rng=rng,
+        progress=lambda share: progress(0.2 + 0.7 * share, "searching codes"),
     )
     progress(0.9, "measuring")
     separations = np.sum([test.of(code) for code in codes], axis=0)

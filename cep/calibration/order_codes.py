@@ -14,13 +14,12 @@ from cep.codes.published import published
 from cep.optics.code import ShutterCode
 from cep.search.limits import Limits, RunLimits, feasible, nearest
 from cep.search.sampling import draw
-
-__all__ = ["gray_planes", "longest_unseen", "search_order_codes"]
+from motdiff.types import FloatArray
 
 Code = NDArray[np.int8]
-FloatArray = NDArray[np.float64]
 
-_DRAWN, _MOST_PULSES = 16, 8  # codes drawn for each limit on the openings, and the largest of these limits
+_DRAWN = 16  # codes drawn for each limit on the openings, and the largest of these limits
+_MOST_PULSES = 8
 _SWEEPS = 6
 _UNSEEN_PARTS = 8  # the motion may be unseen for one of so many parts of the exposure
 _GRAY_PLANES = (1, 2, 3, 4)
@@ -37,8 +36,9 @@ def search_order_codes(
 ) -> tuple[Code, ...]:
     """Search codes whose photos confuse orders of the fewest motions: the best of many codes, then edge by edge.
 
-    Two photos or more begin with the open shutter where the limits allow it: it fixes the path, of which only the order
-    is left to tell. At no time are all shutters closed for more than an eighth of the exposure, if it can be avoided.
+    Two photos or more begin with the open shutter where the limits allow it: it fixes the path, of
+    which only the order is left to tell. At no time are all shutters closed for more than an
+    eighth of the exposure, if it can be avoided.
 
     Parameters
     ----------
@@ -97,7 +97,8 @@ class _Search:
     """Scores of sets of codes within limits; what each code separates is computed once."""
 
     def __init__(self, limits: Limits, measure: OrderSeparation) -> None:
-        self._limits, self._measure = limits, measure
+        self._limits = limits
+        self._measure = measure
         self._separations: dict[bytes, FloatArray] = {}
 
     def separation(self, code: Code) -> FloatArray:
@@ -112,8 +113,11 @@ class _Search:
         excess = max(0, longest_unseen(np.stack(codes)) - max(1, chips // _UNSEEN_PARTS))
         if all(map(_is_own_mirror, codes)):
             excess += chips
-        # the worst order of each walk, but the mean over walks: a worst tenth fits the few walks of the design
-        least = self._measure.of_each_motion(np.sum([self.separation(code) for code in codes], axis=0))
+        # the worst order of each walk, but the mean over walks: a worst tenth fits the few walks
+        # of the design
+        least = self._measure.of_each_motion(
+            np.sum([self.separation(code) for code in codes], axis=0)
+        )
         confused = np.exp(-least / BLIND_ERROR)
         return -excess, -float(confused.mean())
 
@@ -130,7 +134,11 @@ class _Search:
                 moved = code.copy()
                 moved[first:end] = code[edge] if by < 0 else code[edge - 1]
                 made.append(moved)
-        return [one for one, kept in zip(made, self._limits.satisfied(np.stack(made)), strict=True) if kept]
+        return [
+            one
+            for one, kept in zip(made, self._limits.satisfied(np.stack(made)), strict=True)
+            if kept
+        ]
 
 
 def gray_planes(planes: int, chips: int) -> Code:
@@ -163,7 +171,9 @@ def _known(limits: Limits) -> list[Code]:
     texts = (*_DE_BRUIJN, published("raskar-52").code.bits)
     known = [plane for planes in _GRAY_PLANES for plane in gray_planes(planes, chips)]
     known += [_stretched(np.array(list(text), dtype=np.int8), chips) for text in texts]
-    ramp = np.diff(np.floor(0.5 * chips * np.linspace(0, 1, chips + 1) ** 2 + 0.5)) > 0  # open ever more often
+    ramp = (
+        np.diff(np.floor(0.5 * chips * np.linspace(0, 1, chips + 1) ** 2 + 0.5)) > 0
+    )  # open ever more often
     known.append(ramp.astype(np.int8))
     near = (nearest(limits, code) for plain in known for code in (plain, 1 - plain))
     return _without_repeats([code for code in near if code is not None])

@@ -9,11 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from motdiff.trajectory import Trajectory
-
-__all__ = ["BAND_CY_PX", "BLIND_ERROR", "OrderSeparation", "ordered_walks"]
+from motdiff.types import FloatArray
 
 ComplexArray = NDArray[np.complex64]
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
 BAND_CY_PX = 0.1
@@ -22,7 +20,8 @@ BAND_CY_PX = 0.1
 BLIND_ERROR = 0.02
 """Squared error of a blind search's kernel over the kernel's, in the band: docs/decisions/motion-estimation.md."""
 
-_STEPS = 12  # frequencies up to the band's end, 1 / 120 cycles/px apart: orders of a path may lie 120 px apart
+# frequencies up to the band's end, 1 / 120 cycles/px apart: orders of a path may lie 120 px apart
+_STEPS = 12
 _SHIFTS = 32  # of one PSF against another along each axis, before the best of them is refined
 _NEWTON_STEPS = 2
 _KNOTS = 53
@@ -36,7 +35,8 @@ class OrderSeparation:
     Parameters
     ----------
     motions : sequence of (N, K, 2) float, px
-        The path of each motion, then N - 1 other orders of it, N of at least 2: positions evenly spaced in time.
+        The path of each motion, then N - 1 other orders of it, N of at least 2: positions evenly
+        spaced in time.
     chips : int
 
     Examples
@@ -80,14 +80,18 @@ class OrderSeparation:
         Returns
         -------
         (P,) float
-            Energy of the difference between the two PSFs, both in the light that the code lets through and laid on
-            each other as they fit best, over the energy of the open shutter's PSF. That of several photos adds up.
+            Energy of the difference between the two PSFs, both in the light that the code lets
+            through and laid on each other as they fit best, over the energy of the open shutter's
+            PSF. That of several photos adds up.
         """
         otf = np.tensordot(self._slices, np.asarray(code, dtype=np.float32), (1, 0))
-        true, altered = otf[self._true[self._of_motion]], otf[self._altered]
+        true = otf[self._true[self._of_motion]]
+        altered = otf[self._altered]
         energy = self._power(true) + self._power(altered)
         alike = self._correlation(self._weights * true * altered.conj())
-        return np.asarray(np.maximum(energy - 2 * alike, 0) / self._energy[self._of_motion], dtype=np.float64)
+        return np.asarray(
+            np.maximum(energy - 2 * alike, 0) / self._energy[self._of_motion], dtype=np.float64
+        )
 
     def of_each_motion(self, separations: FloatArray) -> FloatArray:
         """Smallest separation of each motion (M,), from those of all altered orders (P,)."""
@@ -99,7 +103,9 @@ class OrderSeparation:
         """Smallest rms MTF of codes (I, n) within the band along each motion (M,), each code's 1 at zero frequency."""
         chips = np.asarray(codes, dtype=np.float32)
         shares = chips / chips.mean(axis=1, keepdims=True)
-        power = sum(np.abs(np.tensordot(self._slices[self._true], share, (1, 0))) ** 2 for share in shares)
+        power = sum(
+            np.abs(np.tensordot(self._slices[self._true], share, (1, 0))) ** 2 for share in shares
+        )
         return np.asarray(np.sqrt(power / len(chips)).min(axis=1), dtype=np.float64)
 
     def _power(self, otf: ComplexArray) -> FloatArray:
@@ -111,7 +117,8 @@ class OrderSeparation:
         down, right = self._at.T
         grid[:, down % _SHIFTS, right] = cross
         tried = fft.ifft2(grid, norm="forward").real.reshape(len(cross), -1)
-        best, largest = tried.argmax(axis=1), tried.max(axis=1).astype(np.float64)
+        best = tried.argmax(axis=1)
+        largest = tried.max(axis=1).astype(np.float64)
         shift = np.stack(np.divmod(best, _SHIFTS), axis=1) * (2 * np.pi / _SHIFTS)
         at = self._at.astype(np.float32)
         products = (at[:, :, None] * at[:, None]).reshape(len(at), 4)
@@ -124,7 +131,9 @@ class OrderSeparation:
         return np.asarray(largest, dtype=np.float64)
 
 
-def ordered_walks(count: int, *, length_px: float = 60.0, rng: np.random.Generator) -> list[FloatArray]:
+def ordered_walks(
+    count: int, *, length_px: float = 60.0, rng: np.random.Generator
+) -> list[FloatArray]:
     """Draw random walks with other orders that an open shutter cannot tell from them.
 
     Parameters
@@ -136,7 +145,8 @@ def ordered_walks(count: int, *, length_px: float = 60.0, rng: np.random.Generat
     Returns
     -------
     list of (N, 53, 2) float, px
-        Path, the path backwards, and up to five others, those with loops reversed that differ by 2 px rms or more.
+        Path, the path backwards, and up to five others, those with loops reversed that differ by 2
+        px rms or more.
     """
     from motdiff.estimators.coded.starts import orders
     from motdiff.motions import boracchi_foi

@@ -21,8 +21,6 @@ from motdiff.estimators.base import MotionEstimate
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
 
-__all__ = ["estimate_from_figures", "estimate_photo", "estimator_version"]
-
 _WITH_TORCH = ("motdiff", "pmp")
 
 
@@ -50,7 +48,8 @@ def estimate_photo(
     Returns
     -------
     dict
-        ``estimate`` and ``warnings`` of the file, as texts for :func:`estimate_from_figures`, and ``seconds``.
+        ``estimate`` and ``warnings`` of the file, as texts for :func:`estimate_from_figures`, and
+        ``seconds``.
 
     Raises
     ------
@@ -63,7 +62,9 @@ def estimate_photo(
         began_s = time.perf_counter()
         # as many as there are workers run at once, and sums must not depend on how many do
         with one_thread() if method in _WITH_TORCH else nullcontext():
-            found = estimate_motion(read.pixels, method=method, samples=samples, seed=seed, sharp=sharp_pixels)
+            found = estimate_motion(
+                read.pixels, method=method, samples=samples, seed=seed, sharp=sharp_pixels
+            )
     except ValueError as error:
         raise ValueError(str(error).removeprefix(f"{photo}: ")) from None
     seconds = time.perf_counter() - began_s
@@ -74,13 +75,24 @@ def estimate_photo(
 def estimate_from_figures(figures: Mapping[str, Figure]) -> tuple[MotionEstimate, list[str]]:
     """Return the estimate as it was, to the last bit, and the warnings about it and its photo."""
     stored: dict[str, Any] = json.loads(str(figures["estimate"]))
-    paths = tuple(Trajectory(path["t"], np.array(path["xy"]), path["direction"]) for path in stored.pop("trajectories"))
-    psf = np.frombuffer(base64.b64decode(stored["psf"]["data"]), dtype="<f8").reshape(stored["psf"]["shape"])
+    paths = tuple(
+        Trajectory(path["t"], np.array(path["xy"]), path["direction"])
+        for path in stored.pop("trajectories")
+    )
+    psf = np.frombuffer(base64.b64decode(stored["psf"]["data"]), dtype="<f8").reshape(
+        stored["psf"]["shape"]
+    )
     warnings = json.loads(str(figures["warnings"]))
     found = MotionEstimate(
-        stored["method"], paths, tuple(stored["weights"]), psf, stored["confidence"], tuple(stored["warnings"]),
-        stored["details"], tuple(stored["psf_warnings"]),
-    )  # fmt: skip
+        stored["method"],
+        paths,
+        tuple(stored["weights"]),
+        psf,
+        stored["confidence"],
+        tuple(stored["warnings"]),
+        stored["details"],
+        tuple(stored["psf_warnings"]),
+    )
     return found, warnings
 
 
@@ -94,7 +106,9 @@ def estimator_version(method: str) -> str:
     named = f"motdiff.estimators.{method}" if method in METHODS else method.partition(":")[0]
     followed = [named, "motdiff.simulate"]
     decoding = ["cep.files.images", "motdiff.files.decoding"]
-    return source_version(followed, alone=[__name__, "cep.calibration.calibrate", *decoding], files=files)
+    return source_version(
+        followed, alone=[__name__, "cep.calibration.calibrate", *decoding], files=files
+    )
 
 
 def _text_of(found: MotionEstimate) -> str:

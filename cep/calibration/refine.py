@@ -25,8 +25,6 @@ from motdiff.trajectory import Trajectory
 if TYPE_CHECKING:
     from motdiff.estimators.coded.refine import RefinedPath
 
-__all__ = ["USUAL_UNCERTAINTY_PX", "Refinement", "refine_motion"]
-
 USUAL_UNCERTAINTY_PX = 1.0
 """Error of a calibration, rms over time, where none is stated."""
 _FITTED = 0.9  # of the time
@@ -41,19 +39,22 @@ class Refinement:
     Attributes
     ----------
     trajectory : Trajectory
-        The refined path, or the given one where that explains the photos as well; in the order in time that two or
-        more photos of one scene show. Where no path near the given one explains them, that one as it is.
+        The refined path, or the given one where that explains the photos as well; in the order in
+        time that two or more photos of one scene show. Where no path near the given one explains
+        them, that one as it is.
     kept : {"refined", "given"}
     confidence : float or None
-        Probability that the refined path is the better one, where only the photos' kernels could be compared; None for
-        photos of one scene, whose misfit decides.
+        Probability that the refined path is the better one, where only the photos' kernels could
+        be compared; None for photos of one scene, whose misfit decides.
     uncertainty_px : float
         Expected error of ``trajectory``, rms over time.
     moved_px : float
-        Rms distance of the refined path from the given one in the order found; 0 where that is kept.
+        Rms distance of the refined path from the given one in the order found; 0 where that is
+        kept.
     given_misfit, misfit : float or None
-        Of photos of one scene along the given path, in the order in time that fits best, and along the path kept:
-        multiples of what noise leaves; None where only the photos' kernels could be compared.
+        Of photos of one scene along the given path, in the order in time that fits best, and along
+        the path kept: multiples of what noise leaves; None where only the photos' kernels could be
+        compared.
     warnings : tuple of str
     seconds : float
     """
@@ -80,8 +81,9 @@ def refine_motion(
 ) -> Refinement:
     """Improve a path by photos that were taken of its motion through known codes.
 
-    Two or more photos of one scene tell the order in time as well. The refined path is kept only if it explains the
-    photos better than the given one by more than noise does, and leaves little of them unexplained.
+    Two or more photos of one scene tell the order in time as well. The refined path is kept only
+    if it explains the photos better than the given one by more than noise does, and leaves little
+    of them unexplained.
 
     Parameters
     ----------
@@ -92,15 +94,16 @@ def refine_motion(
     uncertainty_px : float
         Expected error of the given path, rms over time.
     kernels : Estimator, optional
-        What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when omitted.
+        What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when
+        omitted.
     progress : callable, optional
         Called with the finished share 0..1, and what is being done.
 
     Raises
     ------
     ValueError
-        If codes and photos do not fit each other, the codes' chips last differently, a photo cannot be searched or is
-        given twice, or the uncertainty is not above 0.
+        If codes and photos do not fit each other, the codes' chips last differently, a photo
+        cannot be searched or is given twice, or the uncertainty is not above 0.
 
     Examples
     --------
@@ -130,17 +133,24 @@ def refine_motion(
 
     paths = [trajectory] if trajectory.direction == "known" else orders_in_time(trajectory)
     refiner = PathRefiner(
-        [code.bits for code in codes], deviation_px=uncertainty_px, kernels=kernels,
+        [code.bits for code in codes],
+        deviation_px=uncertainty_px,
+        kernels=kernels,
         progress=lambda share: progress(0.03 + (_FITTED - 0.03) * share, "fitting the path"),
-    )  # fmt: skip
+    )
     found = refiner.refine(paths, given)
     progress(_FITTED, "comparing the paths")
-    best, confidence = found[0], None
+    best = found[0]
+    confidence = None
     is_unexplained = bool(best.misfit > UNEXPLAINED)  # NaN where only kernels are compared
     if best.values:
-        is_better = not is_unexplained and (best.given_misfit - best.misfit) * best.values > NOISE_GAIN
+        is_better = (
+            not is_unexplained and (best.given_misfit - best.misfit) * best.values > NOISE_GAIN
+        )
     else:
-        best, confidence = _best_by_test(given, codes, _likeliest_order(given, codes, trajectory), found)
+        best, confidence = _best_by_test(
+            given, codes, _likeliest_order(given, codes, trajectory), found
+        )
         is_better = confidence > _SURE
     kept = best.trajectory if is_better else best.given if best.values else trajectory
     warnings = []
@@ -166,7 +176,9 @@ def refine_motion(
     )
 
 
-def _likeliest_order(photos: Sequence[ArrayLike], codes: Sequence[ShutterCode], trajectory: Trajectory) -> Trajectory:
+def _likeliest_order(
+    photos: Sequence[ArrayLike], codes: Sequence[ShutterCode], trajectory: Trajectory
+) -> Trajectory:
     """Return the order in time that the first photo whose code tells both directions apart shows."""
     if trajectory.direction == "known":
         return trajectory
@@ -177,7 +189,10 @@ def _likeliest_order(photos: Sequence[ArrayLike], codes: Sequence[ShutterCode], 
 
 
 def _best_by_test(
-    photos: Sequence[ArrayLike], codes: Sequence[ShutterCode], baseline: Trajectory, found: Sequence[RefinedPath]
+    photos: Sequence[ArrayLike],
+    codes: Sequence[ShutterCode],
+    baseline: Trajectory,
+    found: Sequence[RefinedPath],
 ) -> tuple[RefinedPath, float]:
     """Return the refined path that the photos prefer, and the probability that it is better than the baseline."""
 
@@ -201,6 +216,7 @@ def _stands_alone(found: Sequence[RefinedPath], *, least_gain: float) -> bool:
     """Whether no path of another order explains the photos nearly as well as the best one."""
     best = found[0]
     return all(
-        other.cost - best.cost > least_gain or timed_distance_px(other.trajectory, best.trajectory) < _SAME_PX
+        other.cost - best.cost > least_gain
+        or timed_distance_px(other.trajectory, best.trajectory) < _SAME_PX
         for other in found[1:]
     )

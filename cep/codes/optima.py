@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["OPTIMA", "ProvenCode"]
-
 
 class ProvenCode(NamedTuple):
     """The code with the largest minimum of |P| among all codes of a range of lengths and open chips.
@@ -81,10 +79,17 @@ _IN_BLOCKS = 42  # chips from which each number has a proof of its own
 
 OPTIMA = (
     *(
-        ProvenCode(bits, chips, 1, chips, f"docs/proofs/{chips}.jsonl" if chips >= _IN_BLOCKS else _TABLE)
+        ProvenCode(
+            bits, chips, 1, chips, f"docs/proofs/{chips}.jsonl" if chips >= _IN_BLOCKS else _TABLE
+        )
         for bits, chips in _ANY_LIGHT
     ),
-    *(ProvenCode(bits, _MOST_BY_OPEN_CHIPS, bits.count("1"), bits.count("1"), _TABLE) for bits in _BY_OPEN_CHIPS),
-    ProvenCode("1110110001101111010111101000101000011010011010001", 52, 26, 26, "docs/proofs/52-26.jsonl"),
+    *(
+        ProvenCode(bits, _MOST_BY_OPEN_CHIPS, bits.count("1"), bits.count("1"), _TABLE)
+        for bits in _BY_OPEN_CHIPS
+    ),
+    ProvenCode(
+        "1110110001101111010111101000101000011010011010001", 52, 26, 26, "docs/proofs/52-26.jsonl"
+    ),
 )
 """Of any number of open chips, shortest first; of three to 28 open chips; and of 26 open chips of 52."""

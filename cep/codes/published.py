@@ -13,21 +13,6 @@ from cep.files.works import work
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
 
-__all__ = [
-    "CLAIMS",
-    "DCE_CODE",
-    "PUBLISHED",
-    "PublishedCode",
-    "best_for",
-    "best_rotation",
-    "for_chips",
-    "legendre",
-    "m_sequence",
-    "names",
-    "published",
-    "published_works",
-]
-
 _BITS = {
     "raskar-52": (("raskar2006",), "", "1010000111000001010000110011110111010111001001100111"),
     "merl-32-t64": (("merl2010", "zhang2023dce"), "", "11110001110011010100010010001101"),
@@ -36,8 +21,16 @@ _BITS = {
     "merl-31-t93": (("merl2010",), "", "1100110011100011101011011111111"),
     "merl-32-t96": (("merl2010",), "", "10011001000101011110011101001001"),
     "merl-50-t850": (("merl2010",), "", "11001111001111001100100001000011111100101000101001"),
-    "merl-64-t128": (("merl2010",), "", "1010100111010100010101010100100100111001110011100010011000111101"),
-    "merl-64-t192": (("merl2010",), "", "1001011010001111100001100111100110010100010010101100101010101101"),
+    "merl-64-t128": (
+        ("merl2010",),
+        "",
+        "1010100111010100010101010100100100111001110011100010011000111101",
+    ),
+    "merl-64-t192": (
+        ("merl2010",),
+        "",
+        "1001011010001111100001100111100110010100010010101100101010101101",
+    ),
     "barker-13": (("barker1953",), "signs mapped to 0 and 1", "1111100110101"),
 }
 """Works, a note, and bits; the second work of merl-32-t64 starts its training from this code."""
@@ -57,7 +50,8 @@ CLAIMS: Mapping[str, tuple[int, float]] = MappingProxyType(
 DCE_CODE = ShutterCode("11000001010011111111010010001100")
 """One code for all motions, learned with a restoration network after Zhang et al., DCE, Photonics Research 2023.
 
-The paper publishes no code: this one comes from our training (``lab/trainings/dce``) and is no entry of the registry.
+The paper publishes no code: this one comes from our training (``lab/trainings/dce``) and is no
+entry of the registry.
 """
 
 # hex digits, most significant bit = first chip; the last n bits count
@@ -110,7 +104,9 @@ class PublishedCode:
     @property
     def source(self) -> str:
         """Its works in short, and the note."""
-        return "; ".join([*(work(key).short for key in self.works), *([self.note] if self.note else [])])
+        return "; ".join(
+            [*(work(key).short for key in self.works), *([self.note] if self.note else [])]
+        )
 
 
 def names() -> tuple[str, ...]:
@@ -138,7 +134,9 @@ def published_works(name: str) -> tuple[str, ...]:
 
 def for_chips(chips: int) -> tuple[PublishedCode, ...]:
     """All codes of ``chips`` chips."""
-    return tuple(_rotated(name) for name, entry in _registry().items() if entry.code.chips == chips)
+    return tuple(
+        _rotated(name) for name, entry in _registry().items() if entry.code.chips == chips
+    )
 
 
 def best_for(chips: int) -> PublishedCode | None:
@@ -149,7 +147,9 @@ def best_for(chips: int) -> PublishedCode | None:
 def m_sequence(chips: int) -> ShutterCode:
     """Maximum-length sequence from a shift register that starts all ones; 15, 31, 63 or 127 chips."""
     if chips not in _TAPS:
-        raise ValueError(f"chips: m-sequences of 15, 31, 63 or 127 chips are known here, got {chips}")
+        raise ValueError(
+            f"chips: m-sequences of 15, 31, 63 or 127 chips are known here, got {chips}"
+        )
     first, second = _TAPS[chips]
     register = [1] * first
     bits = []
@@ -169,7 +169,9 @@ def legendre(prime: int) -> ShutterCode:
 
 def best_rotation(code: ShutterCode) -> ShutterCode:
     """Rotation with the largest minimum on the circle: one exposure is not periodic, so rotations differ."""
-    rotations = [ShutterCode(code.bits[i:] + code.bits[:i], code.chip_ns) for i in range(code.chips)]
+    rotations = [
+        ShutterCode(code.bits[i:] + code.bits[:i], code.chip_ns) for i in range(code.chips)
+    ]
     values = np.array([min_chip(rotation) for rotation in rotations])
     # values of rotations that are mirror images agree only up to rounding
     return rotations[int(np.flatnonzero(values >= values.max() * (1 - 1e-9))[0])]
@@ -178,15 +180,26 @@ def best_rotation(code: ShutterCode) -> ShutterCode:
 @cache
 def _registry() -> Mapping[str, PublishedCode]:
     """All codes by name; periodic sequences as they are defined."""
-    entries = [PublishedCode(name, ShutterCode(bits), keys, note) for name, (keys, note, bits) in _BITS.items()]
+    entries = [
+        PublishedCode(name, ShutterCode(bits), keys, note)
+        for name, (keys, note, bits) in _BITS.items()
+    ]
     for n, digits in _JEON_HEX.items():
         bits = f"{int(digits, 16):0{4 * len(digits)}b}"[-n:]
         entries.append(PublishedCode(f"jeon-{n}", ShutterCode(bits), ("jeon2013",)))
     for n in _TAPS:
-        entries.append(PublishedCode(f"m-sequence-{n}", m_sequence(n), ("golomb1967",), periodic=True))
+        entries.append(
+            PublishedCode(f"m-sequence-{n}", m_sequence(n), ("golomb1967",), periodic=True)
+        )
     for prime in _PRIMES:
         entries.append(
-            PublishedCode(f"legendre-{prime}", legendre(prime), ("gottesman1989",), "Legendre sequence", periodic=True)
+            PublishedCode(
+                f"legendre-{prime}",
+                legendre(prime),
+                ("gottesman1989",),
+                "Legendre sequence",
+                periodic=True,
+            )
         )
     entries.sort(key=lambda entry: (entry.code.chips, entry.name))
     return MappingProxyType({entry.name: entry for entry in entries})

@@ -12,8 +12,6 @@ from cep.files.files import StoredCode, read_code
 from cep.optics.code import ShutterCode
 from motdiff.files.plugins import is_reference, load_object
 
-__all__ = ["code_file", "code_label", "find_code", "load_code", "load_codes", "stated_chip_ns"]
-
 
 def load_code(source: str, *, chip_ns: int | None = None) -> ShutterCode:
     """Return a code by its bits, file or name: :func:`find_code` without what the file says of it.
@@ -29,7 +27,8 @@ def load_code(source: str, *, chip_ns: int | None = None) -> ShutterCode:
 def load_codes(sources: Sequence[str]) -> tuple[ShutterCode, ...]:
     """Return the codes of several photos of one motion; ``open`` has the chips of the others.
 
-    Bits and published names say nothing of time: their chips last as long as those of the first code that does.
+    Bits and published names say nothing of time: their chips last as long as those of the first
+    code that does.
 
     Examples
     --------
@@ -39,11 +38,16 @@ def load_codes(sources: Sequence[str]) -> tuple[ShutterCode, ...]:
     known = [None if source == "open" else load_code(source) for source in sources]
     chips = next((code.chips for code in known if code is not None), 1)
     stated = [
-        None if code is None else stated_chip_ns(source, code) for source, code in zip(sources, known, strict=True)
+        None if code is None else stated_chip_ns(source, code)
+        for source, code in zip(sources, known, strict=True)
     ]
-    chip_ns = next((time_ns for time_ns in stated if time_ns is not None), ShutterCode("1").chip_ns)
+    chip_ns = next(
+        (time_ns for time_ns in stated if time_ns is not None), ShutterCode("1").chip_ns
+    )
     return tuple(
-        code if code is not None and time_ns is not None else ShutterCode(code.bits if code else "1" * chips, chip_ns)
+        code
+        if code is not None and time_ns is not None
+        else ShutterCode(code.bits if code else "1" * chips, chip_ns)
         for code, time_ns in zip(known, stated, strict=True)
     )
 
@@ -59,8 +63,9 @@ def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
     Parameters
     ----------
     source : str
-        Bits as ``1011``; a ``code.json``; the name of a published code as ``raskar-52``; or ``module:name``, a
-        :class:`ShutterCode`, bits, or a function without arguments that returns either.
+        Bits as ``1011``; a ``code.json``; the name of a published code as ``raskar-52``; or
+        ``module:name``, a :class:`ShutterCode`, bits, or a function without arguments that returns
+        either.
     chip_ns : int, optional
         Chip time, ns, instead of the code's own.
 
@@ -86,13 +91,16 @@ def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
                 f"{source[:40]!r} is no code: give bits as 1011, a code.json file, a published code's name as "
                 "raskar-52, or module:name"
             ) from None
-    return stored if chip_ns is None else replace(stored, code=ShutterCode(stored.code.bits, chip_ns))
+    return (
+        stored if chip_ns is None else replace(stored, code=ShutterCode(stored.code.bits, chip_ns))
+    )
 
 
 def code_file(source: str) -> Path | None:
     """Return the file that a code is read from; None where its bits or a name are given.
 
-    Bits are bits however many there are: a file name ends at some 255 characters, and asking for a longer one fails.
+    Bits are bits however many there are: a file name ends at some 255 characters, and asking for a
+    longer one fails.
     """
     if not set(source) - set("01"):
         return None

@@ -15,17 +15,19 @@ from cep.commands.console import finish, part, photo_named, progress
 from cep.commands.jobs import Cache, Dask, Workers, finish_folder, only_of_folders
 from cep.commands.options import Force, Gamma, Json, Seed, TableFile, output_option, table_files
 
-__all__ = ["calibrate"]
-
-
 _ESTIMATE = {
-    "motdiff": (0.07, 0.88), "pmp": (0.07, 0.88), "reference": (0.2, 0.7), "point": (0.35, 0.55), "gyro": (0.45, 0.5),
-}  # fmt: skip
+    "motdiff": (0.07, 0.88),
+    "pmp": (0.07, 0.88),
+    "reference": (0.2, 0.7),
+    "point": (0.35, 0.55),
+    "gyro": (0.45, 0.5),
+}
 """Where in the time of the command a photo's estimate begins and ends; the preview takes most of the rest."""
 _OWN_ESTIMATE = (0.2, 0.8)
 _SEVERAL_END = 0.96
 
-_WITH_GYRO, _WITH_MOTDIFF = "With --method gyro", "With --method motdiff"
+_WITH_GYRO = "With --method gyro"
+_WITH_MOTDIFF = "With --method motdiff"
 
 
 def calibrate(
@@ -38,7 +40,8 @@ def calibrate(
         ),
     ],
     output: Annotated[
-        Path | None, output_option("Folder to write into; IMAGE_motion when omitted.", metavar="FOLDER")
+        Path | None,
+        output_option("Folder to write into; IMAGE_motion when omitted.", metavar="FOLDER"),
     ] = None,
     code: Annotated[
         list[str] | None,
@@ -72,12 +75,17 @@ def calibrate(
     gyro: Annotated[
         Path | None,
         typer.Option(
-            "--gyro", metavar="FILE", help="Table of time and three rates (rad/s); needed.", rich_help_panel=_WITH_GYRO
+            "--gyro",
+            metavar="FILE",
+            help="Table of time and three rates (rad/s); needed.",
+            rich_help_panel=_WITH_GYRO,
         ),
     ] = None,
     focal: Annotated[
         float | None,
-        typer.Option("--focal", metavar="PX", help="Focal length, px; needed.", rich_help_panel=_WITH_GYRO),
+        typer.Option(
+            "--focal", metavar="PX", help="Focal length, px; needed.", rich_help_panel=_WITH_GYRO
+        ),
     ] = None,
     start: Annotated[
         float | None,
@@ -139,13 +147,15 @@ def calibrate(
 ) -> None:
     """Estimate the motion in one blurred photo, in each photo of a folder, or in several photos of one motion.
 
-    A photo with an open shutter shows the path, but neither its order nor its direction in time. Several, of any
-    scenes, show it more surely: motdiff and pmp search them together, and say how repeatable the motion is.
-    Photos of the same motion through known codes (one may be open; cep calibration-set designs them) show its order.
+    A photo with an open shutter shows the path, but neither its order nor its direction in time.
+    Several, of any scenes, show it more surely: motdiff and pmp search them together, and say how
+    repeatable the motion is. Photos of the same motion through known codes (one may be open; cep
+    calibration-set designs them) show its order.
 
-    Writes trajectory.json, psf.npy, psf.mat, psf.png, map.png, preview.png and sharpened.png, the photo restored; of a
-    folder, into a folder for each photo, named like it, and motions.csv. Finished photos are kept: stopped by Ctrl-C,
-    the same command with --force goes on; of a photo that fails now, --force removes earlier files.
+    Writes trajectory.json, psf.npy, psf.mat, psf.png, map.png, preview.png and sharpened.png, the
+    photo restored; of a folder, into a folder for each photo, named like it, and motions.csv.
+    Finished photos are kept: stopped by Ctrl-C, the same command with --force goes on; of a photo
+    that fails now, --force removes earlier files.
 
     Example: cep calibrate blurred.jpg -o motion
 
@@ -160,19 +170,38 @@ def calibrate(
     method = method or ("coded" if code else "motdiff")
     exposure_s = exposure_seconds(exposure)
     options = {
-        "samples": samples, "sharp": sharp, "gyro": gyro, "focal_px": focal,
-        "start_s": start, "exposure_s": exposure_s, "axes": gyro_axes, "rate_unit": gyro_unit, "codes": code,
-    }  # fmt: skip
+        "samples": samples,
+        "sharp": sharp,
+        "gyro": gyro,
+        "focal_px": focal,
+        "start_s": start,
+        "exposure_s": exposure_s,
+        "axes": gyro_axes,
+        "rate_unit": gyro_unit,
+        "codes": code,
+    }
     image = images[0]
     if len(images) > 1 and not code and any(one.is_dir() for one in images):
-        raise ValueError("IMAGE: several are photos of one motion; give the photos, or one folder alone")
+        raise ValueError(
+            "IMAGE: several are photos of one motion; give the photos, or one folder alone"
+        )
     if code and any(one.is_dir() for one in images):
         raise ValueError("--code: is for photos of one motion; give the photos, not a folder")
     if image.is_dir():
         _calibrate_folder(
-            image, method, options, gamma=gamma, seed=seed, workers=workers, dask=dask, cache=cache, output=output,
-            tables=tables, force=force, as_json=as_json,
-        )  # fmt: skip
+            image,
+            method,
+            options,
+            gamma=gamma,
+            seed=seed,
+            workers=workers,
+            dask=dask,
+            cache=cache,
+            output=output,
+            tables=tables,
+            force=force,
+            as_json=as_json,
+        )
         return
     only_of_folders("cep calibrate FOLDER", workers, dask, cache)
     if tables is not None:
@@ -230,7 +259,9 @@ def calibrate(
                 progress=part(tick, begins, ends),
             )
         except ValueError as error:
-            if str(error).partition(": ")[0] in options:  # it is an option that is wrong, not the photo
+            if (
+                str(error).partition(": ")[0] in options
+            ):  # it is an option that is wrong, not the photo
                 raise
             if len(images) > 1:
                 raise ValueError(photo_named(str(error), images)) from None
@@ -243,12 +274,17 @@ def calibrate(
         if codes is not None:
             source |= {"codes": [one.bits for one in codes]}
         with summary_on_failure(trajectory_text(found.best)):
-            files = found.save(folder, source=source, force=force, bits=min(photos[0].bits, 16), gamma=gamma)
+            files = found.save(
+                folder, source=source, force=force, bits=min(photos[0].bits, 16), gamma=gamma
+            )
         tick(1.0)
     motion = found.best
     warnings = [in_options(line, context) for line in found.warnings]
     result = describe_motion(
-        found, files, seconds=seconds, warnings=[*(line for one in photos for line in one.warnings), *warnings]
+        found,
+        files,
+        seconds=seconds,
+        warnings=[*(line for one in photos for line in one.warnings), *warnings],
     )
     sure = f"direction {motion.direction}; confidence {found.confidence:.2f}"
     still = found.details.get("motion_blur", True) is False
@@ -271,12 +307,15 @@ def _repeatability(length_px: float, details: Mapping[str, Any]) -> list[str]:
     """Say how alike several photos of one motion show it; nothing of one photo."""
     if "seen_in" not in details:
         return []
-    seen, photos = details["seen_in"], details["photos"]
+    seen = details["seen_in"]
+    photos = details["photos"]
     if seen < 2:
         alone = f"no two of {photos} photos alone show it alike"
         return [f"One motion of {length_px:.0f} px; {alone}: whether it repeats is not known."]
     squares = sum(distance**2 for distance in details["repeatability_px"] if distance is not None)
-    apart_px = (squares / (seen - 1)) ** 0.5  # one of the paths may be the one that they are compared with
+    apart_px = (
+        squares / (seen - 1)
+    ) ** 0.5  # one of the paths may be the one that they are compared with
     return [
         f"One motion of {length_px:.0f} px, seen alike in {seen} of {photos} photos: their paths differ by "
         f"{apart_px:.2g} px."
@@ -317,11 +356,27 @@ def _calibrate_folder(
         check_options(method, options)
         outputs = claim(table_files(tables), force=force)
         found = calibrate_folder(
-            folder, output, method=method, samples=options["samples"], sharp=options["sharp"], gamma=gamma, seed=seed,
-            cache=cache, workers=workers, dask=dask, force=force, progress=tick,
-        )  # fmt: skip
+            folder,
+            output,
+            method=method,
+            samples=options["samples"],
+            sharp=options["sharp"],
+            gamma=gamma,
+            seed=seed,
+            cache=cache,
+            workers=workers,
+            dask=dask,
+            force=force,
+            progress=tick,
+        )
     finish_folder(
-        {"folder": found.folder, "summary": found.summary, "method": method, "photos": found.found, "seed": seed},
+        {
+            "folder": found.folder,
+            "summary": found.summary,
+            "method": method,
+            "photos": found.found,
+            "seed": seed,
+        },
         _COLUMNS,
         found,
         title="the motion in each photo",

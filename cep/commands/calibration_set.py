@@ -17,20 +17,26 @@ if TYPE_CHECKING:
 
     from cep.calibration.calibration_set import CalibrationSet
 
-__all__ = ["calibration_set"]
-
 
 def calibration_set(
     photos: Annotated[
-        int, typer.Option("--photos", metavar="N", min=1, max=8, help="Photos to be taken of the motion.")
+        int,
+        typer.Option(
+            "--photos", metavar="N", min=1, max=8, help="Photos to be taken of the motion."
+        ),
     ] = 4,
     chips: Annotated[int, chips_option(least=4)] = 52,
     chip_ns: ChipTime = 1_000_000,
     device: Device = None,
     file_format: Annotated[
-        str, typer.Option("--format", "-f", metavar="NAME", help="Of the timed programs, as of cep export.")
+        str,
+        typer.Option(
+            "--format", "-f", metavar="NAME", help="Of the timed programs, as of cep export."
+        ),
     ] = "csv",
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("calibration_set"),
+    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
+        "calibration_set"
+    ),
     tables: TableFile = None,
     force: Force = False,
     seed: Seed = 0,
@@ -38,16 +44,19 @@ def calibration_set(
 ) -> None:
     """Design the codes of photos of one motion that tell its order in time, which one open photo cannot.
 
-    Writes set.json, which says in which order to take the photos and how to find the motion from them, and for each
-    photo code_N.json and its timed program. Two photos or more begin with the open shutter where the device allows it.
+    Writes set.json, which says in which order to take the photos and how to find the motion from
+    them, and for each photo code_N.json and its timed program. Two photos or more begin with the
+    open shutter where the device allows it.
 
-    Fields of --json that need a word, all measured on simulated walks other than those of the design:
+    Fields of --json that need a word, all measured on simulated walks other than those of the
+    design:
 
-    - separation.resolved: walks of which each other order, six at most, changes the photos by more than a blind
-      search errs.
-    - separation.median, separation.worst_tenth: energy of the change of the photos' PSFs over that of the open
-      shutter's PSF, over all other orders.
-    - separation.conditioning: smallest rms MTF of the codes at low frequencies; a tenth of the walks have less.
+    - separation.resolved: walks of which each other order, six at most, changes the photos by more
+      than a blind search errs.
+    - separation.median, separation.worst_tenth: energy of the change of the photos' PSFs over that
+      of the open shutter's PSF, over all other orders.
+    - separation.conditioning: smallest rms MTF of the codes at low frequencies; a tenth of the
+      walks have less.
 
     Example: cep calibration-set --photos 4 --chips 52 --device flc -o set
     """
@@ -61,15 +70,24 @@ def calibration_set(
     outputs = claim(table_files(tables), force=force)
     with progress("designing codes") as tick:
         found = design(
-            photos, chips=chips, chip_ns=chip_ns, device=device, rng=np.random.default_rng(seed), progress=tick
+            photos,
+            chips=chips,
+            chip_ns=chip_ns,
+            device=device,
+            rng=np.random.default_rng(seed),
+            progress=tick,
         )
     files = [output / name for name in set_files(photos, file_format)]
     result = {"folder": output, "files": files, **found.to_dict(output), "seed": seed}
     finish(
-        result, as_json=as_json, show=lambda console: _show(console, found, output), outputs=outputs,
-        save=lambda _made: found.save(output, file_format=file_format, force=force), tables=tables,
+        result,
+        as_json=as_json,
+        show=lambda console: _show(console, found, output),
+        outputs=outputs,
+        save=lambda _made: found.save(output, file_format=file_format, force=force),
+        tables=tables,
         summary=in_bits(found.codes),
-    )  # fmt: skip
+    )
 
 
 def _show(console: Console, found: CalibrationSet, folder: Path) -> None:

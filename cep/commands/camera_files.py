@@ -13,12 +13,16 @@ from numpy.typing import NDArray
 from cep.files.images import RAW_SUFFIXES, read_codes, read_mosaic
 from cep.files.outputs import claim
 from cep.optics.camera import Camera
-from cep.optics.photon_transfer import CodeRange, FramePair, PhotonTransfer, find_code_range, photon_transfer
+from cep.optics.photon_transfer import (
+    CodeRange,
+    FramePair,
+    PhotonTransfer,
+    find_code_range,
+    photon_transfer,
+)
 from cep.plots.camera import photon_transfer_figure
 from cep.plots.canvas import check_figure_name, save
 from motdiff.simulate import to_linear
-
-__all__ = ["CameraEstimate", "estimate_camera"]
 
 _LOSSY = (".jpg", ".jpeg", ".webp")
 _FRAME_SIDE_PX = 16
@@ -37,7 +41,9 @@ class CameraEstimate:
     camera: Camera
     transfer: PhotonTransfer
 
-    def save(self, path: Path, figure: Path | None = None, *, force: bool = False) -> tuple[Path, Path]:
+    def save(
+        self, path: Path, figure: Path | None = None, *, force: bool = False
+    ) -> tuple[Path, Path]:
         """Write the camera's file and the curve as a figure, beside it as .png when omitted; returns both paths."""
         figure = path.with_suffix(".png") if figure is None else figure
         check_figure_name(figure)
@@ -70,8 +76,8 @@ def estimate_camera(
     Parameters
     ----------
     flats : sequence of Path
-        Two frames of each level of light, one after the other: grey PNG or TIFF files of 8 or 16 bits, or RAW files, of
-        which the pixels under the first green filter are taken.
+        Two frames of each level of light, one after the other: grey PNG or TIFF files of 8 or 16
+        bits, or RAW files, of which the pixels under the first green filter are taken.
     dark : sequence of two paths, optional
         Frames without light, of the same exposure.
     black_dn : float, optional
@@ -88,12 +94,15 @@ def estimate_camera(
     Raises
     ------
     ValueError
-        If a file is not such a frame, or the frames do not show a camera's noise; the line names the files.
+        If a file is not such a frame, or the frames do not show a camera's noise; the line names
+        the files.
     OSError
         If a file cannot be read.
     """
     if gamma not in ("linear", "srgb"):
-        raise ValueError(f'gamma: must be "linear" or "srgb" for frames of a camera, got {gamma!r}')
+        raise ValueError(
+            f'gamma: must be "linear" or "srgb" for frames of a camera, got {gamma!r}'
+        )
     if black_dn is not None and not (np.isfinite(black_dn) and black_dn >= 0):
         raise ValueError(f"black_dn: must be a code value of 0 or more, got {black_dn:g}")
     if dark and black_dn is not None:
@@ -107,13 +116,17 @@ def estimate_camera(
     levels = len(flats) // 2
     files = [*zip(flats[::2], flats[1::2], strict=True), *([(dark[0], dark[1])] if dark else [])]
     response: Literal["linear", "srgb"] = "srgb" if gamma == "srgb" else "linear"
-    pairs, kinds, warnings = [], set(), []
+    pairs = []
+    kinds = set()
+    warnings = []
     for done, (first, second) in enumerate(files):
         frames = _read_frame(first), _read_frame(second)
         warnings += [line for frame in frames for line in frame.warnings]
         kinds |= {(frame.file_bits, frame.raw) for frame in frames}
         if len(kinds) > 1:
-            raise ValueError(f"{second}: is of another kind than the frames before it: bits, black or white differ")
+            raise ValueError(
+                f"{second}: is of another kind than the frames before it: bits, black or white differ"
+            )
         pairs.append(_pair(first, second, frames, response))
         progress((done + 1) / len(files))
     file_bits, raw = kinds.pop()
@@ -124,7 +137,11 @@ def estimate_camera(
         codes = find_code_range(pairs, file_bits=file_bits, bits=bits)
     try:
         found = photon_transfer(
-            pairs[:levels], codes=codes, dark=pairs[-1] if dark else None, black_dn=black_dn, response=response
+            pairs[:levels],
+            codes=codes,
+            dark=pairs[-1] if dark else None,
+            black_dn=black_dn,
+            response=response,
         )
     except ValueError as error:
         raise ValueError(_with_files(str(error), files)) from None
@@ -156,7 +173,9 @@ def _read_frame(path: Path) -> _Frame:
     codes, warnings = read_codes(path, min_side_px=_FRAME_SIDE_PX)
     if codes.ndim == 3:
         if (codes != codes[:, :, :1]).any():
-            raise ValueError(f"{path}: is a colour picture, whose pixels are interpolated; give grey or RAW files")
+            raise ValueError(
+                f"{path}: is a colour picture, whose pixels are interpolated; give grey or RAW files"
+            )
         codes = codes[:, :, 0]
     return _Frame(codes.astype(np.uint16), 8 * codes.dtype.itemsize, warnings=warnings)
 

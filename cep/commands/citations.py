@@ -13,8 +13,6 @@ from cep.codes.published import names as code_names
 from cep.codes.published import published_works
 from cep.files.works import Work, works
 
-__all__ = ["SOFTWARE", "Citations", "citable", "cite", "software"]
-
 SOFTWARE = "coded-exposure"
 """Name and key of this software itself."""
 
@@ -26,7 +24,14 @@ _WIENER = ("wiener1949", "field1987")
 
 _NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "estimators of motion": {
-        "motdiff": (*_NETWORK, "wen2021pmp", "whittle1953", "immerkaer1996", "marziliano2002", "hu2012"),
+        "motdiff": (
+            *_NETWORK,
+            "wen2021pmp",
+            "whittle1953",
+            "immerkaer1996",
+            "marziliano2002",
+            "hu2012",
+        ),
         "pmp": _SEARCHED,
         "reference": (),
         "point": ("howie2017",),
@@ -186,12 +191,18 @@ def cite(methods: Iterable[str] = ()) -> Citations:
             found.setdefault(SOFTWARE, []).append(name)
         for key in known.get(name, ()):
             found.setdefault(key, []).append(name)
-    return Citations({key: tuple(dict.fromkeys(named)) for key, named in found.items()}, tuple(unpublished))
+    return Citations(
+        {key: tuple(dict.fromkeys(named)) for key, named in found.items()}, tuple(unpublished)
+    )
 
 
 def _unknown(name: str, known: list[str]) -> str:
     near = get_close_matches(name.lower(), known, n=3, cutoff=0.5)
-    right = f"did you mean {' or '.join(near)}?" if near else "without a name all works are printed, with their names"
+    right = (
+        f"did you mean {' or '.join(near)}?"
+        if near
+        else "without a name all works are printed, with their names"
+    )
     return f"no method, code, figure or work is called {name[:40]!r}; {right}"
 
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-__all__ = ["cite"]
-
 
 def cite(
     methods: Annotated[
@@ -33,7 +31,8 @@ def cite(
 ) -> None:
     """Print the BibTeX of the works behind methods, published codes, restorations and figures.
 
-    Each entry stands below the names that it is behind. What is of this software has the software's own entry.
+    Each entry stands below the names that it is behind. What is of this software has the
+    software's own entry.
 
     Example: cep cite pmp dce raskar2006
 
@@ -41,21 +40,27 @@ def cite(
     """
     from cep.commands.citations import SOFTWARE, software
     from cep.commands.citations import cite as find
-    from cep.files.outputs import claim, write_text
+    from cep.files.outputs import claim
     from cep.files.works import works
+    from motdiff.files.outputs import write_text
 
     outputs = claim([] if output is None else [output], force=force)
     found = find(methods or ())
     entries = {key: software() if key == SOFTWARE else works()[key] for key in found.works}
     result = {
         "works": [
-            {"key": key, "type": one.kind, **{name: one.text(name) for name in one.fields}, "behind": found.works[key],
-             "bibtex": one.bibtex}
+            {
+                "key": key,
+                "type": one.kind,
+                **{name: one.text(name) for name in one.fields},
+                "behind": found.works[key],
+                "bibtex": one.bibtex,
+            }
             for key, one in entries.items()
         ],
         "unpublished": found.unpublished,
         "file": output,
-    }  # fmt: skip
+    }
 
     def page(console: Console) -> None:
         if output is None:

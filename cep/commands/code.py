@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from cep.proofs.audit import Audit
     from cep.proofs.verify.certificates import Verdict
 
-__all__ = ["audit", "mtf"]
-
 _SHOWN = 12  # zeros listed for people
 
 
@@ -64,7 +62,12 @@ def audit(
     figure: Figures = None,
     blocks: Annotated[
         int | None,
-        typer.Option("--blocks", metavar="N", min=1, help="Of a proof: blocks to judge again; 4 when omitted."),
+        typer.Option(
+            "--blocks",
+            metavar="N",
+            min=1,
+            help="Of a proof: blocks to judge again; 4 when omitted.",
+        ),
     ] = None,
     output: Annotated[Path | None, output_option("Also write the result as JSON.")] = None,
     tables: TableFile = None,
@@ -74,17 +77,17 @@ def audit(
 ) -> None:
     """Measure a code: its proven minimum and true zeros, the grids that hide them, and better codes a few flips away.
 
-    Along a motion it is said first whether the code is the exposure to take with this camera: verdict, choice and
-    gains_db of --json, as of cep advise. Without a motion these are null, and the figures are those of a straight one
-    of 1 px a chip. A code.json's certificate is checked by a
-    second, separate program: verified says whether it holds and why, null where there is none. Noise gains above 100
-    dB, and the infinite ones of codes with a zero, are null in JSON. The camera is that of code.json when --camera is
-    omitted. figures has those of --figure: a number, or [forward, backward]
-    where the direction is unknown.
+    Along a motion it is said first whether the code is the exposure to take with this camera:
+    verdict, choice and gains_db of --json, as of cep advise. Without a motion these are null, and
+    the figures are those of a straight one of 1 px a chip. A code.json's certificate is checked by
+    a second, separate program: verified says whether it holds and why, null where there is none.
+    Noise gains above 100 dB, and the infinite ones of codes with a zero, are null in JSON. The
+    camera is that of code.json when --camera is omitted. figures has those of --figure: a number,
+    or [forward, backward] where the direction is unknown.
 
-    In place of a code it takes the proof.jsonl of cep optimize --method exact --cache DIR. A second, separate program
-    counts its blocks, judges every survivor, and judges folds of a few blocks again; --seed draws them. A proof that
-    does not hold is refused with the reason.
+    In place of a code it takes the proof.jsonl of cep optimize --method exact --cache DIR. A
+    second, separate program counts its blocks, judges every survivor, and judges folds of a few
+    blocks again; --seed draws them. A proof that does not hold is refused with the reason.
 
     Example: cep audit 1010000111000001010000110011110111010111001001100111
 
@@ -108,12 +111,21 @@ def audit(
 
     if is_proof(code):
         given = {
-            "--trajectory": trajectory, "--linear": linear, "--flips": flips, "--chip-ns": chip_ns, "--camera": camera,
-            "--photons": photons, "--read-noise": read_noise, "--figure": figure, "--table": tables,
-        }  # fmt: skip
+            "--trajectory": trajectory,
+            "--linear": linear,
+            "--flips": flips,
+            "--chip-ns": chip_ns,
+            "--camera": camera,
+            "--photons": photons,
+            "--read-noise": read_noise,
+            "--figure": figure,
+            "--table": tables,
+        }
         for name, value in given.items():
             if value is not None and value != []:
-                raise ValueError(f"{name}: not valid with a proof, which holds for the unit circle")
+                raise ValueError(
+                    f"{name}: not valid with a proof, which holds for the unit circle"
+                )
         _audit_proof(Path(code), blocks or 4, output, force=force, seed=seed, as_json=as_json)
         return
     if blocks is not None:
@@ -123,41 +135,67 @@ def audit(
     noise = load_camera(camera, photons=photons, read_noise=read_noise, standard=known)
     stated = trajectory is not None or linear is not None
     moved = load_motion(trajectory, linear) if stated else None
-    error_px = None if moved is None or trajectory is None else stated_uncertainty_px(moved, trajectory)
+    error_px = (
+        None if moved is None or trajectory is None else stated_uncertainty_px(moved, trajectory)
+    )
     motion = None if moved is None else moved.trajectory
     own = find_figures(figure or ())
     outputs = Outputs((*([output] if output else []), *table_files(tables)), force)
     with progress("auditing") as tick:
         found = audited(
-            stored.code, motion, camera=noise, flips=flips, figures=own, progress=tick,
+            stored.code,
+            motion,
+            camera=noise,
+            flips=flips,
+            figures=own,
+            progress=tick,
             on_checked=outputs.check,
-        )  # fmt: skip
+        )
         judged = None
         if motion is not None:
-            problem = SearchProblem.along(motion, chips=stored.code.chips, chip_ns=stored.code.chip_ns, camera=noise)
+            problem = SearchProblem.along(
+                motion, chips=stored.code.chips, chip_ns=stored.code.chip_ns, camera=noise
+            )
             judged = judge(problem, stored.code, path_error_px=error_px or 0.0)
     verdict = None
     if stored.certificate:
         path = None if motion is None else (motion.t.tolist(), motion.xy.tolist())
         verdict = verify(stored.certificate, bits=stored.code.bits, path=path)
-    minimum, straight = found.certificate, found.along is None
+    minimum = found.certificate
+    straight = found.along is None
     has = "has" if minimum.upper == 0 else "nearly has"
     warnings = [f"the code {has} a zero at {_place(minimum.at, straight)}"] if found.null else []
     if verdict is not None and not verdict.holds:
         warnings.append(f"{code}: its certificate is not confirmed: {verdict.reasons[-1]}")
-    elif verdict is not None and not straight and not _covers(stored.certificate, minimum.directions):
-        warnings.append(f"{code}: its certificate does not cover this motion, {' and '.join(minimum.directions)}")
+    elif (
+        verdict is not None
+        and not straight
+        and not _covers(stored.certificate, minimum.directions)
+    ):
+        warnings.append(
+            f"{code}: its certificate does not cover this motion, {' and '.join(minimum.directions)}"
+        )
     said = None if judged is None else judged.sentence
     advised = {
         "verdict": said,
         "choice": None if judged is None else judged.choice,
         "gains_db": None if judged is None else judged.gains_db,
     }
-    result = {**advised, **found.to_dict(), "verified": verdict, "seed": seed, "warnings": warnings}
+    result = {
+        **advised,
+        **found.to_dict(),
+        "verified": verdict,
+        "seed": seed,
+        "warnings": warnings,
+    }
     finish(
-        result, as_json=as_json, tables=tables, show=lambda console: _show(console, found, verdict, said=said),
-        outputs=outputs, save=partial(_write, output, result),
-    )  # fmt: skip
+        result,
+        as_json=as_json,
+        tables=tables,
+        show=lambda console: _show(console, found, verdict, said=said),
+        outputs=outputs,
+        save=partial(_write, output, result),
+    )
 
 
 def _searched_with(stored: StoredCode, name: str) -> Camera | None:
@@ -175,7 +213,9 @@ def _searched_with(stored: StoredCode, name: str) -> Camera | None:
         raise ValueError(f"{name}: problem.camera: {error}; --camera names another") from None
 
 
-def _audit_proof(path: Path, blocks: int, output: Path | None, *, force: bool, seed: int, as_json: bool) -> None:
+def _audit_proof(
+    path: Path, blocks: int, output: Path | None, *, force: bool, seed: int, as_json: bool
+) -> None:
     """Check a proof in blocks; refuse one that does not hold."""
     from dataclasses import asdict
     from functools import partial
@@ -203,13 +243,15 @@ def _audit_proof(path: Path, blocks: int, output: Path | None, *, force: bool, s
         for reason in verdict.reasons:
             console.print(f"  {reason}")
 
-    finish(result, as_json=as_json, show=show, outputs=outputs, save=partial(_write, output, result))
+    finish(
+        result, as_json=as_json, show=show, outputs=outputs, save=partial(_write, output, result)
+    )
 
 
 def _write(output: Path | None, result: Mapping[str, object], made: Mapping[Path, Path]) -> None:
     """Write a result as JSON, where a file is named."""
     from cep.files.files import json_text
-    from cep.files.outputs import write_text
+    from motdiff.files.outputs import write_text
 
     if output is not None:
         write_text(made[output], json_text(result))
@@ -222,22 +264,30 @@ def _show(console: Console, found: Audit, verdict: Verdict | None, *, said: str 
     if said is not None:
         console.print(said)
 
-    shutter, motion, minimum, straight = found.code, found.trajectory, found.certificate, found.along is None
-    console.print(f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings: {shutter.bits}")
+    shutter = found.code
+    motion = found.trajectory
+    minimum = found.certificate
+    straight = found.along is None
+    console.print(
+        f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings: {shutter.bits}"
+    )
     console.print(
         f"motion: {motion.length_px:.1f} px, direction {motion.direction}"
         + ("" if said is not None else " (1 px a chip)")
     )
     hopeless = ("noise_gain_db", "dnf_db") if found.no_inverse else ()
     rows = [
-        (name, "infinite" if name in hopeless else found.metrics.in_words(name)) for name in found.metrics.to_dict()
+        (name, "infinite" if name in hopeless else found.metrics.in_words(name))
+        for name in found.metrics.to_dict()
     ]
     rows += [(figure_head(*item), figure_in_words(item[1])) for item in found.figures.items()]
     console.print(table("figures", ("figure", "value"), rows))
     what, unit = ("|P|", "chips") if straight else ("|H|", "light-true")
     # as they are: an upper bound of 1e-13 is no proven zero
     place = _place(minimum.at, straight)
-    console.print(f"smallest {what}: {minimum.lower:.6g} .. {minimum.upper:.6g} ({unit}) at {place}")
+    console.print(
+        f"smallest {what}: {minimum.lower:.6g} .. {minimum.upper:.6g} ({unit}) at {place}"
+    )
     console.print(f"proof: {minimum.method}" + ("" if verdict is None else _in_words(verdict)))
     for way, zeros in found.zeros.items():
         known = "" if zeros.complete else " or more"
@@ -248,7 +298,9 @@ def _show(console: Console, found: Audit, verdict: Verdict | None, *, said: str 
             console.print(f"  and {len(zeros.found) - _SHOWN} more: --json lists them")
     grids = [(claim.name, claim.minimum, claim.verdict) for claim in found.grids]
     console.print(table("what grids say", ("grid", "minimum", "verdict"), grids))
-    near = [(", ".join(map(str, one.flips)), one.minimum, one.code.bits) for one in found.neighbours]
+    near = [
+        (", ".join(map(str, one.flips)), one.minimum, one.code.bits) for one in found.neighbours
+    ]
     if near:
         console.print(table("better codes nearby", ("flip chips", "minimum", "bits"), near))
     else:
@@ -260,10 +312,16 @@ def mtf(
     linear: Linear = None,
     codes: Annotated[
         list[str] | None,
-        typer.Option("--code", metavar="CODE", help="Code to draw: bits, code.json or a name; may be repeated."),
+        typer.Option(
+            "--code",
+            metavar="CODE",
+            help="Code to draw: bits, code.json or a name; may be repeated.",
+        ),
     ] = None,
     figure: Figures = None,
-    output: Annotated[Path, output_option("Figure to write: .png, .pdf or .svg.")] = Path("mtf.png"),
+    output: Annotated[Path, output_option("Figure to write: .png, .pdf or .svg.")] = Path(
+        "mtf.png"
+    ),
     tables: TableFile = None,
     force: Force = False,
     seed: Seed = 0,
@@ -297,17 +355,26 @@ def mtf(
         rows = [
             (
                 name,
-                *(row.metrics.in_words(figure) for figure in ("min_mtf", "noise_gain_db", "mse_db")),
+                *(
+                    row.metrics.in_words(figure)
+                    for figure in ("min_mtf", "noise_gain_db", "mse_db")
+                ),
                 *map(figure_in_words, row.figures.values()),
             )
             for name, row in found.rows.items()
         ]
-        console.print(table(str(output), ("code", "min MTF", "noise gain, dB", "MSE, dB", *heads), rows))
+        console.print(
+            table(str(output), ("code", "min MTF", "noise gain, dB", "MSE, dB", *heads), rows)
+        )
 
     finish(
-        {"image": output, "curves": found.to_dict(), "seed": seed}, as_json=as_json, show=show, outputs=outputs,
-        save=lambda made: found.save(made[output]), tables=tables,
-    )  # fmt: skip
+        {"image": output, "curves": found.to_dict(), "seed": seed},
+        as_json=as_json,
+        show=show,
+        outputs=outputs,
+        save=lambda made: found.save(made[output]),
+        tables=tables,
+    )
 
 
 def _place(at: tuple[float, ...], in_chips: bool) -> str:
@@ -317,8 +384,12 @@ def _place(at: tuple[float, ...], in_chips: bool) -> str:
 
 def _covers(certificate: Mapping[str, Any], directions: tuple[str, ...]) -> bool:
     """Whether a certificate of |H| is about all these ways along its path."""
-    return certificate["unit"] == "light-true" and set(directions) <= set(certificate.get("directions", directions))
+    return certificate["unit"] == "light-true" and set(directions) <= set(
+        certificate.get("directions", directions)
+    )
 
 
 def _in_words(verdict: Verdict) -> str:
-    return "; the file's certificate is " + ("confirmed" if verdict.holds else f"refused: {verdict.reasons[-1]}")
+    return "; the file's certificate is " + (
+        "confirmed" if verdict.holds else f"refused: {verdict.reasons[-1]}"
+    )

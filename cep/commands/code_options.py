@@ -9,13 +9,10 @@ import typer
 
 from cep.commands.options import MOTION
 
-__all__ = [
-    "SEARCH", "Alternatives", "ChipTime", "ChipTimeInstead", "Device", "Direction", "Drift", "Duty", "Each", "Effort",
-    "Exposure", "FirstOpen", "Fixed", "Frames", "Jitter", "LastOpen", "MaxOpen", "MaxPulses", "Method", "MinClosed",
-    "MinOpen", "MinPeriod", "Objective", "OpenChips", "Rule", "Speed", "chips_option", "exposure_seconds",
-]  # fmt: skip
-
-_CODE, _OBJECTIVE, _LIMITS, _UNSURE = "Code", "Objective", "Limits of the shutter", "Uncertain motion and shutter"
+_CODE = "Code"
+_OBJECTIVE = "Objective"
+_LIMITS = "Limits of the shutter"
+_UNSURE = "Uncertain motion and shutter"
 SEARCH = "Search"
 """Panel of the help pages for how the code is searched."""
 
@@ -59,54 +56,76 @@ def exposure_seconds(text: str | None) -> float | None:
 Each = Annotated[
     Path | None,
     _option(
-        MOTION, "--each", "FOLDER",
+        MOTION,
+        "--each",
+        "FOLDER",
         "A code for each motion of a folder, FOLDER/*/trajectory.json, as cep calibrate FOLDER writes them.",
     ),
-]  # fmt: skip
+]
 
-OpenChips = Annotated[str | None, _option(_CODE, "--open", "K|LOW:HIGH", "Open chips; any number when omitted.")]
+OpenChips = Annotated[
+    str | None, _option(_CODE, "--open", "K|LOW:HIGH", "Open chips; any number when omitted.")
+]
 Duty = Annotated[
-    str | None, _option(_CODE, "--duty", "LOW:HIGH", "Instead of --open: open fraction of the time, 0..1.")
+    str | None,
+    _option(_CODE, "--duty", "LOW:HIGH", "Instead of --open: open fraction of the time, 0..1."),
 ]
 ChipTime = Annotated[int, _option(_CODE, "--chip-ns", "NS", "Chip time, ns.", min=1)]
 ChipTimeInstead = Annotated[
-    int | None, _option(_CODE, "--chip-ns", "NS", "Instead of --exposure: chip time, ns; 1 ms when omitted.", min=1)
+    int | None,
+    _option(
+        _CODE, "--chip-ns", "NS", "Instead of --exposure: chip time, ns; 1 ms when omitted.", min=1
+    ),
 ]
 Exposure = Annotated[
     str | None,
-    _option(_CODE, "--exposure", "S", "Length of the exposure, which sets the chip time: 1/30, 0.02, 20ms or 500us."),
+    _option(
+        _CODE,
+        "--exposure",
+        "S",
+        "Length of the exposure, which sets the chip time: 1/30, 0.02, 20ms or 500us.",
+    ),
 ]
 Frames = Annotated[
     int,
     _option(
-        _CODE, "--frames", "N",
-        "Exposures restored together, each with its own code: code_1.json, ... With --method anneal.", min=1,
+        _CODE,
+        "--frames",
+        "N",
+        "Exposures restored together, each with its own code: code_1.json, ... With --method anneal.",
+        min=1,
     ),
-]  # fmt: skip
+]
 
 Objective = Annotated[
     str | None,
     _option(
-        _OBJECTIVE, "--objective", "NAME",
+        _OBJECTIVE,
+        "--objective",
+        "NAME",
         "mse (expected error of the restored photo), min-mtf, flatness, noise, or a mix as min-mtf:0.15,noise:1. When "
         "omitted: mse; min-mtf with --method exact along a uniform straight motion.",
     ),
-]  # fmt: skip
+]
 Direction = Annotated[
     str,
     _option(
-        _OBJECTIVE, "--direction", "WAY",
+        _OBJECTIVE,
+        "--direction",
+        "WAY",
         "Of the motion: unknown (the worse way counts), forward, or auto: as the file says.",
     ),
-]  # fmt: skip
+]
 
 Device = Annotated[
     str | None,
     _option(
-        _LIMITS, "--device", "NAME|FILE",
+        _LIMITS,
+        "--device",
+        "NAME|FILE",
         "What this shutter can play: a built-in profile or a .toml file. Stricter limits may be added.",
     ),
-]  # fmt: skip
+]
 MinOpen = Annotated[int, _limit("--min-open", "Shortest open run, chips.")]
 MaxOpen = Annotated[int | None, _limit("--max-open", "Longest open run, chips.")]
 MinClosed = Annotated[int, _limit("--min-closed", "Shortest closed run, chips.")]
@@ -115,33 +134,62 @@ MaxPulses = Annotated[int | None, _limit("--max-pulses", "Most open runs.")]
 FirstOpen = Annotated[bool, _option(_LIMITS, "--first-open", None, "The first chip is open.")]
 LastOpen = Annotated[bool, _option(_LIMITS, "--last-open", None, "The last chip is open.")]
 Fixed = Annotated[
-    str | None, _option(_LIMITS, "--fixed", "MARKS", "A mark for each chip: 1 open, 0 closed, ? free, as 1???0?1.")
+    str | None,
+    _option(
+        _LIMITS, "--fixed", "MARKS", "A mark for each chip: 1 open, 0 closed, ? free, as 1???0?1."
+    ),
 ]
 
 Alternatives = Annotated[
-    bool, _option(_UNSURE, "--alternatives", None, "Design for the other motions that the file holds as well.")
+    bool,
+    _option(
+        _UNSURE,
+        "--alternatives",
+        None,
+        "Design for the other motions that the file holds as well.",
+    ),
 ]
 Speed = Annotated[
     str | None,
-    _option(_UNSURE, "--speed", "LOW:HIGH", "Design for these factors of the path's length, as 0.8:1.2."),
+    _option(
+        _UNSURE,
+        "--speed",
+        "LOW:HIGH",
+        "Design for these factors of the path's length, as 0.8:1.2.",
+    ),
 ]
 Drift = Annotated[
     float | None,
-    _option(_UNSURE, "--drift", "SHARE", "Design for a shutter clock off by this share either way, as 0.02."),
+    _option(
+        _UNSURE,
+        "--drift",
+        "SHARE",
+        "Design for a shutter clock off by this share either way, as 0.02.",
+    ),
 ]
 Jitter = Annotated[
-    float | None, _option(_UNSURE, "--jitter", "CHIPS", "Design for edges off by this many chips rms, 0..0.15.")
+    float | None,
+    _option(_UNSURE, "--jitter", "CHIPS", "Design for edges off by this many chips rms, 0..0.15."),
 ]
-Rule = Annotated[str, _option(_UNSURE, "--rule", "NAME", "Over several motions: worst, or mean (weighted).")]
+Rule = Annotated[
+    str, _option(_UNSURE, "--rule", "NAME", "Over several motions: worst, or mean (weighted).")
+]
 
 Method = Annotated[
     str,
-    _option(SEARCH, "--method", "NAME", "anneal; or exact, which proves the best min-mtf, to about 40 chips."),
+    _option(
+        SEARCH,
+        "--method",
+        "NAME",
+        "anneal; or exact, which proves the best min-mtf, to about 40 chips.",
+    ),
 ]
 Effort = Annotated[
     str,
     _option(
-        SEARCH, "--bound", "NAME",
+        SEARCH,
+        "--bound",
+        "NAME",
         "quick; or sdp: half a minute for a tighter bound, and starts drawn from it, along curved motion.",
     ),
-]  # fmt: skip
+]

@@ -12,8 +12,6 @@ from typer.core import TyperCommand, TyperGroup
 
 from cep.commands.options import COMMON
 
-__all__ = ["Command", "Group", "in_options"]
-
 _EXAMPLE = "Example: "
 _UNITS = ("_s", "_ms", "_ns", "_px", "_db", "_e", "_ppm", "_hz", "_dn")
 _SET_BY = {
@@ -48,9 +46,10 @@ def in_options(message: str, context: Any) -> str:
     Parameters
     ----------
     message : str
-        As the library has it: "name: what is wrong", or "name value and other value conflict: why". Behind the colon
-        ``other=value`` and names with an underscore are translated too. Names that no option sets stay as they are,
-        and so do the fields of a file, which stand behind its name.
+        As the library has it: "name: what is wrong", or "name value and other value conflict:
+        why". Behind the colon ``other=value`` and names with an underscore are translated too.
+        Names that no option sets stay as they are, and so do the fields of a file, which stand
+        behind its name.
     context : click context
         Of the command: with its parameters, and whether each was given.
 
@@ -95,7 +94,9 @@ class _Page:
         if self.examples:
             width = shutil.get_terminal_size().columns
             lines = [line for example in self.examples for line in _folded(example, width)]
-            typer.echo("\n".join(["", f" Example{'s' if len(self.examples) > 1 else ''}:", *lines, ""]))
+            typer.echo(
+                "\n".join(["", f" Example{'s' if len(self.examples) > 1 else ''}:", *lines, ""])
+            )
 
 
 class Command(_Page, TyperCommand):
@@ -153,7 +154,9 @@ def _spelling(name: str, context: Any) -> str | None:
                 argument = param.param_type_name == "argument"
                 text = (param.metavar or param.name.upper()).strip("[].") if argument else longest
                 source = context.get_parameter_source(param.name)
-                found.append((source is None or source.name != "COMMANDLINE", wanted.index(known), text))
+                found.append(
+                    (source is None or source.name != "COMMANDLINE", wanted.index(known), text)
+                )
     return min(found)[2] if found else None
 
 
@@ -174,9 +177,13 @@ def _folded(command: str, width: int) -> list[str]:
     """Fold a command line before its options, with backslashes, to so many columns."""
     options = command.replace(" ", "\0").replace("\0-", " -")
     lines = textwrap.wrap(
-        options, width - 2, initial_indent=" ", subsequent_indent="     ", break_long_words=False,
+        options,
+        width - 2,
+        initial_indent=" ",
+        subsequent_indent="     ",
+        break_long_words=False,
         break_on_hyphens=False,
-    )  # fmt: skip
+    )
     return [line.replace("\0", " ") for line in " \\\n".join(lines).splitlines()]
 
 

@@ -19,24 +19,12 @@ if TYPE_CHECKING:
     from cep.files.outputs import Outputs
     from cep.files.tables import Sheet
 
-__all__ = [
-    "BAD_INPUT",
-    "FAILURE",
-    "INTERRUPTED",
-    "Tick",
-    "complain",
-    "explain",
-    "finish",
-    "page",
-    "part",
-    "photo_named",
-    "progress",
-    "table",
-    "warn",
-]
-
-FAILURE, BAD_INPUT, INTERRUPTED = 1, 2, 130
-_ROOMY = 100  # columns of a terminal: with fewer the bar is short, and the time elapsed is not shown
+FAILURE = 1
+BAD_INPUT = 2
+INTERRUPTED = 130
+_ROOMY = (
+    100  # columns of a terminal: with fewer the bar is short, and the time elapsed is not shown
+)
 _WIDE = 16  # characters: longer cells are texts, which wrap, as names do, but to no fewer
 
 
@@ -85,7 +73,11 @@ def finish(
         from cep.files.files import json_text
 
         encoding = sys.stdout.encoding or "utf-8"
-        sys.stdout.write(json_text(result, ascii_only=not encoding.lower().replace("_", "-").startswith("utf-8")))
+        sys.stdout.write(
+            json_text(
+                result, ascii_only=not encoding.lower().replace("_", "-").startswith("utf-8")
+            )
+        )
         return
     console = page()
     show(console)
@@ -101,7 +93,7 @@ def page() -> Console:
     from rich.console import Console
     from rich.text import Text
 
-    from cep.files.foreign_text import printable
+    from motdiff.files.inputs import printable
 
     class Page(Console):
         def print(self, *objects: Any, **options: Any) -> None:
@@ -123,7 +115,11 @@ def _sheets(show: Callable[[Console], None]) -> list[Sheet]:
 
     class Collector(Console):
         def print(self, *objects: Any, **_: Any) -> None:
-            found.extend(Sheet(one.title, one.columns, one.rows) for one in objects if isinstance(one, Table))
+            found.extend(
+                Sheet(one.title, one.columns, one.rows)
+                for one in objects
+                if isinstance(one, Table)
+            )
 
     show(Collector(file=StringIO()))
     return found
@@ -150,7 +146,9 @@ def explain(error: BaseException) -> int:
     if format_message is not None:
         complain(f"{format_message()} (see {_command_path(error)} --help)")
         return BAD_INPUT
-    notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))  # a shutter that may be open, for one
+    notes = "".join(
+        f"; {note}" for note in getattr(error, "__notes__", ())
+    )  # a shutter that may be open, for one
     if isinstance(error, OSError):
         import errno
 
@@ -181,7 +179,14 @@ def progress(task: str) -> Iterator[Tick]:
         yield _ignore
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
     from rich.table import Column
 
     from cep.files.foreign_text import terminal_line
@@ -190,16 +195,22 @@ def progress(task: str) -> Iterator[Tick]:
     elapsed = (TextColumn("elapsed"), TimeElapsedColumn()) if console.width >= _ROOMY else ()
     note_column = Column(no_wrap=True, overflow="ellipsis", ratio=1)
     columns = (
-        SpinnerColumn(), TextColumn("{task.description}", markup=False),
-        BarColumn(min(max(console.width - _ROOMY, 10), 40)), TextColumn("{task.percentage:>3.0f} %"), *elapsed,
-        TextColumn("left"), TimeRemainingColumn(),
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(min(max(console.width - _ROOMY, 10), 40)),
+        TextColumn("{task.percentage:>3.0f} %"),
+        *elapsed,
+        TextColumn("left"),
+        TimeRemainingColumn(),
         TextColumn("{task.fields[note]}", markup=False, table_column=note_column),
-    )  # fmt: skip
+    )
     with Progress(*columns, console=console, transient=True, expand=True) as bar:
         row = bar.add_task(terminal_line(task), total=None, note="")
 
         def tick(fraction: float, note: str = "", /) -> None:
-            bar.update(row, total=1.0, completed=min(max(fraction, 0.0), 1.0), note=terminal_line(note))
+            bar.update(
+                row, total=1.0, completed=min(max(fraction, 0.0), 1.0), note=terminal_line(note)
+            )
 
         yield tick
 
@@ -239,34 +250,53 @@ class Table:
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        from cep.files.foreign_text import printable
+        from motdiff.files.inputs import printable
 
         texts = [[_shown_text(value) for value in row] for row in self.rows]
         shown, widths = self._fitted(texts, options.max_width)
         made = RichTable(
-            title=Text(printable(self.title)), title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False
+            title=Text(printable(self.title)),
+            title_justify="left",
+            title_style="bold",
+            box=SIMPLE_HEAD,
+            pad_edge=False,
         )
         for index, width in zip(shown, widths, strict=True):
             justify: Any = "left" if index == 0 or _longest(texts, index) > _WIDE else "right"
-            made.add_column(Text(printable(self.columns[index])), justify=justify, width=width, overflow="fold")
+            made.add_column(
+                Text(printable(self.columns[index])), justify=justify, width=width, overflow="fold"
+            )
         for row in texts:
             made.add_row(*(row[index] for index in shown))
         yield made
-        left_out = [printable(self.columns[index]) for index in range(len(self.columns)) if index not in shown]
+        left_out = [
+            printable(self.columns[index])
+            for index in range(len(self.columns))
+            if index not in shown
+        ]
         if left_out:
             told = f"left out, as {options.max_width} columns are too narrow: {'; '.join(left_out)} (all are in --json)"
             yield Text(told)
 
-    def _fitted(self, texts: Sequence[Sequence[Text]], available: int) -> tuple[list[int], list[int]]:
+    def _fitted(
+        self, texts: Sequence[Sequence[Text]], available: int
+    ) -> tuple[list[int], list[int]]:
         """Choose the columns shown and their widths."""
         cells = [_longest(texts, index) for index in range(len(self.columns))]
         natural = [max(cell, len(head)) for cell, head in zip(cells, self.columns, strict=True)]
         least = [
-            min(whole, _WIDE) if index == 0 or cell > _WIDE else max(cell, *map(len, head.split() or [""]))
-            for index, (whole, cell, head) in enumerate(zip(natural, cells, self.columns, strict=True))
+            min(whole, _WIDE)
+            if index == 0 or cell > _WIDE
+            else max(cell, *map(len, head.split() or [""]))
+            for index, (whole, cell, head) in enumerate(
+                zip(natural, cells, self.columns, strict=True)
+            )
         ]
         shown = list(range(len(self.columns)))
-        while len(shown) > 1 and sum(least[index] for index in shown) + _rules(len(shown)) > available:
+        while (
+            len(shown) > 1
+            and sum(least[index] for index in shown) + _rules(len(shown)) > available
+        ):
             shown.pop(-1 - self.kept if len(shown) > 1 + self.kept else -1)
         widths = [least[index] for index in shown]
         spare = available - _rules(len(shown)) - sum(widths)
@@ -277,7 +307,9 @@ class Table:
         return shown, widths
 
 
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, kept: int = 0) -> Table:
+def table(
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, kept: int = 0
+) -> Table:
     """Make a table: the first column is text, the others figures or texts; None is printed as a dash."""
     return Table(title, columns, rows, kept)
 
@@ -298,10 +330,12 @@ def _shown_text(value: object) -> Text:
     """Write a cell as Rich's text."""
     from rich.text import Text
 
-    from cep.files.foreign_text import printable
     from cep.files.tables import cell_parts
+    from motdiff.files.inputs import printable
 
-    return Text.assemble(*((printable(text), "bold" if bold else "") for text, bold in cell_parts(value)))
+    return Text.assemble(
+        *((printable(text), "bold" if bold else "") for text, bold in cell_parts(value))
+    )
 
 
 def _longest(texts: Sequence[Sequence[Text]], index: int) -> int:

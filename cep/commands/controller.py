@@ -11,15 +11,21 @@ import typer
 from cep.commands.console import finish, page, progress, table
 from cep.commands.emulate import emulate
 from cep.commands.options import ChipNs, CodeSource, Json, Seed
-from cep.commands.programs import ClockPpm, Device, LeaseMs, Port, load_program, open_port, program_figures
+from cep.commands.programs import (
+    ClockPpm,
+    Device,
+    LeaseMs,
+    Port,
+    load_program,
+    open_port,
+    program_figures,
+)
 from cep.commands.verify import verify
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from hw.cxp.protocol import Hello, Status
-
-__all__ = ["hw"]
 
 hw = typer.Typer(help="A shutter controller, step by step.", no_args_is_help=True)
 
@@ -29,7 +35,10 @@ _ACKNOWLEDGED = "B"  # of hw.drivers.report.Trust
 @hw.command("list")
 def list_(
     ask: Annotated[
-        bool, typer.Option("--ask", help="Greet every port: resets many boards, and foreign devices hear it too.")
+        bool,
+        typer.Option(
+            "--ask", help="Greet every port: resets many boards, and foreign devices hear it too."
+        ),
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -46,20 +55,36 @@ def list_(
     for info in answers or list_ports():
         answer = answers.get(info)
         controller = isinstance(answer, Hello)
-        rows.append({
-            "port": info.port, "description": info.description, "serial_number": info.serial_number,
-            "firmware": answer.firmware if isinstance(answer, Hello) else None,
-            "controller": controller if ask else None,
-            "answer": answer if isinstance(answer, str) else None,
-        })  # fmt: skip
+        rows.append(
+            {
+                "port": info.port,
+                "description": info.description,
+                "serial_number": info.serial_number,
+                "firmware": answer.firmware if isinstance(answer, Hello) else None,
+                "controller": controller if ask else None,
+                "answer": answer if isinstance(answer, str) else None,
+            }
+        )
     cells = [
-        (row["port"], row["description"], row["serial_number"], row["firmware"] or row["answer"] or "not asked")
+        (
+            row["port"],
+            row["description"],
+            row["serial_number"],
+            row["firmware"] or row["answer"] or "not asked",
+        )
         for row in rows
     ]
-    finish({"ports": rows}, as_json=as_json, show=lambda console: console.print(
-        table("serial ports", ("port", "description", "USB serial number", "controller"), cells)
-        if rows else "no serial ports"
-    ))  # fmt: skip
+    finish(
+        {"ports": rows},
+        as_json=as_json,
+        show=lambda console: console.print(
+            table(
+                "serial ports", ("port", "description", "USB serial number", "controller"), cells
+            )
+            if rows
+            else "no serial ports"
+        ),
+    )
 
 
 @hw.command("info")
@@ -70,10 +95,18 @@ def info(port: Port, as_json: Json = False) -> None:
     """
     with open_port(port) as controller:
         status = controller.status()
-    told, trust = controller.announced, controller.trust
-    result = {"port": port, **_hello_figures(told), **_status_figures(status), "trust": f"{trust} at most"}
+    told = controller.announced
+    trust = controller.trust
+    result = {
+        "port": port,
+        **_hello_figures(told),
+        **_status_figures(status),
+        "trust": f"{trust} at most",
+    }
     rows = [(name.replace("_", " "), str(value)) for name, value in result.items()]
-    finish(result, as_json=as_json, show=lambda console: console.print(table(port, ("", ""), rows)))
+    finish(
+        result, as_json=as_json, show=lambda console: console.print(table(port, ("", ""), rows))
+    )
 
 
 @hw.command("load")
@@ -100,12 +133,20 @@ def load(
             raise ValueError(refusal(problems, controller.limits))
         stored = controller.load(program, clock_ppm=clock_ppm)
     result = {
-        "port": port, **program_figures(program, profile), "trust": Trust.B.value,
-        "chip_ticks": float(stored.chip_ticks), "stored_crc32": f"0x{stored.crc32:08x}", "seed": seed,
-    }  # fmt: skip
-    finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{port}: {program.chips} chips of {program.chip_ns} ns loaded, trust B: acknowledged only"
-    ))  # fmt: skip
+        "port": port,
+        **program_figures(program, profile),
+        "trust": Trust.B.value,
+        "chip_ticks": float(stored.chip_ticks),
+        "stored_crc32": f"0x{stored.crc32:08x}",
+        "seed": seed,
+    }
+    finish(
+        result,
+        as_json=as_json,
+        show=lambda console: console.print(
+            f"{port}: {program.chips} chips of {program.chip_ns} ns loaded, trust B: acknowledged only"
+        ),
+    )
 
 
 @hw.command("arm")
@@ -121,13 +162,25 @@ def arm(port: Port, lease_ms: LeaseMs = 10_000, as_json: Json = False) -> None:
         told = controller.announced
     armed = status.state is State.ARMED
     result = {
-        "port": port, "armed": armed, "lease_ms": lease_ms, **_status_figures(status), "trust": _ACKNOWLEDGED,
-    }  # fmt: skip
+        "port": port,
+        "armed": armed,
+        "lease_ms": lease_ms,
+        **_status_figures(status),
+        "trust": _ACKNOWLEDGED,
+    }
     where = "its trigger input or cep hw trigger" if told.trigger_input else "cep hw trigger"
-    then = f"armed for {lease_ms} ms; {where} plays it" if armed else f"armed and triggered already, {_name(status)}"
-    finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{port}: {then} (trust {_ACKNOWLEDGED}: acknowledged only)"
-    ))  # fmt: skip
+    then = (
+        f"armed for {lease_ms} ms; {where} plays it"
+        if armed
+        else f"armed and triggered already, {_name(status)}"
+    )
+    finish(
+        result,
+        as_json=as_json,
+        show=lambda console: console.print(
+            f"{port}: {then} (trust {_ACKNOWLEDGED}: acknowledged only)"
+        ),
+    )
 
 
 @hw.command("trigger")
@@ -145,9 +198,11 @@ def trigger(
     with open_port(port) as controller:
         status = controller.play(timeout_s=wait_s)
     result = {"port": port, **_status_figures(status), "trust": _ACKNOWLEDGED}
-    finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{port}: played, 0 edges missed, shutter closed"
-    ))  # fmt: skip
+    finish(
+        result,
+        as_json=as_json,
+        show=lambda console: console.print(f"{port}: played, 0 edges missed, shutter closed"),
+    )
 
 
 @hw.command("abort")
@@ -159,13 +214,19 @@ def abort(port: Port, as_json: Json = False) -> None:
     with open_port(port) as controller:
         status = controller.abort()
     result = {"port": port, **_status_figures(status), "trust": _ACKNOWLEDGED}
-    finish(result, as_json=as_json, show=lambda console: console.print(f"{port}: closed, {_name(status)}"))
+    finish(
+        result,
+        as_json=as_json,
+        show=lambda console: console.print(f"{port}: closed, {_name(status)}"),
+    )
 
 
 @hw.command("calibrate")
 def calibrate(
     port: Port,
-    seconds: Annotated[float, typer.Option("--seconds", help="How long to compare the clocks, s.")] = 10.0,
+    seconds: Annotated[
+        float, typer.Option("--seconds", help="How long to compare the clocks, s.")
+    ] = 10.0,
     as_json: Json = False,
 ) -> None:
     """Measure a controller's clock against this computer's.
@@ -180,25 +241,35 @@ def calibrate(
         raise ValueError(f"--seconds: must be above 0 and below 3600, got {seconds:g}")
     with open_port(port) as controller, progress("comparing clocks") as tick:
         fit = measure_clock(controller, seconds=seconds, progress=tick)
-    drifts = (
-        "a crystal is within 100 ppm, so this is a ceramic resonator, which drifts with temperature: calibrate it warm"
-    )
+    drifts = "a crystal is within 100 ppm, so this is a ceramic resonator, which drifts with temperature: calibrate it warm"
     warnings = [drifts] if abs(fit.ppm) > 200 + fit.uncertainty_ppm else []
     result = {
-        "port": port, "clock_ppm": fit.ppm, "uncertainty_ppm": fit.uncertainty_ppm, "seconds": fit.seconds,
-        "samples": fit.samples, "warnings": warnings,
-    }  # fmt: skip
-    finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{port}: clock is {abs(fit.ppm):.0f} ppm {'fast' if fit.ppm >= 0 else 'slow'} (± {fit.uncertainty_ppm:.0f}); "
-        f"--clock-ppm {fit.ppm:.0f} takes it out"
-    ))  # fmt: skip
+        "port": port,
+        "clock_ppm": fit.ppm,
+        "uncertainty_ppm": fit.uncertainty_ppm,
+        "seconds": fit.seconds,
+        "samples": fit.samples,
+        "warnings": warnings,
+    }
+    finish(
+        result,
+        as_json=as_json,
+        show=lambda console: console.print(
+            f"{port}: clock is {abs(fit.ppm):.0f} ppm {'fast' if fit.ppm >= 0 else 'slow'} (± {fit.uncertainty_ppm:.0f}); "
+            f"--clock-ppm {fit.ppm:.0f} takes it out"
+        ),
+    )
 
 
 @hw.command("monitor")
 def monitor(
     port: Port,
-    seconds: Annotated[float | None, typer.Option("--seconds", help="Stop after this, s; else at Ctrl-C.")] = None,
-    every_s: Annotated[float, typer.Option("--every", min=0.001, max=3600, help="Time between two looks, s.")] = 0.05,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", help="Stop after this, s; else at Ctrl-C.")
+    ] = None,
+    every_s: Annotated[
+        float, typer.Option("--every", min=0.001, max=3600, help="Time between two looks, s.")
+    ] = 0.05,
     as_json: Json = False,
 ) -> None:
     """Watch a controller: a line whenever its state, plays or errors change.
@@ -216,7 +287,13 @@ def monitor(
         while seconds is None or time.monotonic() - start < seconds:
             status = controller.status()
             looks += 1
-            shown = (status.state, status.runs, status.late, status.bad_frames, status.stored_crc32)
+            shown = (
+                status.state,
+                status.runs,
+                status.late,
+                status.bad_frames,
+                status.stored_crc32,
+            )
             if shown != last:
                 change = {"after_s": time.monotonic() - start, **_status_figures(status)}
                 changes.append(change)
@@ -226,10 +303,16 @@ def monitor(
                         f"missed edges {status.late}  bad frames {status.bad_frames}  CRC32 0x{status.stored_crc32:08x}"
                     )
             last = shown
-            time.sleep(every_s if seconds is None else min(every_s, max(0.0, start + seconds - time.monotonic())))
-    finish({"port": port, "looks": looks, "changes": changes}, as_json=as_json, show=lambda console: console.print(
-        f"{port}: {looks} looks, {len(changes)} states seen"
-    ))  # fmt: skip
+            time.sleep(
+                every_s
+                if seconds is None
+                else min(every_s, max(0.0, start + seconds - time.monotonic()))
+            )
+    finish(
+        {"port": port, "looks": looks, "changes": changes},
+        as_json=as_json,
+        show=lambda console: console.print(f"{port}: {looks} looks, {len(changes)} states seen"),
+    )
 
 
 hw.command("verify")(verify)

@@ -29,12 +29,13 @@ from cep.commands.options import (
 if TYPE_CHECKING:
     from cep.restoration.sharpen import Sharpened
 
-__all__ = ["deblur"]
-
 
 def deblur(
     image: Annotated[
-        Path, typer.Argument(metavar="IMAGE", help="Blurred photo, coded or not: PNG, TIFF, JPEG, WebP or RAW.")
+        Path,
+        typer.Argument(
+            metavar="IMAGE", help="Blurred photo, coded or not: PNG, TIFF, JPEG, WebP or RAW."
+        ),
     ],
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
@@ -69,20 +70,23 @@ def deblur(
     camera: CameraFile = None,
     photons: Photons = None,
     read_noise: ReadNoise = None,
-    output: Annotated[Path | None, output_option("Restored photo; IMAGE_sharp.png when omitted.")] = None,
+    output: Annotated[
+        Path | None, output_option("Restored photo; IMAGE_sharp.png when omitted.")
+    ] = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
     """Restore a photo along a trajectory, with a PSF, or with neither: the PSF is then searched in the photo itself.
 
-    Of an ordinary photo alone the blur is estimated, and the photo restored with what suits it; a photo without motion
-    blur, or one that no restoration improves, is written as it was, and the first line says so.
+    Of an ordinary photo alone the blur is estimated, and the photo restored with what suits it; a
+    photo without motion blur, or one that no restoration improves, is written as it was, and the
+    first line says so.
 
-    Along a trajectory of unknown direction the orders in time that it may have had are tested, and it is said which
-    fits: forward, reverse, or reordered where loops were run the other way round. --linear is a straight and uniform
-    motion along the rows. A single photo without a trajectory shows its PSF, but seldom the order in time; give --code
-    for its light.
+    Along a trajectory of unknown direction the orders in time that it may have had are tested, and
+    it is said which fits: forward, reverse, or reordered where loops were run the other way round.
+    --linear is a straight and uniform motion along the rows. A single photo without a trajectory
+    shows its PSF, but seldom the order in time; give --code for its light.
 
     The camera's figures are for the methods wiener and pnp.
 
@@ -117,14 +121,24 @@ def deblur(
         method = "wiener" if method == "auto" else method
         find_method(method)
         if sum(one is not None for one in (trajectory, linear, psf)) > 1:
-            raise ValueError("--trajectory FILE, --linear PX and --psf FILE: give one of them at most")
+            raise ValueError(
+                "--trajectory FILE, --linear PX and --psf FILE: give one of them at most"
+            )
         if psf is not None and code is not None:
             raise ValueError("--code: not valid with --psf, whose file already holds the code")
         options = {}
         if camera is not None or photons is not None or read_noise is not None:
             if method not in ("wiener", "pnp"):
-                first = "--camera" if camera is not None else "--photons" if photons is not None else "--read-noise"
-                raise ValueError(f"{first}: not valid with --method {method}; wiener and pnp use the camera")
+                first = (
+                    "--camera"
+                    if camera is not None
+                    else "--photons"
+                    if photons is not None
+                    else "--read-noise"
+                )
+                raise ValueError(
+                    f"{first}: not valid with --method {method}; wiener and pnp use the camera"
+                )
             options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
         stated = trajectory is not None or linear is not None
         motion = load_motion(trajectory, linear).trajectory if stated else None
@@ -153,16 +167,24 @@ def deblur(
             seconds = time.perf_counter() - started
         else:
             restored = restore(
-                photo.pixels, kernel, trajectory=motion, code=shutter, method=method, progress=part(tick, 0.05, 0.98),
+                photo.pixels,
+                kernel,
+                trajectory=motion,
+                code=shutter,
+                method=method,
+                progress=part(tick, 0.05, 0.98),
                 **options,
-            )  # fmt: skip
+            )
             with outputs.written() as made:
                 restored.save(made[target], bits=photo.bits, gamma=gamma)
         tick(1.0)
     if alone:
-        _finish_alone(sharpened, target, seconds=seconds, seed=seed, warnings=photo.warnings, as_json=as_json)
+        _finish_alone(
+            sharpened, target, seconds=seconds, seed=seed, warnings=photo.warnings, as_json=as_json
+        )
         return
-    direction, test = restored.direction or ("unknown" if blind else "given by the PSF"), restored.direction_test
+    direction = restored.direction or ("unknown" if blind else "given by the PSF")
+    test = restored.direction_test
     result = {
         "image": target,
         "method": method,
@@ -185,14 +207,24 @@ def deblur(
             f"{target}: restored with the PSF found in this photo alone, which is good with probability "
             f"{restored.psf_confidence:.2f}; its order in time is not known; {method}"
         )
-    finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{motion_line}, residual {restored.residual:.3g} of full scale; "
-        f"the outer {restored.unreliable_px} px lean on a guess"
-    ))  # fmt: skip
+    finish(
+        result,
+        as_json=as_json,
+        show=lambda console: console.print(
+            f"{motion_line}, residual {restored.residual:.3g} of full scale; "
+            f"the outer {restored.unreliable_px} px lean on a guess"
+        ),
+    )
 
 
 def _finish_alone(
-    sharpened: Sharpened, target: Path, *, seconds: float, seed: int, warnings: Sequence[str], as_json: bool
+    sharpened: Sharpened,
+    target: Path,
+    *,
+    seconds: float,
+    seed: int,
+    warnings: Sequence[str],
+    as_json: bool,
 ) -> None:
     """Report a photo that was restored with what was found in it."""
     result = {
@@ -200,7 +232,9 @@ def _finish_alone(
         "summary": sharpened.summary,
         "kept": sharpened.kept,
         "method": sharpened.method,
-        "psf_source": {"psf": "photo", "trajectory": "path in the photo"}.get(sharpened.psf_source or ""),
+        "psf_source": {"psf": "photo", "trajectory": "path in the photo"}.get(
+            sharpened.psf_source or ""
+        ),
         "psf_confidence": sharpened.psf_confidence,
         "direction": "unknown",
         "direction_confidence": None,

@@ -19,32 +19,41 @@ if TYPE_CHECKING:
 
     from hw.emulation.uno import EmulatedUno
 
-__all__ = ["emulate"]
-
 _BOARDS = ("uno",)
 _LOOK_S = 0.05
 
 
 def emulate(
-    board: Annotated[str, typer.Argument(metavar="BOARD", help="uno: an ATmega328P with the shipped firmware.")],
+    board: Annotated[
+        str, typer.Argument(metavar="BOARD", help="uno: an ATmega328P with the shipped firmware.")
+    ],
     link: Annotated[
-        Path | None, typer.Option("--link", help="Symbolic link to make to its port, for a name that stays.")
+        Path | None,
+        typer.Option("--link", help="Symbolic link to make to its port, for a name that stays."),
     ] = None,
     vcd: Annotated[
-        Path | None, typer.Option("--vcd", help="At the end, write what its pins did: shutter, busy, trigger.")
+        Path | None,
+        typer.Option("--vcd", help="At the end, write what its pins did: shutter, busy, trigger."),
     ] = None,
-    firmware: Annotated[Path | None, typer.Option("--firmware", help="Another Intel hex file to run.")] = None,
+    firmware: Annotated[
+        Path | None, typer.Option("--firmware", help="Another Intel hex file to run.")
+    ] = None,
     clock_ppm: Annotated[
-        float, typer.Option("--clock-ppm", min=-100_000, max=100_000, help="Its clock is this much fast.")
+        float,
+        typer.Option(
+            "--clock-ppm", min=-100_000, max=100_000, help="Its clock is this much fast."
+        ),
     ] = 0.0,
-    seconds: Annotated[float | None, typer.Option("--seconds", help="End after this, s; else at Ctrl-C.")] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", help="End after this, s; else at Ctrl-C.")
+    ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Run an emulated controller on a pseudo-terminal, in real time, until Ctrl-C.
 
-    Needs gcc and Debian's libsimavr-dev and libelf-dev, or what your system calls them. On a terminal, t and Enter give
-    a pulse on its trigger input.
+    Needs gcc and Debian's libsimavr-dev and libelf-dev, or what your system calls them. On a
+    terminal, t and Enter give a pulse on its trigger input.
 
     Example: cep hw emulate uno --link uno --vcd played.vcd
     """
@@ -59,7 +68,9 @@ def emulate(
         raise ValueError(f"--seconds: must be above 0, got {seconds:g}")
     if firmware is not None and not firmware.is_file():
         raise ValueError(f"--firmware: {firmware} is no file, an Intel hex file is needed")
-    claim([path for path in (link, vcd) if path], force=force, inputs=[firmware] if firmware else [])
+    claim(
+        [path for path in (link, vcd) if path], force=force, inputs=[firmware] if firmware else []
+    )
     uno = EmulatedUno(firmware, clock_ppm=clock_ppm)
     try:
         uno.start()
@@ -68,7 +79,11 @@ def emulate(
     port = uno.port
     try:
         with _linked(link, port):
-            print(terminal_line(f"{board} is at {link or port}; Ctrl-C ends it"), file=sys.stderr, flush=True)  # noqa: T201
+            print(
+                terminal_line(f"{board} is at {link or port}; Ctrl-C ends it"),
+                file=sys.stderr,
+                flush=True,
+            )  # noqa: T201
             _run(uno, seconds)
     finally:
         uno.stop()
@@ -76,10 +91,20 @@ def emulate(
         with Outputs((vcd,), force).written() as made:
             uno.write_vcd(made[vcd])
     edges = uno.edges()
-    result = {"board": board, "port": port, "edges": len(edges), "open": bool(edges and edges[-1][1]), "vcd": vcd}
-    finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{board}: {len(edges)} edges of the shutter" + (f", in {vcd}" if vcd else "")
-    ))  # fmt: skip
+    result = {
+        "board": board,
+        "port": port,
+        "edges": len(edges),
+        "open": bool(edges and edges[-1][1]),
+        "vcd": vcd,
+    }
+    finish(
+        result,
+        as_json=as_json,
+        show=lambda console: console.print(
+            f"{board}: {len(edges)} edges of the shutter" + (f", in {vcd}" if vcd else "")
+        ),
+    )
 
 
 def _run(uno: EmulatedUno, seconds: float | None) -> None:
@@ -90,8 +115,9 @@ def _run(uno: EmulatedUno, seconds: float | None) -> None:
     ended: list[int] = []
     # The ordinary end must not come as an exception: it could break off a word with the emulator.
     before = {
-        number: signal.signal(number, lambda sent, _: ended.append(sent)) for number in (signal.SIGINT, signal.SIGTERM)
-    }  # fmt: skip
+        number: signal.signal(number, lambda sent, _: ended.append(sent))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         while not ended and (end is None or time.monotonic() < end):
             uno.check()

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from cep.search.annealing.frames import FramesResult
     from cep.search.frames import FramesOptimum
 
-__all__ = ["optimize_frames"]
-
 
 def optimize_frames(task: Task, frames: int, run: SearchRun) -> Callable[[], None]:
     """Search and write the codes of several frames, beside the best single code played in every frame.
@@ -45,7 +43,8 @@ def optimize_frames(task: Task, frames: int, run: SearchRun) -> Callable[[], Non
     from cep.search.frames import optimize_frames as find_frames
     from cep.search.frames import write_frames
 
-    stem, suffix = run.output.stem, run.output.suffix
+    stem = run.output.stem
+    suffix = run.output.suffix
     files = [run.output.with_name(f"{stem}_{number}{suffix}") for number in range(1, frames + 1)]
 
     outputs = run.outputs(*files)
@@ -56,19 +55,27 @@ def optimize_frames(task: Task, frames: int, run: SearchRun) -> Callable[[], Non
 
     with run.keeping(*files) as keep:
         best = find_frames(
-            task.problem, run.how, frames, progress=run.tick, on_checked=outputs.check,
+            task.problem,
+            run.how,
+            frames,
+            progress=run.tick,
+            on_checked=outputs.check,
             on_found=lambda found: keep(found.codes, partial(alone, found)),
-        )  # fmt: skip
+        )
     result = {"files": files, **best.to_dict(), "warnings": list(best.warnings)}
     return run.shown(
-        result, partial(_show, best=best, files=files), outputs=outputs, codes=best.found.codes,
+        result,
+        partial(_show, best=best, files=files),
+        outputs=outputs,
+        codes=best.found.codes,
         save=lambda made: best.save([made[file] for file in files], described=task.described),
-    )  # fmt: skip
+    )
 
 
 def _show(console: Console, *, best: FramesOptimum, files: Sequence[Path]) -> None:
     """Print the codes and what they are worth together for people."""
-    codes, straight = best.found.codes, best.problem.on_circle
+    codes = best.found.codes
+    straight = best.problem.on_circle
     console.print(best.verdict.sentence)
     for file, code in zip(files, codes, strict=True):
         console.print(f"{file}: {code.bits}")
@@ -80,11 +87,20 @@ def _show(console: Console, *, best: FramesOptimum, files: Sequence[Path]) -> No
     ]
     for name, light, figures in (
         ("together", sum(code.open_chips for code in codes), best.joint),
-        (f"best single code, {len(codes)} times", len(codes) * best.single.open_chips, best.repeated),
+        (
+            f"best single code, {len(codes)} times",
+            len(codes) * best.single.open_chips,
+            best.repeated,
+        ),
     ):
         noise = figures.noise_gain_db
         rows.append(
-            (name, light, figures.min_chip if straight else figures.min_mtf, "> 100" if noise is None else noise)
+            (
+                name,
+                light,
+                figures.min_chip if straight else figures.min_mtf,
+                "> 100" if noise is None else noise,
+            )
         )
     console.print(table("on this motion (worse direction where unknown)", columns, rows))
     console.print("together: root of the sum of |H|^2, its minimum as sampled")

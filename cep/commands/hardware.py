@@ -21,13 +21,12 @@ from cep.commands.programs import (
     timed_program,
 )
 
-__all__ = ["export", "upload"]
-
 
 def export(
     code: CodeSource,
     file_format: Annotated[
-        str, typer.Option("--format", "-f", help="csv json vcd c arduino rp2 pulsepal scpi camera dmd")
+        str,
+        typer.Option("--format", "-f", help="csv json vcd c arduino rp2 pulsepal scpi camera dmd"),
     ],
     output: Annotated[
         Path | None,
@@ -45,20 +44,23 @@ def export(
 ) -> None:
     """Write a code as a timed shutter program, and read it back to prove the edges.
 
-    Chips are rounded to the format's ticks, as 0.5 us of an Uno, where that changes them by half a percent at most; a
-    warning says so. The program is checked against the shutter that the code was searched for, or --device.
+    Chips are rounded to the format's ticks, as 0.5 us of an Uno, where that changes them by half a
+    percent at most; a warning says so. The program is checked against the shutter that the code
+    was searched for, or --device.
 
-    csv, json, vcd: its edges, for scripts and logic analysers. c: a header for firmware of your own. arduino, rp2: a
-    whole program for an Uno, or for a Pico with MicroPython, as its main.py. pulsepal, scpi: settings of a Pulse Pal or
-    a waveform generator. camera, dmd: a recipe for a multi-exposure camera or a micromirror array.
+    csv, json, vcd: its edges, for scripts and logic analysers. c: a header for firmware of your
+    own. arduino, rp2: a whole program for an Uno, or for a Pico with MicroPython, as its main.py.
+    pulsepal, scpi: settings of a Pulse Pal or a waveform generator. camera, dmd: a recipe for a
+    multi-exposure camera or a micromirror array.
 
     Example: cep export code.json --format c -o shutter_code.h
     """
     from cep.codes.sources import code_file
-    from cep.files.outputs import claim, write_text
+    from cep.files.outputs import claim
     from cep.shutter.play import on_ticks
     from hw.drivers.report import Trust
     from hw.export import export_program, file_name, find_exporter
+    from motdiff.files.outputs import write_text
 
     tick_ns = find_exporter(file_format).tick_ns
     program, stored = timed_program(code, chip_ns=chip_ns)
@@ -81,9 +83,12 @@ def export(
         f"{program.duration_ns / 1e6:.4g} ms; read back, edges identical; trust C: {Trust.C.meaning}"
     )
     finish(
-        result, as_json=as_json, show=lambda console: console.print(said), outputs=outputs,
+        result,
+        as_json=as_json,
+        show=lambda console: console.print(said),
+        outputs=outputs,
         save=lambda made: write_text(made[target], text),
-    )  # fmt: skip
+    )
 
 
 def upload(
@@ -91,31 +96,42 @@ def upload(
     port: Port,
     chip_ns: ChipNs = None,
     driver: Annotated[
-        str, typer.Option("--driver", help="cxp (our firmware), pulse-pal, or scpi: --port is then a VISA resource.")
+        str,
+        typer.Option(
+            "--driver",
+            help="cxp (our firmware), pulse-pal, or scpi: --port is then a VISA resource.",
+        ),
     ] = "cxp",
     arm: Annotated[
-        bool, typer.Option("--arm", help="Arm when the program is verified: the next trigger plays it.")
+        bool,
+        typer.Option("--arm", help="Arm when the program is verified: the next trigger plays it."),
     ] = False,
-    play: Annotated[bool, typer.Option("--play", help="Play it once, now, and wait for its end.")] = False,
+    play: Annotated[
+        bool, typer.Option("--play", help="Play it once, now, and wait for its end.")
+    ] = False,
     lease_ms: LeaseMs = 10_000,
     device: Device = None,
     clock_ppm: ClockPpm = 0.0,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Also write the report as JSON.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Also write the report as JSON.")
+    ] = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
     """Load a code into a shutter controller, read it back where it can be, and arm or play it if wanted.
 
-    Only cxp reads back, has a lease and takes --clock-ppm; the others stay armed until the next upload.
+    Only cxp reads back, has a lease and takes --clock-ppm; the others stay armed until the next
+    upload.
 
     Example: cep upload code.json --port /dev/ttyACM0 --arm
     """
     from cep.codes.sources import code_file
     from cep.files.files import json_text
-    from cep.files.outputs import claim, write_text
+    from cep.files.outputs import claim
     from cep.optics.code import ShutterCode
     from cep.shutter.play import DRIVERS, open_shutter
+    from motdiff.files.outputs import write_text
 
     if driver not in DRIVERS:
         raise ValueError(f"--driver: must be one of {', '.join(DRIVERS)}, got {driver[:40]!r}")
@@ -129,9 +145,13 @@ def upload(
     outputs = claim([output] if output else [], force=force, inputs=[] if file is None else [file])
     with open_shutter(port, driver=driver) as shutter:
         report = shutter.upload(
-            ShutterCode(program.bits, program.chip_ns), profile=profile, arm=arm, play=play, lease_ms=lease_ms,
+            ShutterCode(program.bits, program.chip_ns),
+            profile=profile,
+            arm=arm,
+            play=play,
+            lease_ms=lease_ms,
             clock_ppm=clock_ppm,
-        )  # fmt: skip
+        )
         result = {
             "port": report.port,
             "driver": driver,
@@ -149,12 +169,18 @@ def upload(
             "seed": seed,
         }
         if output:
-            with outputs.written() as made:  # in here, since a command that fails must leave nothing armed
+            with (
+                outputs.written() as made
+            ):  # in here, since a command that fails must leave nothing armed
                 write_text(made[output], json_text(result))
     lease = f" for {report.lease_ms} ms" if report.lease_ms else ""
     armed = f"; armed{lease}" if report.armed else "; armed and triggered already"
     then = "; played once" if play else armed if arm else ""
     trust = f"trust {report.trust}: {report.trust.meaning}"
-    finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{report.port}: {program.chips} chips of {program.chip_ns} ns loaded, {trust}{then}"
-    ))  # fmt: skip
+    finish(
+        result,
+        as_json=as_json,
+        show=lambda console: console.print(
+            f"{report.port}: {program.chips} chips of {program.chip_ns} ns loaded, {trust}{then}"
+        ),
+    )

@@ -13,18 +13,8 @@ from cep.commands.console import FAILURE, INTERRUPTED, finish, table
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cep.jobs.folders import FolderResults
     from cep.files.outputs import Outputs
-
-__all__ = [
-    "MANY",
-    "Cache",
-    "Dask",
-    "Workers",
-    "end",
-    "finish_folder",
-    "only_of_folders",
-]
+    from cep.jobs.folders import FolderResults
 
 
 def only_of_folders(where: str, workers: int | None, dask: str | None, cache: Path | None) -> None:
@@ -50,7 +40,8 @@ def finish_folder(
     Parameters
     ----------
     result : mapping
-        For JSON, with ``summary``, the table's file; failures, ``missing`` and the warnings are added.
+        For JSON, with ``summary``, the table's file; failures, ``missing`` and the warnings are
+        added.
     columns : mapping from a row's key to the head that people read
         The first is the name; a figure that no row has is left out.
     found : FolderResults
@@ -68,18 +59,27 @@ def finish_folder(
     from cep.jobs.folders import NOT_REACHED
 
     name, *figures = columns
-    rows, missing = found.rows, found.missing
+    rows = found.rows
+    missing = found.missing
     failures = {
-        str(row[name]): str(row["failure"]) for row in rows if row.get("failure") not in (None, "", NOT_REACHED)
+        str(row[name]): str(row["failure"])
+        for row in rows
+        if row.get("failure") not in (None, "", NOT_REACHED)
     }
     told = [*found.warnings, *(f"{failed}: {reason}" for failed, reason in failures.items())]
     if missing:
-        told.append(f"stopped early: {missing} {noun} are left out; the same command with --force goes on")
+        told.append(
+            f"stopped early: {missing} {noun} are left out; the same command with --force goes on"
+        )
 
     def show(console: Console) -> None:
         shown = [key for key in figures if any(row.get(key) is not None for row in rows)]
         lines = [(str(row[name]), *(row.get(key) for key in shown), _state(row)) for row in rows]
-        console.print(table(title, (columns[name], *(columns[key] for key in shown), "warnings"), lines, kept=1))
+        console.print(
+            table(
+                title, (columns[name], *(columns[key] for key in shown), "warnings"), lines, kept=1
+            )
+        )
         console.print(str(result["summary"]))
 
     finish(
@@ -110,7 +110,8 @@ def _state(row: Mapping[str, object]) -> str:
     """Say in a word how a row came out; the reasons and the warnings themselves are told on stderr."""
     from cep.jobs.folders import NOT_REACHED
 
-    failure, warnings = row.get("failure"), row.get("warnings")
+    failure = row.get("failure")
+    warnings = row.get("warnings")
     if failure:
         return NOT_REACHED if failure == NOT_REACHED else "failed"
     return str(len(warnings)) if isinstance(warnings, Sequence) and warnings else ""
@@ -122,21 +123,28 @@ MANY = "Folders and benchmarks"
 Workers = Annotated[
     int | None,
     typer.Option(
-        "--workers", metavar="N", min=1, rich_help_panel=MANY,
+        "--workers",
+        metavar="N",
+        min=1,
+        rich_help_panel=MANY,
         help="Processes of one thread, or threads of a proof; as many as cores when omitted.",
     ),
-]  # fmt: skip
+]
 Dask = Annotated[
     str | None,
     typer.Option(
-        "--dask", metavar="ADDRESS", rich_help_panel=MANY,
+        "--dask",
+        metavar="ADDRESS",
+        rich_help_panel=MANY,
         help="Scheduler of a Dask cluster to run on, as tcp://host:8786; photos must lie at the same paths there.",
     ),
-]  # fmt: skip
+]
 Cache = Annotated[
     Path | None,
     typer.Option(
-        "--cache", metavar="FOLDER", rich_help_panel=MANY,
+        "--cache",
+        metavar="FOLDER",
+        rich_help_panel=MANY,
         help="Folder of finished cells, found again; cells in the output when omitted.",
     ),
-]  # fmt: skip
+]

@@ -28,8 +28,6 @@ from cep.commands import (
 from cep.commands.commands import Command, Group
 from cep.commands.console import BAD_INPUT, FAILURE, INTERRUPTED, complain, explain, warn
 
-__all__ = ["app", "main", "run", "run_app"]
-
 IN_THE_LAB = ("bench", "pareto")
 """Commands of earlier versions that are not part of the product."""
 
@@ -65,7 +63,10 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version)
+        bool,
+        typer.Option(
+            "--version", help="Print the version and exit.", is_eager=True, callback=_print_version
+        ),
     ] = False,
 ) -> None:
     pass  # the option's callback acts, before a missing command is complained about
@@ -102,7 +103,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if given[0] in IN_THE_LAB:
-        complain(f"{given[0]}: moved to the laboratory, in the repository: python -m lab {given[0]}")
+        complain(
+            f"{given[0]}: moved to the laboratory, in the repository: python -m lab {given[0]}"
+        )
         return BAD_INPUT
     return run_app(app, given, name="cep")
 

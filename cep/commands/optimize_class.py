@@ -20,38 +20,46 @@ if TYPE_CHECKING:
     from cep.search.optimize_class import ClassOptimum, ClassTask
     from cep.search.recipe import Found
 
-__all__ = ["All", "ClassName", "ClassSize", "PathLength", "optimize_class", "refuse_with_class"]
-
 
 All = Annotated[
     Path | None,
     typer.Option(
-        "--all", metavar="FOLDER", rich_help_panel=MOTION,
+        "--all",
+        metavar="FOLDER",
+        rich_help_panel=MOTION,
         help="One code for all motions of a folder, FOLDER/*/trajectory.json, best in their mean decibels.",
     ),
-]  # fmt: skip
+]
 ClassName = Annotated[
     str | None,
     typer.Option(
-        "--class", metavar="walks|FILE", rich_help_panel=MOTION,
+        "--class",
+        metavar="walks|FILE",
+        rich_help_panel=MOTION,
         help="One code for a class of motions, without calibration: walks (simulated hand shakes), or shakes cut from "
         "a gyro recording (its z axis along the line of sight), each as long as the exposure.",
     ),
-]  # fmt: skip
+]
 PathLength = Annotated[
     float | None,
     typer.Option(
-        "--length", metavar="PX", rich_help_panel=MOTION,
+        "--length",
+        metavar="PX",
+        rich_help_panel=MOTION,
         help="With --class: length of each walk, or larger side of each shake; 60 when omitted.",
     ),
-]  # fmt: skip
+]
 ClassSize = Annotated[
     int | None,
     typer.Option(
-        "--motions", metavar="N", min=2, max=256, rich_help_panel=MOTION,
+        "--motions",
+        metavar="N",
+        min=2,
+        max=256,
+        rich_help_panel=MOTION,
         help="With --class: motions to draw for the search; 100 when omitted. It is judged on 300 others.",
     ),
-]  # fmt: skip
+]
 
 
 def refuse_with_class(option: str, given: Mapping[str, bool]) -> None:
@@ -70,7 +78,9 @@ def refuse_with_class(option: str, given: Mapping[str, bool]) -> None:
     """
     for name, there in given.items():
         if there:
-            raise ValueError(f"{name}: not valid with {option}, which searches one code for many motions")
+            raise ValueError(
+                f"{name}: not valid with {option}, which searches one code for many motions"
+            )
 
 
 def optimize_class(task: ClassTask, run: SearchRun) -> Callable[[], None]:
@@ -101,23 +111,33 @@ def optimize_class(task: ClassTask, run: SearchRun) -> Callable[[], None]:
 
     def alone(code: ShutterCode, found: Found, made: Mapping[Path, Path]) -> None:
         """Write the code without what it is worth."""
-        write_code(made[run.output], StoredCode(code, problem=stored_search(task.described, found)))
+        write_code(
+            made[run.output], StoredCode(code, problem=stored_search(task.described, found))
+        )
 
     with run.keeping() as keep:
         best = find(
-            task.motions, task.problem, run.how, others=task.others, progress=run.tick,
+            task.motions,
+            task.problem,
+            run.how,
+            others=task.others,
+            progress=run.tick,
             on_found=lambda code, found: keep([code], partial(alone, code, found)),
-        )  # fmt: skip
+        )
     result = {"file": run.output, **best.to_dict(), "warnings": [*task.warnings, *best.warnings]}
     return run.shown(
-        result, partial(_show, best=best, file=run.output), outputs=outputs, codes=[best.code],
+        result,
+        partial(_show, best=best, file=run.output),
+        outputs=outputs,
+        codes=[best.code],
         save=lambda made: best.save(made[run.output], described=task.described),
-    )  # fmt: skip
+    )
 
 
 def _show(console: Console, *, best: ClassOptimum, file: Path) -> None:
     """Print a class code for people."""
-    code, found = best.code, best.found
+    code = best.code
+    found = best.found
     console.print(best.verdict)
     console.print(f"{file}: {code.bits}")
     light = f"{code.open_chips} of {code.chips} chips open, {openings(code)}"

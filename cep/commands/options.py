@@ -12,83 +12,112 @@ if TYPE_CHECKING:
     from cep.optics.code import ShutterCode
     from motdiff.files.trajectories import StoredMotion
 
-__all__ = [
-    "CAMERA", "COMMON", "MOTION", "CameraFile", "ChipNs", "CodeSource", "Figures", "Force", "Gamma", "Json", "Linear",
-    "Photons", "PlotFile", "ReadNoise", "Seed", "TableFile", "TrajectoryFile", "code_figures", "load_camera",
-    "load_motion", "output_option", "table_files",
-]  # fmt: skip
-
-COMMON, MOTION, CAMERA = "Common options", "Motion", "Camera"
+COMMON = "Common options"
+MOTION = "Motion"
+CAMERA = "Camera"
 """Panels of the help pages."""
 
 Json = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on stdout, nothing else.", rich_help_panel=COMMON)
+    bool,
+    typer.Option(
+        "--json", help="Print one JSON object on stdout, nothing else.", rich_help_panel=COMMON
+    ),
 ]
 Seed = Annotated[
     int,
     typer.Option(
-        "--seed", metavar="N", min=0, help="Seed of every random draw; the same seed, the same files.",
+        "--seed",
+        metavar="N",
+        min=0,
+        help="Seed of every random draw; the same seed, the same files.",
         rich_help_panel=COMMON,
     ),
-]  # fmt: skip
-Force = Annotated[bool, typer.Option("--force", help="Replace outputs that exist.", rich_help_panel=COMMON)]
+]
+Force = Annotated[
+    bool, typer.Option("--force", help="Replace outputs that exist.", rich_help_panel=COMMON)
+]
 PlotFile = Annotated[
     Path | None,
     typer.Option(
-        "--plot", metavar="FILE", rich_help_panel=COMMON,
+        "--plot",
+        metavar="FILE",
+        rich_help_panel=COMMON,
         help="Figure to write: .png, .pdf or .svg; named as the output, .png, when omitted.",
     ),
-]  # fmt: skip
+]
 TableFile = Annotated[
     Path | None,
     typer.Option(
-        "--table", metavar="FILE", rich_help_panel=COMMON,
+        "--table",
+        metavar="FILE",
+        rich_help_panel=COMMON,
         help="Also write the tables, with all their columns: .tex (booktabs), .csv or .md.",
     ),
-]  # fmt: skip
+]
 Gamma = Annotated[
-    str, typer.Option("--gamma", metavar="CURVE", help="Curve of the photo: srgb, linear, or an exponent as 2.2.")
+    str,
+    typer.Option(
+        "--gamma", metavar="CURVE", help="Curve of the photo: srgb, linear, or an exponent as 2.2."
+    ),
 ]
 TrajectoryFile = Annotated[
     Path | None,
     typer.Option(
-        "--trajectory", metavar="FILE", help="A trajectory.json, as cep calibrate writes it.", rich_help_panel=MOTION
+        "--trajectory",
+        metavar="FILE",
+        help="A trajectory.json, as cep calibrate writes it.",
+        rich_help_panel=MOTION,
     ),
 ]
 Linear = Annotated[
     float | None,
     typer.Option(
-        "--linear", metavar="PX", help="Straight and uniform motion, this many px long.", rich_help_panel=MOTION
+        "--linear",
+        metavar="PX",
+        help="Straight and uniform motion, this many px long.",
+        rich_help_panel=MOTION,
     ),
 ]
 CodeSource = Annotated[
-    str, typer.Argument(metavar="CODE", help="Bits as 1011..., a code.json, a published code's name, or module:name.")
+    str,
+    typer.Argument(
+        metavar="CODE",
+        help="Bits as 1011..., a code.json, a published code's name, or module:name.",
+    ),
 ]
 ChipNs = Annotated[
-    int | None, typer.Option("--chip-ns", metavar="NS", min=1, help="Chip time, ns; replaces the file's.")
+    int | None,
+    typer.Option("--chip-ns", metavar="NS", min=1, help="Chip time, ns; replaces the file's."),
 ]
 CameraFile = Annotated[
     str | None,
     typer.Option(
-        "--camera", metavar="NAME|FILE", rich_help_panel=CAMERA,
+        "--camera",
+        metavar="NAME|FILE",
+        rich_help_panel=CAMERA,
         help="A camera that cep camera list shows, or a .json or .toml file with its figures.",
     ),
-]  # fmt: skip
+]
 Figures = Annotated[
     list[str] | None,
     typer.Option(
-        "--figure", metavar="MODULE:NAME",
+        "--figure",
+        metavar="MODULE:NAME",
         help="Also a figure of merit of your own: a function of (trajectory, code) that returns a number; may be "
         "repeated.",
     ),
-]  # fmt: skip
+]
 Photons = Annotated[
     float | None,
-    typer.Option("--photons", metavar="N", help="Photo-electrons at full scale.", rich_help_panel=CAMERA),
+    typer.Option(
+        "--photons", metavar="N", help="Photo-electrons at full scale.", rich_help_panel=CAMERA
+    ),
 ]
 ReadNoise = Annotated[
     float | None,
-    typer.Option("--read-noise", metavar="N", help="Read noise, electrons rms.", rich_help_panel=CAMERA),
+    typer.Option(
+        "--read-noise", metavar="N", help="Read noise, electrons rms.", rich_help_panel=CAMERA
+    ),
 ]
 
 
@@ -127,12 +156,18 @@ def load_motion(trajectory: Path | None, linear: float | None) -> StoredMotion:
         return read_motion(trajectory)
     assert linear is not None
     if not 0 < linear <= LONGEST_PX:
-        raise ValueError(f"--linear: must be a length above 0 and up to {LONGEST_PX:g} px, got {linear:g}")
+        raise ValueError(
+            f"--linear: must be a length above 0 and up to {LONGEST_PX:g} px, got {linear:g}"
+        )
     return StoredMotion(Trajectory.straight(linear), source={"method": "linear"})
 
 
 def load_camera(
-    name: str | None, *, photons: float | None, read_noise: float | None, standard: Camera | None = None
+    name: str | None,
+    *,
+    photons: float | None,
+    read_noise: float | None,
+    standard: Camera | None = None,
 ) -> Camera:
     """Return the camera of ``--camera``, changed by ``--photons`` and ``--read-noise``; the standard one without."""
     from dataclasses import replace

@@ -12,27 +12,19 @@ if TYPE_CHECKING:
     from hw.drivers.cxp import Controller
     from hw.program import Program
 
-__all__ = [
-    "ClockPpm",
-    "Device",
-    "LeaseMs",
-    "Port",
-    "checked_profile",
-    "load_program",
-    "named_port",
-    "open_port",
-    "program_figures",
-    "timed_program",
-]
-
 Port = Annotated[
     str,
     typer.Option(
-        "--port", "-p", help="Serial port of the controller, as /dev/ttyACM0 or COM3; its USB serial number; or auto."
+        "--port",
+        "-p",
+        help="Serial port of the controller, as /dev/ttyACM0 or COM3; its USB serial number; or auto.",
     ),
 ]
 LeaseMs = Annotated[
-    int, typer.Option("--lease-ms", min=1, max=65535, help="An armed controller disarms itself after this, ms.")
+    int,
+    typer.Option(
+        "--lease-ms", min=1, max=65535, help="An armed controller disarms itself after this, ms."
+    ),
 ]
 ClockPpm = Annotated[
     float,
@@ -73,19 +65,24 @@ def timed_program(source: str, *, chip_ns: int | None) -> tuple[Program, StoredC
     return Program.from_bits(code.bits, chip_ns=code.chip_ns), stored
 
 
-def load_program(source: str, *, chip_ns: int | None, device: str | None) -> tuple[Program, DeviceProfile | None]:
+def load_program(
+    source: str, *, chip_ns: int | None, device: str | None
+) -> tuple[Program, DeviceProfile | None]:
     """Return the program of a code, and the profile of ``--device`` or else the one that the code was searched for.
 
     Raises
     ------
     ValueError
-        If the chip time is out of range, or the device cannot play the program: the line lists every limit it breaks.
+        If the chip time is out of range, or the device cannot play the program: the line lists
+        every limit it breaks.
     """
     program, stored = timed_program(source, chip_ns=chip_ns)
     return program, checked_profile(program, stored, source=source, device=device)
 
 
-def checked_profile(program: Program, stored: StoredCode, *, source: str, device: str | None) -> DeviceProfile | None:
+def checked_profile(
+    program: Program, stored: StoredCode, *, source: str, device: str | None
+) -> DeviceProfile | None:
     """Return the profile that :func:`load_program` returns with a program, checked as there."""
     from cep.files.files import stored_device
     from hw.device import load_profile
@@ -93,7 +90,9 @@ def checked_profile(program: Program, stored: StoredCode, *, source: str, device
     profile = stored_device(stored, source=source) if device is None else load_profile(device)
     if profile is not None and (problems := profile.check(program)):
         whose = f"; {source} was searched for {profile.name}, --device says which other shutter it is for"
-        raise ValueError(f"the program cannot be played: {'; '.join(problems)}{'' if device else whose}")
+        raise ValueError(
+            f"the program cannot be played: {'; '.join(problems)}{'' if device else whose}"
+        )
     return profile
 
 
@@ -113,7 +112,9 @@ def open_port(port: str) -> Controller:
 def named_port(port: str) -> str:
     """Return the name that ``--port`` gives, which must not be blank."""
     if not port.strip():
-        raise ValueError("--port: must name a port, as /dev/ttyACM0 or COM3, a USB serial number or auto")
+        raise ValueError(
+            "--port: must name a port, as /dev/ttyACM0 or COM3, a USB serial number or auto"
+        )
     return port
 
 

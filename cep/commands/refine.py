@@ -10,14 +10,13 @@ import typer
 from cep.commands.console import finish, part, photo_named, progress
 from cep.commands.options import Force, Gamma, Json, output_option
 
-__all__ = ["refine"]
-
 
 def refine(
     images: Annotated[
         list[Path],
         typer.Argument(
-            metavar="IMAGE...", help="Photos of the calibrated motion, each through a known code; not all open."
+            metavar="IMAGE...",
+            help="Photos of the calibrated motion, each through a known code; not all open.",
         ),
     ],
     code: Annotated[
@@ -30,7 +29,9 @@ def refine(
     ] = None,
     trajectory: Annotated[
         Path | None,
-        typer.Option("--trajectory", metavar="FILE", help="The calibration, a trajectory.json; needed."),
+        typer.Option(
+            "--trajectory", metavar="FILE", help="The calibration, a trajectory.json; needed."
+        ),
     ] = None,
     uncertainty: Annotated[
         float | None,
@@ -42,19 +43,22 @@ def refine(
     ] = None,
     gamma: Gamma = "srgb",
     output: Annotated[
-        Path | None, output_option("Trajectory to write; FILE with _refined in its name when omitted.")
+        Path | None,
+        output_option("Trajectory to write; FILE with _refined in its name when omitted."),
     ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Improve a calibrated path by coded photos of that motion; the given path is kept where they show no better one.
 
-    Two or more photos of one scene show the order in time too, and the path to a tenth of a pixel. From a single
-    photo the gain is smaller, and in some photos there is none.
+    Two or more photos of one scene show the order in time too, and the path to a tenth of a pixel.
+    From a single photo the gain is smaller, and in some photos there is none.
 
-    Example: cep refine coded.png --code code.json --trajectory motion/trajectory.json -o better.json
+    Example: cep refine coded.png --code code.json --trajectory motion/trajectory.json -o
+    better.json
 
-    Example: cep refine one.png two.png --code one.json --code two.json --trajectory trajectory.json -o better.json
+    Example: cep refine one.png two.png --code one.json --code two.json --trajectory
+    trajectory.json -o better.json
     """
     with progress("refining the motion") as tick:
         tick(0.0, "reading the photos")
@@ -69,7 +73,7 @@ def refine(
             stated_uncertainty_px,
             trajectory_text,
             write_motion,
-        )  # fmt: skip
+        )
 
         parse_gamma(gamma)
         if trajectory is None:
@@ -92,9 +96,12 @@ def refine(
         usual = USUAL_UNCERTAINTY_PX if stated is None else stated
         try:
             found = refine_motion(
-                [one.pixels for one in photos], codes, stored.trajectory,
-                uncertainty_px=usual if uncertainty is None else uncertainty, progress=part(tick, 0.03, 0.99),
-            )  # fmt: skip
+                [one.pixels for one in photos],
+                codes,
+                stored.trajectory,
+                uncertainty_px=usual if uncertainty is None else uncertainty,
+                progress=part(tick, 0.03, 0.99),
+            )
         except ValueError as error:
             raise ValueError(photo_named(str(error), images)) from None
         source = {
@@ -137,6 +144,10 @@ def refine(
             f"refined by {found.moved_px:.2g} px rms; the photos' misfit fell from {found.given_misfit:.2f} to "
             f"{found.misfit:.2f} times the noise"
         )
-    finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{target}: {said}; direction {motion.direction}, error about {found.uncertainty_px:.2g} px"
-    ))  # fmt: skip
+    finish(
+        result,
+        as_json=as_json,
+        show=lambda console: console.print(
+            f"{target}: {said}; direction {motion.direction}, error about {found.uncertainty_px:.2g} px"
+        ),
+    )

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from cep.search.optimize import Search
     from hw.device import DeviceProfile
 
-__all__ = ["SearchRun", "in_bits"]
-
 Write = Callable[[Mapping[Path, Path]], object]
 Keep = Callable[["Sequence[ShutterCode]", Write], None]
 
@@ -55,7 +53,9 @@ class SearchRun:
         """Return the files that are written: the codes', :attr:`output` when omitted, and the tables'."""
         from cep.files.outputs import Outputs
 
-        return Outputs((*(files or (self.output,)), *table_files(self.tables)), self.force, tuple(inputs))
+        return Outputs(
+            (*(files or (self.output,)), *table_files(self.tables)), self.force, tuple(inputs)
+        )
 
     @contextmanager
     def keeping(self, *files: Path) -> Iterator[Keep]:
@@ -69,8 +69,8 @@ class SearchRun:
         Yields
         ------
         function
-            To be called with the codes, and with what writes them under the temporary names of the files; raises
-            ValueError where the device cannot play one.
+            To be called with the codes, and with what writes them under the temporary names of the
+            files; raises ValueError where the device cannot play one.
         """
         from cep.files.outputs import Outputs
         from cep.search.playable import unplayable
@@ -108,9 +108,15 @@ class SearchRun:
         from functools import partial
 
         return partial(
-            finish, {**result, "seed": self.how.seed}, as_json=self.as_json, show=show, outputs=outputs, save=save,
-            tables=self.tables, summary=in_bits(codes),
-        )  # fmt: skip
+            finish,
+            {**result, "seed": self.how.seed},
+            as_json=self.as_json,
+            show=show,
+            outputs=outputs,
+            save=save,
+            tables=self.tables,
+            summary=in_bits(codes),
+        )
 
 
 def in_bits(codes: Iterable[ShutterCode]) -> str:

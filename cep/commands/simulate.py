@@ -23,12 +23,13 @@ from cep.commands.options import (
     output_option,
 )
 
-__all__ = ["simulate"]
-
 
 def simulate(
     sharp: Annotated[
-        Path, typer.Argument(metavar="SHARP", help="Sharp photo of the scene: PNG, TIFF, JPEG, WebP or RAW.")
+        Path,
+        typer.Argument(
+            metavar="SHARP", help="Sharp photo of the scene: PNG, TIFF, JPEG, WebP or RAW."
+        ),
     ],
     trajectory: TrajectoryFile = None,
     linear: Linear = None,
@@ -44,16 +45,20 @@ def simulate(
     photons: Photons = None,
     read_noise: ReadNoise = None,
     gamma: Gamma = "srgb",
-    output: Annotated[Path | None, output_option("Photo to write; SHARP_coded.png when omitted.")] = None,
+    output: Annotated[
+        Path | None, output_option("Photo to write; SHARP_coded.png when omitted.")
+    ] = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
     """Simulate the photo: motion, code, real borders, photon and read noise, quantisation.
 
-    The photo is smaller than SHARP by the reach of the motion: its borders are real. The PSF is written beside it.
+    The photo is smaller than SHARP by the reach of the motion: its borders are real. The PSF is
+    written beside it.
 
-    Example: cep simulate sharp.png --trajectory trajectory.json --code code.json --photons 2000 -o coded.png
+    Example: cep simulate sharp.png --trajectory trajectory.json --code code.json --photons 2000 -o
+    coded.png
     """
     with progress("exposing"):
         import numpy as np
@@ -73,7 +78,9 @@ def simulate(
         shutter = ShutterCode("1") if code is None else load_code(code)
         check_resolved(motion, shutter.chips)
         noise = load_camera(camera, photons=photons, read_noise=read_noise)
-        target = output or sharp.with_name(f"{sharp.stem}_{'open' if code is None else 'coded'}.png")
+        target = output or sharp.with_name(
+            f"{sharp.stem}_{'open' if code is None else 'coded'}.png"
+        )
         check_image_name(target)
         stem = f"{target.stem}_psf"
         names = [target.name, *(stem + suffix for suffix in PSF_SUFFIXES)]
@@ -94,6 +101,10 @@ def simulate(
         "seed": seed,
         "warnings": list(photo.warnings),
     }
-    finish(result, as_json=as_json, show=lambda console: console.print(
-        f"{target}: {taken.shape[1]} x {taken.shape[0]} px, {shutter.duty:.0%} of the light; PSF in {psf_file}"
-    ))  # fmt: skip
+    finish(
+        result,
+        as_json=as_json,
+        show=lambda console: console.print(
+            f"{target}: {taken.shape[1]} x {taken.shape[0]} px, {shutter.duty:.0%} of the light; PSF in {psf_file}"
+        ),
+    )

@@ -11,15 +11,21 @@ import typer
 from cep.commands.console import finish
 from cep.commands.options import Force, Json, Seed
 
-__all__ = ["studio"]
-
 
 def studio(
     file: Annotated[
-        Path | None, typer.Argument(metavar="FILE", help="A studio.json that the page saved, to begin with.")
+        Path | None,
+        typer.Argument(metavar="FILE", help="A studio.json that the page saved, to begin with."),
     ] = None,
     port: Annotated[
-        int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port on 127.0.0.1; a free one when omitted.")
+        int,
+        typer.Option(
+            "--port",
+            metavar="N",
+            min=0,
+            max=65535,
+            help="Port on 127.0.0.1; a free one when omitted.",
+        ),
     ] = 0,
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Print the address, and leave the browser alone.")
@@ -27,19 +33,21 @@ def studio(
     extract: Annotated[
         Path | None,
         typer.Option(
-            "--extract", metavar="FOLDER",
+            "--extract",
+            metavar="FOLDER",
             help="Instead of the page: write the trajectory.json, code.json and commands.sh of FILE's state.",
         ),
     ] = None,
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
-) -> None:  # fmt: skip
+) -> None:
     """Open the studio: a page on this computer where a code is dragged and everything follows.
 
-    Drop a blurred photo or choose a motion, give camera and light, and see the verdict, MTF, certified minimum, noise
-    and the simulated photo follow every chip. Search, compare, export, play on a controller. The page is served on
-    127.0.0.1 alone, to the browser that opens the printed address first: its key works once. Ctrl-C ends it.
+    Drop a blurred photo or choose a motion, give camera and light, and see the verdict, MTF,
+    certified minimum, noise and the simulated photo follow every chip. Search, compare, export,
+    play on a controller. The page is served on 127.0.0.1 alone, to the browser that opens the
+    printed address first: its key works once. Ctrl-C ends it.
 
     Example: cep studio
 
@@ -51,15 +59,19 @@ def studio(
         from cep.studio.documents import extract as take_apart
 
         written = take_apart(file, extract, force=force)
-        finish({"files": written, "seed": seed}, as_json=as_json, show=lambda console: console.print(
-            *map(str, written), sep="\n"
-        ))  # fmt: skip
+        finish(
+            {"files": written, "seed": seed},
+            as_json=as_json,
+            show=lambda console: console.print(*map(str, written), sep="\n"),
+        )
         return
     try:
         import starlette  # noqa: F401 - only whether it is there
         import uvicorn  # noqa: F401
     except ImportError:
-        raise ValueError("the studio needs two more packages: pip install 'coded-exposure[studio]'") from None
+        raise ValueError(
+            "the studio needs two more packages: pip install 'coded-exposure[studio]'"
+        ) from None
     from cep.studio.server import serve
 
     opened = None
@@ -75,8 +87,9 @@ def studio(
         else:
             print(  # noqa: T201
                 f"The studio is at {address}\nThis address opens it once, in one browser. Ctrl-C ends it.",
-                file=sys.stderr, flush=True,
-            )  # fmt: skip
+                file=sys.stderr,
+                flush=True,
+            )
 
     def browse(page: str) -> None:
         import webbrowser

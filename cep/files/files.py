@@ -16,42 +16,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cep.files.images import read_photo
-from cep.files.outputs import new_files, write_bytes, write_text
 from cep.optics.code import ShutterCode
 from hw.device import DeviceProfile, load_profile
 from motdiff.crops import luminance
 from motdiff.files import inputs
 from motdiff.files.inputs import one_line, regular_file
 from motdiff.files.mat_files import levin_psf, read_mat
+from motdiff.files.outputs import new_files, write_bytes, write_text
 from motdiff.files.schemas import fault, load_schema
-
-__all__ = [
-    "CODE_SCHEMA",
-    "DEMO_SCHEMA",
-    "FRONT_SCHEMA",
-    "PSF_SUFFIXES",
-    "StoredCode",
-    "code_document",
-    "json_text",
-    "load_psf",
-    "plain",
-    "read_code",
-    "read_json",
-    "read_psf",
-    "stated_schema",
-    "stored_device",
-    "write_code",
-    "write_psf",
-]
 
 CODE_SCHEMA = "cep.code/1"
 DEMO_SCHEMA = "cep.demo/1"
 FRONT_SCHEMA = "cep.front/1"
 PSF_SUFFIXES = (".npy", ".mat", ".png")
-_OFF_MIDDLE_PX, _CODED_OFF = 1.0, 0.25  # px of an open shutter's PSF; share of the extent of a coded one's
+_OFF_MIDDLE_PX = 1.0  # px of an open shutter's PSF; share of the extent of a coded one's
+_CODED_OFF = 0.25
 _OPEN_LIGHT = 0.999
-_VEIL, _VEIL_LEVEL = 0.05, 0.5  # share of the light; of the peak: that of a box is no veil
-_MAT_TEXT, _MAT_TEXT_BYTES = b"MATLAB 5.0 MAT-file, written by coded-exposure", 116  # "MAT-File Format", MathWorks
+_VEIL = 0.05  # share of the light; of the peak: that of a box is no veil
+_VEIL_LEVEL = 0.5
+_MAT_TEXT = b"MATLAB 5.0 MAT-file, written by coded-exposure"  # "MAT-File Format", MathWorks
+_MAT_TEXT_BYTES = 116
 
 
 @dataclass(frozen=True)
@@ -98,7 +82,8 @@ def read_code(path: Path | str) -> StoredCode:
     Raises
     ------
     ValueError
-        If the file is not JSON, of another schema, or its bits are no code; the line names the file.
+        If the file is not JSON, of another schema, or its bits are no code; the line names the
+        file.
     OSError
         If the file cannot be read.
     """
@@ -108,12 +93,16 @@ def read_code(path: Path | str) -> StoredCode:
     if isinstance(chip_ns, float) and chip_ns.is_integer():
         chip_ns = int(chip_ns)  # as some programs write whole numbers
     try:
-        code = ShutterCode(bits, chip_ns) if isinstance(bits, str) and "chip_ns" in document else None
+        code = (
+            ShutterCode(bits, chip_ns) if isinstance(bits, str) and "chip_ns" in document else None
+        )
     except (TypeError, ValueError) as error:  # says which chip is wrong, as a schema cannot
         raise ValueError(f"{path}: {one_line(error)}") from None
     if (wrong := fault(document, load_schema("cep.files", "code"))) is not None or code is None:
         raise ValueError(f"{path}: {wrong}")
-    return StoredCode(code, *(document.get(name) or {} for name in ("metrics", "problem", "certificate")))
+    return StoredCode(
+        code, *(document.get(name) or {} for name in ("metrics", "problem", "certificate"))
+    )
 
 
 def stored_device(stored: StoredCode, *, source: str) -> DeviceProfile | None:
@@ -134,9 +123,15 @@ def stored_device(stored: StoredCode, *, source: str) -> DeviceProfile | None:
     if device is None:
         return None
     try:
-        return load_profile(device) if isinstance(device, str) else DeviceProfile.from_dict(device, source="its device")
+        return (
+            load_profile(device)
+            if isinstance(device, str)
+            else DeviceProfile.from_dict(device, source="its device")
+        )
     except ValueError as error:
-        raise ValueError(f"{source}: {error}; --device NAME|FILE says which shutter it is for") from None
+        raise ValueError(
+            f"{source}: {error}; --device NAME|FILE says which shutter it is for"
+        ) from None
 
 
 def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:
@@ -206,7 +201,8 @@ def plain(value: object) -> Any:
 def json_text(value: object, *, ascii_only: bool = False) -> str:
     r"""Format ``value`` as strict JSON with a closing newline.
 
-    Bytes of a file's name that are no UTF-8 are lone surrogates in Python; JSON has them as escapes, ``\udcff``.
+    Bytes of a file's name that are no UTF-8 are lone surrogates in Python; JSON has them as
+    escapes, ``\udcff``.
 
     Parameters
     ----------
@@ -218,7 +214,7 @@ def json_text(value: object, *, ascii_only: bool = False) -> str:
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
-# -- PSFs -----------------------------------------------------------------------------------------------------------
+# -- PSFs -----------------------------------------------------------------------------------------
 
 
 def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple[Path, Path, Path]:
@@ -241,12 +237,16 @@ def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple
 
     kernel = np.asarray(psf, dtype=np.float32)
     paths = tuple(Path(folder) / f"{stem}{suffix}" for suffix in PSF_SUFFIXES)
-    grey = np.rint(255 * kernel / max(float(kernel.max()), float(np.finfo(np.float32).tiny))).astype(np.uint8)
+    grey = np.rint(
+        255 * kernel / max(float(kernel.max()), float(np.finfo(np.float32).tiny))
+    ).astype(np.uint8)
     stored = BytesIO()
     np.save(stored, kernel)  # written to a file, SciPy hides the error of a full disk
     matlab = BytesIO()
     savemat(matlab, {"psf": kernel.astype(np.float64)})
-    undated = _MAT_TEXT.ljust(_MAT_TEXT_BYTES) + matlab.getvalue()[_MAT_TEXT_BYTES:]  # SciPy puts the date there
+    undated = (
+        _MAT_TEXT.ljust(_MAT_TEXT_BYTES) + matlab.getvalue()[_MAT_TEXT_BYTES:]
+    )  # SciPy puts the date there
     contents = (stored.getvalue(), undated, cv2.imencode(".png", grey)[1].tobytes())
     with new_files(paths) as made:
         for path, content in zip(paths, contents, strict=True):
@@ -263,8 +263,9 @@ def read_psf(path: Path | str) -> NDArray[np.float64]:
 def load_psf(path: Path | str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """Read a PSF from ``.npy``, ``.mat`` or an image (whose samples are taken as linear).
 
-    Of a ``.mat`` file the variable ``psf`` is read as it is; where there is none, ``f``, the kernel in Levin's files,
-    which is turned by 180 degrees: see :func:`motdiff.files.mat_files.levin_psf`.
+    Of a ``.mat`` file the variable ``psf`` is read as it is; where there is none, ``f``, the
+    kernel in Levin's files, which is turned by 180 degrees: see
+    :func:`motdiff.files.mat_files.levin_psf`.
 
     Returns
     -------
@@ -291,7 +292,9 @@ def load_psf(path: Path | str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
         psf, warnings = _psf_from_image(source)
     if psf.ndim != 2 or min(psf.shape) < 1 or psf.dtype.kind not in "fiu":
         kind = one_line(repr(psf.dtype.name))
-        raise ValueError(f"{source}: a PSF is one table of real numbers, found shape {psf.shape} of {kind}")
+        raise ValueError(
+            f"{source}: a PSF is one table of real numbers, found shape {psf.shape} of {kind}"
+        )
     kernel = psf.astype(np.float64)
     if not np.isfinite(kernel).all() or kernel.min() < 0 or kernel.sum() <= 0:
         raise ValueError(f"{source}: a PSF must be finite, not negative and not all zero")
@@ -304,12 +307,15 @@ def _psf_doubts(kernel: NDArray[np.float64]) -> list[str]:
     rows, columns = np.nonzero(kernel)
     extent = max(np.ptp(rows), np.ptp(columns)) + 1
     y, x = (
-        float(kernel.sum(axis=1 - axis) @ np.arange(kernel.shape[axis])) / light - kernel.shape[axis] // 2
+        float(kernel.sum(axis=1 - axis) @ np.arange(kernel.shape[axis])) / light
+        - kernel.shape[axis] // 2
         for axis in (0, 1)
     )
     doubts = []
     # the open parts of a code lie off the middle of the path's time
-    if max(abs(x), abs(y)) > (_OFF_MIDDLE_PX if light > _OPEN_LIGHT else max(_OFF_MIDDLE_PX, extent * _CODED_OFF)):
+    if max(abs(x), abs(y)) > (
+        _OFF_MIDDLE_PX if light > _OPEN_LIGHT else max(_OFF_MIDDLE_PX, extent * _CODED_OFF)
+    ):
         doubts.append(
             f"its centre of mass is ({x:+.1f}, {y:+.1f}) px (x, y) off its middle, which stands for no displacement: "
             f"the restored photo moves by ({-x:+.1f}, {-y:+.1f}) px; centre it if that is not meant"
@@ -331,7 +337,15 @@ def _psf_from_npy(source: Path) -> NDArray[Any]:
             warnings.simplefilter("ignore")  # headers of old versions of NumPy
             # memory-mapped: a header with too large a shape allocates nothing
             return np.lib.format.open_memmap(regular_file(source), mode="r")
-    except (ValueError, TypeError, OverflowError, EOFError, SyntaxError, TokenError, RecursionError) as error:
+    except (
+        ValueError,
+        TypeError,
+        OverflowError,
+        EOFError,
+        SyntaxError,
+        TokenError,
+        RecursionError,
+    ) as error:
         raise ValueError(f"{source}: not a NumPy array file ({one_line(error)})") from None
 
 

@@ -1,8 +1,8 @@
 """Text that others wrote, made safe for each output: names of files, cameras, devices and methods, and their messages.
 
-Such a text may hold what the output takes for a command. Every output writes it through its function here, so that a
-reader sees the characters themselves. Rich's markup, JSON and HTML need none: texts are never parsed as markup, and
-:mod:`json` and Jinja's autoescaping do the rest.
+Such a text may hold what the output takes for a command. Every output writes it through its
+function here, so that a reader sees the characters themselves. Rich's markup, JSON and HTML need
+none: texts are never parsed as markup, and :mod:`json` and Jinja's autoescaping do the rest.
 """
 
 from __future__ import annotations
@@ -11,20 +11,38 @@ import re
 
 from motdiff.files.inputs import printable
 
-__all__ = ["csv_text", "in_code_span", "latex_text", "markdown_text", "plot_text", "printable", "terminal_line"]
-
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+]?(inf|nan)", re.IGNORECASE)
 _MARKDOWN = re.compile(r"([\\`*_\[\]<|~$&#])")
 _LATEX = str.maketrans(
     {
-        "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
-        "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "|": r"\textbar{}", "<": r"\textless{}",
-        ">": r"\textgreater{}", '"': "''", "–": "--", "±": r"$\pm$", "×": r"$\times$", "²": r"$^2$",
-        "µ": r"\textmu{}", "≤": r"$\le$", "≥": r"$\ge$", "→": r"$\to$", "…": r"\ldots{}",
-        "[": "{[}", "*": "{*}",  # at the beginning of a row they would be options of the row before
+        "\\": r"\textbackslash{}",
+        "{": r"\{",
+        "}": r"\}",
+        "&": r"\&",
+        "%": r"\%",
+        "$": r"\$",
+        "#": r"\#",
+        "_": r"\_",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "|": r"\textbar{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        '"': "''",
+        "–": "--",
+        "±": r"$\pm$",
+        "×": r"$\times$",
+        "²": r"$^2$",
+        "µ": r"\textmu{}",
+        "≤": r"$\le$",
+        "≥": r"$\ge$",
+        "→": r"$\to$",
+        "…": r"\ldots{}",
+        "[": "{[}",
+        "*": "{*}",  # at the beginning of a row they would be options of the row before
     }
-)  # fmt: skip
+)
 """Characters that LaTeX reads as commands, or that its fonts lack or take for others."""
 
 
@@ -48,7 +66,11 @@ def csv_text(text: str) -> str:
     ("'=1+1", '-0.5', "'-1+1", 'a=b')
     """
     shown = printable(text)
-    return f"'{shown}" if shown.lstrip().startswith(_FORMULA) and not _NUMBER.fullmatch(shown) else shown
+    return (
+        f"'{shown}"
+        if shown.lstrip().startswith(_FORMULA) and not _NUMBER.fullmatch(shown)
+        else shown
+    )
 
 
 def markdown_text(text: str) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["duration", "number", "seconds_of"]
-
 _ROUNDING = 1e-12  # of figures around 1, in dB or px: smaller values are rounding errors of a zero
 
 
@@ -45,10 +43,12 @@ def seconds_of(text: str) -> float:
     >>> seconds_of("1/50"), seconds_of("20ms"), seconds_of("0.5")
     (0.02, 0.02, 0.5)
     """
-    figure, size = text.strip(), 1.0
+    figure = text.strip()
+    size = 1.0
     for unit, factor in (("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3), ("s", 1.0)):
         if figure.endswith(unit):
-            figure, size = figure.removesuffix(unit), factor
+            figure = figure.removesuffix(unit)
+            size = factor
             break
     over, slash, under = figure.partition("/")
     try:
@@ -56,5 +56,7 @@ def seconds_of(text: str) -> float:
     except (ValueError, ZeroDivisionError):
         value = float("nan")
     if not 0 < value < float("inf"):
-        raise ValueError(f"exposure: must be a time above 0 as 1/30, 0.02, 20ms or 500us, got {text!r}")
+        raise ValueError(
+            f"exposure: must be a time above 0 as 1/30, 0.02, 20ms or 500us, got {text!r}"
+        )
     return value

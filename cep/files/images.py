@@ -12,34 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cep.files.outputs import new_file
 from cep.files.white_level import WhiteLevel, white_level
 from motdiff.files.decoding import decode, decoder_output
 from motdiff.files.inputs import one_line, regular_file
 from motdiff.files.mat_files import read_mat
+from motdiff.files.outputs import new_file
 from motdiff.files.photo_files import check_px, photo_bytes
 from motdiff.simulate import to_display, to_linear
-
-__all__ = [
-    "LARGE_PX",
-    "MIN_SIDE_PX",
-    "PHOTO_SUFFIXES",
-    "PICTURE_SUFFIXES",
-    "RAW_SUFFIXES",
-    "Mosaic",
-    "Photo",
-    "check_image_name",
-    "encode_image",
-    "parse_gamma",
-    "read_codes",
-    "read_detail",
-    "read_image",
-    "read_mosaic",
-    "read_photo",
-    "write_image",
-]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 LARGE_PX = 2**24
 """Photos of more pixels are held in single precision: half the memory, and finer than any sensor."""
@@ -50,7 +30,21 @@ MIN_SIDE_PX = 16
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 """What :func:`write_image` writes."""
 
-RAW_SUFFIXES = (".3fr", ".arw", ".cr2", ".cr3", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".srw")
+RAW_SUFFIXES = (
+    ".3fr",
+    ".arw",
+    ".cr2",
+    ".cr3",
+    ".dng",
+    ".nef",
+    ".nrw",
+    ".orf",
+    ".pef",
+    ".raf",
+    ".raw",
+    ".rw2",
+    ".srw",
+)
 """RAW files, read with the package ``rawpy``."""
 
 _RAW_OPTIONS: dict[str, Any] = {
@@ -90,8 +84,8 @@ class Mosaic:
     Attributes
     ----------
     green : (N,) uint16
-        Code values of the pixels under the first green filter; where the sensor has none, of all pixels like the
-        first.
+        Code values of the pixels under the first green filter; where the sensor has none, of all
+        pixels like the first.
     black_dn : float
         Code value without light, as the file states it.
     white_dn : int
@@ -103,7 +97,9 @@ class Mosaic:
     white_dn: int
 
 
-def read_image(path: Path | str, *, gamma: str | float = "srgb", variable: str = "y") -> FloatArray:
+def read_image(
+    path: Path | str, *, gamma: str | float = "srgb", variable: str = "y"
+) -> FloatArray:
     """Read a photo as linear light, 0..1; parameters and errors are those of :func:`read_photo`.
 
     Returns
@@ -121,7 +117,11 @@ def read_image(path: Path | str, *, gamma: str | float = "srgb", variable: str =
 
 
 def read_photo(
-    path: Path | str, *, gamma: str | float = "srgb", min_side_px: int = MIN_SIDE_PX, variable: str = "y"
+    path: Path | str,
+    *,
+    gamma: str | float = "srgb",
+    min_side_px: int = MIN_SIDE_PX,
+    variable: str = "y",
 ) -> Photo:
     """Read a photo as linear light.
 
@@ -129,18 +129,19 @@ def read_photo(
     ----------
     path : path of a PNG, TIFF, JPEG, WebP, .mat or (with the package ``rawpy``) RAW file
     gamma : {"srgb", "linear"} or float
-        How the file's numbers encode light: the sRGB curve, not at all, or ``value ** gamma``. Floating-point TIFF, RAW
-        and .mat files always hold linear light.
+        How the file's numbers encode light: the sRGB curve, not at all, or ``value ** gamma``.
+        Floating-point TIFF, RAW and .mat files always hold linear light.
     min_side_px : int
         Smaller images are refused.
     variable : str
-        Of a .mat file: the variable that is the photo. In Levin's files ``y`` is blurred and ``x`` sharp.
+        Of a .mat file: the variable that is the photo. In Levin's files ``y`` is blurred and ``x``
+        sharp.
 
     Raises
     ------
     ValueError
-        If the file is empty, cut short, not an image, too small, has more than :data:`motdiff.files.photo_files.MOST_PX`
-        pixels, or holds NaN; the line names it.
+        If the file is empty, cut short, not an image, too small, has more than
+        :data:`motdiff.files.photo_files.MOST_PX` pixels, or holds NaN; the line names it.
     OSError
         If the file cannot be read.
     """
@@ -148,7 +149,9 @@ def read_photo(
     return Photo(linear(decoded), _bits(decoded), warnings)
 
 
-def read_codes(path: Path | str, *, min_side_px: int = MIN_SIDE_PX) -> tuple[NDArray[Any], tuple[str, ...]]:
+def read_codes(
+    path: Path | str, *, min_side_px: int = MIN_SIDE_PX
+) -> tuple[NDArray[Any], tuple[str, ...]]:
     """Read the code values of a PNG, TIFF, JPEG or WebP file as they are stored.
 
     Returns
@@ -165,7 +168,9 @@ def read_codes(path: Path | str, *, min_side_px: int = MIN_SIDE_PX) -> tuple[NDA
     codes, warnings = decode(photo_bytes(source), source)
     _check_side(source, codes, min_side_px)
     if codes.dtype not in (np.uint8, np.uint16):
-        raise ValueError(f"{source}: holds floating-point numbers, and no code values; give files of 8 or 16 bits")
+        raise ValueError(
+            f"{source}: holds floating-point numbers, and no code values; give files of 8 or 16 bits"
+        )
     return codes, warnings
 
 
@@ -199,14 +204,25 @@ def read_detail(
     height, width = decoded.shape[:2]
     factor = max(height, width) / preview_px
     size = (max(1, round(width / factor)), max(1, round(height / factor)))
-    small = linear(decoded if factor <= 1 else cv2.resize(decoded, size, interpolation=cv2.INTER_AREA))
-    rows, columns = min(side_px, height), min(side_px, width)
+    small = linear(
+        decoded if factor <= 1 else cv2.resize(decoded, size, interpolation=cv2.INTER_AREA)
+    )
+    rows = min(side_px, height)
+    columns = min(side_px, width)
     grey = small if small.ndim == 2 else small.mean(axis=2)
-    detail = np.abs(np.diff(grey, axis=0, prepend=grey[:1])) + np.abs(np.diff(grey, axis=1, prepend=grey[:, :1]))
+    detail = np.abs(np.diff(grey, axis=0, prepend=grey[:1])) + np.abs(
+        np.diff(grey, axis=1, prepend=grey[:, :1])
+    )
     window = (max(1, round(columns / max(factor, 1))), max(1, round(rows / max(factor, 1))))
-    summed = cv2.boxFilter(detail, cv2.CV_64F, window, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
-    top, left = (int(place * max(factor, 1)) for place in np.unravel_index(int(summed.argmax()), summed.shape))
-    top, left = min(top, height - rows), min(left, width - columns)
+    summed = cv2.boxFilter(
+        detail, cv2.CV_64F, window, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT
+    )
+    top, left = (
+        int(place * max(factor, 1))
+        for place in np.unravel_index(int(summed.argmax()), summed.shape)
+    )
+    top = min(top, height - rows)
+    left = min(left, width - columns)
     part = linear(decoded[top : top + rows, left : left + columns])
     return Photo(part, _bits(decoded), warnings), small, (height, width)
 
@@ -225,15 +241,23 @@ def _decoded(
     elif suffix == ".mat":
         decoded = _read_mat(source, variable)
         exponent = 1.0
-        warnings = (f'{source}: its variable "{variable}" was taken as linear light, as it is stored',)
+        warnings = (
+            f'{source}: its variable "{variable}" was taken as linear light, as it is stored',
+        )
     else:
         decoded, warnings = decode(photo_bytes(source), source)
     _check_side(source, decoded, min_side_px)
     if decoded.dtype.kind == "f":
         return _checked_float(source, decoded), lambda samples: samples, warnings
     if decoded.dtype not in (np.uint8, np.uint16):
-        raise ValueError(f"{source}: has {decoded.dtype} samples, wanted 8 or 16 bit or floating point")
-    white = WhiteLevel(int(np.iinfo(decoded.dtype).max)) if suffix in RAW_SUFFIXES else white_level(decoded)
+        raise ValueError(
+            f"{source}: has {decoded.dtype} samples, wanted 8 or 16 bit or floating point"
+        )
+    white = (
+        WhiteLevel(int(np.iinfo(decoded.dtype).max))
+        if suffix in RAW_SUFFIXES
+        else white_level(decoded)
+    )
     if white.assumption:
         warnings += (f"{source}: {white.assumption}",)
     # a table of all 2^bits values: forty megapixels cost one look-up each
@@ -245,7 +269,9 @@ def _decoded(
 def _check_side(source: Path, decoded: NDArray[Any], min_side_px: int) -> None:
     height, width = decoded.shape[:2]
     if min(height, width) < min_side_px:
-        raise ValueError(f"{source}: {width} x {height} px is too small, at least {min_side_px} px a side is needed")
+        raise ValueError(
+            f"{source}: {width} x {height} px is too small, at least {min_side_px} px a side is needed"
+        )
 
 
 def _bits(decoded: NDArray[Any]) -> int:
@@ -256,10 +282,14 @@ def check_image_name(path: Path | str) -> None:
     """Check, before any work is done, that :func:`write_image` writes such files; raises ValueError as it does."""
     suffix = Path(path).suffix.lower()
     if suffix not in PICTURE_SUFFIXES:
-        raise ValueError(f"{path}: images are written as .png, .tif or .jpg, not {suffix or 'without a suffix'}")
+        raise ValueError(
+            f"{path}: images are written as .png, .tif or .jpg, not {suffix or 'without a suffix'}"
+        )
 
 
-def write_image(path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str | float = "srgb") -> None:
+def write_image(
+    path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str | float = "srgb"
+) -> None:
     """Write linear light as PNG, TIFF or JPEG, whole or not at all; values outside 0..1 are clipped.
 
     Parameters
@@ -290,7 +320,9 @@ def write_image(path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str
         temporary.write_bytes(encoded)
 
 
-def encode_image(image: ArrayLike, suffix: str, *, bits: int = 8, gamma: str | float = "srgb") -> bytes:
+def encode_image(
+    image: ArrayLike, suffix: str, *, bits: int = 8, gamma: str | float = "srgb"
+) -> bytes:
     """Encode linear light as a PNG, TIFF or JPEG file; values outside 0..1 are clipped.
 
     Parameters
@@ -298,7 +330,8 @@ def encode_image(image: ArrayLike, suffix: str, *, bits: int = 8, gamma: str | f
     image : (H, W) or (H, W, 3) array_like, linear light 0..1
     suffix : {".png", ".tif", ".tiff", ".jpg", ".jpeg"}
     bits : {8, 16, 32}
-        Bits per sample: PNG takes 8 or 16, TIFF also 32 (floating point, linear), JPEG always has 8.
+        Bits per sample: PNG takes 8 or 16, TIFF also 32 (floating point, linear), JPEG always has
+        8.
     gamma : {"srgb", "linear"} or float
         As :func:`read_photo`, which reads the same light back.
 
@@ -327,7 +360,9 @@ def encode_image(image: ArrayLike, suffix: str, *, bits: int = 8, gamma: str | f
         samples = _srgb_bytes()[(pixels * 0xFFFF + 0.5).astype(np.uint16)]
     else:
         full_scale = 2**bits - 1
-        samples = np.rint(to_display(pixels, gamma=exponent) * full_scale).astype(np.uint8 if bits == 8 else np.uint16)
+        samples = np.rint(to_display(pixels, gamma=exponent) * full_scale).astype(
+            np.uint8 if bits == 8 else np.uint16
+        )
     if samples.ndim == 3:
         samples = np.ascontiguousarray(samples[:, :, ::-1])
     options = [cv2.IMWRITE_JPEG_QUALITY, 95] if bits == 8 and suffix.startswith(".jp") else []
@@ -376,9 +411,12 @@ def _precision(decoded: NDArray[Any]) -> type:
 
 def _checked_float(source: Path, decoded: NDArray[Any]) -> FloatArray:
     with np.errstate(invalid="ignore"):
-        low, high = float(decoded.min()), float(decoded.max())  # either is NaN where a sample is
+        low = float(decoded.min())  # either is NaN where a sample is
+        high = float(decoded.max())
     if not (np.isfinite(low) and np.isfinite(high)):
-        raise ValueError(f"{source}: {int((~np.isfinite(decoded)).sum())} samples are NaN or infinite")
+        raise ValueError(
+            f"{source}: {int((~np.isfinite(decoded)).sum())} samples are NaN or infinite"
+        )
     if low < -1e-6 or high > 1 + 1e-6:
         raise ValueError(f"{source}: samples run from {low:.4g} to {high:.4g}, scale them to 0..1")
     pixels: FloatArray = np.array(decoded, dtype=_precision(decoded), order="C")
@@ -388,7 +426,9 @@ def _checked_float(source: Path, decoded: NDArray[Any]) -> FloatArray:
 def _read_mat(source: Path, variable: str) -> NDArray[Any]:
     samples = read_mat(source, [variable])[variable]
     if samples.ndim not in (2, 3) or samples.shape[2:] not in ((), (3,)) or not samples.size:
-        raise ValueError(f"{source}: its variable {variable} has the shape {samples.shape}, wanted (H, W) or (H, W, 3)")
+        raise ValueError(
+            f"{source}: its variable {variable} has the shape {samples.shape}, wanted (H, W) or (H, W, 3)"
+        )
     check_px(samples.shape[1], samples.shape[0], source)
     return samples
 
@@ -405,13 +445,17 @@ def read_mosaic(path: Path | str) -> Mosaic:
     """
     with _opened_raw(Path(path)) as raw:
         if raw.raw_image_visible.ndim != 2:
-            raise ValueError(f"{path}: holds colours that were interpolated, and not the sensor's own values")
+            raise ValueError(
+                f"{path}: holds colours that were interpolated, and not the sensor's own values"
+            )
         colours = raw.raw_colors_visible
         colour = 1 if (colours == 1).any() else int(colours.flat[0])
         blacks = raw.black_level_per_channel
         return Mosaic(
             green=np.asarray(raw.raw_image_visible[colours == colour], dtype=np.uint16),
-            black_dn=float(blacks[colour if colour < len(blacks) else 0]),  # LibRaw's colour of no filters is 6
+            black_dn=float(
+                blacks[colour if colour < len(blacks) else 0]
+            ),  # LibRaw's colour of no filters is 6
             white_dn=int(raw.white_level),
         )
 
@@ -428,11 +472,17 @@ def _opened_raw(source: Path) -> Iterator[Any]:
     try:
         import rawpy
     except ImportError:
-        raise ValueError(f"{source}: RAW files need a package besides: pip install rawpy") from None
+        raise ValueError(
+            f"{source}: RAW files need a package besides: pip install rawpy"
+        ) from None
     try:
         with decoder_output(), rawpy.imread(str(source)) as raw:
             check_px(raw.sizes.raw_width, raw.sizes.raw_height, source)
             yield raw
     except rawpy.LibRawError as error:
-        reason = b"".join(part for part in error.args if isinstance(part, bytes)).decode(errors="replace")
-        raise ValueError(f"{source}: not a RAW file that LibRaw can read ({one_line(reason or error)})") from None
+        reason = b"".join(part for part in error.args if isinstance(part, bytes)).decode(
+            errors="replace"
+        )
+        raise ValueError(
+            f"{source}: not a RAW file that LibRaw can read ({one_line(reason or error)})"
+        ) from None

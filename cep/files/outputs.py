@@ -15,17 +15,9 @@ from motdiff.files.outputs import (
     hidden_folder,
     naming,
     nearest_folder,
-    new_file,
     new_files,
     replace_all,
-    write_bytes,
-    write_text,
 )
-
-__all__ = [
-    "Outputs", "claim", "claim_folder", "new_file", "new_files", "new_folder", "summary_on_failure", "write_bytes",
-    "write_text",
-]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -38,7 +30,8 @@ class Outputs:
     force : bool
         Whether existing files may be replaced.
     inputs : tuple of paths
-        Files that are read, which are not replaced in any case; what is no file counts for nothing.
+        Files that are read, which are not replaced in any case; what is no file counts for
+        nothing.
     """
 
     paths: tuple[Path, ...]
@@ -51,7 +44,9 @@ class Outputs:
         known: set[Path] = set()
         for path in self.paths:
             if (real := behind_links(path).absolute()) in known:
-                raise ValueError(f"{path}: would be written twice, every output needs a name of its own")
+                raise ValueError(
+                    f"{path}: would be written twice, every output needs a name of its own"
+                )
             known.add(real)
             if path.exists() and any(path.samefile(one) for one in read):
                 raise ValueError(f"{path}: is what is read, the output needs another name")
@@ -77,7 +72,9 @@ def summary_on_failure(summary: str) -> Iterator[None]:
         raise
 
 
-def claim(paths: Iterable[Path | str], *, force: bool = False, inputs: Iterable[Path | str] = ()) -> Outputs:
+def claim(
+    paths: Iterable[Path | str], *, force: bool = False, inputs: Iterable[Path | str] = ()
+) -> Outputs:
     """Check, before any work is done, that outputs may be written, and return them.
 
     Parameters
@@ -90,8 +87,9 @@ def claim(paths: Iterable[Path | str], *, force: bool = False, inputs: Iterable[
     Raises
     ------
     ValueError
-        If a file exists and ``force`` is not given, it is one of the inputs or comes twice, something other than a
-        regular file is in its place, or its folder is missing or cannot be written to.
+        If a file exists and ``force`` is not given, it is one of the inputs or comes twice,
+        something other than a regular file is in its place, or its folder is missing or cannot be
+        written to.
     """
     outputs = Outputs(tuple(map(Path, paths)), force, tuple(inputs))
     outputs.check()
@@ -157,7 +155,9 @@ def new_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -
         try:
             target.mkdir(parents=True, exist_ok=True)
             new = {behind_links(target / name): item for name, item in written.items()}
-            replace_all(new, remove=[target / name for name in names if name not in written], force=force)
+            replace_all(
+                new, remove=[target / name for name in names if name not in written], force=force
+            )
         except BaseException:
             for folder in missing:
                 with suppress(OSError):  # it was not made, or something else is in it

@@ -10,12 +10,7 @@ from pathlib import Path
 
 from cep.files.foreign_text import csv_text, latex_text, markdown_text
 from cep.files.formatting import number
-from cep.files.outputs import write_text
-
-__all__ = [
-    "TABLE_SUFFIXES", "Bold", "Sheet", "cell_parts", "cell_text", "check_table_name", "csv_lines", "latex", "markdown",
-    "markdown_table", "write_sheets",
-]  # fmt: skip
+from motdiff.files.outputs import write_text
 
 TABLE_SUFFIXES = (".tex", ".csv", ".md")
 _WIDE = 16  # characters: columns of longer texts stand to the left, those of figures to the right
@@ -75,7 +70,9 @@ def check_table_name(path: Path | str) -> None:
         If the name has another suffix.
     """
     if Path(path).suffix.lower() not in TABLE_SUFFIXES:
-        raise ValueError(f"{path}: tables are written as {', '.join(TABLE_SUFFIXES[:-1])} or {TABLE_SUFFIXES[-1]}")
+        raise ValueError(
+            f"{path}: tables are written as {', '.join(TABLE_SUFFIXES[:-1])} or {TABLE_SUFFIXES[-1]}"
+        )
 
 
 def write_sheets(sheets: Sequence[Sheet], path: Path | str) -> None:
@@ -124,7 +121,10 @@ def _latex_table(sheet: Sheet) -> str:
             r"  \centering",
             *([rf"  \caption{{{latex_text(sheet.title)}}}"] if sheet.title else []),
             rf"  \begin{{tabular}}{{{sides}}}",
-            *(f"    {line}" for line in (r"\toprule", body[0], r"\midrule", *body[1:], r"\bottomrule")),
+            *(
+                f"    {line}"
+                for line in (r"\toprule", body[0], r"\midrule", *body[1:], r"\bottomrule")
+            ),
             r"  \end{tabular}",
             r"\end{table}",
         ]
@@ -132,20 +132,27 @@ def _latex_table(sheet: Sheet) -> str:
 
 
 def _latex_cell(value: object) -> str:
-    return "".join(rf"\textbf{{{latex_text(text)}}}" if bold else latex_text(text) for text, bold in cell_parts(value))
+    return "".join(
+        rf"\textbf{{{latex_text(text)}}}" if bold else latex_text(text)
+        for text, bold in cell_parts(value)
+    )
 
 
 def _csv(sheets: Sequence[Sheet]) -> str:
     """Lay out tables as CSV, numbers in full; several stand below their titles with an empty line between."""
     titled = len(sheets) > 1
-    return "\n".join(csv_lines([*([[sheet.title]] if titled else []), sheet.columns, *sheet.rows]) for sheet in sheets)
+    return "\n".join(
+        csv_lines([*([[sheet.title]] if titled else []), sheet.columns, *sheet.rows])
+        for sheet in sheets
+    )
 
 
 def csv_lines(rows: Iterable[Iterable[object]]) -> str:
     """Lay out rows as CSV: texts by :func:`cep.files.foreign_text.csv_text`, nothing for None."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows(
-        [csv_text(str(value)) if isinstance(value, str | Bold) else value for value in row] for row in rows
+        [csv_text(str(value)) if isinstance(value, str | Bold) else value for value in row]
+        for row in rows
     )
     return stream.getvalue()
 
@@ -168,7 +175,10 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str
 
 
 def _markdown_cell(value: object) -> str:
-    return "".join(f"**{markdown_text(text)}**" if bold else markdown_text(text) for text, bold in cell_parts(value))
+    return "".join(
+        f"**{markdown_text(text)}**" if bold else markdown_text(text)
+        for text, bold in cell_parts(value)
+    )
 
 
 def _is_text(sheet: Sheet, index: int) -> bool:

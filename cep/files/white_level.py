@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from motdiff.crops import CLIPPED_LEVEL
 from motdiff.estimators.kernel_score import noise_sigma
 
-__all__ = ["WhiteLevel", "white_level"]
-
 _DEPTHS = (8, 10, 12)  # bits of cameras whose photo in a 16-bit file is too dark for any other
 _UNSURE_DEPTH = 14  # a photo with light of a quarter of full scale may be one of 16 bits
 _LEAST_CODES = 16  # that a photo holds; a mask or a chart has fewer
@@ -42,8 +40,9 @@ class WhiteLevel:
 def white_level(codes: NDArray[Any]) -> WhiteLevel:
     """Find the code value of white from those that a photo holds.
 
-    Many equal values at the top of a noisy photo are saturated. A 16-bit file of consecutive values up to 4095 at most
-    holds the code values of 8, 10 or 12 bits: as light of 16 bits, it would be below 6 % of full scale throughout.
+    Many equal values at the top of a noisy photo are saturated. A 16-bit file of consecutive
+    values up to 4095 at most holds the code values of 8, 10 or 12 bits: as light of 16 bits, it
+    would be below 6 % of full scale throughout.
 
     Parameters
     ----------
@@ -66,7 +65,9 @@ def white_level(codes: NDArray[Any]) -> WhiteLevel:
     gap = int(np.diff(held).min())
     if _is_saturated(histogram, largest, gap) and _noise(codes) > _LEAST_NOISE * gap:
         share = histogram[largest - _window(largest, gap) + 1 :].sum() / histogram.sum()
-        return WhiteLevel(largest, f"{share:.1%} of its values are at its largest, {largest}: taken as saturated")
+        return WhiteLevel(
+            largest, f"{share:.1%} of its values are at its largest, {largest}: taken as saturated"
+        )
     if full == 255 or gap > 1 or largest >= 2**_UNSURE_DEPTH:
         return WhiteLevel(full)
     bits = next((depth for depth in _DEPTHS if largest < 2**depth), None)
@@ -89,10 +90,13 @@ def _is_saturated(histogram: NDArray[np.int64], largest: int, gap: int) -> bool:
     """Whether the values pile up at the largest, above others that are all there."""
     window = _window(largest, gap)
     end = largest - window + 1
-    piled, below = int(histogram[end:].sum()), histogram[max(0, end - _WINDOWS_BELOW * window) : end]
+    piled = int(histogram[end:].sum())
+    below = histogram[max(0, end - _WINDOWS_BELOW * window) : end]
     there = 2 * gap * np.count_nonzero(below) >= below.size
     return bool(
-        there and piled > _LEAST_SATURATED * histogram.sum() and piled > _PILED * float(below.sum()) / _WINDOWS_BELOW
+        there
+        and piled > _LEAST_SATURATED * histogram.sum()
+        and piled > _PILED * float(below.sum()) / _WINDOWS_BELOW
     )
 
 

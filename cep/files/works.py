@@ -9,13 +9,18 @@ from functools import cache
 from importlib import resources
 from types import MappingProxyType
 
-__all__ = ["Work", "work", "works"]
-
 _ENTRY = re.compile(r"^@(\w+)\{([\w-]+),\n(.*?)\n\}$", re.MULTILINE | re.DOTALL)
 _FIELD = re.compile(r"^  (\w+) = \{(.*?)\},?$", re.MULTILINE | re.DOTALL)
 _ACCENTS = {
-    r"{\"o}": "ö", r"{\"u}": "ü", r"{\'a}": "á", r"{\'e}": "é", r"{\'o}": "ó", r"{\ae}": "æ", r"\&": "&", "--": "–",
-}  # fmt: skip
+    r"{\"o}": "ö",
+    r"{\"u}": "ü",
+    r"{\'a}": "á",
+    r"{\'e}": "é",
+    r"{\'o}": "ó",
+    r"{\ae}": "æ",
+    r"\&": "&",
+    "--": "–",
+}
 _HALF_LINE = 3  # authors: more are "et al." where a citation is short
 
 
@@ -61,11 +66,17 @@ class Work:
         place = self.text("journal") or (conference[1] if conference else self.text("booktitle"))
         if not place:
             eprint = self.text("eprint")
-            place = f"{self.text('archiveprefix')} {eprint}" if eprint else self.text("publisher") or self.text("note")
+            place = (
+                f"{self.text('archiveprefix')} {eprint}"
+                if eprint
+                else self.text("publisher") or self.text("note")
+            )
         if self.text("journal") and self.text("volume"):
             place += f" {self.text('volume')}"
         parts = (place, self.text("year"))
-        return (" " if conference or self.kind == "book" else ", ").join(part for part in parts if part)
+        return (" " if conference or self.kind == "book" else ", ").join(
+            part for part in parts if part
+        )
 
     @property
     def line(self) -> str:
@@ -89,7 +100,9 @@ class Work:
         'Raskar, Agrawal, Tumblin, Coded exposure photography, 2006'
         """
         who = self.authors if len(self.authors) <= _HALF_LINE else (f"{self.authors[0]} et al.",)
-        return ", ".join(part for part in (*who, self.text("title").split(":")[0], self.text("year")) if part)
+        return ", ".join(
+            part for part in (*who, self.text("title").split(":")[0], self.text("year")) if part
+        )
 
 
 @cache
@@ -97,7 +110,12 @@ def works() -> Mapping[str, Work]:
     """Return all works by their keys, in the order of the file."""
     text = (resources.files("cep.files") / "works.bib").read_text(encoding="utf-8")
     found = (
-        Work(key, kind, MappingProxyType(dict(_FIELD.findall(body + "\n"))), f"@{kind}{{{key},\n{body}\n}}")
+        Work(
+            key,
+            kind,
+            MappingProxyType(dict(_FIELD.findall(body + "\n"))),
+            f"@{kind}{{{key},\n{body}\n}}",
+        )
         for kind, key, body in _ENTRY.findall(text)
     )
     return MappingProxyType({entry.key: entry for entry in found})

@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from cep.files.files import json_text
-from cep.files.outputs import write_text
 from cep.jobs.cells import Cell, Figure, Finished
-
-__all__ = ["CELL_SCHEMA", "ENGINE", "Cache"]
+from motdiff.files.outputs import write_text
 
 CELL_SCHEMA = "cep.bench-cell/1"
 ENGINE = 1
@@ -112,7 +110,11 @@ def _check(document: dict[str, Any]) -> str:
 
 def _stored(figure: Figure) -> Any:
     """Encode infinities and NaN, for which JSON has no number: a code with a zero has an infinite noise gain."""
-    return {"not finite": str(figure)} if isinstance(figure, float) and not math.isfinite(figure) else figure
+    return (
+        {"not finite": str(figure)}
+        if isinstance(figure, float) and not math.isfinite(figure)
+        else figure
+    )
 
 
 def _figure(stored: Any) -> Figure:

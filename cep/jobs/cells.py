@@ -18,8 +18,6 @@ import numpy as np
 
 from cep.jobs.machine import machine
 
-__all__ = ["Cell", "Figure", "Finished", "Result", "fingerprints", "pinned", "worked"]
-
 Figure = float | int | str | None
 """What a benchmark measures; None where it could not."""
 
@@ -31,13 +29,15 @@ class Cell:
     Attributes
     ----------
     name : tuple of str
-        Labels such as method, photo, motion, by which tables group. They are no part of the fingerprint.
+        Labels such as method, photo, motion, by which tables group. They are no part of the
+        fingerprint.
     work : function
-        A pure function at the top of an importable module; returns a flat mapping of figures. Cells run side by side,
-        so it should use one thread.
+        A pure function at the top of an importable module; returns a flat mapping of figures.
+        Cells run side by side, so it should use one thread.
     arguments : mapping from str
-        Arguments of ``work``: None, bool, int, float, str, bytes, arrays, enums, and lists, tuples, mappings
-        and dataclasses of them; a Path is a file, given as an argument of its own, and counts by its content.
+        Arguments of ``work``: None, bool, int, float, str, bytes, arrays, enums, and lists,
+        tuples, mappings and dataclasses of them; a Path is a file, given as an argument of its
+        own, and counts by its content.
     version : str
         Of the method. Another one makes the cell run again.
 
@@ -54,19 +54,25 @@ class Cell:
 
     def __post_init__(self) -> None:
         if not self.name or not all(isinstance(label, str) and label for label in self.name):
-            raise ValueError(f"name: must be a tuple of texts that are not empty, got {self.name!r}")
+            raise ValueError(
+                f"name: must be a tuple of texts that are not empty, got {self.name!r}"
+            )
         if not isinstance(self.version, str) or not self.version:
             raise ValueError(f"version: must be a text that is not empty, got {self.version!r}")
         if (
             not inspect.isfunction(self.work)
             or self.work.__module__ == "__main__"
-            or getattr(sys.modules.get(self.work.__module__), self.work.__qualname__, None) is not self.work
+            or getattr(sys.modules.get(self.work.__module__), self.work.__qualname__, None)
+            is not self.work
         ):
             raise ValueError(
                 f"work: must be a function at the top of an importable module, got {self.work!r} for {self.label}"
             )
         # workers may have another current folder
-        located = {key: item.absolute() if isinstance(item, Path) else item for key, item in self.arguments.items()}
+        located = {
+            key: item.absolute() if isinstance(item, Path) else item
+            for key, item in self.arguments.items()
+        }
         object.__setattr__(self, "arguments", located)
 
     @property
@@ -124,7 +130,9 @@ class _Pinned:
     def checked(self) -> Path:
         status = self.path.stat()
         if _digest_of(self.path, (status.st_mtime_ns, status.st_size)) != self.digest:
-            raise ValueError(f"{self.path}: another file than the one that the benchmark began with")
+            raise ValueError(
+                f"{self.path}: another file than the one that the benchmark began with"
+            )
         return self.path
 
 
@@ -161,28 +169,39 @@ def worked(work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, An
     """
     began_s = time.perf_counter()
     try:
-        given = {key: item.checked() if isinstance(item, _Pinned) else item for key, item in arguments.items()}
-        figures, failure = _flat(work(**given)), ""
+        given = {
+            key: item.checked() if isinstance(item, _Pinned) else item
+            for key, item in arguments.items()
+        }
+        figures = _flat(work(**given))
+        failure = ""
     except Exception as error:
         named = isinstance(error, ValueError | RuntimeError) and bool(str(error))
         text = str(error) if named else f"{type(error).__name__}: {error}".removesuffix(": ")
-        figures, failure = {}, " ".join(text.split())
+        figures = {}
+        failure = " ".join(text.split())
     return Finished(figures, failure, time.perf_counter() - began_s, machine())
 
 
 def _flat(returned: object) -> dict[str, Figure]:
     if not isinstance(returned, Mapping):
-        raise ValueError(f"the work must return a mapping of figures, got {type(returned).__name__}")
+        raise ValueError(
+            f"the work must return a mapping of figures, got {type(returned).__name__}"
+        )
     flat: dict[str, Figure] = {}
     for key, value in returned.items():
         figure = value.item() if isinstance(value, np.generic) else value
-        if not isinstance(key, str) or not (figure is None or isinstance(figure, float | int | str)):
-            raise ValueError(f"figure {key!r}: must be a number, a text or None, got {type(value).__name__}")
+        if not isinstance(key, str) or not (
+            figure is None or isinstance(figure, float | int | str)
+        ):
+            raise ValueError(
+                f"figure {key!r}: must be a number, a text or None, got {type(value).__name__}"
+            )
         flat[key] = float(figure) if isinstance(figure, float) else figure
     return flat
 
 
-# -- fingerprints -----------------------------------------------------------------------------------------------------
+# -- fingerprints ---------------------------------------------------------------------------------
 
 
 def fingerprints(cells: Iterable[Cell]) -> list[str]:
@@ -249,17 +268,27 @@ def _encoded(value: object, where: str) -> bytes:
     # the bytes of a masked array or an array of objects are not all its content
     if type(value) in (np.ndarray, np.memmap) and value.dtype.kind in "biufcSU":  # type: ignore[attr-defined]
         array = np.asarray(value)
-        return _tagged("array", array.dtype.str.encode(), str(array.shape).encode(), array.tobytes())
+        return _tagged(
+            "array", array.dtype.str.encode(), str(array.shape).encode(), array.tobytes()
+        )
     if isinstance(value, list | tuple):
         kind = "list" if isinstance(value, list) else "tuple"
-        return _tagged(kind, *(_encoded(item, f"{where}[{index}]") for index, item in enumerate(value)))
+        return _tagged(
+            kind, *(_encoded(item, f"{where}[{index}]") for index, item in enumerate(value))
+        )
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
-        pairs = ((_encoded(key, where), _encoded(value[key], f"{where}.{key}")) for key in sorted(value))
+        pairs = (
+            (_encoded(key, where), _encoded(value[key], f"{where}.{key}")) for key in sorted(value)
+        )
         return _tagged("mapping", *(part for pair in pairs for part in pair))
     if is_dataclass(value) and not isinstance(value, type):
         inside = {part.name: getattr(value, part.name) for part in fields(value)}
         return _tagged("dataclass", _class_name(value).encode(), _encoded(inside, where))
-    hint = "give a file as an argument of its own" if isinstance(value, Path) else "give plain data or arrays"
+    hint = (
+        "give a file as an argument of its own"
+        if isinstance(value, Path)
+        else "give plain data or arrays"
+    )
     place = re.sub(r"^\.(\w+)\[1\]", r"\1", where)
     raise ValueError(f"argument {place}: a {type(value).__name__} has no content to hash, {hint}")
 

@@ -14,8 +14,6 @@ from cep.jobs.cells import Cell, Figure, Finished, Result, fingerprints, pinned,
 from cep.jobs.executors import Tasks, in_processes, on_cluster
 from cep.jobs.machine import machine
 
-__all__ = ["Engine", "Outcome", "run_cells", "run_tasks"]
-
 
 @dataclass(frozen=True)
 class Outcome:
@@ -42,14 +40,20 @@ class Outcome:
     @property
     def failures(self) -> dict[tuple[str, ...], str]:
         """Reasons of the failed cells by name."""
-        return {result.cell.name: result.finished.failure for result in self.results if result.finished.failure}
+        return {
+            result.cell.name: result.finished.failure
+            for result in self.results
+            if result.finished.failure
+        }
 
     @property
     def machines(self) -> list[Mapping[str, Any]]:
         """Machines that computed the results, the busiest first; cached results may come from other machines."""
         counts: list[tuple[int, Mapping[str, Any]]] = []
         for result in self.results:
-            known = next((i for i, (_, one) in enumerate(counts) if one == result.finished.machine), None)
+            known = next(
+                (i for i, (_, one) in enumerate(counts) if one == result.finished.machine), None
+            )
             if known is None:
                 counts.append((1, result.finished.machine))
             else:
@@ -77,12 +81,13 @@ def run_cells(
     workers : int
         Processes; 1 runs in this one.
     dask : str, optional
-        Address of the scheduler of a cluster to run on instead; files among the arguments must be there too.
+        Address of the scheduler of a cluster to run on instead; files among the arguments must be
+        there too.
     progress : callable, optional
         Called with the fraction done and a note with the time left.
     finished : callable, optional
-        Called with each result as soon as it is there, those found on disk first. What it raises ends the run, but for
-        Ctrl-C, after which it may not have been called with all results.
+        Called with each result as soon as it is there, those found on disk first. What it raises
+        ends the run, but for Ctrl-C, after which it may not have been called with all results.
 
     Returns
     -------
@@ -94,7 +99,8 @@ def run_cells(
     ValueError
         If a name comes twice, the content of an argument cannot be hashed, or no cluster answers.
     OSError
-        If a file cannot be read or the cache cannot be written, as on a full disk; finished cells are kept.
+        If a file cannot be read or the cache cannot be written, as on a full disk; finished cells
+        are kept.
     RuntimeError
         If the cluster disconnects; finished cells are kept.
     """
@@ -105,7 +111,9 @@ def run_cells(
         twice = next(cell for cell in cells if names.count(cell.name) > 1)
         raise ValueError(f"cells: every name must come once, {twice.label} comes twice")
     with _no_empty_folder(Path(cache)):
-        return _run(cells, Cache(cache), workers=workers, dask=dask, progress=progress, finished=finished)
+        return _run(
+            cells, Cache(cache), workers=workers, dask=dask, progress=progress, finished=finished
+        )
 
 
 @dataclass(frozen=True)
@@ -117,7 +125,9 @@ class Engine:
     dask: str | None
 
     @classmethod
-    def of(cls, output: Path, *, cache: Path | None, workers: int | None, dask: str | None) -> Self:
+    def of(
+        cls, output: Path, *, cache: Path | None, workers: int | None, dask: str | None
+    ) -> Self:
         """Fill in what is None: cells in the folder ``output``, as many workers as there are cores."""
         return cls(cache or output / "cells", workers or machine()["cores"] or 1, dask)
 
@@ -130,7 +140,12 @@ class Engine:
     ) -> Outcome:
         """Run cells; see :func:`run_cells`."""
         return run_cells(
-            cells, cache=self.cache, workers=self.workers, dask=self.dask, progress=progress, finished=finished
+            cells,
+            cache=self.cache,
+            workers=self.workers,
+            dask=self.dask,
+            progress=progress,
+            finished=finished,
         )
 
 
@@ -151,7 +166,10 @@ def _run(
     found = {key: known for key in by_key if (known := store.find(key)) is not None}
     cached = frozenset(found)
     left = {key: cell for key, cell in by_key.items() if key not in found}
-    waiting = {key: (cell.work, given) for (key, cell), given in zip(left.items(), pinned(left.values()), strict=True)}
+    waiting = {
+        key: (cell.work, given)
+        for (key, cell), given in zip(left.items(), pinned(left.values()), strict=True)
+    }
 
     def tell(key: str) -> None:
         for cell in alike[key]:
@@ -169,14 +187,25 @@ def _run(
                     store.keep(key, by_key[key], came)
                 found[key] = came
                 tell(key)
-                left_s = (time.monotonic() - began_s) / (len(found) - len(cached)) * (len(by_key) - len(found))
+                left_s = (
+                    (time.monotonic() - began_s)
+                    / (len(found) - len(cached))
+                    * (len(by_key) - len(found))
+                )
                 progress(
-                    len(found) / len(by_key), f"{len(found)} of {len(by_key)} cells, about {_in_words(left_s)} left"
+                    len(found) / len(by_key),
+                    f"{len(found)} of {len(by_key)} cells, about {_in_words(left_s)} left",
                 )
     except KeyboardInterrupt:  # it may have come between the writing of a cell and its entry here
-        found |= {key: known for key in left if key not in found and (known := store.find(key)) is not None}
+        found |= {
+            key: known
+            for key in left
+            if key not in found and (known := store.find(key)) is not None
+        }
     results = tuple(
-        Result(cell, found[key], key in cached) for key, cell in zip(keys, cells, strict=True) if key in found
+        Result(cell, found[key], key in cached)
+        for key, cell in zip(keys, cells, strict=True)
+        if key in found
     )
     return Outcome(results, len(cells) - len(results), tuple(store.warnings))
 
@@ -196,7 +225,9 @@ def _no_empty_folder(folder: Path) -> Iterator[None]:
         raise
 
 
-def run_tasks(waiting: Tasks, *, workers: int, dask: str | None) -> Generator[tuple[str, Finished]]:
+def run_tasks(
+    waiting: Tasks, *, workers: int, dask: str | None
+) -> Generator[tuple[str, Finished]]:
     """Yield tasks as they finish, with no cache: for work whose results have a file of their own.
 
     Parameters

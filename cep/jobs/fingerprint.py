@@ -9,13 +9,13 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-__all__ = ["all_sources", "source_version"]
-
 _OURS = ("cep", "motdiff", "lab")
 _COUNTING = (".py", ".safetensors", ".toml")
 
 
-def source_version(modules: Iterable[str], *, alone: Iterable[str] = (), files: Iterable[Path] = ()) -> str:
+def source_version(
+    modules: Iterable[str], *, alone: Iterable[str] = (), files: Iterable[Path] = ()
+) -> str:
     """Fingerprint of modules: 16 hexadecimal digits, independent of comments, docstrings and layout.
 
     Parameters
@@ -65,7 +65,9 @@ def all_sources() -> str:
         init = _file(package)
         if init is None:
             continue  # the laboratory is not installed
-        found = (path for path in init.parent.rglob("*") if path.suffix in _COUNTING and path.is_file())
+        found = (
+            path for path in init.parent.rglob("*") if path.suffix in _COUNTING and path.is_file()
+        )
         for path in sorted(found, key=Path.as_posix):  # the same order on every system
             name = f"{package}/{path.relative_to(init.parent).as_posix()}"
             digest.update(f"{name}:{hashlib.sha256(path.read_bytes()).hexdigest()};".encode())
@@ -79,7 +81,11 @@ def _file(name: str) -> Path | None:
         spec = find_spec(name)
     except ModuleNotFoundError:
         return None
-    return Path(spec.origin) if spec is not None and spec.has_location and spec.origin is not None else None
+    return (
+        Path(spec.origin)
+        if spec is not None and spec.has_location and spec.origin is not None
+        else None
+    )
 
 
 @cache
@@ -101,7 +107,9 @@ def _imports(name: str) -> frozenset[str]:
     """Names of the project's modules that a module imports, also within functions."""
     tree = _tree(name)
     named = () if tree is None else _imported(tree)
-    return frozenset(found for found in named if found.split(".")[0] in _OURS and _file(found) is not None)
+    return frozenset(
+        found for found in named if found.split(".")[0] in _OURS and _file(found) is not None
+    )
 
 
 def _imported(tree: ast.Module) -> Iterator[str]:
@@ -120,8 +128,8 @@ def _meaning(name: str) -> str:
         return hashlib.sha256(_source(name).read_bytes()).hexdigest()
     tree = ast.parse(ast.unparse(whole))
     for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and ast.get_docstring(
-            node, clean=False
-        ):
+        if isinstance(
+            node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+        ) and ast.get_docstring(node, clean=False):
             node.body = node.body[1:]
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest()

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cep.files.outputs import new_files, write_text
 from cep.files.tables import csv_lines
 from cep.jobs.cells import Cell, Figure, Result
 from cep.jobs.engine import Engine
-
-__all__ = ["NOT_REACHED", "FolderResults", "NotWrittenError", "is_spelled", "run_folder"]
-
+from motdiff.files.outputs import new_files, write_text
 
 NOT_REACHED = "left out"
 """The ``failure`` of what was not reached, after Ctrl-C."""
@@ -78,16 +75,17 @@ def run_folder(
     noun : str
         What the names are, in the plural.
     files : sequence of str
-        What a result's folder holds. With ``force`` those of an earlier run are removed where the result fails now:
-        left there they would pass for results of this run.
+        What a result's folder holds. With ``force`` those of an earlier run are removed where the
+        result fails now: left there they would pass for results of this run.
     summary : str
         Name of the table's file.
     columns : sequence of str
         Of the table; the first is the name's.
     failures : mapping from a name to the reason why it has no cell
     write : function
-        Writes the result of a name from its figures, and returns what the table has of it, with ``warnings``; raises
-        :class:`NotWrittenError` where it cannot. After Ctrl-C it is called with what it has not finished.
+        Writes the result of a name from its figures, and returns what the table has of it, with
+        ``warnings``; raises :class:`NotWrittenError` where it cannot. After Ctrl-C it is called
+        with what it has not finished.
     engine : Engine
     force : bool
     progress : function
@@ -129,7 +127,10 @@ def run_folder(
     folder.mkdir(parents=True, exist_ok=True)  # nothing is in it where everything failed
     with new_files([folder / summary], force=force) as made:
         write_text(made[folder / summary], _csv(columns, rows))
-    warnings = [*outcome.warnings, *(f"{name}: {line}" for name, one in ordered.items() for line in one["warnings"])]
+    warnings = [
+        *outcome.warnings,
+        *(f"{name}: {line}" for name, one in ordered.items() for line in one["warnings"]),
+    ]
     return FolderResults(folder, folder / summary, ordered, rows, outcome.missing, warnings)
 
 
@@ -145,7 +146,9 @@ def is_spelled(name: str) -> bool:
 def _in_words(figures: Mapping[str, Any]) -> dict[str, float | str | None]:
     """Lay out figures of the user's own, as JSON has them, for a line of the table: forward / backward."""
     return {
-        name: " / ".join("–" if one is None else f"{one:.6g}" for one in value) if isinstance(value, list) else value
+        name: " / ".join("–" if one is None else f"{one:.6g}" for one in value)
+        if isinstance(value, list)
+        else value
         for name, value in figures.items()
     }
 

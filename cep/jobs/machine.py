@@ -9,8 +9,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-__all__ = ["machine"]
-
 _MAKERS = (
     "coded-exposure",
     "numpy",
@@ -30,12 +28,15 @@ def machine() -> dict[str, Any]:
     Returns
     -------
     dict
-        ``processor``, ``cores`` (that this process may use), ``memory_gib`` (None where unknown), ``system``,
-        ``python``, ``versions`` of the packages that figures depend on (None where one is not installed as a package).
+        ``processor``, ``cores`` (that this process may use), ``memory_gib`` (None where unknown),
+        ``system``, ``python``, ``versions`` of the packages that figures depend on (None where one
+        is not installed as a package).
     """
     return {
         "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
         "memory_gib": _memory_gib(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
@@ -55,7 +56,11 @@ def _processor() -> str:
 def _memory_gib() -> float | None:
     try:
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
-    except (AttributeError, ValueError, OSError):  # Windows has no sysconf, other systems not all names
+    except (
+        AttributeError,
+        ValueError,
+        OSError,
+    ):  # Windows has no sysconf, other systems not all names
         return None
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
@@ -11,10 +10,7 @@ from cep.optics.response import ShutterResponse
 from hw.recordings.playback import Verification
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
-
-__all__ = ["achieved_code", "achieved_psf"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 
 def achieved_code(played: Verification, *, chip_ns: int) -> ShutterCode:
@@ -34,11 +30,13 @@ def achieved_code(played: Verification, *, chip_ns: int) -> ShutterCode:
     return ShutterCode(played.achieved, max(1, round(chip_ns * (1 + played.scale_ppm * 1e-6))))
 
 
-def achieved_psf(trajectory: Trajectory, played: Verification, *, chip_ns: int, size: int = PSF_PX) -> FloatArray:
+def achieved_psf(
+    trajectory: Trajectory, played: Verification, *, chip_ns: int, size: int = PSF_PX
+) -> FloatArray:
     """PSF of the played code, (size, size), light-true: it sums to the open part of the commanded exposure.
 
-    A shutter with a slow clock plays the same chips over a longer stretch of the motion. Openings that were longer
-    than the fitted clock says count as closing late.
+    A shutter with a slow clock plays the same chips over a longer stretch of the motion. Openings
+    that were longer than the fitted clock says count as closing late.
 
     Parameters
     ----------

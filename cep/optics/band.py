@@ -5,28 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = [
-    "ACROSS",
-    "BandSamples",
-    "band",
-    "band_samples",
-    "circle_samples",
-    "grid_samples",
-    "in_band",
-    "stays_in_place",
-    "straight_axis",
-    "uniform_length_px",
-]
-
-FloatArray = NDArray[np.float64]
 _STILL_PX = 1e-9  # widest path that stays in place: its |H| is that of a point, but for rounding
 _STRAIGHT = 1e-9  # sideways px per px of extent below which a path counts as straight
 _NARROWEST = 1 / 256  # cycles/px: finest feature of a scene spectrum
-_MOST_INTERVALS, _LEAST_OVERSAMPLING = 2**18, 8  # beyond 8000 px memory counts: so many, while they still resolve H
+_MOST_INTERVALS = 2**18  # beyond 8000 px memory counts: so many, while they still resolve H
+_LEAST_OVERSAMPLING = 8
 ACROSS = 12
 """Gauss-Legendre nodes along the lines on which a straight motion's OTF is constant."""
 
@@ -41,8 +28,8 @@ class BandSamples:
     weight : (F,) float
         Shares of the band; they sum to 1, so ``weight @ g`` is the mean of g over the band.
     radius2 : (F, Q) float, (cycles/px)^2
-        Squared radii within a sample's share: a straight motion has the same H along a whole line, a scene's spectrum
-        has not.
+        Squared radii within a sample's share: a straight motion has the same H along a whole line,
+        a scene's spectrum has not.
     radius2_weight : (F, Q) float
         Their parts of the sample's share, each row summing to 1.
     """
@@ -61,13 +48,16 @@ def band(size: int = 64) -> tuple[FloatArray, FloatArray]:
     return fx, fy
 
 
-def band_samples(trajectory: Trajectory, *, oversampling: int = 64, across: int = ACROSS) -> BandSamples:
+def band_samples(
+    trajectory: Trajectory, *, oversampling: int = 64, across: int = ACROSS
+) -> BandSamples:
     """Make a quadrature that resolves |H| along ``trajectory`` for any code.
 
-    H is the Fourier transform of something no wider than the path, so 1 / extent is its natural step. A straight
-    motion takes ``oversampling`` samples per such step along its one axis, or at least 8 where that makes more than
-    2^18, for thousands of px. A curved one takes the trapezoid rule on 64 intervals a side, or on as many as its
-    extent in px. The lines on which a straight motion's H is constant are crossed by ``across`` nodes.
+    H is the Fourier transform of something no wider than the path, so 1 / extent is its natural
+    step. A straight motion takes ``oversampling`` samples per such step along its one axis, or at
+    least 8 where that makes more than 2^18, for thousands of px. A curved one takes the trapezoid
+    rule on 64 intervals a side, or on as many as its extent in px. The lines on which a straight
+    motion's H is constant are crossed by ``across`` nodes.
     """
     axis = straight_axis(trajectory)
     if axis is not None:
@@ -78,11 +68,16 @@ def band_samples(trajectory: Trajectory, *, oversampling: int = 64, across: int 
 def grid_samples(side: int) -> BandSamples:
     """Make the trapezoid rule on so many intervals a side, an even number, for any |H|."""
     fx, fy = np.meshgrid(np.linspace(-0.5, 0.5, side + 1), np.linspace(0, 0.5, side // 2 + 1))
-    wx, wy = np.ones(side + 1), np.ones(side // 2 + 1)
+    wx = np.ones(side + 1)
+    wy = np.ones(side // 2 + 1)
     wx[[0, -1]] = wy[[0, -1]] = 0.5
     weight = np.outer(wy, wx).ravel()
     return BandSamples(
-        fx.ravel(), fy.ravel(), weight / weight.sum(), (fx**2 + fy**2).ravel()[:, None], np.ones((fx.size, 1))
+        fx.ravel(),
+        fy.ravel(),
+        weight / weight.sum(),
+        (fx**2 + fy**2).ravel()[:, None],
+        np.ones((fx.size, 1)),
     )
 
 
@@ -109,7 +104,10 @@ def straight_axis(trajectory: Trajectory) -> FloatArray | None:
     if stays_in_place(trajectory):
         return np.array([1.0, 0.0])
     extent = trajectory.extent_px
-    farthest = trajectory.xy[np.argmax(np.linalg.norm(trajectory.xy - trajectory.xy[0], axis=1))] - trajectory.xy[0]
+    farthest = (
+        trajectory.xy[np.argmax(np.linalg.norm(trajectory.xy - trajectory.xy[0], axis=1))]
+        - trajectory.xy[0]
+    )
     axis = farthest / np.linalg.norm(farthest)
     sideways = trajectory.xy @ np.array([-axis[1], axis[0]])
     return axis if np.ptp(sideways) <= _STRAIGHT * extent else None
@@ -122,25 +120,35 @@ def uniform_length_px(trajectory: Trajectory) -> float | None:
         return None
     along = trajectory.xy @ axis
     uniform = along[0] + (along[-1] - along[0]) * trajectory.t
-    return trajectory.length_px if np.abs(along - uniform).max() <= _STRAIGHT * trajectory.extent_px else None
+    return (
+        trajectory.length_px
+        if np.abs(along - uniform).max() <= _STRAIGHT * trajectory.extent_px
+        else None
+    )
 
 
 def _along(axis: FloatArray, extent_px: float, oversampling: int, across: int) -> BandSamples:
     reach = 0.5 * float(np.abs(axis).sum())
     steps = max(4.0, extent_px * reach)
-    intervals = int(np.ceil(min(oversampling * steps, max(_MOST_INTERVALS, _LEAST_OVERSAMPLING * steps))))
+    intervals = int(
+        np.ceil(min(oversampling * steps, max(_MOST_INTERVALS, _LEAST_OVERSAMPLING * steps)))
+    )
     s = np.linspace(0, reach, intervals + 1)
     # the line f.axis = s leaves the square at low and high, measured across
-    low, high = np.full(s.size, -np.inf), np.full(s.size, np.inf)
+    low = np.full(s.size, -np.inf)
+    high = np.full(s.size, np.inf)
     for along, sideways in zip(axis, (-axis[1], axis[0]), strict=True):
         if abs(sideways) > 1e-12:
             ends = np.stack([(-0.5 - s * along) / sideways, (0.5 - s * along) / sideways])
-            low, high = np.maximum(low, ends.min(axis=0)), np.minimum(high, ends.max(axis=0))
+            low = np.maximum(low, ends.min(axis=0))
+            high = np.minimum(high, ends.max(axis=0))
     weight = np.maximum(high - low, 0.0)
     weight[[0, -1]] *= 0.5
-    # across the line a scene's 1 / (s^2 + q^2) peaks at q = 0: evenly spaced in asinh(q / width) resolves any width
+    # across the line a scene's 1 / (s^2 + q^2) peaks at q = 0: evenly spaced in asinh(q / width)
+    # resolves any width
     width = np.hypot(s, _NARROWEST)
-    u_low, u_high = np.arcsinh(low / width), np.arcsinh(high / width)
+    u_low = np.arcsinh(low / width)
+    u_high = np.arcsinh(high / width)
     nodes, shares = np.polynomial.legendre.leggauss(across)
     u = 0.5 * (u_low + u_high)[:, None] + 0.5 * (u_high - u_low)[:, None] * nodes
     across_f = width[:, None] * np.sinh(u)

@@ -12,16 +12,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from cep.files.outputs import write_text
 from motdiff.files.inputs import one_line, read_json, read_toml
+from motdiff.files.outputs import write_text
 from motdiff.files.schemas import fault, load_schema
 from motdiff.simulate import add_noise, to_display, to_linear
+from motdiff.types import FloatArray
 
-__all__ = ["LIGHT_LEVELS", "SCHEMA", "Camera", "camera_names"]
-
-FloatArray = NDArray[np.float64]
 SCHEMA = "cep.camera/1"
 
 LIGHT_LEVELS = (100.0, 1_000.0, 10_000.0, 100_000.0)
@@ -29,7 +27,15 @@ LIGHT_LEVELS = (100.0, 1_000.0, 10_000.0, 100_000.0)
 
 _LARGEST_PHOTONS = 1e9  # Poisson draws stay exact in float64 and int64 far above any full well
 _LEVELS = (1.0, 1e7)  # light levels that can be asked for, photo-electrons
-_STATED = ("name", "kind", "source", "full_well_e", "gain_e_per_dn", "dark_current_e_s", "least_exposure_s")
+_STATED = (
+    "name",
+    "kind",
+    "source",
+    "full_well_e",
+    "gain_e_per_dn",
+    "dark_current_e_s",
+    "least_exposure_s",
+)
 """Fields written only where they are stated: a camera without them keeps its document, which caches are keyed by."""
 
 
@@ -40,7 +46,8 @@ class Camera:
     Parameters
     ----------
     photons_full_scale : float
-        Photo-electrons that a pixel of value 1 has collected: the light level and the gain in one figure.
+        Photo-electrons that a pixel of value 1 has collected: the light level and the gain in one
+        figure.
     read_noise_e : float
         Standard deviation of the Gaussian read noise, electrons.
     bits : int, 1..16
@@ -48,19 +55,22 @@ class Camera:
     response : {"linear", "srgb"}
         Curve on which the code values are evenly spaced. Arrays stay in linear light either way.
     black_level : float, 0..1
-        Pedestal: values down to minus this are recorded, not clipped at 0, so that read noise does not brighten
-        dark photos. Raw files have one, finished pictures do not.
+        Pedestal: values down to minus this are recorded, not clipped at 0, so that read noise does
+        not brighten dark photos. Raw files have one, finished pictures do not.
     name, kind, source : str
-        What the camera is called, what kind of sensor it has, and where its figures come from; one line each.
+        What the camera is called, what kind of sensor it has, and where its figures come from; one
+        line each.
     full_well_e : float, optional
-        Electrons at which a pixel saturates; None where that is not known. It limits which light levels can be reached
-        (:attr:`saturation_e`), and no more: values are clipped at 1.
+        Electrons at which a pixel saturates; None where that is not known. It limits which light
+        levels can be reached (:attr:`saturation_e`), and no more: values are clipped at 1.
     gain_e_per_dn : float, optional
-        Electrons per code value. With it code values are multiples of ``gain_e_per_dn / photons_full_scale``, whatever
-        the light level. Without it all code values lie within 0..1, as if the gain followed the light.
+        Electrons per code value. With it code values are multiples of ``gain_e_per_dn /
+        photons_full_scale``, whatever the light level. Without it all code values lie within 0..1,
+        as if the gain followed the light.
     dark_current_e_s : float
-        Dark current, electrons per pixel and second. Its noise counts where the time is known for which the sensor
-        integrates it: in :meth:`at` and :meth:`noise_variance`. Its mean is taken as subtracted, but fills the well.
+        Dark current, electrons per pixel and second. Its noise counts where the time is known for
+        which the sensor integrates it: in :meth:`at` and :meth:`noise_variance`. Its mean is taken
+        as subtracted, but fills the well.
     least_exposure_s : float
         Shortest exposure of the camera's own shutter; 0 where that is not known.
 
@@ -92,33 +102,52 @@ class Camera:
     least_exposure_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("photons_full_scale", "read_noise_e", "black_level", "dark_current_e_s", "least_exposure_s"):
+        for name in (
+            "photons_full_scale",
+            "read_noise_e",
+            "black_level",
+            "dark_current_e_s",
+            "least_exposure_s",
+        ):
             object.__setattr__(self, name, _number(name, getattr(self, name)))
         for name in ("full_well_e", "gain_e_per_dn"):
             if (given := getattr(self, name)) is not None:
                 object.__setattr__(self, name, value := _number(name, given))
                 if not (math.isfinite(value) and value > 0):
-                    raise ValueError(f"{name}: must be above 0 electrons, got {value}; leave it out where not known")
+                    raise ValueError(
+                        f"{name}: must be above 0 electrons, got {value}; leave it out where not known"
+                    )
         if not 0 < self.photons_full_scale <= _LARGEST_PHOTONS:
-            raise ValueError(f"photons_full_scale: must lie within 0..1e9 and above 0, got {self.photons_full_scale}")
+            raise ValueError(
+                f"photons_full_scale: must lie within 0..1e9 and above 0, got {self.photons_full_scale}"
+            )
         if not (np.isfinite(self.read_noise_e) and self.read_noise_e >= 0):
             raise ValueError(f"read_noise_e: must be 0 or more electrons, got {self.read_noise_e}")
-        if isinstance(self.bits, bool) or not isinstance(self.bits, int) or not 1 <= self.bits <= 16:
+        if (
+            isinstance(self.bits, bool)
+            or not isinstance(self.bits, int)
+            or not 1 <= self.bits <= 16
+        ):
             raise ValueError(f"bits: must be a whole number within 1..16, got {self.bits!r}")
         if not 0 <= self.black_level <= 1:
             raise ValueError(f"black_level: must lie within 0..1, got {self.black_level}")
         if self.response not in ("linear", "srgb"):
             raise ValueError(f'response: must be "linear" or "srgb", got {self.response!r}')
         if self.gain_e_per_dn is not None and self.response != "linear":
-            raise ValueError('gain_e_per_dn: needs response "linear": code values of "srgb" differ in electrons')
-        for name, unit in (("dark_current_e_s", "electrons a second"), ("least_exposure_s", "seconds")):
+            raise ValueError(
+                'gain_e_per_dn: needs response "linear": code values of "srgb" differ in electrons'
+            )
+        for name, unit in (
+            ("dark_current_e_s", "electrons a second"),
+            ("least_exposure_s", "seconds"),
+        ):
             if not (math.isfinite(value := getattr(self, name)) and value >= 0):
                 raise ValueError(f"{name}: must be 0 or more {unit}, got {value}")
         for name in ("name", "kind", "source"):
             if not isinstance(text := getattr(self, name), str) or not text.isprintable():
                 raise ValueError(f"{name}: must be one line of text, got {one_line(repr(text))}")
 
-    # -- light --------------------------------------------------------------------------------------------------
+    # -- light ------------------------------------------------------------------------------------
 
     @property
     def code_steps(self) -> float:
@@ -131,14 +160,17 @@ class Camera:
     def saturation_e(self) -> float:
         """Electrons, of light and dark current, at which the pixel or its code range is full, whichever is first.
 
-        The pedestal is added after the pixel: it takes from the code range and not from the full well. Infinite where
-        neither is known. A light level above it cannot be recorded: expose for less.
+        The pedestal is added after the pixel: it takes from the code range and not from the full
+        well. Infinite where neither is known. A light level above it cannot be recorded: expose
+        for less.
         """
         full_well_e = math.inf if self.full_well_e is None else self.full_well_e
         if self.gain_e_per_dn is None:
             return full_well_e
         pedestal_e = self.black_level * self.photons_full_scale
-        return min(full_well_e, max(self.gain_e_per_dn * float(2**self.bits - 1) - pedestal_e, 0.0))
+        return min(
+            full_well_e, max(self.gain_e_per_dn * float(2**self.bits - 1) - pedestal_e, 0.0)
+        )
 
     def at(self, photons: float, *, exposure_s: float | None = None) -> Camera:
         """Return the camera at a light level.
@@ -146,11 +178,12 @@ class Camera:
         Parameters
         ----------
         photons : float, 1..1e7
-            Photo-electrons that the open shutter collects where the scene has the value 1. Levels above
-            :attr:`saturation_e` are computed as if the pixel could hold them.
+            Photo-electrons that the open shutter collects where the scene has the value 1. Levels
+            above :attr:`saturation_e` are computed as if the pixel could hold them.
         exposure_s : float, optional
-            Duration of the whole exposure, seconds. The dark current's noise over it is added to the read noise, and
-            the camera returned has no dark current left; without it the dark current is not counted.
+            Duration of the whole exposure, seconds. The dark current's noise over it is added to
+            the read noise, and the camera returned has no dark current left; without it the dark
+            current is not counted.
 
         Raises
         ------
@@ -159,9 +192,13 @@ class Camera:
         """
         level = _number("photons", photons)
         if not _LEVELS[0] <= level <= _LEVELS[1]:
-            raise ValueError(f"photons: must lie within 1..1e7 photo-electrons at full scale, got {level:g}")
+            raise ValueError(
+                f"photons: must lie within 1..1e7 photo-electrons at full scale, got {level:g}"
+            )
         black = self.black_level
-        if self.gain_e_per_dn is not None:  # the pedestal is so many code values, and those are electrons
+        if (
+            self.gain_e_per_dn is not None
+        ):  # the pedestal is so many code values, and those are electrons
             black = min(black * self.photons_full_scale / level, 1.0)
         camera = replace(self, photons_full_scale=level, black_level=black)
         if exposure_s is None:
@@ -179,7 +216,7 @@ class Camera:
         """Electrons of dark current after (...) seconds: their mean, and the variance of their number."""
         return np.asarray(self.dark_current_e_s * np.asarray(integration_s, dtype=np.float64))
 
-    # -- noise --------------------------------------------------------------------------------------------------
+    # -- noise ------------------------------------------------------------------------------------
 
     @property
     def noise(self) -> dict[str, float]:
@@ -194,8 +231,8 @@ class Camera:
         ----------
         signal : (...) array_like, linear light 0..1
         integration_s : (...) array_like
-            Seconds for which dark current is integrated, as :attr:`cep.optics.code.ShutterCode.integration_ns` says;
-            at 0 it is not counted.
+            Seconds for which dark current is integrated, as
+            :attr:`cep.optics.code.ShutterCode.integration_ns` says; at 0 it is not counted.
 
         Returns
         -------
@@ -205,7 +242,9 @@ class Camera:
         shot = light / self.photons_full_scale
         step = self._code_slope(light) / self.code_steps
         dark = self.dark_e(integration_s) / self.photons_full_scale**2
-        return np.asarray(shot + self.noise["read_sigma"] ** 2 + dark + step**2 / 12, dtype=np.float64)
+        return np.asarray(
+            shot + self.noise["read_sigma"] ** 2 + dark + step**2 / 12, dtype=np.float64
+        )
 
     def expose(self, light: ArrayLike, *, rng: np.random.Generator) -> FloatArray:
         """Record ``light``: Poisson shot noise, Gaussian read noise, clipping, rounding to code values.
@@ -228,10 +267,12 @@ class Camera:
         bounded = np.clip(np.asarray(light, dtype=np.float64), -self.black_level, 1.0)
         if self.response == "linear":
             codes = np.rint(bounded * steps) / steps
-            return np.asarray(np.minimum(codes, 1.0), dtype=np.float64)  # the last step may end above 1
+            return np.asarray(
+                np.minimum(codes, 1.0), dtype=np.float64
+            )  # the last step may end above 1
         return to_linear(np.rint(to_display(bounded) * steps) / steps)
 
-    # -- files --------------------------------------------------------------------------------------------------
+    # -- files ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
         """Fields as a JSON document with its schema; of a profile's fields those that are stated."""
@@ -249,7 +290,10 @@ class Camera:
         OSError
             If the file cannot be read.
         """
-        if isinstance(name_or_file, Path) or Path(name_or_file).suffix.lower() in (".json", ".toml"):
+        if isinstance(name_or_file, Path) or Path(name_or_file).suffix.lower() in (
+            ".json",
+            ".toml",
+        ):
             return cls.from_file(name_or_file)
         names = camera_names()
         if name_or_file in names:
@@ -257,7 +301,9 @@ class Camera:
                 return cls.from_file(path)
         near = get_close_matches(name_or_file.lower(), names, n=3, cutoff=0.5)
         right = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(names)}."
-        raise ValueError(f"camera: {one_line(name_or_file)!r} is not known; {right} Or name a .json or .toml file")
+        raise ValueError(
+            f"camera: {one_line(name_or_file)!r} is not known; {right} Or name a .json or .toml file"
+        )
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Camera:
@@ -290,7 +336,9 @@ class Camera:
         """
         document = read_json(path) if _suffix(path) == ".json" else read_toml(path)
         if not isinstance(document, dict):
-            raise ValueError(f"{path}: wanted an object with a camera's fields, found {type(document).__name__}")
+            raise ValueError(
+                f"{path}: wanted an object with a camera's fields, found {type(document).__name__}"
+            )
         try:
             return cls.from_dict(document)
         except ValueError as error:
@@ -307,7 +355,9 @@ class Camera:
         suffix = _suffix(path)
         items = self.to_dict().items()
         # numbers and printable text read the same in JSON and TOML
-        toml = "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in items)
+        toml = "".join(
+            f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in items
+        )
         write_text(path, toml if suffix == ".toml" else json.dumps(dict(items), indent=1) + "\n")
 
     def _code_slope(self, light: FloatArray) -> FloatArray:

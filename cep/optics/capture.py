@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory
-
-__all__ = ["capture"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 
 def capture(
@@ -32,8 +29,8 @@ def capture(
     scene : (H, W) or (H, W, 3) array_like, linear light
         As an exposure with the shutter open all the time would record it at rest, 0..1.
     motion : Trajectory or (S, S) array_like
-        The camera's path, drawn in the smallest odd frame that holds it; or a light-true PSF, which sums to the open
-        fraction of the exposure and holds its code already.
+        The camera's path, drawn in the smallest odd frame that holds it; or a light-true PSF,
+        which sums to the open fraction of the exposure and holds its code already.
     code : ShutterCode, optional
         Of an exposure along a trajectory; the open shutter when omitted. A coded photo is darker.
     camera : Camera, optional
@@ -44,13 +41,15 @@ def capture(
 
     Returns
     -------
-    (H - S + 1, W - S + 1[, 3]) float ndarray, linear light 0..1, or with symmetric borders of the scene's shape
+    (H - S + 1, W - S + 1[, 3]) float ndarray, linear light 0..1, or with symmetric borders of the
+    scene's shape
         It shows :func:`motdiff.simulate.visible` of the scene.
 
     Raises
     ------
     ValueError
-        If the scene or PSF is malformed, the scene is smaller than the PSF, or a code is given with a PSF.
+        If the scene or PSF is malformed, the scene is smaller than the PSF, or a code is given
+        with a PSF.
 
     Examples
     --------
@@ -62,7 +61,9 @@ def capture(
     sensor = camera or Camera()
     light = np.asarray(scene, dtype=np.float64)
     if light.ndim not in (2, 3) or not np.isfinite(light).all() or light.min(initial=0.0) < 0:
-        raise ValueError(f"scene: must be finite, non-negative (H, W) or (H, W, 3), got shape {light.shape}")
+        raise ValueError(
+            f"scene: must be finite, non-negative (H, W) or (H, W, 3), got shape {light.shape}"
+        )
     if isinstance(motion, Trajectory):
         kernel = coded_psf(motion, code or ShutterCode("1"), size=motion.frame_size() | 1)
     elif code is not None:
@@ -75,4 +76,6 @@ def capture(
         raise ValueError(
             f"scene: {light.shape[1]} x {light.shape[0]} px is smaller than the PSF frame of {kernel.shape[0]} px"
         )
-    return photograph(light, kernel, rng=rng, borders=borders, record=sensor.quantise, **sensor.noise)
+    return photograph(
+        light, kernel, rng=rng, borders=borders, record=sensor.quantise, **sensor.noise
+    )

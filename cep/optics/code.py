@@ -6,11 +6,9 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-__all__ = ["ShutterCode"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 
 @dataclass(frozen=True, init=False)
@@ -20,7 +18,8 @@ class ShutterCode:
     Parameters
     ----------
     bits : str or (n,) array_like
-        "1" is an open chip, "0" a closed one; or numbers or booleans, each exactly 0 or 1. At least one is open.
+        "1" is an open chip, "0" a closed one; or numbers or booleans, each exactly 0 or 1. At
+        least one is open.
     chip_ns : int
         Duration of a chip, ns.
 
@@ -33,7 +32,8 @@ class ShutterCode:
     Raises
     ------
     ValueError
-        If ``bits`` has other characters or values, is empty or all closed, or ``chip_ns`` is not a positive integer.
+        If ``bits`` has other characters or values, is empty or all closed, or ``chip_ns`` is not a
+        positive integer.
 
     Examples
     --------
@@ -63,13 +63,17 @@ class ShutterCode:
         text = bits if isinstance(bits, str) else _text(bits)
         wrong = next((i for i, bit in enumerate(text) if bit not in "01"), None)
         if wrong is not None:
-            raise ValueError(f"bits: only 0 and 1 are allowed, found {text[wrong]!r} at chip {wrong + 1}")
+            raise ValueError(
+                f"bits: only 0 and 1 are allowed, found {text[wrong]!r} at chip {wrong + 1}"
+            )
         if "1" not in text:
             what = "all chips are closed" if text else "the code is empty"
             raise ValueError(f"bits: {what}; at least one chip must be open")
         whole = isinstance(chip_ns, int | np.integer) and not isinstance(chip_ns, bool)
         if not (whole and 0 < chip_ns < 2**63):
-            raise ValueError(f"chip_ns: must be a whole number of nanoseconds within 1..2^63-1, got {chip_ns!r}")
+            raise ValueError(
+                f"chip_ns: must be a whole number of nanoseconds within 1..2^63-1, got {chip_ns!r}"
+            )
         object.__setattr__(self, "bits", text)
         object.__setattr__(self, "chip_ns", int(chip_ns))
 
@@ -102,7 +106,8 @@ class ShutterCode:
     def integration_ns(self) -> int:
         """Time for which a sensor integrates dark current, ns.
 
-        A single opening is an exposure of its own, and no longer than that. Any other code takes the whole exposure.
+        A single opening is an exposure of its own, and no longer than that. Any other code takes
+        the whole exposure.
         """
         return self.chip_ns * (self.open_chips if self.pulses == 1 else self.chips)
 
@@ -138,9 +143,17 @@ def _text(chips: ArrayLike) -> str:
     except (TypeError, ValueError):  # rows of unequal length
         values = np.empty((0, 0))
     if values.ndim != 1 or values.dtype.kind not in "biuf":
-        kind = type(chips).__name__ if values.ndim == 0 or values.dtype.kind not in "biuf" else "rows of them"
-        raise ValueError(f"bits: must be a string or a one-dimensional array of 0 and 1, got {kind}")
+        kind = (
+            type(chips).__name__
+            if values.ndim == 0 or values.dtype.kind not in "biuf"
+            else "rows of them"
+        )
+        raise ValueError(
+            f"bits: must be a string or a one-dimensional array of 0 and 1, got {kind}"
+        )
     wrong = np.flatnonzero((values != 0) & (values != 1))
     if wrong.size:
-        raise ValueError(f"bits: only 0 and 1 are allowed, found {values[wrong[0]]:g} at chip {wrong[0] + 1}")
+        raise ValueError(
+            f"bits: only 0 and 1 are allowed, found {values[wrong[0]]:g} at chip {wrong[0] + 1}"
+        )
     return "".join("1" if value else "0" for value in values)

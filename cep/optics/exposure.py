@@ -1,8 +1,9 @@
 """A code along a trajectory: the chip basis, and the coded OTF and PSF (light-true: their DC is the open time).
 
-Chips may be played off their time (``edges``), and the shutter may have ramps (``response``). With c_k = 0 outside
-the code, the OTF is ``sum_k c_k B_k + c_k (1 - c_{k-1}) O_k + c_k (1 - c_{k+1}) C_k``: chip k itself, light lost
-while the shutter opens (O_k, within chip k), and light passed while it closes (C_k, within chip k + 1).
+Chips may be played off their time (``edges``), and the shutter may have ramps (``response``). With
+c_k = 0 outside the code, the OTF is ``sum_k c_k B_k + c_k (1 - c_{k-1}) O_k + c_k (1 - c_{k+1})
+C_k``: chip k itself, light lost while the shutter opens (O_k, within chip k), and light passed
+while it closes (C_k, within chip k + 1).
 """
 
 from __future__ import annotations
@@ -10,28 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.optics.timeline import checked_edges, timeline
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory, slice_psfs
+from motdiff.types import ComplexArray, FloatArray
 
-__all__ = [
-    "OpenPath",
-    "chip_basis",
-    "chip_parts",
-    "chip_psfs",
-    "chip_rows",
-    "coded_otf",
-    "coded_psf",
-    "mtf",
-    "open_path",
-]
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 _CHUNK = 2**18  # complex numbers at once while summing pieces: stays in the cache
 _PSF_CHUNK = 2**23  # numbers at once while adding up slices of a PSF: 64 MB
 
@@ -43,8 +31,8 @@ class OpenPath:
     Attributes
     ----------
     dt : (S,) float
-        Durations times transmission, as a fraction of the exposure; they sum to the light: to the duty, when the
-        shutter follows at once and on time.
+        Durations times transmission, as a fraction of the exposure; they sum to the light: to the
+        duty, when the shutter follows at once and on time.
     a, b : (S, 2) float, px
         Starts and ends.
     """
@@ -55,19 +43,25 @@ class OpenPath:
 
     def otf(self, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> ComplexArray:
         """Exact OTF at (...) frequencies: the sum of ``dt exp(-i pi f.(a + b)) sinc(f.(b - a))``."""
-        fx, fy = np.broadcast_arrays(np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64))
+        fx, fy = np.broadcast_arrays(
+            np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64)
+        )
         f = np.stack([fx.ravel(), fy.ravel()], axis=1)
         out = np.empty(len(f), dtype=np.complex128)
-        phase_px, delta_px = -np.pi * (self.a + self.b).T, np.pi * (self.b - self.a).T
+        phase_px = -np.pi * (self.a + self.b).T
+        delta_px = np.pi * (self.b - self.a).T
         step = max(1, _CHUNK // self.dt.size)
         for lo in range(0, len(f), step):
             part = f[lo : lo + step]
             half = part @ delta_px
-            # numpy's sinc patches 0 with a copy; a tiny offset costs no accuracy and saves a third of the time
+            # numpy's sinc patches 0 with a copy; a tiny offset costs no accuracy and saves a third
+            # of the time
             half += 1e-20
             gain = np.sin(half) / half
             phase = part @ phase_px
-            out[lo : lo + step] = (gain * np.cos(phase)) @ self.dt + 1j * ((gain * np.sin(phase)) @ self.dt)
+            out[lo : lo + step] = (gain * np.cos(phase)) @ self.dt + 1j * (
+                (gain * np.sin(phase)) @ self.dt
+            )
         return out.reshape(fx.shape)
 
 
@@ -85,15 +79,18 @@ def open_path(
     trajectory : Trajectory
     code : ShutterCode
     response : ShutterResponse, optional
-        How the shutter opens and closes; at once when omitted. Its chip time counts, not the code's.
+        How the shutter opens and closes; at once when omitted. Its chip time counts, not the
+        code's.
     edges : (n + 1,) array_like, optional
-        Chip boundaries as fractions of the exposure; evenly spread over it when omitted. Beyond the exposure the
-        motion is extrapolated by :func:`cep.optics.timeline.extended`, also under the tail of the last chip.
+        Chip boundaries as fractions of the exposure; evenly spread over it when omitted. Beyond
+        the exposure the motion is extrapolated by :func:`cep.optics.timeline.extended`, also under
+        the tail of the last chip.
 
     Raises
     ------
     ValueError
-        If the edges are malformed, or leave a chip shorter than the shutter takes to open or close.
+        If the edges are malformed, or leave a chip shorter than the shutter takes to open or
+        close.
     """
     if edges is None and response is None:
         pieces = trajectory.segments(np.linspace(0, 1, code.chips + 1))
@@ -106,7 +103,12 @@ def open_path(
 
 
 def chip_basis(
-    trajectory: Trajectory, chips: int, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike, *, edges: ArrayLike | None = None
+    trajectory: Trajectory,
+    chips: int,
+    fx_cy_px: ArrayLike,
+    fy_cy_px: ArrayLike,
+    *,
+    edges: ArrayLike | None = None,
 ) -> ComplexArray:
     """OTF of every chip, ``B_k(f)``: the coded OTF is ``sum_k c_k B_k(f)`` while the shutter follows at once.
 
@@ -143,13 +145,17 @@ def chip_parts(
     """
     from cep.optics.fourier_kernels import chip_sums
 
-    fx, fy = np.broadcast_arrays(np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64))
+    fx, fy = np.broadcast_arrays(
+        np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64)
+    )
     played = timeline(trajectory, checked_edges(edges, chips), response)
     weights = np.stack([np.ones(played.dt.size), played.opening - 1, played.closing]) * played.dt
     f = np.stack([fx.ravel(), fy.ravel()])
     # one chip more: the tail of the last
     sums = chip_sums(played.a, played.b, weights, played.chip, chips + 1, f)
-    basis, opening, closing = sums[0, :-1], sums[1, :-1], sums[2, 1:]
+    basis = sums[0, :-1]
+    opening = sums[1, :-1]
+    closing = sums[2, 1:]
     return tuple(part.reshape(chips, *fx.shape) for part in (basis, opening, closing))  # type: ignore[return-value]
 
 
@@ -164,20 +170,24 @@ def chip_rows(
 ) -> ComplexArray:
     """Change of the coded OTF when chip k opens between neighbours in the states l and r, ``rows[k, l, r]``.
 
-    ``rows[k, l, r] = B_k + (1 - l) O_k + (1 - r) C_k - l C_{k-1} - r O_{k+1}``: an open neighbour needs no edge towards
-    chip k any more. Closing chip k is the negative. Outside the code every chip is closed.
+    ``rows[k, l, r] = B_k + (1 - l) O_k + (1 - r) C_k - l C_{k-1} - r O_{k+1}``: an open neighbour
+    needs no edge towards chip k any more. Closing chip k is the negative. Outside the code every
+    chip is closed.
 
     Parameters and errors are those of :func:`open_path` and :func:`chip_basis`.
 
     Returns
     -------
-    (n, 2, 2, ...) complex ndarray, read-only; without a response the four are one and the same memory.
+    (n, 2, 2, ...) complex ndarray, read-only; without a response the four are one and the same
+    memory.
     """
     shape = np.broadcast_shapes(np.shape(fx_cy_px), np.shape(fy_cy_px))
     if response is None or response.instant:
         basis = chip_basis(trajectory, chips, fx_cy_px, fy_cy_px, edges=edges)
         return np.broadcast_to(basis[:, None, None], (chips, 2, 2, *shape))
-    basis, opening, closing = chip_parts(trajectory, chips, fx_cy_px, fy_cy_px, response=response, edges=edges)
+    basis, opening, closing = chip_parts(
+        trajectory, chips, fx_cy_px, fy_cy_px, response=response, edges=edges
+    )
     rows = np.repeat(basis[:, None], 4, axis=1).reshape(chips, 2, 2, *shape)
     rows[:, 0] += opening[:, None]
     rows[:, :, 0] += closing[:, None]
@@ -215,7 +225,9 @@ def coded_otf(
     return open_path(trajectory, code, response=response, edges=edges).otf(fx_cy_px, fy_cy_px)
 
 
-def mtf(trajectory: Trajectory, code: ShutterCode | None, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> FloatArray:
+def mtf(
+    trajectory: Trajectory, code: ShutterCode | None, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike
+) -> FloatArray:
     """Exact, light-true MTF of the exposure at (...) frequencies: the modulus of :func:`coded_otf`.
 
     Parameters
@@ -227,7 +239,8 @@ def mtf(trajectory: Trajectory, code: ShutterCode | None, fx_cy_px: ArrayLike, f
 
     Examples
     --------
-    A straight motion of 20 px loses the frequency of 1/20 cycles/px; half of the light in four chips keeps it:
+    A straight motion of 20 px loses the frequency of 1/20 cycles/px; half of the light in four
+    chips keeps it:
 
     >>> path = Trajectory.straight(20.0)
     >>> print(f"{float(mtf(path, None, 0.05, 0.0)):.3f}  {float(mtf(path, ShutterCode('1100'), 0.05, 0.0)):.3f}")
@@ -260,15 +273,21 @@ def coded_psf(
     ((64, 64), 0.625)
     """
     if edges is None and response is None:
-        return np.asarray(np.tensordot(code.array, chip_psfs(trajectory, code.chips, size), axes=1), dtype=np.float64)
+        return np.asarray(
+            np.tensordot(code.array, chip_psfs(trajectory, code.chips, size), axes=1),
+            dtype=np.float64,
+        )
     played = timeline(trajectory, checked_edges(edges, code.chips), response, code=code)
     needed = played.frame_size()
     if size < needed:
         raise ValueError(f"size: the path needs a PSF frame of at least {needed} px, got {size}")
-    transmission, psf = played.transmission(code), np.zeros((size, size))
+    transmission = played.transmission(code)
+    psf = np.zeros((size, size))
     step = max(1, _PSF_CHUNK // size**2)
     for lo in range(0, played.dt.size, step):
         # the pieces are the slices: each has one transmission
         cuts = played.u[lo : lo + step + 1]
-        psf += np.tensordot(transmission[lo : lo + step], slice_psfs(played.t, played.xy, cuts, size), axes=1)
+        psf += np.tensordot(
+            transmission[lo : lo + step], slice_psfs(played.t, played.xy, cuts, size), axes=1
+        )
     return psf

@@ -6,15 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
+from motdiff.types import FloatArray
 
-__all__ = ["chip_sums"]
-
-FloatArray = NDArray[np.float64]
 _SAME_PX = 1e-13
 
 
 def chip_sums(
-    a: FloatArray, b: FloatArray, weights: FloatArray, chip: NDArray[np.intp], chips: int, f: FloatArray
+    a: FloatArray,
+    b: FloatArray,
+    weights: FloatArray,
+    chip: NDArray[np.intp],
+    chips: int,
+    f: FloatArray,
 ) -> NDArray[np.complex128]:
     """Sum the weighted transforms of pieces, ``exp(-i pi f.(a + b)) sinc(f.(b - a))``, chip by chip.
 
@@ -37,7 +40,9 @@ def chip_sums(
     # a chain of rotations ends with its chip: it would gather rounding errors
     again[1:] = (np.abs(np.diff(delta, axis=0)) < _SAME_PX).all(axis=1) & (np.diff(chip) == 0)
     out = np.zeros((f.shape[1], chips, len(weights)), dtype=np.complex128)
-    _accumulate(np.pi * f.T.copy(), a + b, delta, again, np.ascontiguousarray(weights.T), chip, out)
+    _accumulate(
+        np.pi * f.T.copy(), a + b, delta, again, np.ascontiguousarray(weights.T), chip, out
+    )
     return out.transpose(2, 1, 0)
 
 
@@ -52,14 +57,19 @@ def _accumulate(
     out: NDArray[np.complex128],
 ) -> None:
     for i in range(f.shape[0]):
-        x, y = f[i, 0], f[i, 1]
-        wave, turn, gain = complex(1.0, 0.0), complex(1.0, 0.0), 1.0
+        x = f[i, 0]
+        y = f[i, 1]
+        wave = complex(1.0, 0.0)
+        turn = complex(1.0, 0.0)
+        gain = 1.0
         for s in range(ends.shape[0]):
             if again[s]:
                 wave *= turn
             else:
-                half, phase = x * delta[s, 0] + y * delta[s, 1], x * ends[s, 0] + y * ends[s, 1]
-                sine, cosine = np.sin(half), np.cos(half)
+                half = x * delta[s, 0] + y * delta[s, 1]
+                phase = x * ends[s, 0] + y * ends[s, 1]
+                sine = np.sin(half)
+                cosine = np.cos(half)
                 gain = sine / half if abs(half) > 1e-9 else 1.0
                 # the next middle lies a whole piece ahead: twice the half angle
                 turn = complex(cosine * cosine - sine * sine, -2.0 * sine * cosine)

@@ -5,26 +5,15 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.optics.band import BandSamples
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
+from motdiff.types import FloatArray
 
-__all__ = [
-    "HOPELESS_DB",
-    "SCENE_MEAN",
-    "SCENE_STD",
-    "chip_noise_db",
-    "inverse_scene",
-    "noise_variance",
-    "scene_strength",
-    "wiener_mse",
-]
-
-FloatArray = NDArray[np.float64]
-
-SCENE_MEAN = 0.25  # linear light that an all-open exposure records of the reference scene: sRGB mid-tone 0.54
+# linear light that an all-open exposure records of the reference scene: sRGB mid-tone 0.54
+SCENE_MEAN = 0.25
 SCENE_STD = 0.2
 HOPELESS_DB = 100.0
 """Noise gains above this say that a sample met a zero, and how closely rounding let it: tables print "> 100"."""
@@ -35,8 +24,8 @@ _LOWEST_CY_PX = 1 / 256  # the 1/f^2 law stops here, or its variance would be in
 def chip_noise_db(code: ShutterCode) -> float:
     """``10 log10 mean 1/|P|^2`` over the unit circle on 512 points a chip; add 20 log10 k for the DC-normalised one.
 
-    A zero on the circle makes it infinite; a grid near one gives a finite figure that proves nothing: see
-    :func:`min_chip`.
+    A zero on the circle makes it infinite; a grid near one gives a finite figure that proves
+    nothing: see :func:`min_chip`.
     """
     size = 512 * code.chips
     power = np.abs(np.fft.rfft(code.array, size)) ** 2
@@ -46,18 +35,24 @@ def chip_noise_db(code: ShutterCode) -> float:
         return float(10 * np.log10(weight @ (1 / power) / size))
 
 
-def noise_variance(camera: Camera, duty: ArrayLike, *, integration_s: ArrayLike = 0.0) -> FloatArray:
+def noise_variance(
+    camera: Camera, duty: ArrayLike, *, integration_s: ArrayLike = 0.0
+) -> FloatArray:
     """Variance per pixel of photos of the reference scene through shutters open for (...) ``duty`` of the exposure.
 
-    Dark current counts for ``integration_s``, as :meth:`cep.optics.camera.Camera.noise_variance` has it.
+    Dark current counts for ``integration_s``, as :meth:`cep.optics.camera.Camera.noise_variance`
+    has it.
     """
-    return camera.noise_variance(SCENE_MEAN * np.asarray(duty, dtype=np.float64), integration_s=integration_s)
+    return camera.noise_variance(
+        SCENE_MEAN * np.asarray(duty, dtype=np.float64), integration_s=integration_s
+    )
 
 
 @lru_cache(maxsize=1)
 def scene_strength() -> float:
     """Constant A of the reference scene's power spectrum ``A / (f^2 + f0^2)``, which integrates to its variance."""
-    # the inner integral of 1 / (f^2 + f0^2) has a closed form; u = asinh(fx / f0) makes the outer one smooth
+    # the inner integral of 1 / (f^2 + f0^2) has a closed form; u = asinh(fx / f0) makes the outer
+    # one smooth
     u = np.linspace(0, np.arcsinh(0.5 / _LOWEST_CY_PX), 2001)
     rest = np.sqrt((_LOWEST_CY_PX * np.sinh(u)) ** 2 + _LOWEST_CY_PX**2)
     return SCENE_STD**2 / float(4 * np.trapezoid(np.arctan(0.5 / rest), u))

@@ -5,8 +5,6 @@ from __future__ import annotations
 from cep.optics.band import stays_in_place, straight_axis, uniform_length_px
 from motdiff.trajectory import Trajectory, check_length
 
-__all__ = ["FINEST_CHIP_PX", "LARGEST_FRAME_PX", "MOST_SAMPLES", "check_frame", "check_resolved"]
-
 FINEST_CHIP_PX = 0.25
 """Shortest mean displacement per chip, px: the pitch of the HR map. Chips below it differ by nothing a pixel sees."""
 
@@ -25,8 +23,9 @@ def check_frame(trajectory: Trajectory) -> None:
     Raises
     ------
     ValueError
-        If the path is longer than :data:`motdiff.trajectory.LONGEST_PX`, the PSF would need a frame of more than
-        :data:`LARGEST_FRAME_PX`, or there are more samples than :data:`MOST_SAMPLES`, of a wide path fewer.
+        If the path is longer than :data:`motdiff.trajectory.LONGEST_PX`, the PSF would need a
+        frame of more than :data:`LARGEST_FRAME_PX`, or there are more samples than
+        :data:`MOST_SAMPLES`, of a wide path fewer.
     """
     check_length(trajectory)
     if uniform_length_px(trajectory) is not None:
@@ -50,8 +49,8 @@ def check_resolved(trajectory: Trajectory, chips: int) -> None:
     Raises
     ------
     ValueError
-        If a chip covers less than a quarter of a pixel on average; the line says how many chips would do, or how long
-        a path where there is none.
+        If a chip covers less than a quarter of a pixel on average; the line says how many chips
+        would do, or how long a path where there is none.
     """
     if chips > 1 and stays_in_place(trajectory):
         raise ValueError(

@@ -1,12 +1,13 @@
 """Photon-transfer curve: gain, read noise and full well of a camera, from pairs of evenly lit frames.
 
-The difference of two frames of the same light, scaled to the same mean, holds noise alone: what is fixed to the pixels
-cancels. Over the mean the
-variance is a line, ``variance = (mean - black) / gain + read noise^2``, until the pixels saturate.
+The difference of two frames of the same light, scaled to the same mean, holds noise alone: what is
+fixed to the pixels cancels. Over the mean the variance is a line, ``variance = (mean - black) /
+gain + read noise^2``, until the pixels saturate.
 
 References
 ----------
-Janesick, "Photon Transfer", SPIE Press, 2007. EMVA Standard 1288, release 3.1, sections 6.6 and 6.7.
+Janesick, "Photon Transfer", SPIE Press, 2007. EMVA Standard 1288, release 3.1, sections 6.6 and
+6.7.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from cep.optics.camera import Camera
 from motdiff.simulate import to_display, to_linear
-
-__all__ = ["CodeRange", "FramePair", "PhotonTransfer", "TransferPoint", "find_code_range", "photon_transfer"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _DEPTHS = (8, 10, 12, 14, 16)  # bits of cameras whose codes lie at the lower end of 16-bit files
 _FIT_SHARE = 0.7  # of saturation: above it the response bends, EMVA 1288
-_CLIPPED = 0.005  # share of pixels at the end of the codes from which a pair's variance is too small
+_CLIPPED = (
+    0.005  # share of pixels at the end of the codes from which a pair's variance is too small
+)
 _BLACK_CLIPPED = 0.1  # share of dark pixels at 0 from which the dark noise is not there to be seen
 _FALLEN = 0.1  # a brighter pair with so much less variance than a darker one is saturated
-_UNEQUAL = 0.05  # share by which the light of a pair's frames may differ: scaling them mends that to 0.1 %
+# share by which the light of a pair's frames may differ: scaling them mends that to 0.1 %
+_UNEQUAL = 0.05
 _ROUNDING = 1e-12  # of the variance over the pixels: that of frames that are the same
 _BANDED = 0.01  # part of a pair's variance that differences between lines may make up
 _UNSURE = 0.25  # relative error from which a gain is no result
@@ -49,7 +50,8 @@ class FramePair:
     covariance : (2, 2) float ndarray
         Over the pixels of the two frames.
     lines : tuple of (2, K) float ndarray
-        Means of the rows of both frames, and of their columns; none of frames that are not two-dimensional.
+        Means of the rows of both frames, and of their columns; none of frames that are not
+        two-dimensional.
     histogram : (65536,) int ndarray
         Pixels of both frames with each code value.
     pixels : int
@@ -75,8 +77,9 @@ class FramePair:
     def variance(self, black: float | None = None) -> float:
         """Variance of one frame over time, with the quantisation's.
 
-        With the code value without light, the frames are brought to the same light first: uneven light and unequal
-        pixels would not cancel otherwise. What that does to the noise is of second order in the difference.
+        With the code value without light, the frames are brought to the same light first: uneven
+        light and unequal pixels would not cancel otherwise. What that does to the noise is of
+        second order in the difference.
         """
         scale = self._scale(black)
         found = float(scale @ self.covariance @ scale) / 2
@@ -84,7 +87,9 @@ class FramePair:
 
     def banding(self, black: float) -> float:
         """Part of the variance that rows or columns of differing light make up; 0 where it is not significant."""
-        scale, variance, parts = self._scale(black), self.variance(black), [0.0]
+        scale = self._scale(black)
+        variance = self.variance(black)
+        parts = [0.0]
         for means in self.lines:
             count = means.shape[1]
             share = float((scale @ means).var(ddof=1)) / max(2 * variance, 1e-300)
@@ -99,7 +104,9 @@ class FramePair:
         return np.array([-1.0, 1.0]) if light.min() <= 0 else light.mean() / light * [-1.0, 1.0]
 
     @classmethod
-    def of(cls, first: ArrayLike, second: ArrayLike, *, codes: ArrayLike | None = None) -> FramePair:
+    def of(
+        cls, first: ArrayLike, second: ArrayLike, *, codes: ArrayLike | None = None
+    ) -> FramePair:
         """Measure two frames.
 
         Parameters
@@ -114,18 +121,24 @@ class FramePair:
         ValueError
             If the shapes differ.
         """
-        one, two = np.asarray(first), np.asarray(second)
+        one = np.asarray(first)
+        two = np.asarray(second)
         if one.shape != two.shape:
             raise ValueError(f"differ in size, {_size(one)} and {_size(two)} px")
         light = np.arange(65536.0) if codes is None else np.asarray(codes, dtype=np.float64)
-        a, b = light[one], light[two]
+        a = light[one]
+        b = light[two]
         means = np.array([a.mean(), b.mean()])
-        da, db = a.ravel() - means[0], b.ravel() - means[1]
+        da = a.ravel() - means[0]
+        db = b.ravel() - means[1]
         return cls(
             means=means,
             covariance=np.array([[da @ da, da @ db], [da @ db, db @ db]]) / max(da.size - 1, 1),
-            lines=tuple(np.stack([a.mean(axis=axis), b.mean(axis=axis)]) for axis in (1, 0)) if a.ndim == 2 else (),
-            histogram=np.bincount(one.ravel(), minlength=65536) + np.bincount(two.ravel(), minlength=65536),
+            lines=tuple(np.stack([a.mean(axis=axis), b.mean(axis=axis)]) for axis in (1, 0))
+            if a.ndim == 2
+            else (),
+            histogram=np.bincount(one.ravel(), minlength=65536)
+            + np.bincount(two.ravel(), minlength=65536),
             pixels=one.size,
         )
 
@@ -219,7 +232,11 @@ class PhotonTransfer:
         """What was found, in one sentence."""
         well = "the full well was not reached"
         if self.full_well_e is not None:
-            end = "the pixel is full" if self.full_well_is == "pixel" else f"the {self.codes.bits}-bit range ends"
+            end = (
+                "the pixel is full"
+                if self.full_well_is == "pixel"
+                else f"the {self.codes.bits}-bit range ends"
+            )
             well = f"{end} at {_round(self.full_well_e, 4):.0f} e-"
         return (
             f"{self.gain_e_per_dn:.3g} e- per code value, read noise {self.read_noise_e:.3g} e-, {well}; "
@@ -236,7 +253,9 @@ class PhotonTransfer:
             read_noise_e=_round(self.read_noise_e),
             bits=self.codes.bits,
             response=self.response,
-            black_level=_round(min(self.black_dn * self.gain_e_per_dn / full, 1.0)) if linear else 0.0,
+            black_level=_round(min(self.black_dn * self.gain_e_per_dn / full, 1.0))
+            if linear
+            else 0.0,
             name=name,
             source=source,
             full_well_e=None if self.full_well_e is None else _round(self.full_well_e),
@@ -255,17 +274,23 @@ class PhotonTransfer:
             "black_dn": self.black_dn,
             "bits": self.codes.bits,
             "points": [
-                {"signal_dn": point.signal_dn, "variance_dn2": point.variance_dn2, "use": point.use}
+                {
+                    "signal_dn": point.signal_dn,
+                    "variance_dn2": point.variance_dn2,
+                    "use": point.use,
+                }
                 for point in self.points
             ],
         }
 
 
-def find_code_range(pairs: Sequence[FramePair], *, file_bits: int, bits: int | None = None) -> CodeRange:
+def find_code_range(
+    pairs: Sequence[FramePair], *, file_bits: int, bits: int | None = None
+) -> CodeRange:
     """Find how many bits a camera has from the values that its files hold.
 
-    Cameras of 10, 12 or 14 bits write 16-bit files with their code values at the lower end, shifted to the upper end,
-    or spread over the whole range.
+    Cameras of 10, 12 or 14 bits write 16-bit files with their code values at the lower end,
+    shifted to the upper end, or spread over the whole range.
 
     Parameters
     ----------
@@ -280,7 +305,9 @@ def find_code_range(pairs: Sequence[FramePair], *, file_bits: int, bits: int | N
         If the camera cannot have so many bits.
     """
     if bits is not None and not 1 <= bits <= file_bits:
-        raise ValueError(f"bits: must lie within 1..{file_bits} for files of {file_bits} bits, got {bits}")
+        raise ValueError(
+            f"bits: must lie within 1..{file_bits} for files of {file_bits} bits, got {bits}"
+        )
     held = np.flatnonzero(np.sum([pair.histogram for pair in pairs], axis=0))
     largest = int(held[-1])
     gap = int(np.diff(held).min()) if held.size > 1 else 1
@@ -318,7 +345,8 @@ def photon_transfer(
     black_dn : float, optional
         Code value without light, where there are no dark frames; 0 when omitted.
     response : {"linear", "srgb"}
-        Curve on which the code values are evenly spaced; the statistics of the pairs are those of linear light.
+        Curve on which the code values are evenly spaced; the statistics of the pairs are those of
+        linear light.
 
     Raises
     ------
@@ -338,24 +366,34 @@ def photon_transfer(
     """
     warnings = [codes.assumed] if codes.assumed else []
     if dark is not None:
-        black, dark_variance = dark.mean / codes.spacing, _variance(dark, codes, response)
+        black = dark.mean / codes.spacing
+        dark_variance = _variance(dark, codes, response)
         warnings += _check_dark(dark, dark_variance)
     else:
-        black, dark_variance = black_dn or 0.0, None
+        black = black_dn or 0.0
+        dark_variance = None
         if black_dn is None:
-            warnings.append("no dark frames: black is taken as code value 0, on which the read noise depends")
+            warnings.append(
+                "no dark frames: black is taken as code value 0, on which the read noise depends"
+            )
     for number, pair in enumerate(flats, 1):
         if pair.variance() == 0 and not _is_clipped(pair, codes):
-            raise ValueError(f"pair {number}: its frames are the same in every pixel; two exposures are needed")
+            raise ValueError(
+                f"pair {number}: its frames are the same in every pixel; two exposures are needed"
+            )
         _check_flat(number, pair, black * codes.spacing, dark)
-        if (banding := pair.banding(black * codes.spacing)) > _BANDED and not _is_clipped(pair, codes):
+        if (banding := pair.banding(black * codes.spacing)) > _BANDED and not _is_clipped(
+            pair, codes
+        ):
             warnings.append(
                 f"pair {number}: the light of its frames differs from line to line, by {banding:.0%} of their noise: "
                 "the light flickers, and the gain is too small"
             )
     order = sorted(flats, key=lambda pair: pair.mean)
     signal = np.array([pair.mean for pair in order]) / codes.spacing - black
-    variance = np.array([_variance(pair, codes, response, black * codes.spacing) for pair in order])
+    variance = np.array(
+        [_variance(pair, codes, response, black * codes.spacing) for pair in order]
+    )
     pixels = np.array([pair.pixels for pair in order])
     saturated = _saturated(order, variance, codes)
     if saturated.all():
@@ -363,9 +401,13 @@ def photon_transfer(
     fitted = ~saturated
     if saturated.any() and (fitted & (signal <= _FIT_SHARE * signal[saturated].max())).any():
         fitted &= signal <= _FIT_SHARE * signal[saturated].max()
-    x, y, n = signal[fitted], variance[fitted], pixels[fitted]
+    x = signal[fitted]
+    y = variance[fitted]
+    n = pixels[fitted]
     if dark is not None and dark_variance is not None:
-        x, y, n = np.append(x, 0.0), np.append(y, dark_variance), np.append(n, dark.pixels)
+        x = np.append(x, 0.0)
+        y = np.append(y, dark_variance)
+        n = np.append(n, dark.pixels)
     slope, floor, slope_error, floor_error, bent = _line(x, y, n)
     gain = 1 / slope
     if floor < -4 * floor_error:
@@ -373,11 +415,17 @@ def photon_transfer(
             f"the noise at black would be below 0: black is not code value {black:g}; give dark frames or its value"
         )
     if floor_error > 0.2 * max(floor, 0.0):
-        warnings.append("the read noise is hardly seen beside the light's: give dark frames, or darker ones")
+        warnings.append(
+            "the read noise is hardly seen beside the light's: give dark frames, or darker ones"
+        )
     if bent:
-        warnings.append(f"the noise is off the line by up to {bent:.0%}: the response is bent or noise was filtered")
+        warnings.append(
+            f"the noise is off the line by up to {bent:.0%}: the response is bent or noise was filtered"
+        )
     noise_dn2 = max(floor, floor_error)
-    full_well, kind = _full_well(order, saturated, variance, slope * signal + floor, codes, black, gain, response)
+    full_well, kind = _full_well(
+        order, saturated, variance, slope * signal + floor, codes, black, gain, response
+    )
     uses: list[Literal["fitted", "above the fit", "saturated"]] = [
         "saturated" if full else "fitted" if used else "above the fit"
         for full, used in zip(saturated, fitted, strict=True)
@@ -392,17 +440,22 @@ def photon_transfer(
         black_dn=black,
         codes=codes,
         response=response,
-        points=tuple(map(TransferPoint, signal.tolist(), np.maximum(variance, 0.0).tolist(), uses)),
+        points=tuple(
+            map(TransferPoint, signal.tolist(), np.maximum(variance, 0.0).tolist(), uses)
+        ),
         dark_variance_dn2=dark_variance,
         warnings=tuple(warnings),
     )
 
 
-def _variance(pair: FramePair, codes: CodeRange, response: str, black: float | None = None) -> float:
+def _variance(
+    pair: FramePair, codes: CodeRange, response: str, black: float | None = None
+) -> float:
     """Variance over time at the same light above black without the quantisation's, code values squared."""
     step = 1.0
     if response == "srgb":
-        half, value = 0.5 / codes.top_dn, float(to_display(pair.mean / codes.spacing / codes.top_dn))
+        half = 0.5 / codes.top_dn
+        value = float(to_display(pair.mean / codes.spacing / codes.top_dn))
         low, high = to_linear(np.clip([value - half, value + half], 0, 1))
         step = float(high - low) * codes.top_dn
     return pair.variance(black) / codes.spacing**2 - step**2 / 12
@@ -412,21 +465,30 @@ def _check_dark(dark: FramePair, variance_dn2: float) -> list[str]:
     """Warnings of dark frames; raises ValueError where they show no noise."""
     at_zero = dark.histogram[0] / (2 * dark.pixels)
     if at_zero > _BLACK_CLIPPED:
-        raise ValueError(f"dark: {at_zero:.0%} of its pixels are at code value 0; raise the camera's black level")
+        raise ValueError(
+            f"dark: {at_zero:.0%} of its pixels are at code value 0; raise the camera's black level"
+        )
     if dark.variance() == 0:
         raise ValueError("dark: its frames are the same in every pixel; two exposures are needed")
     if at_zero > _CLIPPED:
-        return [f"{at_zero:.1%} of the dark pixels are at code value 0: the read noise is larger than stated"]
+        return [
+            f"{at_zero:.1%} of the dark pixels are at code value 0: the read noise is larger than stated"
+        ]
     if variance_dn2 < _EMVA_LEAST_NOISE_DN**2:
-        return ["the dark noise is below a quarter of a code value: quantisation hides the read noise"]
+        return [
+            "the dark noise is below a quarter of a code value: quantisation hides the read noise"
+        ]
     return []
 
 
 def _check_flat(number: int, pair: FramePair, black: float, dark: FramePair | None) -> None:
-    light, error = pair.mean - black, math.sqrt(2 * pair.variance() / pair.pixels)
+    light = pair.mean - black
+    error = math.sqrt(2 * pair.variance() / pair.pixels)
     if light <= 5 * error:
         of = f"the dark frames, {black:g}" if dark is not None else f"black, {black:g}"
-        raise ValueError(f"pair {number}: its mean of {pair.mean:.5g} is not above that of {of}; flats need light")
+        raise ValueError(
+            f"pair {number}: its mean of {pair.mean:.5g} is not above that of {of}; flats need light"
+        )
     if abs(pair.difference) > _UNEQUAL * light + 5 * error:
         raise ValueError(
             f"pair {number}: its frames differ in light by {abs(pair.difference) / light:.0%}; give the two frames of "
@@ -439,29 +501,41 @@ def _is_clipped(pair: FramePair, codes: CodeRange) -> bool:
     return bool(pair.histogram[end:].sum() > _CLIPPED * 2 * pair.pixels)
 
 
-def _saturated(order: Sequence[FramePair], variance: FloatArray, codes: CodeRange) -> NDArray[np.bool_]:
+def _saturated(
+    order: Sequence[FramePair], variance: FloatArray, codes: CodeRange
+) -> NDArray[np.bool_]:
     """Which pairs, by rising light, are clipped or have less noise than a darker one."""
     clipped = np.array([_is_clipped(pair, codes) for pair in order])
     peak = int(np.argmax(np.where(clipped, -np.inf, variance)))
     scatter = 5 * math.sqrt(4 / min(pair.pixels for pair in order))  # of a ratio of two variances
-    fallen = (np.arange(len(order)) > peak) & (variance < (1 - max(_FALLEN, scatter)) * variance[peak])
+    fallen = (np.arange(len(order)) > peak) & (
+        variance < (1 - max(_FALLEN, scatter)) * variance[peak]
+    )
     return np.asarray(clipped | fallen)
 
 
-def _line(x: FloatArray, y: FloatArray, n: NDArray[np.int64]) -> tuple[float, float, float, float, float]:
+def _line(
+    x: FloatArray, y: FloatArray, n: NDArray[np.int64]
+) -> tuple[float, float, float, float, float]:
     """Fit ``y = slope x + floor`` to variances of ``n`` pixels: both, their errors, and a misfit worth a warning."""
     if x.size < 2 or np.ptp(x) < 0.1 * x.max():
-        raise ValueError("the frames have one level of light: give dark frames, or flats of other levels too")
+        raise ValueError(
+            "the frames have one level of light: give dark frames, or flats of other levels too"
+        )
     basis = np.stack([x, np.ones_like(x)], axis=1)
     error = _scatter(y, n)
-    for _ in range(4):  # errors by the fit: those by the measured variances would favour the low ones
+    for _ in range(
+        4
+    ):  # errors by the fit: those by the measured variances would favour the low ones
         weights = 1 / error**2
         covariance = np.linalg.inv(basis.T @ (weights[:, None] * basis))
         slope, floor = (float(value) for value in covariance @ (basis.T @ (weights * y)))
         error = _scatter(np.maximum(basis @ (slope, floor), 0.1 * np.abs(y)), n)
     slope_error, floor_error = (float(value) for value in np.sqrt(np.diag(covariance)))
     if slope <= 0:
-        raise ValueError("the noise does not grow with the light: these are no frames as the sensor made them")
+        raise ValueError(
+            "the noise does not grow with the light: these are no frames as the sensor made them"
+        )
     if slope_error > _UNSURE * slope:
         raise ValueError(
             "the noise hardly grows with the light: its levels are too alike, or the frames too small, for a gain"
@@ -474,8 +548,8 @@ def _line(x: FloatArray, y: FloatArray, n: NDArray[np.int64]) -> tuple[float, fl
 def _scatter(variance: FloatArray, n: NDArray[np.int64]) -> FloatArray:
     """Add the standard error of variances of ``n`` pixels and what rounding to code values may do to small ones.
 
-    Rounding adds 1/12 to a variance, and for a Gaussian of variance v up to (4 v + 1 / pi^2) exp(-2 pi^2 v) more or
-    less, by where its mean lies between two code values.
+    Rounding adds 1/12 to a variance, and for a Gaussian of variance v up to (4 v + 1 / pi^2)
+    exp(-2 pi^2 v) more or less, by where its mean lies between two code values.
     """
     v = np.maximum(variance, 1e-3)
     rounding = (4 * v + 1 / np.pi**2) * np.exp(-2 * np.pi**2 * v)
@@ -483,13 +557,20 @@ def _scatter(variance: FloatArray, n: NDArray[np.int64]) -> FloatArray:
 
 
 def _full_well(
-    order: Sequence[FramePair], saturated: NDArray[np.bool_], variance: FloatArray, expected: FloatArray,
-    codes: CodeRange, black: float, gain: float, response: str,
-) -> tuple[float | None, Literal["", "pixel", "code range"]]:  # fmt: skip
+    order: Sequence[FramePair],
+    saturated: NDArray[np.bool_],
+    variance: FloatArray,
+    expected: FloatArray,
+    codes: CodeRange,
+    black: float,
+    gain: float,
+    response: str,
+) -> tuple[float | None, Literal["", "pixel", "code range"]]:
     """Electrons at which the brightest pair saturates, and what is full there."""
     if not saturated[-1]:
         return None, ""
-    # frames that are full everywhere have the noise of reading alone, and their median is the level
+    # frames that are full everywhere have the noise of reading alone, and their median is the
+    # level
     value = order[-1].quantile(0.5 if variance[-1] < 0.2 * expected[-1] else 0.999) / codes.spacing
     kind: Literal["pixel", "code range"] = "code range" if value > codes.top_dn - 1 else "pixel"
     if response == "srgb":

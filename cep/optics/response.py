@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-__all__ = ["RAMP_STEPS", "ShutterResponse"]
+from motdiff.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 RAMP_STEPS = 16
 """Steps that stand for a ramp. Each has the ramp's light; a ramp over d px at f cycles/px is off by at most
 ``pi f d / (6 RAMP_STEPS^2)`` of its duration: 2e-3 at f d = 1."""
@@ -19,9 +18,10 @@ RAMP_STEPS = 16
 class ShutterResponse:
     """Transmission of a shutter around its commanded edges.
 
-    After an opening edge the shutter stays closed for ``on_delay_ns``, then opens linearly within ``rise_ns``; after a
-    closing edge it stays open for ``on_bias_ns``, then closes linearly within ``fall_ns``. Both are over within one
-    chip, so a transition depends on two neighbouring chips alone.
+    After an opening edge the shutter stays closed for ``on_delay_ns``, then opens linearly within
+    ``rise_ns``; after a closing edge it stays open for ``on_bias_ns``, then closes linearly within
+    ``fall_ns``. Both are over within one chip, so a transition depends on two neighbouring chips
+    alone.
 
     Parameters
     ----------
@@ -51,14 +51,19 @@ class ShutterResponse:
                 raise ValueError(f"{field.name}: must be a time of at least 0 ns, got {value}")
         if self.chip_ns == 0:
             raise ValueError("chip_ns: must be above 0 ns, got 0")
-        for names, least in (("on_delay_ns + rise_ns", self.opening_ns), ("on_bias_ns + fall_ns", self.closing_ns)):
+        for names, least in (
+            ("on_delay_ns + rise_ns", self.opening_ns),
+            ("on_bias_ns + fall_ns", self.closing_ns),
+        ):
             if least > self.chip_ns:
                 raise ValueError(
                     f"{names}: {least:g} ns is longer than a chip of {self.chip_ns:g} ns; "
                     f"chips of at least {least:g} ns would do"
                 )
         if self.on_delay_ns == self.chip_ns:
-            raise ValueError(f"on_delay_ns: {self.on_delay_ns:g} ns leaves nothing of a chip of {self.chip_ns:g} ns")
+            raise ValueError(
+                f"on_delay_ns: {self.on_delay_ns:g} ns leaves nothing of a chip of {self.chip_ns:g} ns"
+            )
 
     @property
     def opening_ns(self) -> float:
@@ -109,7 +114,10 @@ class ShutterResponse:
         is_open = np.asarray(codes) != 0
         pulses = is_open[:, 0] + (is_open[:, 1:] & ~is_open[:, :-1]).sum(axis=1)
         gain_ns = self.on_bias_ns + 0.5 * self.fall_ns - self.on_delay_ns - 0.5 * self.rise_ns
-        return np.asarray((is_open.sum(axis=1) + pulses * gain_ns / self.chip_ns) / is_open.shape[1], dtype=np.float64)
+        return np.asarray(
+            (is_open.sum(axis=1) + pulses * gain_ns / self.chip_ns) / is_open.shape[1],
+            dtype=np.float64,
+        )
 
     @staticmethod
     def _ramp(after_chips: ArrayLike, cuts: FloatArray) -> FloatArray:

@@ -10,10 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = ["FARTHEST", "Timeline", "check_lengths", "checked_edges", "extended", "timeline"]
-
-FloatArray = NDArray[np.float64]
 FARTHEST = 0.5
 """How far before and after the exposure a code may be played, as a fraction of it: nothing is known there."""
 
@@ -49,13 +47,19 @@ class Timeline:
     def transmission(self, code: ShutterCode) -> FloatArray:
         """Transmission (S,) of the shutter under a code, closed before and after it."""
         chips = np.concatenate([[0.0], code.array, [0.0]])
-        before, now = chips[self.chip], chips[self.chip + 1]
-        return np.where(now > 0, np.where(before > 0, 1.0, self.opening), np.where(before > 0, self.closing, 0.0))
+        before = chips[self.chip]
+        now = chips[self.chip + 1]
+        return np.where(
+            now > 0,
+            np.where(before > 0, 1.0, self.opening),
+            np.where(before > 0, self.closing, 0.0),
+        )
 
     def frame_size(self) -> int:
         """Smallest PSF frame, px, that holds the played path (zero displacement at index ``size // 2``)."""
         points = np.concatenate([self.a, self.b[-1:]])
-        low, high = np.floor(points.min()), np.floor(points.max()) + 1
+        low = np.floor(points.min())
+        high = np.floor(points.max()) + 1
         return int(max(-2 * low, 2 * high + 1))
 
 
@@ -65,7 +69,8 @@ def checked_edges(edges: ArrayLike | None, chips: int) -> FloatArray:
     Raises
     ------
     ValueError
-        If there are not n + 1 of them, increasing, and no farther than :data:`FARTHEST` outside the exposure.
+        If there are not n + 1 of them, increasing, and no farther than :data:`FARTHEST` outside
+        the exposure.
     """
     if chips < 1:
         raise ValueError(f"chips: must be at least 1, got {chips}")
@@ -97,17 +102,23 @@ def check_lengths(edges: FloatArray, response: ShutterResponse) -> None:
 def extended(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
     """Continue a path by one exposure either way, ``p(1 + d) = 2 p(1) - p(1 - d)``: (T',) times and (T', 2) px.
 
-    The last stretch of the motion is repeated, turned by 180 degrees: velocity and speed go on without a jump, a
-    uniform straight motion simply goes on, and one noisy last sample cannot throw the path far away as its velocity
-    alone could. The camera counts as open for as long as the code is played.
+    The last stretch of the motion is repeated, turned by 180 degrees: velocity and speed go on
+    without a jump, a uniform straight motion simply goes on, and one noisy last sample cannot
+    throw the path far away as its velocity alone could. The camera counts as open for as long as
+    the code is played.
     """
-    t, xy = trajectory.t, trajectory.xy
+    t = trajectory.t
+    xy = trajectory.xy
     times = np.concatenate([-t[:0:-1], t, 2 - t[-2::-1]])
     return times, np.concatenate([2 * xy[0] - xy[:0:-1], xy, 2 * xy[-1] - xy[-2::-1]])
 
 
 def timeline(
-    trajectory: Trajectory, edges: FloatArray, response: ShutterResponse | None, *, code: ShutterCode | None = None
+    trajectory: Trajectory,
+    edges: FloatArray,
+    response: ShutterResponse | None,
+    *,
+    code: ShutterCode | None = None,
 ) -> Timeline:
     """Cut a played exposure into pieces of constant velocity and transmission.
 
@@ -129,7 +140,11 @@ def timeline(
     shutter = response or ShutterResponse(chip_ns=1.0)
     check_lengths(edges, shutter)
     bits = None if code is None else np.concatenate([[0.0], code.array, [0.0]])
-    opens, closes = (np.ones(chips + 1, dtype=bool),) * 2 if bits is None else (np.diff(bits) > 0, np.diff(bits) < 0)
+    opens, closes = (
+        (np.ones(chips + 1, dtype=bool),) * 2
+        if bits is None
+        else (np.diff(bits) > 0, np.diff(bits) < 0)
+    )
     ramps = [
         (edges[opens, None] + shutter.opening_cuts / chips).ravel(),
         (edges[closes, None] + shutter.closing_cuts / chips).ravel(),
@@ -142,4 +157,14 @@ def timeline(
     middle = 0.5 * (u[1:] + u[:-1])
     chip = np.searchsorted(edges, middle, side="right") - 1
     after = (middle - edges[chip]) * chips
-    return Timeline(t, xy, u, np.diff(u), points[:-1], points[1:], chip, shutter.opening(after), shutter.closing(after))
+    return Timeline(
+        t,
+        xy,
+        u,
+        np.diff(u),
+        points[:-1],
+        points[1:],
+        chip,
+        shutter.opening(after),
+        shutter.closing(after),
+    )

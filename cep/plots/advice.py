@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from cep.search.advise import Advice
 
-__all__ = ["advice_figure"]
-
 _NAMES = {"snapshot": "best single exposure", "strobe": "best even pulses", "code": "best code"}
 
 
@@ -27,29 +25,51 @@ def advice_figure(advice: Advice) -> Figure:
     axes = figure.subplots()
     light = [one.camera.photons_full_scale for one in advice.levels]
     axes.axhline(0.0, color="black", linewidth=1.0)
-    full = next((level for level, one in zip(light, advice.levels, strict=True) if one.open_saturates), None)
+    full = next(
+        (level for level, one in zip(light, advice.levels, strict=True) if one.open_saturates),
+        None,
+    )
     saturates = "" if full is None else f"; at {full:,.0f} and more it saturates"
     axes.annotate(
-        f"open shutter{saturates}", (light[-1], 0.0), xytext=(0, -3), textcoords="offset points", fontsize=9,
-        ha="right", va="top",
-    )  # fmt: skip
+        f"open shutter{saturates}",
+        (light[-1], 0.0),
+        xytext=(0, -3),
+        textcoords="offset points",
+        fontsize=9,
+        ha="right",
+        va="top",
+    )
     for (kind, name), colour, line in zip(_NAMES.items(), COLOURS, LINES, strict=False):
         gains = [(one.camera.photons_full_scale, one.gains_db) for one in advice.levels]
         points = [(level, gain[kind]) for level, gain in gains if kind in gain]
         if points:
-            axes.plot(*zip(*points, strict=True), color=colour, linestyle=line, marker="o", markersize=4, label=name)
+            axes.plot(
+                *zip(*points, strict=True),
+                color=colour,
+                linestyle=line,
+                marker="o",
+                markersize=4,
+                label=name,
+            )
     for low, high in advice.crossover:
         axes.axvspan(low or light[0], high or light[-1], color=COLOURS[2], alpha=0.12, linewidth=0)
     axes.axvline(advice.here.camera.photons_full_scale, color="grey", linewidth=1.0, linestyle=":")
     axes.annotate(
-        "your light", (advice.here.camera.photons_full_scale, 1.0), xycoords=("data", "axes fraction"),
-        xytext=(4, -12), textcoords="offset points", fontsize=9, color="dimgrey",
-    )  # fmt: skip
+        "your light",
+        (advice.here.camera.photons_full_scale, 1.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(4, -12),
+        textcoords="offset points",
+        fontsize=9,
+        color="dimgrey",
+    )
     axes.set_xscale("log")
     plain_ticks(axes.xaxis)
     axes.set_xlabel("light: photo-electrons at full scale of the open exposure")
     axes.set_ylabel("expected gain after restoration, dB")
-    axes.set_title("shaded: a code pays" if advice.crossover else "a code pays at none of these", fontsize=10)
+    axes.set_title(
+        "shaded: a code pays" if advice.crossover else "a code pays at none of these", fontsize=10
+    )
     axes.grid(alpha=0.3)
     axes.legend(fontsize=9)
     return figure

@@ -12,8 +12,6 @@ from cep.plots.canvas import COLOURS, new_figure, plain_ticks
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["photon_transfer_figure"]
-
 _MARKS: dict[str, dict[str, Any]] = {
     "fitted": {"marker": "o", "color": COLOURS[0]},
     "above the fit": {"marker": "o", "color": COLOURS[0], "markerfacecolor": "white"},
@@ -34,34 +32,62 @@ def photon_transfer_figure(found: PhotonTransfer) -> Figure:
         points = [point for point in found.points if point.use == use and point.variance_dn2 > 0]
         if points:
             axes.plot(
-                [point.signal_dn for point in points], [point.variance_dn2 for point in points], linestyle="", zorder=3,
-                label=f"flat pairs, {use}", **style,
-            )  # fmt: skip
-    slope, floor = 1 / found.gain_e_per_dn, (found.read_noise_e / found.gain_e_per_dn) ** 2
+                [point.signal_dn for point in points],
+                [point.variance_dn2 for point in points],
+                linestyle="",
+                zorder=3,
+                label=f"flat pairs, {use}",
+                **style,
+            )
+    slope = 1 / found.gain_e_per_dn
+    floor = (found.read_noise_e / found.gain_e_per_dn) ** 2
     brightest = found.points[-1].signal_dn
-    signal = np.geomspace(min(found.points[0].signal_dn, max(floor / slope, 0.1)) / 4, 1.4 * brightest, 200)
+    signal = np.geomspace(
+        min(found.points[0].signal_dn, max(floor / slope, 0.1)) / 4, 1.4 * brightest, 200
+    )
     fit = f"fit: {found.gain_e_per_dn:.3g} e⁻/DN"
     axes.plot(signal, slope * signal + floor, color="black", linewidth=1.2, label=fit)
-    axes.plot(signal, slope * signal, color="0.5", linewidth=1, linestyle="--", label="photon noise")
-    axes.axhline(floor, color="0.5", linewidth=1, linestyle=":", label=f"read noise: {found.read_noise_e:.3g} e⁻")
+    axes.plot(
+        signal, slope * signal, color="0.5", linewidth=1, linestyle="--", label="photon noise"
+    )
+    axes.axhline(
+        floor,
+        color="0.5",
+        linewidth=1,
+        linestyle=":",
+        label=f"read noise: {found.read_noise_e:.3g} e⁻",
+    )
     if found.dark_variance_dn2 is not None and found.dark_variance_dn2 > 0:
         axes.plot(
-            [0.0], [found.dark_variance_dn2], transform=axes.get_yaxis_transform(), marker=">", clip_on=False,
-            linestyle="", color=COLOURS[2], zorder=4, label="dark pair",
-        )  # fmt: skip
+            [0.0],
+            [found.dark_variance_dn2],
+            transform=axes.get_yaxis_transform(),
+            marker=">",
+            clip_on=False,
+            linestyle="",
+            color=COLOURS[2],
+            zorder=4,
+            label="dark pair",
+        )
     if found.full_well_e is not None:
         what = "pixel full" if found.full_well_is == "pixel" else "code range ends"
         axes.axvline(
-            found.full_well_e * slope, color=COLOURS[1], linewidth=1, linestyle="-.",
+            found.full_well_e * slope,
+            color=COLOURS[1],
+            linewidth=1,
+            linestyle="-.",
             label=f"{what}: {found.full_well_e:.0f} e⁻",
-        )  # fmt: skip
+        )
     seen = [point.variance_dn2 for point in found.points if point.use != "saturated"]
     axes.set(
-        xscale="log", yscale="log", xlim=(signal[0], signal[-1]),
+        xscale="log",
+        yscale="log",
+        xlim=(signal[0], signal[-1]),
         ylim=(min(floor, *seen) / 3, 3 * max(*seen, slope * brightest)),
-        xlabel="mean above black, code values", ylabel="variance over time, code values²",
+        xlabel="mean above black, code values",
+        ylabel="variance over time, code values²",
         title="Photon-transfer curve",
-    )  # fmt: skip
+    )
     for axis in (axes.xaxis, axes.yaxis):
         plain_ticks(axis)
     axes.grid(color="0.92", linewidth=0.6)

@@ -9,34 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from cep.files.outputs import new_file
+from motdiff.files.outputs import new_file
 from motdiff.simulate import to_display
+from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-__all__ = [
-    "COLOURS",
-    "LINES",
-    "PRINTED_IN",
-    "check_figure_name",
-    "in_lines",
-    "least_pt",
-    "new_figure",
-    "plain_ticks",
-    "png_bytes",
-    "save",
-    "show_inset",
-    "show_photo",
-    "thumbnail",
-    "undated",
-]
-
-FloatArray = NDArray[np.float64]
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Line colours that stay apart for colour-blind readers and in grey print.
@@ -69,7 +52,9 @@ def plain_ticks(axis: Axis) -> None:
     """Write the ticks of a logarithmic axis as numbers: exponents are smaller than other texts."""
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}"))
+    axis.set_major_formatter(
+        FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}")
+    )
     axis.set_minor_formatter(NullFormatter())
 
 
@@ -86,7 +71,13 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 def png_bytes(figure: Figure, *, dpi: int = _DPI) -> bytes:
     """Render a figure as PNG; the same figure gives the same bytes."""
     # the lowest compression takes half the time and an eighth more bytes
-    return _rendered(figure, format="png", dpi=dpi, metadata={"Software": None}, pil_kwargs={"compress_level": 1})
+    return _rendered(
+        figure,
+        format="png",
+        dpi=dpi,
+        metadata={"Software": None},
+        pil_kwargs={"compress_level": 1},
+    )
 
 
 def check_figure_name(path: Path | str) -> None:
@@ -113,16 +104,18 @@ def save(figure: Figure, path: Path | str) -> None:
 def undated(figure: Figure, kind: str, *, dpi: int = _DPI) -> bytes:
     """Render a figure as "png", "pdf" or "svg" reproducibly: the same figure gives the same bytes.
 
-    The date is left out, and in SVG element names are fixed. Text stays text: in SVG in a font of the viewer's, in PDF
-    with the font embedded. It is rendered in memory, because on a full disk matplotlib's PDF writer hides the error
-    behind another one.
+    The date is left out, and in SVG element names are fixed. Text stays text: in SVG in a font of
+    the viewer's, in PDF with the font embedded. It is rendered in memory, because on a full disk
+    matplotlib's PDF writer hides the error behind another one.
     """
     from matplotlib import rc_context
 
     if kind == "png":
         return png_bytes(figure, dpi=dpi)
     dates = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
-    with rc_context({"svg.hashsalt": "coded-exposure", "svg.fonttype": "none", "pdf.fonttype": 42}):
+    with rc_context(
+        {"svg.hashsalt": "coded-exposure", "svg.fonttype": "none", "pdf.fonttype": 42}
+    ):
         return _rendered(figure, format=kind, dpi=dpi, metadata=dates.get(kind))
 
 
@@ -137,7 +130,9 @@ def _rendered(figure: Figure, **options: Any) -> bytes:
 
 def show_photo(axes: Axes, image: FloatArray) -> None:
     """Draw a photo, linear light 0..1, as a screen shows it and without ticks."""
-    axes.imshow(to_display(np.clip(image, 0, 1)), cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+    axes.imshow(
+        to_display(np.clip(image, 0, 1)), cmap="gray", vmin=0, vmax=1, interpolation="nearest"
+    )
     axes.set_xticks([])
     axes.set_yticks([])
 
@@ -157,5 +152,7 @@ def thumbnail(image: ArrayLike, longest_px: int) -> FloatArray:
     if factor == 1:
         return pixels
     rows, columns = (length // factor for length in pixels.shape[:2])
-    boxes = pixels[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor, *pixels.shape[2:])
+    boxes = pixels[: rows * factor, : columns * factor].reshape(
+        rows, factor, columns, factor, *pixels.shape[2:]
+    )
     return np.asarray(boxes.mean(axis=(1, 3)))

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.files.foreign_text import plot_text
 from cep.files.formatting import duration
@@ -14,17 +13,16 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import mtf
 from cep.plots.canvas import COLOURS, LINES, least_pt, new_figure, plain_ticks
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["code_strips", "main_axis", "mtf_curve", "mtf_figure"]
-
-FloatArray = NDArray[np.float64]
 
 _FLOOR_DB = -40.0
 _STRIP_IN = 10.0
-_MAP_IN, _MAPS = 2.9, 3  # width of a map, and how many stand side by side
+_MAP_IN = 2.9  # width of a map, and how many stand side by side
+_MAPS = 3
 
 
 def code_strips(codes: Mapping[str, ShutterCode]) -> Figure:
@@ -38,9 +36,14 @@ def code_strips(codes: Mapping[str, ShutterCode]) -> Figure:
     rows = np.atleast_1d(figure.subplots(len(codes), 1))
     for axes, (name, code) in zip(rows, codes.items(), strict=True):
         axes.imshow(
-            code.array[None, :], cmap="cividis", vmin=0, vmax=1, aspect="auto", extent=(0, code.chips, 0, 1),
+            code.array[None, :],
+            cmap="cividis",
+            vmin=0,
+            vmax=1,
+            aspect="auto",
+            extent=(0, code.chips, 0, 1),
             interpolation="nearest",
-        )  # fmt: skip
+        )
         if code.chips <= 128:
             axes.set_xticks(np.arange(code.chips + 1), minor=True)
             axes.grid(which="minor", axis="x", color="0.5", linewidth=0.4)
@@ -48,9 +51,14 @@ def code_strips(codes: Mapping[str, ShutterCode]) -> Figure:
         axes.set(yticks=[], xlim=(0, code.chips))
         axes.set_ylabel(plot_text(name), rotation=0, ha="right", va="center")
         axes.text(
-            1.01, 0.5, f"{code.open_chips} of {code.chips} open\n{code.duty:.0%} of the light",
-            transform=axes.transAxes, va="center", fontsize=least_pt(_STRIP_IN), color="0.3",
-        )  # fmt: skip
+            1.01,
+            0.5,
+            f"{code.open_chips} of {code.chips} open\n{code.duty:.0%} of the light",
+            transform=axes.transAxes,
+            va="center",
+            fontsize=least_pt(_STRIP_IN),
+            color="0.3",
+        )
     rows[-1].set_xlabel(
         f"time, chips of {duration(next(iter(codes.values())).chip_ns * 1e-9, digits=4)}; yellow = open"
     )
@@ -64,7 +72,9 @@ def main_axis(trajectory: Trajectory) -> FloatArray:
     return np.asarray(vectors[:, int(np.argmax(values))], dtype=np.float64)
 
 
-def mtf_curve(trajectory: Trajectory, code: ShutterCode | None, *, samples: int = 501) -> tuple[FloatArray, FloatArray]:
+def mtf_curve(
+    trajectory: Trajectory, code: ShutterCode | None, *, samples: int = 501
+) -> tuple[FloatArray, FloatArray]:
     """MTF along the motion's main axis, light-true.
 
     Parameters
@@ -84,7 +94,9 @@ def mtf_curve(trajectory: Trajectory, code: ShutterCode | None, *, samples: int 
     return freq_cy_px, mtf(trajectory, code, freq_cy_px * axis[0], freq_cy_px * axis[1])
 
 
-def mtf_figure(trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], *, grid: int = 101) -> Figure:
+def mtf_figure(
+    trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], *, grid: int = 101
+) -> Figure:
     """Draw MTFs: a curve per code along the motion's main axis, and below it a map of the whole band per code.
 
     Parameters
@@ -103,26 +115,41 @@ def mtf_figure(trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], 
     for index, (name, code) in enumerate(codes.items()):
         freq_cy_px, curve = mtf_curve(trajectory, code)
         style = {"color": COLOURS[index % len(COLOURS)], "linestyle": LINES[index % len(LINES)]}
-        curves.semilogy(freq_cy_px, np.maximum(curve, 1e-6), linewidth=1.9, label=plot_text(name), **style)
+        curves.semilogy(
+            freq_cy_px, np.maximum(curve, 1e-6), linewidth=1.9, label=plot_text(name), **style
+        )
     angle_deg = float(np.degrees(np.arctan2(axis[1], axis[0]))) % 180
     curves.set(
-        xlim=(0, 0.5), ylim=(1e-3, 1.2),
+        xlim=(0, 0.5),
+        ylim=(1e-3, 1.2),
         xlabel=f"frequency along the motion's main axis ({angle_deg:.0f} deg from x towards y), cycles/px",
         ylabel="MTF, light-true",
         title="MTF along the main axis: a dip is detail that no restoration brings back",
-    )  # fmt: skip
+    )
     plain_ticks(curves.yaxis)
     curves.grid(color="0.9", which="both", linewidth=0.6)
-    curves.legend(loc="upper right", ncols=min(3, len(codes)), framealpha=0.9)  # the lower limit cuts deep dips
+    curves.legend(
+        loc="upper right", ncols=min(3, len(codes)), framealpha=0.9
+    )  # the lower limit cuts deep dips
 
     maps = []
     for index, (name, code) in enumerate(codes.items()):
         axes = figure.add_subplot(layout[1 + index // columns, index % columns])
         level_db = 20 * np.log10(np.maximum(_mtf_map(trajectory, code, grid), 1e-6))
         drawn = axes.imshow(
-            level_db, cmap="cividis", vmin=_FLOOR_DB, vmax=0, extent=(-0.5, 0.5, 0.5, -0.5), interpolation="nearest"
+            level_db,
+            cmap="cividis",
+            vmin=_FLOOR_DB,
+            vmax=0,
+            extent=(-0.5, 0.5, 0.5, -0.5),
+            interpolation="nearest",
         )
-        axes.set(title=plot_text(name), xlabel="x, cycles/px", xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5))
+        axes.set(
+            title=plot_text(name),
+            xlabel="x, cycles/px",
+            xticks=(-0.5, 0, 0.5),
+            yticks=(-0.5, 0, 0.5),
+        )
         axes.tick_params(labelleft=index % columns == 0)
         if index % columns == 0:
             axes.set_ylabel("y, cycles/px")

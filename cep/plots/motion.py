@@ -6,18 +6,16 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.files.foreign_text import plot_text
 from cep.plots.canvas import COLOURS, new_figure, show_photo, thumbnail
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["psf_figure", "trajectory_figure"]
-
-FloatArray = NDArray[np.float64]
 
 _TIME_MAP = "cividis"
 
@@ -53,10 +51,20 @@ def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = 
         names, trajectory.xy[[0, -1]], (COLOURS[2], COLOURS[1]), "os", (150, 52), strict=True
     ):
         right.scatter(
-            *point, s=size, marker=marker, color=colour, edgecolor="white", linewidth=1.2, zorder=4, label=name
+            *point,
+            s=size,
+            marker=marker,
+            color=colour,
+            edgecolor="white",
+            linewidth=1.2,
+            zorder=4,
+            label=name,
         )
-    # names above the axes: beside their ends they would lie over each other, or over a tangled path
-    right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, handletextpad=0.2)
+    # names above the axes: beside their ends they would lie over each other, or over a tangled
+    # path
+    right.legend(
+        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, handletextpad=0.2
+    )
     half = 0.62 * max(trajectory.extent_px, 4.0)
     middle = 0.5 * (trajectory.xy.min(axis=0) + trajectory.xy.max(axis=0))
     right.set(
@@ -66,7 +74,9 @@ def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = 
         ylabel="y (down), px",
         aspect="equal",
     )
-    right.set_title(f"Path: {trajectory.length_px:.1f} px long, {trajectory.extent_px:.1f} px wide", pad=26)
+    right.set_title(
+        f"Path: {trajectory.length_px:.1f} px long, {trajectory.extent_px:.1f} px wide", pad=26
+    )
     right.grid(color="0.92")
     right.set_axisbelow(True)
     note = "time, fraction of the exposure" + ("" if known else " (or reversed)")
@@ -83,14 +93,25 @@ def psf_figure(psfs: Mapping[str, ArrayLike]) -> Figure:
     """
     figure = new_figure(3.6 * len(psfs) + 0.2, 3.2)
     reach = max(_reach(psf) for psf in psfs.values()) + 2.5
-    for axes, (title, psf) in zip(np.ravel(figure.subplots(1, len(psfs))), psfs.items(), strict=True):
+    for axes, (title, psf) in zip(
+        np.ravel(figure.subplots(1, len(psfs))), psfs.items(), strict=True
+    ):
         kernel = np.asarray(psf, dtype=np.float64)
         half = kernel.shape[0] // 2
-        edges = (-half - 0.5, kernel.shape[1] - half - 0.5, kernel.shape[0] - half - 0.5, -half - 0.5)
+        edges = (
+            -half - 0.5,
+            kernel.shape[1] - half - 0.5,
+            kernel.shape[0] - half - 0.5,
+            -half - 0.5,
+        )
         drawn = axes.imshow(kernel, cmap="magma", extent=edges, interpolation="nearest")
         axes.plot(0, 0, "+", color="white", markersize=7, markeredgewidth=0.8)
         axes.set(
-            title=plot_text(title), xlabel="x, px", ylabel="y (down), px", xlim=(-reach, reach), ylim=(reach, -reach)
+            title=plot_text(title),
+            xlabel="x, px",
+            ylabel="y (down), px",
+            xlim=(-reach, reach),
+            ylim=(reach, -reach),
         )
         axes.set_facecolor("black")
         figure.colorbar(drawn, ax=axes, shrink=0.95, label="share of the light")
@@ -103,7 +124,11 @@ def _coloured_by_time(points: FloatArray, t: FloatArray, *, width: float) -> Any
     times = np.union1d(t, np.linspace(0, 1, 201))
     fine = np.stack([np.interp(times, t, points[:, axis]) for axis in (0, 1)], axis=1)
     lines = LineCollection(
-        list(np.stack([fine[:-1], fine[1:]], axis=1)), cmap=_TIME_MAP, linewidths=width, capstyle="round", zorder=2
+        list(np.stack([fine[:-1], fine[1:]], axis=1)),
+        cmap=_TIME_MAP,
+        linewidths=width,
+        capstyle="round",
+        zorder=2,
     )
     lines.set_array(0.5 * (times[1:] + times[:-1]))
     lines.set_clim(0, 1)

@@ -16,8 +16,6 @@ from cep.plots import mtf_curve, mtf_figure, save
 from cep.proofs.measure import CodeMetrics, FigureOfMerit, OwnFigure, measure_worst, own_figures
 from motdiff.trajectory import Trajectory
 
-__all__ = ["OPEN", "MtfComparison", "MtfRow", "compare_mtfs"]
-
 OPEN = "open shutter"
 """Name of the row that every comparison begins with."""
 
@@ -74,7 +72,9 @@ class MtfComparison:
 
     def save(self, path: Path | str) -> None:
         """Draw the MTFs in one and two dimensions, as .png, .pdf or .svg, whole or not at all."""
-        save(mtf_figure(self.trajectory, {name: row.code for name, row in self.rows.items()}), path)
+        save(
+            mtf_figure(self.trajectory, {name: row.code for name, row in self.rows.items()}), path
+        )
 
 
 def compare_mtfs(
@@ -98,7 +98,8 @@ def compare_mtfs(
     Raises
     ------
     ValueError
-        If the path cannot be measured, or is too short for the chips of a code; or a figure of the user's own fails.
+        If the path cannot be measured, or is too short for the chips of a code; or a figure of the
+        user's own fails.
     """
     check_frame(trajectory)
     for code in codes.values():
@@ -109,7 +110,12 @@ def compare_mtfs(
     # first: one that fails does so before the work
     own = {name: own_figures(figures or {}, trajectory, code) for name, code in played.items()}
     rows = {
-        name: MtfRow(shutter, *mtf_curve(trajectory, shutter), measure_worst(trajectory, played[name]), own[name])
+        name: MtfRow(
+            shutter,
+            *mtf_curve(trajectory, shutter),
+            measure_worst(trajectory, played[name]),
+            own[name],
+        )
         for name, shutter in shutters.items()
     }
     return MtfComparison(trajectory, rows)

@@ -6,21 +6,20 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.files.foreign_text import plot_text
 from cep.plots.canvas import COLOURS, new_figure, show_photo, thumbnail
 from motdiff.crops import luminance
+from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["before_after"]
 
-FloatArray = NDArray[np.float64]
-
-
-def before_after(images: Mapping[str, ArrayLike], *, zoom_px: int = 128, detail_of: ArrayLike | None = None) -> Figure:
+def before_after(
+    images: Mapping[str, ArrayLike], *, zoom_px: int = 128, detail_of: ArrayLike | None = None
+) -> Figure:
     """Draw photos side by side, and below each the same enlarged detail.
 
     Parameters
@@ -31,10 +30,17 @@ def before_after(images: Mapping[str, ArrayLike], *, zoom_px: int = 128, detail_
     detail_of : array_like, optional
         Image whose most structured window is the detail; the last one when omitted.
     """
-    pictures = {title: np.clip(np.asarray(image, dtype=np.float64), 0, 1) for title, image in images.items()}
+    pictures = {
+        title: np.clip(np.asarray(image, dtype=np.float64), 0, 1)
+        for title, image in images.items()
+    }
     height, width = (min(image.shape[axis] for image in pictures.values()) for axis in (0, 1))
     side = min(zoom_px, height, width)
-    chooser = list(pictures.values())[-1] if detail_of is None else np.asarray(detail_of, dtype=np.float64)
+    chooser = (
+        list(pictures.values())[-1]
+        if detail_of is None
+        else np.asarray(detail_of, dtype=np.float64)
+    )
     row, column = _busiest(_centred(chooser, height, width), side)
     each = 4.0
     figure = new_figure(each * len(pictures), each * (height / width + 1.0) + 0.4)
@@ -53,11 +59,14 @@ def before_after(images: Mapping[str, ArrayLike], *, zoom_px: int = 128, detail_
 def _frame(corner: Sequence[float], side: float) -> Any:
     from matplotlib.patches import Rectangle
 
-    return Rectangle((corner[0], corner[1]), side, side, fill=False, edgecolor=COLOURS[4], linewidth=1.4)
+    return Rectangle(
+        (corner[0], corner[1]), side, side, fill=False, edgecolor=COLOURS[4], linewidth=1.4
+    )
 
 
 def _centred(image: FloatArray, height: int, width: int) -> FloatArray:
-    row, column = (image.shape[0] - height) // 2, (image.shape[1] - width) // 2
+    row = (image.shape[0] - height) // 2
+    column = (image.shape[1] - width) // 2
     return image[row : row + height, column : column + width]
 
 
@@ -76,7 +85,10 @@ def _busiest(image: FloatArray, side: int) -> tuple[int, int]:
 
     def structure(corner: tuple[int, int]) -> float:
         top, left = corner
-        bottom, right = top + side, left + side
-        return float(totals[bottom, right] - totals[top, right] - totals[bottom, left] + totals[top, left])
+        bottom = top + side
+        right = left + side
+        return float(
+            totals[bottom, right] - totals[top, right] - totals[bottom, left] + totals[top, left]
+        )
 
     return max(corners, key=structure)

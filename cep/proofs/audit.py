@@ -21,21 +21,7 @@ from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.proofs.certify.zeros import Zeros, zeros_along, zeros_of_code
 from cep.proofs.measure import CodeMetrics, FigureOfMerit, OwnFigure, measure_worst, own_figures
 from motdiff.trajectory import Trajectory
-
-__all__ = [
-    "Audit",
-    "GridClaim",
-    "Neighbour",
-    "audit",
-    "better_neighbours",
-    "grid_claims",
-    "null_threshold",
-    "with_proven_zero",
-    "zeros_by_direction",
-]
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from motdiff.types import ComplexArray, FloatArray
 
 _NO_LIGHT = 1e-9  # of the duty: smaller values of |H| at a proven zero are rounding
 _LONG_CHIPS = 256  # beyond it three flips take minutes
@@ -94,11 +80,11 @@ class Audit:
     trajectory : Trajectory
         The motion; a straight one of 1 px a chip where none was given.
     along : Trajectory or None
-        What the proofs are about: None is the unit circle of the code's polynomial, which decides along uniform
-        straight motions.
+        What the proofs are about: None is the unit circle of the code's polynomial, which decides
+        along uniform straight motions.
     metrics : CodeMetrics
-        Of the worse direction where it is unknown. Noise gains are infinite where a straight motion has a proven zero
-        within the band.
+        Of the worse direction where it is unknown. Noise gains are infinite where a straight
+        motion has a proven zero within the band.
     certificate : Certificate
         Proven bounds of the smallest MTF.
     zeros : mapping of direction to Zeros
@@ -142,9 +128,16 @@ class Audit:
             "duty": self.code.duty,
             **self.metrics.to_dict(),
             **({"figures": dict(self.figures)} if self.figures else {}),
-            "motion": {"length_px": self.trajectory.length_px, "direction": self.trajectory.direction},
+            "motion": {
+                "length_px": self.trajectory.length_px,
+                "direction": self.trajectory.direction,
+            },
             # the path is the one that was asked for
-            "certificate": {name: value for name, value in self.certificate.to_dict().items() if name != "trajectory"},
+            "certificate": {
+                name: value
+                for name, value in self.certificate.to_dict().items()
+                if name != "trajectory"
+            },
             "lowest_at": self.certificate.at,
             "null": self.null,
             "zeros": [
@@ -154,11 +147,16 @@ class Audit:
             ],
             "zeros_complete": all(zeros.complete for zeros in self.zeros.values()),
             "grids": self.grids,
-            "neighbours": [{"flips": n.flips, "bits": n.code.bits, "minimum": n.minimum} for n in self.neighbours],
+            "neighbours": [
+                {"flips": n.flips, "bits": n.code.bits, "minimum": n.minimum}
+                for n in self.neighbours
+            ],
         }
 
 
-def with_proven_zero(code: ShutterCode, along: Trajectory | None, metrics: CodeMetrics) -> CodeMetrics:
+def with_proven_zero(
+    code: ShutterCode, along: Trajectory | None, metrics: CodeMetrics
+) -> CodeMetrics:
     """Return the figures of a code, its noise gains infinite where a straight motion has a proven zero within the band.
 
     The samples of the band miss the line of the zero, whose share of 1/|H|^2 has no bound.
@@ -192,7 +190,8 @@ def audit(
     camera : Camera, optional
         For the expected error; ``Camera()`` when omitted.
     flips : int, optional
-        Look for better codes up to so many flips away, 0..3; 3 when omitted, of more than 256 chips 2.
+        Look for better codes up to so many flips away, 0..3; 3 when omitted, of more than 256
+        chips 2.
     figures : mapping from a name to a function, optional
         Figures of merit of the user's own, see :func:`cep.proofs.measure.own_figures`.
     progress : callable, optional
@@ -203,7 +202,8 @@ def audit(
     Raises
     ------
     ValueError
-        If the path cannot be measured, or is too short for so many chips; or a figure of the user's own fails.
+        If the path cannot be measured, or is too short for so many chips; or a figure of the
+        user's own fails.
 
     Examples
     --------
@@ -245,10 +245,15 @@ def zeros_by_direction(code: ShutterCode, trajectory: Trajectory | None) -> dict
         return {"both": zeros_of_code(code.bits)}
     if trajectory.direction == "known":
         return {"forward": zeros_along(trajectory, code)}
-    return {"forward": zeros_along(trajectory, code), "backward": zeros_along(trajectory.reversed(), code)}
+    return {
+        "forward": zeros_along(trajectory, code),
+        "backward": zeros_along(trajectory.reversed(), code),
+    }
 
 
-def grid_claims(code: ShutterCode, trajectory: Trajectory | None, truth: float) -> tuple[GridClaim, ...]:
+def grid_claims(
+    code: ShutterCode, trajectory: Trajectory | None, truth: float
+) -> tuple[GridClaim, ...]:
     """Compare the minima on common grids with the true minimum.
 
     Parameters
@@ -265,14 +270,27 @@ def grid_claims(code: ShutterCode, trajectory: Trajectory | None, truth: float) 
         for points, name in {n: "n", 2 * n: "2n", 3 * n: "3n", 64: "64", 16 * n: "16n"}.items():
             if points >= n:
                 lowest = float(np.abs(np.fft.rfft(code.array, points)).min())
-                claims.append(GridClaim(f"{name}-point DFT", points, lowest, _verdict(lowest, truth, code.open_chips)))
+                claims.append(
+                    GridClaim(
+                        f"{name}-point DFT",
+                        points,
+                        lowest,
+                        _verdict(lowest, truth, code.open_chips),
+                    )
+                )
         return tuple(sorted(claims, key=lambda claim: claim.points))
-    paths = [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
+    paths = (
+        [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
+    )
     for points in (32, 64, 128, 256):
         fx, fy = band(points)
         half = fy <= 0  # |H| is even
         lowest = min(float(mtf(path, code, fx[half], fy[half]).min()) for path in paths)
-        claims.append(GridClaim(f"{points} x {points} FFT", points, lowest, _verdict(lowest, truth, code.duty)))
+        claims.append(
+            GridClaim(
+                f"{points} x {points} FFT", points, lowest, _verdict(lowest, truth, code.duty)
+            )
+        )
     return tuple(claims)
 
 
@@ -281,14 +299,15 @@ def better_neighbours(
 ) -> tuple[Neighbour, ...]:
     """Find, for each number of flips up to ``flips``, the best codes that beat this one's minimum.
 
-    Every combination is evaluated on a grid of frequencies, up to the first at which it is no better than this code.
-    The minima of the best ones are then found over the continuum.
+    Every combination is evaluated on a grid of frequencies, up to the first at which it is no
+    better than this code. The minima of the best ones are then found over the continuum.
 
     Parameters
     ----------
     code : ShutterCode
     trajectory : Trajectory, optional
-        Where the minimum counts; an unknown direction counts as the worse one. Chip units when omitted.
+        Where the minimum counts; an unknown direction counts as the worse one. Chip units when
+        omitted.
     flips : int
         Most chips changed, up to 3.
     keep : int
@@ -296,7 +315,8 @@ def better_neighbours(
 
     Returns
     -------
-    tuple of Neighbour, fewest flips first, better ones first within; empty when no neighbour is better.
+    tuple of Neighbour, fewest flips first, better ones first within; empty when no neighbour is
+    better.
 
     Raises
     ------
@@ -309,20 +329,32 @@ def better_neighbours(
     chips = code.array
     spectrum = chips @ basis
     order = np.argsort(np.abs(spectrum))
-    re, im = np.ascontiguousarray(basis[:, order].real), np.ascontiguousarray(basis[:, order].imag)
+    re = np.ascontiguousarray(basis[:, order].real)
+    im = np.ascontiguousarray(basis[:, order].imag)
     change = 1 - 2 * chips
-    worth = max(_WORTH * _exact(code, trajectory), _NO_ZERO * (code.open_chips if trajectory is None else code.duty))
+    worth = max(
+        _WORTH * _exact(code, trajectory),
+        _NO_ZERO * (code.open_chips if trajectory is None else code.duty),
+    )
     found: list[Neighbour] = []
     for count in range(1, min(flips, code.chips) + 1):
-        scores, places = np.full(_REFINED, worth**2), np.full((_REFINED, 3), -1, dtype=np.int64)
-        start_re, start_im = chips @ re, chips @ im
-        _scan(re * change[:, None], im * change[:, None], start_re, start_im, count, scores, places)
+        scores = np.full(_REFINED, worth**2)
+        places = np.full((_REFINED, 3), -1, dtype=np.int64)
+        start_re = chips @ re
+        start_im = chips @ im
+        _scan(
+            re * change[:, None], im * change[:, None], start_re, start_im, count, scores, places
+        )
         candidates = [tuple(int(k) for k in row[:count]) for row in places if row[0] >= 0]
         exact = []
         for chosen in candidates:
             neighbour = _flipped(code, chosen)
             if neighbour is not None:
-                exact.append(Neighbour(tuple(k + 1 for k in chosen), neighbour, _exact(neighbour, trajectory)))
+                exact.append(
+                    Neighbour(
+                        tuple(k + 1 for k in chosen), neighbour, _exact(neighbour, trajectory)
+                    )
+                )
         exact.sort(key=lambda n: n.minimum, reverse=True)
         found.extend(n for n in exact[:keep] if n.minimum > worth)
     return tuple(found)
@@ -336,7 +368,11 @@ def _basis(chips: int, trajectory: Trajectory | None) -> ComplexArray:
     samples = band_samples(trajectory, oversampling=8)
     forward = chip_basis(trajectory, chips, samples.fx, samples.fy)
     # the reversed path draws the same chips in the opposite order
-    return forward if trajectory.direction == "known" else np.concatenate([forward, forward[::-1]], axis=1)
+    return (
+        forward
+        if trajectory.direction == "known"
+        else np.concatenate([forward, forward[::-1]], axis=1)
+    )
 
 
 @compiled
@@ -354,7 +390,8 @@ def _scan(
     ``scores`` are ascending and hold what must be beaten; ``places`` the rows.
     """
     chips, size = re.shape
-    two_re, two_im = np.empty(size), np.empty(size)
+    two_re = np.empty(size)
+    two_im = np.empty(size)
     killer = 0
     for i in range(chips if count > 2 else 1):
         for j in range(i + 1 if count > 2 else 0, chips if count > 1 else 1):
@@ -368,11 +405,13 @@ def _scan(
                     two_im[f] += im[j, f]
             for k in range(j + 1 if count > 1 else 0, chips):
                 # the frequency that rejected the last one often rejects this one too
-                a, b = two_re[killer] + re[k, killer], two_im[killer] + im[k, killer]
+                a = two_re[killer] + re[k, killer]
+                b = two_im[killer] + im[k, killer]
                 lowest = a * a + b * b
                 f = 0
                 while f < size and lowest > scores[0]:
-                    a, b = two_re[f] + re[k, f], two_im[f] + im[k, f]
+                    a = two_re[f] + re[k, f]
+                    b = two_im[f] + im[k, f]
                     power = a * a + b * b
                     if power < lowest:
                         lowest = power
@@ -403,7 +442,9 @@ def _flipped(code: ShutterCode, places: tuple[int, ...]) -> ShutterCode | None:
 def _exact(code: ShutterCode, trajectory: Trajectory | None) -> float:
     if trajectory is None:
         return min_chip(code)
-    paths = [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
+    paths = (
+        [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
+    )
     return min(mtf_minimum(path, code, budget=0).upper for path in paths)
 
 

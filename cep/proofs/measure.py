@@ -21,19 +21,6 @@ from motdiff.files.inputs import one_line
 from motdiff.files.plugins import load_object
 from motdiff.trajectory import Trajectory
 
-__all__ = [
-    "CodeMetrics",
-    "FigureOfMerit",
-    "OwnFigure",
-    "figure_head",
-    "figure_in_words",
-    "find_figures",
-    "measure",
-    "measure_worst",
-    "own_figures",
-    "worst_of",
-]
-
 _ZERO = 1e-12  # |H| below this is rounding
 
 
@@ -54,13 +41,13 @@ class CodeMetrics:
     flatness_ratio : float
         Smallest over largest |H|, 0..1; the largest is the duty, at DC.
     noise_gain_db : float
-        ``10 log10 mean 1/|H|^2``: noise of the inverse filter relative to a still, all-open exposure's. Infinite when a
-        sample falls on a zero.
+        ``10 log10 mean 1/|H|^2``: noise of the inverse filter relative to a still, all-open
+        exposure's. Infinite when a sample falls on a zero.
     dnf_db : float
         The same relative to DC, 20 log10 of the deconvolution noise factor.
     mse_db : float
-        ``10 log10`` of the expected mean square error of the Wiener restoration of a 1/f^2 scene; full scale is 1, so
-        its negative is the expected PSNR.
+        ``10 log10`` of the expected mean square error of the Wiener restoration of a 1/f^2 scene;
+        full scale is 1, so its negative is the expected PSNR.
     """
 
     min_mtf: float
@@ -84,7 +71,9 @@ class CodeMetrics:
     def in_words(self, name: str) -> float | str | None:
         """One field for a table: "> 100" for a noise gain above :data:`HOPELESS_DB`."""
         value: float | None = getattr(self, name)
-        hopeless = name in ("noise_gain_db", "dnf_db") and value is not None and not value <= HOPELESS_DB
+        hopeless = (
+            name in ("noise_gain_db", "dnf_db") and value is not None and not value <= HOPELESS_DB
+        )
         return f"> {HOPELESS_DB:.0f}" if hopeless else value
 
 
@@ -104,18 +93,21 @@ def measure(
     trajectory : Trajectory
     code : ShutterCode
     camera : Camera, optional
-        For ``mse_db``; ``Camera()`` when omitted. Its dark current counts for the code's integration time.
+        For ``mse_db``; ``Camera()`` when omitted. Its dark current counts for the code's
+        integration time.
     budget : int
         Largest number of frequencies evaluated for the lower bound of the minimum.
     response : ShutterResponse, optional
         How the shutter opens and closes; at once when omitted.
     edges : (n + 1,) array_like, optional
-        Chip boundaries as fractions of the exposure; evenly spread over it when omitted. With either, the duty that
-        the figures are relative to is the light that came through, and ``min_chip`` is None.
+        Chip boundaries as fractions of the exposure; evenly spread over it when omitted. With
+        either, the duty that the figures are relative to is the light that came through, and
+        ``min_chip`` is None.
 
     References
     ----------
-    Agrawal and Raskar, "Optimal single image capture for motion deblurring", CVPR 2009: deconvolution noise.
+    Agrawal and Raskar, "Optimal single image capture for motion deblurring", CVPR 2009:
+    deconvolution noise.
     """
     samples = band_samples(trajectory)
     on_time = response is None and edges is None
@@ -126,7 +118,9 @@ def measure(
     lowest = min(minimum.upper, float(modulus.min()))
     mean = float(samples.weight @ modulus)
     with np.errstate(divide="ignore"):
-        noise_gain_db = float(10 * np.log10(samples.weight @ (1 / np.where(modulus < _ZERO, 0.0, modulus) ** 2)))
+        noise_gain_db = float(
+            10 * np.log10(samples.weight @ (1 / np.where(modulus < _ZERO, 0.0, modulus) ** 2))
+        )
     noise = noise_variance(camera or Camera(), duty, integration_s=code.integration_ns * 1e-9)
     mse = wiener_mse(modulus**2, samples, float(noise))
     return CodeMetrics(
@@ -157,7 +151,9 @@ def worst_of(*metrics: CodeMetrics) -> CodeMetrics:
     return CodeMetrics(**{field.name: worst(field.name) for field in fields(CodeMetrics)})
 
 
-def measure_worst(trajectory: Trajectory, code: ShutterCode, *, camera: Camera | None = None) -> CodeMetrics:
+def measure_worst(
+    trajectory: Trajectory, code: ShutterCode, *, camera: Camera | None = None
+) -> CodeMetrics:
     """Measure a code along a trajectory; when its direction is unknown, each figure is that of the worse one."""
     forward = measure(trajectory, code, camera=camera)
     mirror_image = trajectory.direction == "known" or uniform_length_px(trajectory) is not None
@@ -211,7 +207,9 @@ def own_figures(
     >>> own_figures({"light": lambda path, code: code.duty}, path, ShutterCode("10"))
     {'light': 0.5}
     """
-    paths = [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
+    paths = (
+        [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
+    )
     found: dict[str, OwnFigure] = {}
     for name, figure in figures.items():
         values = [_number(name, figure, replace(path, direction="known"), code) for path in paths]
@@ -223,9 +221,13 @@ def _number(name: str, figure: FigureOfMerit, path: Trajectory, code: ShutterCod
     try:
         value = np.asarray(figure(path, code))
     except Exception as error:  # whatever the user's function raises
-        raise ValueError(f"figure {name}: failed ({type(error).__name__}: {one_line(error)})") from None
+        raise ValueError(
+            f"figure {name}: failed ({type(error).__name__}: {one_line(error)})"
+        ) from None
     if value.shape or value.dtype.kind not in "iuf" or np.isnan(value):
-        raise ValueError(f"figure {name}: must return a number, got {one_line(value.tolist())[:40]}")
+        raise ValueError(
+            f"figure {name}: must return a number, got {one_line(value.tolist())[:40]}"
+        )
     return float(value)
 
 

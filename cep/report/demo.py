@@ -11,29 +11,43 @@ from urllib.parse import quote
 from cep.calibration.calibrate import CALIBRATION_FILES, write_calibration
 from cep.files.files import DEMO_SCHEMA, StoredCode, json_text, write_code
 from cep.files.images import write_image
-from cep.files.outputs import new_folder, write_text
+from cep.files.outputs import new_folder
 from cep.report.demo_chain import Chain
 from cep.report.demo_page import DEMO_PICTURES, demo_report
 from cep.report.result_page import write_report
 from hw.export import EXPORTERS, export_program
 from hw.program import Program
-
-__all__ = ["DEMO_FILES", "write_demo"]
+from motdiff.files.outputs import write_text
 
 _PHOTOS = {"blurred.png": "open", "coded.png": "coded"}
 _SET = ("calibration_2.png", "calibration_3.png", "calibration_4.png")
-_RESTORED = {"restored_open.png": "open", "restored_snapshot.png": "snapshot", "restored_coded.png": "coded"}
-_PROGRAMS = {f"shutter_code{exporter.suffix}": file_format for file_format, exporter in EXPORTERS.items()}
+_RESTORED = {
+    "restored_open.png": "open",
+    "restored_snapshot.png": "snapshot",
+    "restored_coded.png": "coded",
+}
+_PROGRAMS = {
+    f"shutter_code{exporter.suffix}": file_format for file_format, exporter in EXPORTERS.items()
+}
 _OF_A_CODE = ("code.json", "coded.png", "restored_coded.png", "code_strip.png", *_PROGRAMS)
 DEMO_FILES = (
-    "report.html", "demo.json", "code.json", *(f"{name}.png" for name in DEMO_PICTURES), *_PHOTOS, *_SET,
-    *_RESTORED, *_PROGRAMS, *CALIBRATION_FILES,
-)  # fmt: skip
+    "report.html",
+    "demo.json",
+    "code.json",
+    *(f"{name}.png" for name in DEMO_PICTURES),
+    *_PHOTOS,
+    *_SET,
+    *_RESTORED,
+    *_PROGRAMS,
+    *CALIBRATION_FILES,
+)
 """What :func:`write_demo` writes; the code, its programs and pictures only where a code is advised, the
 further photos of the calibration only where they were taken."""
 
 
-def write_demo(folder: Path | str, chain: Chain, *, options: str = "", force: bool = False) -> Mapping[str, object]:
+def write_demo(
+    folder: Path | str, chain: Chain, *, options: str = "", force: bool = False
+) -> Mapping[str, object]:
     """Write the report and everything it speaks of.
 
     Parameters
@@ -74,10 +88,17 @@ def write_demo(folder: Path | str, chain: Chain, *, options: str = "", force: bo
             program = Program.from_bits(chain.code.bits, chip_ns=chain.code.chip_ns)
             for name, file_format in _PROGRAMS.items():
                 with suppress(ValueError):  # the sketch plays chips of 50 us to 32 ms only
-                    write_text(made / name, export_program(program, file_format, device=chain.device))
+                    write_text(
+                        made / name, export_program(program, file_format, device=chain.device)
+                    )
             write_image(made / "coded.png", chain.advised_shot.photo, bits=16)
         report = demo_report(chain, options=options, guide=_guide(target))
-        shown = [one for section in report.sections for one in (*section.pictures, *section.gallery) if one.name]
+        shown = [
+            one
+            for section in report.sections
+            for one in (*section.pictures, *section.gallery)
+            if one.name
+        ]
         for one in shown:
             (made / f"{one.name}.png").write_bytes(one.png)
         write_report(made / "report.html", report)
@@ -89,13 +110,18 @@ def _guide(folder: Path) -> str:
     """Address of docs/hardware.md from a folder; empty where the package is installed without the documents."""
     guide = Path(__file__).resolve().parents[2] / "docs" / "hardware.md"
     try:
-        return quote(Path(os.path.relpath(guide, folder.resolve())).as_posix()) if guide.is_file() else ""
+        return (
+            quote(Path(os.path.relpath(guide, folder.resolve())).as_posix())
+            if guide.is_file()
+            else ""
+        )
     except ValueError:  # on another drive
         return ""
 
 
 def _figures(chain: Chain) -> dict[str, object]:
-    here, psnr_db = chain.advice.here, {shot.kind: shot.psnr_db for shot in chain.shots}
+    here = chain.advice.here
+    psnr_db = {shot.kind: shot.psnr_db for shot in chain.shots}
     kinds = ("open", "snapshot", "coded")
     return {
         "verdict": here.sentence,

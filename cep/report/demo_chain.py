@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.optics.camera import LIGHT_LEVELS, Camera
 from cep.optics.capture import capture
@@ -27,18 +26,7 @@ from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
-
-__all__ = [
-    "CONTRAST",
-    "EXPOSURE_S",
-    "STANDARD_CAMERA",
-    "Chain",
-    "Shot",
-    "run_chain",
-]
-
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 STANDARD_CAMERA = "video-8bit"
 """Profile of the bundled case: its fixed noise is large enough for a code to be the best exposure."""
@@ -50,7 +38,9 @@ EXPOSURE_S = 1 / 30
 _MOST_CHIPS = 64
 _LARGEST_SCENE_PX = 768
 _RESTORATION = "wiener"
-_FOUND, _ADVISED, _RESTORED = 0.68, 0.82, 0.95  # shares of the time when each is done
+_FOUND = 0.68  # shares of the time when each is done
+_ADVISED = 0.82
+_RESTORED = 0.95
 
 
 @dataclass(frozen=True)
@@ -104,7 +94,8 @@ class Chain:
     reference : float ndarray
         The scene at rest, as large as the photos.
     shots : tuple of Shot
-        Open shutter first, then the best single exposure and the best code, where the limits leave them.
+        Open shutter first, then the best single exposure and the best code, where the limits leave
+        them.
     seconds : tuple of (str, float)
     """
 
@@ -163,7 +154,11 @@ class Chain:
         """
         figures = {shot.kind: shot.known_psnr_db if known else shot.psnr_db for shot in self.shots}
         opened = figures["open"]
-        return {kind: psnr - opened for kind, psnr in figures.items() if psnr is not None and opened is not None}
+        return {
+            kind: psnr - opened
+            for kind, psnr in figures.items()
+            if psnr is not None and opened is not None
+        }
 
 
 def run_chain(
@@ -194,22 +189,28 @@ def run_chain(
     found : FoundMotion, optional
         By :func:`find_motion` when omitted.
     levels : sequence of float
-        Photo-electrons at full scale at which the ways to expose are compared, besides the camera's own.
+        Photo-electrons at full scale at which the ways to expose are compared, besides the
+        camera's own.
     tell : callable
         Called with the fraction done and what is being done.
 
     Raises
     ------
     ValueError
-        If the photo shows nothing to estimate a motion from, or the exposure cannot be divided so on the device.
+        If the photo shows nothing to estimate a motion from, or the exposure cannot be divided so
+        on the device.
     """
     clock = _Clock(tell)
     clock.begin(0.0, "estimating the motion")
     if found is None:
         found = find_motion(
-            scene, camera, exposure_s=exposure_s, device=device, seed=seed,
+            scene,
+            camera,
+            exposure_s=exposure_s,
+            device=device,
+            seed=seed,
             tell=lambda share, what: tell(_FOUND * share, what),
-        )  # fmt: skip
+        )
     estimate = found.estimate
 
     def problem_along(one: MotionEstimate, count: int | None) -> SearchProblem:
@@ -219,15 +220,20 @@ def run_chain(
     problem = problem_along(estimate, chips)
     error_px = estimate.path_error_px or 0.0
     advice = advise(
-        problem, levels=levels, path_error_px=error_px, seed=seed,
+        problem,
+        levels=levels,
+        path_error_px=error_px,
+        seed=seed,
         progress=lambda share, what: tell(_FOUND + 0.8 * (_ADVISED - _FOUND) * share, what),
-    )  # fmt: skip
+    )
     contrast = None
     if advice.choice in ("strobe", "code"):
         other = replace(problem, camera=Camera.load(CONTRAST))
         contrast = advise(other, levels=LIGHT_LEVELS, path_error_px=error_px, seed=seed)
     certificates = tuple(
-        (kind, certify(way.code, estimate.best)) for kind, way in _ways(advice).items() if kind != "coded" or contrast
+        (kind, certify(way.code, estimate.best))
+        for kind, way in _ways(advice).items()
+        if kind != "coded" or contrast
     )
 
     clock.begin(_ADVISED, "exposing")
@@ -237,7 +243,12 @@ def run_chain(
 
     def photographed(ways: dict[str, Way]) -> dict[str, FloatArray]:
         taken = {
-            kind: capture(sharp, coded_psf(truth, way.code, frame), camera=_with_dark_noise(camera, way), rng=rng)
+            kind: capture(
+                sharp,
+                coded_psf(truth, way.code, frame),
+                camera=_with_dark_noise(camera, way),
+                rng=rng,
+            )
             for kind, way in ways.items()
         }
         return taken if scene.sharp is None else {**taken, "open": scene.photo}
@@ -256,20 +267,43 @@ def run_chain(
         alone = next(shot for shot in taken if shot.kind == kind)
     clock.begin(1.0, "done")
     return Chain(
-        scene, camera, exposure_s, device, seed, found, problem, advice, contrast, alone, certificates, reference,
-        shots, clock.laps,
-    )  # fmt: skip
+        scene,
+        camera,
+        exposure_s,
+        device,
+        seed,
+        found,
+        problem,
+        advice,
+        contrast,
+        alone,
+        certificates,
+        reference,
+        shots,
+        clock.laps,
+    )
 
 
 def _problem(
-    estimate: MotionEstimate, camera: Camera, *, exposure_s: float, device: DeviceProfile | None, chips: int | None,
+    estimate: MotionEstimate,
+    camera: Camera,
+    *,
+    exposure_s: float,
+    device: DeviceProfile | None,
+    chips: int | None,
     seed: int,
-) -> SearchProblem:  # fmt: skip
+) -> SearchProblem:
     def of(count: int) -> SearchProblem:
         # a clock that most controllers can play; a device has its own
         chip_us = round(1e6 * exposure_s / count)
-        length = {"exposure_s": exposure_s} if device is not None or chip_us == 0 else {"chip_ns": 1000 * chip_us}
-        return SearchProblem.along(estimate, chips=count, objective="mse", camera=camera, device=device, **length)
+        length = (
+            {"exposure_s": exposure_s}
+            if device is not None or chip_us == 0
+            else {"chip_ns": 1000 * chip_us}
+        )
+        return SearchProblem.along(
+            estimate, chips=count, objective="mse", camera=camera, device=device, **length
+        )
 
     if chips is None:
         if device is None:
@@ -296,31 +330,43 @@ def _sharp_scene(scene: Scene, estimate: MotionEstimate) -> tuple[FloatArray, Tr
     if scene.sharp is not None and scene.motion is not None:
         return scene.sharp, scene.motion
     height, width = (min(side, _LARGEST_SCENE_PX) for side in scene.photo.shape[:2])
-    top, left = (scene.photo.shape[0] - height) // 2, (scene.photo.shape[1] - width) // 2
+    top = (scene.photo.shape[0] - height) // 2
+    left = (scene.photo.shape[1] - width) // 2
     part = scene.photo[top : top + height, left : left + width]
     restored = restore(part, estimate.psf, method="tv").image
     return np.clip(restored, 0, 1), estimate.best
 
 
 def _shots(
-    ways: dict[str, Way], photos: dict[str, FloatArray], motion: Trajectory, known: Trajectory | None, camera: Camera,
+    ways: dict[str, Way],
+    photos: dict[str, FloatArray],
+    motion: Trajectory,
+    known: Trajectory | None,
+    camera: Camera,
     reference: FloatArray,
-) -> tuple[Shot, ...]:  # fmt: skip
+) -> tuple[Shot, ...]:
     """Restore every photo in the same way, and judge all of them on the same part of the picture."""
 
     def restored(kind: str, path: Trajectory) -> Restoration:
         code = None if kind == "open" else ways[kind].code
         return restore(
-            photos[kind], trajectory=path, code=code, method=_RESTORATION, camera=_with_dark_noise(camera, ways[kind])
+            photos[kind],
+            trajectory=path,
+            code=code,
+            method=_RESTORATION,
+            camera=_with_dark_noise(camera, ways[kind]),
         )
 
     found = {"open": restored("open", motion)}
     for kind in list(ways)[1:]:
         if kind == "snapshot" and motion.direction == "unknown":
-            # either direction restores it as well, but one of them shifted: the other photo shows which
+            # either direction restores it as well, but one of them shifted: the other photo shows
+            # which
             turned = [replace(path, direction="known") for path in (motion, motion.reversed())]
             both = [restored(kind, path) for path in turned]
-            found[kind] = min(both, key=lambda one: float(np.mean((one.image - found["open"].image) ** 2)))
+            found[kind] = min(
+                both, key=lambda one: float(np.mean((one.image - found["open"].image) ** 2))
+            )
         else:
             found[kind] = restored(kind, motion)
     ideal = {} if known is None else {kind: restored(kind, known) for kind in ways}
@@ -333,11 +379,15 @@ def _shots(
 
     return tuple(
         Shot(
-            kind, way, photos[kind], found[kind].image, psnr_db(found[kind]),
+            kind,
+            way,
+            photos[kind],
+            found[kind].image,
+            psnr_db(found[kind]),
             psnr_db(ideal[kind]) if kind in ideal else None,
         )
         for kind, way in ways.items()
-    )  # fmt: skip
+    )
 
 
 def _with_dark_noise(camera: Camera, way: Way) -> Camera:

@@ -7,7 +7,6 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.files.formatting import duration
 from cep.files.images import encode_image
@@ -24,6 +23,7 @@ from hw.device import load_profile, profile_names
 from hw.program import Program
 from motdiff.crops import luminance
 from motdiff.psf_frame import PSF_PX
+from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
     from cep.optics.camera import Camera
@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from cep.search.advise import Advice
     from motdiff.trajectory import Trajectory
 
-__all__ = ["DEMO_PICTURES", "demo_report", "share_below_noise"]
-
-FloatArray = NDArray[np.float64]
 DEMO_PICTURES = ("advice", "code_strip", "mtf", "photos", "scene_at_rest")
 """Pictures of the report that are files of their own too; the code strip where a code is advised."""
 
@@ -57,9 +54,18 @@ def demo_report(chain: Chain, *, options: str = "", guide: str = "") -> Report:
     colophon = (
         f"coded-exposure {_version('coded-exposure')}, numpy {_version('numpy')}, torch {_version('torch')}, "
         f"Python {platform.python_version()}; seed {chain.seed}. demo.json holds all figures of the camera. "
-        + "Seconds: " + ", ".join(f"{what} {seconds:.1f}" for what, seconds in chain.seconds) + "."
-    )  # fmt: skip
-    sections = [_gain(chain), _photos(chain), motion_section(chain), _exposure(chain), _mtf(chain), _agreement(chain)]
+        + "Seconds: "
+        + ", ".join(f"{what} {seconds:.1f}" for what, seconds in chain.seconds)
+        + "."
+    )
+    sections = [
+        _gain(chain),
+        _photos(chain),
+        motion_section(chain),
+        _exposure(chain),
+        _mtf(chain),
+        _agreement(chain),
+    ]
     if chain.contrast is not None:
         sections.append(_contrast(chain.contrast))
     if chain.coded:
@@ -93,7 +99,7 @@ def share_below_noise(path: Trajectory, code: ShutterCode | None, camera: Camera
     return float(samples.weight @ (power < noise * inverse_scene(samples)[:, 0]))
 
 
-# -- what to do -------------------------------------------------------------------------------------------------------
+# -- what to do -----------------------------------------------------------------------------------
 
 
 def _setting(chain: Chain) -> str:
@@ -132,7 +138,9 @@ def _others(chain: Chain) -> list[Shot]:
 
 
 def _facts(chain: Chain) -> tuple[tuple[str, str], ...]:
-    expected, simulated, advised = _expected_db(chain), chain.gains_db(), chain.advised_shot.kind
+    expected = _expected_db(chain)
+    simulated = chain.gains_db()
+    advised = chain.advised_shot.kind
     return tuple(
         (
             f"{how} gain over the {_NAMES[other.kind]}",
@@ -145,12 +153,17 @@ def _facts(chain: Chain) -> tuple[tuple[str, str], ...]:
 
 def _difference(chain: Chain) -> str:
     """Why the simulated gains differ from the expected ones, if they do."""
-    expected, simulated, advised = _expected_db(chain), chain.gains_db(), chain.advised_shot.kind
+    expected = _expected_db(chain)
+    simulated = chain.gains_db()
+    advised = chain.advised_shot.kind
     off = {
-        other.kind: (simulated[advised] - simulated[other.kind]) - (expected[advised] - expected[other.kind])
+        other.kind: (simulated[advised] - simulated[other.kind])
+        - (expected[advised] - expected[other.kind])
         for other in _others(chain)
     }
-    against = [other for other in _others(chain) if simulated[other.kind] > simulated[advised] + WORTH_DB]
+    against = [
+        other for other in _others(chain) if simulated[other.kind] > simulated[advised] + WORTH_DB
+    ]
     contrary = "".join(
         f" In this photo the {_NAMES[other.kind]} restores {simulated[other.kind] - simulated[advised]:.1f} dB better "
         "than the exposure advised."
@@ -160,7 +173,8 @@ def _difference(chain: Chain) -> str:
     if not far:
         return f"The simulated gains of this photo agree with the expected ones within {_AGREES_DB:g} dB.{contrary}"
     said = " and ".join(
-        f"{abs(value):.1f} dB {'more' if value > 0 else 'less'} over the {_NAMES[kind]}" for kind, value in far.items()
+        f"{abs(value):.1f} dB {'more' if value > 0 else 'less'} over the {_NAMES[kind]}"
+        for kind, value in far.items()
     )
     mean = float(luminance(chain.reference).mean())
     return (
@@ -178,7 +192,9 @@ def _how_exactly(chain: Chain) -> str:
 def _known_in_words(chain: Chain) -> str:
     if chain.scene.motion is None:
         return "a motion that is taken as exactly known"
-    known, found, advised = chain.gains_db(known=True), chain.gains_db(), chain.advised_shot.kind
+    known = chain.gains_db(known=True)
+    found = chain.gains_db()
+    advised = chain.advised_shot.kind
     return (
         "a motion that is an estimate "
         f"(with the true motion the gain over the open shutter is {_signed(known[advised])} dB, "
@@ -205,7 +221,8 @@ def _gain(chain: Chain) -> Section:
 
 
 def _gains_table(advice: Advice) -> Table:
-    here, advised = advice.here, None
+    here = advice.here
+    advised = None
     rows: list[tuple[object, ...]] = []
     for kind, gain_db in here.gains_db.items():
         way = here.best(kind)
@@ -225,14 +242,19 @@ def _gains_table(advice: Advice) -> Table:
     )
 
 
-# -- photos -----------------------------------------------------------------------------------------------------------
+# -- photos ---------------------------------------------------------------------------------------
 
 
 def _photos(chain: Chain) -> Section:
     shown = [shot for shot in chain.shots if shot.kind == "snapshot" or shot is chain.advised_shot]
     opened = chain.shots[0]
     gallery = [
-        _photo(opened.photo, "Blurred", "As taken with the shutter open all the time.", "the blurred photo"),
+        _photo(
+            opened.photo,
+            "Blurred",
+            "As taken with the shutter open all the time.",
+            "the blurred photo",
+        ),
         *(
             _photo(
                 shot.restored,
@@ -253,12 +275,16 @@ def _photos(chain: Chain) -> Section:
         ),
     ]
     best = 1 + shown.index(chain.advised_shot)
-    others = {_NAMES[shot.kind] if shot is not chain.advised_shot else "as advised": shot.restored for shot in shown}
+    others = {
+        _NAMES[shot.kind] if shot is not chain.advised_shot else "as advised": shot.restored
+        for shot in shown
+    }
     table = Table(
         ("photo", "open for", "PSNR restored, dB", "gain, dB"),
         tuple(
             (
-                _NAMES[shot.kind] + (" (not advised)" if shot.kind == "coded" and not chain.coded else ""),
+                _NAMES[shot.kind]
+                + (" (not advised)" if shot.kind == "coded" and not chain.coded else ""),
                 duration(shot.way.code.open_chips * shot.way.code.chip_ns * 1e-9),
                 f"{shot.psnr_db:.2f}",
                 _two(shot.psnr_db - opened.psnr_db),
@@ -291,7 +317,11 @@ def _photo(image: FloatArray, title: str, caption: str, alt: str, *, name: str =
 
 
 def _restored_title(shot: Shot) -> str:
-    return {"open": "Restored", "snapshot": "Single exposure, restored", "coded": "Coded, restored"}[shot.kind]
+    return {
+        "open": "Restored",
+        "snapshot": "Single exposure, restored",
+        "coded": "Coded, restored",
+    }[shot.kind]
 
 
 def _openings(code: ShutterCode) -> str:
@@ -299,20 +329,24 @@ def _openings(code: ShutterCode) -> str:
     return f"Open for {duration(code.open_chips * code.chip_ns * 1e-9)} in {count}"
 
 
-# -- exposure ---------------------------------------------------------------------------------------------------------
+# -- exposure -------------------------------------------------------------------------------------
 
 
 def _exposure(chain: Chain) -> Section:
     code = chain.advised_shot.way.code
     if not chain.coded:
-        said = f"{_openings(code)}: the camera's own shutter does that, and nothing is to be wired."
+        said = (
+            f"{_openings(code)}: the camera's own shutter does that, and nothing is to be wired."
+        )
         return Section("Exposure", (said,))
     chip_ms = code.chip_ns * 1e-6
     rows: list[tuple[object, ...]] = []
     at = 0
     for bit, count in code.runs:
         if bit:
-            rows.append((str(len(rows) + 1), at * chip_ms, count * chip_ms, (at + count) * chip_ms))
+            rows.append(
+                (str(len(rows) + 1), at * chip_ms, count * chip_ms, (at + count) * chip_ms)
+            )
         at += count
     times = Table(
         ("opening", "opens at, ms", "open for, ms", "closes at, ms"),
@@ -327,7 +361,10 @@ def _exposure(chain: Chain) -> Section:
     devices = Table(
         ("shutter or controller", "this code"),
         tuple(
-            (profile.name, "can be played" if not broken else broken[0].removeprefix(f"{profile.name}: "))
+            (
+                profile.name,
+                "can be played" if not broken else broken[0].removeprefix(f"{profile.name}: "),
+            )
             for profile, broken in checks
         ),
         highlight=None if chain.device is None else profiles.index(chain.device),
@@ -340,7 +377,13 @@ def _exposure(chain: Chain) -> Section:
         (times, devices),
         (
             picture(
-                code_strips({_NAMES[shot.kind]: shot.way.code for shot in chain.shots if shot.kind != "open"}),
+                code_strips(
+                    {
+                        _NAMES[shot.kind]: shot.way.code
+                        for shot in chain.shots
+                        if shot.kind != "open"
+                    }
+                ),
                 "The exposures over time: yellow is open.",
                 "the code and the best single exposure as strips of chips",
                 name="code_strip",
@@ -350,7 +393,8 @@ def _exposure(chain: Chain) -> Section:
 
 
 def _mtf(chain: Chain) -> Section:
-    path, camera = chain.estimate.best, chain.camera
+    path = chain.estimate.best
+    camera = chain.camera
     shots = [shot for shot in chain.shots if shot.kind != "coded" or chain.coded]
     certificates = dict(chain.certificates)
     below = {shot.kind: _below(path, shot, camera) for shot in shots}
@@ -371,7 +415,8 @@ def _mtf(chain: Chain) -> Section:
     )
     size = path.frame_size(PSF_PX)
     psfs = {_NAMES[shot.kind]: coded_psf(path, shot.way.code, size) for shot in shots}
-    advised, opened = chain.advised_shot.kind, below["open"]
+    advised = chain.advised_shot.kind
+    opened = below["open"]
     paragraphs = [
         "The MTF says how much contrast the motion leaves to detail of each size. Where it dips below the noise the "
         "detail is lost, and no restoration brings it back.",
@@ -415,7 +460,11 @@ def _bounds(certificate: Certificate) -> str:
 
 def _dips(certificate: Certificate) -> str:
     fx, fy = certificate.at
-    where = f"detail of {1 / max(np.hypot(fx, fy), 1e-9):.1f} px per period" if np.hypot(fx, fy) > 0 else "no detail"
+    where = (
+        f"detail of {1 / max(np.hypot(fx, fy), 1e-9):.1f} px per period"
+        if np.hypot(fx, fy) > 0
+        else "no detail"
+    )
     if certificate.upper < 1e-4:
         return (
             f"The MTF of the exposure advised touches zero, at {where} for one. Along a curved motion such zeros are "
@@ -427,15 +476,22 @@ def _dips(certificate: Certificate) -> str:
     )
 
 
-# -- expected and simulated -------------------------------------------------------------------------------------------
+# -- expected and simulated -----------------------------------------------------------------------
 
 
 def _agreement(chain: Chain) -> Section:
-    expected, simulated, known = _expected_db(chain), chain.gains_db(), chain.gains_db(known=True)
+    expected = _expected_db(chain)
+    simulated = chain.gains_db()
+    known = chain.gains_db(known=True)
     table = Table(
         ("exposure", "expected, dB", "simulated, dB", "simulated, true motion, dB"),
         tuple(
-            (_NAMES[kind], _two(expected[kind]), _two(simulated[kind]), _two(known[kind]) if kind in known else None)
+            (
+                _NAMES[kind],
+                _two(expected[kind]),
+                _two(simulated[kind]),
+                _two(known[kind]) if kind in known else None,
+            )
             for kind in simulated
         ),
         highlight=list(simulated).index(chain.advised_shot.kind),
@@ -494,10 +550,18 @@ def _wiring(chain: Chain, guide: str) -> Section:
 
 
 def _commands(chain: Chain, options: str) -> Section:
-    count, whole_ns = chain.problem.chips, chain.problem.chips * chain.problem.chip_ns
+    count = chain.problem.chips
+    whole_ns = chain.problem.chips * chain.problem.chip_ns
     exposure = f"{whole_ns}ns" if whole_ns % 1000 else f"{whole_ns // 1000}us"
     along = " ".join(
-        filter(None, ("--trajectory motion/trajectory.json", f"--chips {count} --exposure {exposure}", options))
+        filter(
+            None,
+            (
+                "--trajectory motion/trajectory.json",
+                f"--chips {count} --exposure {exposure}",
+                options,
+            ),
+        )
     )
     commands = [f"cep calibrate {_calibration(chain)} -o motion", f"cep advise {along}"]
     kept = "The folder of this page holds the blurred photo and the motion (trajectory.json, psf.npy, psf.mat)."
@@ -526,7 +590,9 @@ def _calibration(chain: Chain) -> str:
     """Photos and codes of the calibration, as on a command line."""
     if not chain.found.codes:
         return "blurred.png"
-    codes = " ".join(f"--code {'open' if code.duty == 1 else code.bits}" for code in chain.found.codes)
+    codes = " ".join(
+        f"--code {'open' if code.duty == 1 else code.bits}" for code in chain.found.codes
+    )
     photos = " ".join(f"calibration_{i}.png" for i in range(2, len(chain.found.codes) + 1))
     return f"blurred.png {photos} {codes}"
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.calibration.calibrate import estimate_motion
 from cep.calibration.order_codes import gray_planes
@@ -21,14 +20,12 @@ from motdiff.estimators.base import MotionEstimate
 from motdiff.motions import quadratic
 from motdiff.simulate import to_linear
 from motdiff.trajectory import Trajectory
-
-__all__ = ["FoundMotion", "Scene", "bundled_picture", "bundled_scene", "find_motion", "own_photo"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _LENGTH_PX = (24.0, 28.0)
 _BEND = 1.5
-_SET_PX = 192  # crop that the photos of a set are searched on: larger ones take longer and are little better
+# crop that the photos of a set are searched on: larger ones take longer and are little better
+_SET_PX = 192
 _PLANES = 3  # photos of a set through a Gray code, beside the one with an open shutter
 _SET_SHARE = 0.65  # of the time: the open photo alone takes the rest
 
@@ -66,7 +63,8 @@ class FoundMotion:
     estimate : MotionEstimate
         From all photos.
     codes : tuple of ShutterCode
-        Through which they were taken, the open shutter first; empty where there is that photo only.
+        Through which they were taken, the open shutter first; empty where there is that photo
+        only.
     photos : tuple of float ndarrays, linear light
         One for each code.
     alone : MotionEstimate or None
@@ -86,7 +84,9 @@ def bundled_picture() -> FloatArray:
     return to_linear(data.astronaut() / 255)
 
 
-def bundled_scene(camera: Camera, *, rng: np.random.Generator, side_px: int | None = None) -> Scene:
+def bundled_scene(
+    camera: Camera, *, rng: np.random.Generator, side_px: int | None = None
+) -> Scene:
     """Take a photo of a public-domain picture that scikit-image carries, with a shaking hand.
 
     Parameters
@@ -101,7 +101,9 @@ def bundled_scene(camera: Camera, *, rng: np.random.Generator, side_px: int | No
         corner = (len(sharp) - side_px) // 2
         sharp = sharp[corner : corner + side_px, corner : corner + side_px]
     # a hand accelerates over a short exposure: a bent path that is slower at one end
-    motion = quadratic(rng, min_length_px=_LENGTH_PX[0], max_length_px=_LENGTH_PX[1], max_bend=_BEND)
+    motion = quadratic(
+        rng, min_length_px=_LENGTH_PX[0], max_length_px=_LENGTH_PX[1], max_bend=_BEND
+    )
     photo = capture(sharp, motion.psf(motion.frame_size() | 1), camera=camera, rng=rng)
     name = "Astronaut Eileen Collins (NASA, public domain; skimage.data.astronaut), blurred by a simulated hand shake"
     return Scene(name, photo, sharp, motion)
@@ -123,7 +125,8 @@ def find_motion(
 ) -> FoundMotion:
     """Find a scene's motion: by a set of photos through known codes where it can be photographed again.
 
-    Of one's own photo there are no others, and neither are there through a device that cannot play the codes.
+    Of one's own photo there are no others, and neither are there through a device that cannot play
+    the codes.
 
     Parameters
     ----------
@@ -145,7 +148,9 @@ def find_motion(
 
     def blind(begin: float) -> MotionEstimate:
         try:
-            return estimate_motion(scene.photo, progress=lambda share, what: tell(begin + (1 - begin) * share, what))
+            return estimate_motion(
+                scene.photo, progress=lambda share, what: tell(begin + (1 - begin) * share, what)
+            )
         except ValueError as error:
             raise ValueError(f"{scene.name}: {error}") from None
 
@@ -154,13 +159,16 @@ def find_motion(
         return FoundMotion(blind(0.0))
     frame = scene.motion.frame_size() | 1
     rng = np.random.default_rng([seed, 4])
-    coded = [capture(scene.sharp, coded_psf(scene.motion, one, frame), camera=camera, rng=rng) for one in codes[1:]]
+    coded = [
+        capture(scene.sharp, coded_psf(scene.motion, one, frame), camera=camera, rng=rng)
+        for one in codes[1:]
+    ]
     photos = (scene.photo, *coded)
     row, column = pick_crops(scene.photo, size=_SET_PX, count=1)[0]
     parts = [photo[row : row + _SET_PX, column : column + _SET_PX] for photo in photos]
     found = estimate_motion(
         parts, codes=codes, seed=seed, progress=lambda share, what: tell(_SET_SHARE * share, what)
-    )  # fmt: skip
+    )
     return FoundMotion(found, codes, photos, alone=blind(_SET_SHARE))
 
 
@@ -169,6 +177,8 @@ def _set_of_codes(exposure_s: float, device: DeviceProfile | None) -> tuple[Shut
     bins = 2**_PLANES
     chip_ns = max(1, round(exposure_s / bins * 1e9))
     planes = [ShutterCode(plane, chip_ns) for plane in gray_planes(_PLANES, bins)]
-    if device is not None and any(device.check(Program.from_bits(one.bits, chip_ns=chip_ns)) for one in planes):
+    if device is not None and any(
+        device.check(Program.from_bits(one.bits, chip_ns=chip_ns)) for one in planes
+    ):
         return ()
     return (ShutterCode(np.ones(bins), chip_ns), *planes)

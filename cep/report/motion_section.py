@@ -12,20 +12,21 @@ from motdiff.psf_frame import PSF_PX
 if TYPE_CHECKING:
     from cep.report.demo_chain import Chain
 
-__all__ = ["motion_section"]
-
 _SURE = 0.5
 
 
 def motion_section(chain: Chain) -> Section:
     """Make the section on the motion of a chain."""
-    estimate, motion = chain.estimate, chain.estimate.best
+    motion = chain.estimate.best
+    estimate = chain.estimate
     psfs = {"estimated": estimate.psf, "estimated path": motion.psf(motion.frame_size(PSF_PX))}
     if (truth := chain.scene.motion) is not None:
         psfs["true"] = truth.psf(truth.frame_size(PSF_PX))
     warnings = [*chain.scene.warnings, *estimate.warnings]
     if estimate.confidence < _SURE:
-        warnings.append("The confidence is low: everything on this page builds on a motion that may be wrong.")
+        warnings.append(
+            "The confidence is low: everything on this page builds on a motion that may be wrong."
+        )
     return Section(
         "Motion",
         (f"{chain.scene.name}.", _found(chain), *_truth(chain), *_direction(chain)),
@@ -48,7 +49,8 @@ def motion_section(chain: Chain) -> Section:
 
 
 def _found(chain: Chain) -> str:
-    estimate, motion = chain.estimate, chain.estimate.best
+    motion = chain.estimate.best
+    estimate = chain.estimate
     path = (
         f"found a path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, with confidence "
         f"{estimate.confidence:.2f}"
@@ -96,7 +98,8 @@ def _direction(chain: Chain) -> tuple[str, ...]:
 
 def _alone(chain: Chain) -> tuple[Table, ...]:
     """Compare what the set gives with what the open photo alone would have given."""
-    alone, truth = chain.found.alone, chain.scene.motion
+    alone = chain.found.alone
+    truth = chain.scene.motion
     if alone is None or chain.alone is None or truth is None:
         return ()
     rows = tuple(
@@ -116,7 +119,13 @@ def _alone(chain: Chain) -> tuple[Table, ...]:
     )
     return (
         Table(
-            ("calibration photos", "direction", "path off, px", "exposure advised along it", "PSNR restored, dB"),
+            (
+                "calibration photos",
+                "direction",
+                "path off, px",
+                "exposure advised along it",
+                "PSNR restored, dB",
+            ),
             rows,
             highlight=0,
             note="Each exposure is photographed with the true motion and restored along the path of its row. A path "
@@ -126,10 +135,18 @@ def _alone(chain: Chain) -> tuple[Table, ...]:
 
 
 def _alternatives(chain: Chain) -> tuple[Table, ...]:
-    estimate, motion = chain.estimate, chain.estimate.best
+    motion = chain.estimate.best
+    estimate = chain.estimate
     others = tuple(
-        (f"alternative {i}", f"{weight:.2f}", f"{path.length_px:.1f}", f"{path_distance_px(path, motion):.1f}")
-        for i, (weight, path) in enumerate(zip(estimate.weights[1:], estimate.trajectories[1:], strict=True), 1)
+        (
+            f"alternative {i}",
+            f"{weight:.2f}",
+            f"{path.length_px:.1f}",
+            f"{path_distance_px(path, motion):.1f}",
+        )
+        for i, (weight, path) in enumerate(
+            zip(estimate.weights[1:], estimate.trajectories[1:], strict=True), 1
+        )
     )
     if not others:
         return ()

@@ -1,7 +1,7 @@
 """HTML report as one self-contained file: pictures embedded, no network requests.
 
-The one script in it, whose hash the page's security policy names, lays two pictures of a gallery over each other with a
-movable boundary. Without it the gallery itself still shows them.
+The one script in it, whose hash the page's security policy names, lays two pictures of a gallery
+over each other with a movable boundary. Without it the gallery itself still shows them.
 """
 
 from __future__ import annotations
@@ -15,16 +15,14 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cep.files.foreign_text import printable
 from cep.files.formatting import number
-from cep.files.outputs import write_text
+from motdiff.files.inputs import printable
+from motdiff.files.outputs import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _NUMBER = re.compile(r"–$|[<>]?\s*[+−-]?[\d.]")
-
-__all__ = ["Picture", "Report", "Section", "Table", "html", "picture", "write_report"]
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,9 @@ class Table:
     def __post_init__(self) -> None:
         for row in self.rows:
             if len(row) != len(self.columns):
-                raise ValueError(f"rows: need {len(self.columns)} cells, found {len(row)} in {row[:1]}")
+                raise ValueError(
+                    f"rows: need {len(self.columns)} cells, found {len(row)} in {row[:1]}"
+                )
 
     @property
     def numeric(self) -> tuple[bool, ...]:
@@ -100,7 +100,8 @@ class Section:
     gallery : tuple of Picture
         Photos of one scene, side by side; each needs a title.
     compared : (int, int), optional
-        Which of the gallery are laid over each other, full size, with a movable boundary between them.
+        Which of the gallery are laid over each other, full size, with a movable boundary between
+        them.
     tables : tuple of Table
     pictures : tuple of Picture
         Figures, below each other.
@@ -163,15 +164,20 @@ def html(report: Report) -> str:
     from markupsafe import Markup  # the script is the package's own
 
     environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
         finalize=lambda value: printable(value) if type(value) is str else value,
-    )  # fmt: skip
+    )
     environment.filters["cell"] = _cell
     source, script = (_template(name) for name in ("report.html.j2", "compare.js"))
     if not any(section.compared for section in report.sections):
         script = ""
     allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return environment.from_string(source).render(report=report, script=Markup(script), allowed=allowed)
+    return environment.from_string(source).render(
+        report=report, script=Markup(script), allowed=allowed
+    )
 
 
 def write_report(path: Path | str, report: Report) -> None:

@@ -1,8 +1,9 @@
 """The PSF of a photo, found in the photo alone.
 
-A coded photo's own kernel restores better than the PSF of a path that is fitted to it along the code: one photo seldom
-tells the order in time, and a wrong order has a wrong PSF (docs/decisions/restoration.md). Where the blur outgrows the
-search, though, the photo is made smaller, and the PSF is that of a path drawn through the small kernel.
+A coded photo's own kernel restores better than the PSF of a path that is fitted to it along the
+code: one photo seldom tells the order in time, and a wrong order has a wrong PSF
+(docs/decisions/restoration.md). Where the blur outgrows the search, though, the photo is made
+smaller, and the PSF is that of a path drawn through the small kernel.
 """
 
 from __future__ import annotations
@@ -10,14 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.optics.code import ShutterCode
+from motdiff.types import FloatArray
 
-__all__ = ["FoundPsf", "find_psf"]
-
-FloatArray = NDArray[np.float64]
 _LOST = 0.5
 
 
@@ -28,8 +26,9 @@ class FoundPsf:
     Attributes
     ----------
     psf : (S, S) float ndarray
-        Light-true, zero displacement at index ``S // 2``. The kernel found; where the photo was made smaller for the
-        search, which a warning says, the PSF of the path traced through that kernel, at full size.
+        Light-true, zero displacement at index ``S // 2``. The kernel found; where the photo was
+        made smaller for the search, which a warning says, the PSF of the path traced through that
+        kernel, at full size.
     confidence : float
         Probability that it is near the true one (MNC of 0.7 or more).
     warnings : tuple of str
@@ -41,7 +40,10 @@ class FoundPsf:
 
 
 def find_psf(
-    photo: ArrayLike, code: ShutterCode | None = None, *, progress: Callable[[float], None] | None = None
+    photo: ArrayLike,
+    code: ShutterCode | None = None,
+    *,
+    progress: Callable[[float], None] | None = None,
 ) -> FoundPsf:
     """Find the PSF of a photo blindly; of the code it needs the open share of the time.
 

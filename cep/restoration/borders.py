@@ -1,7 +1,7 @@
 """Real borders of a photo for FFT methods: periodic extension before a restoration.
 
-The gap between opposite edges is first filled with a membrane (Laplace's equation, as in Liu and Jia), then with the
-photo of the most likely scene, given the pixels of the photo.
+The gap between opposite edges is first filled with a membrane (Laplace's equation, as in Liu and
+Jia), then with the photo of the most likely scene, given the pixels of the photo.
 """
 
 from __future__ import annotations
@@ -9,16 +9,12 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from cep.restoration.spectral import otf_on_grid, power_law
+from motdiff.types import ComplexArray, FloatArray
 
-__all__ = ["Border", "extended_shape", "membrane_extension", "reblurred_extension", "working_shape"]
-
-FloatArray = NDArray[np.float64]
 Border = Literal["real", "periodic"]
-ComplexArray = NDArray[np.complex128]
 _SMALLEST_GAP_PX = 16
 _SMALLEST_POWER = 1e-12
 
@@ -50,11 +46,12 @@ def membrane_extension(image: FloatArray, shape: tuple[int, int]) -> FloatArray:
 
     References
     ----------
-    Liu and Jia, "Reducing boundary artifacts in image deconvolution", ICIP 2008: the three tiles; here each one is
-    harmonic (solved with the DST).
+    Liu and Jia, "Reducing boundary artifacts in image deconvolution", ICIP 2008: the three tiles;
+    here each one is harmonic (solved with the DST).
     """
     height, width = image.shape
-    rows, columns = shape[0] - height, shape[1] - width
+    rows = shape[0] - height
+    columns = shape[1] - width
     out = np.empty(shape)
     out[:height, :width] = image
     below = _tile(image[-1], image[0], rows)  # (rows + 2, W), with the photo's own edge rows
@@ -70,7 +67,12 @@ def membrane_extension(image: FloatArray, shape: tuple[int, int]) -> FloatArray:
 
 
 def reblurred_extension(
-    image: FloatArray, psf: FloatArray, shape: tuple[int, int], *, noise_to_scene: float, rounds: int
+    image: FloatArray,
+    psf: FloatArray,
+    shape: tuple[int, int],
+    *,
+    noise_to_scene: float,
+    rounds: int,
 ) -> FloatArray:
     """Extend ``image`` by its Wiener restoration, blurred again.
 
@@ -90,7 +92,8 @@ def reblurred_extension(
     extended = membrane_extension(image, shape)
     if rounds <= 0:
         return extended
-    transfer, penalty = otf_on_grid(psf, shape), noise_to_scene * power_law(shape)
+    transfer = otf_on_grid(psf, shape)
+    penalty = noise_to_scene * power_law(shape)
     inverse = 1 / np.maximum(np.abs(transfer) ** 2 + penalty, _SMALLEST_POWER)
     seen = (slice(0, image.shape[0]), slice(0, image.shape[1]))
     # inner products of real images from half their spectra
@@ -102,7 +105,9 @@ def reblurred_extension(
     def normal_equations(spectrum: ComplexArray) -> ComplexArray:
         blurred = np.zeros(shape)
         blurred[seen] = fft.irfft2(transfer * spectrum, shape)[seen]
-        return np.asarray(np.conj(transfer) * fft.rfft2(blurred) + penalty * spectrum, dtype=np.complex128)
+        return np.asarray(
+            np.conj(transfer) * fft.rfft2(blurred) + penalty * spectrum, dtype=np.complex128
+        )
 
     def dot(a: ComplexArray, b: ComplexArray) -> float:
         return float(((a.real * b.real + a.imag * b.imag) * weight).sum())
@@ -123,7 +128,8 @@ def reblurred_extension(
         scene = scene + (energy / curvature) * direction
         residual = residual - (energy / curvature) * product
         preconditioned = inverse * residual
-        previous, energy = energy, dot(residual, preconditioned)
+        previous = energy
+        energy = dot(residual, preconditioned)
         direction = preconditioned + (energy / previous) * direction
     extended = np.asarray(fft.irfft2(transfer * scene, shape), dtype=np.float64)
     extended[seen] = image
@@ -142,7 +148,8 @@ def _tile(first: FloatArray, last: FloatArray, gap: int) -> FloatArray:
 
 def _harmonic(tile: FloatArray) -> FloatArray:
     """Solve the 5-point Laplace equation inside ``tile`` for the values on its frame."""
-    rows, columns = tile.shape[0] - 2, tile.shape[1] - 2
+    rows = tile.shape[0] - 2
+    columns = tile.shape[1] - 2
     if rows < 1 or columns < 1:
         return tile
     source = np.zeros((rows, columns))
@@ -151,7 +158,8 @@ def _harmonic(tile: FloatArray) -> FloatArray:
     source[:, 0] += tile[1:-1, 0]
     source[:, -1] += tile[1:-1, -1]
     spectrum = fft.dstn(source, type=1)
-    k, m = np.arange(1, rows + 1)[:, None], np.arange(1, columns + 1)[None, :]
+    k = np.arange(1, rows + 1)[:, None]
+    m = np.arange(1, columns + 1)[None, :]
     eigenvalues = 4 - 2 * np.cos(np.pi * k / (rows + 1)) - 2 * np.cos(np.pi * m / (columns + 1))
     solved = tile.copy()
     solved[1:-1, 1:-1] = fft.idstn(spectrum / eigenvalues, type=1)

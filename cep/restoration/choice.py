@@ -1,8 +1,8 @@
 """Choice of the PSF that a photo is restored with, or of none: tried on a crop, compared without the sharp photo.
 
-Two things give a wrong PSF away. It leaves a residual, however it is restored. And its ringing dips below black or
-rises above full scale, where there can be no light. A restoration with less sparse gradients than its photo is no
-better.
+Two things give a wrong PSF away. It leaves a residual, however it is restored. And its ringing
+dips below black or rises above full scale, where there can be no light. A restoration with less
+sparse gradients than its photo is no better.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.restoration.clipping import fill_clipped, lights_cut
 from cep.restoration.methods import misfit
@@ -23,10 +23,7 @@ from cep.restoration.wiener import wiener
 from motdiff.crops import clipped_mask, luminance, pick_crops
 from motdiff.estimators.kernel_score import noise_sigma
 from motdiff.threads import side_by_side
-
-__all__ = ["FEW_CLIPPED", "LARGE_PX", "PsfChoice", "choose_psf", "is_possible_light", "restore_chosen"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 LARGE_PX = 4_000_000
 """Photos of more pixels are restored by the Wiener filter: TV would take a minute."""
@@ -36,12 +33,17 @@ FEW_CLIPPED = 1e-3
 
 _CROP_PX = 384
 _LEAST_SIGMA = 1e-3
-# in dB of PSNR that a factor of e in the residual, and a full scale of impossible light (rms), cost on simulated photos
-_RESIDUAL_DB, _IMPOSSIBLE_DB = 0.3, 88.0
+# in dB of PSNR that a factor of e in the residual, and a full scale of impossible light (rms),
+# cost on simulated photos
+_RESIDUAL_DB = 0.3
+_IMPOSSIBLE_DB = 88.0
 _NO_SPARSER = 0.95  # of the photo's own gradients
-_MOST_IMPOSSIBLE, _MOST_IMPOSSIBLE_BESIDE_LIGHTS = 0.15, 0.075  # rms, of the photo's standard deviation
-_WRONG_PSF = 20.0  # an estimated PSF errs by more than the noise: factor of its variance for the Wiener filter
-_TV_WEIGHT, _TV_SIGMA = 1e-3, 0.007  # the default weight, good up to this noise; above it grows as the noise's power
+_MOST_IMPOSSIBLE = 0.15  # rms, of the photo's standard deviation
+_MOST_IMPOSSIBLE_BESIDE_LIGHTS = 0.075
+# an estimated PSF errs by more than the noise: factor of its variance for the Wiener filter
+_WRONG_PSF = 20.0
+_TV_WEIGHT = 1e-3  # the default weight, good up to this noise; above it grows as the noise's power
+_TV_SIGMA = 0.007
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,9 @@ class PsfChoice:
     sparsity: dict[str, float]
 
 
-def choose_psf(photo: ArrayLike, psfs: Mapping[str, ArrayLike], *, prior_db: Mapping[str, float]) -> PsfChoice:
+def choose_psf(
+    photo: ArrayLike, psfs: Mapping[str, ArrayLike], *, prior_db: Mapping[str, float]
+) -> PsfChoice:
     """Choose among PSFs by restorations of a textured crop of the photo.
 
     Parameters
@@ -86,13 +90,16 @@ def choose_psf(photo: ArrayLike, psfs: Mapping[str, ArrayLike], *, prior_db: Map
     clipped = clipped_mask(photo)[row : row + side, column : column + side]
     sigma = max(noise_sigma(crop), _LEAST_SIGMA)
     own = _sparsity(crop)
-    scores, sparsity = {}, {}
+    scores = {}
+    sparsity = {}
     for name, psf in psfs.items():
         restored = tv(fill_clipped(crop, psf, clipped=clipped), psf, weight=_tv_weight(sigma))
         residual = max(misfit(crop, restored, psf, clipped=clipped), sigma)
         restored = lights_cut(restored, clipped, psf)
         scores[name] = float(
-            prior_db[name] - _RESIDUAL_DB * np.log(residual / sigma) - _IMPOSSIBLE_DB * _impossible(restored)
+            prior_db[name]
+            - _RESIDUAL_DB * np.log(residual / sigma)
+            - _IMPOSSIBLE_DB * _impossible(restored)
         )
         sparsity[name] = _sparsity(restored) / own
     sharper = [name for name in scores if sparsity[name] < _NO_SPARSER]
@@ -120,7 +127,8 @@ def restore_chosen(photo: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, str]:
     row, column = pick_crops(channels.mean(axis=0), size=side, count=1)[0]
     jobs = []
     for channel in channels:
-        # a crop's spectra stand for the photo's, and its border is a strip: seconds instead of minutes
+        # a crop's spectra stand for the photo's, and its border is a strip: seconds instead of
+        # minutes
         found = fit_spectrum(channel[row : row + side, column : column + side], trimmed_psf(psf))
         jobs.append(
             partial(
@@ -138,7 +146,8 @@ def restore_chosen(photo: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, str]:
 def is_possible_light(restored: ArrayLike, photo: ArrayLike, psf: ArrayLike) -> bool:
     """Whether a restoration stays within 0..1, but for a small share of the contrast of its photo.
 
-    Lights that clipped the photo may be brighter than 1. Their ringing shows only where it is dark, so less is allowed.
+    Lights that clipped the photo may be brighter than 1. Their ringing shows only where it is
+    dark, so less is allowed.
 
     Parameters
     ----------
@@ -148,7 +157,9 @@ def is_possible_light(restored: ArrayLike, photo: ArrayLike, psf: ArrayLike) -> 
     """
     clipped = clipped_mask(photo)
     most = _MOST_IMPOSSIBLE if clipped.mean() <= FEW_CLIPPED else _MOST_IMPOSSIBLE_BESIDE_LIGHTS
-    return _impossible(lights_cut(restored, clipped, psf)) <= most * float(np.std(luminance(photo)))
+    return _impossible(lights_cut(restored, clipped, psf)) <= most * float(
+        np.std(luminance(photo))
+    )
 
 
 def _impossible(restored: FloatArray) -> float:

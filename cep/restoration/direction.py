@@ -1,9 +1,10 @@
 """Test of the order in time of a motion in a coded photo: the code makes the PSFs of its orders differ.
 
-A path may have been run forward, in reverse, or, where it meets itself, with some of its loops the other way round.
-Two clues are weighed. Frequencies that the code passes along one order and stops along another show in the photo's
-power spectrum (its likelihood under each PSF). And a wrong PSF leaves ringing, so the restored scene has more and
-weaker gradients: the ratio of their L1 to their L2 norm, which a straight path's equal MTFs do not hide.
+A path may have been run forward, in reverse, or, where it meets itself, with some of its loops the
+other way round. Two clues are weighed. Frequencies that the code passes along one order and stops
+along another show in the photo's power spectrum (its likelihood under each PSF). And a wrong PSF
+leaves ringing, so the restored scene has more and weaker gradients: the ratio of their L1 to their
+L2 norm, which a straight path's equal MTFs do not hide.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
@@ -24,20 +25,21 @@ from motdiff.estimators.coded.starts import orders
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = ["DirectionResult", "compare_psfs", "detect_direction", "orders_in_time"]
-
-FloatArray = NDArray[np.float64]
 _LARGEST_CROP_PX = 512
 _ONE_PSF_MNC = 0.9995  # both PSFs are computed, not estimated: small differences count
 _FEATURELESS = 1e-6
-# log odds = sum of weight * tanh(clue / scale), a logistic fit on 340 simulated photos; saturating, since an unusual
-# scene can make either clue large and wrong (lab/studies/direction.py)
+# log odds = sum of weight * tanh(clue / scale), a logistic fit on 340 simulated photos;
+# saturating, since an unusual scene can make either clue large and wrong
+# (lab/studies/direction.py)
 _WEIGHTS = (1.25, 3.0)
 _SCALES = (0.003, 0.01)
 _SAME_RESTORATION_MNC = 0.97
-_ORDER_KNOTS, _MOST_ORDERS = 201, 24
-_REORDERED = 2.0  # log odds against an order with loops reversed, for lack of which rough paths lose: docs/decisions
+_ORDER_KNOTS = 201
+_MOST_ORDERS = 24
+# log odds against an order with loops reversed, for lack of which rough paths lose: docs/decisions
+_REORDERED = 2.0
 _SMOOTHER = 4.0  # the sparsity clue is clearest with more regularisation than restores best
 
 
@@ -48,16 +50,17 @@ class DirectionResult:
     Attributes
     ----------
     direction : {"forward", "reverse", "reordered", "undecidable"}
-        "reordered" when loops within the path were run the other way round; "undecidable" when all PSFs are practically
-        the same, or the photo is flat.
+        "reordered" when loops within the path were run the other way round; "undecidable" when all
+        PSFs are practically the same, or the photo is flat.
     confidence : float
-        Estimated probability that the chosen order, or one of practically its PSF, is right, where one of those tested
-        is; 0.5 when undecidable.
+        Estimated probability that the chosen order, or one of practically its PSF, is right, where
+        one of those tested is; 0.5 when undecidable.
     likelihoods : tuple of float
-        Mean negative log-likelihood per frequency, of forward, reverse and the other orders; the smallest fits best.
+        Mean negative log-likelihood per frequency, of forward, reverse and the other orders; the
+        smallest fits best.
     residuals : tuple of float
-        L1 over L2 norm of the restored scene's gradients, per square root of their number, in the same order; the
-        smallest is the sparsest, least ringing one.
+        L1 over L2 norm of the restored scene's gradients, per square root of their number, in the
+        same order; the smallest is the sparsest, least ringing one.
     psf : (S, S) float ndarray
         Light-true PSF of the chosen order; the forward one when undecidable.
     trajectory : Trajectory or None
@@ -148,8 +151,12 @@ def _compared(photo: ArrayLike, psfs: Sequence[FloatArray]) -> tuple[DirectionRe
     spectra = [fit_spectrum(image, kernel, shaped=True) for kernel in kernels]
     noise = min(spectrum.noise for spectrum in spectra)
     reach = min(max(kernel.shape[0] // 2 for kernel in kernels), min(image.shape) // 4)
-    ringing = [_gradient_spread(wiener(image, kernel, noise_variance=_SMOOTHER * noise), reach) for kernel in kernels]
-    likelihoods, residuals = tuple(spectrum.cost for spectrum in spectra), tuple(ringing)
+    ringing = [
+        _gradient_spread(wiener(image, kernel, noise_variance=_SMOOTHER * noise), reach)
+        for kernel in kernels
+    ]
+    likelihoods = tuple(spectrum.cost for spectrum in spectra)
+    residuals = tuple(ringing)
     undecidable = DirectionResult("undecidable", 0.5, likelihoods, residuals, psfs[0])
     tested = _distinct(kernels)
     if len(tested) == 1 or np.ptp(image) < _FEATURELESS:
@@ -160,9 +167,15 @@ def _compared(photo: ArrayLike, psfs: Sequence[FloatArray]) -> tuple[DirectionRe
     best = int(odds.sum(axis=1).argmin())
     if (odds == 1).all():
         return undecidable, 0
-    same = [mnc_subpixel(kernels[tested[best]], kernels[i]) > _SAME_RESTORATION_MNC for i in tested]
+    same = [
+        mnc_subpixel(kernels[tested[best]], kernels[i]) > _SAME_RESTORATION_MNC for i in tested
+    ]
     same[best] = True
-    confidence = float(odds[best, same].sum() / odds[best].sum()) if len(tested) > 2 else float(1 / odds[best].sum())
+    confidence = (
+        float(odds[best, same].sum() / odds[best].sum())
+        if len(tested) > 2
+        else float(1 / odds[best].sum())
+    )
     chosen = tested[best]
     direction: Literal["forward", "reverse", "reordered"]
     direction = "forward" if chosen == 0 else "reverse" if chosen == 1 else "reordered"
@@ -181,15 +194,21 @@ def _distinct(kernels: Sequence[FloatArray]) -> list[int]:
 def _log_odds(likelihoods: FloatArray, ringing: FloatArray) -> FloatArray:
     """Log odds (N, N) of each PSF against each other."""
     total = ringing[:, None] + ringing
-    clues = (likelihoods - likelihoods[:, None], (ringing - ringing[:, None]) / np.where(total > 0, total, 1.0))
-    weighed = [w * np.tanh(clue / scale) for w, clue, scale in zip(_WEIGHTS, clues, _SCALES, strict=True)]
+    clues = (
+        likelihoods - likelihoods[:, None],
+        (ringing - ringing[:, None]) / np.where(total > 0, total, 1.0),
+    )
+    weighed = [
+        w * np.tanh(clue / scale) for w, clue, scale in zip(_WEIGHTS, clues, _SCALES, strict=True)
+    ]
     return np.asarray(sum(weighed), dtype=np.float64)
 
 
 def _middle(image: FloatArray) -> FloatArray:
     """Return the middle of the photo: enough to decide, and quick on large photos."""
     height, width = (min(side, _LARGEST_CROP_PX) for side in image.shape)
-    top, left = (image.shape[0] - height) // 2, (image.shape[1] - width) // 2
+    top = (image.shape[0] - height) // 2
+    left = (image.shape[1] - width) // 2
     return np.ascontiguousarray(image[top : top + height, left : left + width])
 
 

@@ -4,26 +4,36 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft
 
 from cep.restoration.borders import Border, reblurred_extension, working_shape
-from cep.restoration.spectral import channels_first, channels_last, gradient_power, otf_on_grid, trimmed_psf
+from cep.restoration.spectral import (
+    channels_first,
+    channels_last,
+    gradient_power,
+    otf_on_grid,
+    trimmed_psf,
+)
 from cep.restoration.tv import divergence, tv
+from motdiff.types import FloatArray
 
-__all__ = ["l0", "tv_less_ringing"]
-
-FloatArray = NDArray[np.float64]
 _LARGEST_BETA = 1e5
 
 
 def l0(
-    photo: ArrayLike, psf: ArrayLike, *, weight: float = 2e-3, border: Border = "real", border_rounds: int = 10
+    photo: ArrayLike,
+    psf: ArrayLike,
+    *,
+    weight: float = 2e-3,
+    border: Border = "real",
+    border_rounds: int = 10,
 ) -> FloatArray:
     """Minimise ``|K x - y|^2 + weight (number of pixels with a gradient)``, the channels sharing their edges.
 
-    Gradients are split off with a penalty beta that doubles from ``2 weight`` to 1e5; a pixel's gradient is kept where
-    its square, summed over channels, is at least ``weight / beta``. The result is piecewise flat.
+    Gradients are split off with a penalty beta that doubles from ``2 weight`` to 1e5; a pixel's
+    gradient is kept where its square, summed over channels, is at least ``weight / beta``. The
+    result is piecewise flat.
 
     Parameters
     ----------
@@ -33,14 +43,16 @@ def l0(
     weight : float
         Typically 1e-4..2e-3.
     border : {"real", "periodic"}
-        Whether light came in from outside the frame, or the photo is one period of a periodic scene.
+        Whether light came in from outside the frame, or the photo is one period of a periodic
+        scene.
     border_rounds : int
         Rounds of reblurring outside a real border.
 
     Returns
     -------
     float ndarray like ``photo``
-        At the scale of the full open exposure. Within the PSF's reach of a real border it is a guess.
+        At the scale of the full open exposure. Within the PSF's reach of a real border it is a
+        guess.
 
     Raises
     ------
@@ -53,14 +65,20 @@ def l0(
     """
     if not (np.isfinite(weight) and weight > 0):
         raise ValueError(f"weight: must be above 0, got {weight}")
-    channels, kernel = channels_first(photo), trimmed_psf(psf)
-    channels, kernel = channels / kernel.sum(), kernel / kernel.sum()
+    channels = channels_first(photo)
+    kernel = trimmed_psf(psf)
+    channels = channels / kernel.sum()
+    kernel = kernel / kernel.sum()
     size = (channels.shape[1], channels.shape[2])
     shape = working_shape(size, kernel.shape[0], border)
-    transfer, gradients = otf_on_grid(kernel, shape), gradient_power(shape)
+    transfer = otf_on_grid(kernel, shape)
+    gradients = gradient_power(shape)
     power = np.abs(transfer) ** 2
     image = np.stack(
-        [reblurred_extension(c, kernel, shape, noise_to_scene=weight, rounds=border_rounds) for c in channels]
+        [
+            reblurred_extension(c, kernel, shape, noise_to_scene=weight, rounds=border_rounds)
+            for c in channels
+        ]
     )
     data = np.conj(transfer) * fft.rfft2(image)
     beta = 2 * weight
@@ -70,7 +88,9 @@ def l0(
         flat = (across**2 + down**2).sum(axis=0) < weight / beta
         across[:, flat] = 0
         down[:, flat] = 0
-        image = fft.irfft2((data + beta * fft.rfft2(divergence(across, down))) / (power + beta * gradients), shape)
+        image = fft.irfft2(
+            (data + beta * fft.rfft2(divergence(across, down))) / (power + beta * gradients), shape
+        )
         beta *= 2
     return channels_last(np.ascontiguousarray(image[:, : size[0], : size[1]]))
 
@@ -102,11 +122,16 @@ def tv_less_ringing(
 
     References
     ----------
-    Pan, Hu, Su, Yang, "Deblurring text images via L0-regularized intensity and gradient prior", CVPR 2014, section 5.
+    Pan, Hu, Su, Yang, "Deblurring text images via L0-regularized intensity and gradient prior",
+    CVPR 2014, section 5.
     """
     if not 0 <= weight_ring <= 1:
         raise ValueError(f"weight_ring: must lie within 0..1, got {weight_ring}")
     smooth = tv(photo, psf, weight=weight, border=border, border_rounds=border_rounds)
-    difference = smooth - l0(photo, psf, weight=weight_l0, border=border, border_rounds=border_rounds)
-    ringing = cv2.bilateralFilter(difference.astype(np.float32), d=19, sigmaColor=0.1, sigmaSpace=3.0)
+    difference = smooth - l0(
+        photo, psf, weight=weight_l0, border=border, border_rounds=border_rounds
+    )
+    ringing = cv2.bilateralFilter(
+        difference.astype(np.float32), d=19, sigmaColor=0.1, sigmaSpace=3.0
+    )
     return np.asarray(smooth - weight_ring * ringing, dtype=np.float64)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import signal
 
 from cep.files.images import encode_image, write_image
@@ -28,10 +28,8 @@ from motdiff.crops import CLIPPED_LEVEL, clipped_mask
 from motdiff.files.plugins import is_reference, load_object
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = ["METHODS", "Restoration", "find_method", "misfit", "restore"]
-
-FloatArray = NDArray[np.float64]
 METHODS: Mapping[str, Callable[..., FloatArray]] = {
     "wiener": wiener,
     "inverse": inverse_filter,
@@ -57,13 +55,16 @@ class Restoration:
     psf : (S, S) float ndarray
         Light-true PSF that it was restored with.
     psf_confidence : float or None
-        Probability that a PSF found in the photo alone is a good one; None where PSF or trajectory were given.
+        Probability that a PSF found in the photo alone is a good one; None where PSF or trajectory
+        were given.
     direction : {"known", "unknown", "forward", "reverse", "reordered", "undecidable"} or None
-        Direction of the motion: the trajectory's, or the result of the test; None without a trajectory.
+        Direction of the motion: the trajectory's, or the result of the test; None without a
+        trajectory.
     direction_test : DirectionResult or None
         The test, where there was one.
     residual : float
-        RMS of the reblurred result against the photo, away from borders and clipped pixels; full-scale units.
+        RMS of the reblurred result against the photo, away from borders and clipped pixels;
+        full-scale units.
     unreliable_px : int
         Width of the border strip that leans on a guess of the scene outside the frame.
     saturated_fraction : float
@@ -110,9 +111,9 @@ def restore(
     """Restore a photo with a PSF, along the trajectory that it was exposed on, or with neither: from the photo alone.
 
     Along a trajectory of unknown direction a coded photo is tested for its orders in time, see
-    :func:`cep.restoration.direction.detect_direction`. Without trajectory and PSF the PSF is searched in the photo, see
-    :func:`cep.restoration.blind.find_psf`. Clipped pixels are replaced before a method of ours,
-    see :func:`cep.restoration.clipping.fill_clipped`.
+    :func:`cep.restoration.direction.detect_direction`. Without trajectory and PSF the PSF is
+    searched in the photo, see :func:`cep.restoration.blind.find_psf`. Clipped pixels are replaced
+    before a method of ours, see :func:`cep.restoration.clipping.fill_clipped`.
 
     Parameters
     ----------
@@ -124,9 +125,9 @@ def restore(
     code : ShutterCode, optional
         Of the exposure, without a PSF; the open shutter when omitted.
     method : str or callable
-        "wiener", "inverse", "tv", "l0", "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser); or a
-        function of your own, or its ``module:name``, that takes (photo, psf) and returns the restored photo,
-        or a Restoration.
+        "wiener", "inverse", "tv", "l0", "tv-ring" (TV less its ringing) or "pnp" (with a trained
+        denoiser); or a function of your own, or its ``module:name``, that takes (photo, psf) and
+        returns the restored photo, or a Restoration.
     progress : callable, optional
         Called with the finished share 0..1 and what is being done.
     **options
@@ -135,8 +136,9 @@ def restore(
     Raises
     ------
     ValueError
-        If the method is not known or refuses its arguments, both PSF and trajectory are given, a code is given with a
-        PSF, the motion does not fit into the photo, or a PSF cannot be searched in it.
+        If the method is not known or refuses its arguments, both PSF and trajectory are given, a
+        code is given with a PSF, the motion does not fit into the photo, or a PSF cannot be
+        searched in it.
 
     Examples
     --------
@@ -164,14 +166,22 @@ def restore(
         direction = trajectory.direction
         if direction == "unknown" and code is not None:
             test = detect_direction(photo, trajectory, code)
-            direction, psf = test.direction, test.psf
+            direction = test.direction
+            psf = test.psf
         else:
-            psf = coded_psf(trajectory, code or ShutterCode("1"), size=trajectory.frame_size(PSF_PX))
+            psf = coded_psf(
+                trajectory, code or ShutterCode("1"), size=trajectory.frame_size(PSF_PX)
+            )
         if direction == "undecidable":
             notes.append("the photo does not tell the direction of the motion; forward was taken")
     elif psf is None:
-        found = find_psf(photo, code, progress=lambda share: progress(_SEARCH_SHARE * share, "searching the PSF"))
-        psf, psf_confidence = found.psf, found.confidence
+        found = find_psf(
+            photo,
+            code,
+            progress=lambda share: progress(_SEARCH_SHARE * share, "searching the PSF"),
+        )
+        psf = found.psf
+        psf_confidence = found.confidence
         notes += found.warnings
     assert psf is not None
     progress(0.0 if psf_confidence is None else _SEARCH_SHARE, "restoring")
@@ -187,24 +197,43 @@ def restore(
     clipped = float(clipped_mask(photo).mean())
     fills = apply in METHODS.values()  # a function of the user's own gets the photo as it is
     if clipped > _WORTH_TELLING:
-        meaning = "their light was inferred from the other pixels" if fills else "expect ringing around them"
+        meaning = (
+            "their light was inferred from the other pixels"
+            if fills
+            else "expect ringing around them"
+        )
         notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: {meaning}")
     if 4 * reach > min(channels.shape[1:]):
-        notes.append(f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x {channels.shape[1]} px")
+        notes.append(
+            f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x {channels.shape[1]} px"
+        )
     restored = apply(fill_clipped(photo, psf) if fills else photo, psf, **options)
     if isinstance(restored, Restoration):  # of a function that calls this one
         restored = restored.image
     try:
         image = np.asarray(restored, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"method: {named} returned a {type(restored).__name__}, wanted the restored photo") from None
+        raise ValueError(
+            f"method: {named} returned a {type(restored).__name__}, wanted the restored photo"
+        ) from None
     if image.shape != np.shape(photo):
-        raise ValueError(f"method: {named} returned an image of shape {image.shape}, wanted {np.shape(photo)}")
+        raise ValueError(
+            f"method: {named} returned an image of shape {image.shape}, wanted {np.shape(photo)}"
+        )
     progress(1.0, "restoring")
     return Restoration(
-        image, named, np.asarray(psf, dtype=np.float64), psf_confidence, direction, test, misfit(photo, image, psf),
-        reach, clipped, tuple(notes), time.perf_counter() - started,
-    )  # fmt: skip
+        image,
+        named,
+        np.asarray(psf, dtype=np.float64),
+        psf_confidence,
+        direction,
+        test,
+        misfit(photo, image, psf),
+        reach,
+        clipped,
+        tuple(notes),
+        time.perf_counter() - started,
+    )
 
 
 def find_method(method: str | Callable[..., ArrayLike]) -> tuple[str, Callable[..., ArrayLike]]:
@@ -224,7 +253,9 @@ def find_method(method: str | Callable[..., ArrayLike]) -> tuple[str, Callable[.
         if callable(found):
             return method, found
         raise ValueError(f"method: {method} is no function")
-    raise ValueError(f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}")
+    raise ValueError(
+        f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}"
+    )
 
 
 def _check_reach(name: str, reach_px: int, channels: FloatArray) -> None:
@@ -235,17 +266,30 @@ def _check_reach(name: str, reach_px: int, channels: FloatArray) -> None:
         )
 
 
-def misfit(photo: ArrayLike, restored: ArrayLike, psf: ArrayLike, *, clipped: ArrayLike | None = None) -> float:
+def misfit(
+    photo: ArrayLike, restored: ArrayLike, psf: ArrayLike, *, clipped: ArrayLike | None = None
+) -> float:
     """RMS of ``restored`` reblurred minus ``photo``, over the pixels that the PSF reaches from inside; NaN if none.
 
-    Clipped pixels are left out: the (H, W) bool ``clipped``, or those of each channel at the clipped level.
+    Clipped pixels are left out: the (H, W) bool ``clipped``, or those of each channel at the
+    clipped level.
     """
-    channels, latent, kernel = channels_first(photo), channels_first(restored), trimmed_psf(psf)
+    channels = channels_first(photo)
+    latent = channels_first(restored)
+    kernel = trimmed_psf(psf)
     reach = kernel.shape[0] // 2
     if min(channels.shape[1:]) <= 2 * reach:
         return float("nan")
-    window = (..., slice(reach, channels.shape[1] - reach), slice(reach, channels.shape[2] - reach))
-    seen = channels < CLIPPED_LEVEL if clipped is None else np.broadcast_to(~np.asarray(clipped), channels.shape)
+    window = (
+        ...,
+        slice(reach, channels.shape[1] - reach),
+        slice(reach, channels.shape[2] - reach),
+    )
+    seen = (
+        channels < CLIPPED_LEVEL
+        if clipped is None
+        else np.broadcast_to(~np.asarray(clipped), channels.shape)
+    )
     again = np.stack([signal.fftconvolve(channel, kernel, mode="valid") for channel in latent])
     squares = (again - channels[window]) ** 2
     if not seen[window].all():

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, optimize
 
 from cep.restoration.spectral import otf_on_grid, power_law
+from motdiff.types import FloatArray
 
-__all__ = ["Spectrum", "fit_spectrum"]
-
-FloatArray = NDArray[np.float64]
-_SMALLEST_VARIANCE = 1e-14  # far below one 16-bit step (2e-11): keeps logarithms finite on noise-free photos
+_SMALLEST_VARIANCE = (
+    1e-14  # far below one 16-bit step (2e-11): keeps logarithms finite on noise-free photos
+)
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,11 @@ class Spectrum:
 
 
 def fit_spectrum(
-    image: FloatArray, psf: FloatArray, *, noise_variance: float | None = None, shaped: bool = False
+    image: FloatArray,
+    psf: FloatArray,
+    *,
+    noise_variance: float | None = None,
+    shaped: bool = False,
 ) -> Spectrum:
     """Fit the scene's spectrum, and the noise when it is not given, to one channel.
 
@@ -47,16 +50,19 @@ def fit_spectrum(
     noise_variance : float, optional
         Known noise variance per pixel.
     shaped : bool
-        Let the scene's spectrum deviate from A / f^2 by a smooth factor: another exponent, and stronger or weaker in
-        some directions. ``scene`` is then its value at ``f = exp(-2)`` cy/px, times f^2.
+        Let the scene's spectrum deviate from A / f^2 by a smooth factor: another exponent, and
+        stronger or weaker in some directions. ``scene`` is then its value at ``f = exp(-2)``
+        cy/px, times f^2.
 
     References
     ----------
-    Whittle, "Estimation and information in stationary time series", 1953: the periodogram's likelihood.
+    Whittle, "Estimation and information in stationary time series", 1953: the periodogram's
+    likelihood.
     """
     density, blur, log_f, angle = _periodogram(image, psf)
     if density.max(initial=0.0) <= _SMALLEST_VARIANCE:
-        # a flat photo: rounding is all there is, and without a floor under the noise a filter would amplify that
+        # a flat photo: rounding is all there is, and without a floor under the noise a filter
+        # would amplify that
         return Spectrum(_SMALLEST_VARIANCE, max(noise_variance or 0.0, _SMALLEST_VARIANCE), 0.0)
     terms = _smooth_terms(log_f, angle) if shaped else np.ones((1, density.size))
     law = blur * np.exp(-2 * log_f)
@@ -64,7 +70,11 @@ def fit_spectrum(
 
     def cost(parameters: FloatArray) -> tuple[float, FloatArray]:
         scene = np.exp(np.clip(parameters[: len(terms)] @ terms, -60, 60)) * law
-        noise = noise_variance if noise_variance is not None else np.exp(np.clip(parameters[-1], -60, 60))
+        noise = (
+            noise_variance
+            if noise_variance is not None
+            else np.exp(np.clip(parameters[-1], -60, 60))
+        )
         expected = scene + noise + _SMALLEST_VARIANCE
         slope = (1 / expected - density / expected**2) / density.size
         gradient = terms @ (slope * scene)
@@ -74,7 +84,9 @@ def fit_spectrum(
 
     start = np.zeros(len(terms) + (not known))
     # an exponential law's median is log 2 times its mean
-    start[0] = np.log(np.median(density / np.maximum(law, 1e-300)) / np.log(2) + _SMALLEST_VARIANCE)
+    start[0] = np.log(
+        np.median(density / np.maximum(law, 1e-300)) / np.log(2) + _SMALLEST_VARIANCE
+    )
     if not known:
         start[-1] = np.log(np.quantile(density, 0.05) + _SMALLEST_VARIANCE)
     found = optimize.minimize(cost, start, jac=True, method="L-BFGS-B")
@@ -82,19 +94,31 @@ def fit_spectrum(
     return Spectrum(float(np.exp(found.x[0])), noise, float(found.fun))
 
 
-def _periodogram(image: FloatArray, psf: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _periodogram(
+    image: FloatArray, psf: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Hann-windowed periodogram, |H|^2, log |f| and angle, each (n,), without the window's own lobe around DC."""
     window = np.outer(np.hanning(image.shape[0] + 2)[1:-1], np.hanning(image.shape[1] + 2)[1:-1])
     mean = float((image * window).sum() / window.sum())
     density = np.abs(fft.rfft2((image - mean) * window)) ** 2 / (window**2).sum()
     blur = np.abs(otf_on_grid(psf, image.shape)) ** 2
     f2 = power_law(image.shape)
-    fy, fx = np.fft.fftfreq(image.shape[0])[:, None], np.fft.rfftfreq(image.shape[1])[None, :]
+    fy = np.fft.fftfreq(image.shape[0])[:, None]
+    fx = np.fft.rfftfreq(image.shape[1])[None, :]
     usable = f2 > (3 / min(image.shape)) ** 2
-    return density[usable], blur[usable], 0.5 * np.log(f2[usable]), np.arctan2(fy + 0 * fx, fx + 0 * fy)[usable]
+    return (
+        density[usable],
+        blur[usable],
+        0.5 * np.log(f2[usable]),
+        np.arctan2(fy + 0 * fx, fx + 0 * fy)[usable],
+    )
 
 
 def _smooth_terms(log_f: FloatArray, angle: FloatArray) -> FloatArray:
     """Factors of a smooth log spectrum, (9, n): power of f, its curvature, and even angular harmonics."""
-    u, c2, s2 = log_f + 2, np.cos(2 * angle), np.sin(2 * angle)
-    return np.array([np.ones_like(u), u, u**2, c2, s2, np.cos(4 * angle), np.sin(4 * angle), u * c2, u * s2])
+    u = log_f + 2
+    c2 = np.cos(2 * angle)
+    s2 = np.sin(2 * angle)
+    return np.array(
+        [np.ones_like(u), u, u**2, c2, s2, np.cos(4 * angle), np.sin(4 * angle), u * c2, u * s2]
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.restoration.choice import FEW_CLIPPED, choose_psf, is_possible_light, restore_chosen
 from cep.restoration.methods import misfit
@@ -13,10 +13,7 @@ from cep.restoration.spectral import trimmed_psf
 from motdiff.crops import clipped_mask, exposure_gain
 from motdiff.estimators.base import MotionEstimate
 from motdiff.psf_frame import PSF_PX
-
-__all__ = ["Sharpened", "sharpen"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _LEAST_CONFIDENCE = 0.5  # more likely good than not
 _PRIOR_DB = {"psf": 0.6, "trajectory": 0.0}
@@ -36,7 +33,8 @@ class Sharpened:
     kept : bool
         Whether ``image`` is the photo as it was.
     psf_source : {"psf", "trajectory"} or None
-        Whether the PSF found was used or that of the path traced through it; None where the photo was kept.
+        Whether the PSF found was used or that of the path traced through it; None where the photo
+        was kept.
     method : {"tv", "wiener"} or None
     psf : (S, S) float ndarray
         What the photo was restored with; a point where it was kept.
@@ -85,9 +83,18 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate) -> Sharpened:
         point = np.zeros((PSF_PX, PSF_PX))
         point[PSF_PX // 2, PSF_PX // 2] = 1
         return Sharpened(
-            np.asarray(pixels, dtype=np.float64), summary, True, None, None, point, estimate, 0.0, 0, clipped,
+            np.asarray(pixels, dtype=np.float64),
+            summary,
+            True,
+            None,
+            None,
+            point,
+            estimate,
+            0.0,
+            0,
+            clipped,
             estimate.psf_warnings,
-        )  # fmt: skip
+        )
 
     if not estimate.details.get("motion_blur", True):
         return kept(f"{estimate.warnings[0]}: the photo is kept as it is")
@@ -97,30 +104,48 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate) -> Sharpened:
         )
     path = estimate.best
     psfs = {"psf": estimate.psf, "trajectory": path.psf(path.frame_size(PSF_PX))}
-    fitting = {name: psf for name, psf in psfs.items() if 2 * len(trimmed_psf(psf)) <= min(pixels.shape[:2])}
+    fitting = {
+        name: psf
+        for name, psf in psfs.items()
+        if 2 * len(trimmed_psf(psf)) <= min(pixels.shape[:2])
+    }
     gain = exposure_gain(pixels)
     bright = pixels * gain if gain > 1 else pixels
     choice = choose_psf(bright, fitting, prior_db=_PRIOR_DB) if fitting else None
     if choice is None or choice.name is None:
-        return kept("No restoration is sharper than the photo without ringing: the photo is kept as it is")
+        return kept(
+            "No restoration is sharper than the photo without ringing: the photo is kept as it is"
+        )
     psf = psfs[choice.name]
     image, method = restore_chosen(bright, psf)
     if not is_possible_light(image, bright, psf):
-        return kept("The restored photo would have dark and bright halos: the photo is kept as it is")
+        return kept(
+            "The restored photo would have dark and bright halos: the photo is kept as it is"
+        )
     if method == "wiener":
         notes.append(
             "the photo is large: it was restored by the Wiener filter, which is fast; --method tv takes longer"
         )
     if clipped > FEW_CLIPPED:
-        notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: their light was inferred from the other pixels")
+        notes.append(
+            f"{100 * clipped:.1f} % of the pixels are clipped: their light was inferred from the other pixels"
+        )
     image = image / gain
     reach = trimmed_psf(psf).shape[0] // 2
     found = "the blur kernel found in it" if choice.name == "psf" else "the path found in it"
     return Sharpened(
-        image, f"The photo was restored with {found} (confidence {_psf_confidence(estimate):.2f}), by {method}", False,
-        choice.name, method, np.asarray(psf, dtype=np.float64), estimate, misfit(pixels, image, psf), reach, clipped,
+        image,
+        f"The photo was restored with {found} (confidence {_psf_confidence(estimate):.2f}), by {method}",
+        False,
+        choice.name,
+        method,
+        np.asarray(psf, dtype=np.float64),
+        estimate,
+        misfit(pixels, image, psf),
+        reach,
+        clipped,
         (*estimate.psf_warnings, *notes),
-    )  # fmt: skip
+    )
 
 
 def _psf_confidence(estimate: MotionEstimate) -> float:

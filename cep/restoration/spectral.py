@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft
 
 from motdiff.psf_frame import in_frame
-
-__all__ = ["channels_first", "channels_last", "gradient_power", "otf_on_grid", "power_law", "trimmed_psf"]
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from motdiff.types import ComplexArray, FloatArray
 
 
 def channels_first(photo: ArrayLike) -> FloatArray:
@@ -26,7 +22,9 @@ def channels_first(photo: ArrayLike) -> FloatArray:
     if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
         raise ValueError(f"photo: must be (H, W) or (H, W, 3), got shape {image.shape}")
     if min(image.shape[:2]) < 3:
-        raise ValueError(f"photo: must be at least 3 x 3 px, got {image.shape[1]} x {image.shape[0]}")
+        raise ValueError(
+            f"photo: must be at least 3 x 3 px, got {image.shape[1]} x {image.shape[0]}"
+        )
     if not np.isfinite(image).all():
         raise ValueError("photo: must be finite, found NaN or infinity")
     return image[None] if image.ndim == 2 else np.ascontiguousarray(np.moveaxis(image, 2, 0))
@@ -51,8 +49,16 @@ def trimmed_psf(psf: ArrayLike) -> FloatArray:
         If it is not two-dimensional, not finite, negative somewhere, or dark.
     """
     kernel = np.asarray(psf, dtype=np.float64)
-    if kernel.ndim != 2 or kernel.size == 0 or not np.isfinite(kernel).all() or kernel.min() < 0 or not kernel.any():
-        raise ValueError(f"psf: must be a finite, non-negative (S, S) array with some light, got shape {kernel.shape}")
+    if (
+        kernel.ndim != 2
+        or kernel.size == 0
+        or not np.isfinite(kernel).all()
+        or kernel.min() < 0
+        or not kernel.any()
+    ):
+        raise ValueError(
+            f"psf: must be a finite, non-negative (S, S) array with some light, got shape {kernel.shape}"
+        )
     rows, columns = np.nonzero(kernel)
     centre = (kernel.shape[0] // 2, kernel.shape[1] // 2)
     reach = int(max(np.abs(rows - centre[0]).max(), np.abs(columns - centre[1]).max()))
@@ -70,11 +76,13 @@ def otf_on_grid(psf: FloatArray, shape: tuple[int, int]) -> ComplexArray:
 
 def gradient_power(shape: tuple[int, int]) -> FloatArray:
     """``|Dx|^2 + |Dy|^2`` of periodic forward differences on the ``rfft2`` grid of ``shape``."""
-    fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
+    fy = np.fft.fftfreq(shape[0])[:, None]
+    fx = np.fft.rfftfreq(shape[1])[None, :]
     return np.asarray(4 * np.sin(np.pi * fy) ** 2 + 4 * np.sin(np.pi * fx) ** 2, dtype=np.float64)
 
 
 def power_law(shape: tuple[int, int]) -> FloatArray:
     """Squared frequency |f|^2, (cy/px)^2, on the ``rfft2`` grid of ``shape``: a 1/f^2 scene's inverse spectrum."""
-    fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
+    fy = np.fft.fftfreq(shape[0])[:, None]
+    fx = np.fft.rfftfreq(shape[1])[None, :]
     return np.asarray(fy**2 + fx**2, dtype=np.float64)

@@ -9,7 +9,6 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.files.formatting import duration
 from cep.optics.camera import Camera
@@ -32,22 +31,11 @@ from cep.search.ways import (
     simplest,
 )
 
-__all__ = [
-    "LEVELS",
-    "Advice",
-    "Choice",
-    "Verdict",
-    "Way",
-    "advise",
-    "verdict",
-    "verdict_of",
-]
-
-FloatArray = NDArray[np.float64]
 LEVELS = (100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
 """Photo-electrons at full scale at which the ways to expose are compared: from starlight to studio."""
 
-_LEAST_LEVEL, _MOST_LEVEL = 1.0, 1e7
+_LEAST_LEVEL = 1.0
+_MOST_LEVEL = 1e7
 
 
 @dataclass(frozen=True)
@@ -60,13 +48,15 @@ class Verdict:
     ways : tuple of Way
         The open shutter first, then every other that was tried; at least one is possible.
     code_name : str
-        Name in the sentence of the code that a single exposure is compared with; empty where no code of the user's is.
+        Name in the sentence of the code that a single exposure is compared with; empty where no
+        code of the user's is.
     own : Way or None
         That code, where it is the user's; else the best one is compared with.
     path_error_px : float
         Rms error that the path was taken to have.
     frames : int
-        Photos of the motion that are restored together, each exposed in the same way but for a code.
+        Photos of the motion that are restored together, each exposed in the same way but for a
+        code.
     """
 
     camera: Camera
@@ -116,7 +106,11 @@ class Verdict:
         An open shutter that saturates counts as if the pixel could hold its light.
         """
         best = {kind: self.best(kind) for kind in KINDS}
-        return {kind: way.psnr_db - self.ways[0].psnr_db for kind, way in best.items() if way is not None}
+        return {
+            kind: way.psnr_db - self.ways[0].psnr_db
+            for kind, way in best.items()
+            if way is not None
+        }
 
     @property
     def equal_light_gains_db(self) -> dict[Choice, float]:
@@ -127,7 +121,11 @@ class Verdict:
         if self.open_saturates:
             return {}
         best = {kind: self.best(kind, equal_light=True) for kind in KINDS}
-        return {kind: way.equal_light_db - self.ways[0].equal_light_db for kind, way in best.items() if way is not None}
+        return {
+            kind: way.equal_light_db - self.ways[0].equal_light_db
+            for kind, way in best.items()
+            if way is not None
+        }
 
     @property
     def code_gain_db(self) -> float | None:
@@ -135,15 +133,21 @@ class Verdict:
 
         None where no code is possible, infinite where nothing else is.
         """
-        code, plain = self.best("code"), [way.psnr_db for kind in PLAIN if (way := self.best(kind)) is not None]
+        code = self.best("code")
+        plain = [way.psnr_db for kind in PLAIN if (way := self.best(kind)) is not None]
         return None if code is None else code.psnr_db - max(plain, default=-math.inf)
 
     @property
     def sentence(self) -> str:
         """What to do and what it gains, then under which conditions."""
-        way, snapshot = self.advised, self.best("snapshot")
+        way = self.advised
+        snapshot = self.best("snapshot")
         code = self.own or self.best("code")
-        gains = [] if self.open_saturates else [_gain(way.psnr_db - self.ways[0].psnr_db, "the open shutter")]
+        gains = (
+            []
+            if self.open_saturates
+            else [_gain(way.psnr_db - self.ways[0].psnr_db, "the open shutter")]
+        )
         if way.kind == "open":
             said = f"Leave the shutter open: no shorter exposure and no code found gains {WORTH_DB:g} dB"
         elif way.kind == "snapshot":
@@ -153,12 +157,19 @@ class Verdict:
             said += _joined(", which ", gains)
             said += "" if self.code_name else "; no code that was tried is better"
         else:
-            do = "Code this exposure" if way.kind == "code" else f"Pulse the shutter evenly, {_pulses(way.code)}"
+            do = (
+                "Code this exposure"
+                if way.kind == "code"
+                else f"Pulse the shutter evenly, {_pulses(way.code)}"
+            )
             if way.kind == "code" and self.own is not None and self.own is not way:
                 do += f" by {way.code.bits}"
             if snapshot is not None:
                 gains.append(
-                    _gain(way.psnr_db - snapshot.psnr_db, f"the best single exposure, {_share(snapshot.code)}")
+                    _gain(
+                        way.psnr_db - snapshot.psnr_db,
+                        f"the best single exposure, {_share(snapshot.code)}",
+                    )
                 )
             if self.own is not None and self.own is not way:
                 gains.append(_gain(way.psnr_db - self.own.psnr_db, self.code_name))
@@ -233,10 +244,11 @@ class Advice:
     def crossover(self) -> tuple[tuple[float | None, float | None], ...]:
         """Ranges of light, photo-electrons at full scale, in which coding gains :data:`cep.search.expected.WORTH_DB`.
 
-        Even pulses count as a code; the gain is that over the better of open shutter and best snapshot.
+        Even pulses count as a code; the gain is that over the better of open shutter and best
+        snapshot.
 
-        Between the levels the gain is interpolated over the logarithm of the light; None where a range goes on beyond
-        the levels.
+        Between the levels the gain is interpolated over the logarithm of the light; None where a
+        range goes on beyond the levels.
         """
         stated = [one.code_gain_db for one in self.levels]
         gains = np.array([-np.inf if gain is None else gain for gain in stated]) - WORTH_DB
@@ -247,11 +259,16 @@ class Advice:
         for i in range(1, len(gains)):
             if (gains[i] > 0) == inside:
                 continue
-            share = gains[i - 1] / (gains[i - 1] - gains[i]) if np.isfinite(gains[i - 1] - gains[i]) else 0.5
+            share = (
+                gains[i - 1] / (gains[i - 1] - gains[i])
+                if np.isfinite(gains[i - 1] - gains[i])
+                else 0.5
+            )
             at = float(10 ** (light[i - 1] + share * (light[i] - light[i - 1])))
             if inside:
                 ranges.append((begins, at))
-            begins, inside = at, not inside
+            begins = at
+            inside = not inside
         return (*ranges, (begins, None)) if inside else tuple(ranges)
 
     @property
@@ -271,7 +288,9 @@ class Advice:
         if not self.crossover:
             return f"With this camera and motion coding pays at no light {span}."
         gains = {one.camera.photons_full_scale: one.code_gain_db or 0.0 for one in self.levels}
-        most = max((level for level in gains if math.isfinite(gains[level])), key=gains.__getitem__)
+        most = max(
+            (level for level in gains if math.isfinite(gains[level])), key=gains.__getitem__
+        )
         if self.crossover == ((None, None),):
             where = f"at any light {span}"
         else:
@@ -317,13 +336,15 @@ def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 
     Raises
     ------
     ValueError
-        If the problem has no motion, even the shortest opening saturates at its light, or a code has another number
-        of chips.
+        If the problem has no motion, even the shortest opening saturates at its light, or a code
+        has another number of chips.
     """
     check_light(problem)
     _check_codes(problem, codes)  # before the work
     ordinary = WayFinder(problem).ordinary(problem.camera, every_length=path_error_px > 0)
-    ways = judged_ways(problem, [problem.camera], [*ordinary, *codes], path_error_px=path_error_px)[0]
+    ways = judged_ways(
+        problem, [problem.camera], [*ordinary, *codes], path_error_px=path_error_px
+    )[0]
     return verdict_of(problem, ways, codes, path_error_px=path_error_px)
 
 
@@ -356,9 +377,9 @@ def advise(
 ) -> Advice:
     """Compare open shutter, best snapshot, best strobe and best code, at the camera's light and at other levels.
 
-    Each way may be open for any part of the exposure within the problem's limits; the scene is as bright for all. A
-    code is searched at each level. Its gain is what the best linear restoration of the reference scene is expected to
-    gain (:func:`cep.search.expected.expected_psnr_db`).
+    Each way may be open for any part of the exposure within the problem's limits; the scene is as
+    bright for all. A code is searched at each level. Its gain is what the best linear restoration
+    of the reference scene is expected to gain (:func:`cep.search.expected.expected_psnr_db`).
 
     Parameters
     ----------
@@ -367,9 +388,11 @@ def advise(
     *codes : ShutterCode
         Codes of the user's own to judge as well.
     levels : sequence of float
-        Photo-electrons at full scale, 1..1e7. Those at which even the shortest opening saturates are left out.
+        Photo-electrons at full scale, 1..1e7. Those at which even the shortest opening saturates
+        are left out.
     path_error_px : float
-        Rms error of the path where it is an estimate. Every way is judged with it, the codes are searched without.
+        Rms error of the path where it is an estimate. Every way is judged with it, the codes are
+        searched without.
     seed : int
     threads : int, optional
         As many as there are cores when omitted; the outcome does not depend on it.
@@ -379,7 +402,8 @@ def advise(
     Raises
     ------
     ValueError
-        If the problem has no motion or it cannot be resolved, or a level or the camera's own light is out of range.
+        If the problem has no motion or it cannot be resolved, or a level or the camera's own light
+        is out of range.
 
     Examples
     --------
@@ -391,7 +415,9 @@ def advise(
     """
     wrong = [level for level in levels if not _LEAST_LEVEL <= level <= _MOST_LEVEL]
     if wrong:
-        raise ValueError(f"levels: must lie within 1..1e7 photo-electrons at full scale, got {wrong[0]:g}")
+        raise ValueError(
+            f"levels: must lie within 1..1e7 photo-electrons at full scale, got {wrong[0]:g}"
+        )
     check_light(problem)
     _check_codes(problem, codes)
     for scenario in problem.scenarios:
@@ -400,7 +426,8 @@ def advise(
     own = problem.camera.photons_full_scale
     every = [problem.camera.at(level) for level in sorted({*map(float, levels), own})]
     cameras = [one for one in every if can_record(replace(problem, camera=one))]
-    finder, pool = WayFinder(problem), list(codes)
+    finder = WayFinder(problem)
+    pool = list(codes)
     parts = len(cameras) + 1
     for done, camera in enumerate(cameras):
         progress(done / parts, f"{camera.photons_full_scale:,.0f} photo-electrons")
@@ -410,8 +437,9 @@ def advise(
     judged = judged_ways(problem, cameras, pool, path_error_px=path_error_px)
     verdicts = tuple(
         Verdict(camera, ways, path_error_px=path_error_px)
-        for camera, ways in zip(cameras, judged, strict=True) if any(way.possible for way in ways)
-    )  # fmt: skip
+        for camera, ways in zip(cameras, judged, strict=True)
+        if any(way.possible for way in ways)
+    )
     here = next((one for one in verdicts if one.camera.photons_full_scale == own), None)
     if here is None:
         raise ValueError(NONE_POSSIBLE)
@@ -437,7 +465,11 @@ def _gain(gain_db: float, over: str) -> str:
     """Say what is gained over another exposure, or lost to it."""
     if abs(gain_db) < WORTH_DB:
         return f"restores as well as {over}"
-    return f"gains {_amount(gain_db)} over {over}" if gain_db > 0 else f"loses {_amount(gain_db)} to {over}"
+    return (
+        f"gains {_amount(gain_db)} over {over}"
+        if gain_db > 0
+        else f"loses {_amount(gain_db)} to {over}"
+    )
 
 
 def _amount(gain_db: float) -> str:

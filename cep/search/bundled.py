@@ -11,8 +11,6 @@ from cep.proofs.certify.minimum import chip_minimum
 from cep.search.exhaustive.proof import BundledLog, ExactResult
 from cep.search.problem import SearchProblem
 
-__all__ = ["proven_optimum", "proven_starts"]
-
 
 def proven_optimum(problem: SearchProblem) -> ExactResult | None:
     """Return the best code of a problem that a bundled proof covers; None where none does.
@@ -20,7 +18,8 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
     Parameters
     ----------
     problem : SearchProblem
-        Only the smallest |P| of the unit circle is proven: objective "min-mtf" alone, without scenarios.
+        Only the smallest |P| of the unit circle is proven: objective "min-mtf" alone, without
+        scenarios.
 
     Returns
     -------
@@ -28,9 +27,9 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
 
     Notes
     -----
-    The best of all codes is also the best of any part of them that it belongs to. So a proof covers every problem with
-    no more chips, and no other numbers of open chips, than its own, if some shift of the code or of its mirror image
-    keeps the limits.
+    The best of all codes is also the best of any part of them that it belongs to. So a proof
+    covers every problem with no more chips, and no other numbers of open chips, than its own, if
+    some shift of the code or of its mirror image keeps the limits.
 
     Examples
     --------
@@ -42,7 +41,9 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
         return None
     began, (low, high) = time.monotonic(), problem.open_limits
     for entry in OPTIMA:
-        covers = problem.chips <= entry.chips and entry.fewest_open <= low and high <= entry.most_open
+        covers = (
+            problem.chips <= entry.chips and entry.fewest_open <= low and high <= entry.most_open
+        )
         code = _within_limits(problem, entry) if covers else None
         if code is None:
             continue
@@ -68,7 +69,9 @@ def proven_starts(problem: SearchProblem) -> list[ShutterCode]:
     >>> [code.bits for code in proven_starts(SearchProblem(chips=5, open_range=(2, 4)))]
     ['11010', '11101']
     """
-    straight = all(straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios)
+    straight = all(
+        straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios
+    )
     if not straight or "min-mtf" not in dict(problem.objective_mix):
         return []
     codes = (_within_limits(problem, entry) for entry in OPTIMA)

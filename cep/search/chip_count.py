@@ -13,8 +13,6 @@ from cep.search.expected import WORTH_DB
 from cep.search.problem import SearchProblem
 from cep.search.ways import Way, WayFinder, best_possible, check_light, judged_ways
 
-__all__ = ["ASSUMED_EXPOSURE_S", "COUNTS", "ChipCount", "choose_chips", "in_words_of_chips", "suited_chips"]
-
 ASSUMED_EXPOSURE_S = 0.05
 """Exposure where none is given and the number of chips is chosen: it must be the same for all."""
 
@@ -32,7 +30,8 @@ class ChipCount:
     gains_db : mapping of int to float
         What the best way gains with each other number that was tried, dB.
     code : ShutterCode or None
-        The best code found with so many chips, within the limits; None where Ctrl-C came before any.
+        The best code found with so many chips, within the limits; None where Ctrl-C came before
+        any.
     early : {"", "time", "interrupted"}
         What ended the choice before all numbers were tried, if anything.
     """
@@ -60,8 +59,8 @@ def choose_chips(
     Parameters
     ----------
     problem_of : callable
-        Returns the problem with so many chips. It may raise ValueError for some, which are left out, as are those that
-        the motion does not resolve.
+        Returns the problem with so many chips. It may raise ValueError for some, which are left
+        out, as are those that the motion does not resolve.
     counts : sequence of int
     path_error_px, seed, threads, progress
         As of :func:`cep.search.advise.advise`.
@@ -75,7 +74,8 @@ def choose_chips(
     """
     ends = time.monotonic() + time_s
     reached: dict[int, Way] = {}
-    refusal, early = ValueError("counts: needs at least one number of chips"), ""
+    refusal = ValueError("counts: needs at least one number of chips")
+    early = ""
     count = 0
     try:
         for done, count in enumerate(counts):
@@ -91,7 +91,9 @@ def choose_chips(
             except ValueError as error:
                 refusal = error if done == 0 else refusal
                 continue
-            reached[count], stopped = _best_way(problem, path_error_px, seed, max(left_s, 1e-3), threads)
+            reached[count], stopped = _best_way(
+                problem, path_error_px, seed, max(left_s, 1e-3), threads
+            )
             if stopped in ("time", "interrupted"):
                 early = stopped
                 break
@@ -103,7 +105,11 @@ def choose_chips(
         raise refusal
     best_db = max(way.psnr_db for way in reached.values())
     chosen = min(count for count, way in reached.items() if way.psnr_db > best_db - WORTH_DB)
-    gains = {count: way.psnr_db - reached[chosen].psnr_db for count, way in reached.items() if count != chosen}
+    gains = {
+        count: way.psnr_db - reached[chosen].psnr_db
+        for count, way in reached.items()
+        if count != chosen
+    }
     return ChipCount(chosen, gains, reached[chosen].code, early)
 
 
@@ -126,8 +132,13 @@ def suited_chips(
         As of :func:`choose_chips`.
     """
     found = choose_chips(
-        problem_of, counts, path_error_px=path_error_px, seed=seed, threads=threads, progress=progress
-    )  # fmt: skip
+        problem_of,
+        counts,
+        path_error_px=path_error_px,
+        seed=seed,
+        threads=threads,
+        progress=progress,
+    )
     if found.early == "interrupted":
         raise KeyboardInterrupt
     progress(1.0, "")
@@ -151,8 +162,13 @@ def _best_way(
     problem: SearchProblem, path_error_px: float, seed: int, time_s: float, threads: int | None
 ) -> tuple[Way, str]:
     """Best possible way at the camera's light, and what ended the search of a code."""
-    finder, camera = WayFinder(problem), problem.camera
+    finder = WayFinder(problem)
+    camera = problem.camera
     ordinary = finder.ordinary(camera, every_length=path_error_px > 0)
     searched = finder.search(camera, ordinary, seed=seed, time_s=time_s, threads=threads)
-    codes, stopped = (ordinary, "") if searched is None else ([*ordinary, searched.code], searched.stopped)
-    return best_possible(judged_ways(problem, [camera], codes, path_error_px=path_error_px)[0]), stopped
+    codes, stopped = (
+        (ordinary, "") if searched is None else ([*ordinary, searched.code], searched.stopped)
+    )
+    return best_possible(
+        judged_ways(problem, [camera], codes, path_error_px=path_error_px)[0]
+    ), stopped

@@ -22,8 +22,6 @@ from cep.search.recipe import Baseline
 from cep.search.recipe import baselines as find_baselines
 from motdiff.trajectory import Trajectory
 
-__all__ = ["BaselineRow", "Comparison", "as_designed", "compare"]
-
 
 @dataclass(frozen=True)
 class BaselineRow:
@@ -35,12 +33,14 @@ class BaselineRow:
         "this code", or of a :class:`cep.search.recipe.Baseline`.
     code : ShutterCode
     metrics : CodeMetrics
-        Worst over the problem's scenarios and directions. Only the first row's ``min_mtf_lower`` is worth anything:
-        the others carry no certificate.
+        Worst over the problem's scenarios and directions. Only the first row's ``min_mtf_lower``
+        is worth anything: the others carry no certificate.
     within_limits : bool
-        Whether the code keeps the problem's limits: others could not be returned, however good they are.
+        Whether the code keeps the problem's limits: others could not be returned, however good
+        they are.
     stopped_early : bool
-        Whether the time limit or Ctrl-C ended the search of this code: another run may give another.
+        Whether the time limit or Ctrl-C ended the search of this code: another run may give
+        another.
     figures : mapping from a name to a number, or to those of both directions
         Figures of merit of the user's own.
     """
@@ -72,7 +72,12 @@ class Comparison(tuple[BaselineRow, ...]):
         cells = [("", "open", "min MTF", "noise gain, dB", "MSE, dB", *own), *map(_cells, self)]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         return "\n".join(
-            "  ".join([row[0].ljust(widths[0]), *(text.rjust(n) for text, n in zip(row[1:], widths[1:], strict=True))])
+            "  ".join(
+                [
+                    row[0].ljust(widths[0]),
+                    *(text.rjust(n) for text, n in zip(row[1:], widths[1:], strict=True)),
+                ]
+            )
             for row in cells
         )
 
@@ -93,13 +98,15 @@ def compare(
     problem : SearchProblem
     code : ShutterCode
     baselines : iterable of Baseline, optional
-        As the code's search returned them; :func:`cep.search.recipe.baselines` of the problem when omitted.
+        As the code's search returned them; :func:`cep.search.recipe.baselines` of the problem when
+        omitted.
     seed : int
         Of the baselines that are searched or drawn here.
     figures : mapping from a name to a function, optional
         Figures of merit of the user's own, see :func:`cep.proofs.measure.own_figures`.
     along : Trajectory, optional
-        What these are taken along; the first scenario's path when omitted, on the unit circle ``chips`` px straight.
+        What these are taken along; the first scenario's path when omitted, on the unit circle
+        ``chips`` px straight.
 
     Raises
     ------
@@ -115,8 +122,16 @@ def compare(
     >>> [row.name for row in rows][:4]
     ['this code', 'open shutter', 'best snapshot', 'best strobe']
     """
-    others = find_baselines(problem, rng=np.random.default_rng(seed)) if baselines is None else baselines
-    first = problem.scenarios[0].trajectory if problem.scenarios else Trajectory.straight(float(problem.chips))
+    others = (
+        find_baselines(problem, rng=np.random.default_rng(seed))
+        if baselines is None
+        else baselines
+    )
+    first = (
+        problem.scenarios[0].trajectory
+        if problem.scenarios
+        else Trajectory.straight(float(problem.chips))
+    )
     path = as_designed(along or first, problem.direction)
     rows = (
         BaselineRow("this code", code, problem.measure(code), problem.allows(code)),
@@ -131,7 +146,9 @@ def compare(
             for one in others
         ),
     )
-    return Comparison(replace(row, figures=own_figures(figures or {}, path, row.code)) for row in rows)
+    return Comparison(
+        replace(row, figures=own_figures(figures or {}, path, row.code)) for row in rows
+    )
 
 
 def as_designed(motion: Trajectory, direction: str) -> Trajectory:
@@ -146,4 +163,8 @@ def _cells(row: BaselineRow) -> tuple[str, ...]:
         *(row.metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db")),
         *map(figure_in_words, row.figures.values()),
     )
-    return (row.label, str(row.code.open_chips), *(f"{x:.4g}" if isinstance(x, float) else str(x) for x in figures))
+    return (
+        row.label,
+        str(row.code.open_chips),
+        *(f"{x:.4g}" if isinstance(x, float) else str(x) for x in figures),
+    )

@@ -1,9 +1,9 @@
 """DNF: the code of least deconvolution noise for a straight blur of the path's length, its direction ignored.
 
 The deconvolution noise factor of a code is ``sqrt(mean(max|H|^2 / |H|^2))``; since |H| is largest at frequency 0, it is
-the noise of the inverse filter relative to the light that came through. A single open chip has the least there is, 1,
-whatever the light it loses: among codes of different light the noise itself is compared, which for codes of equal
-light is the same.
+the noise of the inverse filter relative to the light that came through. A single open chip has the
+least there is, 1, whatever the light it loses: among codes of different light the noise itself is
+compared, which for codes of equal light is the same.
 """
 
 from __future__ import annotations
@@ -18,14 +18,16 @@ from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 
-__all__ = ["SHORTEST_PX", "dnf_code", "dnf_problem", "dnf_search"]
-
 SHORTEST_PX = 1.0
 """Paths that are shorter, px, are designed for as if they had this length: less hardly blurs."""
 
 
 def dnf_problem(
-    length_px: float, chips: int, *, open_range: tuple[int, int] | None = None, runs: RunLimits | None = None
+    length_px: float,
+    chips: int,
+    *,
+    open_range: tuple[int, int] | None = None,
+    runs: RunLimits | None = None,
 ) -> SearchProblem:
     """Search problem of DNF; parameters as of :func:`dnf_search`."""
     if not (np.isfinite(length_px) and length_px >= 0):
@@ -75,6 +77,8 @@ def dnf_search(
     return anneal(problem, rng=rng, steps=steps, time_s=time_s, threads=threads)
 
 
-def dnf_code(length_px: float, chips: int, *, rng: np.random.Generator, **options: Any) -> ShutterCode:
+def dnf_code(
+    length_px: float, chips: int, *, rng: np.random.Generator, **options: Any
+) -> ShutterCode:
     """Search as :func:`dnf_search`, and return the code alone."""
     return dnf_search(length_px, chips, rng=rng, **options).code

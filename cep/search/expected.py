@@ -18,19 +18,7 @@ from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_rows
 from motdiff.motions import with_smooth_error
 from motdiff.trajectory import Trajectory
-
-__all__ = [
-    "WORTH_DB",
-    "ExpectedPsnr",
-    "collected_e",
-    "equal_light_noise",
-    "expected_psnr_db",
-    "joint_psnr_db",
-    "light_noise",
-    "open_share",
-]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 WORTH_DB = 0.1
 """Expected gain below which the simpler way to expose is advised."""
@@ -41,13 +29,19 @@ _INTERVALS = 128  # a side
 _TOLERANCE_PX = 0.003  # of a path of thousands of samples, which takes as many times as long
 
 
-def open_share(codes: Sequence[ShutterCode], response: ShutterResponse | None = None) -> FloatArray:
+def open_share(
+    codes: Sequence[ShutterCode], response: ShutterResponse | None = None
+) -> FloatArray:
     """Share of the exposure that each code lets in, (R,), with the shutter's ramps where there are any."""
     chips = np.array([code.array for code in codes])
-    return np.asarray(chips.mean(axis=1) if response is None else response.open_time(chips), dtype=np.float64)
+    return np.asarray(
+        chips.mean(axis=1) if response is None else response.open_time(chips), dtype=np.float64
+    )
 
 
-def light_noise(camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None) -> FloatArray:
+def light_noise(
+    camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None
+) -> FloatArray:
     """Variance of the noise through each code, (R,): the light falls with the open time.
 
     Dark current counts for each code's integration time.
@@ -55,7 +49,9 @@ def light_noise(camera: Camera, codes: Sequence[ShutterCode], *, response: Shutt
     return noise_variance(camera, open_share(codes, response), integration_s=_integration_s(codes))
 
 
-def collected_e(camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None) -> FloatArray:
+def collected_e(
+    camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None
+) -> FloatArray:
     """Electrons that a pixel of value 1 collects through each code, (R,): of light and of dark current."""
     light_e = camera.photons_full_scale * open_share(codes, response)
     return np.asarray(light_e + camera.dark_e(_integration_s(codes)), dtype=np.float64)
@@ -66,18 +62,23 @@ def equal_light_noise(
 ) -> FloatArray:
     """Variance of the noise through each code, (R,), where a brighter lamp makes up for the closed time.
 
-    A pixel collects as many photo-electrons through every code as with the shutter open, and has the same photon noise.
-    It is given relative to what the lamp would give an open shutter, as the OTF is.
+    A pixel collects as many photo-electrons through every code as with the shutter open, and has
+    the same photon noise. It is given relative to what the lamp would give an open shutter, as the
+    OTF is.
     """
-    return noise_variance(camera, 1.0, integration_s=_integration_s(codes)) * open_share(codes, response) ** 2
+    return (
+        noise_variance(camera, 1.0, integration_s=_integration_s(codes))
+        * open_share(codes, response) ** 2
+    )
 
 
 class ExpectedPsnr:
     """Expected PSNR of codes along a problem's motions; what does not depend on the code may be kept for the next.
 
-    Where the path is known to ``path_error_px`` only, the filter knows the mean and the scatter of the OTF H over such
-    paths, each shifted so that the code's light stays in place: a shift of the restored photo is no error. The least
-    mean square error of a linear filter is then the mean over the band of
+    Where the path is known to ``path_error_px`` only, the filter knows the mean and the scatter of
+    the OTF H over such paths, each shifted so that the code's light stays in place: a shift of the
+    restored photo is no error. The least mean square error of a linear filter is then the mean
+    over the band of
     ``S (S (E|H|^2 - |E H|^2) + N) / (S E|H|^2 + N)``, with the scene's spectrum S and the noise N.
 
     Parameters
@@ -89,8 +90,8 @@ class ExpectedPsnr:
     rng : numpy Generator, optional
         Of the paths drawn where there is such an error; of seed 0 when omitted.
     most_bytes : int
-        The chips' OTFs are computed once and kept, in single precision, where they take at most so much memory. With an
-        error of the path, a code is then judged some 50 times as fast.
+        The chips' OTFs are computed once and kept, in single precision, where they take at most so
+        much memory. With an error of the path, a code is then judged some 50 times as fast.
 
     Raises
     ------
@@ -129,11 +130,14 @@ class ExpectedPsnr:
         ----------
         codes : sequence of ShutterCode
         noise : (L, R) array_like
-            Variance through each code, as :func:`light_noise` and :func:`equal_light_noise` give it, for L cases.
+            Variance through each code, as :func:`light_noise` and :func:`equal_light_noise` give
+            it, for L cases.
         """
         chips = np.array([code.array for code in codes], dtype=np.float64)
         variances = np.atleast_2d(np.asarray(noise, dtype=np.float64)).T
-        return _psnr_db(self.problem, [[way.error(chips, variances) for way in ways] for ways in self._ways])
+        return _psnr_db(
+            self.problem, [[way.error(chips, variances) for way in ways] for ways in self._ways]
+        )
 
 
 def expected_psnr_db(
@@ -148,11 +152,13 @@ def expected_psnr_db(
     return ExpectedPsnr(problem, path_error_px=path_error_px, rng=rng).psnr_db(codes, noise=noise)
 
 
-def joint_psnr_db(problem: SearchProblem, codes: Sequence[ShutterCode], *, noise: ArrayLike) -> FloatArray:
+def joint_psnr_db(
+    problem: SearchProblem, codes: Sequence[ShutterCode], *, noise: ArrayLike
+) -> FloatArray:
     """PSNR, dB, of the best linear restoration from several frames, one through each code, (L,).
 
-    The least mean square error is the mean over the band of ``1 / (1 / S + sum over frames of |H|^2 / N)``. M frames
-    through the same code are as good as one with an Mth of the noise.
+    The least mean square error is the mean over the band of ``1 / (1 / S + sum over frames of
+    |H|^2 / N)``. M frames through the same code are as good as one with an Mth of the noise.
 
     Parameters
     ----------
@@ -174,10 +180,17 @@ def joint_psnr_db(problem: SearchProblem, codes: Sequence[ShutterCode], *, noise
     def error(scenario: Scenario) -> FloatArray:
         samples = _samples(scenario.trajectory, exact=True)
         power = np.abs(coded_sum(_rows(problem, scenario, samples), chips)) ** 2
-        return np.array([wiener_mse((power / variance[:, None]).sum(axis=0), samples, 1.0) for variance in variances])
+        return np.array(
+            [
+                wiener_mse((power / variance[:, None]).sum(axis=0), samples, 1.0)
+                for variance in variances
+            ]
+        )
 
     _check_moves(problem)
-    errors = [[error(one) for one in _thinned_ways(problem, scenario)] for scenario in problem.scenarios]
+    errors = [
+        [error(one) for one in _thinned_ways(problem, scenario)] for scenario in problem.scenarios
+    ]
     return _psnr_db(problem, errors)
 
 
@@ -205,9 +218,15 @@ class _Way:
     """Mean square error of codes along a path that is one of those near it, as far as is known."""
 
     def __init__(
-        self, problem: SearchProblem, scenario: Scenario, path_error_px: float, rng: np.random.Generator
+        self,
+        problem: SearchProblem,
+        scenario: Scenario,
+        path_error_px: float,
+        rng: np.random.Generator,
     ) -> None:
-        self._problem, self._scenario, path = problem, scenario, scenario.trajectory
+        self._problem = problem
+        self._scenario = scenario
+        path = scenario.trajectory
         self._near = [path] if path_error_px == 0 else list(_near(path, path_error_px, rng))
         self._samples = _samples(path, exact=len(self._near) == 1)
         self._kept: list[NDArray[np.complex64]] | None = None
@@ -216,7 +235,13 @@ class _Way:
     def kept_bytes(self) -> int:
         """Memory of the OTFs if they are kept."""
         states = 1 if self._problem.response is None else 4
-        return len(self._near) * self._problem.chips * states * self._samples.fx.size * np.complex64().itemsize
+        return (
+            len(self._near)
+            * self._problem.chips
+            * states
+            * self._samples.fx.size
+            * np.complex64().itemsize
+        )
 
     def keep(self) -> None:
         """Keep the OTFs of the chips along every path."""
@@ -224,15 +249,22 @@ class _Way:
 
     def error(self, chips: FloatArray, variances: FloatArray) -> FloatArray:
         """Mean square error (R, L) of codes (R, n)."""
-        problem, samples, path = self._problem, self._samples, self._scenario.trajectory
-        mean, power = np.zeros((len(chips), samples.fx.size), dtype=complex), np.zeros((len(chips), samples.fx.size))
+        problem = self._problem
+        samples = self._samples
+        path = self._scenario.trajectory
+        mean = np.zeros((len(chips), samples.fx.size), dtype=complex)
+        power = np.zeros((len(chips), samples.fx.size))
         every: Iterable[NDArray[Any]] = self._kept or self._all_rows()
         for one, rows in zip(self._near, every, strict=True):
             otf = coded_sum(rows, chips)
             if one is not path:
                 shift = chips @ (_at_chips(one, problem.chips) - _at_chips(path, problem.chips))
                 shift /= chips.sum(axis=1, keepdims=True)
-                otf = otf * np.exp(2j * np.pi * (np.outer(shift[:, 0], samples.fx) + np.outer(shift[:, 1], samples.fy)))
+                otf = otf * np.exp(
+                    2j
+                    * np.pi
+                    * (np.outer(shift[:, 0], samples.fx) + np.outer(shift[:, 1], samples.fy))
+                )
             mean += otf / len(self._near)
             power += np.abs(otf) ** 2 / len(self._near)
         unbiased = len(self._near) / max(len(self._near) - 1, 1)
@@ -242,7 +274,9 @@ class _Way:
         for variance in variances.T:
             noise = variance[:, None]
             error = sum(
-                samples.radius2_weight[:, q] * (scatter / inverse[:, q] + noise) / (power + noise * inverse[:, q])
+                samples.radius2_weight[:, q]
+                * (scatter / inverse[:, q] + noise)
+                / (power + noise * inverse[:, q])
                 for q in range(inverse.shape[1])
             )
             errors.append(error @ samples.weight)
@@ -253,9 +287,13 @@ class _Way:
             yield _rows(self._problem, replace(self._scenario, trajectory=one), self._samples)
 
 
-def _rows(problem: SearchProblem, scenario: Scenario, samples: BandSamples) -> NDArray[np.complex128]:
+def _rows(
+    problem: SearchProblem, scenario: Scenario, samples: BandSamples
+) -> NDArray[np.complex128]:
     """OTFs of the chips at the samples, (n, V, frequencies)."""
-    rows = scenario_rows(scenario, problem.chips, samples.fx, samples.fy, response=problem.response)
+    rows = scenario_rows(
+        scenario, problem.chips, samples.fx, samples.fy, response=problem.response
+    )
     return distinct_rows(rows, problem.response)
 
 

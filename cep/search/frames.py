@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from cep.files.files import StoredCode, write_code
-from cep.files.outputs import new_files
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import HOPELESS_DB
 from cep.proofs.measure import CodeMetrics
@@ -23,8 +22,7 @@ from cep.search.optimize import Search, certificate_warnings, ended_early, searc
 from cep.search.problem import SearchProblem
 from cep.search.recipe import mean_length_px, search_code
 from cep.search.ways import CODED, Way, WayFinder, best_possible, check_light, judged_ways
-
-__all__ = ["FramesOptimum", "Together", "frames_verdict", "optimize_frames", "write_frames"]
+from motdiff.files.outputs import new_files
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,8 @@ class FramesOptimum:
     repeated : Together
         Of that code played in every frame.
     verdict : Verdict
-        Whether to use the codes, by the restoration from all frames that is expected with the problem's camera.
+        Whether to use the codes, by the restoration from all frames that is expected with the
+        problem's camera.
     """
 
     problem: SearchProblem
@@ -81,7 +80,10 @@ class FramesOptimum:
     def warnings(self) -> tuple[str, ...]:
         """What the user should know besides the figures, one sentence each."""
         moves = self.how.moves(searched_problem(self.problem))
-        return (*ended_early(self.how, self.found.stopped, moves), *certificate_warnings(self.problem))
+        return (
+            *ended_early(self.how, self.found.stopped, moves),
+            *certificate_warnings(self.problem),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep optimize --frames --json`` prints them."""
@@ -98,7 +100,11 @@ class FramesOptimum:
             **asdict(self.joint),
             "objective": found.objective,
             "each": [metrics.to_dict() for metrics in self.metrics],
-            "single": {"bits": self.single.bits, "open": self.single.open_chips, **asdict(self.repeated)},
+            "single": {
+                "bits": self.single.bits,
+                "open": self.single.open_chips,
+                **asdict(self.repeated),
+            },
             "seconds": found.seconds,
             "steps": found.steps,
             "stopped": found.stopped,
@@ -108,7 +114,9 @@ class FramesOptimum:
     def save(self, files: Sequence[Path], *, described: Mapping[str, Any]) -> None:
         """Write a ``code.json`` for each frame, all of them or none; ``described`` is what they say of the problem."""
         figures = [metrics.to_dict() for metrics in self.metrics]
-        write_frames(files, self.found, described=described, metrics=figures, joint=asdict(self.joint))
+        write_frames(
+            files, self.found, described=described, metrics=figures, joint=asdict(self.joint)
+        )
 
 
 def write_frames(
@@ -130,7 +138,9 @@ def write_frames(
     together = {} if joint is None else {"joint": joint}
     figures = metrics or [{}] * len(files)
     with new_files(files) as made:
-        for number, (file, code, own) in enumerate(zip(files, found.codes, figures, strict=True), 1):
+        for number, (file, code, own) in enumerate(
+            zip(files, found.codes, figures, strict=True), 1
+        ):
             write_code(made[file], StoredCode(code, own, {**about, "frame": number, **together}))
 
 
@@ -149,7 +159,8 @@ def optimize_frames(
     ----------
     problem : SearchProblem
     how : Search
-        By annealing. Half the time at most goes to the single code; both searches make as many moves.
+        By annealing. Half the time at most goes to the single code; both searches make as many
+        moves.
     frames : int
     progress : callable, optional
         Called with the finished share, 0..1, and a note.
@@ -161,24 +172,38 @@ def optimize_frames(
     Raises
     ------
     ValueError
-        If the method is another, there is no frame, or even the shortest opening saturates at the problem's light.
+        If the method is another, there is no frame, or even the shortest opening saturates at the
+        problem's light.
     """
     if how.method != "anneal":
-        raise ValueError(f"frames: not valid with method={how.method!r}, which searches a single code")
+        raise ValueError(
+            f"frames: not valid with method={how.method!r}, which searches a single code"
+        )
     check_light(problem)
     on_checked()
-    single, searched = _search(searched_problem(problem), how, frames, mean_length_px(problem), progress)
-    found = replace(searched, codes=tuple(replace(code, chip_ns=problem.chip_ns) for code in searched.codes))
+    single, searched = _search(
+        searched_problem(problem), how, frames, mean_length_px(problem), progress
+    )
+    found = replace(
+        searched, codes=tuple(replace(code, chip_ns=problem.chip_ns) for code in searched.codes)
+    )
     on_found(found)
     circle = replace(problem, scenarios=()) if problem.on_circle else None
 
     def together(codes: Sequence[ShutterCode]) -> Together:
-        on_circle = None if circle is None else problem.chips * joint_figures(circle, codes).minimum
+        on_circle = (
+            None if circle is None else problem.chips * joint_figures(circle, codes).minimum
+        )
         joint = joint_figures(problem, codes)
-        return Together(joint.minimum, on_circle, joint.noise_gain_db if joint.noise_gain_db <= HOPELESS_DB else None)
+        return Together(
+            joint.minimum,
+            on_circle,
+            joint.noise_gain_db if joint.noise_gain_db <= HOPELESS_DB else None,
+        )
 
     metrics = tuple(problem.measure(code) for code in found.codes)
-    joint, repeated = together(found.codes), together([single] * frames)
+    joint = together(found.codes)
+    repeated = together([single] * frames)
     judged = frames_verdict(problem, found.codes)
     progress(1.0, "")
     return FramesOptimum(problem, how, found, metrics, joint, single, repeated, judged)
@@ -192,7 +217,8 @@ def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verd
     problem : SearchProblem
         Its path counts as known exactly.
     codes : sequence of ShutterCode
-        Of each frame. Where they open once each, all of them alike, they count as that single exposure.
+        Of each frame. Where they open once each, all of them alike, they count as that single
+        exposure.
 
     Raises
     ------
@@ -200,30 +226,52 @@ def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verd
         If the problem has no motion, or even the shortest opening saturates at its light.
     """
     check_light(problem)
-    frames, camera = len(codes), problem.camera
+    frames = len(codes)
+    camera = problem.camera
     tried = WayFinder(problem).ordinary(camera, every_length=True)
-    alike, single = len({code.bits for code in codes}) == 1, all(code.pulses == 1 for code in codes)
-    ways = judged_ways(problem, [camera], [*tried, *(codes[:1] if alike else ())], path_error_px=0.0, frames=frames)[0]
+    alike = len({code.bits for code in codes}) == 1
+    single = all(code.pulses == 1 for code in codes)
+    ways = judged_ways(
+        problem,
+        [camera],
+        [*tried, *(codes[:1] if alike else ())],
+        path_error_px=0.0,
+        frames=frames,
+    )[0]
     own = ways[-1]
     if not alike:
-        noise = [model(camera, codes, response=problem.response) for model in (light_noise, equal_light_noise)]
+        noise = [
+            model(camera, codes, response=problem.response)
+            for model in (light_noise, equal_light_noise)
+        ]
         at_time, at_light = joint_psnr_db(problem, codes, noise=noise)
         each = judged_ways(problem, [camera], codes, path_error_px=0.0)[0][1:]
         own = Way(
-            "snapshot" if single else "code", codes[0], float(at_time), float(at_light),
-            all(way.within_limits for way in each), any(way.saturates for way in each),
-        )  # fmt: skip
+            "snapshot" if single else "code",
+            codes[0],
+            float(at_time),
+            float(at_light),
+            all(way.within_limits for way in each),
+            any(way.saturates for way in each),
+        )
         ways = (*ways, own)
     best_possible(ways)
     coded = own.possible and own.kind in CODED
-    return Verdict(camera, ways, "these codes" if coded else "", own if coded else None, frames=frames)
+    return Verdict(
+        camera, ways, "these codes" if coded else "", own if coded else None, frames=frames
+    )
 
 
 def _search(
-    problem: SearchProblem, how: Search, frames: int, length_px: float, progress: Callable[[float, str], None]
+    problem: SearchProblem,
+    how: Search,
+    frames: int,
+    length_px: float,
+    progress: Callable[[float, str], None],
 ) -> tuple[ShutterCode, FramesResult]:
     """Search the best single code, then all frames' from it; what ended either search has ended both."""
-    moves, time_s = how.moves(problem), how.limit_s
+    moves = how.moves(problem)
+    time_s = how.limit_s
     progress(0.0, "a single code")
     single = search_code(
         problem,
@@ -239,7 +287,9 @@ def _search(
         rng=np.random.default_rng([how.seed, 3]),
         steps=moves,
         # Ctrl-C ends both searches; a time limit only the one
-        time_s=1e-9 if single.stopped == "interrupted" else max(time_s / 2, time_s - single.seconds),
+        time_s=1e-9
+        if single.stopped == "interrupted"
+        else max(time_s / 2, time_s - single.seconds),
         start=[[single.code] * frames],
         progress=lambda share, best: progress(
             (1 + share) / 2, f"{'+'.join(str(code.open_chips) for code in best)} open"

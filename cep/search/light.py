@@ -1,6 +1,7 @@
 """Codes without a search over chips: the best snapshot, the best strobe, and random codes.
 
-They are judged by a problem's own objective. Random codes keep its limits; the others keep them on request.
+They are judged by a problem's own objective. Random codes keep its limits; the others keep them on
+request.
 """
 
 from __future__ import annotations
@@ -15,15 +16,16 @@ from cep.optics.code import ShutterCode
 from cep.search.limits import Limits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
-
-__all__ = ["RandomCodes", "best_snapshot", "best_strobe", "evenly_some", "random_codes"]
+from motdiff.types import FloatArray
 
 Codes = NDArray[np.int8]
-FloatArray = NDArray[np.float64]
 _ALL_RUNS_WORK = 2**35  # multiplications that evaluating every snapshot may take: seconds
-_LENGTHS, _STARTS = 32, 16  # snapshots looked at otherwise, before the best one is moved chip by chip
-_PERIODS, _WIDTHS = 64, 32  # of strobes
-_PAIRS, _PERIODS_WITHIN = 256, 8  # of strobes within limits: widths with numbers of pulses, and periods of each
+_LENGTHS = 32  # snapshots looked at otherwise, before the best one is moved chip by chip
+_STARTS = 16
+_PERIODS = 64  # of strobes
+_WIDTHS = 32
+_PAIRS = 256  # of strobes within limits: widths with numbers of pulses, and periods of each
+_PERIODS_WITHIN = 8
 _FIRSTS = 64  # and where chips are forced, where the first pulse begins
 _BATCH = 2**21  # numbers evaluated at once: 16 MB
 
@@ -71,9 +73,9 @@ def random_codes(objective: Objective, count: int, *, rng: np.random.Generator) 
 def best_snapshot(objective: Objective, *, within_limits: bool = False) -> ShutterCode | None:
     """Find the best single open run, of any length and anywhere in the exposure.
 
-    With the objective "mse" its length is the one of least noise for the problem's camera. Every run is tried, to
-    hundreds of chips along one motion. Beyond, 32 lengths and 16 starts are tried, and the best of these is moved and
-    stretched by single chips while that helps.
+    With the objective "mse" its length is the one of least noise for the problem's camera. Every
+    run is tried, to hundreds of chips along one motion. Beyond, 32 lengths and 16 starts are
+    tried, and the best of these is moved and stretched by single chips while that helps.
 
     Parameters
     ----------
@@ -87,9 +89,14 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
         None where no single run keeps the limits.
     """
     n = objective.problem.chips
-    fits = _fitting_runs(objective.problem.limits) if within_limits else _fitting_runs(Limits(n, (1, n)))
+    fits = (
+        _fitting_runs(objective.problem.limits)
+        if within_limits
+        else _fitting_runs(Limits(n, (1, n)))
+    )
     lengths = np.flatnonzero(fits.any(axis=1))
-    most_lengths, most_starts = _LENGTHS, _STARTS
+    most_lengths = _LENGTHS
+    most_starts = _STARTS
     if np.count_nonzero(fits) * objective.rows.size <= _ALL_RUNS_WORK:
         most_lengths = most_starts = n + 1
     runs = [
@@ -98,32 +105,42 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
         for start in evenly_some(np.flatnonzero(fits[length]), most_starts)
     ]
     chip = np.arange(n)
-    best, lowest = (0, 0), np.inf
+    best = (0, 0)
+    lowest = np.inf
     while runs:
         firsts, ends = np.array(runs).T
         drawn = ((chip >= firsts[:, None]) & (chip < ends[:, None])).astype(np.int8)
         costs = _costs(objective, drawn)
         if costs.min() >= lowest:
             break
-        best, lowest = runs[int(costs.argmin())], float(costs.min())
+        best = runs[int(costs.argmin())]
+        lowest = float(costs.min())
         near = [(best[0] + a, best[1] + b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
-        runs = [(first, end) for first, end in near if 0 <= first < end <= n and fits[end - first, first]]
-    return ShutterCode("0" * best[0] + "1" * (best[1] - best[0]) + "0" * (n - best[1])) if best[1] else None
+        runs = [
+            (first, end)
+            for first, end in near
+            if 0 <= first < end <= n and fits[end - first, first]
+        ]
+    return (
+        ShutterCode("0" * best[0] + "1" * (best[1] - best[0]) + "0" * (n - best[1]))
+        if best[1]
+        else None
+    )
 
 
 def best_strobe(objective: Objective, *, within_limits: bool = False) -> ShutterCode | None:
     """Find the best periodic pulses: ``width`` chips open out of every ``period``, two pulses or more.
 
-    The first pulse begins with the exposure and the last is cut off with it. Every period and width is tried, of long
-    codes 64 periods and 32 widths each. Along a uniform straight motion a periodic code has true zeros: "mse" alone is
-    an objective for all motions.
+    The first pulse begins with the exposure and the last is cut off with it. Every period and
+    width is tried, of long codes 64 periods and 32 widths each. Along a uniform straight motion a
+    periodic code has true zeros: "mse" alone is an objective for all motions.
 
     Parameters
     ----------
     objective : Objective
     within_limits : bool
-        Whether it must keep the problem's limits. Then the pulses are whole, may be fewer than there is time for, and
-        where chips are forced may begin later.
+        Whether it must keep the problem's limits. Then the pulses are whole, may be fewer than
+        there is time for, and where chips are forced may begin later.
 
     Returns
     -------
@@ -132,7 +149,11 @@ def best_strobe(objective: Objective, *, within_limits: bool = False) -> Shutter
     """
     problem = objective.problem
     codes = _strobes_within(problem) if within_limits else _strobes(problem.chips)
-    return ShutterCode.from_array(codes[int(_costs(objective, codes).argmin())]) if len(codes) else None
+    return (
+        ShutterCode.from_array(codes[int(_costs(objective, codes).argmin())])
+        if len(codes)
+        else None
+    )
 
 
 def _fitting_runs(limits: Limits) -> NDArray[np.bool_]:
@@ -141,8 +162,14 @@ def _fitting_runs(limits: Limits) -> NDArray[np.bool_]:
     length, first = np.ogrid[: n + 1, : n + 1]
     end = np.minimum(first + length, n)
     longest = min(limits.open_range[1], limits.longest)
-    fits = (first + length <= n) & (length >= max(limits.open_range[0], limits.runs.min_open, 1)) & (length <= longest)
-    closed, opened = (np.concatenate([[0], np.cumsum(~limits.may_be(bit))]) for bit in (1, 0))  # forced before a chip
+    fits = (
+        (first + length <= n)
+        & (length >= max(limits.open_range[0], limits.runs.min_open, 1))
+        & (length <= longest)
+    )
+    closed, opened = (
+        np.concatenate([[0], np.cumsum(~limits.may_be(bit))]) for bit in (1, 0)
+    )  # forced before a chip
     fits &= (closed[end] == closed[first]) & (opened[end] - opened[first] == opened[-1])
     return np.asarray(fits, dtype=np.bool_)
 
@@ -161,16 +188,19 @@ def _strobes(chips: int) -> Codes:
 
 def _strobes_within(problem: SearchProblem) -> Codes:
     """Strobes of whole pulses within the limits: some widths and numbers of pulses, and for each some periods."""
-    limits, n = problem.limits, problem.chips
+    limits = problem.limits
+    n = problem.chips
     low, high = limits.open_range
     pairs = []
     for width in range(limits.runs.min_open, limits.longest + 1):
         most = 1 + (n - width) // max(limits.runs.min_period, width + limits.runs.min_closed)
-        first, last = max(2, -(-low // width)), min(most, high // width, limits.runs.max_pulses or most)
+        first = max(2, -(-low // width))
+        last = min(most, high // width, limits.runs.max_pulses or most)
         pairs += [(width, pulses) for pulses in range(first, last + 1)]
     codes = []
     for width, pulses in (pairs[index] for index in evenly_some(np.arange(len(pairs)), _PAIRS)):
-        least, longest = max(limits.runs.min_period, width + limits.runs.min_closed), (n - width) // (pulses - 1)
+        least = max(limits.runs.min_period, width + limits.runs.min_closed)
+        longest = (n - width) // (pulses - 1)
         for period in evenly_some(np.arange(least, longest + 1), _PERIODS_WITHIN):
             later = n - ((pulses - 1) * period + width) if limits.runs.fixed is not None else 0
             code = np.zeros(n, dtype=np.int8)
@@ -182,9 +212,13 @@ def _strobes_within(problem: SearchProblem) -> Codes:
 
 def evenly_some(values: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     """Return all values, or ``most`` of them evenly spread."""
-    return values[np.unique(np.linspace(0, len(values) - 1, min(len(values), most)).round().astype(np.intp))]
+    return values[
+        np.unique(np.linspace(0, len(values) - 1, min(len(values), most)).round().astype(np.intp))
+    ]
 
 
 def _costs(objective: Objective, codes: Codes) -> FloatArray:
     step = max(1, _BATCH // objective.rows[0].size)
-    return np.concatenate([objective.cost_of(codes[i : i + step]) for i in range(0, len(codes), step)])
+    return np.concatenate(
+        [objective.cost_of(codes[i : i + step]) for i in range(0, len(codes), step)]
+    )

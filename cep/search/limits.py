@@ -1,9 +1,10 @@
 """Limits of a code, and the codes that keep them as walks.
 
-A code is a walk between states. *Closed* may stay closed or start a pulse, *open* may stay open, close for a gap, or
-close for good (*over*); a pulse starts with ``min_open`` chips at once and a gap with ``min_closed``, so no state needs
-to count a run. Where a pulse may become too long, or end too early for the next one's start, each of its lengths is a
-step of its own, from closed to the end of its gap. Every code within the limits is exactly one walk.
+A code is a walk between states. *Closed* may stay closed or start a pulse, *open* may stay open,
+close for a gap, or close for good (*over*); a pulse starts with ``min_open`` chips at once and a
+gap with ``min_closed``, so no state needs to count a run. Where a pulse may become too long, or
+end too early for the next one's start, each of its lengths is a step of its own, from closed to
+the end of its gap. Every code within the limits is exactly one walk.
 """
 
 from __future__ import annotations
@@ -16,24 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "CLOSED",
-    "OPEN",
-    "OVER",
-    "Limits",
-    "RunLimits",
-    "Step",
-    "check_feasible",
-    "checked_mask",
-    "conflicting",
-    "feasible",
-    "fixed_mask",
-    "nearest",
-]
+from motdiff.types import BoolArray
 
-
-BoolArray = NDArray[np.bool_]
-CLOSED, OPEN, OVER = 0, 1, 2  # states of a walk
+CLOSED = 0  # states of a walk
+OPEN = 1
+OVER = 2
 
 
 class Step(NamedTuple):
@@ -65,16 +53,18 @@ class RunLimits:
     Parameters
     ----------
     min_open, min_closed : int
-        Shortest open run, and shortest closed run between two open ones: the shutter rests closed before and after.
+        Shortest open run, and shortest closed run between two open ones: the shutter rests closed
+        before and after.
     max_pulses : int, optional
         Most open runs.
     max_open : int, optional
         Longest open run.
     min_period : int
-        Fewest chips from the start of one open run to the start of the next. Codes are not their mirror image's equals
-        then: it swaps starts and ends.
+        Fewest chips from the start of one open run to the start of the next. Codes are not their
+        mirror image's equals then: it swaps starts and ends.
     fixed : str, optional
-        One character per chip: "1" forced open, "0" forced closed, "?" free; see :func:`fixed_mask`.
+        One character per chip: "1" forced open, "0" forced closed, "?" free; see
+        :func:`fixed_mask`.
 
     Raises
     ------
@@ -155,7 +145,11 @@ class Limits:
     def longest(self) -> int:
         """Longest open run that any code within the light can have."""
         light = min(self.open_range[1], self.chips)
-        return self.chips if self.runs.max_open is None or self.runs.max_open >= light else self.runs.max_open
+        return (
+            self.chips
+            if self.runs.max_open is None or self.runs.max_open >= light
+            else self.runs.max_open
+        )
 
     @property
     def period(self) -> int:
@@ -200,10 +194,12 @@ class Limits:
 
     def steps(self) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         """List the steps from CLOSED and those from OPEN."""
-        gap, rest = self.runs.min_closed, self.rest()
+        gap = self.runs.min_closed
+        rest = self.rest()
 
         def step(opened: int, closed: int, then: int, pulses: int = 0) -> Step:
-            fits, after = self.room(1, opened), rest if then == OVER else self.room(0, closed)
+            fits = self.room(1, opened)
+            after = rest if then == OVER else self.room(0, closed)
             fits[: after.size - opened] &= after[opened:]
             return Step(opened, closed, then, pulses, fits)
 
@@ -214,19 +210,26 @@ class Limits:
         if not bounded:
             closed.append(step(free, 0, OPEN, 1))
         for length in range(self.runs.min_open, self.longest + 1 if bounded else free):
-            closed += [step(length, max(gap, self.runs.min_period - length), CLOSED, 1), step(length, 0, OVER, 1)]
+            closed += [
+                step(length, max(gap, self.runs.min_period - length), CLOSED, 1),
+                step(length, 0, OVER, 1),
+            ]
         return tuple(closed), (step(1, 0, OPEN), step(0, gap, CLOSED), step(0, 0, OVER))
 
     def satisfied(self, codes: NDArray[np.integer] | BoolArray) -> BoolArray:
         """Which of (R, n) codes keep every limit, (R,) bool."""
-        is_open, runs = np.asarray(codes) != 0, self.runs
+        is_open = np.asarray(codes) != 0
+        runs = self.runs
         count = is_open.sum(axis=1)
         ok = (count >= max(self.open_range[0], runs.min_open)) & (count <= self.open_range[1])
         if runs.min_open > 1:
             ok &= (_opening(is_open, runs.min_open) == is_open).all(axis=1)
         if runs.min_closed > 1:
-            # before the first and after the last pulse the shutter is closed for longer than any limit
-            closed = np.pad(~is_open, ((0, 0), (runs.min_closed, runs.min_closed)), constant_values=True)
+            # before the first and after the last pulse the shutter is closed for longer than any
+            # limit
+            closed = np.pad(
+                ~is_open, ((0, 0), (runs.min_closed, runs.min_closed)), constant_values=True
+            )
             ok &= (_opening(closed, runs.min_closed) == closed).all(axis=1)
         if runs.max_open is not None and runs.max_open < self.chips:
             ok &= ~_opening(is_open, runs.max_open + 1).any(axis=1)
@@ -234,7 +237,9 @@ class Limits:
             ok &= _starts(is_open).sum(axis=1) <= runs.max_pulses
         if runs.min_period > 1:
             period = min(runs.min_period, self.chips)
-            begun = np.pad(_starts(is_open).cumsum(axis=1), ((0, 0), (1, 0)))  # pulses before each chip
+            begun = np.pad(
+                _starts(is_open).cumsum(axis=1), ((0, 0), (1, 0))
+            )  # pulses before each chip
             ok &= (begun[:, period:] - begun[:, :-period] <= 1).all(axis=1)
         if runs.fixed is not None:
             marks = np.frombuffer(runs.fixed.encode(), dtype=np.uint8)
@@ -286,11 +291,14 @@ def fixed_mask(
     >>> fixed_mask(8, first_open=True, forced_closed=[3, 4])
     '1??00???'
     """
-    opened, closed = set(forced_open), set(forced_closed)
+    opened = set(forced_open)
+    closed = set(forced_closed)
     for name, indices in (("forced_open", opened), ("forced_closed", closed)):
         outside = sorted(index for index in indices if not 0 <= index < chips)
         if outside:
-            raise ValueError(f"{name}: chips of a code of {chips} are 0..{chips - 1}, got {outside[0]}")
+            raise ValueError(
+                f"{name}: chips of a code of {chips} are 0..{chips - 1}, got {outside[0]}"
+            )
     opened |= ({0} if first_open else set()) | ({chips - 1} if last_open else set())
     both = sorted(opened & closed)
     if both:
@@ -309,9 +317,13 @@ def checked_mask(fixed: str | None, chips: int) -> str | None:
     if fixed is None:
         return None
     if not isinstance(fixed, str) or set(fixed) - set("01?"):
-        raise ValueError(f"fixed: must be a string of 0 (forced closed), 1 (forced open) and ? (free), got {fixed!r}")
+        raise ValueError(
+            f"fixed: must be a string of 0 (forced closed), 1 (forced open) and ? (free), got {fixed!r}"
+        )
     if len(fixed) != chips:
-        raise ValueError(f"fixed: must have one character for each of {chips} chips, got {len(fixed)}")
+        raise ValueError(
+            f"fixed: must have one character for each of {chips} chips, got {len(fixed)}"
+        )
     return None if set(fixed) == {"?"} else fixed
 
 
@@ -322,16 +334,20 @@ _MOST_NUMBERS = 3 * 2**22  # of a table: 96 MB
 @lru_cache(maxsize=64)
 def feasible(limits: Limits) -> bool:
     """Whether any code keeps the limits, exactly."""
-    low, high = max(limits.open_range[0], 1), min(limits.open_range[1], limits.chips)
+    low = max(limits.open_range[0], 1)
+    high = min(limits.open_range[1], limits.chips)
     if low > high or limits.runs.min_open > high:
         return False
     if limits.runs.fixed is None:
         fewest = _fewest_free_pulses(limits)
     else:
         # the same for every range: a front asks for each number of open chips
-        fewest = _fewest_pulses(Limits(limits.chips, (1, limits.chips), replace(limits.runs, max_pulses=None)))
+        fewest = _fewest_pulses(
+            Limits(limits.chips, (1, limits.chips), replace(limits.runs, max_pulses=None))
+        )
     return bool(
-        fewest[low : high + 1].min() <= (limits.chips if limits.runs.max_pulses is None else limits.runs.max_pulses)
+        fewest[low : high + 1].min()
+        <= (limits.chips if limits.runs.max_pulses is None else limits.runs.max_pulses)
     )
 
 
@@ -344,7 +360,9 @@ def conflicting(limits: Limits) -> tuple[str, ...]:
         if name == "open_range":
             without = replace(limits, open_range=(1, limits.chips))
         else:
-            without = replace(limits, runs=replace(limits.runs, **{name: getattr(RunLimits(), name)}))
+            without = replace(
+                limits, runs=replace(limits.runs, **{name: getattr(RunLimits(), name)})
+            )
         if without == limits:
             continue
         if feasible(without):
@@ -370,12 +388,17 @@ def check_feasible(limits: Limits) -> None:
         "open_range": "{}..{}".format(*limits.open_range),
         "fixed": f"({marks.count('1')} forced open, {marks.count('0')} forced closed)",
     }
-    words = [f"{name} {values[name] if name in values else getattr(limits.runs, name)}" for name in names]
+    words = [
+        f"{name} {values[name] if name in values else getattr(limits.runs, name)}"
+        for name in names
+    ]
     code = f"no code of {limits.chips} chips keeps"
     if len(words) == 1:
         raise ValueError(f"{words[0]}: {code} it")
     listed = f"{', '.join(words[:-1])} and {words[-1]}"
-    raise ValueError(f"{listed} conflict: {code} {'both' if len(words) == 2 else f'all {len(words)}'}")
+    raise ValueError(
+        f"{listed} conflict: {code} {'both' if len(words) == 2 else f'all {len(words)}'}"
+    )
 
 
 def _fewest_free_pulses(limits: Limits) -> NDArray[np.int64]:
@@ -384,23 +407,34 @@ def _fewest_free_pulses(limits: Limits) -> NDArray[np.int64]:
     pulses = np.maximum(-(-opened // limits.longest), 1)
     # all but the last take a period at least, and within it may be open but for the gap
     full = min(limits.longest, limits.period - limits.runs.min_closed)
-    span = (pulses - 1) * limits.period + np.maximum(opened - (pulses - 1) * full, limits.runs.min_open)
+    span = (pulses - 1) * limits.period + np.maximum(
+        opened - (pulses - 1) * full, limits.runs.min_open
+    )
     # more pulses would take longer, and more open chips
-    return np.where((pulses * limits.runs.min_open <= opened) & (span <= limits.chips), pulses, _NEVER)
+    return np.where(
+        (pulses * limits.runs.min_open <= opened) & (span <= limits.chips), pulses, _NEVER
+    )
 
 
 @lru_cache(maxsize=8)
 def _fewest_pulses(limits: Limits) -> NDArray[np.int64]:
     """Fewest pulses of a code with each number of open chips, (n + 1,): a shortest walk from the end."""
-    n, steps = limits.chips, limits.steps()
-    fewest = np.full((3, n + 1, n + 1), _NEVER, dtype=np.int64)  # state, position, open chips to come
+    n = limits.chips
+    steps = limits.steps()
+    fewest = np.full(
+        (3, n + 1, n + 1), _NEVER, dtype=np.int64
+    )  # state, position, open chips to come
     fewest[OVER, limits.rest(), 0] = 0
     for i in reversed(range(n + 1)):
         for state in (CLOSED, OPEN):
             for opened, closed, then, pulses, fits in steps[state]:
                 if fits[i]:
                     target = fewest[state, i, opened:]
-                    np.minimum(target, fewest[then, i + opened + closed, : n + 1 - opened] + pulses, out=target)
+                    np.minimum(
+                        target,
+                        fewest[then, i + opened + closed, : n + 1 - opened] + pulses,
+                        out=target,
+                    )
     return np.asarray(np.minimum(fewest[CLOSED, 0], _NEVER), dtype=np.int64)
 
 
@@ -410,44 +444,63 @@ def nearest(limits: Limits, code: NDArray[np.integer] | BoolArray) -> NDArray[np
     Returns
     -------
     (n,) int8 of 0 and 1, or None
-        None where the walk's table would exceed 12 million numbers, as for 512 chips and 16 pulses.
+        None where the walk's table would exceed 12 million numbers, as for 512 chips and 16
+        pulses.
 
     Examples
     --------
     >>> nearest(Limits(6, (2, 3), RunLimits(min_open=2)), np.array([1, 0, 1, 1, 0, 1])).tolist()
     [0, 0, 1, 1, 0, 0]
     """
-    n, steps, high = limits.chips, limits.steps(), limits.open_range[1]
+    n = limits.chips
+    steps = limits.steps()
+    high = limits.open_range[1]
     most = limits.most_pulses or 0  # 0: nothing moves along the axis of pulses
     if 3 * (n + 1) * (high + 1) * (most + 1) > _MOST_NUMBERS:
         return None
     opened_before = np.concatenate([[0], np.cumsum(np.asarray(code) != 0)])
 
     def changes(i: int, step: Step) -> int:
-        middle, end = i + step.opened, n if step.then == OVER else i + step.opened + step.closed
+        middle = i + step.opened
+        end = n if step.then == OVER else i + step.opened + step.closed
         already_open = opened_before[middle] - opened_before[i]
         return int(step.opened - already_open + opened_before[end] - opened_before[middle])
 
-    cost = np.full((3, n + 1, high + 1, most + 1), _NEVER, dtype=np.int64)  # state, position, open chips, pulses left
+    cost = np.full(
+        (3, n + 1, high + 1, most + 1), _NEVER, dtype=np.int64
+    )  # state, position, open chips, pulses left
     cost[OVER, limits.rest(), 0] = 0  # what follows is counted by the step that leads there
     for i in reversed(range(n + 1)):
         for state in (CLOSED, OPEN):
             for step in steps[state]:
                 if step.fits[i] and step.opened <= high:
-                    starts, after = min(step.pulses, most), i + step.opened + step.closed
+                    starts = min(step.pulses, most)
+                    after = i + step.opened + step.closed
                     target = cost[state, i, step.opened :, starts:]
-                    found = cost[step.then, after, : high + 1 - step.opened, : most + 1 - starts] + changes(i, step)
+                    found = cost[
+                        step.then, after, : high + 1 - step.opened, : most + 1 - starts
+                    ] + changes(i, step)
                     np.minimum(target, found, out=target)
     k = max(limits.open_range[0], 1)
     k += int(cost[CLOSED, 0, k:, most].argmin())
-    state, i, left, near = CLOSED, 0, most, np.zeros(n, dtype=np.int8)
+    state = CLOSED
+    i = 0
+    left = most
+    near = np.zeros(n, dtype=np.int8)
     while state != OVER:
         for step in steps[state]:
-            starts, after = min(step.pulses, most), i + step.opened + step.closed
+            starts = min(step.pulses, most)
+            after = i + step.opened + step.closed
             if not step.fits[i] or step.opened > k or starts > left:
                 continue
-            if cost[step.then, after, k - step.opened, left - starts] + changes(i, step) == cost[state, i, k, left]:
+            if (
+                cost[step.then, after, k - step.opened, left - starts] + changes(i, step)
+                == cost[state, i, k, left]
+            ):
                 near[i : i + step.opened] = 1
-                state, i, k, left = step.then, after, k - step.opened, left - starts
+                state = step.then
+                i = after
+                k = k - step.opened
+                left = left - starts
                 break
     return near

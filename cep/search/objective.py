@@ -1,11 +1,11 @@
 """Objectives as decibels to minimise, for many codes at once.
 
-========= =============================================================================================
-min-mtf   ``-20 log10 min |H|``
-flatness  ``10 log10 (variance of |H| over the band / duty^2)``
-noise     ``10 log10 mean 1 / |H|^2``
-mse       ``10 log10`` of the Wiener filter's mean square error under the camera's noise
-========= =============================================================================================
+=========
+=============================================================================================
+min-mtf   ``-20 log10 min |H|`` flatness  ``10 log10 (variance of |H| over the band / duty^2)``
+noise     ``10 log10 mean 1 / |H|^2`` mse       ``10 log10`` of the Wiener filter's mean square
+error under the camera's noise =========
+=============================================================================================
 
 H is light-true, so lost light raises the cost everywhere but in ``flatness``.
 """
@@ -26,8 +26,6 @@ from cep.optics.mtf import inverse_scene, noise_variance
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_rows
-
-__all__ = ["Objective", "Part", "continuum_minimum", "sample_count"]
 
 RealArray = NDArray[Any]
 
@@ -58,19 +56,25 @@ class Objective:
     Attributes
     ----------
     rows : (n, V, 2, F) ndarray
-        Change of the OTF, real and imaginary, when a chip opens; all scenarios and directions side by side. V is 4
-        where the shutter's response makes neighbours matter (2 left + right, 1 for open), else 1.
+        Change of the OTF, real and imaginary, when a chip opens; all scenarios and directions side
+        by side. V is 4 where the shutter's response makes neighbours matter (2 left + right, 1 for
+        open), else 1.
     parts : tuple of Part
     priors, shares_across : (F, Q) ndarray
         Inverse scene spectrum at each column's radii, and the shares of these.
     noise : (n + 1,) ndarray
-        Variance of the noise by number of open chips, with the dark current of the whole exposure; see
-        :meth:`noise_of`.
+        Variance of the noise by number of open chips, with the dark current of the whole exposure;
+        see :meth:`noise_of`.
     scenario_shares : (scenarios,) ndarray
     """
 
     def __init__(
-        self, problem: SearchProblem, *, oversampling: int, across: int = ACROSS, dtype: type = np.float32
+        self,
+        problem: SearchProblem,
+        *,
+        oversampling: int,
+        across: int = ACROSS,
+        dtype: type = np.float32,
     ) -> None:
         self.problem = problem
         blocks: list[NDArray[Any]] = []
@@ -78,7 +82,9 @@ class Objective:
         if not problem.scenarios:
             samples = circle_samples(problem.chips, oversampling=oversampling)
             chips = np.arange(problem.chips) - (problem.chips - 1) / 2
-            blocks.append(np.exp(-2j * np.pi * np.outer(chips, samples.fx))[:, None] / problem.chips)
+            blocks.append(
+                np.exp(-2j * np.pi * np.outer(chips, samples.fx))[:, None] / problem.chips
+            )
             parts.append(Part(slice(0, samples.fx.size), samples, 0, False))
         ramps = problem.response is not None
         rows: NDArray[Any] = np.empty(0)
@@ -86,19 +92,33 @@ class Objective:
             samples = band_samples(scenario.trajectory, oversampling=oversampling, across=across)
             for turned in problem.directions(scenario):
                 if turned and scenario.edges is None and not ramps:
-                    rows = rows[::-1]  # the forward ones, which come first: the chips are met in the opposite order
+                    rows = rows[
+                        ::-1
+                        # the forward ones, which come first: the chips are met in the opposite order
+                    ]
                 else:
                     rows = scenario_rows(
-                        scenario, problem.chips, samples.fx, samples.fy, response=problem.response, reversed_path=turned
+                        scenario,
+                        problem.chips,
+                        samples.fx,
+                        samples.fy,
+                        response=problem.response,
+                        reversed_path=turned,
                     )
                 blocks.append(distinct_rows(rows, problem.response))
                 start = parts[-1].columns.stop if parts else 0
                 parts.append(Part(slice(start, start + samples.fx.size), samples, index, turned))
         every = np.concatenate(blocks, axis=2)
-        self.rows: RealArray = np.ascontiguousarray(np.stack([every.real, every.imag], axis=2).astype(dtype))
+        self.rows: RealArray = np.ascontiguousarray(
+            np.stack([every.real, every.imag], axis=2).astype(dtype)
+        )
         self.parts = tuple(parts)
-        self.shares_across: RealArray = _stacked([part.samples.radius2_weight for part in parts]).astype(dtype)
-        self.priors: RealArray = _stacked([inverse_scene(part.samples) for part in parts]).astype(dtype)
+        self.shares_across: RealArray = _stacked(
+            [part.samples.radius2_weight for part in parts]
+        ).astype(dtype)
+        self.priors: RealArray = _stacked([inverse_scene(part.samples) for part in parts]).astype(
+            dtype
+        )
         self._set_noise()
         shares = np.array([s.weight for s in problem.scenarios] or [1.0])
         self.scenario_shares: NDArray[np.float64] = shares / shares.sum()
@@ -115,7 +135,9 @@ class Objective:
         return other
 
     def _set_noise(self) -> None:
-        camera, chips, chip_s = self.problem.camera, self.problem.chips, self.problem.chip_ns * 1e-9
+        camera = self.problem.camera
+        chips = self.problem.chips
+        chip_s = self.problem.chip_ns * 1e-9
         counts = np.arange(chips + 1)
         self.noise = noise_variance(camera, counts / chips, integration_s=chips * chip_s)
         self._noise_of_one = noise_variance(camera, counts / chips, integration_s=counts * chip_s)
@@ -127,21 +149,30 @@ class Objective:
     def duty(self, codes: RealArray) -> NDArray[np.float64]:
         """(R,) open fraction of the exposure, with the shutter's ramps where there are any."""
         response = self.problem.response
-        return np.asarray(codes.mean(axis=1) if response is None else response.open_time(codes), dtype=np.float64)
+        return np.asarray(
+            codes.mean(axis=1) if response is None else response.open_time(codes), dtype=np.float64
+        )
 
     def noise_of(self, codes: RealArray) -> NDArray[np.float64]:
         """(R,) variance of the noise through (R, n) codes; that of a single opening has its own dark current alone."""
-        chips, on = self.problem.chips, np.asarray(codes) != 0
+        chips = self.problem.chips
+        on = np.asarray(codes) != 0
         single = on[:, 0] + (on[:, 1:] & ~on[:, :-1]).sum(axis=1) == 1
-        opened, counts = self.duty(codes) * chips, np.arange(chips + 1)
-        return np.where(single, np.interp(opened, counts, self._noise_of_one), np.interp(opened, counts, self.noise))
+        opened = self.duty(codes) * chips
+        counts = np.arange(chips + 1)
+        return np.where(
+            single,
+            np.interp(opened, counts, self._noise_of_one),
+            np.interp(opened, counts, self.noise),
+        )
 
     def cost(
         self, otf: RealArray, duty: NDArray[np.float64], noise: NDArray[np.float64] | None = None
     ) -> NDArray[np.float64]:
         """Cost (R,) in dB, lower is better, of (R, 2, F) OTFs whose codes are open for (R,) of the time.
 
-        The variance (R,) of the noise is that of :attr:`noise` when omitted, as for codes of many openings.
+        The variance (R,) of the noise is that of :attr:`noise` when omitted, as for codes of many
+        openings.
         """
         each = self._each(otf, duty, noise)
         if self.problem.rule == "mean":
@@ -159,8 +190,9 @@ class Objective:
     def exact_cost(self, code: ShutterCode) -> float:
         """Cost of one code with every minimum taken over the continuum; meant for the finest samples and float64.
 
-        A curved path's H is a complex function of two frequencies: for nearly every code it has isolated true zeros,
-        which no code can flip away. Such codes cost 60 dB more than their sampled minimum, so that they still rank.
+        A curved path's H is a complex function of two frequencies: for nearly every code it has
+        isolated true zeros, which no code can flip away. Such codes cost 60 dB more than their
+        sampled minimum, so that they still rank.
         """
         chips = code.array[None]
         otf = self.otf(chips)
@@ -168,17 +200,25 @@ class Objective:
             for part in self.parts:
                 modulus = np.hypot(otf[0, 0, part.columns], otf[0, 1, part.columns])
                 deepest = int(modulus.argmin())
-                way = (self.problem.scenarios[part.scenario], part.reversed_path) if self.problem.scenarios else None
+                way = (
+                    (self.problem.scenarios[part.scenario], part.reversed_path)
+                    if self.problem.scenarios
+                    else None
+                )
                 found = max(continuum_minimum(self.problem, way, code), 1e-3 * modulus[deepest])
                 # the deepest sample stands for the continuum between it and its neighbours
-                otf[0, :, part.columns.start + deepest] *= min(found / max(modulus[deepest], 1e-300), 1.0)
+                otf[0, :, part.columns.start + deepest] *= min(
+                    found / max(modulus[deepest], 1e-300), 1.0
+                )
         return float(self.cost(otf, self.duty(chips), self.noise_of(chips))[0])
 
     def _each(
         self, otf: RealArray, duty: NDArray[np.float64], noise: NDArray[np.float64] | None
     ) -> NDArray[np.float64]:
         if noise is None:
-            noise = np.interp(duty * self.problem.chips, np.arange(self.problem.chips + 1), self.noise)
+            noise = np.interp(
+                duty * self.problem.chips, np.arange(self.problem.chips + 1), self.noise
+            )
         squared = otf * otf
         power = np.maximum(squared[:, 0] + squared[:, 1], 1e-30)
         worst = np.full((self.scenario_shares.size, len(power)), -np.inf)
@@ -191,7 +231,12 @@ class Objective:
         return worst
 
     def _decibels(
-        self, name: str, power: RealArray, part: int, duty: NDArray[np.float64], noise: NDArray[np.float64]
+        self,
+        name: str,
+        power: RealArray,
+        part: int,
+        duty: NDArray[np.float64],
+        noise: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         columns = self.parts[part].columns
         weight = self.parts[part].samples.weight.astype(power.dtype)
@@ -200,10 +245,12 @@ class Objective:
         elif name == "noise":
             value = ((1 / power) @ weight).astype(np.float64)
         elif name == "flatness":
-            mean_power, mean = (power @ weight).astype(np.float64), (np.sqrt(power) @ weight).astype(np.float64)
+            mean_power = (power @ weight).astype(np.float64)
+            mean = (np.sqrt(power) @ weight).astype(np.float64)
             value = np.maximum(mean_power - mean**2, 1e-12) / duty**2
         else:
-            per_noise, prior = power / noise.astype(power.dtype)[:, None], self.priors[columns]
+            per_noise = power / noise.astype(power.dtype)[:, None]
+            prior = self.priors[columns]
             shares = self.shares_across[columns]
             errors = sum(shares[:, q] / (per_noise + prior[:, q]) for q in range(shares.shape[1]))
             value = (errors @ weight).astype(np.float64)
@@ -215,7 +262,8 @@ def sample_count(problem: SearchProblem, *, oversampling: int) -> int:
     if not problem.scenarios:
         return circle_samples(problem.chips, oversampling=oversampling).fx.size
     return sum(
-        len(problem.directions(one)) * band_samples(one.trajectory, oversampling=oversampling).fx.size
+        len(problem.directions(one))
+        * band_samples(one.trajectory, oversampling=oversampling).fx.size
         for one in problem.scenarios
     )
 
@@ -223,10 +271,14 @@ def sample_count(problem: SearchProblem, *, oversampling: int) -> int:
 def _stacked(tables: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Stack (F, Q) tables, those with fewer columns filled up with zero shares."""
     widest = max(table.shape[1] for table in tables)
-    return np.concatenate([np.pad(table, ((0, 0), (0, widest - table.shape[1]))) for table in tables])
+    return np.concatenate(
+        [np.pad(table, ((0, 0), (0, widest - table.shape[1]))) for table in tables]
+    )
 
 
-def continuum_minimum(problem: SearchProblem, way: tuple[Scenario, bool] | None, code: ShutterCode) -> float:
+def continuum_minimum(
+    problem: SearchProblem, way: tuple[Scenario, bool] | None, code: ShutterCode
+) -> float:
     """Smallest |H| that was found over the continuum one way, as :meth:`SearchProblem.ways` names it.
 
     None is the unit circle.

@@ -19,7 +19,8 @@ from cep.proofs.certify.certificate import Certificate, certify
 from cep.proofs.measure import CodeMetrics, FigureOfMerit, find_figures, own_figures
 from cep.search.advise import Verdict, verdict
 from cep.search.compare import Comparison, as_designed, compare
-from cep.search.exhaustive.exact import ExactResult, exact
+from cep.search.exhaustive.exact import exact
+from cep.search.exhaustive.proof import ExactResult
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Found, mean_length_px, prove_code, search_code
 from cep.search.ways import check_light
@@ -28,21 +29,6 @@ from motdiff.trajectory import Trajectory
 if TYPE_CHECKING:
     from cep.jobs.cells import Figure
     from cep.jobs.engine import Engine
-
-__all__ = [
-    "STANDARD_TIME_S",
-    "Optimum",
-    "Search",
-    "certificate_warnings",
-    "code_from_figures",
-    "described_search",
-    "ended_early",
-    "optimize",
-    "optimize_motion",
-    "search",
-    "searched_problem",
-    "stored_search",
-]
 
 STANDARD_TIME_S = 60.0
 """Limit of an annealing that is given neither moves nor a time, seconds."""
@@ -63,17 +49,19 @@ class Search:
     effort : {"quick", "sdp"}
         Of the bound; "sdp" also draws codes from the relaxation to start from.
     steps : int, optional
-        Moves of an annealing. The same seed and moves give the same code, unless the time ends the search.
+        Moves of an annealing. The same seed and moves give the same code, unless the time ends the
+        search.
     time_s : float, optional
-        Limit of an annealing, seconds; a proof runs to its end. With a time alone the annealing goes on for it,
-        however many moves that are; without moves or a time it makes as many as suit the problem, for
-        :data:`STANDARD_TIME_S` at most.
+        Limit of an annealing, seconds; a proof runs to its end. With a time alone the annealing
+        goes on for it, however many moves that are; without moves or a time it makes as many as
+        suit the problem, for :data:`STANDARD_TIME_S` at most.
     seed : int
 
     Raises
     ------
     ValueError
-        If the method or the effort is another, the time is not above 0, or moves or a time are given for a proof.
+        If the method or the effort is another, the time is not above 0, or moves or a time are
+        given for a proof.
     """
 
     method: Literal["anneal", "exact"] = "anneal"
@@ -91,7 +79,9 @@ class Search:
             raise ValueError(f"time_s: must be above 0 seconds, got {self.time_s}")
         for name in ("steps", "time_s"):
             if self.method == "exact" and getattr(self, name) is not None:
-                raise ValueError(f"{name}: not valid with method='exact', which judges every code there is")
+                raise ValueError(
+                    f"{name}: not valid with method='exact', which judges every code there is"
+                )
 
     @property
     def limit_s(self) -> float:
@@ -104,7 +94,9 @@ class Search:
         """Say how many moves an annealing makes; None where the time alone ends it."""
         from cep.search.annealing.anneal import standard_moves
 
-        return standard_moves(problem) if self.steps is None and self.time_s is None else self.steps
+        return (
+            standard_moves(problem) if self.steps is None and self.time_s is None else self.steps
+        )
 
 
 @dataclass(frozen=True)
@@ -122,14 +114,16 @@ class Optimum:
     verdict : Verdict
         Whether to use it, by the restoration that is expected with the problem's camera.
     along : Trajectory or None
-        What the certificate is for; None: the unit circle, where only the code's polynomial matters.
+        What the certificate is for; None: the unit circle, where only the code's polynomial
+        matters.
     certificate : Certificate
         Of the code's smallest MTF.
     figure : str
         Name of what is bounded, with its unit; empty where nothing bounds the objective.
     bound, gap : float or None
-        What no code of so much light can exceed, and how far off this one is: 0..1, or dB for the noise. Of a code
-        proven on the unit circle, the bound that the proof gives to all codes within the limits.
+        What no code of so much light can exceed, and how far off this one is: 0..1, or dB for the
+        noise. Of a code proven on the unit circle, the bound that the proof gives to all codes
+        within the limits.
     """
 
     problem: SearchProblem
@@ -156,7 +150,8 @@ class Optimum:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the user should know besides the figures, one sentence each."""
-        found, moves = self.found, self.how.moves(searched_problem(self.problem))
+        found = self.found
+        moves = self.how.moves(searched_problem(self.problem))
         early = (row.name for row in self.comparison if row.stopped_early)
         # with a time alone every run differs
         repeats = found.stopped == "interrupted" or self.how.method == "exact" or moves is not None
@@ -170,13 +165,15 @@ class Optimum:
             *certificate_warnings(self.problem),
             *(
                 "the code saturates at this light: search with fewer open chips, or give what can be recorded"
-                for way in self.verdict.ways if way.saturates and way.code.bits == self.code.bits
+                for way in self.verdict.ways
+                if way.saturates and way.code.bits == self.code.bits
             ),
-        )  # fmt: skip
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep optimize --json`` prints them."""
-        code, found = self.code, self.found
+        code = self.code
+        found = self.found
         return {
             "verdict": self.verdict.sentence,
             "choice": self.verdict.choice,
@@ -232,7 +229,9 @@ class Optimum:
             repr(self.comparison),
         ]
         if self.bound is not None:
-            lines.append(f"no code with so many open chips has a {self.figure.split(',')[0]} beyond {self.bound:.4g}")
+            lines.append(
+                f"no code with so many open chips has a {self.figure.split(',')[0]} beyond {self.bound:.4g}"
+            )
         return "\n".join([*lines, *self.warnings])
 
     def _repr_png_(self) -> bytes:
@@ -263,8 +262,9 @@ def optimize(
 ) -> Optimum:
     """Search the code that is best along a problem's motions, certify it, and compare it with what is used instead.
 
-    No code of the comparison that keeps the problem's limits is better by its objective. Whether to use the code at all
-    is decided by the expected restoration, see :class:`cep.search.advise.Verdict`.
+    No code of the comparison that keeps the problem's limits is better by its objective. Whether
+    to use the code at all is decided by the expected restoration, see
+    :class:`cep.search.advise.Verdict`.
 
     Parameters
     ----------
@@ -274,11 +274,11 @@ def optimize(
     start : sequence of ShutterCode
         Codes to start an annealing from, besides those that the code is compared with.
     interrupted : bool
-        Whether Ctrl-C has ended the work already: the best of the codes to start from and to compare with is returned,
-        as after Ctrl-C in the search.
+        Whether Ctrl-C has ended the work already: the best of the codes to start from and to
+        compare with is returned, as after Ctrl-C in the search.
     along : Trajectory, optional
-        What the certificate is for; the first scenario's path when omitted. Where the code's polynomial alone decides,
-        it is for the unit circle.
+        What the certificate is for; the first scenario's path when omitted. Where the code's
+        polynomial alone decides, it is for the unit circle.
     path_error_px : float
         Rms error of the path where it is an estimate: the verdict counts it, the search does not.
     figures : mapping from a name to a function, optional
@@ -299,8 +299,9 @@ def optimize(
     Raises
     ------
     ValueError
-        If the problem has no motion, its paths cannot be measured or are too short for so many chips, even the shortest
-        opening saturates at its light, or the method does not solve it; or a figure of the user's own fails.
+        If the problem has no motion, its paths cannot be measured or are too short for so many
+        chips, even the shortest opening saturates at its light, or the method does not solve it;
+        or a figure of the user's own fails.
 
     Examples
     --------
@@ -319,7 +320,9 @@ def optimize(
     check_resolved(motion, problem.chips)
     check_light(problem)
     designed = as_designed(motion, problem.direction)
-    own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))  # one that fails does so before the search
+    own_figures(
+        figures or {}, designed, ShutterCode("1" * problem.chips)
+    )  # one that fails does so before the search
 
     def tell(share: float, best: ShutterCode) -> None:
         on_best(best)
@@ -349,7 +352,11 @@ def optimize(
 
 def searched_problem(problem: SearchProblem) -> SearchProblem:
     """Return what is searched for a problem: the unit circle where only the code's polynomial matters."""
-    return replace(problem, scenarios=()) if problem.on_circle and problem.objective == "min-mtf" else problem
+    return (
+        replace(problem, scenarios=())
+        if problem.on_circle and problem.objective == "min-mtf"
+        else problem
+    )
 
 
 def stored_search(described: Mapping[str, Any], found: Found) -> dict[str, Any]:
@@ -364,7 +371,9 @@ def ended_early(how: Search, stopped: str, moves: int | None) -> list[str]:
         return [f"the {what} was stopped early, this is the best code so far"]
     if stopped == "time" and moves is not None:
         limit = f"the limit of {how.limit_s:g} s"
-        return [f"{limit} ended the search before its {moves:,} moves: another run may give another code"]
+        return [
+            f"{limit} ended the search before its {moves:,} moves: another run may give another code"
+        ]
     return []
 
 
@@ -379,9 +388,15 @@ def _kept_blocks(found: Found) -> list[str]:
 
 def certificate_warnings(problem: SearchProblem) -> list[str]:
     """Warn where a certificate does not cover all that the search counted."""
-    if problem.response is None and len(problem.scenarios) == 1 and problem.scenarios[0].edges is None:
+    if (
+        problem.response is None
+        and len(problem.scenarios) == 1
+        and problem.scenarios[0].edges is None
+    ):
         return []
-    return ["the certificate is for a shutter that opens at once and on time, along the motion as it was given"]
+    return [
+        "the certificate is for a shutter that opens at once and on time, along the motion as it was given"
+    ]
 
 
 def search(
@@ -414,8 +429,8 @@ def search(
     Returns
     -------
     Found
-        No baseline within the limits has a lower cost. Along a path a proof is over the band's samples, though: it
-        stands, whatever a baseline is worth between them.
+        No baseline within the limits has a lower cost. Along a path a proof is over the band's
+        samples, though: it stands, whatever a baseline is worth between them.
 
     Raises
     ------
@@ -430,7 +445,13 @@ def search(
 
             count = partial(prove, folder=blocks.cache, workers=blocks.workers, dask=blocks.dask)
         return prove_code(
-            problem, rng=rng, time_s=how.limit_s, length_px=length_px, progress=progress, threads=threads, count=count
+            problem,
+            rng=rng,
+            time_s=how.limit_s,
+            length_px=length_px,
+            progress=progress,
+            threads=threads,
+            count=count,
         )
     return search_code(
         problem,
@@ -478,7 +499,9 @@ def optimize_motion(
     return {name: json.dumps(plain(part), allow_nan=False) for name, part in parts.items()}
 
 
-def code_from_figures(figures: Mapping[str, Figure], described: Mapping[str, Any]) -> tuple[dict[str, Any], StoredCode]:
+def code_from_figures(
+    figures: Mapping[str, Figure], described: Mapping[str, Any]
+) -> tuple[dict[str, Any], StoredCode]:
     """Return the report of a code with its warnings, and what its file holds, from :func:`optimize_motion`'s texts.
 
     Parameters
@@ -489,7 +512,9 @@ def code_from_figures(figures: Mapping[str, Figure], described: Mapping[str, Any
     """
     report, file = (json.loads(str(figures[part])) for part in ("report", "file"))
     code = ShutterCode(report["bits"], report["chip_ns"])
-    return report, StoredCode(code, file["metrics"], {**described, **file["problem"]}, file["certificate"])
+    return report, StoredCode(
+        code, file["metrics"], {**described, **file["problem"]}, file["certificate"]
+    )
 
 
 def described_search(problem: SearchProblem, how: Search) -> dict[str, Any]:
@@ -515,17 +540,29 @@ def _rounded(problem: SearchProblem, seed: int) -> list[ShutterCode]:
 
     low, high = problem.open_limits
     k = min(max((low + high) // 2, 2), problem.chips - 1)
-    if not problem.scenarios or problem.response is not None or not low <= k <= high or problem.chips > _RELAXED:
+    if (
+        not problem.scenarios
+        or problem.response is not None
+        or not low <= k <= high
+        or problem.chips > _RELAXED
+    ):
         return []
     try:
-        codes = rounded_codes(relaxed_minimum(problem, k), _ROUNDED, rng=np.random.default_rng([seed, 3]))
+        codes = rounded_codes(
+            relaxed_minimum(problem, k), _ROUNDED, rng=np.random.default_rng([seed, 3])
+        )
     except ValueError:  # no solver found an optimum: the search does without
         return []
     return [ShutterCode.from_array(code) for code in codes]
 
 
 def _bounded(
-    problem: SearchProblem, found: Found, metrics: CodeMetrics, *, straight: bool, effort: Literal["quick", "sdp"]
+    problem: SearchProblem,
+    found: Found,
+    metrics: CodeMetrics,
+    *,
+    straight: bool,
+    effort: Literal["quick", "sdp"],
 ) -> tuple[str, float | None, float | None]:
     """Name, bound and gap of the figure that was optimised, None where nothing bounds it."""
     from cep.search.bounding.bounds import bound
@@ -533,12 +570,19 @@ def _bounded(
     if problem.objective not in ("min-mtf", "noise"):
         return "", None, None
     if straight and found.proof is not None and found.stopped == "proven":
-        limit, reached = found.proof["upper"], metrics.min_chip
+        limit = found.proof["upper"]
+        reached = metrics.min_chip
         return "min |P|, chips", limit, max(0.0, 1 - reached / limit) if limit > 0 else 0.0
     limits = bound(problem, effort=effort)
     if problem.objective == "noise":
         return "noise gain, dB", limits.noise, metrics.noise_gain_db - limits.noise
-    limit, reached = (limits.min_chip, metrics.min_chip) if straight else (limits.min_mtf, metrics.min_mtf)
+    limit, reached = (
+        (limits.min_chip, metrics.min_chip) if straight else (limits.min_mtf, metrics.min_mtf)
+    )
     assert reached is not None  # along a uniform straight motion |P| is measured
     # with so many open chips every code may have a zero: then the limit is 0, and reached
-    return "min |P|, chips" if straight else "min MTF", limit, 1 - reached / limit if limit > 0 else 0.0
+    return (
+        "min |P|, chips" if straight else "min MTF",
+        limit,
+        1 - reached / limit if limit > 0 else 0.0,
+    )

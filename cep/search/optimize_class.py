@@ -31,27 +31,13 @@ from motdiff.files.trajectories import StoredMotion, read_motion
 from motdiff.gyro import GyroTrace
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = [
-    "CLASS_OBJECTIVES",
-    "DRAWN",
-    "OTHERS",
-    "WALKS",
-    "ClassOptimum",
-    "ClassRow",
-    "ClassTask",
-    "check_class",
-    "class_task",
-    "draw_motions",
-    "optimize_class",
-    "per_motion_db",
-]
-
-FloatArray = NDArray[np.float64]
 CLASS_OBJECTIVES = ("noise", "mse")
 """Objectives whose mean over a class says something: along most curved paths a minimum is a true zero."""
 
-DRAWN, OTHERS = 100, 300
+DRAWN = 100
+OTHERS = 300
 """Motions drawn to search a code on, and others to judge it by: docs/decisions/search.md."""
 
 WALKS = "walks"
@@ -82,8 +68,8 @@ class ClassRow:
     others_db : float or None
         The same over motions that the search has not seen; None where there are none.
     behind_db, behind_error_db : float
-        Excess over this code's decibels in the mean over the motions not seen, or where there are none over all, and
-        its standard error.
+        Excess over this code's decibels in the mean over the motions not seen, or where there are
+        none over all, and its standard error.
     """
 
     name: str
@@ -152,9 +138,14 @@ class ClassOptimum:
 
         Nothing is recommended that loses to a row of the table.
         """
-        code, rivals = self.code, self.rows[1:]
+        code = self.code
+        rivals = self.rows[1:]
         if self.unsearched:
-            ended = "Ctrl-C ended it" if self.found.stopped == "interrupted" else f"{self.how.limit_s:g} s passed"
+            ended = (
+                "Ctrl-C ended it"
+                if self.found.stopped == "interrupted"
+                else f"{self.how.limit_s:g} s passed"
+            )
             return (
                 f"Nothing was searched: {ended} before the first move. This code is only the best of those that "
                 "it is compared with; give the search more time by --time, or moves by --steps."
@@ -164,7 +155,9 @@ class ClassOptimum:
         gains = [
             f"{_amount(best)} better than {_in_words(best.code, best.name)}"
             for kind in ("best snapshot", _PUBLISHED)
-            for best in sorted((row for row in rivals if row.name.startswith(kind)), key=lambda row: row.behind_db)[:1]
+            for best in sorted(
+                (row for row in rivals if row.name.startswith(kind)), key=lambda row: row.behind_db
+            )[:1]
             if best.behind_db > 0
         ]
         better = min(rivals, key=lambda row: row.behind_db, default=None)
@@ -183,7 +176,9 @@ class ClassOptimum:
     def warnings(self) -> tuple[str, ...]:
         """What the user should know besides the figures, one sentence each."""
         few = (
-            [f"{self.motions} motions are few for a class, the code may suit no others; {_FEW} or more are better"]
+            [
+                f"{self.motions} motions are few for a class, the code may suit no others; {_FEW} or more are better"
+            ]
             if self.motions < _FEW
             else []
         )
@@ -191,7 +186,9 @@ class ClassOptimum:
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep optimize --class --json`` prints them."""
-        code, found, own = self.code, self.found, self.rows[0]
+        code = self.code
+        found = self.found
+        own = self.rows[0]
         return {
             "verdict": self.verdict,
             "bits": code.bits,
@@ -216,7 +213,9 @@ class ClassOptimum:
         own = self.rows[0]
         about = stored_search(described or described_search(self.problem, self.how), self.found)
         figures = {"mean_db": own.mean_db, "others_db": own.others_db}
-        write_code(path, StoredCode(self.code, {}, {**about, "motions": self.motions, **figures}, {}))
+        write_code(
+            path, StoredCode(self.code, {}, {**about, "motions": self.motions, **figures}, {})
+        )
 
 
 @dataclass(frozen=True)
@@ -262,7 +261,8 @@ def class_task(
     folder : Path, optional
         As ``cep calibrate FOLDER`` writes it.
     kind : str, optional
-        Instead: :data:`WALKS` or a gyro recording, whose z axis is the line of sight; x and y may point anywhere.
+        Instead: :data:`WALKS` or a gyro recording, whose z axis is the line of sight; x and y may
+        point anywhere.
     length_px, count
         Of the drawn motions; 60 px and :data:`DRAWN` when omitted.
 
@@ -287,7 +287,9 @@ def class_task(
         if not 1 <= length_px <= 1000:
             raise ValueError(f"--length: must lie within 1..1000 px, got {length_px:g}")
         if kind != WALKS and not Path(kind).exists():
-            raise ValueError(f"--class: must be {WALKS} or a gyro recording, and there is no file {kind}")
+            raise ValueError(
+                f"--class: must be {WALKS} or a gyro recording, and there is no file {kind}"
+            )
         gyro = None if kind == WALKS else read_gyro(kind)
         warnings = () if gyro is None else gyro.warnings
         exposure_s = wish.chips * wish.chip_ns * 1e-9
@@ -299,8 +301,10 @@ def class_task(
     problem = replace(problem, scenarios=class_scenarios(motions))
     check_class(problem)
     described = {
-        "folder": None if folder is None else str(folder), "class": drawn, **described_search(problem, how),
-    }  # fmt: skip
+        "folder": None if folder is None else str(folder),
+        "class": drawn,
+        **described_search(problem, how),
+    }
     return ClassTask(problem, motions, others, described, warnings)
 
 
@@ -311,7 +315,11 @@ def _drawn(
     for part, number in enumerate((count, OTHERS)):
         rng = np.random.default_rng([seed, 4, part])
         try:
-            made.append(draw_motions(number, length_px=length_px, rng=rng, gyro=gyro, exposure_s=exposure_s))
+            made.append(
+                draw_motions(
+                    number, length_px=length_px, rng=rng, gyro=gyro, exposure_s=exposure_s
+                )
+            )
         except ValueError as error:  # only a recording's
             raise ValueError(
                 f"{kind}: {str(error).partition(': ')[2]}; the exposure is --chips times --chip-ns"
@@ -349,7 +357,10 @@ def draw_motions(
         drawn = [boracchi_foi(rng, max_length_px=length_px) for _ in range(count)]
     else:
         assert exposure_s is not None
-        drawn = [random_gyro_motion(gyro, rng, exposure_s=exposure_s, extent_px=length_px) for _ in range(count)]
+        drawn = [
+            random_gyro_motion(gyro, rng, exposure_s=exposure_s, extent_px=length_px)
+            for _ in range(count)
+        ]
     return tuple(path.thinned(_TOLERANCE_PX) for path in drawn)
 
 
@@ -359,12 +370,14 @@ def check_class(problem: SearchProblem) -> None:
     Raises
     ------
     ValueError
-        If the objective is none of :data:`CLASS_OBJECTIVES`, a path cannot be measured, or all are too short for so
-        many chips.
+        If the objective is none of :data:`CLASS_OBJECTIVES`, a path cannot be measured, or all are
+        too short for so many chips.
     """
     for name, _ in problem.objective_mix:
         if name not in CLASS_OBJECTIVES:
-            raise ValueError(f"objective: a class is searched by {' or '.join(CLASS_OBJECTIVES)} alone, got {name}")
+            raise ValueError(
+                f"objective: a class is searched by {' or '.join(CLASS_OBJECTIVES)} alone, got {name}"
+            )
     paths = [one.trajectory for one in problem.scenarios]
     for path in paths:
         check_frame(path)
@@ -383,7 +396,8 @@ def optimize_class(
 ) -> ClassOptimum:
     """Search the code whose mean decibels over a class of motions are best, and judge it on others.
 
-    Where a code of the comparison that keeps the limits is better on the others, that one is returned.
+    Where a code of the comparison that keeps the limits is better on the others, that one is
+    returned.
 
     Parameters
     ----------
@@ -416,15 +430,22 @@ def optimize_class(
     >>> best.code.open_chips, best.rows[0].others_db <= min(row.others_db for row in best.rows if row.within_limits)
     (4, True)
     """
-    problem = replace(problem, scenarios=class_scenarios(motions), rule="mean", direction="forward")
+    problem = replace(
+        problem, scenarios=class_scenarios(motions), rule="mean", direction="forward"
+    )
     check_class(problem)
     found = search(
-        problem, how, threads=threads,
+        problem,
+        how,
+        threads=threads,
         progress=lambda share, best: progress(_SEARCH_SHARE * share, f"{best.open_chips} open"),
-    )  # fmt: skip
+    )
     code = replace(found.code, chip_ns=problem.chip_ns)
     on_found(code, found)
-    rivals = {one.name: (ShutterCode(one.code.bits, problem.chip_ns), one.within_limits) for one in found.baselines}
+    rivals = {
+        one.name: (ShutterCode(one.code.bits, problem.chip_ns), one.within_limits)
+        for one in found.baselines
+    }
     if problem.response is None and not any(name.startswith(_PUBLISHED) for name in rivals):
         rivals[_PUBLISHED + _STANDARD] = (_standard_code(problem), False)
     codes = [code, *(one for one, _ in rivals.values())]
@@ -438,18 +459,25 @@ def optimize_class(
     names = ["this code", *rivals]
     rows = tuple(
         ClassRow(
-            names[place], codes[index], place == 0 or rivals[names[place]][1], float(seen[:, index].mean()),
-            float(means[index]) if others else None, *_mean_and_error(judged[:, index] - judged[:, best]),
+            names[place],
+            codes[index],
+            place == 0 or rivals[names[place]][1],
+            float(seen[:, index].mean()),
+            float(means[index]) if others else None,
+            *_mean_and_error(judged[:, index] - judged[:, best]),
         )
         for place, index in enumerate(order)
-    )  # fmt: skip
+    )
     progress(1.0, "")
     return ClassOptimum(problem, how, found, rows, len(motions), len(others))
 
 
-def per_motion_db(problem: SearchProblem, motions: Iterable[Trajectory], codes: Sequence[ShutterCode]) -> FloatArray:
+def per_motion_db(
+    problem: SearchProblem, motions: Iterable[Trajectory], codes: Sequence[ShutterCode]
+) -> FloatArray:
     """Judge codes by a problem's objective on each motion, (motions, codes) dB; ways of unknown direction averaged."""
-    paths, chips = list(motions), np.array([code.array for code in codes], dtype=np.int8)
+    paths = list(motions)
+    chips = np.array([code.array for code in codes], dtype=np.int8)
     costs: list[FloatArray] = []
     for start in range(0, len(paths), _AT_ONCE):
         for path_costs in _each_db(problem, paths[start : start + _AT_ONCE], chips):
@@ -457,7 +485,9 @@ def per_motion_db(problem: SearchProblem, motions: Iterable[Trajectory], codes: 
     return np.array(costs)
 
 
-def _judged(problem: SearchProblem, motions: Sequence[Trajectory], codes: Sequence[ShutterCode]) -> FloatArray:
+def _judged(
+    problem: SearchProblem, motions: Sequence[Trajectory], codes: Sequence[ShutterCode]
+) -> FloatArray:
     """As :func:`per_motion_db`, of codes of any number of chips, all as long as the exposure."""
     costs = np.empty((len(motions), len(codes)))
     for chips in {code.chips for code in codes}:
@@ -469,9 +499,14 @@ def _judged(problem: SearchProblem, motions: Sequence[Trajectory], codes: Sequen
 
 def _with_chips(problem: SearchProblem, chips: int) -> SearchProblem:
     return replace(
-        problem, chips=chips, open_range=None, runs=RunLimits(), scenarios=(), response=None,
+        problem,
+        chips=chips,
+        open_range=None,
+        runs=RunLimits(),
+        scenarios=(),
+        response=None,
         chip_ns=max(1, round(problem.chip_ns * problem.chips / chips)),
-    )  # fmt: skip
+    )
 
 
 def _standard_code(problem: SearchProblem) -> ShutterCode:
@@ -492,11 +527,15 @@ def _in_words(code: ShutterCode, name: str) -> str:
     return f"{name if name.startswith('one') else f'the {name}'} ({light})"
 
 
-def _each_db(problem: SearchProblem, paths: Sequence[Trajectory], chips: NDArray[np.int8]) -> list[FloatArray]:
+def _each_db(
+    problem: SearchProblem, paths: Sequence[Trajectory], chips: NDArray[np.int8]
+) -> list[FloatArray]:
     ways = [class_scenarios([path]) for path in paths]
     scenarios = tuple(one for both in ways for one in both)
     objective = Objective(
-        replace(problem, scenarios=scenarios, rule="mean", direction="forward"), oversampling=16, dtype=np.float64
+        replace(problem, scenarios=scenarios, rule="mean", direction="forward"),
+        oversampling=16,
+        dtype=np.float64,
     )
     rows = objective.each_cost_of(chips)
     ends = np.cumsum([len(both) for both in ways])

@@ -6,25 +6,36 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cep.jobs.folders import FolderResults, NotWrittenError, is_spelled, run_folder
 from cep.files.files import write_code
-from cep.files.outputs import claim_folder, new_files
+from cep.files.outputs import claim_folder
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.engine import Engine
 from cep.jobs.fingerprint import source_version
+from cep.jobs.folders import FolderResults, NotWrittenError, is_spelled, run_folder
 from cep.search.optimize import Search, code_from_figures, optimize_motion
 from cep.search.playable import unplayable
 from cep.search.search_options import Task
 from hw.device import DeviceProfile
+from motdiff.files.outputs import new_files
 from motdiff.files.trajectories import StoredMotion, read_motion
 from motdiff.trajectory import LONGEST_PX, Trajectory
 
-__all__ = ["motions_in", "optimize_folder"]
-
-
-_SUMMARY, _CODE, _MOTION = "codes.csv", "code.json", "trajectory.json"
+_SUMMARY = "codes.csv"
+_CODE = "code.json"
+_MOTION = "trajectory.json"
 _COLUMNS = ("motion", "open", "min_mtf", "min_chip", "noise_gain_db", "mse_db", "seconds")
-_MORE = ("chips", "duty", "bound", "gap", "steps", "stopped", "proven", "bits", "warnings", "failure")
+_MORE = (
+    "chips",
+    "duty",
+    "bound",
+    "gap",
+    "steps",
+    "stopped",
+    "proven",
+    "bits",
+    "warnings",
+    "failure",
+)
 _RESOLVED_PX = LONGEST_PX  # tells apart as many chips as can be told apart at all
 
 
@@ -52,7 +63,8 @@ def optimize_folder(
         Makes the search along a motion from a file.
     how : Search
     output : Path, optional
-        Folder to write into, with a folder for each motion and ``codes.csv``; ``folder`` when omitted.
+        Folder to write into, with a folder for each motion and ``codes.csv``; ``folder`` when
+        omitted.
     figures : sequence of str
         Figures of merit of the user's own, each ``module:name``.
     profile : DeviceProfile, optional
@@ -79,15 +91,24 @@ def optimize_folder(
         If there are no motions, a file is in the way, or the options suit none of them.
     """
     motions = motions_in(folder)
-    tasks, failures = _tasks(folder, motions, task)  # first: it tells what is wrong with the options
+    tasks, failures = _tasks(
+        folder, motions, task
+    )  # first: it tells what is wrong with the options
     target = output or folder
     claim_folder(target, [_SUMMARY], force=force)
     for name in motions:
         claim_folder(target / name, [_CODE], force=force)
-    version = source_version(["cep.search.optimize", *(name.partition(":")[0] for name in figures)])
+    version = source_version(
+        ["cep.search.optimize", *(name.partition(":")[0] for name in figures)]
+    )
     own = {"figures": list(figures)} if figures else {}
     cells = [
-        Cell((name,), optimize_motion, {"problem": one.problem, "along": one.along, "how": how, **own}, version)
+        Cell(
+            (name,),
+            optimize_motion,
+            {"problem": one.problem, "along": one.along, "how": how, **own},
+            version,
+        )
         for name, one in tasks.items()
     ]
 
@@ -102,10 +123,19 @@ def optimize_folder(
         return {"file": file, **described}
 
     return run_folder(
-        target, {name: target / name for name in motions}, cells, noun="codes", files=[_CODE], summary=_SUMMARY,
-        columns=(*_COLUMNS, *figures, *_MORE), failures=failures, write=write,
-        engine=Engine.of(target, cache=cache, workers=workers, dask=dask), force=force, progress=progress,
-    )  # fmt: skip
+        target,
+        {name: target / name for name in motions},
+        cells,
+        noun="codes",
+        files=[_CODE],
+        summary=_SUMMARY,
+        columns=(*_COLUMNS, *figures, *_MORE),
+        failures=failures,
+        write=write,
+        engine=Engine.of(target, cache=cache, workers=workers, dask=dask),
+        force=force,
+        progress=progress,
+    )
 
 
 def motions_in(folder: Path | str) -> dict[str, Path]:
@@ -118,12 +148,18 @@ def motions_in(folder: Path | str) -> dict[str, Path]:
     """
     root = Path(folder)
     if not root.is_dir():
-        raise ValueError(f"{root}: {'is a file, a folder of motions is needed' if root.exists() else 'no such folder'}")
-    found = {path.parent.name: path for path in sorted(root.glob(f"*/{_MOTION}")) if not path.is_dir()}
+        raise ValueError(
+            f"{root}: {'is a file, a folder of motions is needed' if root.exists() else 'no such folder'}"
+        )
+    found = {
+        path.parent.name: path for path in sorted(root.glob(f"*/{_MOTION}")) if not path.is_dir()
+    }
     if not found:
         single = root / _MOTION
         hint = f"; for a single motion give --trajectory {single}" if single.is_file() else ""
-        raise ValueError(f"{root}: holds no */{_MOTION}, as cep calibrate FOLDER writes them{hint}")
+        raise ValueError(
+            f"{root}: holds no */{_MOTION}, as cep calibrate FOLDER writes them{hint}"
+        )
     if odd := [name for name in found if not is_spelled(name)]:
         raise ValueError(f"{root}: the name {odd[0]!a} is no UTF-8, rename it")
     return found

@@ -12,16 +12,6 @@ from cep.search.limits import RunLimits
 from hw.device import DeviceProfile
 from hw.program import Program
 
-__all__ = [
-    "Playable",
-    "chip_time_ns",
-    "limits_of_device",
-    "response_of_device",
-    "unplayable",
-    "within_camera",
-    "within_device",
-]
-
 _LONGEST_S = 3600.0
 
 
@@ -44,7 +34,12 @@ class Playable:
 
 
 def within_device(
-    profile: DeviceProfile, *, chips: int, chip_ns: int, open_range: tuple[int, int], runs: RunLimits
+    profile: DeviceProfile,
+    *,
+    chips: int,
+    chip_ns: int,
+    open_range: tuple[int, int],
+    runs: RunLimits,
 ) -> Playable:
     """Tighten limits by those of a device, see :func:`limits_of_device` and :func:`response_of_device`.
 
@@ -56,8 +51,12 @@ def within_device(
     limits, most = limits_of_device(profile, chips=chips, chip_ns=chip_ns)
     low, high = open_range
     if most < low:
-        raise ValueError(f"{profile.name}: at most {most} of {chips} chips may be open, at least {low} were asked for")
-    return Playable(runs.tightened(limits), (low, min(high, most)), response_of_device(profile, chip_ns))
+        raise ValueError(
+            f"{profile.name}: at most {most} of {chips} chips may be open, at least {low} were asked for"
+        )
+    return Playable(
+        runs.tightened(limits), (low, min(high, most)), response_of_device(profile, chip_ns)
+    )
 
 
 def within_camera(camera: Camera, *, chips: int, chip_ns: int, runs: RunLimits) -> RunLimits:
@@ -73,13 +72,16 @@ def within_camera(camera: Camera, *, chips: int, chip_ns: int, runs: RunLimits) 
             f"exposure: the camera exposes for at least {camera.least_exposure_s * 1e3:g} ms, a code of {chips} chips "
             f"lasts {chips * chip_ns / 1e6:g} ms"
         )
-    return runs.tightened(RunLimits(min_open=max(1, math.ceil(camera.least_exposure_s * 1e9 / chip_ns - 1e-9))))
+    return runs.tightened(
+        RunLimits(min_open=max(1, math.ceil(camera.least_exposure_s * 1e9 / chip_ns - 1e-9)))
+    )
 
 
 def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tuple[RunLimits, int]:
     """Translate a device's limits on times into limits on chips, for :class:`cep.search.problem.SearchProblem`.
 
-    A code within them is one that :meth:`hw.device.DeviceProfile.check` passes, and the other way round.
+    A code within them is one that :meth:`hw.device.DeviceProfile.check` passes, and the other way
+    round.
 
     Parameters
     ----------
@@ -94,15 +96,19 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tup
     Raises
     ------
     ValueError
-        If the device cannot play codes of this length or chip time at all; the line says what it can.
+        If the device cannot play codes of this length or chip time at all; the line says what it
+        can.
     """
     _check_chip(profile, chip_ns)
     if profile.max_chips is not None and chips > profile.max_chips:
-        raise ValueError(f"{profile.name}: plays at most {profile.max_chips} chips, {chips} were asked for")
+        raise ValueError(
+            f"{profile.name}: plays at most {profile.max_chips} chips, {chips} were asked for"
+        )
     bias_ns = profile.on_bias_ns
     least_open_ns = max(profile.min_on_ns or 0, profile.tick_ns if bias_ns else 0) + bias_ns
     least_closed_ns = max(profile.min_off_ns or 0, profile.dead_time_ns)
-    min_open, max_open = max(1, -(-least_open_ns // chip_ns)), None
+    min_open = max(1, -(-least_open_ns // chip_ns))
+    max_open = None
     if min_open > chips:
         raise ValueError(
             f"chips: {profile.name} opens for at least {least_open_ns / 1e6:g} ms, a code of {chips} chips lasts "
@@ -122,8 +128,11 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tup
             )
     most_open_chips = chips
     if profile.max_duty is not None:
-        # the device compares rounded quotients: so do these two, or a code at the very limit would be refused
-        most_open_chips = bisect_right(range(1, chips + 1), profile.max_duty, key=lambda opened: opened / chips)
+        # the device compares rounded quotients: so do these two, or a code at the very limit would
+        # be refused
+        most_open_chips = bisect_right(
+            range(1, chips + 1), profile.max_duty, key=lambda opened: opened / chips
+        )
         if most_open_chips < min_open:
             raise ValueError(
                 f"chips: {profile.name} may be open for {profile.max_duty:g} of the time at most, "
@@ -132,7 +141,9 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tup
     min_period = 1
     if profile.max_rate_hz is not None:
         # of chips, where every shorter one is too fast: a single opening is left
-        min_period += bisect_left(range(1, chips), -profile.max_rate_hz, key=lambda period: -1e9 / (period * chip_ns))
+        min_period += bisect_left(
+            range(1, chips), -profile.max_rate_hz, key=lambda period: -1e9 / (period * chip_ns)
+        )
     runs = RunLimits(
         min_open=min_open,
         min_closed=max(1, -(-least_closed_ns // chip_ns)),
@@ -146,8 +157,9 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tup
 def response_of_device(profile: DeviceProfile, chip_ns: int) -> ShutterResponse | None:
     """Describe how a device's shutter opens and closes around its edges, or None when it does so at once.
 
-    The response does not contain ``on_bias_ns``, the time by which the device lengthens every opening. Commands to the
-    device are to be shorter by this time, as those of :mod:`hw.export.camera` are.
+    The response does not contain ``on_bias_ns``, the time by which the device lengthens every
+    opening. Commands to the device are to be shorter by this time, as those of
+    :mod:`hw.export.camera` are.
 
     Parameters
     ----------
@@ -179,7 +191,9 @@ def chip_time_ns(exposure_s: float, chips: int, profile: DeviceProfile | None = 
         If the exposure is not above 0 or longer than an hour.
     """
     if not 0 < exposure_s <= _LONGEST_S:
-        raise ValueError(f"exposure_s: must be above 0 and at most {_LONGEST_S:g} s, got {exposure_s:g}")
+        raise ValueError(
+            f"exposure_s: must be above 0 and at most {_LONGEST_S:g} s, got {exposure_s:g}"
+        )
     tick = 1 if profile is None else profile.tick_ns
     return max(1, round(exposure_s * 1e9 / chips / tick)) * tick
 
@@ -192,8 +206,12 @@ def _check_chip(profile: DeviceProfile, chip_ns: int) -> None:
     if chip_ns % tick == 0 and least <= chip_ns <= (most or chip_ns):
         return
     below = chip_ns // tick * tick
-    near = sorted({min(max(time_ns, least), most or time_ns + least) for time_ns in (below, below + tick)})
-    words = f"whole ticks of {tick} ns, from {least} ns" + ("" if most is None else f" to {most} ns")
+    near = sorted(
+        {min(max(time_ns, least), most or time_ns + least) for time_ns in (below, below + tick)}
+    )
+    words = f"whole ticks of {tick} ns, from {least} ns" + (
+        "" if most is None else f" to {most} ns"
+    )
     raise ValueError(
         f"chip_ns: {profile.name} plays chips of {words}, got {chip_ns} ns; "
         f"{' or '.join(str(time_ns) for time_ns in near)} ns would do"

@@ -21,10 +21,8 @@ from cep.search.scenarios import Scenario
 from hw.device import DeviceProfile, load_profile
 from motdiff.estimators.base import MotionEstimate
 from motdiff.trajectory import Trajectory
+from motdiff.types import BoolArray
 
-__all__ = ["OBJECTIVES", "Scenario", "SearchProblem", "open_range_of_duty"]
-
-BoolArray = NDArray[np.bool_]
 OBJECTIVES = ("min-mtf", "flatness", "noise", "mse")
 DirectionRule = Literal["auto", "unknown", "forward"]
 
@@ -38,17 +36,19 @@ class SearchProblem:
     chips : int
         Number of chips n.
     scenarios : tuple of Scenario
-        Motions to design for. None at all means the unit circle of the code's polynomial: the objective is then
-        :func:`cep.proofs.certify.minimum.min_chip` and its like, whatever the speed of a straight motion.
+        Motions to design for. None at all means the unit circle of the code's polynomial: the
+        objective is then :func:`cep.proofs.certify.minimum.min_chip` and its like, whatever the
+        speed of a straight motion.
     open_range : (int, int), optional
         Fewest and most open chips; any number when omitted.
     objective : {"min-mtf", "flatness", "noise", "mse"} or tuple of (name, weight)
         Objective; a mix adds the objectives' decibels. See :mod:`cep.search.objective`.
     direction : {"auto", "unknown", "forward"}
-        Unknown: the worse of both directions counts. Forward: only the one given. Auto: as of each trajectory.
+        Unknown: the worse of both directions counts. Forward: only the one given. Auto: as of each
+        trajectory.
     rule : {"worst", "mean"}
-        How scenarios combine: the worst of their decibels, or the weighted mean of their decibels, which one bad
-        motion does not rule as it would the decibels of a mean.
+        How scenarios combine: the worst of their decibels, or the weighted mean of their decibels,
+        which one bad motion does not rule as it would the decibels of a mean.
     runs : RunLimits
         Limits on runs and pulses, and forced chips.
     camera : Camera
@@ -63,7 +63,8 @@ class SearchProblem:
     Raises
     ------
     ValueError
-        If an argument is malformed, or limits conflict: the line names a smallest set of them that no code keeps.
+        If an argument is malformed, or limits conflict: the line names a smallest set of them that
+        no code keeps.
 
     Examples
     --------
@@ -87,15 +88,24 @@ class SearchProblem:
 
     def __post_init__(self) -> None:
         if not isinstance(self.chip_ns, int) or self.chip_ns < 1:
-            raise ValueError(f"chip_ns: must be a whole number of nanoseconds above 0, got {self.chip_ns!r}")
+            raise ValueError(
+                f"chip_ns: must be a whole number of nanoseconds above 0, got {self.chip_ns!r}"
+            )
         if not isinstance(self.chips, int) or self.chips < 1:
             raise ValueError(f"chips: must be a whole number of at least 1, got {self.chips!r}")
-        for name, allowed in (("direction", ("auto", "unknown", "forward")), ("rule", ("worst", "mean"))):
+        for name, allowed in (
+            ("direction", ("auto", "unknown", "forward")),
+            ("rule", ("worst", "mean")),
+        ):
             if getattr(self, name) not in allowed:
-                raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
+                raise ValueError(
+                    f"{name}: must be one of {', '.join(allowed)}, got {getattr(self, name)!r}"
+                )
         for name, weight in self.objective_mix:
             if name not in OBJECTIVES:
-                raise ValueError(f"objective: must be one of {', '.join(OBJECTIVES)}, got {name!r}")
+                raise ValueError(
+                    f"objective: must be one of {', '.join(OBJECTIVES)}, got {name!r}"
+                )
             if not (np.isfinite(weight) and weight > 0):
                 raise ValueError(f"objective: the weight of {name} must be above 0, got {weight}")
         if not self.objective_mix:
@@ -103,12 +113,16 @@ class SearchProblem:
         if not all(np.isfinite(s.weight) and s.weight > 0 for s in self.scenarios):
             raise ValueError("scenarios: every weight must be above 0")
         if self.response is not None and not self.scenarios:
-            raise ValueError("response: needs a motion (scenarios), the unit circle of a polynomial has no ramps")
+            raise ValueError(
+                "response: needs a motion (scenarios), the unit circle of a polynomial has no ramps"
+            )
         for scenario in self.scenarios:
             edges = checked_edges(scenario.edges, self.chips)
             if self.response is not None:
                 check_lengths(edges, self.response)
-        object.__setattr__(self, "runs", replace(self.runs, fixed=checked_mask(self.runs.fixed, self.chips)))
+        object.__setattr__(
+            self, "runs", replace(self.runs, fixed=checked_mask(self.runs.fixed, self.chips))
+        )
         self._check_feasible()
 
     @classmethod
@@ -136,9 +150,10 @@ class SearchProblem:
         exposure_s : float, optional
             Length of the exposure, which sets ``chip_ns``, to the device's nearest tick.
         device : DeviceProfile or str, optional
-            Shutter that must be able to play the codes, or its name as of :func:`hw.device.load_profile`: its limits
-            tighten ``runs`` and the open range, and the search counts its rise and fall. Without one the camera's own
-            shutter plays them, and its shortest exposure is the shortest opening.
+            Shutter that must be able to play the codes, or its name as of
+            :func:`hw.device.load_profile`: its limits tighten ``runs`` and the open range, and the
+            search counts its rise and fall. Without one the camera's own shutter plays them, and
+            its shortest exposure is the shortest opening.
         **options
             The other fields.
 
@@ -164,8 +179,11 @@ class SearchProblem:
                 raise ValueError("exposure_s and chip_ns: give one of them")
             options["chip_ns"] = chip_time_ns(exposure_s, chips, profile)
         if profile is None:
-            camera, chip_ns = options.get("camera", Camera()), options.get("chip_ns", cls.chip_ns)
-            options["runs"] = within_camera(camera, chips=chips, chip_ns=chip_ns, runs=options.get("runs", RunLimits()))
+            camera = options.get("camera", Camera())
+            chip_ns = options.get("chip_ns", cls.chip_ns)
+            options["runs"] = within_camera(
+                camera, chips=chips, chip_ns=chip_ns, runs=options.get("runs", RunLimits())
+            )
         else:
             played = within_device(
                 profile,
@@ -177,7 +195,12 @@ class SearchProblem:
             open_range = played.open_range
             options |= {"runs": played.runs, "response": played.response, "device": profile}
         paths = (motion if isinstance(motion, Trajectory) else motion.best for motion in motions)
-        return cls(chips=chips, scenarios=tuple(Scenario(path) for path in paths), open_range=open_range, **options)
+        return cls(
+            chips=chips,
+            scenarios=tuple(Scenario(path) for path in paths),
+            open_range=open_range,
+            **options,
+        )
 
     @property
     def on_circle(self) -> bool:
@@ -193,7 +216,9 @@ class SearchProblem:
     @property
     def objective_mix(self) -> tuple[tuple[str, float], ...]:
         """Objectives with their weights."""
-        return ((self.objective, 1.0),) if isinstance(self.objective, str) else tuple(self.objective)
+        return (
+            ((self.objective, 1.0),) if isinstance(self.objective, str) else tuple(self.objective)
+        )
 
     @property
     def open_limits(self) -> tuple[int, int]:
@@ -219,7 +244,9 @@ class SearchProblem:
 
     def both_directions(self, trajectory: Trajectory) -> bool:
         """Whether the reversed path is designed for as well; a uniform straight one is its own mirror image."""
-        unknown = self.direction == "unknown" or (self.direction == "auto" and trajectory.direction == "unknown")
+        unknown = self.direction == "unknown" or (
+            self.direction == "auto" and trajectory.direction == "unknown"
+        )
         return unknown and uniform_length_px(trajectory) is None
 
     @property
@@ -233,7 +260,11 @@ class SearchProblem:
 
     def ways(self) -> tuple[tuple[Scenario, bool], ...]:
         """Every scenario in every direction that counts, scenario by scenario."""
-        return tuple((scenario, turned) for scenario in self.scenarios for turned in self.directions(scenario))
+        return tuple(
+            (scenario, turned)
+            for scenario in self.scenarios
+            for turned in self.directions(scenario)
+        )
 
     def satisfied(self, codes: NDArray[np.integer] | BoolArray) -> BoolArray:
         """Which of (R, n) codes keep every limit, (R,) bool."""
@@ -250,27 +281,39 @@ class SearchProblem:
     def measure(self, code: ShutterCode, *, budget: int = 20_000) -> CodeMetrics:
         """Worst of each figure over all scenarios and directions; on the unit circle, along ``chips`` px straight.
 
-        The shutter opens and closes by :attr:`response`, and the chips are played at each scenario's edges. They last
-        as long as the problem's, whatever the code says.
+        The shutter opens and closes by :attr:`response`, and the chips are played at each
+        scenario's edges. They last as long as the problem's, whatever the code says.
         """
         if code.chips != self.chips:
             raise ValueError(f"code: must have {self.chips} chips, got {code.chips}")
-        found, played = [], ShutterCode(code.bits, self.chip_ns)
-        for scenario, turned in self.ways() or ((Scenario(Trajectory.straight(float(self.chips))), False),):
+        found = []
+        played = ShutterCode(code.bits, self.chip_ns)
+        for scenario, turned in self.ways() or (
+            (Scenario(Trajectory.straight(float(self.chips))), False),
+        ):
             path = scenario.path(reversed_path=turned)
-            shutter, edges = self.response, scenario.edges
-            found.append(measure(path, played, camera=self.camera, budget=budget, response=shutter, edges=edges))
+            shutter = self.response
+            edges = scenario.edges
+            found.append(
+                measure(
+                    path, played, camera=self.camera, budget=budget, response=shutter, edges=edges
+                )
+            )
         return worst_of(*found)
 
     def _check_feasible(self) -> None:
         low, high = self.open_range or (1, self.chips)
         shortest = self.runs.min_open
         if shortest > self.chips:
-            raise ValueError(f"min_open: runs of {shortest} open chips do not fit a code of {self.chips} chips")
+            raise ValueError(
+                f"min_open: runs of {shortest} open chips do not fit a code of {self.chips} chips"
+            )
         if low > high:
             raise ValueError(f"open_range: fewest {low} is above most {high}")
         if low < 1 or high > self.chips:
-            raise ValueError(f"open_range: must lie within 1..{self.chips} chips, got {low}..{high}")
+            raise ValueError(
+                f"open_range: must lie within 1..{self.chips} chips, got {low}..{high}"
+            )
         if high < shortest:
             raise ValueError(
                 f"min_open: runs of {shortest} open chips conflict with at most {high} open chips (open_range)"
@@ -284,11 +327,15 @@ def open_range_of_duty(chips: int, low: float, high: float) -> tuple[int, int]:
     Raises
     ------
     ValueError
-        If the duties are not within 0..1 and in order, or no whole number of chips lies between them.
+        If the duties are not within 0..1 and in order, or no whole number of chips lies between
+        them.
     """
     if not 0 <= low <= high <= 1:
         raise ValueError(f"duty: must be LOW:HIGH within 0..1, got {low:g}:{high:g}")
-    fewest, most = max(1, int(np.ceil(low * chips - 1e-9))), int(np.floor(high * chips + 1e-9))
+    fewest = max(1, int(np.ceil(low * chips - 1e-9)))
+    most = int(np.floor(high * chips + 1e-9))
     if fewest > most:
-        raise ValueError(f"duty: no whole number of open chips out of {chips} lies within {low:g}:{high:g}")
+        raise ValueError(
+            f"duty: no whole number of open chips out of {chips} lies within {low:g}:{high:g}"
+        )
     return fewest, most

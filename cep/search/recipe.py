@@ -1,12 +1,12 @@
 """The one recipe of a search: codes that would be used anyway, annealing or a count of all codes, the best of all.
 
-What a code is compared with is computed first. The annealing starts from whatever of it keeps the problem's limits, and
-from the nearest code to each other one. The code returned is the best of what the search found and of what it is
-compared with, by the problem's objective with its minima over the continuum. So no code within the limits that a table
-shows beats it.
+What a code is compared with is computed first. The annealing starts from whatever of it keeps the
+problem's limits, and from the nearest code to each other one. The code returned is the best of
+what the search found and of what it is compared with, by the problem's objective with its minima
+over the continuum. So no code within the limits that a table shows beats it.
 
-On straight motion the proven codes of docs/optima.md are starts as well. Where the proof of one covers the problem,
-that code is the answer.
+On straight motion the proven codes of docs/optima.md are starts as well. Where the proof of one
+covers the problem, that code is the answer.
 """
 
 from __future__ import annotations
@@ -25,26 +25,20 @@ from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import Stopped, anneal
 from cep.search.bundled import proven_optimum, proven_starts
 from cep.search.dnf import dnf_search
-from cep.search.exhaustive.exact import ExactResult, codes_to_count, exact
-from cep.search.exhaustive.proof import ProofLog
+from cep.search.exhaustive.exact import codes_to_count, exact
+from cep.search.exhaustive.proof import ExactResult, ProofLog
 from cep.search.light import best_snapshot, best_strobe, random_codes
 from cep.search.limits import nearest
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
-__all__ = [
-    "Baseline",
-    "Found",
-    "baselines",
-    "mean_length_px",
-    "prove_code",
-    "search_code",
-]
-
-_COARSE, _FINE = 8, 64  # samples per 1 / extent: to choose a baseline, and to judge
+_COARSE = 8  # samples per 1 / extent: to choose a baseline, and to judge
+_FINE = 64
 _RANDOM_CODES = 15
 _LENGTH_ONLY_MOVES = 200_000
-_LENGTH_ONLY_SHARE = 0.25  # of the time limit: all that may take long of what comes before the annealing
+_LENGTH_ONLY_SHARE = (
+    0.25  # of the time limit: all that may take long of what comes before the annealing
+)
 _LEAST_SHARE = 0.5  # of the time limit that the annealing has in any case
 _WITHIN = " within the limits"
 
@@ -56,15 +50,18 @@ class Baseline:
     Attributes
     ----------
     name : str
-        "open shutter", "best snapshot", "best strobe", "published: NAME", "length-only code" or "random code, median";
-        "best snapshot within the limits" and "best strobe within the limits" where the best ones break them.
+        "open shutter", "best snapshot", "best strobe", "published: NAME", "length-only code" or
+        "random code, median"; "best snapshot within the limits" and "best strobe within the
+        limits" where the best ones break them.
     code : ShutterCode
     cost_db : float
         By the problem's objective, with its minima over the continuum; lower is better.
     within_limits : bool
-        Whether the code keeps the problem's limits: others could not be returned, however good they are.
+        Whether the code keeps the problem's limits: others could not be returned, however good
+        they are.
     stopped_early : bool
-        Whether the time limit or Ctrl-C ended the search of this code: another run may give another.
+        Whether the time limit or Ctrl-C ended the search of this code: another run may give
+        another.
     """
 
     name: str
@@ -88,10 +85,11 @@ class Found:
     seconds : float
         The baselines' included.
     stopped : {"steps", "time", "interrupted", "complete", "proven"}
-        What ended it: all moves made, the time limit, Ctrl-C, that no other code keeps the limits, or a proof.
+        What ended it: all moves made, the time limit, Ctrl-C, that no other code keeps the limits,
+        or a proof.
     baselines : tuple of Baseline
-        What the code was compared with: none of them that keeps the limits has a lower cost. Ctrl-C may have cut them
-        short.
+        What the code was compared with: none of them that keeps the limits has a lower cost.
+        Ctrl-C may have cut them short.
     proof : dict or None
         Log of the proof; ``file`` names that of a proof in blocks or of a bundled proof.
     """
@@ -126,8 +124,9 @@ def search_code(
     rng : numpy Generator
         The same seed and ``steps`` give the same code, as long as ``time_s`` is not reached.
     steps, time_s, progress, threads
-        Of the annealing, as :func:`cep.search.annealing.anneal.anneal` takes them. What the baselines take counts
-        against the time, but for the half of it that the annealing has in any case.
+        Of the annealing, as :func:`cep.search.annealing.anneal.anneal` takes them. What the
+        baselines take counts against the time, but for the half of it that the annealing has in
+        any case.
     start : iterable of ShutterCode
         Codes to start from besides the baselines.
     length_px : float, optional
@@ -154,12 +153,18 @@ def search_code(
     known: list[Baseline] = []
     try:
         for one in baselines(
-            problem, rng=for_baselines, judge=judge, length_px=length_px, time_s=time_s, threads=threads
+            problem,
+            rng=for_baselines,
+            judge=judge,
+            length_px=length_px,
+            time_s=time_s,
+            threads=threads,
         ):
             known.append(one)
     except KeyboardInterrupt:
         code = ShutterCode.from_array(problem.random_codes(1, rng=for_search)[0])
-        cost, moves = judge.exact_cost(code), 0
+        cost = judge.exact_cost(code)
+        moves = 0
         stopped: Stopped = "interrupted"
     else:
         left_s = max(time_s - (time.monotonic() - began), _LEAST_SHARE * time_s)
@@ -173,7 +178,10 @@ def search_code(
             threads=threads,
             judge=judge,
         )
-        code, cost, moves, stopped = searched.code, searched.objective, searched.steps, searched.stopped
+        code = searched.code
+        cost = searched.objective
+        moves = searched.steps
+        stopped = searched.stopped
     code, cost = _best_of(code, cost, known)
     return Found(code, cost, moves, time.monotonic() - began, stopped, tuple(known))
 
@@ -209,32 +217,51 @@ def prove_code(
     judge = Objective(problem, oversampling=_FINE, dtype=np.float64)
     known: list[Baseline] = []
     with suppress(KeyboardInterrupt):
-        for one in baselines(problem, rng=rng, judge=judge, length_px=length_px, time_s=time_s, threads=threads):
+        for one in baselines(
+            problem, rng=rng, judge=judge, length_px=length_px, time_s=time_s, threads=threads
+        ):
             known.append(one)
     code, cost = proven.code, judge.exact_cost(proven.code)
     if not proven.proven:
         code, cost = _best_of(code, cost, known)
-    counted = codes_to_count(problem) if isinstance(proven.proof, ProofLog) else proven.proof.judged
+    counted = (
+        codes_to_count(problem) if isinstance(proven.proof, ProofLog) else proven.proof.judged
+    )
     return Found(
-        code, cost, counted, proven.seconds, "proven" if proven.proven else "interrupted",
-        tuple(known), proven.proof.to_dict(),
-    )  # fmt: skip
+        code,
+        cost,
+        counted,
+        proven.seconds,
+        "proven" if proven.proven else "interrupted",
+        tuple(known),
+        proven.proof.to_dict(),
+    )
 
 
 def _starts(problem: SearchProblem, known: Iterable[Baseline]) -> list[ShutterCode]:
     """Return the baselines within the limits, and of each other one the nearest code that keeps them."""
     codes = []
     for one in known:
-        near = one.code.array != 0 if one.within_limits else nearest(problem.limits, one.code.array != 0)
+        near = (
+            one.code.array != 0
+            if one.within_limits
+            else nearest(problem.limits, one.code.array != 0)
+        )
         if near is not None:
             codes.append(ShutterCode.from_array(near))
     return codes
 
 
-def _best_of(code: ShutterCode, cost_db: float, known: Iterable[Baseline]) -> tuple[ShutterCode, float]:
+def _best_of(
+    code: ShutterCode, cost_db: float, known: Iterable[Baseline]
+) -> tuple[ShutterCode, float]:
     """Return the best, with its cost, of a code and the baselines within the limits; the code where none is better."""
-    best = min((one for one in known if one.within_limits), key=lambda one: one.cost_db, default=None)
-    return (code, cost_db) if best is None or best.cost_db >= cost_db else (best.code, best.cost_db)
+    best = min(
+        (one for one in known if one.within_limits), key=lambda one: one.cost_db, default=None
+    )
+    return (
+        (code, cost_db) if best is None or best.cost_db >= cost_db else (best.code, best.cost_db)
+    )
 
 
 def baselines(
@@ -251,14 +278,16 @@ def baselines(
     Parameters
     ----------
     problem : SearchProblem
-        Its limits are kept by the length-only and the random code, and by the snapshot and the strobe that say so.
+        Its limits are kept by the length-only and the random code, and by the snapshot and the
+        strobe that say so.
     rng : numpy Generator
     judge : Objective, optional
         Of the problem, finely sampled; made here when omitted.
     length_px : float, optional
         Of the path, for the length-only code; :func:`mean_length_px` of the problem when omitted.
     time_s : float
-        Limit of a search that these are for, seconds; the length-only code's own search takes a quarter of it at most.
+        Limit of a search that these are for, seconds; the length-only code's own search takes a
+        quarter of it at most.
     threads : int, optional
         As many as there are cores when omitted; the codes do not depend on it.
 
@@ -269,9 +298,10 @@ def baselines(
 
     Notes
     -----
-    The snapshot is the run of open chips, anywhere in the exposure and of any length, and the strobe the periodic
-    pulses, that are best by the problem's objective. The length-only code is searched as the DNF methods do: for a
-    uniform straight motion of the path's length, least noise. The random code is the middle one of 15 by the objective.
+    The snapshot is the run of open chips, anywhere in the exposure and of any length, and the
+    strobe the periodic pulses, that are best by the problem's objective. The length-only code is
+    searched as the DNF methods do: for a uniform straight motion of the path's length, least
+    noise. The random code is the middle one of 15 by the objective.
     """
     judge = judge or Objective(problem, oversampling=_FINE, dtype=np.float64)
     found = _used_instead(problem, rng=rng, length_px=length_px, time_s=time_s, threads=threads)
@@ -281,11 +311,18 @@ def baselines(
 
 def mean_length_px(problem: SearchProblem) -> float:
     """Mean length of the problem's paths, px; on the unit circle, a px for each chip."""
-    return float(np.mean([one.trajectory.length_px for one in problem.scenarios] or [problem.chips]))
+    return float(
+        np.mean([one.trajectory.length_px for one in problem.scenarios] or [problem.chips])
+    )
 
 
 def _used_instead(
-    problem: SearchProblem, *, rng: np.random.Generator, length_px: float | None, time_s: float, threads: int | None
+    problem: SearchProblem,
+    *,
+    rng: np.random.Generator,
+    length_px: float | None,
+    time_s: float,
+    threads: int | None,
 ) -> Iterator[tuple[str, ShutterCode, bool]]:
     """Yield the name and the code of each baseline, and whether its search was stopped early."""
     yield "open shutter", ShutterCode("1" * problem.chips), False

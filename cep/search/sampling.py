@@ -1,8 +1,8 @@
 """Uniform random codes within limits.
 
-Without forced chips the codes of k open chips in p pulses are pairs of compositions (k into p runs, the rest into p + 1
-gaps), a closed form. Forced chips, a longest run and a least period need dynamic programming over the walks of
-:mod:`cep.search.limits`.
+Without forced chips the codes of k open chips in p pulses are pairs of compositions (k into p
+runs, the rest into p + 1 gaps), a closed form. Forced chips, a longest run and a least period need
+dynamic programming over the walks of :mod:`cep.search.limits`.
 """
 
 from __future__ import annotations
@@ -16,22 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.search.limits import CLOSED, OPEN, OVER, Limits, Step
+from motdiff.types import FloatArray
 
-__all__ = ["draw"]
-
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 _MOST_NUMBERS = 3 * 2**22  # of a table: 96 MB
 _TILT_BATCH = 256
-_TILT_ACCEPTED = 0.25  # of the walks drawn with a weight on their pulses must keep the limit on them
+_TILT_ACCEPTED = (
+    0.25  # of the walks drawn with a weight on their pulses must keep the limit on them
+)
 
 
 def draw(limits: Limits, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
     """Draw ``count`` codes within feasible limits, (count, n) of 0 and 1.
 
-    All codes are equally likely, with one exception: if chips are forced or runs limited by ``max_open`` or
-    ``min_period``, and the table over open chips and pulses would exceed 12 million numbers (as for 512 chips and 16
-    pulses), codes of few pulses are somewhat likelier than others.
+    All codes are equally likely, with one exception: if chips are forced or runs limited by
+    ``max_open`` or ``min_period``, and the table over open chips and pulses would exceed 12
+    million numbers (as for 512 chips and 16 pulses), codes of few pulses are somewhat likelier
+    than others.
     """
     if _free(limits):
         return _draw_free(limits, count, rng)
@@ -40,7 +41,7 @@ def draw(limits: Limits, count: int, *, rng: np.random.Generator) -> NDArray[np.
     return _draw_tilted(limits, count, rng)
 
 
-# -- no chip is forced, no pulse's length decides what may follow: compositions -------------------------------------
+# -- no chip is forced, no pulse's length decides what may follow: compositions -------------------
 
 
 def _free(limits: Limits) -> bool:
@@ -50,19 +51,26 @@ def _free(limits: Limits) -> bool:
 @lru_cache(maxsize=4)
 def _free_table(limits: Limits) -> FloatArray:
     """Logarithm of the number of codes with k open chips (row k) in p pulses (column p), (n + 1, p + 1)."""
-    n, low, high = limits.chips, max(limits.open_range[0], 1), min(limits.open_range[1], limits.chips)
+    n = limits.chips
+    low = max(limits.open_range[0], 1)
+    high = min(limits.open_range[1], limits.chips)
     most = limits.most_pulses or limits.fitting_pulses
-    k, p = np.arange(n + 1)[:, None], np.arange(most + 1)[None]
-    spare_open, spare_closed = k - p * limits.runs.min_open, n - k - (p - 1) * limits.runs.min_closed
+    k = np.arange(n + 1)[:, None]
+    p = np.arange(most + 1)[None]
+    spare_open = k - p * limits.runs.min_open
+    spare_closed = n - k - (p - 1) * limits.runs.min_closed
     possible = (k >= low) & (k <= high) & (p >= 1) & (spare_open >= 0) & (spare_closed >= 0)
     log_factorial = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, 2 * n + 2)))])
 
     def ways(total: IntArray, parts: IntArray) -> FloatArray:
-        total, parts = np.where(possible, total, 0), np.where(possible, parts, 1)
+        total = np.where(possible, total, 0)
+        parts = np.where(possible, parts, 1)
         chosen = log_factorial[total + parts - 1] - log_factorial[total] - log_factorial[parts - 1]
         return np.asarray(chosen, dtype=np.float64)
 
-    table = np.where(possible, ways(spare_open, p + 0 * k) + ways(spare_closed, p + 1 + 0 * k), -np.inf)
+    table = np.where(
+        possible, ways(spare_open, p + 0 * k) + ways(spare_closed, p + 1 + 0 * k), -np.inf
+    )
     table.setflags(write=False)
     return table
 
@@ -74,13 +82,17 @@ def _draw_free(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[
     index = np.arange(most)
     lengths = _compositions(k - pulses * limits.runs.min_open, pulses, most, rng)
     lengths += limits.runs.min_open * (index < pulses[:, None])
-    gaps = _compositions(limits.chips - k - (pulses - 1) * limits.runs.min_closed, pulses + 1, most + 1, rng)[:, :-1]
+    gaps = _compositions(
+        limits.chips - k - (pulses - 1) * limits.runs.min_closed, pulses + 1, most + 1, rng
+    )[:, :-1]
     gaps[:, 1:] += limits.runs.min_closed * (index[1:] < pulses[:, None])
     ends = np.cumsum(gaps + lengths, axis=1)
     return _filled(limits.chips, ends - lengths, ends, index < pulses[:, None])
 
 
-def _compositions(total: IntArray, parts: IntArray, most: int, rng: np.random.Generator) -> IntArray:
+def _compositions(
+    total: IntArray, parts: IntArray, most: int, rng: np.random.Generator
+) -> IntArray:
     """Split each of (R,) totals into (R,) parts, all splits equally likely: (R, most), zero after the last part."""
     slots = total + parts - 1
     width = int(slots.max(initial=0))
@@ -88,13 +100,17 @@ def _compositions(total: IntArray, parts: IntArray, most: int, rng: np.random.Ge
     # the parts - 1 smallest keys say where the bars stand among the stars
     bars = np.argsort(keys, axis=1)[:, : most - 1]
     bars = np.pad(bars, ((0, 0), (0, most - 1 - bars.shape[1])))
-    bars = np.sort(np.where(np.arange(most - 1) < parts[:, None] - 1, bars, slots[:, None]), axis=1)
+    bars = np.sort(
+        np.where(np.arange(most - 1) < parts[:, None] - 1, bars, slots[:, None]), axis=1
+    )
     before = np.full((len(total), 1), -1)
     parts_with_bars = np.diff(np.concatenate([before, bars, slots[:, None]], axis=1))
     return np.asarray(np.maximum(parts_with_bars - 1, 0), dtype=np.intp)
 
 
-def _filled(chips: int, starts: IntArray, ends: IntArray, used: NDArray[np.bool_]) -> NDArray[np.int8]:
+def _filled(
+    chips: int, starts: IntArray, ends: IntArray, used: NDArray[np.bool_]
+) -> NDArray[np.int8]:
     steps = np.zeros((len(starts), chips + 1), dtype=np.int8)
     rows = np.nonzero(used)[0]
     steps[rows, starts[used]] += 1
@@ -102,7 +118,7 @@ def _filled(chips: int, starts: IntArray, ends: IntArray, used: NDArray[np.bool_
     return np.cumsum(steps, axis=1, dtype=np.int8)[:, :-1]
 
 
-# -- otherwise: walks -----------------------------------------------------------------------------------------------
+# -- otherwise: walks -----------------------------------------------------------------------------
 
 
 class _StepTables(NamedTuple):
@@ -119,13 +135,15 @@ class _StepTables(NamedTuple):
 class _Walks:
     """Logarithms of the number of ways to go on, per state, position, open chips to come, and pulses that may come.
 
-    Where the open chips or the pulses are free, their axis has length 1 and nothing moves along it.
+    Where the open chips or the pulses are free, their axis has length 1 and nothing moves along
+    it.
     """
 
     limits: Limits
     ways: FloatArray  # (3, n + 1, K, P)
     steps: _StepTables
-    opens: int  # steps along the axis of open chips that one of them takes: 1, or 0 when they are free
+    # steps along the axis of open chips that one of them takes: 1, or 0 when they are free
+    opens: int
     pulses: int
     tilt: float  # added per pulse
 
@@ -136,18 +154,27 @@ class _Walks:
         return self.ways[CLOSED, 0, low : high + 1, -1]
 
     def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
-        n, steps = self.limits.chips, self.steps
+        n = self.limits.chips
+        steps = self.steps
         left = _pick(self.by_count, count, rng) + (self.limits.open_range[0] if self.opens else 0)
-        budget, place = np.full(count, self.ways.shape[3] - 1), np.zeros(count, dtype=np.intp)
-        state, edges = np.full(count, CLOSED, dtype=np.intp), np.zeros((count, n + 1), dtype=np.int8)
+        budget = np.full(count, self.ways.shape[3] - 1)
+        place = np.zeros(count, dtype=np.intp)
+        state = np.full(count, CLOSED, dtype=np.intp)
+        edges = np.zeros((count, n + 1), dtype=np.int8)
         rows = np.arange(count)
         while rows.size:
-            here, now = place[rows], state[rows]
-            opened, then, starts = steps.opened[now].T, steps.then[now].T, steps.pulses[now].T  # (S, R)
+            here = place[rows]
+            now = state[rows]
+            opened = steps.opened[now].T  # (S, R)
+            then = steps.then[now].T
+            starts = steps.pulses[now].T
             after = here + opened + steps.closed[now].T
-            k, p = left[rows] - self.opens * opened, budget[rows] - self.pulses * starts
+            k = left[rows] - self.opens * opened
+            p = budget[rows] - self.pulses * starts
             possible = steps.fits[now, :, here].T & (k >= 0) & (p >= 0)
-            found = self.ways[then, np.minimum(after, n), k.clip(0), p.clip(0)] + self.tilt * starts
+            found = (
+                self.ways[then, np.minimum(after, n), k.clip(0), p.clip(0)] + self.tilt * starts
+            )
             weights = np.where(possible, found, -np.inf)
             share = np.cumsum(np.exp(weights - weights.max(axis=0)), axis=0)
             drawn = np.minimum(rng.random(rows.size) * share[-1], np.nextafter(share[-1], 0))
@@ -155,16 +182,23 @@ class _Walks:
             edges[rows, here] += starts[taken].astype(np.int8)
             pulse_ends = ((now == OPEN) | (starts[taken] == 1)) & (then[taken] != OPEN)
             edges[rows, here + opened[taken]] -= pulse_ends.astype(np.int8)
-            place[rows], left[rows], budget[rows], state[rows] = after[taken], k[taken], p[taken], then[taken]
+            place[rows], left[rows], budget[rows], state[rows] = (
+                after[taken],
+                k[taken],
+                p[taken],
+                then[taken],
+            )
             rows = rows[then[taken] != OVER]
         return np.cumsum(edges, axis=1, dtype=np.int8)[:, :-1]
 
 
 @lru_cache(maxsize=2)
 def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
-    n, steps = limits.chips, limits.steps()
+    n = limits.chips
+    steps = limits.steps()
     most = limits.most_pulses if counting_pulses else None
-    opens, pulses = int(limits.counts_opens), int(most is not None)
+    opens = int(limits.counts_opens)
+    pulses = int(most is not None)
     ways = np.full((3, n + 1, limits.open_range[1] * opens + 1, (most or 0) + 1), -np.inf)
     ways[OVER, limits.rest(), 0] = 0.0
     for i in reversed(range(n + 1)):
@@ -174,14 +208,22 @@ def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
                     onwards = ways[then, i + opened + closed] + tilt * starts
                     _add(ways[state, i], onwards, opened * opens, pulses * starts)
     # the state with fewer steps is given some that never fit
-    rows = list(zip(*zip_longest(*steps, fillvalue=Step(0, 0, OVER, 0, np.zeros(n + 1, dtype=np.bool_))), strict=True))
-    columns = ([[step[field] for step in row] for row in rows] for field in range(len(Step._fields)))
+    rows = list(
+        zip(
+            *zip_longest(*steps, fillvalue=Step(0, 0, OVER, 0, np.zeros(n + 1, dtype=np.bool_))),
+            strict=True,
+        )
+    )
+    columns = (
+        [[step[field] for step in row] for row in rows] for field in range(len(Step._fields))
+    )
     return _Walks(limits, ways, _StepTables(*map(np.array, columns)), opens, pulses, tilt)
 
 
 def _add(total: FloatArray, ways: FloatArray, opens: int, pulses: int) -> None:
     """Add ways that are ``opens`` open chips and ``pulses`` pulses short of ``total``, in logarithms, in place."""
-    rows, columns = max(len(total) - opens, 0), total.shape[1] - pulses
+    rows = max(len(total) - opens, 0)
+    columns = total.shape[1] - pulses
     target = total[opens:, pulses:]
     np.logaddexp(target, ways[:rows, :columns], out=target)
 
@@ -205,8 +247,12 @@ def _draw_tilted(limits: Limits, count: int, rng: np.random.Generator) -> NDArra
 @lru_cache(maxsize=16)
 def _tilt(limits: Limits) -> float:
     """Weight per pulse, in logarithms, with which a good share of the walks keeps the limit on pulses."""
-    tilt, rng = 0.0, np.random.default_rng(0)
-    while _few_pulses(limits, _walks(limits, False, tilt).draw(_TILT_BATCH, rng)).mean() < _TILT_ACCEPTED:
+    tilt = 0.0
+    rng = np.random.default_rng(0)
+    while (
+        _few_pulses(limits, _walks(limits, False, tilt).draw(_TILT_BATCH, rng)).mean()
+        < _TILT_ACCEPTED
+    ):
         tilt = 2 * tilt - 0.25
     return tilt
 
@@ -219,6 +265,7 @@ def _few_pulses(limits: Limits, codes: NDArray[np.int8]) -> NDArray[np.bool_]:
 def _pick(log_weights: FloatArray, count: int, rng: np.random.Generator) -> IntArray:
     """Draw ``count`` indices with these relative weights."""
     share = np.cumsum(np.exp(log_weights - log_weights.max()))
-    # an index without weight is never picked: ties go to the right, and the last with weight is the first at the total
+    # an index without weight is never picked: ties go to the right, and the last with weight is
+    # the first at the total
     picked = np.searchsorted(share, rng.random(count) * share[-1], side="right")
     return np.asarray(np.minimum(picked, np.searchsorted(share, share[-1])), dtype=np.intp)

@@ -1,7 +1,7 @@
 """Scenarios of a search: alternative motions, other speeds, drifting and jittering chip edges.
 
-Each function varies all given scenarios and divides their weight, so nested calls combine the variations:
-``jittered(speed_range(alternatives(motion), 0.9, 1.1, 3), chips, 0.05, 4, rng=rng)``.
+Each function varies all given scenarios and divides their weight, so nested calls combine the
+variations: ``jittered(speed_range(alternatives(motion), 0.9, 1.1, 3), chips, 0.05, 4, rng=rng)``.
 """
 
 from __future__ import annotations
@@ -19,23 +19,8 @@ from cep.optics.response import ShutterResponse
 from cep.optics.timeline import checked_edges
 from motdiff.files.trajectories import StoredMotion
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = [
-    "LARGEST_JITTER",
-    "MOST_SCENARIOS",
-    "Base",
-    "Scenario",
-    "alternatives",
-    "class_scenarios",
-    "coded_sum",
-    "distinct_rows",
-    "drifted",
-    "jittered",
-    "scenario_rows",
-    "speed_range",
-]
-
-FloatArray = NDArray[np.float64]
 MOST_SCENARIOS = 256
 """A search looks at every scenario in every move: more than these are refused."""
 
@@ -93,8 +78,8 @@ def alternatives(motion: StoredMotion) -> tuple[Scenario, ...]:
 def class_scenarios(motions: Iterable[Trajectory]) -> tuple[Scenario, ...]:
     """Make a class of motions of equal weight; one of unknown direction is in it both ways, with half of it each.
 
-    For a problem of the rule "mean" and the direction "forward": over a class the ways of a motion are averaged as its
-    motions are, while the other problems count the worse one.
+    For a problem of the rule "mean" and the direction "forward": over a class the ways of a motion
+    are averaged as its motions are, while the other problems count the worse one.
 
     Raises
     ------
@@ -124,22 +109,27 @@ def speed_range(base: Base, low: float, high: float, count: int) -> tuple[Scenar
     Raises
     ------
     ValueError
-        If the factors are not positive and in order, one alone is to span a range, or scenarios are too many.
+        If the factors are not positive and in order, one alone is to span a range, or scenarios
+        are too many.
     """
     if not (np.isfinite(high) and 0 < low <= high):
         raise ValueError(f"speed: factors must be above 0 and in order, got {low:g}..{high:g}")
     if count < 1 or (count == 1 and low < high):
         raise ValueError(f"count: a range of speeds needs at least 2 of them, got {count}")
     factors = np.linspace(low, high, count).tolist()
-    return _varied(base, count, lambda one: [replace(one, trajectory=one.trajectory.scaled(f)) for f in factors])
+    return _varied(
+        base,
+        count,
+        lambda one: [replace(one, trajectory=one.trajectory.scaled(f)) for f in factors],
+    )
 
 
 def drifted(base: Base, chips: int, amounts: float | Sequence[float]) -> tuple[Scenario, ...]:
     """Play the code ``1 + amount`` times as slowly as meant, for each amount: its chips cover another part of the path.
 
     Code and exposure begin together. A slow code (amount above 0) outlasts the exposure, see
-    :func:`cep.optics.timeline.extended`; a fast one leaves its end unused. Give 0 as well to keep the code played on
-    time.
+    :func:`cep.optics.timeline.extended`; a fast one leaves its end unused. Give 0 as well to keep
+    the code played on time.
 
     Raises
     ------
@@ -148,8 +138,14 @@ def drifted(base: Base, chips: int, amounts: float | Sequence[float]) -> tuple[S
     """
     each = [float(amount) for amount in np.atleast_1d(amounts)]
     if not each or not all(-0.5 <= amount <= 0.5 for amount in each):
-        raise ValueError(f"amounts: must lie within -0.5..0.5, got {', '.join(f'{a:g}' for a in each) or 'none'}")
-    return _varied(base, len(each), lambda one: [_at(one, _edges(one, chips) * (1 + amount)) for amount in each])
+        raise ValueError(
+            f"amounts: must lie within -0.5..0.5, got {', '.join(f'{a:g}' for a in each) or 'none'}"
+        )
+    return _varied(
+        base,
+        len(each),
+        lambda one: [_at(one, _edges(one, chips) * (1 + amount)) for amount in each],
+    )
 
 
 def jittered(
@@ -165,14 +161,18 @@ def jittered(
         If ``sigma_chips`` is outside 0..0.15, ``count`` below 1, or scenarios are too many.
     """
     if not 0 <= sigma_chips <= LARGEST_JITTER:
-        raise ValueError(f"sigma_chips: must lie within 0..{LARGEST_JITTER:g} chips, got {sigma_chips:g}")
+        raise ValueError(
+            f"sigma_chips: must lie within 0..{LARGEST_JITTER:g} chips, got {sigma_chips:g}"
+        )
     if count < 1:
         raise ValueError(f"count: must be at least 1, got {count}")
 
     def drawn(one: Scenario) -> list[Scenario]:
         edges = _edges(one, chips)
         lengths = np.diff(edges)
-        room = _FARTHEST_EDGE * np.minimum(np.append(lengths, lengths[-1]), np.insert(lengths, 0, lengths[0]))
+        room = _FARTHEST_EDGE * np.minimum(
+            np.append(lengths, lengths[-1]), np.insert(lengths, 0, lengths[0])
+        )
         shifts = rng.normal(0.0, sigma_chips / chips, (count, chips + 1))
         return [_at(one, moved) for moved in edges + np.clip(shifts, -room, room)]
 
@@ -190,8 +190,8 @@ def scenario_rows(
 ) -> NDArray[np.complex128]:
     """Rows (n, 2, 2, ...) of :func:`cep.optics.exposure.chip_rows` along a scenario, or along its path run backwards.
 
-    The code is played in its own order either way. Only for chips of equal length and an instant shutter are the rows
-    of the reversed path those of the path in the opposite order.
+    The code is played in its own order either way. Only for chips of equal length and an instant
+    shutter are the rows of the reversed path those of the path in the opposite order.
     """
     path = scenario.path(reversed_path=reversed_path)
     return chip_rows(path, chips, fx_cy_px, fy_cy_px, response=response, edges=scenario.edges)
@@ -200,7 +200,8 @@ def scenario_rows(
 def distinct_rows(rows: NDArray[Any], response: ShutterResponse | None) -> NDArray[Any]:
     """Rows (n, V, ...) of those (n, 2, 2, ...) of :func:`scenario_rows`.
 
-    V is 4 where the shutter's response makes neighbours matter (2 left + right, 1 for open), else 1.
+    V is 4 where the shutter's response makes neighbours matter (2 left + right, 1 for open), else
+    1.
     """
     return rows[:, 0, :1] if response is None else rows.reshape(len(rows), 4, *rows.shape[3:])
 
@@ -212,14 +213,17 @@ def coded_sum(rows: NDArray[Any], codes: NDArray[Any]) -> NDArray[Any]:
     if rows.shape[1] == 1:
         total = on @ flat[:, 0]
     else:
-        # chips open one after the other from the first: the left neighbour stands, the right one is closed yet
+        # chips open one after the other from the first: the left neighbour stands, the right one
+        # is closed yet
         left = np.pad(on, ((0, 0), (1, 0)))[:, :-1]
         total = (on * (1 - left)) @ flat[:, 0]
         total += (on * left) @ flat[:, 2]
     return np.asarray(total.reshape(len(codes), *rows.shape[2:]))
 
 
-def _varied(base: Base, count: int, vary: Callable[[Scenario], list[Scenario]]) -> tuple[Scenario, ...]:
+def _varied(
+    base: Base, count: int, vary: Callable[[Scenario], list[Scenario]]
+) -> tuple[Scenario, ...]:
     if isinstance(base, Trajectory):
         base = (Scenario(base),)
     elif isinstance(base, Scenario):
@@ -237,7 +241,9 @@ def _counted(scenarios: tuple[Scenario, ...]) -> tuple[Scenario, ...]:
 
 
 def _refuse(count: int) -> None:
-    raise ValueError(f"scenarios: {count} are too many, at most {MOST_SCENARIOS}; take fewer speeds, draws or motions")
+    raise ValueError(
+        f"scenarios: {count} are too many, at most {MOST_SCENARIOS}; take fewer speeds, draws or motions"
+    )
 
 
 def _edges(scenario: Scenario, chips: int) -> FloatArray:

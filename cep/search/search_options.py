@@ -13,19 +13,11 @@ if TYPE_CHECKING:
     from cep.optics.code import ShutterCode
     from cep.search.limits import RunLimits
     from cep.search.optimize import Search
-    from cep.search.problem import Scenario, SearchProblem
+    from cep.search.problem import SearchProblem
+    from cep.search.scenarios import Scenario
     from hw.device import DeviceProfile
     from motdiff.files.trajectories import StoredMotion
     from motdiff.trajectory import Trajectory
-
-__all__ = [
-    "SearchOptions",
-    "Task",
-    "ending",
-    "open_limits",
-    "problem_of",
-    "task_of",
-]
 
 
 _SPEEDS = 5
@@ -73,9 +65,15 @@ def problem_of(
     open_range = open_limits(wish.chips, wish.open_chips, wish.duty)
     runs = replace(wish.runs, fixed=_mask(wish))
     if profile is None:
-        played = Playable(within_camera(camera, chips=wish.chips, chip_ns=wish.chip_ns, runs=runs), open_range, None)
+        played = Playable(
+            within_camera(camera, chips=wish.chips, chip_ns=wish.chip_ns, runs=runs),
+            open_range,
+            None,
+        )
     else:
-        played = within_device(profile, chips=wish.chips, chip_ns=wish.chip_ns, open_range=open_range, runs=runs)
+        played = within_device(
+            profile, chips=wish.chips, chip_ns=wish.chip_ns, open_range=open_range, runs=runs
+        )
     return SearchProblem(
         chips=wish.chips,
         scenarios=_scenarios(wish, stored, rng),
@@ -103,9 +101,12 @@ def open_limits(chips: int, open_chips: str | None, duty: str | None) -> tuple[i
         return 1, chips
     low, _, high = open_chips.partition(":")
     try:
-        least, most = int(low), int(high or low)
+        least = int(low)
+        most = int(high or low)
     except ValueError:
-        raise ValueError(f"--open: must be K or LOW:HIGH in whole chips, got {open_chips!r}") from None
+        raise ValueError(
+            f"--open: must be K or LOW:HIGH in whole chips, got {open_chips!r}"
+        ) from None
     if not 1 <= least <= most <= chips:
         raise ValueError(f"--open: must lie within 1..{chips}, got {open_chips}")
     return least, most
@@ -120,14 +121,25 @@ def _objective(text: str) -> str | tuple[tuple[str, float], ...]:
         try:
             mix.append((name.strip(), float(weight or 1)))
         except ValueError:
-            raise ValueError(f"--objective: must be a name or a mix as min-mtf:0.15,noise:1, got {text!r}") from None
+            raise ValueError(
+                f"--objective: must be a name or a mix as min-mtf:0.15,noise:1, got {text!r}"
+            ) from None
     if len({name for name, _ in mix}) < len(mix):
         raise ValueError(f"--objective: names one objective twice, got {text!r}")
     return tuple(mix)
 
 
-def _scenarios(wish: SearchOptions, stored: StoredMotion, rng: np.random.Generator) -> tuple[Scenario, ...]:
-    from cep.search.scenarios import LARGEST_JITTER, Scenario, alternatives, drifted, jittered, speed_range
+def _scenarios(
+    wish: SearchOptions, stored: StoredMotion, rng: np.random.Generator
+) -> tuple[Scenario, ...]:
+    from cep.search.scenarios import (
+        LARGEST_JITTER,
+        Scenario,
+        alternatives,
+        drifted,
+        jittered,
+        speed_range,
+    )
 
     made = alternatives(stored) if wish.alternatives else (Scenario(stored.trajectory),)
     if wish.speed is not None:
@@ -139,7 +151,9 @@ def _scenarios(wish: SearchOptions, stored: StoredMotion, rng: np.random.Generat
         made = drifted(made, wish.chips, (-abs(wish.drift), 0.0, abs(wish.drift)))
     if wish.jitter is not None:
         if not 0 <= wish.jitter <= LARGEST_JITTER:
-            raise ValueError(f"--jitter: must lie within 0..{LARGEST_JITTER:g} chips, got {wish.jitter:g}")
+            raise ValueError(
+                f"--jitter: must lie within 0..{LARGEST_JITTER:g} chips, got {wish.jitter:g}"
+            )
         made = jittered(made, wish.chips, wish.jitter, _JITTERS, rng=rng)
     return made
 
@@ -151,7 +165,10 @@ def _mask(wish: SearchOptions) -> str | None:
     if fixed is None and not (wish.first_open or wish.last_open):
         return None
     marks = fixed or "?" * wish.chips
-    for asked, name, place in ((wish.first_open, "--first-open", 0), (wish.last_open, "--last-open", -1)):
+    for asked, name, place in (
+        (wish.first_open, "--first-open", 0),
+        (wish.last_open, "--last-open", -1),
+    ):
         if asked and marks[place : place + 1 or None] == "0":
             raise ValueError(f"{name}: --fixed closes that chip")
     if len(marks) != wish.chips or set(marks) - set("01?"):
@@ -227,10 +244,14 @@ def task_of(
     check_resolved(motion, wish.chips)
     if wish.objective is None and how.method == "exact" and uniform_length_px(motion) is not None:
         wish = replace(wish, objective="min-mtf")  # what a proof is for
-    problem = problem_of(wish, stored, camera=camera, profile=profile, rng=np.random.default_rng([how.seed, 2]))
+    problem = problem_of(
+        wish, stored, camera=camera, profile=profile, rng=np.random.default_rng([how.seed, 2])
+    )
     described = {
         **{
-            name: value for name, value in asdict(wish).items() if name not in ("open_chips", "duty", "chip_ns", "runs")
+            name: value
+            for name, value in asdict(wish).items()
+            if name not in ("open_chips", "duty", "chip_ns", "runs")
         },
         **source,
         **described_search(problem, how),

@@ -19,22 +19,6 @@ from cep.search.limits import RunLimits
 from cep.search.objective import Objective, sample_count
 from cep.search.problem import SearchProblem
 
-__all__ = [
-    "CODED",
-    "KINDS",
-    "NONE_POSSIBLE",
-    "PLAIN",
-    "Choice",
-    "Way",
-    "WayFinder",
-    "best_possible",
-    "can_record",
-    "check_light",
-    "judged_ways",
-    "recordable",
-    "simplest",
-]
-
 Choice = Literal["open", "snapshot", "strobe", "code"]
 
 PLAIN: tuple[Choice, ...] = ("open", "snapshot")
@@ -50,12 +34,17 @@ NONE_POSSIBLE = "limits: none of the ways to expose that were tried keeps them w
 """Refusal where no way can be advised."""
 
 _OVERSAMPLING = 8  # samples per 1 / extent while snapshots, strobes and codes are searched
-_LONG_COLUMNS = 1_024  # samples of a straight motion, some 250 px long, beyond which fewer do: docs/decisions/search.md
-_LONG_OVERSAMPLING, _LONG_ACROSS = 4, 6
-_SWAPS_WORK = 5_000_000  # terms of all swaps of two chips, beyond which a code is polished by flips alone
+# samples of a straight motion, some 250 px long, beyond which fewer do: docs/decisions/search.md
+_LONG_COLUMNS = 1_024
+_LONG_OVERSAMPLING = 4
+_LONG_ACROSS = 6
+_SWAPS_WORK = (
+    5_000_000  # terms of all swaps of two chips, beyond which a code is polished by flips alone
+)
 _MOVES = 100_000  # of a search at one light level; four times as many gain less than 0.05 dB
 _MOST_RUNS = 1_000  # single exposures that are all judged where every length is asked for
-_LENGTHS, _STARTS = 24, 16  # else so many lengths and starts
+_LENGTHS = 24  # else so many lengths and starts
+_STARTS = 16
 _ROUNDED = 1e-3  # relative: a camera's figures are stated to three digits
 
 
@@ -69,7 +58,8 @@ class Way:
     code : ShutterCode
         Chips that are open; a snapshot's are one run.
     psnr_db : float
-        Expected of the restored photo, with the light that the chips let in; as if the pixel could hold it.
+        Expected of the restored photo, with the light that the chips let in; as if the pixel could
+        hold it.
     equal_light_db : float
         The same where a brighter lamp makes up for the closed chips.
     within_limits : bool
@@ -93,12 +83,18 @@ class Way:
     @property
     def label(self) -> str:
         """Name for tables."""
-        name = {"open": "open shutter", "snapshot": "single exposure", "strobe": "even pulses", "code": "code"}[
-            self.kind
-        ]
+        name = {
+            "open": "open shutter",
+            "snapshot": "single exposure",
+            "strobe": "even pulses",
+            "code": "code",
+        }[self.kind]
         notes = [
             note
-            for note, applies in (("outside the limits", not self.within_limits), ("saturates", self.saturates))
+            for note, applies in (
+                ("outside the limits", not self.within_limits),
+                ("saturates", self.saturates),
+            )
             if applies
         ]
         return f"{name} ({', '.join(notes)})" if notes else name
@@ -133,13 +129,16 @@ class WayFinder:
         self._fast = Objective(sought, oversampling=_OVERSAMPLING)
         self._moved = Objective(sought, oversampling=over, across=across) if long else self._fast
         self._judge = Objective(sought, oversampling=over, across=across, dtype=np.float64)
-        self._swaps = not long or problem.chips**2 // 4 * self._judge.shares_across.size <= _SWAPS_WORK
+        self._swaps = (
+            not long or problem.chips**2 // 4 * self._judge.shares_across.size <= _SWAPS_WORK
+        )
 
     def ordinary(self, camera: Camera, *, every_length: bool = False) -> list[ShutterCode]:
         """Return single exposures and even pulses to judge: the best by the expected error that do not saturate.
 
-        Of all, and within the limits. Also the shortest exposures, which may be the best with a brighter lamp; or
-        exposures of every length, where they are judged otherwise: for a path not known exactly, or several frames.
+        Of all, and within the limits. Also the shortest exposures, which may be the best with a
+        brighter lamp; or exposures of every length, where they are judged otherwise: for a path
+        not known exactly, or several frames.
         """
         problem = replace(self._fast.problem, camera=camera)
         unlimited = replace(problem, open_range=None, runs=RunLimits())
@@ -147,7 +146,11 @@ class WayFinder:
         for best, single in ((best_snapshot, True), (best_strobe, False)):
             for asked in (unlimited, problem):
                 kept = recordable(asked, single=single)
-                code = None if kept is None else best(self._fast.for_problem(kept), within_limits=kept is not unlimited)
+                code = (
+                    None
+                    if kept is None
+                    else best(self._fast.for_problem(kept), within_limits=kept is not unlimited)
+                )
                 found += [] if code is None else [code]
                 if code is not None and problem.allows(code):
                     break
@@ -158,7 +161,10 @@ class WayFinder:
         for length in lengths if every else evenly_some(lengths, _LENGTHS):
             starts = np.arange(n - length + 1)
             runs = starts if every and every_length else evenly_some(starts, _STARTS)
-            found += [ShutterCode("0" * i + "1" * int(length) + "0" * (n - int(length) - i)) for i in map(int, runs)]
+            found += [
+                ShutterCode("0" * i + "1" * int(length) + "0" * (n - int(length) - i))
+                for i in map(int, runs)
+            ]
         return found
 
     def codes(
@@ -177,22 +183,34 @@ class WayFinder:
         return [] if found is None else [found.code]
 
     def search(
-        self, camera: Camera, starts: Sequence[ShutterCode], *, seed: int, threads: int | None, time_s: float = math.inf
+        self,
+        camera: Camera,
+        starts: Sequence[ShutterCode],
+        *,
+        seed: int,
+        threads: int | None,
+        time_s: float = math.inf,
     ) -> SearchResult | None:
         """Search the code of least expected error within the limits; None where every code would saturate.
 
-        A snapshot may have less noise from dark current. It is charged that of a code here, or the search would end on
-        it. The time or Ctrl-C ends the search with the best code so far.
+        A snapshot may have less noise from dark current. It is charged that of a code here, or the
+        search would end on it. The time or Ctrl-C ends the search with the best code so far.
         """
         kept = recordable(replace(self._judge.problem, camera=camera), single=False)
         if kept is None:
             return None
         sought = replace(kept, camera=camera.with_dark_noise(kept.chips * kept.chip_ns * 1e-9))
         return anneal(
-            sought, rng=np.random.default_rng([seed, 7]), steps=_MOVES, time_s=time_s,
-            start=[code for code in starts if sought.allows(code)], threads=threads,
-            judge=self._judge.for_problem(sought), moved=self._moved.for_problem(sought), swaps=self._swaps,
-        )  # fmt: skip
+            sought,
+            rng=np.random.default_rng([seed, 7]),
+            steps=_MOVES,
+            time_s=time_s,
+            start=[code for code in starts if sought.allows(code)],
+            threads=threads,
+            judge=self._judge.for_problem(sought),
+            moved=self._moved.for_problem(sought),
+            swaps=self._swaps,
+        )
 
 
 def recordable(problem: SearchProblem, *, single: bool) -> SearchProblem | None:
@@ -202,16 +220,21 @@ def recordable(problem: SearchProblem, *, single: bool) -> SearchProblem | None:
     ----------
     problem : SearchProblem
     single : bool
-        Whether codes of a single opening are asked for: dark current fills the well for as long as it alone.
+        Whether codes of a single opening are asked for: dark current fills the well for as long as
+        it alone.
 
     Returns
     -------
     SearchProblem or None
         None where no code within the limits is left.
     """
-    camera, n, chip_s = problem.camera, problem.chips, problem.chip_ns * 1e-9
+    camera = problem.camera
+    n = problem.chips
+    chip_s = problem.chip_ns * 1e-9
     counts = np.arange(1, n + 1)
-    collected = camera.photons_full_scale * counts / n + camera.dark_e(chip_s * (counts if single else n))
+    collected = camera.photons_full_scale * counts / n + camera.dark_e(
+        chip_s * (counts if single else n)
+    )
     most = int(np.count_nonzero(collected <= _full_e(camera)))
     low, high = problem.open_range or (1, n)
     if most >= high:
@@ -239,9 +262,12 @@ def check_light(problem: SearchProblem) -> None:
     try:
         problem.camera.at(problem.camera.photons_full_scale)
     except ValueError as error:  # no option but the camera's file states such a light
-        raise ValueError(f"camera: the light level {str(error).removeprefix('photons: ')}") from None
+        raise ValueError(
+            f"camera: the light level {str(error).removeprefix('photons: ')}"
+        ) from None
     if not can_record(problem):
-        camera, shortest = problem.camera, max(problem.open_limits[0], 1) / problem.chips
+        camera = problem.camera
+        shortest = max(problem.open_limits[0], 1) / problem.chips
         raise ValueError(
             f"photons_full_scale: this camera is full at {camera.saturation_e:,.0f} electrons, and at a light level of "
             f"{camera.photons_full_scale:,.0f} the shortest opening, {shortest:.2g} of the exposure, collects "
@@ -264,7 +290,8 @@ def judged_ways(
     """
     every = list(
         {
-            code.bits: ShutterCode(code.bits, problem.chip_ns) for code in [ShutterCode("1" * problem.chips), *codes]
+            code.bits: ShutterCode(code.bits, problem.chip_ns)
+            for code in [ShutterCode("1" * problem.chips), *codes]
         }.values()
     )
     noise = [
@@ -274,7 +301,8 @@ def judged_ways(
     ]
     expected = expected or ExpectedPsnr(problem, path_error_px=path_error_px)
     psnr = expected.psnr_db(every, noise=noise).reshape(len(every), -1, 2)
-    allowed, kinds = [problem.allows(code) for code in every], [_kind(code) for code in every]
+    allowed = [problem.allows(code) for code in every]
+    kinds = [_kind(code) for code in every]
     judged = []
     for index, camera in enumerate(cameras):
         full = collected_e(camera, every, response=problem.response) > _full_e(camera)
@@ -318,7 +346,8 @@ def _full_e(camera: Camera) -> float:
 def _kind(code: ShutterCode) -> Choice:
     """Kind of a code by its openings: all, one, even ones, or others."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], code.array, [0]])))
-    starts, ends = edges[::2], edges[1::2]
+    starts = edges[::2]
+    ends = edges[1::2]
     if code.open_chips == code.chips:
         return "open"
     if len(starts) == 1:

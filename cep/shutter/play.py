@@ -15,19 +15,6 @@ from hw.drivers.write_only import WriteOnlyDevice
 from hw.export import export_program, file_name, find_exporter
 from hw.program import Program
 
-__all__ = [
-    "DRIVERS",
-    "MOST_ROUNDING",
-    "EmulatedPlay",
-    "ExportedCode",
-    "Shutter",
-    "export_code",
-    "on_ticks",
-    "open_shutter",
-    "play_emulated",
-    "shutter_profile",
-]
-
 MOST_ROUNDING = 0.005
 """Share of a chip by which it may be rounded to a device's ticks: with that 52 chips end a quarter of a chip off."""
 
@@ -68,20 +55,23 @@ class Shutter:
         ----------
         code : ShutterCode
         profile : DeviceProfile or str, optional
-            Limits of the shutter, or their name as of :func:`hw.device.load_profile`; checked before anything is sent.
+            Limits of the shutter, or their name as of :func:`hw.device.load_profile`; checked
+            before anything is sent.
         arm : bool
             The next trigger plays the code.
         play : bool
             Play it once, now, and wait for its end; it is not armed afterwards.
         lease_ms : int
-            An armed "cxp" controller disarms itself after this; other devices stay armed until the next upload.
+            An armed "cxp" controller disarms itself after this; other devices stay armed until the
+            next upload.
         clock_ppm : float
             By how much the clock of a "cxp" controller is fast, as ``cep hw calibrate`` finds it.
 
         Raises
         ------
         ValueError
-            If the shutter or the device cannot play the code: the line lists every limit it breaks. Nothing was sent.
+            If the shutter or the device cannot play the code: the line lists every limit it
+            breaks. Nothing was sent.
         hw.errors.DeviceError, hw.port.LinkError, hw.cxp.player.VerifyError
             If the device refuses, stops answering, or holds another program than it was sent.
         """
@@ -96,7 +86,9 @@ class Shutter:
                 report = replace(report, armed=False, lease_ms=None)
             return report
         if clock_ppm:
-            raise ValueError("clock_ppm: this device cannot stretch chips, only cxp controllers do")
+            raise ValueError(
+                "clock_ppm: this device cannot stretch chips, only cxp controllers do"
+            )
         report = self.device.upload(program, profile=limits, arm=arm)
         if play:
             self.device.play()
@@ -111,7 +103,10 @@ class Shutter:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.device.__exit__(kind, error, trace)
 
@@ -122,8 +117,8 @@ def open_shutter(port: str, *, driver: str = "cxp") -> Shutter:
     Parameters
     ----------
     port : str
-        Serial port as ``/dev/ttyACM0`` or ``COM3``, a USB serial number, or with "cxp" ``auto`` for the only one
-        connected; with "scpi" a VISA resource.
+        Serial port as ``/dev/ttyACM0`` or ``COM3``, a USB serial number, or with "cxp" ``auto``
+        for the only one connected; with "scpi" a VISA resource.
     driver : {"cxp", "pulse-pal", "scpi"}
 
     Raises
@@ -166,7 +161,9 @@ def on_ticks(code: Timed, tick_ns: int) -> tuple[Timed, tuple[str, ...]]:
     chip_ns = max(1, round(code.chip_ns / tick_ns)) * tick_ns
     if not 0 < abs(chip_ns - code.chip_ns) <= MOST_ROUNDING * code.chip_ns:
         return code, ()
-    warning = f"its chips last {chip_ns} ns instead of {code.chip_ns} ns: whole ticks of {tick_ns} ns"
+    warning = (
+        f"its chips last {chip_ns} ns instead of {code.chip_ns} ns: whole ticks of {tick_ns} ns"
+    )
     return replace(code, chip_ns=chip_ns), (warning,)
 
 
@@ -190,7 +187,9 @@ class ExportedCode:
     warnings: tuple[str, ...]
 
 
-def export_code(code: ShutterCode, file_format: str, *, device: DeviceProfile | str | None = None) -> ExportedCode:
+def export_code(
+    code: ShutterCode, file_format: str, *, device: DeviceProfile | str | None = None
+) -> ExportedCode:
     """Write a code as a timed program, its chips in the ticks of the format, and read it back to prove its edges.
 
     Raises
@@ -233,7 +232,9 @@ class EmulatedPlay:
     edges_ns: tuple[tuple[int, int], ...]
 
 
-def play_emulated(code: ShutterCode, *, profile: DeviceProfile | str | None = None) -> EmulatedPlay:
+def play_emulated(
+    code: ShutterCode, *, profile: DeviceProfile | str | None = None
+) -> EmulatedPlay:
     """Load a code into an emulated Uno with the shipped firmware, read it back, and play it once.
 
     Raises
@@ -258,4 +259,6 @@ def play_emulated(code: ShutterCode, *, profile: DeviceProfile | str | None = No
     finally:
         uno.stop()
     first = edges[0][0] if edges else 0
-    return EmulatedPlay(report, tuple((round((cycle - first) * 1e9 / CLOCK_HZ), level) for cycle, level in edges))
+    return EmulatedPlay(
+        report, tuple((round((cycle - first) * 1e9 / CLOCK_HZ), level) for cycle, level in edges)
+    )

@@ -7,9 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from cep.files.files import PSF_SUFFIXES, StoredCode, write_code, write_psf
 from cep.files.outputs import new_folder
 from cep.optics.as_played import achieved_code, achieved_psf
@@ -20,10 +17,7 @@ from hw.recordings.capture import read_capture
 from hw.recordings.playback import Verification, align
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
-
-__all__ = ["Playback", "playback_files", "read_playback"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -76,8 +70,8 @@ class Playback:
         Raises
         ------
         ValueError
-            If the path as played leaves the frame, no chip was open, or the clock was so slow that the motion is not
-            known for as long.
+            If the path as played leaves the frame, no chip was open, or the clock was so slow that
+            the motion is not known for as long.
         """
         return achieved_psf(motion, self.plays[0], chip_ns=self.program.chip_ns, size=size)
 
@@ -100,16 +94,22 @@ class Playback:
         Raises
         ------
         ValueError
-            If a file exists and ``force`` is not given, no chip was open, or the clock was so slow that the motion is
-            not known for as long.
+            If a file exists and ``force`` is not given, no chip was open, or the clock was so slow
+            that the motion is not known for as long.
         """
-        output, play = Path(path), self.plays[0]
+        output = Path(path)
+        play = self.plays[0]
         files = playback_files(output, with_psf=motion is not None)
         with new_folder(output.parent, [file.name for file in files], force=force) as made:
-            about = {"played": play.verdict, "device": None if device is None else device.to_dict()}
+            about = {
+                "played": play.verdict,
+                "device": None if device is None else device.to_dict(),
+            }
             write_code(made / output.name, StoredCode(self.code, problem=about))
             if motion is not None:
-                size = max(PSF_PX, 2 * motion.frame_size())  # a slow clock goes on beyond the motion that was asked for
+                size = max(
+                    PSF_PX, 2 * motion.frame_size()
+                )  # a slow clock goes on beyond the motion that was asked for
                 write_psf(made, self.psf(motion, size=size), stem=_psf_stem(output))
         return files
 
@@ -117,11 +117,18 @@ class Playback:
 def playback_files(path: Path | str, *, with_psf: bool) -> list[Path]:
     """List what :meth:`Playback.save` writes: the code, and with a motion its PSF beside it."""
     output = Path(path)
-    return [output, *(output.with_name(_psf_stem(output) + suffix) for suffix in PSF_SUFFIXES if with_psf)]
+    return [
+        output,
+        *(output.with_name(_psf_stem(output) + suffix) for suffix in PSF_SUFFIXES if with_psf),
+    ]
 
 
 def read_playback(
-    capture: Path | str, program: Program | ShutterCode, *, signal: str | None = None, trigger: str | None = None
+    capture: Path | str,
+    program: Program | ShutterCode,
+    *,
+    signal: str | None = None,
+    trigger: str | None = None,
 ) -> Playback:
     """Read a recording of a shutter, and find the plays of a program in it.
 
@@ -166,7 +173,11 @@ def read_playback(
         return found
     # One that is much quieter is no rival, unless what was taken is wrong.
     least = 1 if found.wrong else len(trace.edges) // 2
-    rivals = (each for each in recording.traces if each not in (trace, asked) and len(each.edges) >= max(least, 1))
+    rivals = (
+        each
+        for each in recording.traces
+        if each not in (trace, asked) and len(each.edges) >= max(least, 1)
+    )
     return replace(found, others=tuple(each.name for each in rivals))
 
 
@@ -176,9 +187,18 @@ def _psf_stem(output: Path) -> str:
 
 def _figures(play: Verification) -> dict[str, object]:
     return {
-        "bits": play.achieved, "same_bits": play.same_bits, "start_ns": play.start_ns, "clock_ppm": -play.scale_ppm,
-        "jitter_ns": play.jitter_ns, "worst_ns": play.worst_ns, "widening_ns": play.widening_ns,
-        "latency_ns": play.latency_ns, "missing": play.missing, "extra": play.extra, "glitches": play.glitches,
+        "bits": play.achieved,
+        "same_bits": play.same_bits,
+        "start_ns": play.start_ns,
+        "clock_ppm": -play.scale_ppm,
+        "jitter_ns": play.jitter_ns,
+        "worst_ns": play.worst_ns,
+        "widening_ns": play.widening_ns,
+        "latency_ns": play.latency_ns,
+        "missing": play.missing,
+        "extra": play.extra,
+        "glitches": play.glitches,
         "inverted": play.inverted,
-        "verdict": play.verdict, "problems": play.problems,
-    }  # fmt: skip
+        "verdict": play.verdict,
+        "problems": play.problems,
+    }

@@ -16,21 +16,6 @@ from hw.port import list_ports
 from motdiff.motions import boracchi_foi, quadratic
 from motdiff.trajectory import Trajectory
 
-__all__ = [
-    "Choice",
-    "camera_names",
-    "cameras",
-    "devices",
-    "example_motion",
-    "example_motions",
-    "formats",
-    "ports",
-    "profile_names",
-    "published_chips",
-    "published_codes",
-    "shutter_name",
-]
-
 _THIN_PX = 0.05  # of the walk's 2000 samples
 
 
@@ -108,7 +93,9 @@ def example_motion(name: str) -> Trajectory:
     60
     """
     if name not in _EXAMPLES:
-        raise ValueError(f"motion: there is no example {name[:40]!r}; there are {', '.join(_EXAMPLES)}")
+        raise ValueError(
+            f"motion: there is no example {name[:40]!r}; there are {', '.join(_EXAMPLES)}"
+        )
     return _drawn(name)
 
 
@@ -129,12 +116,16 @@ _EXAMPLES = {
 def _drawn(name: str) -> Trajectory:
     t = np.linspace(0, 1, 33)
     if name == "shake":
-        found = quadratic(np.random.default_rng(0), min_length_px=24, max_length_px=28, max_bend=1.5)
+        found = quadratic(
+            np.random.default_rng(0), min_length_px=24, max_length_px=28, max_bend=1.5
+        )
         return found.thinned(_THIN_PX)
     if name == "turn":
         turned = np.pi / 2 * (t - 0.5)
         radius = 40 / (np.pi / 2)
-        return Trajectory.from_samples(radius * np.stack([np.sin(turned), np.cos(turned)], axis=1), direction="known")
+        return Trajectory.from_samples(
+            radius * np.stack([np.sin(turned), np.cos(turned)], axis=1), direction="known"
+        )
     if name == "start":
         return Trajectory.from_samples(32 * np.stack([t**2, 0 * t], axis=1), direction="known")
     return boracchi_foi(np.random.default_rng(7)).thinned(_THIN_PX)

@@ -9,16 +9,22 @@ from typing import Any
 import numpy as np
 
 import cep
-from cep.files.files import StoredCode, json_text, read_code, read_json, stated_schema, stored_device
+from cep.files.files import (
+    StoredCode,
+    json_text,
+    read_code,
+    read_json,
+    stated_schema,
+    stored_device,
+)
 from cep.files.formatting import seconds_of
 from cep.files.outputs import claim_folder, new_folder
 from cep.studio.catalogue import shutter_name
 from cep.studio.fields import FieldError
-from cep.studio.motions import DEFAULT_AXES, gyro_motion, stored_paths
+from cep.studio.motions import gyro_motion, stored_paths
 from cep.studio.state import path_fields, read_state, saved_setting
 from cep.studio.views import STUDIO_SCHEMA, Views
-
-__all__ = ["EXTRACTED", "extract", "opened_document", "opened_gyro", "stored_state"]
+from motdiff.gyro import DEFAULT_AXES
 
 EXTRACTED = ("trajectory.json", "code.json", "commands.sh")
 """Files of :func:`extract`."""
@@ -29,7 +35,8 @@ _PATH_PX = 0.01  # by which a motion may differ that another version of the libr
 def opened_document(file: Path) -> dict[str, Any]:
     """Return what of a document the page takes over: ``paths`` of a motion, ``bits`` of a code, or a whole ``state``.
 
-    With the bits comes ``device``, the name of the shutter they were searched for, or a ``warning`` where it has none.
+    With the bits comes ``device``, the name of the shutter they were searched for, or a
+    ``warning`` where it has none.
 
     Raises
     ------
@@ -47,7 +54,9 @@ def opened_document(file: Path) -> dict[str, Any]:
         if schema == STUDIO_SCHEMA:
             return {"state": stored_state(file)}
     except (ValueError, OSError) as error:  # its name is the server's, and says nothing
-        raise FieldError("open_file", str(error).replace(f"{file}: ", "").replace(str(file), "the file")) from None
+        raise FieldError(
+            "open_file", str(error).replace(f"{file}: ", "").replace(str(file), "the file")
+        ) from None
     raise FieldError("open_file", "the file is no trajectory.json, code.json or studio.json")
 
 
@@ -58,7 +67,8 @@ def opened_gyro(file: Path, given: Mapping[str, str]) -> dict[str, Any]:
     ----------
     file : Path
     given : mapping
-        ``focal`` px, ``start`` s, ``exposure`` s and ``axes``, the directions of the recording's axes.
+        ``focal`` px, ``start`` s, ``exposure`` s and ``axes``, the directions of the recording's
+        axes.
 
     Raises
     ------
@@ -70,17 +80,27 @@ def opened_gyro(file: Path, given: Mapping[str, str]) -> dict[str, Any]:
         try:
             numbers[name] = parse(given.get(name, ""))
         except ValueError as error:
-            said = str(error).removeprefix("exposure: ") if parse is seconds_of else "a number is needed"
+            said = (
+                str(error).removeprefix("exposure: ")
+                if parse is seconds_of
+                else "a number is needed"
+            )
             raise FieldError(f"gyro_{name}", said) from None
     axes = given.get("axes", DEFAULT_AXES)
     try:
         path, trace = gyro_motion(
-            file, focal_px=numbers["focal"], start_s=numbers["start"], exposure_s=numbers["exposure"], axes=axes
+            file,
+            focal_px=numbers["focal"],
+            start_s=numbers["start"],
+            exposure_s=numbers["exposure"],
+            axes=axes,
         )
     except ValueError as error:
         field = "gyro_axes" if str(error).startswith("axes: ") else "gyro"
         said = str(error).removeprefix("axes: ")
-        raise FieldError(field, said.replace(f"{file}: ", "").replace(str(file), "the file")) from None
+        raise FieldError(
+            field, said.replace(f"{file}: ", "").replace(str(file), "the file")
+        ) from None
     read = f"{trace.columns}; axes: {axes}"
     warnings = [read, *(line.removeprefix(f"{file}: ") for line in trace.warnings)]
     return {"paths": [{"weight": 1.0, **_described(path)}], "warnings": warnings}
@@ -89,13 +109,14 @@ def opened_gyro(file: Path, given: Mapping[str, str]) -> dict[str, Any]:
 def extract(file: Path, folder: Path, *, force: bool = False) -> list[Path]:
     """Write the motion, the code and the command lines of a studio file, all or none.
 
-    All three are made from the file's state: whoever sent the file wrote its command lines, which a shell would run.
+    All three are made from the file's state: whoever sent the file wrote its command lines, which
+    a shell would run.
 
     Raises
     ------
     ValueError
-        If the file is no studio file, its trajectory or code is not the one of its state, or the folder holds such
-        files and ``force`` is not given.
+        If the file is no studio file, its trajectory or code is not the one of its state, or the
+        folder holds such files and ``force`` is not given.
     """
     document = read_json(file, schema=STUDIO_SCHEMA)
     state = _checked(document["state"], file)
@@ -108,8 +129,12 @@ def extract(file: Path, folder: Path, *, force: bool = False) -> list[Path]:
         raise ValueError(f"{file}: {wrong}")
     with new_folder(folder, EXTRACTED, force=force) as made:
         for name in EXTRACTED[:2]:
-            (made / name).write_text(json_text(saved[name.removesuffix(".json")]), encoding="utf-8")
-        (made / EXTRACTED[2]).write_text("".join(f"{line}\n" for line in saved["commands"]), encoding="utf-8")
+            (made / name).write_text(
+                json_text(saved[name.removesuffix(".json")]), encoding="utf-8"
+            )
+        (made / EXTRACTED[2]).write_text(
+            "".join(f"{line}\n" for line in saved["commands"]), encoding="utf-8"
+        )
     return [folder / name for name in EXTRACTED]
 
 
@@ -121,9 +146,7 @@ def _opened_code(stored: StoredCode) -> dict[str, Any]:
     name = shutter_name(profile)
     if name is not None:
         return {**found, "device": name}
-    warning = (
-        f"its code was searched for the shutter {profile.name}, whose limits the studio cannot check: use cep export"
-    )
+    warning = f"its code was searched for the shutter {profile.name}, whose limits the studio cannot check: use cep export"
     return {**found, "device": "", "warning": warning}
 
 
@@ -150,9 +173,11 @@ def _checked(state: object, file: Path) -> dict[str, Any]:
 def _difference(document: Mapping[str, Any], saved: Mapping[str, Any]) -> str | None:
     """Say where the trajectory or the code of a studio file is not the one of its state."""
     again = "save it in the studio again"
-    path, code = document.get("trajectory", saved["trajectory"]), document.get("code", saved["code"])
+    path = document.get("trajectory", saved["trajectory"])
+    code = document.get("code", saved["code"])
     for name in "txy":
-        samples, others = np.array(path.get(name, []), dtype=np.float64), np.array(saved["trajectory"][name])
+        samples = np.array(path.get(name, []), dtype=np.float64)
+        others = np.array(saved["trajectory"][name])
         if samples.shape != others.shape or np.abs(samples - others).max() > _PATH_PX:
             return f"trajectory.{name}: is not that of the state's motion; {again}"
     if path.get("direction", "unknown") != saved["trajectory"]["direction"]:
@@ -161,7 +186,10 @@ def _difference(document: Mapping[str, Any], saved: Mapping[str, Any]) -> str | 
         if code.get(name) != saved["code"][name]:
             return f"code.{name}: is not that of the state's code; {again}"
     problem = code.get("problem")
-    if isinstance(problem, dict) and problem.get("device") not in (None, saved["code"]["problem"].get("device")):
+    if isinstance(problem, dict) and problem.get("device") not in (
+        None,
+        saved["code"]["problem"].get("device"),
+    ):
         return f"code.problem.device: is not the state's shutter; {again}"
     return None
 

@@ -6,19 +6,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeGuard
 
-__all__ = [
-    "LIMITS",
-    "MOST_CHIPS",
-    "FieldError",
-    "disk_error",
-    "is_number",
-    "is_text",
-    "read_bits",
-    "read_choice",
-    "read_number",
-    "read_whole",
-]
-
 MOST_CHIPS = 512
 LIMITS = ("min_open", "min_closed", "max_open", "max_pulses")
 _LARGEST = sys.float_info.max
@@ -71,7 +58,8 @@ def disk_error(field: str, error: OSError) -> FieldError:
     """Return what to say beside a field where the studio's own folder cannot be written."""
     reason = (error.strerror or str(error)).lower()
     return FieldError(
-        field, f"the studio's folder cannot be written ({reason}); free space there, or set TMPDIR and start it again"
+        field,
+        f"the studio's folder cannot be written ({reason}); free space there, or set TMPDIR and start it again",
     )
 
 
@@ -85,7 +73,9 @@ def read_bits(given: object, field: str) -> str:
     if not isinstance(given, str) or not given or set(given) - {"0", "1"}:
         raise FieldError(field, "a code is a row of 1 (open) and 0 (closed), as 11010001")
     if len(given) > MOST_CHIPS:
-        raise FieldError(field, f"the studio takes codes of up to {MOST_CHIPS} chips, this one has {len(given)}")
+        raise FieldError(
+            field, f"the studio takes codes of up to {MOST_CHIPS} chips, this one has {len(given)}"
+        )
     if "1" not in given:
         raise FieldError(field, "all chips are closed; at least one must be open")
     return given
@@ -98,10 +88,14 @@ def is_text(value: object, most: int) -> TypeGuard[str]:
 
 def is_number(value: object) -> TypeGuard[int | float]:
     """Whether a value is a number that a double holds: JSON has integers of any size, and Python reads NaN."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
+    return (
+        isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
+    )
 
 
-def read_number(document: Mapping[str, Any], name: str, low: float, high: float, unit: str) -> float | None:
+def read_number(
+    document: Mapping[str, Any], name: str, low: float, high: float, unit: str
+) -> float | None:
     """Read a number within a range, None where there is none, or an empty text.
 
     Raises
@@ -116,7 +110,9 @@ def read_number(document: Mapping[str, Any], name: str, low: float, high: float,
     return float(value) + 0.0  # -0.0 becomes 0.0
 
 
-def read_whole(document: Mapping[str, Any], name: str, low: int, high: int, unit: str) -> int | None:
+def read_whole(
+    document: Mapping[str, Any], name: str, low: int, high: int, unit: str
+) -> int | None:
     """Read a whole number within a range, as :func:`read_number` does.
 
     Raises
@@ -131,7 +127,9 @@ def read_whole(document: Mapping[str, Any], name: str, low: int, high: int, unit
     return int(value)
 
 
-def read_choice(document: Mapping[str, Any], field: str, choices: Sequence[str], *, default: str) -> str:
+def read_choice(
+    document: Mapping[str, Any], field: str, choices: Sequence[str], *, default: str
+) -> str:
     """Read one of the choices that the server gave; the default where there is none, or an empty text.
 
     Raises

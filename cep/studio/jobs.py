@@ -17,9 +17,9 @@ from typing import Any
 
 from cep.studio import work
 
-__all__ = ["BusyError", "Job", "Jobs"]
-
-_GRACE_S = 5.0  # a page that is loaded again is the same page, and one that has just been opened may not listen yet
+# a page that is loaded again is the same page, and one that has just been opened may not listen
+# yet
+_GRACE_S = 5.0
 _LAST_S = 120.0  # to measure the best so far
 _MALLOC = {"MALLOC_ARENA_MAX": "2", "MALLOC_MMAP_THRESHOLD_": "1000000"}
 """glibc gives large arrays back when they are freed: an estimate then takes 60 MB less."""
@@ -72,13 +72,16 @@ class Job:
 class Jobs:
     """The one job of a server, and the pages that listen to it.
 
-    Used from the server's event loop alone. Processes are forked from a helper that has loaded the library, where the
-    system can: a job then starts in milliseconds, and its memory goes back when it ends.
+    Used from the server's event loop alone. Processes are forked from a helper that has loaded the
+    library, where the system can: a job then starts in milliseconds, and its memory goes back when
+    it ends.
     """
 
     def __init__(self) -> None:
         methods = multiprocessing.get_all_start_methods()
-        self._context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+        self._context: Any = multiprocessing.get_context(
+            "forkserver" if "forkserver" in methods else "spawn"
+        )
         self._numbers = count(int(time.time()))  # a page may have seen jobs of an earlier run
         self._process: Any = None
         self._job: Job | None = None
@@ -93,7 +96,10 @@ class Jobs:
         if self._context.get_start_method() == "forkserver":
             from multiprocessing import forkserver
 
-            for name, value in _MALLOC.items():  # the helper's, which is started here, and its children's
+            for (
+                name,
+                value,
+            ) in _MALLOC.items():  # the helper's, which is started here, and its children's
                 os.environ.setdefault(name, value)
             self._context.set_forkserver_preload(["cep.studio.work", "cep.search.optimize"])
             forkserver.ensure_running()
@@ -109,11 +115,15 @@ class Jobs:
         if self._job is not None and self._job.state == "running":
             if not work.KINDS[self._job.kind].gives_way:
                 where = "this page" if self._job.page == page else "another page"
-                raise BusyError(f"{work.KINDS[self._job.kind].name} is running in {where}; stop it first")
+                raise BusyError(
+                    f"{work.KINDS[self._job.kind].name} is running in {where}; stop it first"
+                )
             self._end("stopped")
         job = self._job = Job(next(self._numbers), page, kind)
         ours, theirs = self._context.Pipe(duplex=False)
-        process = self._process = self._context.Process(target=work.run, args=(kind, dict(order), theirs), daemon=True)
+        process = self._process = self._context.Process(
+            target=work.run, args=(kind, dict(order), theirs), daemon=True
+        )
         process.start()
         theirs.close()
         loop = asyncio.get_running_loop()
@@ -203,7 +213,8 @@ class Jobs:
 
     def _end(self, state: str) -> None:
         """End the process at once; one that drives a shutter first puts it to rest."""
-        job, process = self._job, self._process
+        job = self._job
+        process = self._process
         assert job is not None
         job.state = state
         self._settle()
@@ -225,7 +236,10 @@ class Jobs:
         if job.state != "running":
             return
         if message is None:  # the pipe was closed without a result
-            job.state, job.error = "failed", {"field": "job", "message": "the work ended without a result"}
+            job.state, job.error = (
+                "failed",
+                {"field": "job", "message": "the work ended without a result"},
+            )
         for name, value in (message or {}).items():
             setattr(job, name, value)
         if job.state != "running":

@@ -1,6 +1,7 @@
 """Figures, MTFs and simulated photos of one code after another along one motion, fast enough to follow a hand.
 
-What a code does not change is computed once and kept: the OTFs of the chips, and the ways to expose without a code.
+What a code does not change is computed once and kept: the OTFs of the chips, and the ways to
+expose without a code.
 """
 
 from __future__ import annotations
@@ -31,17 +32,17 @@ from cep.search.ways import Way, WayFinder, check_light, judged_ways
 from hw.device import DeviceProfile
 from hw.program import Program
 from motdiff.simulate import valid_window
+from motdiff.types import FloatArray
 
-__all__ = ["MAP_COLUMNS", "MAP_ROWS", "LiveBench", "LiveFigures", "LiveScene", "broken_limits"]
-
-FloatArray = NDArray[np.float64]
-
-MAP_COLUMNS, MAP_ROWS = 97, 49
+MAP_COLUMNS = 97
+MAP_ROWS = 49
 """Frequencies of the MTF's map: x from -0.5 to 0.5, y from 0 to 0.5 cycles/px; the other half is its mirror image."""
 
 _CURVE = 241  # frequencies along the main axis, 0..0.5 cycles/px
 _BORDER_ROUNDS = 4  # of the filter: the photo is looked at, not measured
-_MOST_BYTES = 96 * 2**20  # of the OTFs of the paths near one that is not known exactly: 70 chips in both directions
+_MOST_BYTES = (
+    96 * 2**20
+)  # of the OTFs of the paths near one that is not known exactly: 70 chips in both directions
 _BUDGET = 4_000  # cells of the proof of the minimum: milliseconds
 
 
@@ -52,7 +53,8 @@ class LiveFigures:
     Attributes
     ----------
     metrics : CodeMetrics
-        Worst of each figure over the directions that count. The lower bound of the minimum is proven.
+        Worst of each figure over the directions that count. The lower bound of the minimum is
+        proven.
     curve : (F,) float
         MTF along the motion's main axis, light-true, at :attr:`LiveBench.freq_cy_px`.
     band : (MAP_ROWS, MAP_COLUMNS) float
@@ -115,7 +117,9 @@ class LiveBench:
         along = None if self.problem.on_circle else self.problem.scenarios[0].trajectory
         metrics = with_proven_zero(code, along, self.problem.measure(code, budget=_BUDGET))
         modulus = np.abs(coded_sum(self._rows, code.array[None])[0]).astype(np.float64)
-        return LiveFigures(metrics, modulus[:_CURVE], modulus[_CURVE:].reshape(MAP_ROWS, MAP_COLUMNS))
+        return LiveFigures(
+            metrics, modulus[:_CURVE], modulus[_CURVE:].reshape(MAP_ROWS, MAP_COLUMNS)
+        )
 
     @cached_property
     def _rows(self) -> NDArray[np.complex64]:
@@ -123,7 +127,9 @@ class LiveBench:
         x, y = np.meshgrid(np.linspace(-0.5, 0.5, MAP_COLUMNS), np.linspace(0, 0.5, MAP_ROWS))
         fx = np.concatenate([self.freq_cy_px * self.axis[0], x.ravel()])
         fy = np.concatenate([self.freq_cy_px * self.axis[1], y.ravel()])
-        rows = scenario_rows(self.problem.scenarios[0], self.problem.chips, fx, fy, response=self.problem.response)
+        rows = scenario_rows(
+            self.problem.scenarios[0], self.problem.chips, fx, fy, response=self.problem.response
+        )
         return distinct_rows(rows, self.problem.response).astype(np.complex64)
 
     @cached_property
@@ -134,8 +140,8 @@ class LiveBench:
     def verdict(self, code: ShutterCode, *, path_error_px: float = 0.0) -> Verdict:
         """Judge a code beside the ways to expose without one, as :func:`cep.search.advise.verdict` does.
 
-        The first call for a motion and an error finds and judges these ways, which takes some seconds; later ones judge
-        the code alone.
+        The first call for a motion and an error finds and judges these ways, which takes some
+        seconds; later ones judge the code alone.
 
         Parameters
         ----------
@@ -146,12 +152,15 @@ class LiveBench:
         Raises
         ------
         ValueError
-            If even the shortest opening saturates at the camera's light, or no way keeps the limits.
+            If even the shortest opening saturates at the camera's light, or no way keeps the
+            limits.
         """
         check_light(self.problem)
         with self._finding:
             if self._ways is None or self._ways[0] != path_error_px:
-                found = WayFinder(self.problem).ordinary(self.problem.camera, every_length=path_error_px > 0)
+                found = WayFinder(self.problem).ordinary(
+                    self.problem.camera, every_length=path_error_px > 0
+                )
                 self._ways = path_error_px, self._judged(found, path_error_px)
             ways = self._ways[1]
             if not any(way.code.bits == code.bits for way in ways):
@@ -174,8 +183,11 @@ class LiveBench:
             self._expected = None  # before the next one is made
             made = ExpectedPsnr(self.problem, path_error_px=path_error_px, most_bytes=_MOST_BYTES)
             self._expected = path_error_px, made
-        problem, expected = self.problem, self._expected[1]
-        return judged_ways(problem, [problem.camera], codes, path_error_px=path_error_px, expected=expected)[0]
+        problem = self.problem
+        expected = self._expected[1]
+        return judged_ways(
+            problem, [problem.camera], codes, path_error_px=path_error_px, expected=expected
+        )[0]
 
     def psf(self, code: ShutterCode) -> FloatArray:
         """Light-true PSF of a code in the smallest odd frame that holds the motion."""
@@ -194,18 +206,23 @@ class LiveBench:
 
     def restored(self, code: ShutterCode, photo: ArrayLike) -> FloatArray:
         """Restore such a photo by a Wiener filter with the same PSF: what a motion that is known exactly allows."""
-        return wiener(photo, self.psf(code), camera=self._camera(code), border_rounds=_BORDER_ROUNDS)
+        return wiener(
+            photo, self.psf(code), camera=self._camera(code), border_rounds=_BORDER_ROUNDS
+        )
 
     def _camera(self, code: ShutterCode) -> Camera:
-        return self.problem.camera.with_dark_noise(ShutterCode(code.bits, self.problem.chip_ns).integration_ns * 1e-9)
+        return self.problem.camera.with_dark_noise(
+            ShutterCode(code.bits, self.problem.chip_ns).integration_ns * 1e-9
+        )
 
 
 class LiveScene:
     """A scene that is photographed through one code after another, for the eye.
 
-    Its spectrum and the draws of the noise are kept: a pixel has the same deviates in every photo. Photon noise is made
-    of a normal deviate z, as the electrons ``m + z sqrt(m) + (z^2 - 1) / 6``, rounded: the mean, variance and skewness
-    are those of the Poisson distribution (Cornish and Fisher 1938). Drawing that one takes 15 times as long.
+    Its spectrum and the draws of the noise are kept: a pixel has the same deviates in every photo.
+    Photon noise is made of a normal deviate z, as the electrons ``m + z sqrt(m) + (z^2 - 1) / 6``,
+    rounded: the mean, variance and skewness are those of the Poisson distribution (Cornish and
+    Fisher 1938). Drawing that one takes 15 times as long.
 
     Parameters
     ----------
@@ -233,14 +250,25 @@ class LiveScene:
         """
         seen = [_middle(one, side_px) for one in valid_window(self.shape, psf.shape)]
         kernel = fft.rfft2(psf.astype(np.float32), self.shape)
-        blurred = fft.irfft2(self._spectrum * kernel, self.shape)  # lies half a frame further; its wrap is not seen
-        below, right = (slice(one.start + n // 2, one.stop + n // 2) for one, n in zip(seen, psf.shape, strict=True))
+        blurred = fft.irfft2(
+            self._spectrum * kernel, self.shape
+        )  # lies half a frame further; its wrap is not seen
+        below, right = (
+            slice(one.start + n // 2, one.stop + n // 2)
+            for one, n in zip(seen, psf.shape, strict=True)
+        )
         window = (slice(None), *seen)
-        noise, z = camera.noise, self._photon[window]
-        electrons = np.maximum(blurred[:, below, right], 0) * np.float32(noise["photons_full_scale"])
+        noise = camera.noise
+        z = self._photon[window]
+        electrons = np.maximum(blurred[:, below, right], 0) * np.float32(
+            noise["photons_full_scale"]
+        )
         electrons += np.sqrt(electrons) * z + (z * z - 1) / 6
         counted = np.maximum(np.rint(electrons), 0)
-        light = counted / np.float32(noise["photons_full_scale"]) + noise["read_sigma"] * self._read[window]
+        light = (
+            counted / np.float32(noise["photons_full_scale"])
+            + noise["read_sigma"] * self._read[window]
+        )
         taken = camera.quantise(light)
         return np.ascontiguousarray(np.moveaxis(taken, 0, 2)) if self._colour else taken[0]
 
@@ -263,7 +291,9 @@ _WORDS = {
 }
 
 
-def broken_limits(problem: SearchProblem, code: ShutterCode, device: DeviceProfile | None = None) -> tuple[str, ...]:
+def broken_limits(
+    problem: SearchProblem, code: ShutterCode, device: DeviceProfile | None = None
+) -> tuple[str, ...]:
     """List the limits that a code breaks, one sentence each; none where it can be played.
 
     Parameters
@@ -280,10 +310,13 @@ def broken_limits(problem: SearchProblem, code: ShutterCode, device: DeviceProfi
     >>> broken_limits(problem, ShutterCode("11100101"))
     ('5 chips are open; the limit is 2 to 4',)
     """
-    said = list(device.check(Program.from_bits(code.bits, chip_ns=problem.chip_ns))) if device else []
+    said = (
+        list(device.check(Program.from_bits(code.bits, chip_ns=problem.chip_ns))) if device else []
+    )
     if said or problem.allows(code):
         return tuple(said)
-    bits, limits = code.array[None].astype(np.int8), problem.limits
+    bits = code.array[None].astype(np.int8)
+    limits = problem.limits
     low, high = limits.open_range
     for name, words in _WORDS.items():
         if name == "open_range":
@@ -293,5 +326,9 @@ def broken_limits(problem: SearchProblem, code: ShutterCode, device: DeviceProfi
             alone = replace(limits, open_range=(1, limits.chips), runs=kept)
         if not alone.satisfied(bits)[0]:
             limit = getattr(limits.runs, name, None)
-            said.append(words.format(open=code.open_chips, low=low, high=high, limit=limit, pulses=code.pulses))
+            said.append(
+                words.format(
+                    open=code.open_chips, low=low, high=high, limit=limit, pulses=code.pulses
+                )
+            )
     return tuple(said)

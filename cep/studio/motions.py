@@ -9,8 +9,6 @@ from motdiff.files.trajectories import read_motion, stated_uncertainty_px
 from motdiff.gyro import DEFAULT_AXES, GyroTrace, trajectory_from_gyro
 from motdiff.trajectory import Trajectory, check_length
 
-__all__ = ["DEFAULT_AXES", "gyro_motion", "stored_paths"]
-
 
 def stored_paths(file: Path | str) -> tuple[tuple[tuple[float, Trajectory], ...], float | None]:
     """Return the paths of a ``trajectory.json`` with their weights, the likeliest first, and their error where stated.
@@ -23,11 +21,18 @@ def stored_paths(file: Path | str) -> tuple[tuple[tuple[float, Trajectory], ...]
         As of :func:`motdiff.files.trajectories.read_motion`.
     """
     stored = read_motion(file)
-    return ((stored.weight, stored.trajectory), *stored.alternatives), stated_uncertainty_px(stored, file)
+    return ((stored.weight, stored.trajectory), *stored.alternatives), stated_uncertainty_px(
+        stored, file
+    )
 
 
 def gyro_motion(
-    file: Path | str, *, focal_px: float, start_s: float, exposure_s: float, axes: str = DEFAULT_AXES
+    file: Path | str,
+    *,
+    focal_px: float,
+    start_s: float,
+    exposure_s: float,
+    axes: str = DEFAULT_AXES,
 ) -> tuple[Trajectory, GyroTrace]:
     """Return the motion of one exposure of a recording, and the recording.
 
@@ -44,9 +49,12 @@ def gyro_motion(
     Raises
     ------
     ValueError, OSError
-        If the file is no recording or does not cover the exposure, or if the path is too long to be handled.
+        If the file is no recording or does not cover the exposure, or if the path is too long to
+        be handled.
     """
     trace = read_gyro(file)
-    path = trajectory_from_gyro(trace, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s, axes=axes)
+    path = trajectory_from_gyro(
+        trace, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s, axes=axes
+    )
     check_length(path)
     return path, trace

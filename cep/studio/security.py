@@ -13,10 +13,14 @@ from pathlib import Path
 from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.responses import (
+    HTMLResponse,
+    JSONResponse,
+    PlainTextResponse,
+    RedirectResponse,
+    Response,
+)
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
-
-__all__ = ["Gate", "Keys", "LateError", "TooLargeError", "too_large"]
 
 _MOST_BYTES = 256 * 1024
 _MOST_UPLOADED = {
@@ -95,7 +99,9 @@ class Keys:
             If it cannot be written.
         """
         self._page = folder / "open.html"
-        with open(os.open(self._page, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+        with open(
+            os.open(self._page, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8"
+        ) as file:
             file.write(_leading(self.address))
         return self._page
 
@@ -118,8 +124,9 @@ class Keys:
 class Gate:
     """ASGI middleware: lets a request in only with the right host, origin, cookie and size.
 
-    A foreign page can make a browser send requests here, and by DNS rebinding even under a name of its own. Its
-    requests have another Host or Origin and no cookie, as the cookie is ``SameSite=Strict``.
+    A foreign page can make a browser send requests here, and by DNS rebinding even under a name of
+    its own. Its requests have another Host or Origin and no cookie, as the cookie is
+    ``SameSite=Strict``.
 
     Parameters
     ----------
@@ -154,34 +161,52 @@ class Gate:
 
     def _refusal(self, scope: Scope) -> Response | None:
         """Return the answer to a request that is not let in, and to the one that brings the token; None else."""
-        headers, keys = Headers(scope=scope), self._keys
+        headers = Headers(scope=scope)
+        keys = self._keys
         if headers.get("host", "") not in keys.hosts:
             return PlainTextResponse("403: this address is not the studio's", 403)
         origin = headers.get("origin")
         writes = scope["method"] not in ("GET", "HEAD")
-        if (writes or origin is not None) and origin not in {f"http://{host}" for host in keys.hosts}:
+        if (writes or origin is not None) and origin not in {
+            f"http://{host}" for host in keys.hosts
+        }:
             return PlainTextResponse("403: requests come from the studio's own page alone", 403)
         foreign = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
-        tokens = parse_qs(scope["query_string"].decode("latin-1")).get("token", []) if scope["path"] == "/" else []
-        if len(tokens) == 1 and scope["method"] == "GET" and not _is_prefetch(headers) and keys.spend(tokens[0]):
+        tokens = (
+            parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
+            if scope["path"] == "/"
+            else []
+        )
+        if (
+            len(tokens) == 1
+            and scope["method"] == "GET"
+            and not _is_prefetch(headers)
+            and keys.spend(tokens[0])
+        ):
             return self._with_cookie(linked=foreign)
         if foreign:
             return PlainTextResponse("403: requests come from the studio's own page alone", 403)
         if not self._knows(headers):
             return PlainTextResponse(f"403: {_SPENT if tokens and keys.spent else _NO_KEY}", 403)
-        if not writes and ("transfer-encoding" in headers or headers.get("content-length", "0") != "0"):
+        if not writes and (
+            "transfer-encoding" in headers or headers.get("content-length", "0") != "0"
+        ):
             return PlainTextResponse("400: this address takes no body", 400)
         if tokens:  # the printed address, followed again in the browser that has the cookie
             return RedirectResponse("/", 303)
         length = headers.get("content-length")
-        if length is not None and (not length.isdecimal() or len(length) > 15 or int(length) > self._most(scope)):
+        if length is not None and (
+            not length.isdecimal() or len(length) > 15 or int(length) > self._most(scope)
+        ):
             return too_large(self._most(scope))
         return None
 
     def _with_cookie(self, *, linked: bool) -> Response:
         """Lead on to the page, from another page's link by a page: redirected, a browser would hold the cookie back."""
         answer = HTMLResponse(_leading("/")) if linked else RedirectResponse("/", 303)
-        answer.set_cookie(self._keys.cookie, self._keys.session, httponly=True, samesite="strict", path="/")
+        answer.set_cookie(
+            self._keys.cookie, self._keys.session, httponly=True, samesite="strict", path="/"
+        )
         return answer
 
     def _knows(self, headers: Headers) -> bool:
@@ -191,7 +216,9 @@ class Gate:
         except CookieError:
             return False
         given = found.get(self._keys.cookie)
-        return given is not None and hmac.compare_digest(given.value.encode(), self._keys.session.encode())
+        return given is not None and hmac.compare_digest(
+            given.value.encode(), self._keys.session.encode()
+        )
 
     @staticmethod
     def _most(scope: Scope) -> int:
@@ -216,7 +243,9 @@ def too_large(most: int) -> Response:
 
 def _limited(receive: Receive, most: int) -> Receive:
     """Count the bytes of a body as they come, and the time: a length may be a lie, and the rest never come."""
-    seen, whole, ends = 0, False, asyncio.get_running_loop().time() + _MOST_BODY_S
+    seen = 0
+    whole = False
+    ends = asyncio.get_running_loop().time() + _MOST_BODY_S
 
     async def counted() -> Message:
         nonlocal seen, whole

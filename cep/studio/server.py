@@ -34,8 +34,6 @@ from cep.studio.uploads import Uploads
 from cep.studio.views import Views, start_view
 from cep.studio.work import KINDS
 
-__all__ = ["bound_socket", "make_app", "serve"]
-
 _STATIC = {
     "index.html": "text/html; charset=utf-8",
     "studio.css": "text/css; charset=utf-8",
@@ -46,7 +44,8 @@ _STATIC = {
 }
 _BEAT_S = 15.0
 _MOST_SILENT_S = 10.0  # of a connection that has asked nothing yet
-_MOST_PHOTOS, _MOST_PAGE = 3, 64
+_MOST_PHOTOS = 3
+_MOST_PAGE = 64
 Answer = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
 
 
@@ -62,7 +61,9 @@ class _Studio:
         self._slow = ThreadPoolExecutor(1, thread_name_prefix="verdict")
 
     async def quickly(self, do: Callable[..., Any], *args: Any, **options: Any) -> Any:
-        return await asyncio.get_running_loop().run_in_executor(self._quick, lambda: do(*args, **options))
+        return await asyncio.get_running_loop().run_in_executor(
+            self._quick, lambda: do(*args, **options)
+        )
 
     async def slowly(self, do: Callable[..., Any], *args: Any) -> Any:
         return await asyncio.get_running_loop().run_in_executor(self._slow, lambda: do(*args))
@@ -73,20 +74,28 @@ class _Studio:
             pool.shutdown(wait=False, cancel_futures=True)
         self.uploads.close()
 
-    # -- answers to a document of the page ------------------------------------------------------------------------
+    # -- answers to a document of the page --------------------------------------------------------
 
     async def picture(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
         steps, seed = read_search(asked)
-        found: dict[str, Any] = await self.quickly(self.views.picture, _setting(asked), steps=steps, seed=seed)
+        found: dict[str, Any] = await self.quickly(
+            self.views.picture, _setting(asked), steps=steps, seed=seed
+        )
         return found
 
     async def photos(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        scene, setting = self._scene(asked.get("scene")), _setting(asked)
+        scene = self._scene(asked.get("scene"))
+        setting = _setting(asked)
         codes = read_codes(asked.get("codes"), "scene", most=_MOST_PHOTOS)
         if any(len(bits) != setting.chips for bits in codes.values()):
-            raise FieldError("scene", f"the codes of the photos need {setting.chips} chips, as the page's code has")
+            raise FieldError(
+                "scene",
+                f"the codes of the photos need {setting.chips} chips, as the page's code has",
+            )
         restored = asked.get("restored") is True
-        found: dict[str, Any] = await self.quickly(self.views.photos, setting, scene, codes, restored=restored)
+        found: dict[str, Any] = await self.quickly(
+            self.views.photos, setting, scene, codes, restored=restored
+        )
         return found
 
     async def verdict(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -99,7 +108,9 @@ class _Studio:
         return found
 
     async def export(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        found: dict[str, Any] = await self.quickly(self.views.exported, _setting(asked), asked.get("format"))
+        found: dict[str, Any] = await self.quickly(
+            self.views.exported, _setting(asked), asked.get("format")
+        )
         return found
 
     async def save(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -110,14 +121,18 @@ class _Studio:
         return found
 
     async def job(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        page, kind = _page(asked.get("page")), asked.get("kind")
+        page = _page(asked.get("page"))
+        kind = asked.get("kind")
         if not isinstance(kind, str) or kind not in KINDS:
             raise FieldError("job", f"the kinds of jobs are {', '.join(KINDS)}")
         if kind == "calibrate":
             method = asked.get("method", "motdiff")
             if method not in ("motdiff", "pmp"):
                 raise FieldError("method", "the methods are motdiff and pmp")
-            order: dict[str, Any] = {"path": str(self.uploads.path(asked.get("photo"))), "method": method}
+            order: dict[str, Any] = {
+                "path": str(self.uploads.path(asked.get("photo"))),
+                "method": method,
+            }
         else:
             _setting(asked).problem()
             steps, seed = read_search(asked)
@@ -156,7 +171,9 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         studio.jobs.warm()
-        with threadpool_limits(limits=1, user_api="blas"):  # small products: more threads only wait for each other
+        with threadpool_limits(
+            limits=1, user_api="blas"
+        ):  # small products: more threads only wait for each other
             yield
         studio.close()
 
@@ -180,7 +197,9 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
     async def upload_gyro(request: Request) -> Response:
         file = await studio.uploads.text(request.stream(), ".csv", field="gyro")
         try:
-            return JSONResponse(await studio.quickly(opened_gyro, file, dict(request.query_params)))
+            return JSONResponse(
+                await studio.quickly(opened_gyro, file, dict(request.query_params))
+            )
         finally:
             file.unlink(missing_ok=True)
 
@@ -212,9 +231,15 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
         return _static(request.path_params.get("name", "index.html"))
 
     answers = {
-        "picture": studio.picture, "photos": studio.photos, "verdict": studio.verdict, "compare": studio.compare,
-        "export": studio.export, "save": studio.save, "job": studio.job, "stop": studio.stop,
-    }  # fmt: skip
+        "picture": studio.picture,
+        "photos": studio.photos,
+        "verdict": studio.verdict,
+        "compare": studio.compare,
+        "export": studio.export,
+        "save": studio.save,
+        "job": studio.job,
+        "stop": studio.stop,
+    }
     routes = [
         Route("/", static),
         Route("/static/{name}", static),
@@ -227,14 +252,24 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
         Route("/api/upload/photo", upload_photo, methods=["POST"]),
         Route("/api/upload/document", upload_document, methods=["POST"]),
         Route("/api/upload/gyro", upload_gyro, methods=["POST"]),
-        *(Route(f"/api/{name}", answering(answer), methods=["POST"]) for name, answer in answers.items()),
+        *(
+            Route(f"/api/{name}", answering(answer), methods=["POST"])
+            for name, answer in answers.items()
+        ),
     ]
     handlers: Any = {
-        FieldError: _wrong, BusyError: _busy, TooLargeError: _large, LateError: _late, ClientDisconnect: _gone
-    }  # fmt: skip
+        FieldError: _wrong,
+        BusyError: _busy,
+        TooLargeError: _large,
+        LateError: _late,
+        ClientDisconnect: _gone,
+    }
     app = Starlette(
-        routes=routes, lifespan=lifespan, exception_handlers=handlers, middleware=[Middleware(Gate, keys=keys)]
-    )  # fmt: skip
+        routes=routes,
+        lifespan=lifespan,
+        exception_handlers=handlers,
+        middleware=[Middleware(Gate, keys=keys)],
+    )
     app.state.studio = studio
     return app
 
@@ -257,8 +292,9 @@ def serve(
     on_ready : callable
         Called with the address to open, key included, when it is bound.
     browse : callable, optional
-        Called then with the address of a file that leads a browser to the page: a browser's command line can be read
-        by everybody on the computer, and the file by this user alone. The first visit of the page removes it.
+        Called then with the address of a file that leads a browser to the page: a browser's
+        command line can be read by everybody on the computer, and the file by this user alone. The
+        first visit of the page removes it.
 
     Raises
     ------
@@ -285,9 +321,16 @@ def serve(
     keys = Keys(bound.getsockname()[1])
     app = make_app(keys, opened=opened)
     config = uvicorn.Config(
-        app, log_level="error", access_log=False, server_header=False, date_header=False,
-        timeout_graceful_shutdown=1, http=Impatient, h11_max_incomplete_event_size=64 * 1024, ws="none",
-    )  # fmt: skip
+        app,
+        log_level="error",
+        access_log=False,
+        server_header=False,
+        date_header=False,
+        timeout_graceful_shutdown=1,
+        http=Impatient,
+        h11_max_incomplete_event_size=64 * 1024,
+        ws="none",
+    )
 
     class Server(uvicorn.Server):
         """Ends the streams of news when it is asked to stop: it would wait for them and break them off."""
@@ -308,8 +351,8 @@ def serve(
 def bound_socket(port: int) -> socket.socket:
     """Bind the port on 127.0.0.1, 0 for a free one.
 
-    The protocol is named because asyncio turns the delay of small packets off for sockets of TCP alone; with it, an
-    answer of two packets takes 40 ms more.
+    The protocol is named because asyncio turns the delay of small packets off for sockets of TCP
+    alone; with it, an answer of two packets takes 40 ms more.
     """
     bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
@@ -318,7 +361,9 @@ def bound_socket(port: int) -> socket.socket:
     except (OSError, OverflowError) as error:
         bound.close()
         reason = getattr(error, "strerror", None) or str(error)
-        raise ValueError(f"port: {port} cannot be used ({reason}); leave it out for a free one") from None
+        raise ValueError(
+            f"port: {port} cannot be used ({reason}); leave it out for a free one"
+        ) from None
     return bound
 
 

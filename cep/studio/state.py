@@ -14,8 +14,9 @@ import numpy as np
 
 import cep
 from cep.files.formatting import seconds_of
+from cep.optics.camera import camera_names
 from cep.shutter.play import shutter_profile
-from cep.studio.catalogue import camera_names, example_motion, profile_names
+from cep.studio.catalogue import example_motion
 from cep.studio.fields import (
     LIMITS,
     MOST_CHIPS,
@@ -27,16 +28,17 @@ from cep.studio.fields import (
     read_number,
     read_whole,
 )
-
-__all__ = ["Setting", "path_fields", "read_codes", "read_search", "read_setting", "read_state", "saved_setting"]
+from hw.device import profile_names
 
 _MOST_SAMPLES = 512  # of a path in the address
 _TIME_STEPS = 65_535  # of a path in the address: 16 bits
 _FARTHEST_PX = 500.0  # of a bent path: the work grows with its area, to some seconds of a picture
 _MOST_ERROR_PX = 20.0
 _MOST_EXPOSURE_S = 86_400.0
-_MOST_STEPS, _MOST_SEED = 10**9, 2**32 - 1
-_MOST_PINS, _MOST_NAME = 12, 80
+_MOST_STEPS = 10**9
+_MOST_SEED = 2**32 - 1
+_MOST_PINS = 12
+_MOST_NAME = 80
 _FIRST_PAGE: Mapping[str, Any] = {
     "motion": {"kind": "straight", "length": 40, "angle": 0},
     "bits": "1010000111000001010000110011110111010111001001100111",
@@ -44,7 +46,16 @@ _FIRST_PAGE: Mapping[str, Any] = {
     "camera": "aptina-mt9m031-8bit",
 }
 """What a page begins with, as ``static/state.js`` has it."""
-_SETTINGS = ("motion", "bits", "path_error", "exposure", "camera", "photons", "read_noise", "device")
+_SETTINGS = (
+    "motion",
+    "bits",
+    "path_error",
+    "exposure",
+    "camera",
+    "photons",
+    "read_noise",
+    "device",
+)
 _SIDES = ("open", "snapshot", "code")
 _CHOICES = {"view": ("taken", "restored"), "left": _SIDES, "right": _SIDES}
 
@@ -56,8 +67,8 @@ class Setting:
     Attributes
     ----------
     motion : mapping
-        ``kind`` "straight" with ``length`` px and ``angle`` degrees, "example" with ``name``, or "path" with ``t``,
-        ``x``, ``y`` and ``direction``.
+        ``kind`` "straight" with ``length`` px and ``angle`` degrees, "example" with ``name``, or
+        "path" with ``t``, ``x``, ``y`` and ``direction``.
     trajectory : Trajectory
         The motion.
     bits : str
@@ -117,7 +128,9 @@ class Setting:
         try:
             found = _camera(self.camera) if self.camera else cep.Camera()
             found = found if self.photons is None else found.at(self.photons)
-            return found if self.read_noise is None else replace(found, read_noise_e=self.read_noise)
+            return (
+                found if self.read_noise is None else replace(found, read_noise_e=self.read_noise)
+            )
         except ValueError as error:
             raise FieldError.of(error, fallback="camera") from None
 
@@ -153,23 +166,33 @@ class Setting:
         """Return the page's code, or another one, at the page's chip time."""
         chip_ns = self.problem(limited=False).chip_ns
         if self.profile is not None:
-            with suppress(FieldError):  # a device that cannot play such codes: they last as they would without it
+            with suppress(
+                FieldError
+            ):  # a device that cannot play such codes: they last as they would without it
                 chip_ns = self.problem().chip_ns
         return cep.ShutterCode(self.bits if bits is None else bits, chip_ns)
 
-    # -- what reproduces it ---------------------------------------------------------------------------------------
+    # -- what reproduces it -----------------------------------------------------------------------
 
     @property
     def motion_options(self) -> list[str]:
         """Options of the command line that name the motion."""
-        if self.motion["kind"] == "straight" and not self.motion["angle"] and not self.path_error_px:
+        if (
+            self.motion["kind"] == "straight"
+            and not self.motion["angle"]
+            and not self.path_error_px
+        ):
             return ["--linear", f"{self.motion['length']:g}"]
         return ["--trajectory", "trajectory.json"]
 
     @property
     def camera_options(self) -> list[str]:
         """Options of the command line that name the camera and the light."""
-        given = {"--camera": self.camera or None, "--photons": self.photons, "--read-noise": self.read_noise}
+        given = {
+            "--camera": self.camera or None,
+            "--photons": self.photons,
+            "--read-noise": self.read_noise,
+        }
         return [
             word
             for name, value in given.items()
@@ -199,14 +222,29 @@ class Setting:
             Moves of a search that found the code.
         seed : int
         """
-        motion, time = self.motion_options, ["--exposure", self.exposure]
-        light, device = self.camera_options, self.device_options
+        motion = self.motion_options
+        time = ["--exposure", self.exposure]
+        light = self.camera_options
+        device = self.device_options
         lines = [
             ["cep", "mtf", *motion, "--code", "code.json", "-o", "mtf.png"],
             ["cep", "audit", "code.json", *motion],
         ]
         if self.chips > 1:
-            lines.insert(0, ["cep", "advise", *motion, "--code", "code.json", *light, *device, "-o", "advice.png"])
+            lines.insert(
+                0,
+                [
+                    "cep",
+                    "advise",
+                    *motion,
+                    "--code",
+                    "code.json",
+                    *light,
+                    *device,
+                    "-o",
+                    "advice.png",
+                ],
+            )
         if steps is not None:
             search = ["--chips", str(self.chips), *time, *self.limit_options, *device, *light]
             ends = ["--steps", str(steps), "--seed", str(seed), "-o", "searched.json"]
@@ -250,7 +288,11 @@ def read_setting(document: object) -> Setting:
         limits={
             name: value
             for name in LIMITS
-            if (value := read_whole(document, name, 1, MOST_CHIPS, "openings" if name == "max_pulses" else "chips"))
+            if (
+                value := read_whole(
+                    document, name, 1, MOST_CHIPS, "openings" if name == "max_pulses" else "chips"
+                )
+            )
             is not None
         },
     )
@@ -273,7 +315,8 @@ def read_codes(given: object, field: str, *, most: int = _MOST_PINS) -> Mapping[
     Raises
     ------
     FieldError
-        Beside the field, if there is none, there are more than ``most``, or a name or a code is malformed.
+        Beside the field, if there is none, there are more than ``most``, or a name or a code is
+        malformed.
     """
     if not isinstance(given, dict) or not 1 <= len(given) <= most:
         raise FieldError(field, f"needs 1 to {most} codes by their names")
@@ -301,7 +344,10 @@ def read_state(document: object) -> dict[str, Any]:
     known = {name: getattr(setting, name) for name in _SETTINGS} | {
         "open": None if setting.open_range is None else list(setting.open_range),
         **{name: setting.limits.get(name) for name in LIMITS},
-        **{name: read_choice(document, name, names, default=names[0]) for name, names in _CHOICES.items()},
+        **{
+            name: read_choice(document, name, names, default=names[0])
+            for name, names in _CHOICES.items()
+        },
         "photo": _photo(document.get("photo")),
         "pins": _pins(document.get("pins")),
         "search": _search(document.get("search")),
@@ -324,13 +370,17 @@ def path_fields(trajectory: cep.Trajectory, *, most: int = 160) -> dict[str, Any
 
     Samples of a fast jump that fall on the same time are moved to the next ones.
     """
-    path, tolerance_px = trajectory, 0.005
+    path = trajectory
+    tolerance_px = 0.005
     while path.t.size > most:
-        path, tolerance_px = trajectory.thinned(tolerance_px), 1.4 * tolerance_px
+        path = trajectory.thinned(tolerance_px)
+        tolerance_px = 1.4 * tolerance_px
     order = np.arange(path.t.size)
     steps = np.maximum.accumulate(np.rint(_TIME_STEPS * path.t) - order) + order
     t = np.minimum(steps, _TIME_STEPS - order[::-1]) / _TIME_STEPS
-    samples = {name: np.round(values, 5).tolist() for name, values in (("x", path.x), ("y", path.y))}
+    samples = {
+        name: np.round(values, 5).tolist() for name, values in (("x", path.x), ("y", path.y))
+    }
     return {"kind": "path", "direction": path.direction, "t": t.tolist(), **samples}
 
 
@@ -349,7 +399,9 @@ def _motion(given: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
     if kind == "example":
         name = given.get("name")
         try:
-            return {"kind": kind, "name": name}, example_motion(name if isinstance(name, str) else "")
+            return {"kind": kind, "name": name}, example_motion(
+                name if isinstance(name, str) else ""
+            )
         except ValueError as error:
             raise FieldError("motion", str(error).removeprefix("motion: ")) from None
     if kind != "path":
@@ -357,20 +409,30 @@ def _motion(given: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
     columns = [given.get(name) for name in "txy"]
     sizes = {len(column) if isinstance(column, list) else -1 for column in columns}
     if len(sizes) != 1 or not 2 <= sizes.pop() <= _MOST_SAMPLES:
-        raise FieldError("motion", f"a path has 2 to {_MOST_SAMPLES} samples, as many of t as of x and y")
+        raise FieldError(
+            "motion", f"a path has 2 to {_MOST_SAMPLES} samples, as many of t as of x and y"
+        )
     if not all(is_number(value) for column in columns for value in column or ()):
         raise FieldError("motion", "t, x and y of a path are finite numbers")
     t, x, y = (np.array(column, dtype=np.float64) for column in columns)
     if max(np.abs(x).max(), np.abs(y).max()) > _FARTHEST_PX:
         raise FieldError("motion", f"a path lies within {_FARTHEST_PX:g} px")
-    direction: Literal["known", "unknown"] = "known" if given.get("direction") == "known" else "unknown"
+    direction: Literal["known", "unknown"] = (
+        "known" if given.get("direction") == "known" else "unknown"
+    )
     try:
         path = cep.Trajectory.from_samples(np.column_stack([x, y]), t=t, direction=direction)
     except ValueError as error:
         raise FieldError("motion", str(error).removeprefix("trajectory: ")) from None
     if path.extent_px < 1e-3:
         raise FieldError("motion", "the path stays in place; a motion is needed")
-    return {"kind": kind, "t": t.tolist(), "x": x.tolist(), "y": y.tolist(), "direction": direction}, path
+    return {
+        "kind": kind,
+        "t": t.tolist(),
+        "x": x.tolist(),
+        "y": y.tolist(),
+        "direction": direction,
+    }, path
 
 
 def _exposure(given: object) -> str:
@@ -419,7 +481,9 @@ def _open_range(given: object, chips: int) -> tuple[int, int] | None:
     if given is None:
         return None
     ends: Sequence[Any] = given if isinstance(given, list) else ()
-    if len(ends) != 2 or not all(isinstance(end, int) and not isinstance(end, bool) for end in ends):
+    if len(ends) != 2 or not all(
+        isinstance(end, int) and not isinstance(end, bool) for end in ends
+    ):
         raise FieldError("open", "the open chips are two whole numbers, the fewest and the most")
     low, high = ends
     if not 1 <= low <= high <= chips:

@@ -10,8 +10,6 @@ from pathlib import Path
 from cep.files.images import RAW_SUFFIXES
 from cep.studio.fields import FieldError, disk_error
 
-__all__ = ["Uploads"]
-
 _KEPT = 8  # photos; the oldest goes first
 _PHOTOS: Mapping[str, Callable[[bytes], bool]] = {
     ".jpg": lambda head: head.startswith(b"\xff\xd8\xff"),
@@ -25,7 +23,8 @@ _HEAD = 16
 class Uploads:
     """Folder of a run's uploads, removed with :meth:`close`.
 
-    A client names a file by the key that it was given, which is looked up and is no part of any path.
+    A client names a file by the key that it was given, which is looked up and is no part of any
+    path.
     """
 
     def __init__(self) -> None:
@@ -49,16 +48,22 @@ class Uploads:
         Raises
         ------
         FieldError
-            If it is no PNG, JPEG, TIFF or WebP file and not named as a RAW file is, or the disk is full.
+            If it is no PNG, JPEG, TIFF or WebP file and not named as a RAW file is, or the disk is
+            full.
         """
         kind = suffix.lower() if suffix.lower() in RAW_SUFFIXES else None
         key = secrets.token_hex(16)
         partial = self.folder / f"{key}.part"
         try:
             head = await _streamed(chunks, partial)
-            kind = kind or next((ending for ending, is_kind in _PHOTOS.items() if is_kind(head)), None)
+            kind = kind or next(
+                (ending for ending, is_kind in _PHOTOS.items() if is_kind(head)), None
+            )
             if kind is None:
-                raise FieldError("photo", "a photo is a PNG, JPEG, TIFF, WebP or RAW file; this file is none of them")
+                raise FieldError(
+                    "photo",
+                    "a photo is a PNG, JPEG, TIFF, WebP or RAW file; this file is none of them",
+                )
             self._photos[key] = partial.rename(self.folder / f"{key}{kind}")
         except OSError as error:
             raise disk_error("photo", error) from None

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import cep
 from cep.files.files import StoredCode, code_document, plain
@@ -23,14 +22,12 @@ from cep.studio import catalogue
 from cep.studio.fields import FieldError
 from cep.studio.live import LiveBench, LiveScene, broken_limits
 from cep.studio.state import Setting, path_fields, read_search, read_state
-
-__all__ = ["STUDIO_SCHEMA", "Views", "start_view"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 STUDIO_SCHEMA = "cep.studio/1"
 _BENCHES = 6  # motions, cameras and shutters kept; a few MB each
-_SCENE_PX, _LEAST_PX = 256, 64
+_SCENE_PX = 256
+_LEAST_PX = 64
 _FLOOR_DB = 50.0  # of the map's 8 bits
 _WORDS = {
     "open": "open shutter",
@@ -46,10 +43,14 @@ class Views:
     def __init__(self) -> None:
         self._benches: OrderedDict[str, LiveBench] = OrderedDict()
         self._judge: LiveBench | None = None  # of the latest verdict
-        self._own: tuple[Path, int, LiveScene] | None = None  # file, its time, and scene of the latest photo
+        self._own: tuple[Path, int, LiveScene] | None = (
+            None  # file, its time, and scene of the latest photo
+        )
         self._keeping = threading.Lock()
 
-    def picture(self, setting: Setting, *, steps: int | None = None, seed: int = 0) -> dict[str, Any]:
+    def picture(
+        self, setting: Setting, *, steps: int | None = None, seed: int = 0
+    ) -> dict[str, Any]:
         """Return all that follows a chip: figures, MTF in one and two dimensions, limits that it breaks, commands.
 
         Parameters
@@ -60,7 +61,8 @@ class Views:
         """
         bench, problem_error = self._bench(setting)
         code = setting.code()
-        seen, opened = bench.figures(code), bench.opened
+        seen = bench.figures(code)
+        opened = bench.opened
         broken: tuple[str, ...] = ()
         if problem_error is None:
             broken = broken_limits(bench.problem, code, setting.profile)
@@ -68,13 +70,22 @@ class Views:
         return _plain(
             {
                 "code": {
-                    "bits": code.bits, "chips": code.chips, "open": code.open_chips, "duty": code.duty,
-                    "openings": code.pulses, "chip_ns": code.chip_ns, "chip": duration(code.chip_ns * 1e-9),
-                    "exposure": duration(code.duration_ns * 1e-9), "broken": broken,
+                    "bits": code.bits,
+                    "chips": code.chips,
+                    "open": code.open_chips,
+                    "duty": code.duty,
+                    "openings": code.pulses,
+                    "chip_ns": code.chip_ns,
+                    "chip": duration(code.chip_ns * 1e-9),
+                    "exposure": duration(code.duration_ns * 1e-9),
+                    "broken": broken,
                 },
                 "motion": {
-                    "length_px": path.length_px, "extent_px": path.extent_px, "direction": path.direction,
-                    "path": path_fields(path), "both": bench.problem.both_directions(path),
+                    "length_px": path.length_px,
+                    "extent_px": path.extent_px,
+                    "direction": path.direction,
+                    "path": path_fields(path),
+                    "both": bench.problem.both_directions(path),
                     "angle_deg": float(np.degrees(np.arctan2(bench.axis[1], bench.axis[0]))),
                 },
                 "figures": seen.metrics.to_dict() | {"psnr_db": -seen.metrics.mse_db},
@@ -84,7 +95,10 @@ class Views:
                 "commands": setting.commands(steps=steps, seed=seed),
                 "error": problem_error,
             }
-        ) | {"curve": np.round(seen.curve, 5).tolist(), "open_curve": np.round(opened.curve, 5).tolist()}  # fmt: skip
+        ) | {
+            "curve": np.round(seen.curve, 5).tolist(),
+            "open_curve": np.round(opened.curve, 5).tolist(),
+        }
 
     def photos(
         self, setting: Setting, scene: Path | None, codes: Mapping[str, str], *, restored: bool
@@ -98,12 +112,16 @@ class Views:
         frame = len(bench.psf(cep.ShutterCode("1")))
         side = min(shown.shape)
         if side < frame + _LEAST_PX:
-            raise FieldError("scene", f"the motion spans {frame} px, too far for this scene of {side} px")
+            raise FieldError(
+                "scene", f"the motion spans {frame} px, too far for this scene of {side} px"
+            )
         found = {}
         for name, bits in codes.items():
             code = setting.code(bits)
             photo = bench.photo(code, shown, side_px=_SCENE_PX)
-            found[name] = _jpeg(bench.restored(code, photo) if restored else photo / max(code.duty, 1e-6))
+            found[name] = _jpeg(
+                bench.restored(code, photo) if restored else photo / max(code.duty, 1e-6)
+            )
         return found
 
     def verdict(self, setting: Setting) -> dict[str, Any]:
@@ -112,7 +130,9 @@ class Views:
         if error is not None:
             raise FieldError(error["field"], error["message"])
         try:
-            judged = self._judging(bench).verdict(setting.code(), path_error_px=setting.path_error_px)
+            judged = self._judging(bench).verdict(
+                setting.code(), path_error_px=setting.path_error_px
+            )
         except ValueError as wrong:
             raise FieldError.of(wrong, fallback="photons") from None
         best = {kind: judged.best(kind) for kind in ("open", "snapshot", "strobe")}
@@ -124,7 +144,11 @@ class Views:
                 "gains_db": judged.gains_db,
                 "psnr_db": own.psnr_db,
                 "open_psnr_db": next(way.psnr_db for way in judged.ways if way.kind == "open"),
-                "ways": [{"name": _WORDS[kind], **way.to_dict()} for kind, way in best.items() if way is not None],
+                "ways": [
+                    {"name": _WORDS[kind], **way.to_dict()}
+                    for kind, way in best.items()
+                    if way is not None
+                ],
             }
         )
 
@@ -132,15 +156,22 @@ class Views:
         """Return the figures and curves of codes pinned beside the page's, by their names."""
         bench, _ = self._bench(setting)
         # those of another number of chips are shown without figures
-        codes = {name: setting.code(bits) for name, bits in pins.items() if len(bits) == setting.chips}
-        expected = self._judging(bench).psnr_db(list(codes.values()), path_error_px=setting.path_error_px)
+        codes = {
+            name: setting.code(bits) for name, bits in pins.items() if len(bits) == setting.chips
+        }
+        expected = self._judging(bench).psnr_db(
+            list(codes.values()), path_error_px=setting.path_error_px
+        )
         rows = {}
         for (name, code), psnr_db in zip(codes.items(), expected, strict=True):
             seen = bench.figures(code)
             rows[name] = {
-                "bits": code.bits, "open": code.open_chips, "curve": np.round(seen.curve, 5), **seen.metrics.to_dict(),
+                "bits": code.bits,
+                "open": code.open_chips,
+                "curve": np.round(seen.curve, 5),
+                **seen.metrics.to_dict(),
                 "psnr_db": psnr_db,
-            }  # fmt: skip
+            }
         return _plain({"pins": rows})
 
     def exported(self, setting: Setting, file_format: object) -> dict[str, Any]:
@@ -163,7 +194,8 @@ class Views:
         """
         state = read_state(state)
         bench, _ = self._bench(setting)
-        code, path = setting.code(), setting.trajectory
+        code = setting.code()
+        path = setting.trajectory
         along = None if bench.problem.on_circle else path
         proven = cep.certify(code, along)
         metrics = bench.figures(code).metrics
@@ -178,25 +210,35 @@ class Views:
                 "schema": STUDIO_SCHEMA,
                 "state": state,
                 "trajectory": {
-                    "schema": "cep.trajectory/1", "units": "px", "direction": path.direction, **samples,
-                    "weight": 1.0, "alternatives": [], "source": source,
+                    "schema": "cep.trajectory/1",
+                    "units": "px",
+                    "direction": path.direction,
+                    **samples,
+                    "weight": 1.0,
+                    "alternatives": [],
+                    "source": source,
                 },
-                "code": code_document(StoredCode(code, metrics.to_dict(), about, proven.to_dict())),
+                "code": code_document(
+                    StoredCode(code, metrics.to_dict(), about, proven.to_dict())
+                ),
                 "commands": setting.commands(steps=steps, seed=seed),
             }
-        )  # fmt: skip
+        )
 
     def _judging(self, bench: LiveBench) -> LiveBench:
         """Return the bench; the one that judged before frees its memory."""
         with self._keeping:
-            before, self._judge = self._judge, bench
+            before = self._judge
+            self._judge = bench
         if before is not None and before is not bench:
             before.forget_otfs()
         return bench
 
     def _scene(self, file: Path) -> LiveScene:
         with self._keeping:
-            written_ns = file.stat().st_mtime_ns  # another search of the same photo writes it again
+            written_ns = (
+                file.stat().st_mtime_ns
+            )  # another search of the same photo writes it again
             if self._own is None or self._own[:2] != (file, written_ns):
                 self._own = file, written_ns, LiveScene(np.load(file, allow_pickle=False))
             return self._own[2]
@@ -218,7 +260,9 @@ class Views:
         except ValueError as wrong:
             raise FieldError.of(wrong, fallback="motion") from None
         with self._keeping:
-            bench = self._benches.setdefault(setting.key, bench)  # another request may have made it meanwhile
+            bench = self._benches.setdefault(
+                setting.key, bench
+            )  # another request may have made it meanwhile
             while len(self._benches) > _BENCHES:
                 self._benches.popitem(last=False)
         return bench, error
@@ -231,17 +275,23 @@ def start_view() -> dict[str, Any]:
             "version": cep.__version__,
             "cameras": [
                 {
-                    "name": choice.name, "about": choice.about, "photons": camera.photons_full_scale,
-                    "read_noise": camera.read_noise_e, "bits": camera.bits,
+                    "name": choice.name,
+                    "about": choice.about,
+                    "photons": camera.photons_full_scale,
+                    "read_noise": camera.read_noise_e,
+                    "bits": camera.bits,
                 }
                 for choice, camera in catalogue.cameras()
             ],
             "devices": catalogue.devices(),
             "formats": catalogue.formats(),
             "examples": catalogue.example_motions(),
-            "published": [{"name": name, "bits": cep.load_code(name).bits} for name, _ in catalogue.published_chips()],
+            "published": [
+                {"name": name, "bits": cep.load_code(name).bits}
+                for name, _ in catalogue.published_chips()
+            ],
         }
-    )  # fmt: skip
+    )
 
 
 @cache
@@ -257,7 +307,9 @@ def _map(band: FloatArray) -> dict[str, Any]:
 def _decibels(band: FloatArray) -> str:
     """MTF as text: one byte each, 255 for 1 and 0 for the floor, in decibels."""
     levels = 1 + 20 * np.log10(np.maximum(band, 1e-9)) / _FLOOR_DB
-    return base64.b64encode(np.rint(255 * np.clip(levels, 0, 1)).astype(np.uint8).tobytes()).decode()
+    return base64.b64encode(
+        np.rint(255 * np.clip(levels, 0, 1)).astype(np.uint8).tobytes()
+    ).decode()
 
 
 def _plain(fields: Mapping[str, Any]) -> dict[str, Any]:

@@ -19,12 +19,11 @@ from cep.files.files import plain
 from cep.studio.fields import FieldError, disk_error
 from cep.studio.state import path_fields, read_search, read_setting
 
-__all__ = ["KINDS", "Kind", "run"]
-
 Order = Mapping[str, Any]
 Tell = Callable[..., None]
 _EVERY_S = 0.1  # between two messages of progress
-_PREVIEW_PX, _SCENE_PX = 1600, 420
+_PREVIEW_PX = 1600
+_SCENE_PX = 420
 _SEARCHED_PX = 576  # side of the part of a photo; crops of a few hundred px are searched anyway
 _UNO = "cxp-avr"  # profile of the emulated controller
 _CALM = 5  # niceness: the page goes first
@@ -93,8 +92,8 @@ def run(kind: str, order: Order, pipe: Connection) -> None:
 def lost_interrupts() -> Callable[[], None]:
     """Keep interrupts that Python drops, and return a function that raises a kept one.
 
-    Python prints and forgets a KeyboardInterrupt that comes in a finalizer or in the callback of a weak reference. A
-    search that was stopped at such a moment went on.
+    Python prints and forgets a KeyboardInterrupt that comes in a finalizer or in the callback of a
+    weak reference. A search that was stopped at such a moment went on.
     """
     lost: list[bool] = []
     others = sys.unraisablehook
@@ -117,20 +116,25 @@ def lost_interrupts() -> Callable[[], None]:
 def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
     from cep.files.images import encode_image, read_detail
-    from cep.files.outputs import new_file, write_bytes
     from cep.restoration.sharpen import sharpen
+    from motdiff.files.outputs import new_file, write_bytes
 
     path = Path(order["path"])
     tell(0.0, "reading the photo")
     try:
-        photo, small, (height, width) = read_detail(path, side_px=_SEARCHED_PX, preview_px=_PREVIEW_PX)
+        photo, small, (height, width) = read_detail(
+            path, side_px=_SEARCHED_PX, preview_px=_PREVIEW_PX
+        )
     except ValueError as error:  # its name is the server's, and says nothing
-        raise FieldError("photo", str(error).replace(f"{path}: ", "").replace(str(path), "the photo")) from None
+        raise FieldError(
+            "photo", str(error).replace(f"{path}: ", "").replace(str(path), "the photo")
+        ) from None
     try:
         write_bytes(path.with_name(f"{path.stem}_preview.jpg"), encode_image(small, ".jpg"))
     except OSError as error:
         raise disk_error("photo", error) from None
-    pixels, notes = photo.pixels, list(photo.warnings)
+    pixels = photo.pixels
+    notes = list(photo.warnings)
     if pixels.shape[:2] != (height, width):
         notes.append(
             f"The motion was searched in the {pixels.shape[1]} x {pixels.shape[0]} px of the photo with most detail."
@@ -138,31 +142,47 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     tell(0.02, "searching the motion", best={"preview": True, "width": width, "height": height})
     try:
         found = cep.estimate_motion(
-            pixels, method=order.get("method", "motdiff"), progress=lambda share, what: tell(0.02 + 0.8 * share, what)
+            pixels,
+            method=order.get("method", "motdiff"),
+            progress=lambda share, what: tell(0.02 + 0.8 * share, what),
         )
     except ValueError as error:
         raise FieldError("photo", str(error).removeprefix("photo: ")) from None
     tell(0.85, "restoring a part of the photo")
     scene = sharpen(_middle(pixels, _SCENE_PX).astype(np.float64), found)
     try:
-        with new_file(path.with_name(f"{path.stem}_scene.npy")) as made:  # a page may read the one before
+        with new_file(
+            path.with_name(f"{path.stem}_scene.npy")
+        ) as made:  # a page may read the one before
             np.save(made, np.clip(scene.image, 0, 1).astype(np.float32))
     except OSError as error:
         raise disk_error("photo", error) from None
     paths = [
-        {"weight": weight, "length_px": one.length_px, "extent_px": one.extent_px, **path_fields(one)}
+        {
+            "weight": weight,
+            "length_px": one.length_px,
+            "extent_px": one.extent_px,
+            **path_fields(one),
+        }
         for weight, one in zip(found.weights, found.trajectories, strict=True)
     ]
     return {
-        "method": found.method, "confidence": found.confidence, "paths": paths, "width": width, "height": height,
-        "warnings": [*notes, *found.warnings], "summary": scene.summary, "path_error": found.path_error_px,
-    }  # fmt: skip
+        "method": found.method,
+        "confidence": found.confidence,
+        "paths": paths,
+        "width": width,
+        "height": height,
+        "warnings": [*notes, *found.warnings],
+        "summary": scene.summary,
+        "path_error": found.path_error_px,
+    }
 
 
 def _middle(image: np.ndarray[Any, Any], side_px: int) -> np.ndarray[Any, Any]:
     """Copy the middle of an image, at most so many pixels a side."""
     rows, columns = (min(length, side_px) for length in image.shape[:2])
-    top, left = (image.shape[0] - rows) // 2, (image.shape[1] - columns) // 2
+    top = (image.shape[0] - rows) // 2
+    left = (image.shape[1] - columns) // 2
     return image[top : top + rows, left : left + columns].copy()
 
 
@@ -175,7 +195,11 @@ def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
     share_note: list[Any] = [0.0, ""]
 
     def best(code: cep.ShutterCode) -> None:
-        tell(share_note[0], share_note[1], **({"best": {"bits": code.bits}} if code.bits != last[0] else {}))
+        tell(
+            share_note[0],
+            share_note[1],
+            **({"best": {"bits": code.bits}} if code.bits != last[0] else {}),
+        )
         last[0] = code.bits
 
     def progress(share: float, note: str) -> None:
@@ -185,12 +209,23 @@ def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
     last = [""]
     tell(0.0, "measuring what is used instead")
     found = cep.optimize(
-        problem, steps=steps, seed=seed, threads=1, progress=progress, on_best=best, path_error_px=setting.path_error_px
+        problem,
+        steps=steps,
+        seed=seed,
+        threads=1,
+        progress=progress,
+        on_best=best,
+        path_error_px=setting.path_error_px,
     )
     return {
-        "bits": found.code.bits, "sentence": found.verdict.sentence, "steps": found.found.steps, "seed": seed,
-        "stopped": found.found.stopped, "seconds": found.found.seconds, "warnings": found.warnings,
-    }  # fmt: skip
+        "bits": found.code.bits,
+        "sentence": found.verdict.sentence,
+        "steps": found.found.steps,
+        "seed": seed,
+        "stopped": found.found.stopped,
+        "seconds": found.found.seconds,
+        "warnings": found.warnings,
+    }
 
 
 def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
@@ -198,9 +233,12 @@ def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
 
     setting = read_setting(order["setting"])
     found = cep.advise(
-        setting.problem(), setting.code(), path_error_px=setting.path_error_px, threads=1,
+        setting.problem(),
+        setting.code(),
+        path_error_px=setting.path_error_px,
+        threads=1,
         progress=lambda share, note: tell(share, note),
-    )  # fmt: skip
+    )
     return found.to_dict() | {"where": found.where, "sentence": found.here.sentence}
 
 
@@ -210,26 +248,36 @@ def _play(order: Order, tell: Tell) -> Mapping[str, Any]:
 
     setting = read_setting(order["setting"])
     port = order["port"]
-    code, notes = on_ticks(setting.code(), shutter_profile(_UNO).tick_ns if port == "emulated" else 1)
+    code, notes = on_ticks(
+        setting.code(), shutter_profile(_UNO).tick_ns if port == "emulated" else 1
+    )
     try:
         if port == "emulated":
             tell(0.1, "starting the emulated controller")
             played = play_emulated(code, profile=setting.profile)
-            report, edges = played.report, played.edges_ns
+            report = played.report
+            edges = played.edges_ns
         else:
             tell(0.1, "opening the controller")
             with cep.open_shutter(port) as shutter:
                 tell(0.4, "loading and reading back")
-                report, edges = shutter.upload(code, profile=setting.profile, arm=bool(order.get("arm"))), ()
+                report = shutter.upload(code, profile=setting.profile, arm=bool(order.get("arm")))
+                edges = ()
     except ValueError as error:
         raise FieldError("port", str(error)) from None
     return {
-        "firmware": report.firmware, "trust": report.trust.value, "meaning": report.trust.meaning,
-        "read_back": report.read_back, "armed": report.armed, "lease_ms": report.lease_ms, "edges_ns": edges,
+        "firmware": report.firmware,
+        "trust": report.trust.value,
+        "meaning": report.trust.meaning,
+        "read_back": report.read_back,
+        "armed": report.armed,
+        "lease_ms": report.lease_ms,
+        "edges_ns": edges,
         "duration_ns": code.duration_ns,
-        "warnings": [*notes, *report.warnings], "seconds": report.seconds,
+        "warnings": [*notes, *report.warnings],
+        "seconds": report.seconds,
         "port": "the emulated Uno" if port == "emulated" else report.port,
-    }  # fmt: skip
+    }
 
 
 KINDS: Mapping[str, Kind] = {

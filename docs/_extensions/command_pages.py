@@ -24,7 +24,11 @@ def page() -> str:
     """Lay out the command line as Markdown."""
     blocks = ["# Command line", "Generated from the program; `COMMAND --help` shows the same."]
     for name, command in commands(typer.main.get_command(cep), "cep"):
-        blocks += [f"## `{name}`", _escaped(command.help or ""), "```text\n" + _usage(command, name) + "\n```"]
+        blocks += [
+            f"## `{name}`",
+            _escaped(command.help or ""),
+            "```text\n" + _usage(command, name) + "\n```",
+        ]
         rows = [row for parameter in command.params if (row := _row(parameter))]
         if rows:
             blocks.append("\n".join(["| argument or option | meaning |", "|---|---|", *rows]))
@@ -34,7 +38,9 @@ def page() -> str:
 
 def _usage(command: Any, name: str) -> str:
     pieces = [_metavar(one) for one in command.params if one.param_type_name == "argument"]
-    return " ".join([name, "[OPTIONS]", *pieces, *(["COMMAND ..."] if hasattr(command, "commands") else [])])
+    return " ".join(
+        [name, "[OPTIONS]", *pieces, *(["COMMAND ..."] if hasattr(command, "commands") else [])]
+    )
 
 
 def _row(parameter: Any) -> str | None:
@@ -45,7 +51,9 @@ def _row(parameter: Any) -> str | None:
     else:
         names = ", ".join([*parameter.opts, *parameter.secondary_opts])
         value = "" if parameter.is_flag else f" {_metavar(parameter)}"
-    return f"| `{names}{value}` | {_escaped(parameter.help or '').replace('|', chr(92) + '|')} |".replace("\n", " ")
+    return f"| `{names}{value}` | {_escaped(parameter.help or '').replace('|', chr(92) + '|')} |".replace(
+        "\n", " "
+    )
 
 
 def _metavar(parameter: Any) -> str:
@@ -80,15 +88,25 @@ def _behind(keys: tuple[str, ...]) -> str:
 def _overview(readme: str) -> str:
     """Turn the links of the README, which lies one folder up, into those of a page in ``docs/``."""
     inside = readme.replace("](docs/", "](")
-    return re.sub(r"\]\((?=(?:hw|cep|motdiff|notebooks|benchmarks|tests|CONTRIBUTING|CITATION)\b)", "](../", inside)
+    return re.sub(
+        r"\]\((?=(?:hw|cep|motdiff|notebooks|benchmarks|tests|CONTRIBUTING|CITATION)\b)",
+        "](../",
+        inside,
+    )
 
 
 def _write(app: Sphinx) -> None:
     folder = Path(app.srcdir)
     readme = (folder.parent / "README.md").read_text(encoding="utf-8")
-    for name, text in (("command-line", page()), ("overview", _overview(readme)), ("works", works_page())):
+    for name, text in (
+        ("command-line", page()),
+        ("overview", _overview(readme)),
+        ("works", works_page()),
+    ):
         path = folder / f"{name}.md"
-        if not path.exists() or path.read_text(encoding="utf-8") != text:  # an unchanged page is not read again
+        if (
+            not path.exists() or path.read_text(encoding="utf-8") != text
+        ):  # an unchanged page is not read again
             path.write_text(text, encoding="utf-8")
 
 

@@ -1,7 +1,7 @@
 """Links of documents to files outside ``docs/`` become the names of these files: the site does not hold them.
 
-Links to pages that the site copies as they are (``html_extra_path``) and to JSON Schemas stay links, where Sphinx would
-offer a download.
+Links to pages that the site copies as they are (``html_extra_path``) and to JSON Schemas stay
+links, where Sphinx would offer a download.
 """
 
 import os

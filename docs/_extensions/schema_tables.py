@@ -15,7 +15,13 @@ PACKAGES = {"motdiff.files": ("trajectory",), "cep.files": (
     "code", "camera", "front", "bench", "calibration-set", "proof", "program", "studio",
 )}  # fmt: skip
 _MARKED = re.compile(r"<!-- fields of (\S+) -->\n.*?<!-- end of fields -->", re.DOTALL)
-_SHORT = {"object": "object", "array": "list", "string": "text", "number": "number", "integer": "whole number"}
+_SHORT = {
+    "object": "object",
+    "array": "list",
+    "string": "text",
+    "number": "number",
+    "integer": "whole number",
+}
 
 
 def schema_files() -> dict[str, Path]:
@@ -49,7 +55,9 @@ def with_tables(page: str) -> str:
     return _MARKED.sub(table, page)
 
 
-def _fields(schema: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Mapping[str, Any], bool]]:
+def _fields(
+    schema: Mapping[str, Any], prefix: str
+) -> Iterator[tuple[str, Mapping[str, Any], bool]]:
     for name, field in schema.get("properties", {}).items():
         yield f"{prefix}{name}", field, name in schema.get("required", ())
         yield from _fields(field, f"{prefix}{name}.")
@@ -74,7 +82,13 @@ def _range(field: Mapping[str, Any]) -> str:
     if low is not None and high is not None and high < 1e18:
         return f", {low:g}..{high:g}"
     above = field.get("exclusiveMinimum")
-    return f", {low:g} or more" if low is not None else f", above {above:g}" if above is not None else ""
+    return (
+        f", {low:g} or more"
+        if low is not None
+        else f", above {above:g}"
+        if above is not None
+        else ""
+    )
 
 
 def _left_out(field: Mapping[str, Any], needed: bool) -> str:

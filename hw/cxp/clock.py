@@ -7,9 +7,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from hw.drivers.cxp import Controller, VerifyError
-
-__all__ = ["ClockFit", "fit_clock", "measure_clock"]
+from hw.cxp.player import VerifyError
+from hw.drivers.cxp import Controller
 
 _WRAP_US = 2**32
 _LEAST = 8
@@ -26,7 +25,8 @@ class ClockFit:
     ppm : float
         Parts per million; negative when it is slow and plays everything too long.
     uncertainty_ppm : float
-        Two standard errors of the fit. The host's own clock, good to some 20 ppm, is taken as right.
+        Two standard errors of the fit. The host's own clock, good to some 20 ppm, is taken as
+        right.
     seconds : float
         Time between the first and the last reading.
     samples : int
@@ -42,9 +42,9 @@ class ClockFit:
 def fit_clock(readings: Sequence[tuple[float, float, int]]) -> ClockFit:
     """Fit a line to readings of a device's clock.
 
-    The time of a reading lies between the request and its reply. The quickest of every four in a row is used, at the
-    middle: a constant delay moves the line without tilting it. (The quickest quarter of all may come from a short part
-    of the time where delays are even.)
+    The time of a reading lies between the request and its reply. The quickest of every four in a
+    row is used, at the middle: a constant delay moves the line without tilting it. (The quickest
+    quarter of all may come from a short part of the time where delays are even.)
 
     Parameters
     ----------
@@ -54,20 +54,28 @@ def fit_clock(readings: Sequence[tuple[float, float, int]]) -> ClockFit:
     Raises
     ------
     ValueError
-        If there are fewer than 8 readings, or the device's clock does not go on with the host's (a restart).
+        If there are fewer than 8 readings, or the device's clock does not go on with the host's (a
+        restart).
     """
     if len(readings) < _LEAST:
-        raise ValueError(f"readings are {len(readings)}: at least {_LEAST} are needed to fit a clock")
+        raise ValueError(
+            f"readings are {len(readings)}: at least {_LEAST} are needed to fit a clock"
+        )
     start_s, _, start_us = readings[0]
-    points: list[tuple[float, float, float]] = []  # delay, host s, device s less host s (small: it keeps its digits)
-    device_us, previous = 0, start_us
+    points: list[
+        tuple[float, float, float]
+    ] = []  # delay, host s, device s less host s (small: it keeps its digits)
+    device_us = 0
+    previous = start_us
     for sent_s, received_s, now_us in readings:
         device_us += (now_us - previous) % _WRAP_US
         previous = now_us
         host_s = 0.5 * (sent_s + received_s) - start_s
         drift_s = device_us * 1e-6 - host_s
         if abs(drift_s) > _LARGEST_PPM * 1e-6 * host_s + 0.5:
-            raise ValueError("the device's clock jumped: it was restarted meanwhile, or is no clock; measure again")
+            raise ValueError(
+                "the device's clock jumped: it was restarted meanwhile, or is no clock; measure again"
+            )
         points.append((received_s - sent_s, host_s, drift_s))
     row = max(1, min(_IN_A_ROW, len(points) // _LEAST))
     quick = [min(points[k : k + row]) for k in range(0, len(points) - row + 1, row)]
@@ -84,7 +92,10 @@ def fit_clock(readings: Sequence[tuple[float, float, int]]) -> ClockFit:
 
 
 def measure_clock(
-    controller: Controller, *, seconds: float = 10.0, progress: Callable[[float], None] | None = None
+    controller: Controller,
+    *,
+    seconds: float = 10.0,
+    progress: Callable[[float], None] | None = None,
 ) -> ClockFit:
     """Read a controller's clock again and again, and fit it against the host's.
 

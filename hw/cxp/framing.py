@@ -6,8 +6,6 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
-__all__ = ["BINARY", "TEXT", "FrameError", "Framing", "cobs_decode", "cobs_encode", "crc16"]
-
 _HEX = re.compile(rb"(?:[0-9A-F]{2})+")
 
 
@@ -49,7 +47,8 @@ class Framing:
         raw = self.unwrap(frame)
         if len(raw) < 4:
             raise FrameError(f"frame has {len(raw)} bytes: at least 4 are needed")
-        body, crc = raw[:-2], int.from_bytes(raw[-2:], "little")
+        body = raw[:-2]
+        crc = int.from_bytes(raw[-2:], "little")
         if crc16(body) != crc:
             raise FrameError(f"frame has CRC 0x{crc:04x}: its bytes give 0x{crc16(body):04x}")
         return body
@@ -82,7 +81,8 @@ def cobs_encode(data: bytes) -> bytes:
 
     References
     ----------
-    S. Cheshire and M. Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Trans. Networking 7(2), 1999, section III.
+    S. Cheshire and M. Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Trans. Networking 7(2),
+    1999, section III.
 
     Examples
     --------
@@ -118,7 +118,9 @@ def cobs_decode(data: bytes) -> bytes:
     while at < len(data):
         code = data[at]
         if at + code > len(data):
-            raise FrameError(f"frame is cut short: a block of {code} bytes at {at} passes its {len(data)} bytes")
+            raise FrameError(
+                f"frame is cut short: a block of {code} bytes at {at} passes its {len(data)} bytes"
+            )
         out += data[at + 1 : at + code]
         at += code
         if code < 0xFF and at < len(data):

@@ -22,8 +22,6 @@ from hw.cxp.protocol import (
 from hw.errors import DeviceError, device_error
 from hw.port import LinkError, OpenPort, PortError, SerialPort, open_port
 
-__all__ = ["Link", "open_link"]
-
 _LONGEST_FRAME = 20_000  # 65535 chips in hexadecimal digits
 _FRAMINGS = (BINARY, TEXT)
 _CHANGES = frozenset({Op.LOAD, Op.ARM, Op.TRIG})
@@ -32,9 +30,10 @@ _CHANGES = frozenset({Op.LOAD, Op.ARM, Op.TRIG})
 class Link:
     """Requests and replies on an open port.
 
-    As a context manager it sends ABORT when left by an exception after it has loaded, armed or triggered anything; a
-    program armed by another host is not aborted. Left normally it leaves an armed device armed (its lease ends that).
-    A link still open when the interpreter ends is left as by an exception.
+    As a context manager it sends ABORT when left by an exception after it has loaded, armed or
+    triggered anything; a program armed by another host is not aborted. Left normally it leaves an
+    armed device armed (its lease ends that). A link still open when the interpreter ends is left
+    as by an exception.
 
     Parameters
     ----------
@@ -43,15 +42,19 @@ class Link:
     name : str
         Name of the port, for messages.
     timeout_s : float
-        How long to wait for a reply before the same frame is sent again. On USB converters a reply may take 16 ms
-        longer than the line needs, so keep it at 0.1 s or more there.
+        How long to wait for a reply before the same frame is sent again. On USB converters a reply
+        may take 16 ms longer than the line needs, so keep it at 0.1 s or more there.
     attempts : int
         How often one frame is sent at most.
     """
 
-    def __init__(self, port: SerialPort, *, name: str, timeout_s: float = 0.15, attempts: int = 12) -> None:
+    def __init__(
+        self, port: SerialPort, *, name: str, timeout_s: float = 0.15, attempts: int = 12
+    ) -> None:
         if not timeout_s > 0 or attempts < 1:
-            raise ValueError(f"timeout_s is {timeout_s} and attempts is {attempts}: above 0 and at least 1 are needed")
+            raise ValueError(
+                f"timeout_s is {timeout_s} and attempts is {attempts}: above 0 and at least 1 are needed"
+            )
         self.name = name
         self.framing = BINARY
         self.timeout_s = timeout_s
@@ -73,7 +76,8 @@ class Link:
     def request(self, op: int, payload: bytes = b"", *, attempts: int | None = None) -> bytes:
         """Send one request until its reply comes, and return the reply's data.
 
-        The same frame is sent each time, so that the device can distinguish a retry from a second request.
+        The same frame is sent each time, so that the device can distinguish a retry from a second
+        request.
 
         Raises
         ------
@@ -83,7 +87,8 @@ class Link:
             If no reply came, or the port failed.
         """
         self._seq = (self._seq + 1) % 256
-        before, self._answerable = self._answerable, self._answerable or op in _CHANGES
+        before = self._answerable
+        self._answerable = self._answerable or op in _CHANGES
         for attempt in range(self.attempts if attempts is None else attempts):
             self.retries += attempt > 0
             reply = self._ask(op, payload, self.framing, flush=attempt > 0)
@@ -127,7 +132,9 @@ class Link:
             raise PortError(
                 f"{self.name} sends {heard} bytes but no CXP1 reply: wrong baud rate, or not a shutter controller"
             )
-        raise PortError(f"{self.name} is silent for {hello_s:g} s: check power and firmware, or name another port")
+        raise PortError(
+            f"{self.name} is silent for {hello_s:g} s: check power and firmware, or name another port"
+        )
 
     def abort(self) -> bool:
         """Close the shutter and disarm, never raising; False unless the device's status is then at rest."""
@@ -148,7 +155,10 @@ class Link:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if error is not None and self._answerable:
             self.abort_after(error)
@@ -167,7 +177,8 @@ class Link:
 
     def _ask(self, op: int, payload: bytes, framing: Framing, *, flush: bool) -> Reply | None:
         frame = framing.encode(request_body(op, self._seq, payload))
-        # The end in front closes what noise has left half-received in the device, so that a retry is not lost too.
+        # The end in front closes what noise has left half-received in the device, so that a retry
+        # is not lost too.
         self._port.write(framing.end + frame if flush else frame)
         deadline = time.monotonic() + self.timeout_s
         while True:
@@ -180,7 +191,9 @@ class Link:
                     self.bad_frames += 1
                     continue
                 if (reply.op, reply.seq) == (op, self._seq):
-                    self._rest = b"".join(later + framing.end for later in frames[index + 1 :]) + self._rest
+                    self._rest = (
+                        b"".join(later + framing.end for later in frames[index + 1 :]) + self._rest
+                    )
                     return reply
             if time.monotonic() >= deadline:
                 return None
@@ -197,7 +210,12 @@ class Link:
 
 
 def open_link(
-    port: str, *, baud: int = 115200, timeout_s: float = 0.15, attempts: int = 12, hello_s: float = 3.0
+    port: str,
+    *,
+    baud: int = 115200,
+    timeout_s: float = 0.15,
+    attempts: int = 12,
+    hello_s: float = 3.0,
 ) -> tuple[Link, Hello]:
     """Open a port and request the HELLO of the device on it.
 

@@ -13,8 +13,6 @@ from hw.cxp.stored import Stored, stored_program, unpack_stored
 from hw.errors import DeviceError
 from hw.program import Program
 
-__all__ = ["RemotePlayer", "VerifyError"]
-
 
 class VerifyError(RuntimeError):
     """The device holds another program, or is in another state, than requested."""
@@ -46,7 +44,8 @@ class RemotePlayer:
         Raises
         ------
         ValueError
-            If the program cannot be expressed in the device's ticks, see `hw.cxp.protocol.stored_program`.
+            If the program cannot be expressed in the device's ticks, see
+            `hw.cxp.protocol.stored_program`.
         VerifyError
             If the device confirms something else, or is not loaded afterwards.
         """
@@ -56,7 +55,9 @@ class RemotePlayer:
         except FrameError as error:
             raise VerifyError(f"{self.link.name}: {error}") from None
         if crc != wanted.crc32:
-            raise VerifyError(f"{self.link.name} confirms CRC32 0x{crc:08x}: 0x{wanted.crc32:08x} was sent")
+            raise VerifyError(
+                f"{self.link.name} confirms CRC32 0x{crc:08x}: 0x{wanted.crc32:08x} was sent"
+            )
         status = self.status()
         if status.state is not State.LOADED:
             raise self._belied(Op.LOAD, status)
@@ -83,9 +84,12 @@ class RemotePlayer:
         VerifyError
             If the device holds another program; the message says what differs.
         """
-        wanted, stored = stored_program(program, self.announced, clock_ppm=clock_ppm), self.read()
+        wanted = stored_program(program, self.announced, clock_ppm=clock_ppm)
+        stored = self.read()
         if stored != wanted:
-            raise VerifyError(f"{self.link.name} holds another program than it was sent: {wanted.difference(stored)}")
+            raise VerifyError(
+                f"{self.link.name} holds another program than it was sent: {wanted.difference(stored)}"
+            )
 
     def arm(self, *, lease_ms: int = 10_000) -> Status:
         """Let the next trigger play the program; without one the device disarms itself after `lease_ms`.
@@ -93,7 +97,8 @@ class RemotePlayer:
         Returns
         -------
         Status
-            Read back afterwards. The state is ARMED, or PLAY or DONE where the trigger input was quicker.
+            Read back afterwards. The state is ARMED, or PLAY or DONE where the trigger input was
+            quicker.
 
         Raises
         ------
@@ -116,20 +121,25 @@ class RemotePlayer:
         Returns
         -------
         Status
-            Read back afterwards. The state is DONE, one more play has ended, and no edge of it was missed.
+            Read back afterwards. The state is DONE, one more play has ended, and no edge of it was
+            missed.
 
         Raises
         ------
         VerifyError
-            If it still plays after `timeout_s`, or the status is another one; ABORT has then been sent.
+            If it still plays after `timeout_s`, or the status is another one; ABORT has then been
+            sent.
         """
         before = self.status()
         self.trigger()
         status = self.wait(timeout_s=timeout_s)
         with self._closed_on_doubt():
-            ended, missed = (status.runs - before.runs) % 65536, status.late - before.late
+            ended = (status.runs - before.runs) % 65536
+            missed = status.late - before.late
             if (status.state, ended, missed) != (State.DONE, 1, 0):
-                raise self._belied(Op.TRIG, status, f", with {ended} plays ended and {missed} edges missed")
+                raise self._belied(
+                    Op.TRIG, status, f", with {ended} plays ended and {missed} edges missed"
+                )
         return status
 
     def abort(self) -> Status:
@@ -198,12 +208,16 @@ class RemotePlayer:
         triggered = self.announced.trigger_input and (status.state is State.PLAY or played)
         if status.state is not State.ARMED and not triggered:
             lease_ms = int.from_bytes(payload, "little")
-            over = f"; its lease of {lease_ms} ms may be over" if status.state is State.LOADED else ""
+            over = (
+                f"; its lease of {lease_ms} ms may be over" if status.state is State.LOADED else ""
+            )
             raise self._belied(Op.ARM, status, over)
         return status
 
     def _belied(self, op: Op, status: Status, more: str = "") -> VerifyError:
-        return VerifyError(f"{self.link.name} acknowledged {op.name}, but is {status.state.name} afterwards{more}")
+        return VerifyError(
+            f"{self.link.name} acknowledged {op.name}, but is {status.state.name} afterwards{more}"
+        )
 
     @contextmanager
     def _closed_on_doubt(self) -> Iterator[None]:
@@ -212,6 +226,7 @@ class RemotePlayer:
         except DeviceError:
             raise  # refused: nothing changed in the device
         except BaseException as error:
-            # No reply, or a wrong one: it may or may not be armed or open, and closed is the only safe guess.
+            # No reply, or a wrong one: it may or may not be armed or open, and closed is the only
+            # safe guess.
             self.link.abort_after(error)
             raise

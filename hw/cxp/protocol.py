@@ -1,7 +1,8 @@
 """CXP1, the shutter controller's protocol: requests, replies and their payloads as pure functions on bytes.
 
-``docs/cxp1.md`` is its definition. Bodies are ``op, seq, payload...`` and ``op | 0x80, seq, error, data...``; numbers
-are little endian; :mod:`hw.cxp.framing` puts bodies on a line, :mod:`hw.cxp.stored` is the program in a device's ticks.
+``docs/cxp1.md`` is its definition. Bodies are ``op, seq, payload...`` and ``op | 0x80, seq, error,
+data...``; numbers are little endian; :mod:`hw.cxp.framing` puts bodies on a line,
+:mod:`hw.cxp.stored` is the program in a device's ticks.
 """
 
 from __future__ import annotations
@@ -12,28 +13,12 @@ from enum import IntEnum
 
 from hw.cxp.framing import FrameError
 
-__all__ = [
-    "AT_REST",
-    "Hello",
-    "Op",
-    "Reply",
-    "ResetCause",
-    "State",
-    "Status",
-    "op_name",
-    "pack_arm",
-    "parse_reply",
-    "request_body",
-    "unpack_crc",
-    "unpack_hello",
-    "unpack_status",
-]
-
 _REPLY = 0x80
 _MAGIC = b"CXP1"
 _HELLO = struct.Struct("<4sBBHHIIIHIB")
 _STATUS = struct.Struct("<BHHBBII")
-_FRACTIONS, _TRIGGER_INPUT = 1, 2
+_FRACTIONS = 1
+_TRIGGER_INPUT = 2
 
 
 class Op(IntEnum):
@@ -192,18 +177,29 @@ def unpack_hello(data: bytes) -> Hello:
         raise FrameError(f"HELLO reply has protocol version {data[4]}: version 1 is needed")
     if len(data) < _HELLO.size:
         raise FrameError(f"HELLO reply has {len(data)} bytes: at least {_HELLO.size} are needed")
-    _, version, flags, chips, tick_ns, least, most, on, duty, lead_ns, cause = _HELLO.unpack_from(data)
+    _, version, flags, chips, tick_ns, least, most, on, duty, lead_ns, cause = _HELLO.unpack_from(
+        data
+    )
     if not chips or not tick_ns or not 1 <= least <= most:
         raise FrameError(
             f"HELLO reply has {chips} chips of {least}..{most} ticks of {tick_ns} ns: all must be at least 1, in order"
         )
     return Hello(
-        version=version, fractions=bool(flags & _FRACTIONS), trigger_input=bool(flags & _TRIGGER_INPUT),
-        max_chips=chips, tick_ns=tick_ns, min_ticks=least, max_ticks=most,
-        max_on_ticks=on or None, max_duty=duty / 1000 if 0 < duty < 1000 else None, lead_ns=lead_ns,
-        reset_cause=ResetCause(cause) if cause in ResetCause._value2member_map_ else ResetCause.UNKNOWN,
+        version=version,
+        fractions=bool(flags & _FRACTIONS),
+        trigger_input=bool(flags & _TRIGGER_INPUT),
+        max_chips=chips,
+        tick_ns=tick_ns,
+        min_ticks=least,
+        max_ticks=most,
+        max_on_ticks=on or None,
+        max_duty=duty / 1000 if 0 < duty < 1000 else None,
+        lead_ns=lead_ns,
+        reset_cause=ResetCause(cause)
+        if cause in ResetCause._value2member_map_
+        else ResetCause.UNKNOWN,
         firmware=data[_HELLO.size :].decode("ascii", "replace").split("\0")[0],
-    )  # fmt: skip
+    )
 
 
 def unpack_status(data: bytes) -> Status:

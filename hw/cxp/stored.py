@@ -11,8 +11,6 @@ from hw.cxp.framing import FrameError
 from hw.cxp.protocol import Hello
 from hw.program import Program
 
-__all__ = ["Stored", "stored_program", "unpack_stored"]
-
 _STORED = struct.Struct("<IHH")
 
 
@@ -47,7 +45,11 @@ class Stored:
         if len(self.bits) != len(other.bits):
             return f"{len(other.bits)} chips, not {len(self.bits)}"
         wrong = [k for k, (a, b) in enumerate(zip(self.bits, other.bits, strict=True)) if a != b]
-        return f"{len(wrong)} of {len(self.bits)} chips differ, the first is chip {wrong[0]}" if wrong else ""
+        return (
+            f"{len(wrong)} of {len(self.bits)} chips differ, the first is chip {wrong[0]}"
+            if wrong
+            else ""
+        )
 
 
 def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) -> Stored:
@@ -59,14 +61,15 @@ def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) ->
     hello : Hello
         HELLO of the device.
     clock_ppm : float
-        Error of the device's clock, parts per million, positive when fast: chips are stretched by as much, to
-        the nearest fraction of a tick when the device takes fractions, or else to the nearest tick. With 0 the chip
-        must be a whole number of ticks.
+        Error of the device's clock, parts per million, positive when fast: chips are stretched by
+        as much, to the nearest fraction of a tick when the device takes fractions, or else to the
+        nearest tick. With 0 the chip must be a whole number of ticks.
 
     Raises
     ------
     ValueError
-        If the chip is not a whole number of ticks, or out of the device's range, or there are too many chips.
+        If the chip is not a whole number of ticks, or out of the device's range, or there are too
+        many chips.
     """
     if not abs(clock_ppm) <= 100_000:
         raise ValueError(
@@ -76,12 +79,19 @@ def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) ->
     units = round(exact * 65536) if hello.fractions else round(exact) * 65536
     ticks, fraction = divmod(units, 65536)
     if not clock_ppm and program.chip_ns % hello.tick_ns:
-        raise ValueError(f"chip of {program.chip_ns} ns is not a whole number of the device's {hello.tick_ns} ns ticks")
+        raise ValueError(
+            f"chip of {program.chip_ns} ns is not a whole number of the device's {hello.tick_ns} ns ticks"
+        )
     if not hello.min_ticks <= ticks <= hello.max_ticks - (fraction > 0):
-        least, most = hello.min_ticks * hello.tick_ns, hello.max_ticks * hello.tick_ns
-        raise ValueError(f"chip of {program.chip_ns} ns cannot be played: the device takes {least} to {most} ns")
+        least = hello.min_ticks * hello.tick_ns
+        most = hello.max_ticks * hello.tick_ns
+        raise ValueError(
+            f"chip of {program.chip_ns} ns cannot be played: the device takes {least} to {most} ns"
+        )
     if program.chips > hello.max_chips:
-        raise ValueError(f"code of {program.chips} chips is too long: the device plays at most {hello.max_chips}")
+        raise ValueError(
+            f"code of {program.chips} chips is too long: the device plays at most {hello.max_chips}"
+        )
     return Stored(program.bits, ticks, fraction)
 
 
@@ -94,9 +104,13 @@ def unpack_stored(data: bytes) -> Stored:
         If lengths disagree or it is no program.
     """
     if len(data) <= _STORED.size:
-        raise FrameError(f"READ reply has {len(data)} bytes: at least {_STORED.size + 1} are needed")
+        raise FrameError(
+            f"READ reply has {len(data)} bytes: at least {_STORED.size + 1} are needed"
+        )
     ticks, fraction, chips = _STORED.unpack_from(data)
     try:
-        return Stored(Program.from_bytes(data[_STORED.size :], chips=chips, chip_ns=1).bits, ticks, fraction)
+        return Stored(
+            Program.from_bytes(data[_STORED.size :], chips=chips, chip_ns=1).bits, ticks, fraction
+        )
     except ValueError as error:
         raise FrameError(f"READ reply holds no program: {error}") from None

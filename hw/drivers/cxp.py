@@ -7,14 +7,12 @@ from types import TracebackType
 from typing import Self
 
 from hw.cxp.link import open_link
-from hw.cxp.player import RemotePlayer, VerifyError
+from hw.cxp.player import RemotePlayer
 from hw.cxp.protocol import State, pack_arm
 from hw.device import DeviceProfile, refusal
 from hw.drivers.report import Trust, UploadReport
 from hw.errors import WrongStateError
 from hw.program import Program
-
-__all__ = ["PROVEN_FIRMWARE", "Controller", "VerifyError"]
 
 PROVEN_FIRMWARE = frozenset({"cxp-avr 1", "cxp-rp2040 1"})
 """Firmware whose edges the tests prove on emulated processors."""
@@ -23,8 +21,8 @@ PROVEN_FIRMWARE = frozenset({"cxp-avr 1", "cxp-rp2040 1"})
 class Controller(RemotePlayer):
     """A CXP1 shutter controller on an open link.
 
-    Use it as a context manager: left by an exception after it has loaded, armed or triggered anything it sends ABORT,
-    which closes and disarms the shutter.
+    Use it as a context manager: left by an exception after it has loaded, armed or triggered
+    anything it sends ABORT, which closes and disarms the shutter.
 
     Parameters
     ----------
@@ -44,10 +42,18 @@ class Controller(RemotePlayer):
 
     @classmethod
     def open(
-        cls, port: str, *, baud: int = 115200, timeout_s: float = 0.15, attempts: int = 12, hello_s: float = 3.0
+        cls,
+        port: str,
+        *,
+        baud: int = 115200,
+        timeout_s: float = 0.15,
+        attempts: int = 12,
+        hello_s: float = 3.0,
     ) -> Self:
         """Open the controller on a serial port; parameters and errors as `hw.cxp.link.open_link`."""
-        return cls(*open_link(port, baud=baud, timeout_s=timeout_s, attempts=attempts, hello_s=hello_s))
+        return cls(
+            *open_link(port, baud=baud, timeout_s=timeout_s, attempts=attempts, hello_s=hello_s)
+        )
 
     @property
     def limits(self) -> DeviceProfile:
@@ -105,14 +111,16 @@ class Controller(RemotePlayer):
         lease_ms : int
             Lease of the arming, ms.
         clock_ppm : float
-            Error of the device's clock, positive when fast (`hw.cxp.clock.measure_clock`); chips are stretched by it.
+            Error of the device's clock, positive when fast (`hw.cxp.clock.measure_clock`); chips
+            are stretched by it.
 
         Raises
         ------
         ValueError
             If a limit is broken; the message lists all of them and nothing was sent.
         VerifyError
-            If the device holds another program than it was sent, or is not in the state it should be in.
+            If the device holds another program than it was sent, or is not in the state it should
+            be in.
         DeviceError, LinkError
             If the device refuses, or stops answering.
         """
@@ -120,7 +128,8 @@ class Controller(RemotePlayer):
         if problems:
             raise ValueError(refusal(problems, self.limits))
         payload = pack_arm(lease_ms)
-        start, retries = time.monotonic(), self.link.retries
+        start = time.monotonic()
+        retries = self.link.retries
         armed = False
         try:
             self.load(program, clock_ppm=clock_ppm)
@@ -159,7 +168,10 @@ class Controller(RemotePlayer):
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.link.__exit__(kind, error, trace)
 

@@ -7,8 +7,6 @@ from hw.cxp.protocol import Hello
 from hw.drivers.cxp import Controller
 from hw.port import LinkError, PortError, PortInfo, list_ports
 
-__all__ = ["ask_ports", "open_controller"]
-
 
 def ask_ports(*, hello_s: float = 2.5) -> tuple[tuple[PortInfo, Hello | str], ...]:
     """Request a HELLO on every serial port; returns each HELLO, or the reason why there is none in one line.
@@ -38,13 +36,18 @@ def open_controller(port: str) -> Controller:
     Raises
     ------
     PortError
-        If the port cannot be opened or is no controller, or with ``"auto"`` when there is none, or more than one.
+        If the port cannot be opened or is no controller, or with ``"auto"`` when there is none, or
+        more than one.
     """
     if port != "auto":
         return Controller.open(port)
     names = [info.port for info, answer in ask_ports() if isinstance(answer, Hello)]
     if not names:
-        raise PortError("auto finds no shutter controller, no serial port answers as one: plug it in, or name its port")
+        raise PortError(
+            "auto finds no shutter controller, no serial port answers as one: plug it in, or name its port"
+        )
     if len(names) > 1:
-        raise PortError(f"auto finds {' and '.join(names)}, all shutter controllers: name one of them")
+        raise PortError(
+            f"auto finds {' and '.join(names)}, all shutter controllers: name one of them"
+        )
     return Controller.open(names[0])

@@ -12,16 +12,14 @@ from hw.export.pulsepal import MAX_PULSES, pulse_train
 from hw.port import LinkError
 from hw.program import Program
 
-__all__ = ["PulsePal"]
-
 _LINKS = {1: Parameter.LINK_1, 2: Parameter.LINK_2}
 
 
 class PulsePal(WriteOnlyDevice):
     """A Pulse Pal on an open link.
 
-    `upload` and `abort` stop all four outputs, the only way the device has. A trigger takes effect some 50 us
-    later.
+    `upload` and `abort` stop all four outputs, the only way the device has. A trigger takes effect
+    some 50 us later.
 
     Parameters
     ----------
@@ -32,8 +30,8 @@ class PulsePal(WriteOnlyDevice):
     trigger_input : int
         Trigger input, 1 or 2, whose rising edges play an armed program.
     high_volts : float
-        Output voltage for an open shutter, above 0 and at most 10 V; 0 V is closed. For a device profile with
-        ``closed_level = 1`` it is the other way round.
+        Output voltage for an open shutter, above 0 and at most 10 V; 0 V is closed. For a device
+        profile with ``closed_level = 1`` it is the other way round.
 
     Examples
     --------
@@ -46,7 +44,12 @@ class PulsePal(WriteOnlyDevice):
     """
 
     def __init__(
-        self, link: PulsePalLink, *, channel: int = 1, trigger_input: int = 1, high_volts: float = 5.0
+        self,
+        link: PulsePalLink,
+        *,
+        channel: int = 1,
+        trigger_input: int = 1,
+        high_volts: float = 5.0,
     ) -> None:
         _check_options(channel, trigger_input, high_volts)
         super().__init__(name=link.name)
@@ -80,7 +83,9 @@ class PulsePal(WriteOnlyDevice):
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the user about this device, one sentence each."""
         if self.link.firmware == 20:
-            return ("firmware 20 has a fault in gated triggers, which are not used here: update the Pulse Pal to 21",)
+            return (
+                "firmware 20 has a fault in gated triggers, which are not used here: update the Pulse Pal to 21",
+            )
         return ()
 
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
@@ -98,7 +103,8 @@ class PulsePal(WriteOnlyDevice):
 
     def _load(self, program: Program, *, profile: DeviceProfile) -> None:
         train = pulse_train(program)
-        closed, opened = dac_code(0.0), dac_code(self.high_volts)
+        closed = dac_code(0.0)
+        opened = dac_code(self.high_volts)
         if profile.closed_level:
             closed, opened = opened, closed
         # The closed level comes first: until it is set the output may be at any voltage.
@@ -131,13 +137,15 @@ class PulsePal(WriteOnlyDevice):
         try:
             self.link.stop()
         except LinkError:
-            # A device whose answers are lost may still obey: its trigger input must not play the code again.
+            # A device whose answers are lost may still obey: its trigger input must not play the
+            # code again.
             with contextlib.suppress(LinkError):
                 self.link.set(_LINKS[self.trigger_input], self.channel, 0)
             raise
         for linked in _LINKS.values():
             self.link.set(linked, self.channel, 0)
-        # A trigger that was waiting at the first stop has started a train right behind it; now none can follow.
+        # A trigger that was waiting at the first stop has started a train right behind it; now
+        # none can follow.
         self.link.stop()
 
     def _disconnect(self) -> None:

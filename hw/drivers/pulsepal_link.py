@@ -10,10 +10,9 @@ from enum import IntEnum
 from hw.errors import DeviceError
 from hw.port import LinkError, OpenPort, PortError, SerialPort, open_port
 
-__all__ = ["Parameter", "PulsePalLink", "dac_code", "open_pulsepal"]
-
 _MENU = 213
-_OLDEST, _NEWEST = 20, 99  # firmware of model 2 begins at 20; far above, it is some other device that said "K"
+_OLDEST = 20  # firmware of model 2 begins at 20; far above, it is some other device that said "K"
+_NEWEST = 99
 _BYTES_PER_S = 50_000  # slowest transfer waited for; USB is much faster
 
 
@@ -62,8 +61,8 @@ def dac_code(volts: float) -> int:
 class PulsePalLink:
     """Commands and replies on an open port.
 
-    There are no sequence numbers and no check sums: a reply that does not come makes everything after it uncertain,
-    hence only the handshake is ever repeated.
+    There are no sequence numbers and no check sums: a reply that does not come makes everything
+    after it uncertain, hence only the handshake is ever repeated.
 
     Parameters
     ----------
@@ -104,15 +103,23 @@ class PulsePalLink:
             )
         firmware = _firmware(heard)
         if firmware is None:
-            raise PortError(f"{self.name} sends {len(heard)} bytes but no handshake: not a Pulse Pal")
+            raise PortError(
+                f"{self.name} sends {len(heard)} bytes but no handshake: not a Pulse Pal"
+            )
         if firmware < _OLDEST:
-            raise PortError(f"{self.name} is a Pulse Pal of model 1 (firmware {firmware}): model 2 is needed")
+            raise PortError(
+                f"{self.name} is a Pulse Pal of model 1 (firmware {firmware}): model 2 is needed"
+            )
         self.firmware = firmware
-        if firmware > 21:  # until then the op meant something else, and there were no other cycles than 50 us
+        if (
+            firmware > 21
+        ):  # until then the op meant something else, and there were no other cycles than 50 us
             self._port.write(bytes([_MENU, _Op.INFO]))
             cycle_us = struct.unpack("<BIBI", self._take(10, "INFO", self.timeout_s))[1]
             if cycle_us != 50:
-                raise PortError(f"{self.name} has cycles of {cycle_us} us: a Pulse Pal with 50 us is needed")
+                raise PortError(
+                    f"{self.name} has cycles of {cycle_us} us: a Pulse Pal with 50 us is needed"
+                )
 
     def check_in_step(self) -> None:
         """Handshake once more: nothing else may come back.
@@ -124,7 +131,9 @@ class PulsePalLink:
         """
         heard = self._greet(self.timeout_s)
         if heard != b"K" + struct.pack("<I", self.firmware):
-            raise LinkError(f"{self.name} answers out of step ({heard[:12].hex(' ') or 'nothing'}): load again")
+            raise LinkError(
+                f"{self.name} answers out of step ({heard[:12].hex(' ') or 'nothing'}): load again"
+            )
 
     def set(self, parameter: Parameter, channel: int, value: int) -> None:
         """Set a parameter of an output channel, or of a trigger input for `Parameter.TRIGGER_MODE`.
@@ -149,12 +158,22 @@ class PulsePalLink:
             As `set`.
         """
         count = len(onsets_cycles)
-        data = struct.pack(f"<BBI{count}I{count}H", _MENU, _Op.TRAIN_1, count, *onsets_cycles, *[volts_code] * count)
+        data = struct.pack(
+            f"<BBI{count}I{count}H",
+            _MENU,
+            _Op.TRAIN_1,
+            count,
+            *onsets_cycles,
+            *[volts_code] * count,
+        )
         try:
             self._port.write(data)
-            self._acknowledged(f"a train of {count} pulses", self.timeout_s + len(data) / _BYTES_PER_S)
+            self._acknowledged(
+                f"a train of {count} pulses", self.timeout_s + len(data) / _BYTES_PER_S
+            )
         except BaseException:
-            # Cut short, the device would take the commands that follow, ABORT too, for the rest of the train.
+            # Cut short, the device would take the commands that follow, ABORT too, for the rest of
+            # the train.
             if self._port.is_open:
                 self._port.write(bytes(len(data)))
             raise
@@ -202,14 +221,20 @@ class PulsePalLink:
             if self._port.read():
                 heard_s = time.monotonic()
             if heard_s - start_s > 10 * self.timeout_s:
-                raise LinkError(f"{self.name} never stops sending: not a Pulse Pal, or plug it out and in again")
+                raise LinkError(
+                    f"{self.name} never stops sending: not a Pulse Pal, or plug it out and in again"
+                )
 
     def _acknowledged(self, what: str, seconds: float) -> None:
         reply = self._take(1, what, seconds)[0]
         if reply == 0:
-            raise DeviceError(f"{self.name} refuses {what}: out of range for its firmware {self.firmware}")
+            raise DeviceError(
+                f"{self.name} refuses {what}: out of range for its firmware {self.firmware}"
+            )
         if reply != 1:
-            raise LinkError(f"{self.name} answers 0x{reply:02x} to {what}: does another program talk to it? load again")
+            raise LinkError(
+                f"{self.name} answers 0x{reply:02x} to {what}: does another program talk to it? load again"
+            )
 
     def _take(self, size: int, what: str, seconds: float) -> bytes:
         deadline = time.monotonic() + seconds

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-__all__ = ["Trust", "UploadReport"]
-
 
 class Trust(StrEnum):
     """Level of evidence that a shutter plays the program."""

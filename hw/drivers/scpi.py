@@ -14,10 +14,9 @@ from hw.export.scpi import WAVEFORM, commands, sample_rate, samples
 from hw.port import LinkError, PortError
 from hw.program import Program
 
-__all__ = ["ScpiAwg"]
-
 _MODEL = re.compile(r"33[56]\d\d[A-Z]?|EDU3321\d[A-Z]?")
-_ON, _OFF = re.compile("1|ON"), re.compile("0|OFF")
+_ON = re.compile("1|ON")
+_OFF = re.compile("0|OFF")
 _ONE_CODE_A_TRIGGER = {
     "FUNC?": re.compile("ARB"),
     "BURS:MODE?": re.compile("TRIG"),
@@ -32,8 +31,8 @@ _CLOCK = 1e-6  # clock error of such an instrument
 class ScpiAwg(WriteOnlyDevice):
     """A waveform generator on an open link; it uses channel 1.
 
-    The code begins one chip after the trigger. With the output off, which it is unless armed, the connector is open:
-    a resistor must hold the shutter closed then.
+    The code begins one chip after the trigger. With the output off, which it is unless armed, the
+    connector is open: a resistor must hold the shutter closed then.
 
     Parameters
     ----------
@@ -121,18 +120,22 @@ class ScpiAwg(WriteOnlyDevice):
                 self.link.do(f"DATA:ARB {WAVEFORM},", _block(samples(program, profile)))
             elif not command.endswith("?") and command != "OUTP ON":
                 self.link.do(command)
-        wanted, answer = float(sample_rate(program)), self.link.ask("FUNC:ARB:SRAT?")
+        wanted = float(sample_rate(program))
+        answer = self.link.ask("FUNC:ARB:SRAT?")
         try:
             got = float(answer)
         except ValueError:
-            raise DeviceError(f"{self.name} says its sample rate is {answer[:40]!r}: a number is needed") from None
+            raise DeviceError(
+                f"{self.name} says its sample rate is {answer[:40]!r}: a number is needed"
+            ) from None
         if not abs(got - wanted) <= _CLOCK * wanted:
             raise DeviceError(
                 f"{self.name} would play at {got:.9g} Sa/s: chips of {program.chip_ns} ns need {wanted:.9g} Sa/s"
             )
 
     def _arm(self) -> None:
-        # Without a burst the output runs freely: it is off before the burst is, and until the instrument confirms one.
+        # Without a burst the output runs freely: it is off before the burst is, and until the
+        # instrument confirms one.
         self.abort()
         # A burst that an abort cut off may still be running behind the output: it must not go on.
         self.link.do("BURS:STAT OFF")
@@ -175,7 +178,9 @@ def _identity(link: ScpiLink) -> str:
         raise PortError(str(error)) from None
     fields = [part.strip() for part in answer.split(",")]
     if len(fields) != 4 or not _MODEL.fullmatch(fields[1]):
-        raise PortError(f"{link.name} is {answer[:60]!r}: a 33500-class generator (335xx, 336xx, EDU3321x) is needed")
+        raise PortError(
+            f"{link.name} is {answer[:60]!r}: a 33500-class generator (335xx, 336xx, EDU3321x) is needed"
+        )
     return f"{fields[1]} {fields[3]}"
 
 

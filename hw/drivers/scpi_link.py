@@ -9,8 +9,6 @@ from typing import Any
 from hw.errors import DeviceError
 from hw.port import LinkError, PortError, one_line
 
-__all__ = ["ScpiLink", "open_scpi"]
-
 _NO_ERROR = re.compile(r"[+-]?0+\s*(,|$)")
 _LONGEST_QUEUE = 40  # of errors; an instrument that reports more is of another kind
 
@@ -48,7 +46,9 @@ class ScpiLink:
         except LinkError:
             raise
         except Exception as error:  # VisaIOError or what the bus raises
-            raise LinkError(f"{self.name} is gone ({one_line(error)}): check power and cable, open it again") from error
+            raise LinkError(
+                f"{self.name} is gone ({one_line(error)}): check power and cable, open it again"
+            ) from error
 
     def ask(self, question: str) -> str:
         """Send a query and return its answer.
@@ -78,14 +78,17 @@ class ScpiLink:
         """
         self.send(command, data)
         errors: list[str] = []
-        while not _NO_ERROR.match(answer := self.ask("SYST:ERR?")) and len(errors) < _LONGEST_QUEUE:
+        while (
+            not _NO_ERROR.match(answer := self.ask("SYST:ERR?")) and len(errors) < _LONGEST_QUEUE
+        ):
             errors.append(" ".join(answer.split())[:80])
         if errors:
             raise DeviceError(f"{self.name} refuses {command[:40]}: {'; '.join(errors[:3])}")
 
     def close(self) -> None:
         """Close the resource without sending anything; may be called again."""
-        resource, self._resource = self._resource, None
+        resource = self._resource
+        self._resource = None
         if resource is not None:
             with contextlib.suppress(Exception):  # a lost connection may refuse even this
                 resource.close()
@@ -102,7 +105,8 @@ def open_scpi(resource: str, *, backend: str = "@py", timeout_s: float = 3.0) ->
     Parameters
     ----------
     resource : str
-        VISA name, as ``TCPIP::192.168.0.7::5025::SOCKET`` or ``USB0::0x0957::0x2C07::MY52800000::INSTR``.
+        VISA name, as ``TCPIP::192.168.0.7::5025::SOCKET`` or
+        ``USB0::0x0957::0x2C07::MY52800000::INSTR``.
     backend : str
         VISA library: ``@py`` is pyvisa-py, an empty text the one of the system.
     timeout_s : float
@@ -123,6 +127,10 @@ def open_scpi(resource: str, *, backend: str = "@py", timeout_s: float = 3.0) ->
         opened = pyvisa.ResourceManager(backend).open_resource(
             resource, timeout=1000 * timeout_s, read_termination="\n", write_termination="\n"
         )
-    except Exception as error:  # VisaIOError, ValueError, OSError or a bare Exception, by backend and bus
-        raise PortError(f"{resource} cannot be opened: {one_line(error)}; name a VISA resource") from None
+    except (
+        Exception
+    ) as error:  # VisaIOError, ValueError, OSError or a bare Exception, by backend and bus
+        raise PortError(
+            f"{resource} cannot be opened: {one_line(error)}; name a VISA resource"
+        ) from None
     return ScpiLink(opened, name=resource)

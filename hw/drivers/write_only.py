@@ -15,17 +15,16 @@ from hw.drivers.report import Trust, UploadReport
 from hw.errors import WrongStateError
 from hw.program import Program
 
-__all__ = ["WriteOnlyDevice"]
-
 _MARGIN_S = 0.01  # from the command to the first edge
 
 
 class WriteOnlyDevice(ABC):
     """Base of drivers for devices without read-back or status: their trust is B.
 
-    The uploaded program and the end of a play are known to this driver only. So only a program uploaded here is
-    triggered, and only once at a time. As a context manager it aborts when left by an exception; left normally
-    it leaves an armed device armed. One that is still open when the interpreter ends aborts too.
+    The uploaded program and the end of a play are known to this driver only. So only a program
+    uploaded here is triggered, and only once at a time. As a context manager it aborts when left
+    by an exception; left normally it leaves an armed device armed. One that is still open when the
+    interpreter ends aborts too.
 
     Parameters
     ----------
@@ -53,7 +52,9 @@ class WriteOnlyDevice(ABC):
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
         """List the reasons why the device, or a shutter with the limits of `profile`, cannot play the program."""
 
-    def upload(self, program: Program, *, profile: DeviceProfile | None = None, arm: bool = False) -> UploadReport:
+    def upload(
+        self, program: Program, *, profile: DeviceProfile | None = None, arm: bool = False
+    ) -> UploadReport:
         """Check a program, abort a running one, store the program, and arm if wanted.
 
         Parameters
@@ -80,7 +81,8 @@ class WriteOnlyDevice(ABC):
         problems = self.check(program, profile=profile)
         if problems:
             raise ValueError("program cannot be played: " + "; ".join(problems))
-        begin_s, retries = time.monotonic(), self._retries
+        begin_s = time.monotonic()
+        retries = self._retries
         self._program = None
         with self._aborted_on_error():
             self.abort()
@@ -132,7 +134,9 @@ class WriteOnlyDevice(ABC):
         program = self._loaded("trigger")
         left_s = self._over_s - time.monotonic()
         if left_s > 0:
-            raise WrongStateError(f"{self.name} still plays for {left_s:.3g} s: wait before the next trigger")
+            raise WrongStateError(
+                f"{self.name} still plays for {left_s:.3g} s: wait before the next trigger"
+            )
         with self._aborted_on_error():
             self._trigger()
         self._over_s = time.monotonic() + self._lasts_ns(program) / 1e9 + _MARGIN_S
@@ -172,7 +176,10 @@ class WriteOnlyDevice(ABC):
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         if error is not None:
             self._abort_after(error)
@@ -202,7 +209,9 @@ class WriteOnlyDevice(ABC):
 
     def _loaded(self, request: str) -> Program:
         if self._program is None:
-            raise WrongStateError(f"{self.name} holds no program that was uploaded here: upload before {request}")
+            raise WrongStateError(
+                f"{self.name} holds no program that was uploaded here: upload before {request}"
+            )
         return self._program
 
     @contextlib.contextmanager

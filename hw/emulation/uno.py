@@ -13,8 +13,6 @@ from typing import Self
 
 from hw.emulation.build import EmulationError, build_board
 
-__all__ = ["CLOCK_HZ", "SIGNALS", "EmulatedUno"]
-
 CLOCK_HZ = 16_000_000
 """Nominal clock of the board, Hz."""
 SIGNALS = ("shutter", "busy", "trigger")
@@ -31,11 +29,13 @@ class EmulatedUno:
     firmware : path, optional
         Intel hex file; by default the one that is shipped.
     speed : float
-        How fast its time runs, 1 for real time; 0 lets it run as fast as it can, which suits anything but leases.
+        How fast its time runs, 1 for real time; 0 lets it run as fast as it can, which suits
+        anything but leases.
     clock_ppm : float
         Error of its crystal, parts per million, positive when fast.
     noise : float
-        Chance, per byte and each way, that a byte is lost, changed in one bit, or doubled on the line.
+        Chance, per byte and each way, that a byte is lost, changed in one bit, or doubled on the
+        line.
     noise_seed : int
         Seed of that, and of the moments at which triggers come.
 
@@ -69,7 +69,12 @@ class EmulatedUno:
             raise ValueError(f"firmware {firmware} is no file: name an Intel hex file")
         self.firmware = None if firmware is None else Path(firmware)
         self.clock_ppm = clock_ppm
-        self._words = [repr(float(speed)), repr(float(clock_ppm)), repr(float(noise)), str(noise_seed)]
+        self._words = [
+            repr(float(speed)),
+            repr(float(clock_ppm)),
+            repr(float(noise)),
+            str(noise_seed),
+        ]
         self._board: subprocess.Popen[str] | None = None
         self._port = ""
         self._events: tuple[tuple[int, str, int], ...] = ()
@@ -97,13 +102,21 @@ class EmulatedUno:
             firmware = self.firmware or kept.enter_context(as_file(shipped))
             self._board = subprocess.Popen(
                 [str(program), str(firmware), *self._words],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-                start_new_session=True,  # Ctrl-C on our terminal must not end it before its pins have been asked for
-            )  # fmt: skip
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                # Ctrl-C on our terminal must not end it before its pins have been asked for
+                start_new_session=True,
+            )
             try:
-                word, self._port = self._line(f"emulated Uno refuses {self.firmware or 'its firmware'}").split(" ", 1)
+                word, self._port = self._line(
+                    f"emulated Uno refuses {self.firmware or 'its firmware'}"
+                ).split(" ", 1)
                 if word != "PTY":
-                    raise EmulationError(f"emulated Uno says {word} {self._port}: a port was expected")
+                    raise EmulationError(
+                        f"emulated Uno says {word} {self._port}: a port was expected"
+                    )
             except BaseException:
                 self._end()
                 raise
@@ -170,7 +183,9 @@ class EmulatedUno:
         """Return the changes of a pin since the start as (time in clock cycles, level); all pins begin low."""
         if signal not in SIGNALS:
             raise ValueError(f"signal is {signal!r}: one of {', '.join(SIGNALS)} is needed")
-        return tuple((cycle, level) for cycle, name, level in self._known_events() if name == signal)
+        return tuple(
+            (cycle, level) for cycle, name, level in self._known_events() if name == signal
+        )
 
     def write_vcd(self, path: str | Path) -> None:
         """Write the edges of the pins as the recording of an ideal logic analyser, in units of 100 ps."""
@@ -192,7 +207,10 @@ class EmulatedUno:
         return self.start()
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.stop()
 
@@ -234,7 +252,8 @@ class EmulatedUno:
         return line
 
     def _end(self) -> None:
-        board, self._board = self._board, None
+        board = self._board
+        self._board = None
         if board is not None:
             board.kill()
             assert board.stdin is not None

@@ -67,7 +67,9 @@ EXPORTERS: Mapping[str, Exporter] = MappingProxyType(
 def find_exporter(file_format: str) -> Exporter:
     """Return the exporter of a format; ValueError when :data:`EXPORTERS` has none of that name."""
     if file_format not in EXPORTERS:
-        raise ValueError(f"file_format: must be one of {', '.join(EXPORTERS)}, got {file_format[:40]!r}")
+        raise ValueError(
+            f"file_format: must be one of {', '.join(EXPORTERS)}, got {file_format[:40]!r}"
+        )
     return EXPORTERS[file_format]
 
 
@@ -84,7 +86,9 @@ def file_name(stem: str, file_format: str) -> str:
     return stem + {".json": ".program", ".py": "_rp2"}.get(suffix, "") + suffix
 
 
-def export_program(program: Program, file_format: str, *, device: DeviceProfile | None = None) -> str:
+def export_program(
+    program: Program, file_format: str, *, device: DeviceProfile | None = None
+) -> str:
     """Write a program as text, and read the text back to prove its edges.
 
     Parameters
@@ -93,7 +97,8 @@ def export_program(program: Program, file_format: str, *, device: DeviceProfile 
     file_format : str
         A name of :data:`EXPORTERS`.
     device : DeviceProfile, optional
-        Shutter that the text is for; one that is closed at level 0 and adds nothing to an opening when omitted.
+        Shutter that the text is for; one that is closed at level 0 and adds nothing to an opening
+        when omitted.
 
     Returns
     -------

@@ -14,7 +14,8 @@ from hw.program import Program
 GENERIC = DeviceProfile(name="generic")
 """The device when none is named: closed at level 0, nothing added to an opening."""
 
-# Python's int() takes spaces, underscores and the digits of every script, and quadratic time on long ones.
+# Python's int() takes spaces, underscores and the digits of every script, and quadratic time on
+# long ones.
 _INTEGER = re.compile(r"0|[1-9][0-9]{0,18}")
 
 
@@ -29,7 +30,9 @@ def only(pattern: re.Pattern[str], text: str, what: str, *, source: str) -> str:
     """Return the one group of the one match of a pattern; `what` names it in the message."""
     found = pattern.findall(text)
     if len(found) != 1:
-        raise ValueError(f"{source} has {len(found)} of {what}: exactly one is needed, as export writes it")
+        raise ValueError(
+            f"{source} has {len(found)} of {what}: exactly one is needed, as export writes it"
+        )
     return str(found[0])
 
 
@@ -49,7 +52,9 @@ def toml_table(text: str, *, form: str, source: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{source} is not TOML: {' '.join(str(error).split())[:120]}") from None
     if table.get("format") != form:
-        raise ValueError(f"{source} has format {str(table.get('format'))[:40]!r}: {form!r} is needed")
+        raise ValueError(
+            f"{source} has format {str(table.get('format'))[:40]!r}: {form!r} is needed"
+        )
     return table
 
 
@@ -74,7 +79,8 @@ def verified(program: Program, crc: str, *, source: str) -> Program:
 def unaltered(program: Program, text: str, again: str, *, source: str) -> Program:
     """Return the program if the text equals its export, line for line.
 
-    A file that plays has more in it than the code: a changed pin, clock or voltage is another program.
+    A file that plays has more in it than the code: a changed pin, clock or voltage is another
+    program.
     """
     pairs = zip_longest(text.rstrip().split("\n"), again.rstrip().split("\n"), fillvalue="")
     for number, (found, right) in enumerate(pairs, start=1):

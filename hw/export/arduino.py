@@ -9,8 +9,6 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, only, packed_bytes, unaltered, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
-
 suffix = ".ino"
 summary = "sketch for an Arduino Uno or Nano that plays the code on D9 at a trigger on D2"
 tick_ns = 500
@@ -148,7 +146,8 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
     Raises
     ------
     ValueError
-        If the chip is no whole number of 0.5 us ticks, outside 50 us .. 32.7675 ms, or if there are too many chips.
+        If the chip is no whole number of 0.5 us ticks, outside 50 us .. 32.7675 ms, or if there
+        are too many chips.
     """
     ticks, rest = divmod(program.chip_ns, tick_ns)
     if rest or not _LEAST_TICKS <= ticks <= _MOST_TICKS:
@@ -158,9 +157,13 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
             f"{_LEAST_TICKS * tick_ns}..{_MOST_TICKS * tick_ns} ns; {near} ns would do"
         )
     if program.chips > _MOST_CHIPS:
-        raise ValueError(f"code of {program.chips} chips is too long for the sketch: at most {_MOST_CHIPS}")
+        raise ValueError(
+            f"code of {program.chips} chips is too long for the sketch: at most {_MOST_CHIPS}"
+        )
     packed = [f"0x{byte:02x}" for byte in program.to_bytes()]
-    rows = [", ".join(packed[k : k + _BYTES_PER_LINE]) for k in range(0, len(packed), _BYTES_PER_LINE)]
+    rows = [
+        ", ".join(packed[k : k + _BYTES_PER_LINE]) for k in range(0, len(packed), _BYTES_PER_LINE)
+    ]
     return _SKETCH.substitute(
         chips=program.chips,
         chip_ns=program.chip_ns,
@@ -187,4 +190,6 @@ def parse_back(text: str, /) -> Program:
     packed = packed_bytes(only(_ARRAY, text, "code array", source=source), what=f"{source} code")
     program = Program.from_bytes(packed, chips=chips, chip_ns=ticks * tick_ns)
     device = DeviceProfile(name="generic", closed_level=closed)
-    return unaltered(verified(program, crc, source=source), text, export(program, device), source=source)
+    return unaltered(
+        verified(program, crc, source=source), text, export(program, device), source=source
+    )

@@ -10,8 +10,6 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, toml_table, unaltered, verified, whole
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
-
 suffix = ".camera.toml"
 summary = "recipe for multi-exposure cameras: number, widths and gaps of the trigger pulses"
 tick_ns = 1
@@ -25,17 +23,21 @@ _PER_LINE = 8
 def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
     """Write the trigger pulses that the camera must get, and the settings that make it integrate them all.
 
-    A camera that adds ``device.on_bias_ns`` to each exposure by itself gets pulses shorter by that; the openings
-    remain where the code has them.
+    A camera that adds ``device.on_bias_ns`` to each exposure by itself gets pulses shorter by
+    that; the openings remain where the code has them.
 
     Raises
     ------
     ValueError
-        If there are more pulses than the cameras count, or an opening is no longer than the camera's bias.
+        If there are more pulses than the cameras count, or an opening is no longer than the
+        camera's bias.
     """
-    pulses, bias = program.pulses, device.on_bias_ns
+    pulses = program.pulses
+    bias = device.on_bias_ns
     if pulses > _MOST_PULSES:
-        raise ValueError(f"code has {pulses} openings: multi-exposure cameras count at most {_MOST_PULSES}")
+        raise ValueError(
+            f"code has {pulses} openings: multi-exposure cameras count at most {_MOST_PULSES}"
+        )
     times = [time_ns for time_ns, _ in program.edges]
     widths = [end - start - bias for start, end in zip(times[::2], times[1::2], strict=True)]
     if min(widths) <= 0:
@@ -45,7 +47,8 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
         )
     gaps = [after - before + bias for before, after in pairwise(times[1:-1])][::2]
     active = "low" if device.closed_level else "high"
-    # IIDC counts bits from the highest: presence 0, on 6, polarity 7 (1: active high), mode 12-15, parameter 20-31.
+    # IIDC counts bits from the highest: presence 0, on 6, polarity 7 (1: active high), mode 12-15,
+    # parameter 20-31.
     register = 1 << 31 | 1 << 25 | (1 - device.closed_level) << 24 | 5 << 16 | pulses
     return f"""\
 # Multi-exposure recipe written by coded-exposure: {program.chips} chips of {program.chip_ns} ns, all in one frame.
@@ -86,23 +89,31 @@ def parse_back(text: str, /) -> Program:
     """
     source = "camera recipe"
     table = toml_table(text, form=_FORMAT, source=source)
-    chip_ns, chips = whole(table, "chip_ns", source=source), whole(table, "chips", source=source)
+    chip_ns = whole(table, "chip_ns", source=source)
+    chips = whole(table, "chips", source=source)
     if chips > _MOST_CHIPS:
         raise ValueError(f"{source} has {chips} chips: at most {_MOST_CHIPS} can be read")
     pulses = table.get("pulses")
     if not isinstance(pulses, dict):
-        raise ValueError(f"{source} has no table [pulses]: it was cut short or altered, export again")
+        raise ValueError(
+            f"{source} has no table [pulses]: it was cut short or altered, export again"
+        )
     bias = _ns(pulses.get("on_bias_us"), source)
-    widths, gaps = _all_ns(pulses.get("widths_us"), source), _all_ns(pulses.get("gaps_us"), source)
+    widths = _all_ns(pulses.get("widths_us"), source)
+    gaps = _all_ns(pulses.get("gaps_us"), source)
     if len(gaps) != len(widths) - 1:
-        raise ValueError(f"{source} has {len(widths)} widths and {len(gaps)} gaps: one gap less than widths is needed")
+        raise ValueError(
+            f"{source} has {len(widths)} widths and {len(gaps)} gaps: one gap less than widths is needed"
+        )
     time_ns = _ns(pulses.get("first_delay_us"), source)
     edges: list[tuple[int, int]] = []
     for width, gap in zip(widths, [*gaps, 0], strict=True):
         edges += [(time_ns, 1), (time_ns + width + bias, 0)]
         time_ns += width + gap
     program = verified(
-        Program.from_edges(edges, chip_ns=chip_ns, chips=chips), str(table.get("code_crc32")), source=source
+        Program.from_edges(edges, chip_ns=chip_ns, chips=chips),
+        str(table.get("code_crc32")),
+        source=source,
     )
     closed = 1 - min(whole(pulses, "active_level", source=source), 1)
     device = DeviceProfile(name="generic", on_bias_ns=bias, closed_level=closed)
@@ -110,7 +121,9 @@ def parse_back(text: str, /) -> Program:
 
 
 def _matrix_vision(widths_ns: list[int]) -> str:
-    head = "[matrix_vision]  # Balluff, MATRIX VISION: GenICam names, each pulse starts one exposure"
+    head = (
+        "[matrix_vision]  # Balluff, MATRIX VISION: GenICam names, each pulse starts one exposure"
+    )
     if len(set(widths_ns)) > 1:
         return "# Balluff, MATRIX VISION: mvMultiExposureCount is documented for openings of one length only.\n"
     return f"""\
@@ -136,10 +149,14 @@ def _ns(value: Any, source: str) -> int:
         time_ns = value * 1000
         if time_ns == time_ns.to_integral_value():
             return int(time_ns)
-    raise ValueError(f"{source} has time {str(value)[:20]!r}: microseconds like 200.000 are needed")
+    raise ValueError(
+        f"{source} has time {str(value)[:20]!r}: microseconds like 200.000 are needed"
+    )
 
 
 def _all_ns(values: Any, source: str) -> list[int]:
     if not isinstance(values, list):
-        raise ValueError(f"{source} has no list widths_us or gaps_us: it was altered, export again")
+        raise ValueError(
+            f"{source} has no list widths_us or gaps_us: it was altered, export again"
+        )
     return [_ns(value, source) for value in values]

@@ -8,8 +8,6 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
-
 suffix = ".csv"
 summary = "edges as time_us,level rows"
 tick_ns = 1
@@ -23,8 +21,8 @@ _ROW = re.compile(r"([0-9]+)\.([0-9]{3}),([01])")
 def export(program: Program, _device: DeviceProfile = GENERIC, /) -> str:
     """Write the program as CSV.
 
-    The shutter is closed before the first row. The last row closes it at ``chips * chip_ns`` even when the last
-    chip is closed already, so that the file says how long the program lasts.
+    The shutter is closed before the first row. The last row closes it at ``chips * chip_ns`` even
+    when the last chip is closed already, so that the file says how long the program lasts.
     """
     rows = list(program.edges)
     if rows[-1][0] != program.duration_ns:
@@ -41,7 +39,8 @@ def parse_back(text: str, /) -> Program:
     Raises
     ------
     ValueError
-        If a header line is missing, a row is malformed or out of order, or the CRC-32 does not fit.
+        If a header line is missing, a row is malformed or out of order, or the CRC-32 does not
+        fit.
     """
     header: dict[str, str] = {}
     rows: list[tuple[int, int]] = []
@@ -54,31 +53,44 @@ def parse_back(text: str, /) -> Program:
             header[key.strip()] = value.strip()
         elif not columns_seen:
             if line != _COLUMNS:
-                raise ValueError(f"CSV line {number} is {line[:40]!r}: the column line {_COLUMNS!r} is needed there")
+                raise ValueError(
+                    f"CSV line {number} is {line[:40]!r}: the column line {_COLUMNS!r} is needed there"
+                )
             columns_seen = True
         else:
             row = _ROW.fullmatch(line)
             if row is None:
-                raise ValueError(f"CSV line {number} is {line[:40]!r}: a row like '200.000,1' is needed")
+                raise ValueError(
+                    f"CSV line {number} is {line[:40]!r}: a row like '200.000,1' is needed"
+                )
             micro, nano, level = row.groups()
             rows.append((1000 * integer(micro, f"CSV line {number}") + int(nano), int(level)))
     missing = [key for key in _HEADER if key not in header]
     if missing:
-        raise ValueError(f"CSV has no '# {missing[0]}:' line: the header needs {', '.join(_HEADER)}")
+        raise ValueError(
+            f"CSV has no '# {missing[0]}:' line: the header needs {', '.join(_HEADER)}"
+        )
     if header["format"] != _FORMAT:
         raise ValueError(f"CSV has format {header['format'][:40]!r}: {_FORMAT!r} is needed")
-    chip_ns, chips = integer(header["chip_ns"], "CSV chip_ns"), integer(header["chips"], "CSV chips")
+    chip_ns = integer(header["chip_ns"], "CSV chip_ns")
+    chips = integer(header["chips"], "CSV chips")
     if not rows or rows[-1] != (chip_ns * chips, 0):
-        raise ValueError(f"CSV does not end with a closing row at {chips} x {chip_ns} ns: it was cut short or altered")
+        raise ValueError(
+            f"CSV does not end with a closing row at {chips} x {chip_ns} ns: it was cut short or altered"
+        )
     if len(rows) > chips + 1:
         raise ValueError(f"CSV has {len(rows)} rows: {chips} chips have at most {chips + 1}")
     if len(rows) % 2:  # an odd count: the last row only marks the end of trailing closed chips
         rows.pop()
     _limit(chips, chip_ns)
-    return verified(Program.from_edges(rows, chip_ns=chip_ns, chips=chips), header["code_crc32"], source="CSV")
+    return verified(
+        Program.from_edges(rows, chip_ns=chip_ns, chips=chips), header["code_crc32"], source="CSV"
+    )
 
 
 def _limit(chips: int, chip_ns: int) -> None:
     # An altered count must not allocate gigabytes before the CRC is checked.
     if chips > 10**7 or not chip_ns:
-        raise ValueError(f"CSV has {chips} chips of {chip_ns} ns: at most 10000000 chips of at least 1 ns can be read")
+        raise ValueError(
+            f"CSV has {chips} chips of {chip_ns} ns: at most 10000000 chips of at least 1 ns can be read"
+        )

@@ -8,8 +8,6 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, only, unaltered, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
-
 suffix = ".dmd.csv"
 summary = "pattern list of a micromirror device: exposure and dark time in us per opening"
 tick_ns = 1000
@@ -24,7 +22,8 @@ _FACTS = {key: re.compile(rf"^# {key}: (\S+)$", re.MULTILINE) for key in _HEAD}
 def export(program: Program, _device: DeviceProfile = GENERIC, /) -> str:
     """Write the list: mirrors on for ``exposure_us``, then off for ``dark_us``, line after line.
 
-    The mirrors stay off for ``leading_dark_us`` after the trigger; the last dark time completes the code.
+    The mirrors stay off for ``leading_dark_us`` after the trigger; the last dark time completes
+    the code.
 
     Raises
     ------
@@ -38,12 +37,20 @@ def export(program: Program, _device: DeviceProfile = GENERIC, /) -> str:
             "would do"
         )
     times = [time_ns for time_ns, _ in program.edges] + [program.duration_ns]
-    starts, ends, following = times[:-1:2], times[1::2], times[2::2]
+    starts = times[:-1:2]
+    ends = times[1::2]
+    following = times[2::2]
     rows = [
         f"{(end - start) // 1000},{(after - end) // 1000}"
         for start, end, after in zip(starts, ends, following, strict=True)
     ]
-    values = (program.chip_ns, program.chips, f"0x{program.code_crc32:08x}", program.pulses, starts[0] // 1000)
+    values = (
+        program.chip_ns,
+        program.chips,
+        f"0x{program.code_crc32:08x}",
+        program.pulses,
+        starts[0] // 1000,
+    )
     head = [f"# {key}: {value}" for key, value in zip(_HEAD, values, strict=True)]
     return "\n".join(["# format: hw.dmd/1", *head, _COLUMNS, *rows]) + "\n"
 
@@ -57,7 +64,9 @@ def parse_back(text: str, /) -> Program:
         If the text is no file of `export`.
     """
     source = "DMD list"
-    facts = {key: only(pattern, text, f"'# {key}:'", source=source) for key, pattern in _FACTS.items()}
+    facts = {
+        key: only(pattern, text, f"'# {key}:'", source=source) for key, pattern in _FACTS.items()
+    }
     numbers = {key: integer(facts[key], f"{source} {key}") for key in _HEAD if key != "code_crc32"}
     chips = numbers["chips"]
     if chips > _MOST_CHIPS:
@@ -72,4 +81,6 @@ def parse_back(text: str, /) -> Program:
         edges += [(time_ns, 1), (end, 0)]
         time_ns = end + int(row[2]) * 1000
     program = Program.from_edges(edges, chip_ns=numbers["chip_ns"], chips=chips)
-    return unaltered(verified(program, facts["code_crc32"], source=source), text, export(program), source=source)
+    return unaltered(
+        verified(program, facts["code_crc32"], source=source), text, export(program), source=source
+    )

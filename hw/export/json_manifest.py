@@ -9,8 +9,6 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
-
 suffix = ".json"
 summary = "code, timing, runs and edges for one's own scripts"
 tick_ns = 1
@@ -36,20 +34,28 @@ def parse_back(text: str, /) -> Program:
     except (ValueError, RecursionError) as error:
         raise ValueError(f"JSON cannot be read: {' '.join(str(error).split())[:120]}") from None
     if not isinstance(found, dict):
-        raise ValueError(f"JSON holds a {type(found).__name__}: an object of schema {_SCHEMA!r} is needed")
+        raise ValueError(
+            f"JSON holds a {type(found).__name__}: an object of schema {_SCHEMA!r} is needed"
+        )
     if found.get("schema") != _SCHEMA:
-        raise ValueError(f"JSON has schema {str(found.get('schema'))[:40]!r}: {_SCHEMA!r} is needed")
+        raise ValueError(
+            f"JSON has schema {str(found.get('schema'))[:40]!r}: {_SCHEMA!r} is needed"
+        )
     for key in ("bits", "chip_ns", "code_crc32"):
         if key not in found:
             raise ValueError(f"JSON has no field {key!r}: bits, chip_ns and code_crc32 are needed")
     if not isinstance(found["bits"], str):
-        raise ValueError(f"JSON bits is a {type(found['bits']).__name__}: a string of 0 and 1 is needed")
+        raise ValueError(
+            f"JSON bits is a {type(found['bits']).__name__}: a string of 0 and 1 is needed"
+        )
     program = Program(found["bits"], found["chip_ns"])
     verified(program, str(found["code_crc32"]), source="JSON")
     for key, value in _manifest(program).items():
         # Compared as text: in Python True == 1 == 1.0, in the file they differ.
         if key in found and json.dumps(found[key]) != json.dumps(value):
-            raise ValueError(f"JSON field {key!r} disagrees with its bits and chip_ns: it was altered, export again")
+            raise ValueError(
+                f"JSON field {key!r} disagrees with its bits and chip_ns: it was altered, export again"
+            )
         if key not in found:
             raise ValueError(f"JSON has no field {key!r}: schema {_SCHEMA!r} needs it")
     return program

@@ -8,18 +8,6 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, toml_table, unaltered, verified, whole
 from hw.program import Program
 
-__all__ = [
-    "CYCLE_NS",
-    "MAX_PULSES",
-    "PulseTrain",
-    "export",
-    "parse_back",
-    "pulse_train",
-    "suffix",
-    "summary",
-    "tick_ns",
-]
-
 suffix = ".pulsepal.toml"
 summary = "custom train of a Pulse Pal v2, in its 50 us cycles"
 
@@ -41,8 +29,8 @@ _OPEN_VOLTS = 5.0
 class PulseTrain:
     """A custom train as the Pulse Pal stores it; all times are in cycles of `CYCLE_NS`.
 
-    One pulse per open chip: the device knows one pulse width per train, and joins a pulse to its predecessor when it
-    starts no later than that one ends.
+    One pulse per open chip: the device knows one pulse width per train, and joins a pulse to its
+    predecessor when it starts no later than that one ends.
 
     Parameters
     ----------
@@ -55,9 +43,10 @@ class PulseTrain:
     train_cycles : int
         Train duration, past the end of the last pulse.
     guard_cycles : int
-        A time past the end. The firmware compares the last onset with the entry behind it, which it never clears: a
-        time left there by an earlier, longer train can cut the last pulse short or keep it open for ever. Therefore
-        send ``(*onsets_cycles, guard_cycles)`` first and ``onsets_cycles`` alone afterwards.
+        A time past the end. The firmware compares the last onset with the entry behind it, which
+        it never clears: a time left there by an earlier, longer train can cut the last pulse short
+        or keep it open for ever. Therefore send ``(*onsets_cycles, guard_cycles)`` first and
+        ``onsets_cycles`` alone afterwards.
     """
 
     phase_cycles: int
@@ -73,7 +62,8 @@ def pulse_train(program: Program, /) -> PulseTrain:
     Raises
     ------
     ValueError
-        If the chip is no whole number of cycles or below two, or if there are too many open chips or cycles.
+        If the chip is no whole number of cycles or below two, or if there are too many open chips
+        or cycles.
     """
     phase, rest = divmod(program.chip_ns, CYCLE_NS)
     if rest or phase < _LEAST_CYCLES:
@@ -84,7 +74,9 @@ def pulse_train(program: Program, /) -> PulseTrain:
         )
     onsets = [index * phase for index, bit in enumerate(program.bits) if bit == "1"]
     if len(onsets) > MAX_PULSES:
-        raise ValueError(f"code has {len(onsets)} open chips: a Pulse Pal train holds at most {MAX_PULSES}")
+        raise ValueError(
+            f"code has {len(onsets)} open chips: a Pulse Pal train holds at most {MAX_PULSES}"
+        )
     end = (program.chips + 1) * phase
     if end > _MOST_CYCLES:
         raise ValueError(
@@ -105,7 +97,10 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
     train = pulse_train(program)
     rest, opened = (0.0, _OPEN_VOLTS) if device.closed_level == 0 else (_OPEN_VOLTS, 0.0)
     starts = [str(onset) for onset in train.onsets_cycles]
-    rows = [", ".join(starts[k : k + _ONSETS_PER_LINE]) for k in range(0, len(starts), _ONSETS_PER_LINE)]
+    rows = [
+        ", ".join(starts[k : k + _ONSETS_PER_LINE])
+        for k in range(0, len(starts), _ONSETS_PER_LINE)
+    ]
     onsets = ",\n".join(f"    {row}" for row in rows)
     return f"""\
 # Pulse Pal v2 custom train written by coded-exposure: {program.chips} chips of {program.chip_ns} ns.
@@ -148,15 +143,26 @@ def parse_back(text: str, /) -> Program:
     """
     source = "Pulse Pal text"
     table = toml_table(text, form=_FORMAT, source=source)
-    chip_ns, chips = whole(table, "chip_ns", source=source), whole(table, "chips", source=source)
-    channel, train = table.get("channel"), table.get("train")
+    chip_ns = whole(table, "chip_ns", source=source)
+    chips = whole(table, "chips", source=source)
+    channel = table.get("channel")
+    train = table.get("train")
     if not isinstance(channel, dict) or not isinstance(train, dict):
-        raise ValueError(f"{source} has no table [channel] or no [train]: it was cut short or altered, export again")
+        raise ValueError(
+            f"{source} has no table [channel] or no [train]: it was cut short or altered, export again"
+        )
     phase = whole(channel, "phase1_cycles", source=source)
     delay = whole(channel, "delay_cycles", source=source)
     onsets = train.get("onsets_cycles")
-    if not isinstance(onsets, list) or not 0 < len(onsets) <= MAX_PULSES or chips * phase > _MOST_CYCLES or not phase:
-        raise ValueError(f"{source} train has no usable onsets_cycles, phase1_cycles or chips: export again")
+    if (
+        not isinstance(onsets, list)
+        or not 0 < len(onsets) <= MAX_PULSES
+        or chips * phase > _MOST_CYCLES
+        or not phase
+    ):
+        raise ValueError(
+            f"{source} train has no usable onsets_cycles, phase1_cycles or chips: export again"
+        )
     bits = bytearray(b"0" * chips)
     for onset in onsets:
         if type(onset) is not int or onset % phase or not 0 <= (onset + delay) // phase < chips:
@@ -164,7 +170,9 @@ def parse_back(text: str, /) -> Program:
                 f"{source} has onset {str(onset)[:20]!r}: multiples of phase1_cycles in the code are needed"
             )
         bits[(onset + delay) // phase] = ord("1")
-    program = verified(Program(bits.decode(), chip_ns), str(table.get("code_crc32")), source=source)
+    program = verified(
+        Program(bits.decode(), chip_ns), str(table.get("code_crc32")), source=source
+    )
     rests_high = channel.get("rest_volts") == _OPEN_VOLTS
     device = DeviceProfile(name="generic", closed_level=int(rests_high))
     return unaltered(program, text, export(program, device), source=source)

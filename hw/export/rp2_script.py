@@ -9,8 +9,6 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, only, unaltered, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
-
 suffix = ".py"
 summary = "MicroPython script for an RP2040 that plays the code on GP15 at a trigger on GP14"
 tick_ns = 8
@@ -97,7 +95,8 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
     Raises
     ------
     ValueError
-        If the chip is no whole number of 8 ns or below 1 us, or if the code does not fit the state machine's queue.
+        If the chip is no whole number of 8 ns or below 1 us, or if the code does not fit the state
+        machine's queue.
     """
     cycles, rest = divmod(program.chip_ns, tick_ns)
     if rest or not _LEAST_CYCLES <= cycles <= _MOST_CYCLES:
@@ -112,11 +111,14 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
             "refilled by software could run dry"
         )
     opened = 1 - device.closed_level
-    # At least one closed level behind the code: the state machine stalls on it when the queue is empty.
+    # At least one closed level behind the code: the state machine stalls on it when the queue is
+    # empty.
     padded = program.bits.ljust(32 * (program.chips // 32 + 1), "0")
     levels = "".join(str(opened if bit == "1" else 1 - opened) for bit in padded)
     words = [f"0x{int(levels[k : k + 32], 2):08x}" for k in range(0, len(levels), 32)]
-    rows = [", ".join(words[k : k + _WORDS_PER_LINE]) for k in range(0, len(words), _WORDS_PER_LINE)]
+    rows = [
+        ", ".join(words[k : k + _WORDS_PER_LINE]) for k in range(0, len(words), _WORDS_PER_LINE)
+    ]
     return _SCRIPT.substitute(
         chips=program.chips,
         chip_ns=program.chip_ns,
@@ -141,13 +143,18 @@ def parse_back(text: str, /) -> Program:
     cycles = integer(only(_CYCLES, text, "CYCLES", source=source), f"{source} CYCLES")
     closed = only(_CLOSED, text, "CLOSED_LEVEL", source=source)
     crc = only(_CRC, text, "CRC32 comment", source=source)
-    words = [word.strip() for word in only(_WORDS, text, "WORDS", source=source).strip().rstrip(",").split(",")]
+    words = [
+        word.strip()
+        for word in only(_WORDS, text, "WORDS", source=source).strip().rstrip(",").split(",")
+    ]
     for word in words:
         if not _WORD.fullmatch(word):
             raise ValueError(f"{source} WORDS has {word[:20]!r}: words like 0x0123abcd are needed")
     levels = "".join(f"{int(word, 16):032b}" for word in words)
     if len(levels) <= chips:
-        raise ValueError(f"{source} WORDS hold {len(levels)} levels: more than the {chips} chips are needed")
+        raise ValueError(
+            f"{source} WORDS hold {len(levels)} levels: more than the {chips} chips are needed"
+        )
     bits = "".join("0" if level == closed else "1" for level in levels[:chips])
     program = verified(Program(bits, cycles * tick_ns), crc, source=source)
     device = DeviceProfile(name="generic", closed_level=int(closed))

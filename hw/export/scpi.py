@@ -8,8 +8,6 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, only, unaltered, verified
 from hw.program import Program
 
-__all__ = ["WAVEFORM", "commands", "export", "parse_back", "sample_rate", "samples", "suffix", "summary", "tick_ns"]
-
 suffix = ".scpi"
 summary = "SCPI commands for a 33500-class waveform generator: triggered burst of one cycle"
 tick_ns = 1
@@ -30,8 +28,9 @@ _DATA = re.compile(rf"^DATA:ARB {WAVEFORM},([-1,]+)$", re.MULTILINE)
 def samples(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[int, ...]:
     """Make the waveform's samples, one per chip and each -1 (0 V) or 1 (5 V), a closed one before and after.
 
-    Between bursts the instrument holds the voltage of the first sample, hence the closed one before: the code begins
-    one chip after the trigger. More closed ones follow up to the least length the instrument takes.
+    Between bursts the instrument holds the voltage of the first sample, hence the closed one
+    before: the code begins one chip after the trigger. More closed ones follow up to the least
+    length the instrument takes.
 
     Raises
     ------
@@ -39,7 +38,9 @@ def samples(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[int, 
         If the code is too long for the instrument's memory.
     """
     if program.chips + 2 > _MOST_SAMPLES:
-        raise ValueError(f"code of {program.chips} chips is too long for SCPI: at most {_MOST_SAMPLES - 2} chips")
+        raise ValueError(
+            f"code of {program.chips} chips is too long for SCPI: at most {_MOST_SAMPLES - 2} chips"
+        )
     padded = f"0{program.bits}0".ljust(_LEAST_SAMPLES, "0")
     opened = 1 if device.closed_level == 0 else -1
     return tuple(opened if bit == "1" else -opened for bit in padded)
@@ -51,7 +52,8 @@ def sample_rate(program: Program, /) -> str:
     Raises
     ------
     ValueError
-        If the chip is too short, or if it is so long that the rounding would change it by more than 1 ppm.
+        If the chip is too short, or if it is so long that the rounding would change it by more
+        than 1 ppm.
     """
     if program.chip_ns < _LEAST_CHIP_NS:
         raise ValueError(
@@ -133,7 +135,9 @@ def parse_back(text: str, /) -> Program:
     crc = only(_CRC, text, "'# code_crc32:'", source=source)
     levels = only(_DATA, text, f"DATA:ARB {WAVEFORM}", source=source).split(",")
     if not set(levels) <= {"1", "-1"} or len(levels) < max(_LEAST_SAMPLES, chips + 2):
-        raise ValueError(f"{source} DATA:ARB has not {chips + 2} samples of 1 or -1: it was altered, export again")
+        raise ValueError(
+            f"{source} DATA:ARB has not {chips + 2} samples of 1 or -1: it was altered, export again"
+        )
     closed = levels[0]
     bits = "".join("0" if level == closed else "1" for level in levels[1 : chips + 1])
     program = verified(Program(bits, chip_ns), crc, source=source)

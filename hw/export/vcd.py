@@ -8,8 +8,6 @@ from hw.device import DeviceProfile
 from hw.export._text import GENERIC, integer, only, unaltered, verified
 from hw.program import Program
 
-__all__ = ["export", "parse_back", "suffix", "summary", "tick_ns"]
-
 suffix = ".vcd"
 summary = "waveform of shutter and gate in ns, for logic-analyser software"
 tick_ns = 1
@@ -23,10 +21,11 @@ _MOST_CHIPS = 10**7
 def export(program: Program, _device: DeviceProfile = GENERIC, /) -> str:
     """Write the signals ``shutter`` (1 open) and ``gate`` (1 during all chips), 1 ns a step.
 
-    The program begins one chip after time 0 and the record ends one chip after it, so that opening and closing are
-    edges in the file whatever the first and last chips are.
+    The program begins one chip after time 0 and the record ends one chip after it, so that opening
+    and closing are edges in the file whatever the first and last chips are.
     """
-    start, end = program.chip_ns, program.chip_ns + program.duration_ns
+    start = program.chip_ns
+    end = program.chip_ns + program.duration_ns
     changes: dict[int, list[str]] = {0: ["$dumpvars", "0s", "0g", "$end"], start: ["1g"]}
     for time_ns, level in program.edges:
         changes.setdefault(start + time_ns, []).append(f"{level}s")
@@ -57,8 +56,11 @@ def parse_back(text: str, /) -> Program:
     source = "VCD"
     facts = _FACT.fullmatch(only(_FACTS, text, "'$comment chip_ns'", source=source))
     if facts is None:
-        raise ValueError("VCD comment lacks chip_ns, chips or code_crc32: it was altered, export again")
-    chip_ns, chips = integer(facts[1], "VCD chip_ns"), integer(facts[2], "VCD chips")
+        raise ValueError(
+            "VCD comment lacks chip_ns, chips or code_crc32: it was altered, export again"
+        )
+    chip_ns = integer(facts[1], "VCD chip_ns")
+    chips = integer(facts[2], "VCD chips")
     if chips > _MOST_CHIPS:
         raise ValueError(f"VCD has {chips} chips: at most {_MOST_CHIPS} can be read")
     edges: list[tuple[int, int]] = []
@@ -68,5 +70,7 @@ def parse_back(text: str, /) -> Program:
             now = int(time[1])
         elif line in {"0s", "1s"} and now:
             edges.append((now - chip_ns, int(line[0])))
-    program = verified(Program.from_edges(edges, chip_ns=chip_ns, chips=chips), facts[3], source=source)
+    program = verified(
+        Program.from_edges(edges, chip_ns=chip_ns, chips=chips), facts[3], source=source
+    )
     return unaltered(program, text, export(program), source=source)

@@ -9,13 +9,12 @@ from hw.recordings.saleae import is_saleae, parse_saleae
 from hw.recordings.trace import Recording
 from hw.recordings.vcd import parse_vcd
 
-__all__ = ["read_capture"]
-
 
 def read_capture(path: str | Path) -> Recording:
     """Read a VCD file, or a digital CSV export of Saleae Logic, in UTF-8, UTF-16 or the alphabet of a Windows program.
 
-    All that matters in them is ASCII but the signals' names: those in an 8-bit alphabet are read as Windows-1252.
+    All that matters in them is ASCII but the signals' names: those in an 8-bit alphabet are read
+    as Windows-1252.
 
     Raises
     ------
@@ -30,7 +29,9 @@ def read_capture(path: str | Path) -> Recording:
         ) from None
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise ValueError(f"{path} cannot be read: {reason}; name a VCD file, or a CSV export of Saleae Logic") from None
+        raise ValueError(
+            f"{path} cannot be read: {reason}; name a VCD file, or a CSV export of Saleae Logic"
+        ) from None
     if Path(path).suffix.lower() == ".csv" or is_saleae(text):
         return parse_saleae(text, source=str(path))
     return parse_vcd(text, source=str(path))

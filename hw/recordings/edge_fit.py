@@ -10,8 +10,6 @@ from statistics import fmean
 
 from hw.program import Program
 
-__all__ = ["EdgeFit", "fit_edges"]
-
 _REACH = 0.45  # of a chip: an edge farther than that from its place is another edge
 _STARTS = 8  # openings that may be missing or too many at the beginning
 
@@ -51,15 +49,16 @@ class EdgeFit:
     def residuals(self) -> tuple[float, ...]:
         """Distances in ns of the recorded edges from the fitted clock."""
         return tuple(
-            time_ns - (self.open_at if level else self.close_at) - self.scale * at for at, time_ns, level in self.pairs
+            time_ns - (self.open_at if level else self.close_at) - self.scale * at
+            for at, time_ns, level in self.pairs
         )
 
 
 def fit_edges(edges: Sequence[tuple[float, int]], program: Program, /) -> EdgeFit:
     """Find the program's edges among recorded ones.
 
-    Openings may be missing or too many, also at the beginning: all matches of the first openings are tried, and the one
-    with the fewest wrong chips is taken, the simplest of equals.
+    Openings may be missing or too many, also at the beginning: all matches of the first openings
+    are tried, and the one with the fewest wrong chips is taken, the simplest of equals.
 
     Parameters
     ----------
@@ -69,8 +68,11 @@ def fit_edges(edges: Sequence[tuple[float, int]], program: Program, /) -> EdgeFi
         Commanded program.
     """
     nominal = program.edges
-    opened, starts = [edge for edge in edges if edge[1]], [edge for edge in nominal if edge[1]]
-    anchors = [(opened[0], start) for start in starts[:_STARTS]] + [(edge, starts[0]) for edge in opened[1:_STARTS]]
+    opened = [edge for edge in edges if edge[1]]
+    starts = [edge for edge in nominal if edge[1]]
+    anchors = [(opened[0], start) for start in starts[:_STARTS]] + [
+        (edge, starts[0]) for edge in opened[1:_STARTS]
+    ]
     scales = [1.0]
     if len(edges) == len(nominal) and not edges[-1][1]:
         scales.append((edges[-1][0] - edges[0][0]) / (nominal[-1][0] - nominal[0][0]))
@@ -86,7 +88,9 @@ def fit_edges(edges: Sequence[tuple[float, int]], program: Program, /) -> EdgeFi
     return best
 
 
-def _fitted(edges: Sequence[tuple[float, int]], program: Program, scale: float, time_ns: float, at: int) -> EdgeFit:
+def _fitted(
+    edges: Sequence[tuple[float, int]], program: Program, scale: float, time_ns: float, at: int
+) -> EdgeFit:
     moments = {level: [time for time, new in edges if new == level] for level in (0, 1)}
     reach = _REACH * program.chip_ns * scale
     pairs: list[tuple[int, float, int]] = []
@@ -95,12 +99,15 @@ def _fitted(edges: Sequence[tuple[float, int]], program: Program, scale: float, 
         found = _nearest(moments[level], time_ns + scale * (nominal - at), reach)
         if found is not None:
             pairs.append((nominal, found, level))
-            time_ns, at = found, nominal
+            time_ns = found
+            at = nominal
     scale, open_at, close_at = _clock(pairs)
     again = [
         (nominal, found, level)
         for nominal, level in program.edges
-        for found in [_nearest(moments[level], (open_at if level else close_at) + scale * nominal, reach)]
+        for found in [
+            _nearest(moments[level], (open_at if level else close_at) + scale * nominal, reach)
+        ]
         if found is not None
     ]
     pairs = again or pairs
@@ -108,12 +115,18 @@ def _fitted(edges: Sequence[tuple[float, int]], program: Program, scale: float, 
     played = _played(edges, open_at, scale * program.chip_ns, program.chips + 1)
     achieved = played[:-1]
     wrong = sum(is_ != want for is_, want in zip(achieved, program.bits, strict=True))
-    return EdgeFit(program, tuple(pairs), scale, open_at, close_at, achieved, played[-1] == "1", wrong)
+    return EdgeFit(
+        program, tuple(pairs), scale, open_at, close_at, achieved, played[-1] == "1", wrong
+    )
 
 
 def _nearest(moments: Sequence[float], time_ns: float, reach_ns: float) -> float | None:
     index = bisect_left(moments, time_ns)
-    near = min(moments[max(index - 1, 0) : index + 1], key=lambda moment: abs(moment - time_ns), default=None)
+    near = min(
+        moments[max(index - 1, 0) : index + 1],
+        key=lambda moment: abs(moment - time_ns),
+        default=None,
+    )
     return near if near is not None and abs(near - time_ns) <= reach_ns else None
 
 
@@ -121,8 +134,13 @@ def _clock(pairs: Sequence[tuple[int, float, int]]) -> tuple[float, float, float
     """Least squares of time = (open_at or close_at) + scale * nominal: one slope, one offset per kind of edge."""
     kinds = [[(at, time_ns) for at, time_ns, level in pairs if level == kind] for kind in (1, 0)]
     if all(len(kind) < 2 for kind in kinds):
-        kinds = [[(at, time_ns) for at, time_ns, _ in pairs]]  # a single opening: its length is the clock's
-    means = [(fmean(at for at, _ in kind), fmean(time for _, time in kind)) if kind else None for kind in kinds]
+        kinds = [
+            [(at, time_ns) for at, time_ns, _ in pairs]
+        ]  # a single opening: its length is the clock's
+    means = [
+        (fmean(at for at, _ in kind), fmean(time for _, time in kind)) if kind else None
+        for kind in kinds
+    ]
     above = below = 0.0
     for kind, mean in zip(kinds, means, strict=True):
         for at, time_ns in kind:
@@ -134,14 +152,18 @@ def _clock(pairs: Sequence[tuple[int, float, int]]) -> tuple[float, float, float
     return scale, offsets[0], offsets[-1]
 
 
-def _played(edges: Sequence[tuple[float, int]], start_ns: float, chip_ns: float, chips: int) -> str:
+def _played(
+    edges: Sequence[tuple[float, int]], start_ns: float, chip_ns: float, chips: int
+) -> str:
     """Chips by majority of open time."""
     open_ns = [0.0] * chips
     before = [(start_ns, 1)] if not edges[0][1] else []
     for (begin, level), (end, _) in pairwise([*before, *edges, (start_ns + chips * chip_ns, 0)]):
         if level:
-            first, last = max(int((begin - start_ns) // chip_ns), 0), min(int((end - start_ns) // chip_ns), chips - 1)
+            first = max(int((begin - start_ns) // chip_ns), 0)
+            last = min(int((end - start_ns) // chip_ns), chips - 1)
             for chip in range(first, last + 1):
-                low, high = start_ns + chip * chip_ns, start_ns + (chip + 1) * chip_ns
+                low = start_ns + chip * chip_ns
+                high = start_ns + (chip + 1) * chip_ns
                 open_ns[chip] += max(min(end, high) - max(begin, low), 0.0)
     return "".join("1" if time > chip_ns / 2 else "0" for time in open_ns)

@@ -13,8 +13,6 @@ from hw.program import Program
 from hw.recordings.edge_fit import EdgeFit, fit_edges
 from hw.recordings.trace import Trace
 
-__all__ = ["Verification", "align"]
-
 _GLITCH = 0.1  # of a chip: what is shorter is noise, not a chip
 _SLACK = 1.03  # a play may last that much longer than it should before the next is looked for
 _CLOCKS = (0.8, 1.25)  # as much longer or shorter no clock makes a play: a factor is wrong
@@ -40,9 +38,11 @@ class Verification:
     jitter_ns, worst_ns : float
         Root mean square and largest distance of an edge from the fitted clock.
     widening_ns : float
-        How much longer than by the fitted clock the openings last: slow closing, or a bias of the device.
+        How much longer than by the fitted clock the openings last: slow closing, or a bias of the
+        device.
     matched, missing, extra : int
-        Edges found in their places, openings of the program not found, and openings found that it has not.
+        Edges found in their places, openings of the program not found, and openings found that it
+        has not.
     glitches : int
         Pulses too short to be chips, passed over.
     latency_ns : float or None
@@ -78,7 +78,9 @@ class Verification:
         )
 
 
-def align(trace: Trace, program: Program, *, trigger: Trace | None = None) -> tuple[Verification, ...]:
+def align(
+    trace: Trace, program: Program, *, trigger: Trace | None = None
+) -> tuple[Verification, ...]:
     """Compare a recorded signal with the program.
 
     Parameters
@@ -88,7 +90,8 @@ def align(trace: Trace, program: Program, *, trigger: Trace | None = None) -> tu
     program : Program
         Commanded program.
     trigger : Trace or None
-        A signal that rises at or shortly before every play; without one, a play begins with its first opening.
+        A signal that rises at or shortly before every play; without one, a play begins with its
+        first opening.
 
     Returns
     -------
@@ -98,14 +101,23 @@ def align(trace: Trace, program: Program, *, trigger: Trace | None = None) -> tu
     Raises
     ------
     ValueError
-        If the signal has no edge or only pulses too short to be chips, or the trigger has no rising edge.
+        If the signal has no edge or only pulses too short to be chips, or the trigger has no
+        rising edge.
     """
     for each, what in ((trace, "signal"), (trigger, "trigger")):
         if each is not None and not each.edges:
-            raise ValueError(f"{what} {each.name!r} has no edge in this recording: nothing was played into it")
+            raise ValueError(
+                f"{what} {each.name!r} has no edge in this recording: nothing was played into it"
+            )
     if trigger is not None and not any(level for _, level in trigger.edges):
-        raise ValueError(f"trigger {trigger.name!r} never rises in this recording: start it before the trigger")
-    readings = [plays for rest in _rests(trace) if (plays := _with_rest(trace, program, trigger, rest=rest))]
+        raise ValueError(
+            f"trigger {trigger.name!r} never rises in this recording: start it before the trigger"
+        )
+    readings = [
+        plays
+        for rest in _rests(trace)
+        if (plays := _with_rest(trace, program, trigger, rest=rest))
+    ]
     if not readings:
         raise ValueError(
             f"signal {trace.name!r} has only pulses shorter than {_GLITCH * program.chip_ns / 1000:g} us in this "
@@ -114,11 +126,15 @@ def align(trace: Trace, program: Program, *, trigger: Trace | None = None) -> tu
     return min(readings, key=_differing)
 
 
-def _with_rest(trace: Trace, program: Program, trigger: Trace | None, *, rest: int) -> tuple[Verification, ...]:
+def _with_rest(
+    trace: Trace, program: Program, trigger: Trace | None, *, rest: int
+) -> tuple[Verification, ...]:
     """Compare a signal that is closed at the level `rest` with the program."""
     level = trace.level ^ rest
     raw = [(time_ns, new ^ rest) for time_ns, new in trace.edges]
-    edges, short = _without_glitches([(trace.start_ns, 1), *raw] if level else raw, _GLITCH * program.chip_ns)
+    edges, short = _without_glitches(
+        [(trace.start_ns, 1), *raw] if level else raw, _GLITCH * program.chip_ns
+    )
     found = []
     for begin, end, asked in _plays(edges, program, trigger):
         inside = edges[bisect_left(edges, (begin, 0)) : bisect_left(edges, (end, 0))]
@@ -138,7 +154,8 @@ def _rests(trace: Trace) -> tuple[int, ...]:
     last = trace.edges[-1][1]
     if trace.level == last:
         return (last,)
-    before, after = trace.edges[0][0] - trace.start_ns, trace.end_ns - trace.edges[-1][0]
+    before = trace.edges[0][0] - trace.start_ns
+    after = trace.end_ns - trace.edges[-1][0]
     return (trace.level, last) if before >= after else (last, trace.level)
 
 
@@ -204,24 +221,33 @@ def _verification(
 ) -> Verification:
     if not any(level for _, level in edges):
         return _nothing(program, inverted, glitches, trigger_ns or 0.0)
-    fit, otherwise = fit_edges(edges, program), ""
+    fit = fit_edges(edges, program)
+    otherwise = ""
     if fit.wrong:
         fit, otherwise = _explained(fit, edges, program)
     problems = [otherwise] if otherwise else []
     there = sum(level for _, _, level in fit.pairs)
-    missing, extra = fit.program.pulses - there, sum(level for _, level in edges) - there
+    missing = fit.program.pulses - there
+    extra = sum(level for _, level in edges) - there
     if missing or extra:
-        problems.append(f"{missing} of {program.pulses} openings are missing and {extra} are too many")
+        problems.append(
+            f"{missing} of {program.pulses} openings are missing and {extra} are too many"
+        )
     if fit.stays_open:
         problems.append("the shutter stays open after the last chip")
     if fit.open_at + fit.scale * program.edges[-1][0] > end_ns + program.chip_ns / 2:
         problems.append("the recording ends before the code does: record longer")
-    scale_ppm, drift = (fit.scale - 1) * 1e6, abs(fit.scale - 1) * program.chips
+    scale_ppm = (fit.scale - 1) * 1e6
+    drift = abs(fit.scale - 1) * program.chips
     if drift > _DRIFT_CHIPS:
         remedy = (
-            "calibrate it" if _CLOCKS[0] < fit.scale < _CLOCKS[1] else "is the chip time right, and the unit of time?"
+            "calibrate it"
+            if _CLOCKS[0] < fit.scale < _CLOCKS[1]
+            else "is the chip time right, and the unit of time?"
         )
-        problems.append(f"the clock is off by {scale_ppm:+.0f} ppm, {drift:.2f} chips over the code: {remedy}")
+        problems.append(
+            f"the clock is off by {scale_ppm:+.0f} ppm, {drift:.2f} chips over the code: {remedy}"
+        )
     return Verification(
         start_ns=fit.open_at,
         achieved=fit.achieved,
@@ -259,7 +285,9 @@ def _nothing(program: Program, inverted: bool, glitches: int, trigger_ns: float)
     )
 
 
-def _explained(fit: EdgeFit, edges: Sequence[tuple[float, int]], program: Program) -> tuple[EdgeFit, str]:
+def _explained(
+    fit: EdgeFit, edges: Sequence[tuple[float, int]], program: Program
+) -> tuple[EdgeFit, str]:
     """Describe how a wrong code differs; known firmware errors are recognised when they explain every edge."""
     padded = program.bits.ljust(-(-program.chips // 8) * 8, "0")
     swapped = "".join(padded[8 * (k // 8) + 7 - k % 8] for k in range(program.chips))
@@ -274,5 +302,12 @@ def _explained(fit: EdgeFit, edges: Sequence[tuple[float, int]], program: Progra
             other = fit_edges(edges, mistaken)
             if not other.wrong and len(other.pairs) == len(edges):
                 return other, f"another code was played: {what}"
-    first = next(k for k, (is_, want) in enumerate(zip(fit.achieved, program.bits, strict=True)) if is_ != want)
-    return fit, f"another code was played: {fit.wrong} of {program.chips} chips differ, first chip {first}"
+    first = next(
+        k
+        for k, (is_, want) in enumerate(zip(fit.achieved, program.bits, strict=True))
+        if is_ != want
+    )
+    return (
+        fit,
+        f"another code was played: {fit.wrong} of {program.chips} chips differ, first chip {first}",
+    )

@@ -11,8 +11,6 @@ from decimal import Decimal
 
 from hw.recordings.trace import Recording, Signal
 
-__all__ = ["is_saleae", "parse_saleae"]
-
 _TIME_COLUMN = re.compile(r"time ?(\[s\])?", re.IGNORECASE)
 _SECONDS = re.compile(r"[+-]?[0-9]{1,12}(\.[0-9]{1,18})?([eE]-[0-9]{1,2})?")
 _ISO = re.compile(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?(Z|[+-]\d\d:\d\d)?", re.ASCII)
@@ -22,14 +20,17 @@ _LATE_NS = 2**43  # some 2.4 hours: from there on a float of nanoseconds loses i
 
 def is_saleae(text: str) -> bool:
     """Whether the text begins like such an export."""
-    return _TIME_COLUMN.fullmatch(re.split(r"[,\t\n]", text, maxsplit=1)[0].strip('" \r')) is not None
+    return (
+        _TIME_COLUMN.fullmatch(re.split(r"[,\t\n]", text, maxsplit=1)[0].strip('" \r')) is not None
+    )
 
 
 def parse_saleae(text: str, *, source: str = "CSV") -> Recording:
     """Read the channels of a digital export: a row for the first levels, and one for each change.
 
-    Times are read as decimals, hence exact to the nanosecond. Those in ISO 8601, and those that begin beyond some
-    2.4 hours, count from the first row. ``X``, a gap in the recording, leaves the level as it is.
+    Times are read as decimals, hence exact to the nanosecond. Those in ISO 8601, and those that
+    begin beyond some 2.4 hours, count from the first row. ``X``, a gap in the recording, leaves
+    the level as it is.
 
     Parameters
     ----------
@@ -55,7 +56,9 @@ def parse_saleae(text: str, *, source: str = "CSV") -> Recording:
         moment = _iso_ns(time) if iso else _seconds_ns(time)
         if moment is None:
             example = "2024-05-12T20:47:43.123456789+00:00" if iso else "0.000200000"
-            raise ValueError(f"{source}: line {number} has time {time[:40]!r}: one like {example} is needed")
+            raise ValueError(
+                f"{source}: line {number} has time {time[:40]!r}: one like {example} is needed"
+            )
         initial = origin is None
         if origin is None:
             origin = moment if iso or abs(moment) > _LATE_NS else Decimal(0)
@@ -75,7 +78,10 @@ def parse_saleae(text: str, *, source: str = "CSV") -> Recording:
             signal.set(value, now_ns, initial=initial)
     if origin is None:
         raise ValueError(f"{source} has no rows below its header: nothing was recorded")
-    traces = (signal.trace(name, start_ns=start_ns, end_ns=now_ns) for name, signal in zip(names, signals, strict=True))
+    traces = (
+        signal.trace(name, start_ns=start_ns, end_ns=now_ns)
+        for name, signal in zip(names, signals, strict=True)
+    )
     return Recording(source, tuple(traces))
 
 
@@ -89,7 +95,9 @@ def _rows(text: str, source: str) -> Iterator[tuple[int, list[str]]]:
             if any(cell.strip() for cell in cells):
                 yield reader.line_num, [" ".join(cell.split()) for cell in cells]
     except csv.Error as error:
-        raise ValueError(f"{source}: line {reader.line_num} cannot be read as CSV ({error})") from None
+        raise ValueError(
+            f"{source}: line {reader.line_num} cannot be read as CSV ({error})"
+        ) from None
 
 
 def _channels(header: list[str], source: str) -> list[str]:
@@ -101,7 +109,9 @@ def _channels(header: list[str], source: str) -> list[str]:
             "names of its channels"
         )
     if len(header) == 1:
-        raise ValueError(f"{source} has no channel beside the time: export the shutter's digital channel too")
+        raise ValueError(
+            f"{source} has no channel beside the time: export the shutter's digital channel too"
+        )
     return header[1:]
 
 

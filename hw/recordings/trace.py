@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["Recording", "Signal", "Trace"]
-
 
 @dataclass(frozen=True, slots=True)
 class Trace:
@@ -51,20 +49,26 @@ class Recording:
         Parameters
         ----------
         name : str or None
-            Name with or without its scopes; None for the signal with most edges, the first of equals.
+            Name with or without its scopes; None for the signal with most edges, the first of
+            equals.
 
         Raises
         ------
         ValueError
-            If there is no such signal, or several, or if None is asked for and no signal has an edge.
+            If there is no such signal, or several, or if None is asked for and no signal has an
+            edge.
         """
         names = ", ".join(trace.name for trace in self.traces[:20])
         if name is None:
             busiest = max(self.traces, key=lambda trace: len(trace.edges))
             if not busiest.edges:
-                raise ValueError(f"{self.source} has no edges on any signal ({names}): nothing was played into it")
+                raise ValueError(
+                    f"{self.source} has no edges on any signal ({names}): nothing was played into it"
+                )
             return busiest
-        found = [trace for trace in self.traces if name in {trace.name, trace.name.rpartition(".")[2]}]
+        found = [
+            trace for trace in self.traces if name in {trace.name, trace.name.rpartition(".")[2]}
+        ]
         if len(found) != 1:
             what = "several signals" if found else "no signal"
             raise ValueError(f"{self.source} has {what} {name[:40]!r}: its signals are {names}")

@@ -7,15 +7,15 @@ from collections.abc import Iterator
 
 from hw.recordings.trace import Recording, Signal
 
-__all__ = ["parse_vcd"]
-
 _UNIT_NS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0, "ps": 1e-3, "fs": 1e-6}
 _TIMESCALE = re.compile(r"(1|10|100)(s|ms|us|ns|ps|fs)")
 _TIME = re.compile(r"#[0-9]{1,30}")
 _DUMPS = {"$dumpvars", "$dumpall", "$dumpon", "$dumpoff", "$end"}
 _WORD = re.compile(r"\S+")
 _VALUES = frozenset("01xXzZuUwWlLhH-")
-_ONE_BIT = frozenset({"wire", "reg", "logic", "bit", "tri", "wand", "wor", "integer", "parameter", "event"})
+_ONE_BIT = frozenset(
+    {"wire", "reg", "logic", "bit", "tri", "wand", "wor", "integer", "parameter", "event"}
+)
 
 
 def parse_vcd(text: str, *, source: str = "VCD") -> Recording:
@@ -24,19 +24,23 @@ def parse_vcd(text: str, *, source: str = "VCD") -> Recording:
     Parameters
     ----------
     text : str
-        VCD as sigrok, PulseView, Saleae, simulators or `hw.export.vcd` write it: any timescale, any names.
+        VCD as sigrok, PulseView, Saleae, simulators or `hw.export.vcd` write it: any timescale,
+        any names.
     source : str
         File name for messages.
 
     Raises
     ------
     ValueError
-        If the text is no VCD, was cut short in its header, has no one-bit signal, or contradicts itself.
+        If the text is no VCD, was cut short in its header, has no one-bit signal, or contradicts
+        itself.
     """
     words = (match.group() for match in _WORD.finditer(text))
     unit_ns, names, known = _header(words, source)
     if not names:
-        raise ValueError(f"{source} has no one-bit signal: record the shutter line as a digital channel")
+        raise ValueError(
+            f"{source} has no one-bit signal: record the shutter line as a digital channel"
+        )
     signals = {code: Signal() for _, code in names}
     start_ns: float | None = None
     now_ns = 0.0
@@ -52,9 +56,13 @@ def parse_vcd(text: str, *, source: str = "VCD") -> Recording:
             while next(words, "$end") != "$end":
                 pass
         elif word not in _DUMPS:
-            value, code = (word[-1], next(words, "")) if word[0] in "bBrRsS" else (word[0], word[1:])
+            value, code = (
+                (word[-1], next(words, "")) if word[0] in "bBrRsS" else (word[0], word[1:])
+            )
             if (value not in _VALUES and word[0] not in "rRsS") or code not in known:
-                raise ValueError(f"{source} has {word[:20]!r} among its changes: it is damaged, record again")
+                raise ValueError(
+                    f"{source} has {word[:20]!r} among its changes: it is damaged, record again"
+                )
             if code in signals:
                 signals[code].set(value, now_ns, initial=start_ns is None or now_ns == start_ns)
     begin_ns = now_ns if start_ns is None else start_ns
@@ -83,7 +91,9 @@ def _header(words: Iterator[str], source: str) -> tuple[float, list[tuple[str, s
         if word == "$timescale":
             scale = _TIMESCALE.fullmatch("".join(body))
             if scale is None:
-                raise ValueError(f"{source} has timescale {' '.join(body)[:20]!r}: one like '1 ns' is needed")
+                raise ValueError(
+                    f"{source} has timescale {' '.join(body)[:20]!r}: one like '1 ns' is needed"
+                )
             unit_ns = int(scale[1]) * _UNIT_NS[scale[2]]
         elif word == "$scope" and body:
             scopes.append(body[-1])
@@ -91,7 +101,9 @@ def _header(words: Iterator[str], source: str) -> tuple[float, list[tuple[str, s
             scopes.pop()
         elif word == "$var":
             if len(body) < 4:
-                raise ValueError(f"{source} declares {' '.join(body)[:40]!r}: type, size, code and name are needed")
+                raise ValueError(
+                    f"{source} declares {' '.join(body)[:40]!r}: type, size, code and name are needed"
+                )
             known.add(body[2])
             if body[1] == "1" and body[0] in _ONE_BIT:
                 names.append((".".join([*scopes, "".join(body[3:])]), body[2]))

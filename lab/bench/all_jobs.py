@@ -16,11 +16,9 @@ from lab.bench.codes_job import codes_job
 from lab.bench.index_page import INDEX
 from lab.bench.job import Job
 
-__all__ = ["all_jobs"]
-
-
 _PROTOCOLS = ("paper", "ours")
-_QUICK_CODES, _QUICK_SEARCH_S = ("jeon-50", "jeon-60", "jeon-100"), 1.0
+_QUICK_CODES = ("jeon-50", "jeon-60", "jeon-100")
+_QUICK_SEARCH_S = 1.0
 
 
 def all_jobs(
@@ -77,20 +75,43 @@ def _jobs(
 ) -> dict[str, Job]:
     names, time_s = (_QUICK_CODES, _QUICK_SEARCH_S) if quick else ((), search_s)
     jobs = {
-        "codes": codes_job(output / "codes", engine, names=names, time_s=time_s, seed=0, force=force),
-        # before the blind table, whose cells these are, and here: a cost is measured while nothing else runs
-        "speed": speed_job(
-            output / "speed", Engine(engine.cache, 1, None), data=data, protocol="paper", methods=(), gyro=None,
-            quick=quick, force=force,
+        "codes": codes_job(
+            output / "codes", engine, names=names, time_s=time_s, seed=0, force=force
         ),
-    }  # fmt: skip
+        # before the blind table, whose cells these are, and here: a cost is measured while nothing
+        # else runs
+        "speed": speed_job(
+            output / "speed",
+            Engine(engine.cache, 1, None),
+            data=data,
+            protocol="paper",
+            methods=(),
+            gyro=None,
+            quick=quick,
+            force=force,
+        ),
+    }
     for protocol in _PROTOCOLS:
         name = f"blind-{protocol}"
         jobs[name] = blind_job(
-            output / name, engine, data=data, protocol=protocol, methods=(),
-            gyro=gyro if protocol == "ours" else None, quick=quick, force=force,
-        )  # fmt: skip
+            output / name,
+            engine,
+            data=data,
+            protocol=protocol,
+            methods=(),
+            gyro=gyro if protocol == "ours" else None,
+            quick=quick,
+            force=force,
+        )
     for protocol in _PROTOCOLS:
         name = f"cep-{protocol}"
-        jobs[name] = cep_job(output / name, engine, data=data, protocol=protocol, designs=(), quick=quick, force=force)
+        jobs[name] = cep_job(
+            output / name,
+            engine,
+            data=data,
+            protocol=protocol,
+            designs=(),
+            quick=quick,
+            force=force,
+        )
     return jobs

@@ -22,21 +22,10 @@ from cep.search.annealing.anneal import anneal
 from cep.search.problem import SearchProblem
 from lab.bench.table_io import machines_markdown, made_json
 
-__all__ = [
-    "CODE_FILES",
-    "CODE_HEAD",
-    "CodeRow",
-    "code_cells",
-    "code_lines",
-    "code_row",
-    "code_rows",
-    "codes_table",
-    "measure_code",
-    "write_codes_report",
-]
-
-
-_MIX = (("min-mtf", 0.1), ("noise", 1.0))  # a decibel of noise is harder to gain than one of the minimum
+_MIX = (
+    ("min-mtf", 0.1),
+    ("noise", 1.0),
+)  # a decibel of noise is harder to gain than one of the minimum
 
 
 @dataclass(frozen=True)
@@ -69,7 +58,9 @@ class CodeRow:
         return self.minima[1] > self.minima[0] and self.noise_db[1] < self.noise_db[0]
 
 
-def measure_code(*, bits: str, time_s: float, seed: Sequence[int], threads: int | None = 1) -> dict[str, Figure]:
+def measure_code(
+    *, bits: str, time_s: float, seed: Sequence[int], threads: int | None = 1
+) -> dict[str, Figure]:
     """Search against a code; the code itself is no starting point.
 
     Parameters
@@ -84,8 +75,8 @@ def measure_code(*, bits: str, time_s: float, seed: Sequence[int], threads: int 
 
     Returns
     -------
-    dict with ``bits`` found, ``minimum`` and ``noise_db`` of the published code, ``our_minimum`` and ``our_noise_db``,
-    and ``seconds`` of the search
+    dict with ``bits`` found, ``minimum`` and ``noise_db`` of the published code, ``our_minimum``
+    and ``our_noise_db``, and ``seconds`` of the search
 
     Raises
     ------
@@ -93,7 +84,9 @@ def measure_code(*, bits: str, time_s: float, seed: Sequence[int], threads: int 
         When stopped: an interrupted search is no comparison.
     """
     code = ShutterCode(bits)
-    problem = SearchProblem(chips=code.chips, open_range=(code.open_chips, code.open_chips), objective=_MIX)
+    problem = SearchProblem(
+        chips=code.chips, open_range=(code.open_chips, code.open_chips), objective=_MIX
+    )
     rng = np.random.default_rng(list(seed))
     found = anneal(problem, rng=rng, steps=None, time_s=time_s, threads=threads)
     if found.stopped == "interrupted":
@@ -108,7 +101,9 @@ def measure_code(*, bits: str, time_s: float, seed: Sequence[int], threads: int 
     }
 
 
-def code_cells(codes: Sequence[tuple[str, ShutterCode]], *, time_s: float, seed: int) -> list[Cell]:
+def code_cells(
+    codes: Sequence[tuple[str, ShutterCode]], *, time_s: float, seed: int
+) -> list[Cell]:
     """List the cells of the table; the figures of a code do not depend on the others.
 
     Parameters
@@ -119,9 +114,16 @@ def code_cells(codes: Sequence[tuple[str, ShutterCode]], *, time_s: float, seed:
         Of each search.
     seed : int
     """
-    version = source_version(["cep.search.annealing.anneal", "cep.proofs.certify.minimum"], alone=[__name__])
+    version = source_version(
+        ["cep.search.annealing.anneal", "cep.proofs.certify.minimum"], alone=[__name__]
+    )
     return [
-        Cell((name,), measure_code, {"bits": code.bits, "time_s": time_s, "seed": _seed(seed, name)}, version=version)
+        Cell(
+            (name,),
+            measure_code,
+            {"bits": code.bits, "time_s": time_s, "seed": _seed(seed, name)},
+            version=version,
+        )
         for name, code in codes
     ]
 
@@ -129,12 +131,17 @@ def code_cells(codes: Sequence[tuple[str, ShutterCode]], *, time_s: float, seed:
 def code_row(name: str, code: ShutterCode, figures: Mapping[str, Figure]) -> CodeRow:
     """Read the figures of :func:`measure_code`."""
     theirs, ours, their_db, our_db, seconds = (
-        float(figures[key] or 0.0) for key in ("minimum", "our_minimum", "noise_db", "our_noise_db", "seconds")
+        float(figures[key] or 0.0)
+        for key in ("minimum", "our_minimum", "noise_db", "our_noise_db", "seconds")
     )
-    return CodeRow(name, code, ShutterCode(str(figures["bits"])), (theirs, ours), (their_db, our_db), seconds)
+    return CodeRow(
+        name, code, ShutterCode(str(figures["bits"])), (theirs, ours), (their_db, our_db), seconds
+    )
 
 
-def code_rows(codes: Sequence[tuple[str, ShutterCode]], *, time_s: float, seed: int = 0) -> list[CodeRow]:
+def code_rows(
+    codes: Sequence[tuple[str, ShutterCode]], *, time_s: float, seed: int = 0
+) -> list[CodeRow]:
     """Search against every code for ``time_s`` on all cores, one after the other; nothing is kept on disk.
 
     Parameters
@@ -151,7 +158,9 @@ def code_rows(codes: Sequence[tuple[str, ShutterCode]], *, time_s: float, seed: 
     rows: list[CodeRow] = []
     for name, code in codes:
         try:
-            figures = measure_code(bits=code.bits, time_s=time_s, seed=_seed(seed, name), threads=None)
+            figures = measure_code(
+                bits=code.bits, time_s=time_s, seed=_seed(seed, name), threads=None
+            )
         except KeyboardInterrupt:
             break
         rows.append(code_row(name, code, figures))
@@ -170,7 +179,15 @@ def _noise_db(code: ShutterCode) -> float:
 CODE_FILES = ("codes.md", "codes.tex", "codes.csv", "codes.json")
 """Files of the table."""
 
-CODE_HEAD = ("code", "open", "its min |P|", "its noise, dB", "our min |P|", "our noise, dB", "better on both")
+CODE_HEAD = (
+    "code",
+    "open",
+    "its min |P|",
+    "its noise, dB",
+    "our min |P|",
+    "our noise, dB",
+    "better on both",
+)
 
 
 def code_lines(rows: Sequence[CodeRow]) -> list[tuple[str, ...]]:
@@ -258,7 +275,11 @@ def write_codes_report(
             "codes.tex": latex([Sheet("Published codes", CODE_HEAD, lines)]),
             "codes.csv": _csv(rows),
             "codes.json": made_json(
-                {"codes": codes_table(rows)}, command=command, seed=seed, machines=machines, warnings=warnings
+                {"codes": codes_table(rows)},
+                command=command,
+                seed=seed,
+                machines=machines,
+                warnings=warnings,
             ),
         }
         for name, content in texts.items():
@@ -268,7 +289,9 @@ def write_codes_report(
 
 def _csv(rows: Sequence[CodeRow]) -> str:
     names = ("min_chip", "noise_db", "our_min_chip", "our_noise_db")
-    lines: list[tuple[object, ...]] = [("name", "chips", "open", *names, "better", "seconds", "bits", "our_bits")]
+    lines: list[tuple[object, ...]] = [
+        ("name", "chips", "open", *names, "better", "seconds", "bits", "our_bits")
+    ]
     for row in rows:
         figures = (row.minima[0], row.noise_db[0], row.minima[1], row.noise_db[1])
         lines.append(

@@ -9,13 +9,18 @@ from cep.codes import published as registry
 from cep.files.outputs import claim_folder
 from cep.files.tables import markdown_table
 from cep.jobs.engine import Engine
-from lab.bench.codes import CODE_FILES, CODE_HEAD, code_cells, code_lines, code_row, codes_table, write_codes_report
+from lab.bench.codes import (
+    CODE_FILES,
+    CODE_HEAD,
+    code_cells,
+    code_lines,
+    code_row,
+    codes_table,
+    write_codes_report,
+)
 from lab.bench.job import Job, Part, outcome_warnings, spelled
 from lab.bench.own_codes import load_own_codes, spelled_own_codes
 from lab.bench.tables import TextTable
-
-__all__ = ["codes_job"]
-
 
 _FAMILY = "jeon"
 
@@ -59,29 +64,55 @@ def codes_job(
     family = [] if own else [name for name in registry.names() if name.startswith(_FAMILY)]
     known = {name: registry.published(name).code for name in dict.fromkeys(names or family)}
     if twice := sorted(own.keys() & known.keys()):
-        raise ValueError(f"code: {twice[0]} is the name of a published code that is compared too, take another")
+        raise ValueError(
+            f"code: {twice[0]} is the name of a published code that is compared too, take another"
+        )
     known |= own
     cells = code_cells(list(known.items()), time_s=time_s, seed=seed)
-    given = {"": f"{' '.join(names)} {spelled_own_codes(codes, own)}".strip(), "--time": f"{time_s:g}", "--seed": seed}
+    given = {
+        "": f"{' '.join(names)} {spelled_own_codes(codes, own)}".strip(),
+        "--time": f"{time_s:g}",
+        "--seed": seed,
+    }
     command = spelled("codes", given, quick=False)
 
     def run(progress: Callable[[float, str], None]) -> Part:
         outcome = engine.run(cells, progress=progress)
-        rows = [code_row(name, known[name], figures) for (name,), figures in outcome.figures.items() if figures]
+        rows = [
+            code_row(name, known[name], figures)
+            for (name,), figures in outcome.figures.items()
+            if figures
+        ]
         warnings = outcome_warnings(outcome)
         files = write_codes_report(
-            output, rows, command=command, seed=seed, time_s=time_s, machines=outcome.machines, warnings=warnings,
+            output,
+            rows,
+            command=command,
+            seed=seed,
+            time_s=time_s,
+            machines=outcome.machines,
+            warnings=warnings,
             force=force,
-        )  # fmt: skip
+        )
         lines = code_lines(rows)
         shown = TextTable(
-            f"smallest |P|, and noise relative to DC; {time_s:g} s each", CODE_HEAD, lines,
+            f"smallest |P|, and noise relative to DC; {time_s:g} s each",
+            CODE_HEAD,
+            lines,
             f"better on both: {sum(row.better for row in rows)} of {len(rows)}",
-        )  # fmt: skip
+        )
         failures = {"/".join(name): reason for name, reason in outcome.failures.items()}
         return Part(
-            "Published codes", command, markdown_table(CODE_HEAD, lines), {"codes": codes_table(rows)}, [shown],
-            files, failures, outcome.missing, warnings, outcome.machines,
-        )  # fmt: skip
+            "Published codes",
+            command,
+            markdown_table(CODE_HEAD, lines),
+            {"codes": codes_table(rows)},
+            [shown],
+            files,
+            failures,
+            outcome.missing,
+            warnings,
+            outcome.machines,
+        )
 
     return Job({"folder": output, "seed": seed}, run)

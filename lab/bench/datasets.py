@@ -11,30 +11,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.files.images import PICTURE_SUFFIXES, read_image
 from lab.bench.own_files import is_own_output
 from motdiff.crops import luminance
-
-__all__ = [
-    "BUNDLED_WARNING",
-    "RSBLUR_LIST",
-    "Cut",
-    "Layout",
-    "bundled_photos",
-    "crop",
-    "koehler_pairs",
-    "labels_of",
-    "layout_of",
-    "photo_folder",
-    "pick",
-    "rsblur_pairs",
-    "sharp_scene",
-]
-
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 Layout = Literal["photos", "gopro", "rsblur", "levin", "koehler"]
 """Layouts of folders, recognised by content: see :func:`layout_of`."""
@@ -53,7 +34,9 @@ _BUNDLED = (  # those that a quick run picks are the first and the sixth
     "ihc.png",
     "retina.jpg",
 )
-BUNDLED_WARNING = "photos are those of scikit-image: too few and too odd for a claim, name a folder with --data"
+BUNDLED_WARNING = (
+    "photos are those of scikit-image: too few and too odd for a claim, name a folder with --data"
+)
 
 
 def bundled_photos() -> tuple[Path, ...]:
@@ -68,9 +51,9 @@ def bundled_photos() -> tuple[Path, ...]:
 def layout_of(folder: Path | str) -> Layout:
     """Recognise the layout of a folder.
 
-    "gopro" has folders ``sharp`` beside ``blur`` or ``blur_gamma``, "rsblur" has ``real_blur/real_blur.png`` beside
-    ``gt/gt_sharp.png``, "levin" has ``.mat`` files that are no PSFs of ours, "koehler" has ``Blurry1_1.png``; anything
-    else is "photos".
+    "gopro" has folders ``sharp`` beside ``blur`` or ``blur_gamma``, "rsblur" has
+    ``real_blur/real_blur.png`` beside ``gt/gt_sharp.png``, "levin" has ``.mat`` files that are no
+    PSFs of ours, "koehler" has ``Blurry1_1.png``; anything else is "photos".
 
     Raises
     ------
@@ -84,7 +67,11 @@ def layout_of(folder: Path | str) -> Layout:
         return "levin"
     if next(root.rglob("gt_sharp.png"), None) or next(root.rglob("real_blur.png"), None):
         return "rsblur"
-    halves = {path.name for path in root.rglob("*") if path.name in ("sharp", *_BLURRED) and path.is_dir()}
+    halves = {
+        path.name
+        for path in root.rglob("*")
+        if path.name in ("sharp", *_BLURRED) and path.is_dir()
+    }
     return "gopro" if halves else "photos"
 
 
@@ -100,25 +87,37 @@ def photo_folder(folder: Path | str) -> tuple[Path, ...]:
     Raises
     ------
     ValueError
-        If there is no such folder, it holds no photos or blurred ones only, or blurred and sharp ones are mixed up: a
-        sequence lacks one half, names or sizes differ, or the half called sharp is less sharp.
+        If there is no such folder, it holds no photos or blurred ones only, or blurred and sharp
+        ones are mixed up: a sequence lacks one half, names or sizes differ, or the half called
+        sharp is less sharp.
     """
     root = _folder(folder)
     layout = layout_of(root)
     if layout == "levin":
-        raise ValueError(f"{root}: holds Levin's .mat files, blurred already; a folder of sharp photos is needed")
+        raise ValueError(
+            f"{root}: holds Levin's .mat files, blurred already; a folder of sharp photos is needed"
+        )
     if layout == "koehler":
-        raise ValueError(f"{root}: holds Koehler's photos, blurred already; a folder of sharp photos is needed")
+        raise ValueError(
+            f"{root}: holds Koehler's photos, blurred already; a folder of sharp photos is needed"
+        )
     if layout == "gopro":
         return _sharp_of_gopro(root)
     if layout == "rsblur":
         paired = next(root.rglob("real_blur.png"), None) is not None
-        found = [sharp for _, sharp in rsblur_pairs(root)] if paired else sorted(root.rglob("gt/gt_sharp.png"))
+        found = (
+            [sharp for _, sharp in rsblur_pairs(root)]
+            if paired
+            else sorted(root.rglob("gt/gt_sharp.png"))
+        )
         what = "gt/gt_sharp.png, the sharp halves of RSBlur's layout"
     elif root.name in _BLURRED:
-        raise ValueError(f"{root}: is the blurred half of GoPro's layout; give the folder above it")
+        raise ValueError(
+            f"{root}: is the blurred half of GoPro's layout; give the folder above it"
+        )
     else:
-        found, what = _photos(root.rglob("*")), "photos (.png, .jpg or .tif)"
+        found = _photos(root.rglob("*"))
+        what = "photos (.png, .jpg or .tif)"
     if not found:
         raise ValueError(f"{root}: holds no {what}")
     return tuple(found)
@@ -190,7 +189,9 @@ def crop(path: Path, size: int, rng: np.random.Generator, *, gamma: str = "linea
 def _folder(folder: Path | str) -> Path:
     root = Path(folder)
     if not root.is_dir():
-        raise ValueError(f"{root}: {'is a file, a folder of photos is needed' if root.exists() else 'no such folder'}")
+        raise ValueError(
+            f"{root}: {'is a file, a folder of photos is needed' if root.exists() else 'no such folder'}"
+        )
     return root
 
 
@@ -198,23 +199,32 @@ def _photos(paths: Iterable[Path]) -> list[Path]:
     return sorted(
         p
         for p in paths
-        if p.suffix.lower() in PICTURE_SUFFIXES and not p.name.startswith(".") and p.is_file() and not is_own_output(p)
+        if p.suffix.lower() in PICTURE_SUFFIXES
+        and not p.name.startswith(".")
+        and p.is_file()
+        and not is_own_output(p)
     )
 
 
 def _sharp_of_gopro(root: Path) -> tuple[Path, ...]:
-    halves = [path for path in root.rglob("*") if path.name in ("sharp", *_BLURRED) and path.is_dir()]
+    halves = [
+        path for path in root.rglob("*") if path.name in ("sharp", *_BLURRED) and path.is_dir()
+    ]
     sharp: list[Path] = []
     pairs: list[tuple[Path, Path]] = []
     for sequence in sorted({half.parent for half in halves}):
         blurred = [half for half in halves if half.parent == sequence and half.name in _BLURRED]
         if not (sequence / "sharp").is_dir():
-            raise ValueError(f"{sequence}: has {blurred[0].name} but no folder sharp beside it, as GoPro's layout has")
+            raise ValueError(
+                f"{sequence}: has {blurred[0].name} but no folder sharp beside it, as GoPro's layout has"
+            )
         found = {path.name: path for path in _photos((sequence / "sharp").glob("*"))}
         for half in blurred:
             others = {path.name: path for path in _photos(half.glob("*"))}
             if odd := sorted(found.keys() ^ others.keys()):
-                raise ValueError(f"{sequence}: {odd[0]} is in only one of {half.name} and sharp, which must be pairs")
+                raise ValueError(
+                    f"{sequence}: {odd[0]} is in only one of {half.name} and sharp, which must be pairs"
+                )
             pairs += [(others[name], found[name]) for name in found]
         sharp += found.values()
     if not sharp:
@@ -233,7 +243,9 @@ def _check_some(root: Path, pairs: Sequence[tuple[Path, Path]]) -> None:
         if images[0].shape[:2] != images[1].shape[:2]:
             sizes = [f"{image.shape[1]} x {image.shape[0]} px" for image in images]
             place = sharp.parent.parent
-            raise ValueError(f"{place}: {names[0]} has {sizes[0]}, {names[1]} {sizes[1]}; they must be pairs")
+            raise ValueError(
+                f"{place}: {names[0]} has {sizes[0]}, {names[1]} {sizes[1]}; they must be pairs"
+            )
         swapped += _detail(images[0]) > _detail(images[1])
         if 2 * swapped > count:
             raise ValueError(
@@ -254,14 +266,19 @@ class _TooSmallError(ValueError):
 def _large_enough(path: Path, image: FloatArray, least_px: int) -> None:
     height, width = image.shape[:2]
     if min(height, width) < least_px:
-        raise _TooSmallError(f"{path}: {width} x {height} px is too small, the protocol needs {least_px} px a side")
+        raise _TooSmallError(
+            f"{path}: {width} x {height} px is too small, the protocol needs {least_px} px a side"
+        )
 
 
 RSBLUR_LIST = "RSBlur_real_test.txt"
 """RSBlur's own list of the pairs to test on; where a folder holds it, the other pairs do not count."""
 
-_BLURRED_OF_PAIRS, _SHARP = "real_blur/real_blur.png", "gt/gt_sharp.png"
-_LINE = re.compile(rf"(?:\S*/)?([^/\s]+/[^/\s]+)/{_SHARP}\s+(?:\S*/)?([^/\s]+/[^/\s]+)/{_BLURRED_OF_PAIRS}")
+_BLURRED_OF_PAIRS = "real_blur/real_blur.png"
+_SHARP = "gt/gt_sharp.png"
+_LINE = re.compile(
+    rf"(?:\S*/)?([^/\s]+/[^/\s]+)/{_SHARP}\s+(?:\S*/)?([^/\s]+/[^/\s]+)/{_BLURRED_OF_PAIRS}"
+)
 _SHOT = re.compile(r"Blurry(\d+)_(\d+)\.png")
 _FRAME = re.compile(r"GroundTruth\d+_\d+_(\d+)\.png")
 
@@ -305,8 +322,9 @@ def rsblur_pairs(root: Path) -> list[tuple[Path, Path]]:
 def koehler_pairs(root: Path) -> list[tuple[Path, Path | None]]:
     """List Koehler's photos ``BlurryI_J.png``, image I shaken by J, each with a sharp frame where there are frames.
 
-    The frames are those of the camera stepped through the same shake, ``ImageI/KernelJ/GroundTruthI_J_K.png``. The one
-    in the middle is taken; the benchmark's own score is the best over all of them.
+    The frames are those of the camera stepped through the same shake,
+    ``ImageI/KernelJ/GroundTruthI_J_K.png``. The one in the middle is taken; the benchmark's own
+    score is the best over all of them.
 
     Parameters
     ----------
@@ -334,14 +352,21 @@ def koehler_pairs(root: Path) -> list[tuple[Path, Path | None]]:
     without = [key for key in sorted(shots) if not frames[key]]
     if without and len(without) < len(shots):
         image, shake = without[0]
-        raise ValueError(f"{root}: Blurry{image}_{shake}.png has no frames in Image{image}/Kernel{shake}, others have")
-    return [(shots[key], frames[key][(len(frames[key]) - 1) // 2] if frames[key] else None) for key in sorted(shots)]
+        raise ValueError(
+            f"{root}: Blurry{image}_{shake}.png has no frames in Image{image}/Kernel{shake}, others have"
+        )
+    return [
+        (shots[key], frames[key][(len(frames[key]) - 1) // 2] if frames[key] else None)
+        for key in sorted(shots)
+    ]
 
 
 def _listed(path: Path) -> list[str]:
     """Read the list: a sharp and a blurred photo a line; names are SCENE/NUMBER."""
     names = []
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+    for number, line in enumerate(
+        path.read_text(encoding="utf-8", errors="replace").splitlines(), 1
+    ):
         found = _LINE.fullmatch(line.strip())
         if found is not None and found[1] == found[2]:
             names.append(found[1])
@@ -355,7 +380,11 @@ def _listed(path: Path) -> list[str]:
 
 
 def _frames(folder: Path) -> list[Path]:
-    found = [(int(match[1]), path) for path in folder.glob("*.png") if (match := _FRAME.fullmatch(path.name))]
+    found = [
+        (int(match[1]), path)
+        for path in folder.glob("*.png")
+        if (match := _FRAME.fullmatch(path.name))
+    ]
     return [path for _, path in sorted(found)]
 
 
@@ -393,7 +422,8 @@ def sharp_scene(photo: Path, cut: Cut) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def _read(photo: Path, cut: Cut, _state: tuple[int, int]) -> FloatArray:
-    # kept from cell to cell: a camera's photo of 24 megapixels takes longer to read than its crop to restore
+    # kept from cell to cell: a camera's photo of 24 megapixels takes longer to read than its crop
+    # to restore
     scene = luminance(crop(photo, cut.size_px, np.random.default_rng(cut.seed), gamma=cut.gamma))
     scene.flags.writeable = False
     return scene

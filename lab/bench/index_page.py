@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from cep.files.foreign_text import in_code_span, markdown_text
-from cep.files.outputs import write_text
 from lab.bench.job import Part
 from lab.bench.table_io import machines_markdown
-
-__all__ = ["INDEX", "write_index"]
+from motdiff.files.outputs import write_text
 
 INDEX = "README.md"
 """The page; one of this name is shown where folders are browsed."""
 
 
-def write_index(folder: Path, parts: Sequence[Part], *, command: str, unmade: Sequence[str] = ()) -> Path:
+def write_index(
+    folder: Path, parts: Sequence[Part], *, command: str, unmade: Sequence[str] = ()
+) -> Path:
     """Write :data:`INDEX`: commands, machines, and for each part its first figures, its picture and links to its files.
 
     Parameters
@@ -49,7 +49,10 @@ def write_index(folder: Path, parts: Sequence[Part], *, command: str, unmade: Se
         "",
         machines_markdown(machines) or "- no machine",
         "",
-        *(f"**{name} is not measured: stopped early; the same command with --force goes on.**\n" for name in unmade),
+        *(
+            f"**{name} is not measured: stopped early; the same command with --force goes on.**\n"
+            for name in unmade
+        ),
     ]
     path = folder / INDEX
     write_text(path, "\n".join(head) + "".join(f"\n{_section(folder, part)}" for part in parts))
@@ -57,9 +60,16 @@ def write_index(folder: Path, parts: Sequence[Part], *, command: str, unmade: Se
 
 
 def _section(folder: Path, part: Part) -> str:
-    places = {Path(name).suffix: file.relative_to(folder).as_posix() for name, file in part.files.items()}
-    others = ", ".join(f"[{name}]({file.relative_to(folder).as_posix()})" for name, file in part.files.items())
-    notes = [*part.warnings, *(f"failed: {label}: {reason}" for label, reason in part.failures.items())]
+    places = {
+        Path(name).suffix: file.relative_to(folder).as_posix() for name, file in part.files.items()
+    }
+    others = ", ".join(
+        f"[{name}]({file.relative_to(folder).as_posix()})" for name, file in part.files.items()
+    )
+    notes = [
+        *part.warnings,
+        *(f"failed: {label}: {reason}" for label, reason in part.failures.items()),
+    ]
     blocks = [
         f"## {part.title}",
         in_code_span(part.command),

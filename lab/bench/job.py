@@ -11,8 +11,6 @@ from cep.jobs.engine import Outcome
 from lab.bench.table_io import tables_markdown
 from lab.bench.tables import Table, TextTable
 
-__all__ = ["Job", "Part", "outcome_warnings", "part_of_tables", "spelled"]
-
 
 @dataclass(frozen=True)
 class Job:
@@ -23,8 +21,8 @@ class Job:
     about : mapping
         What was asked for, for the JSON.
     run : function
-        Measures, writes the files and returns them as a part. It is given what to call with the fraction done and a
-        note.
+        Measures, writes the files and returns them as a part. It is given what to call with the
+        fraction done and a note.
     """
 
     about: Mapping[str, object]
@@ -80,7 +78,18 @@ def part_of_tables(
 ) -> Part:
     """Make the part of tables with means, the first of which is its summary; see :class:`Part`."""
     summary = tables_markdown(tables[:1]) or "Nothing was measured.\n"
-    return Part(title, command, summary, _figures(tables), tables, files, failures, missing, warnings, machines)
+    return Part(
+        title,
+        command,
+        summary,
+        _figures(tables),
+        tables,
+        files,
+        failures,
+        missing,
+        warnings,
+        machines,
+    )
 
 
 def _figures(tables: Sequence[Table]) -> dict[str, Any]:
@@ -108,14 +117,19 @@ def outcome_warnings(outcome: Outcome) -> list[str]:
     warnings = list(outcome.warnings)
     if outcome.failures:
         name, reason = next(iter(outcome.failures.items()))
-        count, total = len(outcome.failures), len(outcome.results)
+        count = len(outcome.failures)
+        total = len(outcome.results)
         warnings.append(f"{count} of {total} cells failed, the first: {'/'.join(name)}: {reason}")
     if outcome.missing:
-        warnings.append(f"stopped early: {outcome.missing} cells are left out; the same command with --force goes on")
+        warnings.append(
+            f"stopped early: {outcome.missing} cells are left out; the same command with --force goes on"
+        )
     return warnings
 
 
 def spelled(name: str, given: Mapping[str, object], *, quick: bool) -> str:
     """Spell ``python -m lab bench NAME`` with the options given, an empty one for arguments, without anybody's folders."""
     words = [f"{option} {value}".strip() for option, value in given.items() if value]
-    return " ".join(filter(None, ["python -m lab bench", name, *words, "--quick" if quick else ""]))
+    return " ".join(
+        filter(None, ["python -m lab bench", name, *words, "--quick" if quick else ""])
+    )

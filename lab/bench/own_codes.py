@@ -8,8 +8,6 @@ from cep.codes.sources import code_file, load_code
 from cep.optics.code import ShutterCode
 from lab.bench.coded.run import check_names
 
-__all__ = ["load_own_codes", "spelled_own_codes"]
-
 
 def load_own_codes(given: Sequence[str]) -> dict[str, ShutterCode]:
     """Read codes by their names.
@@ -22,7 +20,8 @@ def load_own_codes(given: Sequence[str]) -> dict[str, ShutterCode]:
     Raises
     ------
     ValueError
-        If a text has no name, a name comes twice or cannot be a row of a table, or a source is no code.
+        If a text has no name, a name comes twice or cannot be a row of a table, or a source is no
+        code.
     """
     found: dict[str, ShutterCode] = {}
     for text in given:

@@ -13,22 +13,23 @@ from cep.files.images import PICTURE_SUFFIXES
 from lab.bench.table_io import TABLES_SCHEMA
 from motdiff.files.trajectories import SCHEMA as MOTION_SCHEMA
 
-__all__ = ["is_own_output"]
-
 _FIGURED = (TABLES_SCHEMA, FRONT_SCHEMA)
 _HEAD = re.compile(rb'\{\s*"schema"\s*:\s*"([^"]*)"')
 _HEAD_BYTES = 200  # annotations of photos may be large
 _MAT_HEAD_BYTES = 176
-_MAT_NAME = struct.pack("=I4s", 3 << 16 | 1, b"psf")  # text, three bytes of it, as version 5 of the format packs it
+_MAT_NAME = struct.pack(
+    "=I4s", 3 << 16 | 1, b"psf"
+)  # text, three bytes of it, as version 5 of the format packs it
 
 
 def is_own_output(path: Path) -> bool:
     """Whether a picture or ``.mat`` file was written by a command, judged by the files beside it.
 
-    These are figures of benchmarks and fronts, beside their JSON; PSFs, beside the same in the other formats; photos
-    that ``cep simulate`` has blurred, beside their PSFs; and the pictures of ``cep calibrate`` and ``cep demo``, by
-    their names in a folder with the motion, its PSF and, of the demo, its figures. Files of ``cep mtf`` and
-    ``cep deblur`` have no record beside them and are not detected.
+    These are figures of benchmarks and fronts, beside their JSON; PSFs, beside the same in the
+    other formats; photos that ``cep simulate`` has blurred, beside their PSFs; and the pictures of
+    ``cep calibrate`` and ``cep demo``, by their names in a folder with the motion, its PSF and, of
+    the demo, its figures. Files of ``cep mtf`` and ``cep deblur`` have no record beside them and
+    are not detected.
 
     Parameters
     ----------
@@ -39,7 +40,13 @@ def is_own_output(path: Path) -> bool:
     OSError
         If a file beside it cannot be read.
     """
-    return _is_figure(path) or _is_psf(path) or _is_simulated(path) or _is_of_calibration(path) or _is_of_demo(path)
+    return (
+        _is_figure(path)
+        or _is_psf(path)
+        or _is_simulated(path)
+        or _is_of_calibration(path)
+        or _is_of_demo(path)
+    )
 
 
 def _is_figure(path: Path) -> bool:
@@ -54,9 +61,12 @@ def _is_simulated(path: Path) -> bool:
     return (
         path.suffix.lower() in PICTURE_SUFFIXES
         and _has_psf(path.parent, f"{path.stem}_psf")
-        and not _is_ours(path.with_suffix(".json"), CODE_SCHEMA)  # the PSF of a code that was played
+        and not _is_ours(
+            path.with_suffix(".json"), CODE_SCHEMA
+        )  # the PSF of a code that was played
         # which one of several was blurred is not known
-        and sum(path.with_suffix(suffix).is_file() for suffix in {path.suffix, *PICTURE_SUFFIXES}) == 1
+        and sum(path.with_suffix(suffix).is_file() for suffix in {path.suffix, *PICTURE_SUFFIXES})
+        == 1
     )
 
 
@@ -84,7 +94,8 @@ def _has_psf(folder: Path, stem: str) -> bool:
     path = folder / f"{stem}.mat"
     with path.open("rb") as stream:
         head = stream.read(_MAT_HEAD_BYTES)
-    # the first variable's length, to the end of the file, and its name; SciPy is not asked: a damaged file may crash it
+    # the first variable's length, to the end of the file, and its name; SciPy is not asked: a
+    # damaged file may crash it
     length = int.from_bytes(head[132:136], sys.byteorder)
     return 136 + length == path.stat().st_size and head[168:] == _MAT_NAME
 

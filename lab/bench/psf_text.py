@@ -7,11 +7,8 @@ import binascii
 import zlib
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["psf_from_text", "psf_to_text"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 
 def psf_to_text(psf: FloatArray) -> str:

@@ -6,14 +6,14 @@ from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
-__all__ = ["Interval", "Summary", "crossed_interval", "mean_interval", "summarized"]
+from motdiff.types import FloatArray
 
-FloatArray = NDArray[np.float64]
-
-_FEWEST_CLUSTERS = 3  # two show their spread by one difference: Student's t then reaches 13 standard errors
+_FEWEST_CLUSTERS = (
+    3  # two show their spread by one difference: Student's t then reaches 13 standard errors
+)
 _RESAMPLES = 10_000
 _AT_ONCE = 2_000_000  # numbers drawn at a time: 16 MB
 
@@ -47,7 +47,8 @@ class Interval:
     Attributes
     ----------
     mean, low, high : float
-        Infinite ends where there are one or two clusters, which say next to nothing of the spread between clusters.
+        Infinite ends where there are one or two clusters, which say next to nothing of the spread
+        between clusters.
     level : float
         Probability that such an interval holds the true mean.
     n, clusters : int
@@ -88,14 +89,16 @@ def mean_interval(
 ) -> Interval:
     """Bootstrap the mean, studentised: whole clusters are drawn again, and each draw is scaled by its own error.
 
-    With ten clusters intervals of 95 % hold the true mean in 95 % of trials; percentile and BCa intervals in 89-91 %.
+    With ten clusters intervals of 95 % hold the true mean in 95 % of trials; percentile and BCa
+    intervals in 89-91 %.
 
     Parameters
     ----------
     values : (n,) array_like, finite
     rng : numpy.random.Generator
     clusters : n labels, optional
-        Values that share a photo, say, are no independent evidence: they are drawn together. Each its own when omitted.
+        Values that share a photo, say, are no independent evidence: they are drawn together. Each
+        its own when omitted.
     level : float, 0..1
     resamples : int
 
@@ -112,7 +115,10 @@ def mean_interval(
     if resamples < 1000:
         raise ValueError(f"resamples: must be at least 1000, got {resamples}")
     numbers: dict[Hashable, int] = {}
-    members = [numbers.setdefault(label, len(numbers)) for label in (range(x.size) if clusters is None else clusters)]
+    members = [
+        numbers.setdefault(label, len(numbers))
+        for label in (range(x.size) if clusters is None else clusters)
+    ]
     sizes = np.bincount(members).astype(float)
     # relative to the first value: equal values then have no spread from rounding
     sums: FloatArray = np.bincount(members, weights=x - x[0]).astype(float)
@@ -125,21 +131,30 @@ def mean_interval(
     if error == 0:  # clusters that differ by rounding only have no spread
         return Interval(mean, mean, mean, level, x.size, count)
     pivots = np.concatenate(
-        [_pivots(_draws(count, size, rng), sums, sizes, offset) for size in _portions(resamples, count)]
+        [
+            _pivots(_draws(count, size, rng), sums, sizes, offset)
+            for size in _portions(resamples, count)
+        ]
     )
     # whole draws, no interpolation: a draw without spread is infinite
     low = np.quantile(pivots, (1 - level) / 2, method="lower")
     high = np.quantile(pivots, (1 + level) / 2, method="higher")
-    return Interval(mean, float(mean - high * error), float(mean - low * error), level, x.size, count)
+    return Interval(
+        mean, float(mean - high * error), float(mean - low * error), level, x.size, count
+    )
 
 
 def crossed_interval(
-    values: ArrayLike, clusters: Sequence[Hashable], others: Sequence[Hashable], *, level: float = 0.95
+    values: ArrayLike,
+    clusters: Sequence[Hashable],
+    others: Sequence[Hashable],
+    *,
+    level: float = 0.95,
 ) -> Interval:
     """Interval of the mean where values share two things at once: every photo is taken with the same motions.
 
-    The variances by either clustering are added and that of single values is taken away; Student's t with the scarcer
-    clusters' degrees of freedom.
+    The variances by either clustering are added and that of single values is taken away; Student's
+    t with the scarcer clusters' degrees of freedom.
 
     Parameters
     ----------
@@ -154,11 +169,14 @@ def crossed_interval(
 
     References
     ----------
-    Cameron, Gelbach and Miller, "Robust inference with multiway clustering", J. Business & Economic Statistics 2011.
+    Cameron, Gelbach and Miller, "Robust inference with multiway clustering", J. Business &
+    Economic Statistics 2011.
     """
     x = _checked(values, (clusters, others), level)
     mean = float(x.mean())
-    counts, variances = zip(*(_clustered(x - mean, labels) for labels in (clusters, others)), strict=True)
+    counts, variances = zip(
+        *(_clustered(x - mean, labels) for labels in (clusters, others)), strict=True
+    )
     scarcest = min(counts)
     if scarcest < _FEWEST_CLUSTERS:
         return Interval(mean, -np.inf, np.inf, level, x.size, scarcest)
@@ -172,8 +190,11 @@ def _quantile(ordered: FloatArray, share: float) -> float:
     """Interpolate linearly; at a value itself it is that value, though the next one is infinite (NaN with numpy)."""
     place = share * (ordered.size - 1)
     below = int(place)
-    first, second = ordered[below], ordered[min(below + 1, ordered.size - 1)]
-    return float(first if place == below or first == second else first + (place - below) * (second - first))
+    first = ordered[below]
+    second = ordered[min(below + 1, ordered.size - 1)]
+    return float(
+        first if place == below or first == second else first + (place - below) * (second - first)
+    )
 
 
 def _checked(values: ArrayLike, labels: Sequence[Sequence[Hashable]], level: float) -> FloatArray:
@@ -182,7 +203,9 @@ def _checked(values: ArrayLike, labels: Sequence[Sequence[Hashable]], level: flo
         raise ValueError(f"values: must be finite numbers in one row, got shape {x.shape}")
     for clusters in labels:
         if len(clusters) != x.size:
-            raise ValueError(f"clusters: must be one label per value, got {len(clusters)} for {x.size}")
+            raise ValueError(
+                f"clusters: must be one label per value, got {len(clusters)} for {x.size}"
+            )
     if not 0 < level < 1:
         raise ValueError(f"level: must be between 0 and 1, got {level:g}")
     return x
@@ -207,17 +230,24 @@ def _pivots(draws: FloatArray, sums: FloatArray, sizes: FloatArray, offset: floa
     away = (draws @ sums) / (draws @ sizes) - offset
     errors = _errors(draws, sums, sizes)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(errors > 0, away / errors, np.where(away == 0, 0.0, np.copysign(np.inf, away)))
+        return np.where(
+            errors > 0, away / errors, np.where(away == 0, 0.0, np.copysign(np.inf, away))
+        )
 
 
 def _errors(draws: FloatArray, sums: FloatArray, sizes: FloatArray) -> FloatArray:
     """Return the standard error of the mean of each draw: that of a ratio of sums over clusters, to first order."""
-    count, totals = len(sums), draws @ sizes
+    count = len(sums)
+    totals = draws @ sizes
     means = (draws @ sums) / totals
-    squares = draws @ sums**2 - 2 * means * (draws @ (sums * sizes)) + means**2 * (draws @ sizes**2)
+    squares = (
+        draws @ sums**2 - 2 * means * (draws @ (sums * sizes)) + means**2 * (draws @ sizes**2)
+    )
     # what is left of equal clusters is rounding
     rounding = 1e-12 * (draws @ sums**2)
-    return np.asarray(np.sqrt(np.where(squares > rounding, squares, 0) * count / (count - 1)) / totals)
+    return np.asarray(
+        np.sqrt(np.where(squares > rounding, squares, 0) * count / (count - 1)) / totals
+    )
 
 
 def _portions(resamples: int, count: int) -> list[int]:

@@ -17,21 +17,6 @@ from lab.bench.tables import Table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "FIGURE_SUFFIXES",
-    "TABLES_SCHEMA",
-    "machines_markdown",
-    "made_json",
-    "means_in_words",
-    "report_files",
-    "tables_csv",
-    "tables_json",
-    "tables_latex",
-    "tables_markdown",
-    "write_figure",
-    "write_report_files",
-]
-
 
 TABLES_SCHEMA = "cep.bench/1"
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
@@ -56,7 +41,12 @@ def _sheets(tables: Sequence[Table]) -> list[Sheet]:
 
 def means_in_words(tables: Sequence[Table]) -> str:
     """Legend of tables; intervals and bold rows are explained only where there are some."""
-    if not any(entry.finite_interval for table in tables for entries in table.rows.values() for entry in entries):
+    if not any(
+        entry.finite_interval
+        for table in tables
+        for entries in table.rows.values()
+        for entry in entries
+    ):
         return (
             "Means. There are too few photos or motions for intervals, and for a paired test that would make the best "
             "bold."
@@ -71,7 +61,9 @@ def machines_markdown(machines: Sequence[Mapping[str, Any]]) -> str:
     """Markdown list of the machines that made the figures: hardware, system and package versions."""
     lines = []
     for machine in machines:
-        versions = ", ".join(f"{name} {found}" for name, found in machine["versions"].items() if found)
+        versions = ", ".join(
+            f"{name} {found}" for name, found in machine["versions"].items() if found
+        )
         memory = f", {machine['memory_gib']:g} GiB" if machine["memory_gib"] else ""
         lines.append(
             f"- {machine['processor']}, {machine['cores']} cores{memory}, {machine['system']}, Python "
@@ -82,12 +74,27 @@ def machines_markdown(machines: Sequence[Mapping[str, Any]]) -> str:
 
 def tables_csv(tables: Sequence[Table]) -> str:
     """Lay out tables as CSV, a line per row and figure; empty where not measured."""
-    heads = ("table", "row", "figure", "cells", "n", "mean", "low", "high", "median", "sd", "q05", "q95", "bold")
+    heads = (
+        "table",
+        "row",
+        "figure",
+        "cells",
+        "n",
+        "mean",
+        "low",
+        "high",
+        "median",
+        "sd",
+        "q05",
+        "q95",
+        "bold",
+    )
     rows: list[tuple[object, ...]] = [heads]
     for table in tables:
         for label, entries in table.rows.items():
             for entry, column in zip(entries, table.columns, strict=True):
-                one, ends = entry.summary, entry.interval
+                one = entry.summary
+                ends = entry.interval
                 numbers = (
                     one.mean,
                     *((ends.low, ends.high) if ends else (None, None)),
@@ -96,14 +103,22 @@ def tables_csv(tables: Sequence[Table]) -> str:
                     one.q05,
                     one.q95,
                 )
-                texts = ("" if number is None or math.isnan(number) else f"{number:.6g}" for number in numbers)
+                texts = (
+                    "" if number is None or math.isnan(number) else f"{number:.6g}"
+                    for number in numbers
+                )
                 start = (table.title, label, column.figure, table.cells[label], one.n)
                 rows.append((*start, *texts, "yes" if entry.bold else "no"))
     return csv_lines(rows)
 
 
 def tables_json(
-    tables: Sequence[Table], *, command: str, seed: int, machines: Sequence[Mapping[str, Any]], warnings: Sequence[str]
+    tables: Sequence[Table],
+    *,
+    command: str,
+    seed: int,
+    machines: Sequence[Mapping[str, Any]],
+    warnings: Sequence[str],
 ) -> str:
     """Lay out tables as JSON (schema ``cep.bench/1``) with command, seed, machines and warnings.
 
@@ -133,7 +148,9 @@ def tables_json(
         }
         for table in tables
     ]
-    return made_json({"tables": listed}, command=command, seed=seed, machines=machines, warnings=warnings)
+    return made_json(
+        {"tables": listed}, command=command, seed=seed, machines=machines, warnings=warnings
+    )
 
 
 def made_json(
@@ -145,7 +162,13 @@ def made_json(
     warnings: Sequence[str],
 ) -> str:
     """Lay out a table's content as JSON; the other parameters as those of :func:`tables_json`."""
-    made = {"command": command, "seed": seed, "engine": ENGINE, "machines": machines, "warnings": warnings}
+    made = {
+        "command": command,
+        "seed": seed,
+        "engine": ENGINE,
+        "machines": machines,
+        "warnings": warnings,
+    }
     return json_text({"schema": TABLES_SCHEMA, **made, **content})
 
 
@@ -188,7 +211,9 @@ def write_report_files(
     names of all files in the folder
     """
     about = tables_json(tables, command=command, seed=seed, machines=machines, warnings=warnings)
-    texts = dict(zip(_TABLE_ENDINGS, (text, tables_latex(tables), tables_csv(tables), about), strict=True))
+    texts = dict(
+        zip(_TABLE_ENDINGS, (text, tables_latex(tables), tables_csv(tables), about), strict=True)
+    )
     for ending, content in (texts | dict([cells])).items():
         (folder / f"{name}{ending}").write_text(content, encoding="utf-8", newline="")
     return tuple(sorted(item.name for item in folder.iterdir()))

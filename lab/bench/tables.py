@@ -13,8 +13,6 @@ from cep.files.tables import Bold
 from cep.jobs.cells import Figure
 from lab.bench.statistics import Interval, Summary, crossed_interval, mean_interval, summarized
 
-__all__ = ["Column", "Entry", "Table", "TextTable", "differences", "tabulate"]
-
 Name = tuple[str, ...]
 Figures = Mapping[Name, Mapping[str, Figure]]
 """Figures by name of the cell, as of :attr:`cep.jobs.engine.Outcome.figures`."""
@@ -35,8 +33,8 @@ class Column:
     digits : int
         Decimals.
     middle : {"mean", "median", "share"}
-        Statistic shown. The median where some cells are infinite, the share of cells where they are 0 or 1; these
-        have no interval and are never bold.
+        Statistic shown. The median where some cells are infinite, the share of cells where they
+        are 0 or 1; these have no interval and are never bold.
     """
 
     figure: str
@@ -64,7 +62,8 @@ class Entry:
         The best row's: of its paired differences from the runner-up, above 0 where it is better.
     runner_up : str
     bold : bool
-        Whether the lead's interval lies above 0 and no cell of the runner-up's is missing in this row.
+        Whether the lead's interval lies above 0 and no cell of the runner-up's is missing in this
+        row.
     """
 
     summary: Summary
@@ -76,7 +75,11 @@ class Entry:
     @property
     def finite_interval(self) -> Interval | None:
         """The interval if it is finite; that of one or two photos or motions is infinite."""
-        return self.interval if self.interval is not None and math.isfinite(self.interval.high) else None
+        return (
+            self.interval
+            if self.interval is not None and math.isfinite(self.interval.high)
+            else None
+        )
 
 
 @dataclass(frozen=True)
@@ -165,7 +168,8 @@ def tabulate(
     row : int
         Which label is the row.
     cluster : int or (int, int)
-        Label that dependent cells share, such as the photo. Two labels where every photo has the same motions.
+        Label that dependent cells share, such as the photo. Two labels where every photo has the
+        same motions.
     counted : mapping from a heading to a label, optional
         How many different ones a row's cells have is shown, such as motions.
     level : float
@@ -181,7 +185,9 @@ def tabulate(
         raise ValueError(f"cluster: must be another label than the row's, got {row} for both")
     for name in figures:
         if not all(0 <= label < len(name) for label in (row, *shared)):
-            raise ValueError(f"figures: labels {row} and {cluster} are wanted of every name, got {name}")
+            raise ValueError(
+                f"figures: labels {row} and {cluster} are wanted of every name, got {name}"
+            )
     labels = list(dict.fromkeys(name[row] for name in figures))
     made: dict[str, list[Entry]] = {label: [] for label in labels}
     for column in columns:
@@ -202,10 +208,14 @@ def tabulate(
         head: {label: len({name[place] for name in names}) for label, names in cells.items()}
         for head, place in (counted or {}).items()
     }
-    return Table(title, tuple(columns), rows, {label: len(names) for label, names in cells.items()}, counts)
+    return Table(
+        title, tuple(columns), rows, {label: len(names) for label, names in cells.items()}, counts
+    )
 
 
-def differences(figures: Figures, reference: str, *, row: int = 0) -> dict[Name, dict[str, Figure]]:
+def differences(
+    figures: Figures, reference: str, *, row: int = 0
+) -> dict[Name, dict[str, Figure]]:
     """Differences of the reference row from every row, pair by pair; a figure that one of them lacks is None.
 
     Parameters
@@ -260,16 +270,22 @@ def _best(
     """Return the best row's entry with its test against the runner-up, where there are both."""
     sign = 1 if better == "high" else -1
     ranked = sorted(
-        (label for label in entries if by_row[label]), key=lambda label: -sign * entries[label].summary.mean
+        (label for label in entries if by_row[label]),
+        key=lambda label: -sign * entries[label].summary.mean,
     )
     if len(ranked) < 2:
         return {}
     best, second = ranked[:2]
     shared = [name for name in by_row[best] if name in by_row[second]]
-    if not shared or not all(math.isfinite(by_row[label][name]) for label in (best, second) for name in shared):
+    if not shared or not all(
+        math.isfinite(by_row[label][name]) for label in (best, second) for name in shared
+    ):
         return {}
     lead = _interval(
-        {name: sign * (by_row[best][name] - by_row[second][name]) for name in shared}, clusters, rng, level
+        {name: sign * (by_row[best][name] - by_row[second][name]) for name in shared},
+        clusters,
+        rng,
+        level,
     )
     whole = len(shared) == len(by_row[second])
     entry = entries[best]
@@ -290,7 +306,8 @@ def _in_words(entry: Entry, column: Column, cells: int) -> str | Bold:
     if entry.summary.n == 0:
         return "–"
     digits = column.digits
-    text, rest = f"{column.shown(entry):.{digits}f}", ""
+    text = f"{column.shown(entry):.{digits}f}"
+    rest = ""
     if (interval := entry.finite_interval) is not None:
         rest = f" ({interval.low:.{digits}f}..{interval.high:.{digits}f})"
     if entry.summary.n != cells:

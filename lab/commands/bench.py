@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from lab.bench.job import Job, Part
 
-__all__ = ["bench", "blind", "cep", "codes", "speed"]
-
 
 Methods = Annotated[
     str,
@@ -34,7 +32,9 @@ Methods = Annotated[
 ProtocolName = Annotated[
     str,
     typer.Option(
-        "--protocol", metavar="NAME|FILE", help="paper, ours, card-walks, card-gyro, or a .toml file like these."
+        "--protocol",
+        metavar="NAME|FILE",
+        help="paper, ours, card-walks, card-gyro, or a .toml file like these.",
     ),
 ]
 
@@ -48,15 +48,17 @@ def blind(
     workers: Workers = None,
     dask: Dask = None,
     cache: Cache = None,
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("bench-blind"),
+    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
+        "bench-blind"
+    ),
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Measure estimators where the motion is known: the paper's tables I and II.
 
-    A folder of sharp photos, or of GoPro's layout, is blurred by simulated shakes; Levin's .mat files, RSBlur's pairs
-    and Koehler's photos are taken as they are. Finished cells are kept: stopped by Ctrl-C, the same command with
-    --force goes on.
+    A folder of sharp photos, or of GoPro's layout, is blurred by simulated shakes; Levin's .mat
+    files, RSBlur's pairs and Koehler's photos are taken as they are. Finished cells are kept:
+    stopped by Ctrl-C, the same command with --force goes on.
 
     Example: python -m lab bench blind --quick -o blind
     """
@@ -67,7 +69,14 @@ def blind(
 
         engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
         return blind_job(
-            output, engine, data=data, protocol=protocol, methods=_names(methods), gyro=gyro, quick=quick, force=force
+            output,
+            engine,
+            data=data,
+            protocol=protocol,
+            methods=_names(methods),
+            gyro=gyro,
+            quick=quick,
+            force=force,
         )
 
     run_job(plan, as_json=as_json)
@@ -80,13 +89,16 @@ def speed(
     gyro: Gyro = None,
     quick: Quick = False,
     cache: Cache = None,
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("bench-speed"),
+    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
+        "bench-speed"
+    ),
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Measure what an estimate costs: processor time, time and memory per photo, one after the other on one thread.
 
-    Cells are those of python -m lab bench blind with the same protocol, one motion per photo: a common --cache has them already.
+    Cells are those of python -m lab bench blind with the same protocol, one motion per photo: a
+    common --cache has them already.
 
     Example: python -m lab bench speed --quick -o speed
     """
@@ -97,7 +109,14 @@ def speed(
 
         engine = Engine.of(output, cache=cache, workers=1, dask=None)
         return speed_job(
-            output, engine, data=data, protocol=protocol, methods=_names(methods), gyro=gyro, quick=quick, force=force
+            output,
+            engine,
+            data=data,
+            protocol=protocol,
+            methods=_names(methods),
+            gyro=gyro,
+            quick=quick,
+            force=force,
         )
 
     run_job(plan, as_json=as_json)
@@ -111,10 +130,11 @@ def _names(text: str) -> list[str]:
 OwnCodes = Annotated[
     list[str] | None,
     typer.Option(
-        "--code", metavar="NAME=SOURCE",
+        "--code",
+        metavar="NAME=SOURCE",
         help="Also a code of your own: bits, code.json, a name or module:name, as my=1011; may be repeated.",
     ),
-]  # fmt: skip
+]
 
 
 def cep(
@@ -151,20 +171,23 @@ def cep(
     workers: Workers = None,
     dask: Dask = None,
     cache: Cache = None,
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("bench-cep"),
+    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
+        "bench-cep"
+    ),
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Compare codes by the photos they give: the paper's table III, and ours with real borders, light and directions.
 
-    Every row takes the same sharp photos along the same motions, and every search has the same budget. Finished cells
-    are kept: stopped by Ctrl-C, the same command with --force goes on.
+    Every row takes the same sharp photos along the same motions, and every search has the same
+    budget. Finished cells are kept: stopped by Ctrl-C, the same command with --force goes on.
 
     Example: python -m lab bench cep --quick --protocol ours -o coded
 
     Example: python -m lab bench cep --quick --designs open,both-ways --code my=101100111000
 
-    Example: python -m lab bench cep --designs dce,oracle,calibrated-4 --set photos=2 --set motions=6
+    Example: python -m lab bench cep --designs dce,oracle,calibrated-4 --set photos=2 --set
+    motions=6
     """
 
     def plan() -> Job:
@@ -173,9 +196,16 @@ def cep(
 
         engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
         return cep_job(
-            output, engine, data=data, protocol=protocol, designs=_names(designs), codes=code or (),
-            changes=changes or (), quick=quick, force=force,
-        )  # fmt: skip
+            output,
+            engine,
+            data=data,
+            protocol=protocol,
+            designs=_names(designs),
+            codes=code or (),
+            changes=changes or (),
+            quick=quick,
+            force=force,
+        )
 
     run_job(plan, as_json=as_json)
 
@@ -185,14 +215,21 @@ _SEARCH_S = 30.0
 
 def codes(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME", help="Published codes; Jeon's table when no code is named.")
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME", help="Published codes; Jeon's table when no code is named."
+        ),
     ] = None,
     code: OwnCodes = None,
-    time_s: Annotated[float, typer.Option("--time", metavar="S", help="Time of each search, seconds.")] = _SEARCH_S,
+    time_s: Annotated[
+        float, typer.Option("--time", metavar="S", help="Time of each search, seconds.")
+    ] = _SEARCH_S,
     workers: Workers = None,
     dask: Dask = None,
     cache: Cache = None,
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("bench-codes"),
+    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
+        "bench-codes"
+    ),
     force: Force = False,
     seed: Seed = 0,
     as_json: Json = False,
@@ -209,12 +246,22 @@ def codes(
         from lab.bench.codes_job import codes_job
 
         engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
-        return codes_job(output, engine, names=names or (), codes=code or (), time_s=time_s, seed=seed, force=force)
+        return codes_job(
+            output,
+            engine,
+            names=names or (),
+            codes=code or (),
+            time_s=time_s,
+            seed=seed,
+            force=force,
+        )
 
     run_job(plan, as_json=as_json)
 
 
-bench = typer.Typer(invoke_without_command=True, no_args_is_help=True, subcommand_metavar="[TABLE [ARGS]...]")
+bench = typer.Typer(
+    invoke_without_command=True, no_args_is_help=True, subcommand_metavar="[TABLE [ARGS]...]"
+)
 bench.command("blind")(blind)
 bench.command("cep")(cep)
 bench.command("speed")(speed)
@@ -230,14 +277,17 @@ def everything(
     workers: Workers = None,
     dask: Dask = None,
     cache: Cache = None,
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path("bench"),
+    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
+        "bench"
+    ),
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Compare with what others published: one table by its name, or with options alone all of them in one folder.
 
-    Finished cells are kept: stopped by Ctrl-C, the same command with --force goes on. Exit code 1 when a cell failed,
-    130 when stopped; what is finished is written either way. Costs are measured here, never on --dask's cluster.
+    Finished cells are kept: stopped by Ctrl-C, the same command with --force goes on. Exit code 1
+    when a cell failed, 130 when stopped; what is finished is written either way. Costs are
+    measured here, never on --dask's cluster.
 
     Example: python -m lab bench --quick -o bench
     """
@@ -251,14 +301,18 @@ def everything(
         from lab.bench.job import spelled
 
         engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
-        jobs = all_jobs(output, engine, data=data, gyro=gyro, search_s=_SEARCH_S, quick=quick, force=force)
+        jobs = all_jobs(
+            output, engine, data=data, gyro=gyro, search_s=_SEARCH_S, quick=quick, force=force
+        )
     parts: dict[str, Part] = {}
     for name, job in jobs.items():
         with progress(name) as tick:
             parts[name] = job.run(tick)
         if parts[name].missing:
             break  # by Ctrl-C
-    command = spelled("", {"--data": data and data.resolve().name, "--gyro": gyro and gyro.name}, quick=quick)
+    command = spelled(
+        "", {"--data": data and data.resolve().name, "--gyro": gyro and gyro.name}, quick=quick
+    )
     unmade = [name for name in jobs if name not in parts]
     index = write_index(output, list(parts.values()), command=command, unmade=unmade)
     failed = sum(len(part.failures) for part in parts.values())
@@ -289,5 +343,8 @@ def _refuse_options(context: typer.Context) -> None:
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if source is not None and source.name == "COMMANDLINE":
-            option, table = parameter.opts[0], context.invoked_subcommand
-            raise ValueError(f"{option}: belongs after the table's name: python -m lab bench {table} {option}")
+            option = parameter.opts[0]
+            table = context.invoked_subcommand
+            raise ValueError(
+                f"{option}: belongs after the table's name: python -m lab bench {table} {option}"
+            )

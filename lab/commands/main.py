@@ -42,4 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         The command line without the program's name; that of this process when omitted.
     """
-    return run_app(app, list(sys.argv[1:] if arguments is None else arguments) or ["--help"], name="python -m lab")
+    return run_app(
+        app,
+        list(sys.argv[1:] if arguments is None else arguments) or ["--help"],
+        name="python -m lab",
+    )

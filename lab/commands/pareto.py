@@ -19,7 +19,7 @@ from cep.commands.code_options import (
     MinPeriod,
     OpenChips,
     chips_option,
-)  # fmt: skip
+)
 from cep.commands.commands import in_options
 from cep.commands.console import finish, progress, table
 from cep.commands.options import (
@@ -45,8 +45,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lab.fronts.run import FrontComparison
-
-__all__ = ["pareto"]
 
 
 _FIGURES = (".png", ".pdf", ".svg")
@@ -98,37 +96,47 @@ def pareto(
 ) -> None:
     """Search the codes that no other beats in minimum, noise and light together; Ctrl-C keeps what is found so far.
 
-    A code is beaten when another is at least as good in all three and better in one: its smallest |H|, larger is
-    better; its noise gain, 10 log10 mean 1/|H|^2, smaller is better; its open chips, more is better. Codes with a zero
-    are left out. Both figures are light-true: a darker code pays for its lost light.
+    A code is beaten when another is at least as good in all three and better in one: its smallest
+    |H|, larger is better; its noise gain, 10 log10 mean 1/|H|^2, smaller is better; its open
+    chips, more is better. Codes with a zero are left out. Both figures are light-true: a darker
+    code pays for its lost light.
 
-    Without a motion the front is for straight motion at any speed: the minimum is that of |P| over the whole unit
-    circle, in chips, and the noise that of P alone, without the blur within a chip. Along a straight motion the
-    minimum is over the band's continuum, and both include that blur. Along a curved path nearly every code has true
-    zeros at single frequencies: the front is then over noise and light alone, noise and minimum are those over the
-    samples, and the minimum, which proves nothing, is shown for comparison.
+    Without a motion the front is for straight motion at any speed: the minimum is that of |P| over
+    the whole unit circle, in chips, and the noise that of P alone, without the blur within a chip.
+    Along a straight motion the minimum is over the band's continuum, and both include that blur.
+    Along a curved path nearly every code has true zeros at single frequencies: the front is then
+    over noise and light alone, noise and minimum are those over the samples, and the minimum,
+    which proves nothing, is shown for comparison.
 
-    Along a motion it is said first whether to code at all: verdict, choice and gains_db of --json, as of cep optimize,
-    are null without a motion. single is the best single exposure, measured as the front is.
+    Along a motion it is said first whether to code at all: verdict, choice and gains_db of --json,
+    as of cep optimize, are null without a motion. single is the best single exposure, measured as
+    the front is.
 
     Example: python -m lab pareto --chips 52 --open 22:40 --time 60 -o front.json --plot front.png
     """
     with progress("searching") as tick:
         from cep.files.outputs import Outputs
         from cep.search.limits import RunLimits
-        from cep.search.problem import Scenario, SearchProblem
+        from cep.search.problem import SearchProblem
+        from cep.search.scenarios import Scenario
         from cep.search.search_options import open_limits
         from lab.fronts.run import pareto as find_front
         from motdiff.files.trajectories import stated_uncertainty_px
 
         picture = plot or output.with_suffix(".png")
         if picture.suffix.lower() not in _FIGURES:
-            raise ValueError(f"--plot: must end in {', '.join(_FIGURES[:-1])} or {_FIGURES[-1]}, got {picture}")
+            raise ValueError(
+                f"--plot: must end in {', '.join(_FIGURES[:-1])} or {_FIGURES[-1]}, got {picture}"
+            )
         if picture == output:
             raise ValueError(f"--plot: must be another file than the output, got {picture}")
         stated = trajectory is not None or linear is not None
         motion = load_motion(trajectory, linear) if stated else None
-        error_px = None if motion is None or trajectory is None else stated_uncertainty_px(motion, trajectory)
+        error_px = (
+            None
+            if motion is None or trajectory is None
+            else stated_uncertainty_px(motion, trajectory)
+        )
         problem = SearchProblem(
             chips=chips,
             scenarios=() if motion is None else (Scenario(motion.trajectory),),
@@ -147,30 +155,50 @@ def pareto(
         inputs = () if trajectory is None else (trajectory,)
         outputs = Outputs((output, picture, *table_files(tables)), force, inputs)
         found = find_front(
-            problem, steps=steps, time_s=time_s, seed=seed, path_error_px=error_px or 0.0, progress=tick,
+            problem,
+            steps=steps,
+            time_s=time_s,
+            seed=seed,
+            path_error_px=error_px or 0.0,
+            progress=tick,
             on_checked=outputs.check,
-        )  # fmt: skip
+        )
     warnings = [in_options(line, context) for line in found.warnings]
-    result = {"file": output, "plot": picture, **found.to_dict(), "seed": seed, "warnings": warnings}
+    result = {
+        "file": output,
+        "plot": picture,
+        **found.to_dict(),
+        "seed": seed,
+        "warnings": warnings,
+    }
     source = {"trajectory": trajectory, "linear_px": linear}
     finish(
-        result, as_json=as_json, show=lambda console: _show(console, found, output, picture), outputs=outputs,
-        save=lambda made: found.save(made[output], made[picture], source=source), tables=tables,
+        result,
+        as_json=as_json,
+        show=lambda console: _show(console, found, output, picture),
+        outputs=outputs,
+        save=lambda made: found.save(made[output], made[picture], source=source),
+        tables=tables,
         summary=in_bits(point.code for point in found.front.points),
-    )  # fmt: skip
+    )
 
 
 def _show(console: Console, found: FrontComparison, output: Path, picture: Path) -> None:
     from cep.optics.mtf import HOPELESS_DB
 
-    front, named = found.front, found.knees
+    front = found.front
+    named = found.knees
     if found.verdict is None:
-        console.print("Whether to code at all depends on the motion and the camera: cep advise --linear PX says it.")
+        console.print(
+            "Whether to code at all depends on the motion and the camera: cep advise --linear PX says it."
+        )
     else:
         console.print(found.verdict.sentence)
     ended = f"{front.seconds:.1f} s, {ending(front.stopped, front.steps)}"
     console.print(f"{output}, {picture}: {len(front.points)} codes that none found beats; {ended}")
-    least = {"chips": "min |P|, chips", "light-true": "min MTF"}.get(front.unit, "min MTF, sampled")
+    least = {"chips": "min |P|, chips", "light-true": "min MTF"}.get(
+        front.unit, "min MTF, sampled"
+    )
     others = {f"published: {name}": point for name, point in found.published.items()}
     if found.single is not None:
         others = {"best single exposure": found.single, **others}

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 Data = Annotated[
     Path | None,
     typer.Option(
-        "--data", metavar="FOLDER", help="Folder of photos; scikit-image's own when omitted, fit to try it only."
+        "--data",
+        metavar="FOLDER",
+        help="Folder of photos; scikit-image's own when omitted, fit to try it only.",
     ),
 ]
 Quick = Annotated[bool, typer.Option("--quick", help="The protocol's small size.")]
@@ -78,7 +80,10 @@ def show_tables(console: Console, tables: Sequence[Table | TextTable]) -> None:
             console.print(table(one.title, one.head, one.lines))
             console.print(one.note)
             continue
-        lines = [(label, *map(_shown, one.columns, entries), *one.sizes(label)) for label, entries in one.rows.items()]
+        lines = [
+            (label, *map(_shown, one.columns, entries), *one.sizes(label))
+            for label, entries in one.rows.items()
+        ]
         console.print(table(one.title, one.head, lines, kept=1))
 
 

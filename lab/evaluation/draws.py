@@ -6,13 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motdiff.metrics import mnc_matrix, mnc_subpixel
-
-__all__ = ["DrawFigures", "measure_draws"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -26,8 +22,9 @@ class DrawFigures:
     alike : float
         Mean MNC of two draws: 1 where all are the same guess.
     covered : bool
-        False where the true kernel is the outlier: less like its nearest draw than every draw is like its nearest
-        other kernel. Of K draws from the true distribution, a share of ``K / (K + 1)`` of photos is covered.
+        False where the true kernel is the outlier: less like its nearest draw than every draw is
+        like its nearest other kernel. Of K draws from the true distribution, a share of ``K / (K +
+        1)`` of photos is covered.
     """
 
     best: float
@@ -50,9 +47,9 @@ def measure_draws(draws: Sequence[FloatArray], truth: FloatArray) -> DrawFigures
 
     Notes
     -----
-    True kernel and draws of the right distribution are exchangeable: each of the K + 1 is the outlier with the same
-    probability. The share of covered photos is therefore known without a density: lower means draws that are too alike,
-    or wrong.
+    True kernel and draws of the right distribution are exchangeable: each of the K + 1 is the
+    outlier with the same probability. The share of covered photos is therefore known without a
+    density: lower means draws that are too alike, or wrong.
     """
     if len(draws) < 2:
         raise ValueError(f"draws: must be at least 2, got {len(draws)}")

@@ -8,16 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from motdiff.psf_frame import PSF_PX, centred, in_frame
 from motdiff.tracing.quadratic import most_alike_quadratic
 from motdiff.trajectory import Trajectory
-
-__all__ = ["delta", "floors", "gaussian", "mean_psf", "path_kernel", "quadratic_kernel"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _ROUNDS = 3
 _SIGMA_PX = 4.0
@@ -40,11 +36,13 @@ def gaussian(sigma_px: float = _SIGMA_PX, size: int = PSF_PX) -> FloatArray:
 def mean_psf(psfs: Sequence[FloatArray]) -> FloatArray:
     """Mean of PSFs (S, S) of even size, sum 1, its centroid at index ``S // 2`` to whole pixels.
 
-    MNC ignores shifts, so each motion is laid where it is most like the others (three rounds of registration to the
-    mean). With the centroids on each other instead, shakes that dwell in one place average to a blur: over 60 gyro
-    motions 0.40 instead of 0.53, a floor that is too easy to beat.
+    MNC ignores shifts, so each motion is laid where it is most like the others (three rounds of
+    registration to the mean). With the centroids on each other instead, shakes that dwell in one
+    place average to a blur: over 60 gyro motions 0.40 instead of 0.53, a floor that is too easy to
+    beat.
     """
-    size, room = len(psfs[0]), len(psfs[0]) // 2
+    size = len(psfs[0])
+    room = len(psfs[0]) // 2
     padded = np.pad(np.asarray(psfs), [(0, 0), (room, room), (room, room)])
     spectra = fft.rfft2(padded)
     mean = padded.mean(axis=0)
@@ -52,7 +50,10 @@ def mean_psf(psfs: Sequence[FloatArray]) -> FloatArray:
         lags = fft.irfft2(fft.rfft2(mean) * spectra.conj(), s=mean.shape)
         peaks = lags.reshape(len(padded), -1).argmax(axis=1)
         moves = zip(*np.unravel_index(peaks, mean.shape), strict=True)
-        mean = np.mean([np.roll(psf, move, axis=(0, 1)) for psf, move in zip(padded, moves, strict=True)], axis=0)
+        mean = np.mean(
+            [np.roll(psf, move, axis=(0, 1)) for psf, move in zip(padded, moves, strict=True)],
+            axis=0,
+        )
     framed = in_frame(centred(mean), size)
     return np.asarray(framed / framed.sum(), dtype=np.float64)
 
@@ -71,7 +72,9 @@ def path_kernel(trajectory: Trajectory) -> FloatArray:
 
     from motdiff.network.sampling import psfs_of_maps
 
-    return np.asarray(psfs_of_maps(torch.from_numpy(trajectory.hr_map().astype(np.float64))), dtype=np.float64)
+    return np.asarray(
+        psfs_of_maps(torch.from_numpy(trajectory.hr_map().astype(np.float64))), dtype=np.float64
+    )
 
 
 def quadratic_kernel(trajectory: Trajectory) -> FloatArray:

@@ -7,7 +7,6 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lab.evaluation.draws import measure_draws
 from lab.evaluation.sets import Case
@@ -22,18 +21,26 @@ from motdiff.metrics import (
     psnr_ssim_up_to_shift,
 )
 from motdiff.psf_frame import PSF_PX
-
-__all__ = ["DRAW_FIGURES", "FIGURES", "RESTORATION", "Measured", "measure_estimator", "measure_psf", "restored"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 DRAW_FIGURES = ("best_draw", "draws_alike", "covered")
 """Names of the figures of :class:`Measured` that only several draws have."""
 
-FIGURES = ("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim", "confidence", "cpu_s", *DRAW_FIGURES)
+FIGURES = (
+    "mnc",
+    "mnc_subpixel",
+    "path_mnc",
+    "path_px",
+    "psnr_db",
+    "ssim",
+    "confidence",
+    "cpu_s",
+    *DRAW_FIGURES,
+)
 """Names of the figures of :class:`Measured`."""
 
-_LEAST_WEIGHT, _MOST_WEIGHT = 2e-4, 2e-3
+_LEAST_WEIGHT = 2e-4
+_MOST_WEIGHT = 2e-3
 _WEIGHT_PER_VARIANCE = 2.5
 _NAN = math.nan
 
@@ -65,7 +72,8 @@ class Measured:
     cpu_s : float, seconds
         Processor time of the estimate, all threads, including earlier runs of a resumed estimate.
     best_draw, draws_alike, covered : float
-        Of an estimate with several draws, as in :class:`lab.evaluation.draws.DrawFigures`; ``covered`` is 0 or 1.
+        Of an estimate with several draws, as in :class:`lab.evaluation.draws.DrawFigures`;
+        ``covered`` is 0 or 1.
     """
 
     psf: FloatArray
@@ -98,13 +106,16 @@ def measure_psf(case: Case, psf: FloatArray, *, restore: bool = True) -> Measure
         If the kernel is not finite, or zero.
     """
     psnr_db, ssim = _restoration(case, psf) if restore else (_NAN, _NAN)
-    return Measured(psf, mnc(psf, case.psf), mnc_subpixel(psf, case.psf), psnr_db=psnr_db, ssim=ssim)
+    return Measured(
+        psf, mnc(psf, case.psf), mnc_subpixel(psf, case.psf), psnr_db=psnr_db, ssim=ssim
+    )
 
 
 def measure_estimator(case: Case, estimator: Estimator, *, restore: bool = True) -> Measured:
     """Run an estimator on the photo and measure its result.
 
-    An estimate resumed from a checkpoint has its earlier processor time in its details, as ``earlier_cpu_s``.
+    An estimate resumed from a checkpoint has its earlier processor time in its details, as
+    ``earlier_cpu_s``.
 
     Parameters
     ----------
@@ -125,11 +136,15 @@ def measure_estimator(case: Case, estimator: Estimator, *, restore: bool = True)
     cpu_s += _earlier_cpu_s(estimate)
     kernel = measure_psf(case, estimate.psf, restore=restore)
     path_mnc, path_px = _path_figures(case, estimate)
-    whole = replace(kernel, path_mnc=path_mnc, path_px=path_px, confidence=estimate.confidence, cpu_s=cpu_s)
+    whole = replace(
+        kernel, path_mnc=path_mnc, path_px=path_px, confidence=estimate.confidence, cpu_s=cpu_s
+    )
     if len(estimate.draws) < 2:
         return whole
     drawn = measure_draws(estimate.draws, case.psf)
-    return replace(whole, best_draw=drawn.best, draws_alike=drawn.alike, covered=float(drawn.covered))
+    return replace(
+        whole, best_draw=drawn.best, draws_alike=drawn.alike, covered=float(drawn.covered)
+    )
 
 
 def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:
@@ -155,7 +170,8 @@ def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:
     from motdiff.estimators.pmp.latent import Coupling, l0_pmp_latent
 
     height, width = photo.shape
-    # 2.5 sigma^2 is near the best of 1e-4..1e-2 at sigma 0.01 and 0.03; without noise PMP's 2e-4 for Levin's photos
+    # 2.5 sigma^2 is near the best of 1e-4..1e-2 at sigma 0.01 and 0.03; without noise PMP's 2e-4
+    # for Levin's photos
     weight = min(max(_WEIGHT_PER_VARIANCE * noise_sigma(photo) ** 2, _LEAST_WEIGHT), _MOST_WEIGHT)
     with torch.no_grad():
         blurred = torch.from_numpy(np.ascontiguousarray(photo, dtype=np.float32))[None]

@@ -14,17 +14,16 @@ from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
 from motdiff.files.plugins import is_reference
 from motdiff.psf_frame import in_frame
 
-__all__ = ["METHODS", "SLOW_METHODS", "NetworkAlone", "named_estimators", "split_weights"]
-
 SLOW_METHODS = ("selfdeblur", "blinddps")
 """Hours per photo on a CPU: run only where they are named."""
 
 METHODS = ("pmp", "motdiff", "network", "networks", "parametric", "psf-diffusion", *SLOW_METHODS)
 """Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both take one DDIM step where
-none are named), ``network:SAMPLER:STEPS:DRAWS``, which measures that many draws of each photo as well, ``networks``
-with the same additions, whose draws are corrected by the second network,
-``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps tells only what it needs.
-``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE``, or ``networks``, take other weights of MoTDiff than the
+none are named), ``network:SAMPLER:STEPS:DRAWS``, which measures that many draws of each photo as
+well, ``networks`` with the same additions, whose draws are corrected by the second network,
+``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps tells only
+what it needs. ``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE``, or ``networks``, take other
+weights of MoTDiff than the
 package's."""
 
 _WITH_WEIGHTS = ("motdiff", "network", "networks")
@@ -33,7 +32,8 @@ _WITH_WEIGHTS = ("motdiff", "network", "networks")
 class NetworkAlone:
     """The network's output: no scoring, no refinement, no fall-back; unchanged, or corrected by the second network.
 
-    The paper measures draws of many steps; one step, as MoTDiff takes here, gives the mean guess and a higher MNC.
+    The paper measures draws of many steps; one step, as MoTDiff takes here, gives the mean guess
+    and a higher MNC.
 
     Parameters
     ----------
@@ -46,7 +46,8 @@ class NetworkAlone:
     count : int
         Number of draws. The first is the estimate, which has them all where there are several.
     corrected : bool
-        Whether each draw is corrected (:mod:`motdiff.network.correction`), told of the kernels of quick searches.
+        Whether each draw is corrected (:mod:`motdiff.network.correction`), told of the kernels of
+        quick searches.
     """
 
     def __init__(
@@ -67,12 +68,20 @@ class NetworkAlone:
 
         # refuses an unknown sampler or number of steps now, not at every photo
         samples(
-            lambda x, _t: x, (1,), schedule=cosine_schedule(), steps=steps, generator=torch.Generator(), method=sampler
+            lambda x, _t: x,
+            (1,),
+            schedule=cosine_schedule(),
+            steps=steps,
+            generator=torch.Generator(),
+            method=sampler,
         )
         self._network = load_network() if weights is None else load_network(weights)
         if count < 1:
             raise ValueError(f"count: must be at least 1, got {count}")
-        self._sampler, self._steps, self._seed, self._count = sampler, steps, seed, count
+        self._sampler = sampler
+        self._steps = steps
+        self._seed = seed
+        self._count = count
         self._correction = load_correction() if corrected else None
 
     def estimate(self, photo: NDArray[np.float64]) -> MotionEstimate:
@@ -85,8 +94,10 @@ class NetworkAlone:
         from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
         from motdiff.tracing import simplest_trajectory
 
-        grey, method = luminance(photo), "network"
-        sigma, classical = noise_sigma(grey), np.zeros((0, 64, 64))
+        grey = luminance(photo)
+        method = "network"
+        sigma = noise_sigma(grey)
+        classical = np.zeros((0, 64, 64))
         if self._network.physics is not None or self._correction is not None:
             classical = quick_search(grey[None], sigma=sigma)
         generator = torch.Generator().manual_seed(self._seed)
@@ -100,11 +111,18 @@ class NetworkAlone:
             method=self._sampler,
         )
         if self._correction is not None:
-            others, method = list(classical[:2]), "networks"
-            better = [corrected_kernel(self._correction, grey[None], psf, others, sigma=sigma) for psf in drawn]
+            others = list(classical[:2])
+            method = "networks"
+            better = [
+                corrected_kernel(self._correction, grey[None], psf, others, sigma=sigma)
+                for psf in drawn
+            ]
             drawn = in_frame(np.stack(better))
-        psf, draws = drawn[0], tuple(drawn) if len(drawn) > 1 else ()
-        return MotionEstimate(method, (simplest_trajectory(psf),), (1.0,), psf, confidence=0.0, draws=draws)
+        psf = drawn[0]
+        draws = tuple(drawn) if len(drawn) > 1 else ()
+        return MotionEstimate(
+            method, (simplest_trajectory(psf),), (1.0,), psf, confidence=0.0, draws=draws
+        )
 
 
 def split_weights(method: str) -> tuple[str, Path | None]:
@@ -140,7 +158,9 @@ def _named(method: str) -> Estimator:
     kind = name.split(":")[0]
     if kind not in METHODS:
         if not is_reference(method):
-            raise ValueError(f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}")
+            raise ValueError(
+                f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}"
+            )
         return load_estimator(method)
     if weights is not None and not weights.is_file():
         raise FileNotFoundError(f"{weights}: no such file of weights")
@@ -169,7 +189,9 @@ def _psf_diffusion(steps: str) -> Estimator:
     from lab.rivals.psf_diffusion import PsfDiffusionEstimator
 
     if steps and not steps.isdigit():
-        raise ValueError(f"method: must be psf-diffusion or psf-diffusion:STEPS, got {'psf-diffusion:' + steps!r}")
+        raise ValueError(
+            f"method: must be psf-diffusion or psf-diffusion:STEPS, got {'psf-diffusion:' + steps!r}"
+        )
     return PsfDiffusionEstimator(steps=int(steps)) if steps else PsfDiffusionEstimator()
 
 
@@ -177,7 +199,9 @@ def _selfdeblur(iterations: str) -> Estimator:
     from lab.rivals.selfdeblur import SelfDeblurConfig, SelfDeblurEstimator
 
     if iterations and not iterations.isdigit():
-        raise ValueError(f"method: must be selfdeblur or selfdeblur:ITERATIONS, got {'selfdeblur:' + iterations!r}")
+        raise ValueError(
+            f"method: must be selfdeblur or selfdeblur:ITERATIONS, got {'selfdeblur:' + iterations!r}"
+        )
     config = SelfDeblurConfig(iterations=int(iterations)) if iterations else SelfDeblurConfig()
     # an interrupted evaluation resumes in the middle of its photo
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
@@ -195,7 +219,9 @@ def _of_network(method: str, weights: Path | None) -> Estimator:
             return alone()
         case ["network" | "networks", sampler, steps] if steps.isdigit():
             return alone(sampler=sampler, steps=int(steps))
-        case ["network" | "networks", sampler, steps, count] if steps.isdigit() and count.isdigit() and int(count) > 0:
+        case ["network" | "networks", sampler, steps, count] if (
+            steps.isdigit() and count.isdigit() and int(count) > 0
+        ):
             return alone(sampler=sampler, steps=int(steps), count=int(count))
     known = "network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS, or networks with the same additions"
     raise ValueError(f"method: must be {known}, got {method!r}")

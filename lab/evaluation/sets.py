@@ -6,14 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motdiff.files.mat_files import levin_psf, read_mat
 from motdiff.trajectory import Trajectory
-
-__all__ = ["Case", "levin_photo"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -49,16 +45,26 @@ def levin_photo(path: Path) -> Case:
 
     References
     ----------
-    Levin, Weiss, Durand, Freeman, "Understanding and evaluating blind deconvolution algorithms", CVPR 2009.
+    Levin, Weiss, Durand, Freeman, "Understanding and evaluating blind deconvolution algorithms",
+    CVPR 2009.
     """
     data = read_mat(path, "xyf")
     if missing := [name for name in "xyf" if name not in data]:
-        raise ValueError(f"{path}: lacks the variable {missing[0]}; wanted x (sharp), y (blurred) and f (kernel)")
+        raise ValueError(
+            f"{path}: lacks the variable {missing[0]}; wanted x (sharp), y (blurred) and f (kernel)"
+        )
     for name, table in data.items():
-        if table.ndim != 2 or table.dtype.kind not in "fiub" or not table.size or not np.isfinite(table).all():
+        if (
+            table.ndim != 2
+            or table.dtype.kind not in "fiub"
+            or not table.size
+            or not np.isfinite(table).all()
+        ):
             raise ValueError(f"{path}: its variable {name} must be one table of finite numbers")
     sharp, blurred, kernel = (np.asarray(data[name], dtype=np.float64) for name in "xyf")
     if sharp.shape != blurred.shape or kernel.min() < 0 or not 0 < kernel.sum() < np.inf:
-        raise ValueError(f"{path}: x and y must have the same size, and f be non-negative and not all zero")
+        raise ValueError(
+            f"{path}: x and y must have the same size, and f be non-negative and not all zero"
+        )
     psf = levin_psf(kernel)
     return Case(np.clip(blurred, 0, 1), psf / psf.sum(), sharp)

@@ -14,11 +14,7 @@ from cep.optics.mtf import HOPELESS_DB
 from cep.search.annealing.anneal import Stopped
 from cep.search.objective import Objective, continuum_minimum
 from cep.search.problem import SearchProblem
-
-__all__ = ["EQUAL_DB", "Archive", "Front", "FrontPoint", "Judge", "knees", "non_dominated"]
-
-
-BoolArray = NDArray[np.bool_]
+from motdiff.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -31,7 +27,8 @@ class FrontPoint:
     minimum : float
         Smallest |H|, or |P| in chips; see :attr:`Front.unit`.
     noise_db : float
-        ``10 log10 mean 1/|H|^2``, light-true; infinite for a zero on the unit circle or along a straight motion.
+        ``10 log10 mean 1/|H|^2``, light-true; infinite for a zero on the unit circle or along a
+        straight motion.
     open_chips : int
     mse_db : float
         ``10 log10`` of the Wiener restoration's mean square error under the problem's camera.
@@ -53,18 +50,20 @@ class Front:
     points : tuple of FrontPoint
         Not beaten by any code found, darkest first, then by minimum.
     curves : mapping of int to tuple of FrontPoint
-        For every number of open chips the codes not beaten by others of the same light, by minimum.
+        For every number of open chips the codes not beaten by others of the same light, by
+        minimum.
     unit : {"chips", "light-true", "light-true, sampled"}
         Of the minimum. In chips: of |P| over the whole unit circle. Light-true: of |H| over the band's continuum.
-        Sampled: along a curved path nearly every code has true zeros between the samples, so that the minimum over
-        the continuum does not distinguish codes. The one over the samples is shown, but the front is over noise and
-        light alone.
+        Sampled: along a curved path nearly every code has true zeros between the samples, so that
+        the minimum over the continuum does not distinguish codes. The one over the samples is
+        shown, but the front is over noise and light alone.
     problem : SearchProblem
     seconds : float
     steps : int
         Moves tried by the annealing.
     stopped : {"steps", "time", "interrupted"}
-        Reason of its end: all moves made, the time limit, which makes the front depend on the machine, or Ctrl-C.
+        Reason of its end: all moves made, the time limit, which makes the front depend on the
+        machine, or Ctrl-C.
     """
 
     points: tuple[FrontPoint, ...]
@@ -106,7 +105,9 @@ def non_dominated(values: ArrayLike) -> BoolArray:
     """
     table = np.asarray(values, dtype=np.float64)
     if table.ndim != 2 or np.isnan(table).any():
-        raise ValueError(f"values: must be a table of numbers (R, C) without NaN, got shape {table.shape}")
+        raise ValueError(
+            f"values: must be a table of numbers (R, C) without NaN, got shape {table.shape}"
+        )
     rows, place = np.unique(table, axis=0, return_inverse=True)
     keep = np.ones(len(rows), dtype=np.bool_)
     for index in range(len(rows) - 1, -1, -1):
@@ -119,8 +120,9 @@ def non_dominated(values: ArrayLike) -> BoolArray:
 def knees(front: Front) -> dict[str, FrontPoint]:
     """Select the best minimum, the least noise, the most light, and the best compromise.
 
-    The compromise loses the fewest decibels in all against the best of each: 20 log10 of the minimum, the noise, and 10
-    log10 of the light. Where the minimum is a sampled one, it does not count.
+    The compromise loses the fewest decibels in all against the best of each: 20 log10 of the
+    minimum, the noise, and 10 log10 of the light. Where the minimum is a sampled one, it does not
+    count.
     """
     if not front.points:
         return {}
@@ -129,7 +131,11 @@ def knees(front: Front) -> dict[str, FrontPoint]:
         minimum_db = 0.0 if front.sampled else 20 * float(np.log10(point.minimum))
         return minimum_db - point.noise_db + 10 * float(np.log10(point.open_chips))
 
-    picked = {"best minimum": max(front.points, key=lambda p: (p.minimum, -p.noise_db))} if not front.sampled else {}
+    picked = (
+        {"best minimum": max(front.points, key=lambda p: (p.minimum, -p.noise_db))}
+        if not front.sampled
+        else {}
+    )
     return picked | {
         "least noise": min(front.points, key=lambda p: (p.noise_db, -p.open_chips)),
         "compromise": max(front.points, key=worth),
@@ -137,13 +143,14 @@ def knees(front: Front) -> dict[str, FrontPoint]:
     }
 
 
-FloatArray = NDArray[np.float64]
 Codes = NDArray[np.int8]
 
 EQUAL_DB = 1e-7
 """Figures as close are equal: those of a code and its mirror image agree only up to rounding."""
 
-_SLACK_DB = np.array([1e-3, 0.05])  # what coarse samples may make of the minimum, in float32, and of the noise
+_SLACK_DB = np.array(
+    [1e-3, 0.05]
+)  # what coarse samples may make of the minimum, in float32, and of the noise
 _SAMPLES = 1024  # of coarse ones on the unit circle, or 8 a chip
 _JUDGED = 32  # codes at once
 _SWAPS = 4096  # neighbours of a code that are looked at
@@ -172,7 +179,9 @@ class Judge:
         noise = Objective(self._problem, oversampling=64, dtype=np.float64)
         self._fine = (noise.instead("min-mtf"), noise, noise.instead("mse"))
         plain = problem.response is None and all(s.edges is None for s in problem.scenarios)
-        self._mirrored = plain and all(uniform_length_px(s.trajectory) is not None for s in problem.scenarios)
+        self._mirrored = plain and all(
+            uniform_length_px(s.trajectory) is not None for s in problem.scenarios
+        )
 
     def key(self, code: Codes) -> bytes:
         """Key of a code, the same for shifted and mirrored ones where these are equivalent."""
@@ -190,7 +199,9 @@ class Judge:
         found = self._figures(self._fine[:2], codes)
         if not self.sampled_only:
             with np.errstate(divide="ignore"):
-                found[:, 0] = 20 * np.log10([self._minimum(ShutterCode.from_array(code)) for code in codes])
+                found[:, 0] = 20 * np.log10(
+                    [self._minimum(ShutterCode.from_array(code)) for code in codes]
+                )
         return found
 
     def points(self, codes: Sequence[Codes]) -> tuple[FrontPoint, ...]:
@@ -204,18 +215,26 @@ class Judge:
             FrontPoint(
                 ShutterCode.from_array(code),
                 unit * 10 ** (low / 20),
-                -quiet if np.isfinite(low) else np.inf,  # samples may well miss a zero, the mean over all does not
+                -quiet
+                if np.isfinite(low)
+                else np.inf,  # samples may well miss a zero, the mean over all does not
                 int(code.sum()),
                 -mse,
             )
-            for code, (low, quiet), mse in zip(every, self.exact(every).tolist(), mse_db.tolist(), strict=True)
+            for code, (low, quiet), mse in zip(
+                every, self.exact(every).tolist(), mse_db.tolist(), strict=True
+            )
         )
 
     def _figures(self, objectives: Sequence[Objective], codes: Codes) -> FloatArray:
         step = max(1, _NUMBERS // objectives[0].rows[0, 0].size)
         parts = []
         for batch in (codes[i : i + step] for i in range(0, len(codes), step)):
-            given = (objectives[0].otf(batch), objectives[0].duty(batch), objectives[0].noise_of(batch))
+            given = (
+                objectives[0].otf(batch),
+                objectives[0].duty(batch),
+                objectives[0].noise_of(batch),
+            )
             parts.append(np.stack([-objective.cost(*given) for objective in objectives], axis=1))
         return np.concatenate(parts) if parts else np.empty((0, len(objectives)))
 
@@ -241,7 +260,8 @@ class Archive:
     """
 
     def __init__(self, judge: Judge, problem: SearchProblem) -> None:
-        self.judge, self.problem = judge, problem
+        self.judge = judge
+        self.problem = problem
         self.codes: Codes = np.empty((0, problem.chips), np.int8)
         self.values: FloatArray = np.empty((0, 2))
         self._first = 1 if judge.sampled_only else 0  # column from which figures count
@@ -260,10 +280,12 @@ class Archive:
         while len(codes):
             # coarse samples overestimate: a code dominated on them is dominated
             beaten = (self.counted[None] >= hopes[:, None]).all(axis=2).any(axis=1)
-            codes, hopes = codes[~beaten], hopes[~beaten]
+            codes = codes[~beaten]
+            hopes = hopes[~beaten]
             chosen = np.flatnonzero(non_dominated(hopes))[:_JUDGED]
             self._judge([code for code in codes[chosen] if self.judge.key(code) not in self._seen])
-            codes, hopes = np.delete(codes, chosen, axis=0), np.delete(hopes, chosen, axis=0)
+            codes = np.delete(codes, chosen, axis=0)
+            hopes = np.delete(hopes, chosen, axis=0)
 
     def look_around(self, rng: np.random.Generator) -> bool:
         """Offer all swaps of one code whose neighbours are not yet evaluated; False when there is none."""
@@ -271,7 +293,8 @@ class Archive:
         if code is None:
             return False
         self._looked_around.add(code.tobytes())
-        opened, closed = np.flatnonzero(code), np.flatnonzero(code == 0)
+        opened = np.flatnonzero(code)
+        closed = np.flatnonzero(code == 0)
         pairs = np.arange(opened.size * closed.size)
         if pairs.size > _SWAPS:
             pairs = rng.choice(pairs, _SWAPS, replace=False)
@@ -290,9 +313,11 @@ class Archive:
         new = np.array(list(fresh.values()))
         values = self.judge.exact(new)
         sound = np.isfinite(values).all(axis=1) & (values[:, 1] > -HOPELESS_DB)
-        every, codes_of = np.concatenate([self.values, values[sound]]), np.concatenate([self.codes, new[sound]])
+        every = np.concatenate([self.values, values[sound]])
+        codes_of = np.concatenate([self.codes, new[sound]])
         counted = np.round(every[:, self._first :] / EQUAL_DB)
         keep = np.flatnonzero(non_dominated(counted))
         # of equal ones the first found
         keep = keep[np.sort(np.unique(counted[keep], axis=0, return_index=True)[1])]
-        self.values, self.codes = every[keep], codes_of[keep]
+        self.values = every[keep]
+        self.codes = codes_of[keep]

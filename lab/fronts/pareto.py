@@ -1,13 +1,15 @@
 """Pareto search: non-dominated codes in the minimum of |H|, the noise and the light.
 
-Codes are searched for every number of open chips with several mixes of minimum and noise, each search from the codes
-of its neighbours. A Pareto local search then tries every swap of two chips of every non-dominated code. Codes are
-selected on coarse samples, and measured on fine ones and, for the minimum, on the continuum.
+Codes are searched for every number of open chips with several mixes of minimum and noise, each
+search from the codes of its neighbours. A Pareto local search then tries every swap of two chips
+of every non-dominated code. Codes are selected on coarse samples, and measured on fine ones and,
+for the minimum, on the continuum.
 
 References
 ----------
-Paquete, Chiarandini and Stuetzle, "Pareto local optimum sets in the biobjective traveling salesman problem: an
-experimental study", in Metaheuristics for Multiobjective Optimisation, 2004: the local search.
+Paquete, Chiarandini and Stuetzle, "Pareto local optimum sets in the biobjective traveling salesman
+problem: an experimental study", in Metaheuristics for Multiobjective Optimisation, 2004: the local
+search.
 """
 
 from __future__ import annotations
@@ -26,9 +28,7 @@ from cep.search.annealing.chains import Cooling, Crew, Walks
 from cep.search.annealing.terms import Tables, lay_out
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
-from lab.fronts.front import EQUAL_DB, Archive, Front, FrontPoint, Judge, knees, non_dominated
-
-__all__ = ["NOISE_SHARES", "Front", "FrontPoint", "front_points", "knees", "non_dominated", "pareto_front"]
+from lab.fronts.front import EQUAL_DB, Archive, Front, FrontPoint, Judge, non_dominated
 
 Codes = NDArray[np.int8]
 Progress = Callable[[float, str], None]
@@ -38,11 +38,15 @@ NOISE_SHARES = (0.0, 0.8, 1.0)
 
 _MOST_COUNTS = 64
 _LEEWAY_DB = np.array([1.5, 0.6])  # by which a count's codes may be beaten before it is given up
-_FIRST_LOOKS, _LOOKS = 3, 16  # codes looked around in one go
-_RANDOM, _VARIANTS = 8, 16  # random codes of each count, and copies of each neighbour's code with other light
+_FIRST_LOOKS = 3  # codes looked around in one go
+_LOOKS = 16
+_RANDOM = 8  # random codes of each count, and copies of each neighbour's code with other light
+_VARIANTS = 16
 _OVERSAMPLING = 8
 _CHAINS = 4
-_FIRST_MOVES, _LAST_MOVES, _GROWTH = 2**15, 2**20, 4  # of a chain in the first rounds and the last
+_FIRST_MOVES = 2**15  # of a chain in the first rounds and the last
+_LAST_MOVES = 2**20
+_GROWTH = 4
 
 
 def pareto_front(
@@ -65,15 +69,19 @@ def pareto_front(
     rng : numpy Generator
         The same seed and ``steps`` give the same front, as long as ``time_s`` is not reached.
     counts : sequence of int, optional
-        Numbers of open chips; as many as the problem allows, or 64 evenly spread over them, when omitted.
+        Numbers of open chips; as many as the problem allows, or 64 evenly spread over them, when
+        omitted.
     shares : sequence of float
-        Shares of the noise in the mixes searched, 0..1, the rest being the minimum's; on curved paths noise alone.
+        Shares of the noise in the mixes searched, 0..1, the rest being the minimum's; on curved
+        paths noise alone.
     steps : int, optional
-        Moves of the annealing, over all searches. None goes on for ``time_s``, and is not reproducible.
+        Moves of the annealing, over all searches. None goes on for ``time_s``, and is not
+        reproducible.
     time_s : float
         Upper limit, seconds, ``math.inf`` for none; the last judgement comes on top.
     progress : callable, optional
-        Called repeatedly with the fraction done and a note on the current search. It may raise KeyboardInterrupt.
+        Called repeatedly with the fraction done and a note on the current search. It may raise
+        KeyboardInterrupt.
     threads : int, optional
         As many as there are cores when omitted.
 
@@ -83,14 +91,18 @@ def pareto_front(
         If an argument is out of its range, or a count conflicts with the problem's limits.
     """
     if problem.rule != "worst":
-        raise ValueError(f'rule: a front is over the worst scenario, "worst", got {problem.rule!r}')
+        raise ValueError(
+            f'rule: a front is over the worst scenario, "worst", got {problem.rule!r}'
+        )
     if steps is not None and steps < 0:
         raise ValueError(f"steps: must be at least 0, got {steps}")
     if not time_s > 0:
         raise ValueError(f"time_s: must be above 0 seconds, got {time_s}")
     if not shares or not all(0 <= share <= 1 for share in shares):
         raise ValueError(f"shares: must be numbers within 0..1, got {tuple(shares)}")
-    search = _Search(problem, _problems_by_count(problem, counts), rng, steps, time_s, progress, threads)
+    search = _Search(
+        problem, _problems_by_count(problem, counts), rng, steps, time_s, progress, threads
+    )
     stopped: Stopped = "steps"
     try:
         search.begin()
@@ -124,8 +136,12 @@ class _Search:
         progress: Progress | None,
         threads: int | None,
     ) -> None:
-        self.problem, self.rng, self.steps, self.time_s = problem, rng, steps, time_s
-        self._progress, self._threads = progress, threads
+        self.problem = problem
+        self.rng = rng
+        self.steps = steps
+        self.time_s = time_s
+        self._progress = progress
+        self._threads = threads
         self._began = time.monotonic()
         self.moves = 0
         self.judge = Judge(problem)
@@ -136,14 +152,20 @@ class _Search:
     def begin(self) -> None:
         """Find first codes for every count, from the middle outwards."""
         done: list[int] = []
-        published = np.array([entry.code.array for entry in for_chips(self.problem.chips)], dtype=np.int8)
+        published = np.array(
+            [entry.code.array for entry in for_chips(self.problem.chips)], dtype=np.int8
+        )
         for count in sorted(self.archives, key=lambda k: abs(2 * k - self.problem.chips)):
             archive = self.archives[count]
             archive.offer(archive.problem.random_codes(_RANDOM, rng=self.rng).astype(np.int8))
             if len(published):
                 archive.offer(published)
             if done:
-                archive.offer(self._relit(self.archives[min(done, key=lambda k: abs(k - count))].codes, count))
+                archive.offer(
+                    self._relit(
+                        self.archives[min(done, key=lambda k: abs(k - count))].codes, count
+                    )
+                )
             done.append(count)
             self._settle(count, _FIRST_LOOKS)
 
@@ -153,7 +175,9 @@ class _Search:
         while self._free.size and (self.steps is None or self.moves < self.steps):
             counts = self._promising()
             if self.steps is not None:
-                moves = min(moves, -(-(self.steps - self.moves) // (len(counts) * len(shares) * _CHAINS)))
+                moves = min(
+                    moves, -(-(self.steps - self.moves) // (len(counts) * len(shares) * _CHAINS))
+                )
             for count in counts:
                 for share in shares:
                     self._anneal(count, share, moves)
@@ -165,7 +189,11 @@ class _Search:
     def front(self, stopped: Stopped) -> Front:
         """Measure all figures of the codes found."""
         curves = {
-            count: tuple(sorted(self.judge.points(list(archive.codes)), key=lambda p: (p.minimum, p.code.bits)))
+            count: tuple(
+                sorted(
+                    self.judge.points(list(archive.codes)), key=lambda p: (p.minimum, p.code.bits)
+                )
+            )
             for count, archive in sorted(self.archives.items())
         }
         unbeaten = {ShutterCode.from_array(code).bits for code in self._unbeaten()}
@@ -185,19 +213,26 @@ class _Search:
         codes = np.concatenate([archive.codes for archive in self.archives.values()])
         counted = np.concatenate([archive.counted for archive in self.archives.values()])
         light = codes.sum(axis=1, dtype=np.float64)
-        return np.asarray(codes[non_dominated(np.column_stack([np.round(counted / EQUAL_DB), light]))])
+        return np.asarray(
+            codes[non_dominated(np.column_stack([np.round(counted / EQUAL_DB), light]))]
+        )
 
     def _promising(self) -> list[int]:
         """List the counts whose codes are not beaten by far."""
-        light = np.concatenate([np.full(len(archive.values), count) for count, archive in self.archives.items()])
-        table = np.column_stack([np.concatenate([archive.counted for archive in self.archives.values()]), light])
+        light = np.concatenate(
+            [np.full(len(archive.values), count) for count, archive in self.archives.items()]
+        )
+        table = np.column_stack(
+            [np.concatenate([archive.counted for archive in self.archives.values()]), light]
+        )
         leeway = np.append(_LEEWAY_DB[-(table.shape[1] - 1) :], 0.0)
         far_beaten = (table[None] >= (table + leeway)[:, None]).all(axis=2).any(axis=1)
         return sorted({int(count) for count in light[~far_beaten]} or self.archives)
 
     def _settle(self, count: int, looks: int | None) -> None:
         """Evaluate the swaps of the count's codes, up to a number of codes."""
-        done, more = 0, True
+        done = 0
+        more = True
         while more and (looks is None or done < looks):
             self._tick(f"{count} open")
             more = self.archives[count].look_around(self.rng)
@@ -205,8 +240,11 @@ class _Search:
 
     def _anneal(self, count: int, share: float, moves: int) -> None:
         """Run chains from the count's codes, from neighbours' and from random ones, and offer their codes."""
-        archive, found = self.archives[count], list[Codes]()
-        near = sorted((k for k in self.archives if k != count), key=lambda k: (abs(k - count), k))[:2]
+        archive = self.archives[count]
+        found = list[Codes]()
+        near = sorted((k for k in self.archives if k != count), key=lambda k: (abs(k - count), k))[
+            :2
+        ]
         relit = [self._relit(self.archives[k].codes, count, variants=1) for k in near]
         drawn = archive.problem.random_codes(_CHAINS, rng=self.rng).astype(np.int8)
         pool = np.concatenate([archive.codes, *relit])
@@ -215,7 +253,11 @@ class _Search:
         starts = np.concatenate([good, drawn])
         tables, hot = self._tables_of(share)
         seeds = [int(seed) for seed in self.rng.integers(1, 2**62, _CHAINS)]
-        walks = 0 if archive.problem.limits_runs or self.problem.chips**2 // 4 > MOST_SWAPS else _CHAINS // 2
+        walks = (
+            0
+            if archive.problem.limits_runs or self.problem.chips**2 // 4 > MOST_SWAPS
+            else _CHAINS // 2
+        )
         plans: list[Cooling | Walks] = [
             Cooling(code, hot * (REHEATED if place < len(good) else 1), hot / COOLING, moves, seed)
             for place, (code, seed) in enumerate(zip(starts, seeds[walks:], strict=False))
@@ -228,15 +270,23 @@ class _Search:
             return True
 
         try:
-            Crew(archive.problem, tables, self._free, threads=self._threads).run(plans, tick, found.append)
+            Crew(archive.problem, tables, self._free, threads=self._threads).run(
+                plans, tick, found.append
+            )
         finally:
             archive.offer(np.concatenate([*found, archive.codes[:0]]))
 
     def _tables_of(self, share: float) -> tuple[Tables, float]:
         """Tables of a mix for the compiled loops, cached, and the first temperature of its chains, dB."""
         if share not in self._tables:
-            mix = tuple((name, weight) for name, weight in (("min-mtf", 1 - share), ("noise", share)) if weight > 0)
-            tables = lay_out(Objective(replace(self.problem, objective=mix), oversampling=_OVERSAMPLING))
+            mix = tuple(
+                (name, weight)
+                for name, weight in (("min-mtf", 1 - share), ("noise", share))
+                if weight > 0
+            )
+            tables = lay_out(
+                Objective(replace(self.problem, objective=mix), oversampling=_OVERSAMPLING)
+            )
             self._tables[share] = (tables, hottest_db(replace(self.problem, objective=mix)))
         return self._tables[share]
 
@@ -258,14 +308,19 @@ class _Search:
             raise _TimeIsUp
 
 
-def _problems_by_count(problem: SearchProblem, counts: Sequence[int] | None) -> dict[int, SearchProblem]:
+def _problems_by_count(
+    problem: SearchProblem, counts: Sequence[int] | None
+) -> dict[int, SearchProblem]:
     """Narrow the problem to each count; of those not asked for by name, to the ones that some code keeps."""
     low, high = problem.open_limits
     if counts is not None:
         outside = [count for count in counts if not low <= count <= high]
         if outside or not counts:
             raise ValueError(f"counts: must lie within {low}..{high}, got {outside or 'none'}")
-        return {int(count): replace(problem, open_range=(int(count), int(count))) for count in sorted(set(counts))}
+        return {
+            int(count): replace(problem, open_range=(int(count), int(count)))
+            for count in sorted(set(counts))
+        }
     narrowed = {}
     for count in range(low, high + 1):
         try:
@@ -273,5 +328,7 @@ def _problems_by_count(problem: SearchProblem, counts: Sequence[int] | None) -> 
         except ValueError:
             continue
     kept = np.array(list(narrowed))
-    chosen = kept[np.unique(np.linspace(0, kept.size - 1, min(kept.size, _MOST_COUNTS)).round().astype(int))]
+    chosen = kept[
+        np.unique(np.linspace(0, kept.size - 1, min(kept.size, _MOST_COUNTS)).round().astype(int))
+    ]
     return {int(count): narrowed[int(count)] for count in chosen}

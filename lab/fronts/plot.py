@@ -6,20 +6,17 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.files.foreign_text import plot_text
 from cep.optics.mtf import HOPELESS_DB
 from cep.plots.canvas import COLOURS, least_pt, new_figure
 from lab.fronts.front import Front, FrontPoint, knees
+from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["pareto_figure"]
-
-FloatArray = NDArray[np.float64]
 
 _COLOUR_MAP = "viridis"
 _WIDTH_IN = 9.5
@@ -35,10 +32,13 @@ _UNITS = {
 }
 
 
-def pareto_figure(front: Front, published: Mapping[str, FrontPoint] | None = None, *, title: str = "") -> Figure:
+def pareto_figure(
+    front: Front, published: Mapping[str, FrontPoint] | None = None, *, title: str = ""
+) -> Figure:
     """Draw minimum against noise gain, coloured by light; along curved paths light against noise gain.
 
-    Thin lines join the best codes of equal light, large dots are the front, crosses the published codes.
+    Thin lines join the best codes of equal light, large dots are the front, crosses the published
+    codes.
 
     Parameters
     ----------
@@ -69,7 +69,12 @@ def pareto_figure(front: Front, published: Mapping[str, FrontPoint] | None = Non
     colours = _colours(front)
     _lines(axes, front, colours)
     beaten = [p for p in beaten if p.noise_db <= limit_db]
-    small: dict[str, Any] = {"s": 12, "linewidth": 0, "zorder": 2, "label": "beaten by a brighter code"}
+    small: dict[str, Any] = {
+        "s": 12,
+        "linewidth": 0,
+        "zorder": 2,
+        "label": "beaten by a brighter code",
+    }
     large: dict[str, Any] = {
         "s": 46,
         "edgecolor": "black",
@@ -85,14 +90,20 @@ def pareto_figure(front: Front, published: Mapping[str, FrontPoint] | None = Non
     shown = {name: p for name, p in others.items() if p.noise_db <= limit_db}
     if shown:
         x, y = _place(front, list(shown.values()))
-        axes.scatter(x, y, marker="x", s=60, color=COLOURS[1], linewidth=1.8, zorder=5, label="published")
+        axes.scatter(
+            x, y, marker="x", s=60, color=COLOURS[1], linewidth=1.8, zorder=5, label="published"
+        )
     axes.set(xlabel="noise gain, dB, light-true (left is better)", ylabel=_height_label(front))
     axes.grid(color="0.92", linewidth=0.6)
     axes.margins(0.09, 0.09)
     figure.colorbar(bar, ax=axes, label=colours.label, pad=0.02)
     figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=least_pt(_WIDTH_IN))
     hidden = [f"{name} ({_db(p)})" for name, p in others.items() if name not in shown]
-    hidden += [f"{len(front.points) - len(drawn)} codes of the front"] if len(drawn) < len(front.points) else []
+    hidden += (
+        [f"{len(front.points) - len(drawn)} codes of the front"]
+        if len(drawn) < len(front.points)
+        else []
+    )
     axes.set_title(plot_text(title) or _title(front), pad=18 if hidden else None)
     if hidden:
         text = f"noisier than shown: {', '.join(hidden)}"
@@ -106,8 +117,18 @@ def pareto_figure(front: Front, published: Mapping[str, FrontPoint] | None = Non
             fontsize=least_pt(_WIDTH_IN),
             color="0.35",
         )
-    named = [(_names(point, front), point, "0.1") for point in dict.fromkeys(knees(front).values()) if point in drawn]
-    _label(figure, axes, front, [*named, *((name, point, COLOURS[1]) for name, point in shown.items())], beaten)
+    named = [
+        (_names(point, front), point, "0.1")
+        for point in dict.fromkeys(knees(front).values())
+        if point in drawn
+    ]
+    _label(
+        figure,
+        axes,
+        front,
+        [*named, *((name, point, COLOURS[1]) for name, point in shown.items())],
+        beaten,
+    )
     return figure
 
 
@@ -115,8 +136,13 @@ class _Colours:
     """Colour by light, or by the minimum where light is the height."""
 
     def __init__(self, label: str, low: float, high: float, *, by_light: bool) -> None:
-        self.label, self._by_light = label, by_light
-        self.style: dict[str, Any] = {"cmap": _COLOUR_MAP, "vmin": low, "vmax": high if high > low else low + 1}
+        self.label = label
+        self._by_light = by_light
+        self.style: dict[str, Any] = {
+            "cmap": _COLOUR_MAP,
+            "vmin": low,
+            "vmax": high if high > low else low + 1,
+        }
 
     def of(self, point: FrontPoint) -> float:
         return float(point.open_chips if self._by_light else point.minimum)
@@ -137,11 +163,17 @@ def _lines(axes: Axes, front: Front, colours: _Colours) -> None:
         axes.plot(*_place(front, front.points), color="0.6", **thin)
         return
     scale = Normalize(colours.style["vmin"], colours.style["vmax"], clip=True)
-    counts, lines = {p.open_chips for p in front.points}, list[Any]()
+    counts = {p.open_chips for p in front.points}
+    lines = list[Any]()
     for count, curve in front.curves.items():
         if count in counts and len(curve) > 1:
             label = None if lines else "of equal light"
-            lines += axes.plot(*_place(front, curve), color=colormaps[_COLOUR_MAP](scale(count)), label=label, **thin)
+            lines += axes.plot(
+                *_place(front, curve),
+                color=colormaps[_COLOUR_MAP](scale(count)),
+                label=label,
+                **thin,
+            )
 
 
 def _place(front: Front, points: Sequence[FrontPoint]) -> tuple[list[float], list[float]]:
@@ -182,29 +214,46 @@ def _label(
     taken = axes.transData.transform(np.column_stack(_place(front, everything)))
     ways = [axes.transData.transform(line.get_xydata()) for line in axes.lines]
     steps = np.linspace(0, 1, 24)[:, None]
-    along = [way[:-1, None] + (way[1:] - way[:-1])[:, None] * steps for way in ways if len(way) > 1]
+    along = [
+        way[:-1, None] + (way[1:] - way[:-1])[:, None] * steps for way in ways if len(way) > 1
+    ]
     crossed = np.concatenate([np.empty((0, 2)), *(points.reshape(-1, 2) for points in along)])
     boxes: list[FloatArray] = []
     for text, point, colour in labels:
         (x,), (y,) = _place(front, [point])
         note = axes.annotate(
-            text, (x, y), (0, 0), textcoords="offset points", fontsize=least_pt(_WIDTH_IN), color=colour, zorder=6,
-            ha="center", va="center", arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6},
-        )  # fmt: skip
+            text,
+            (x, y),
+            (0, 0),
+            textcoords="offset points",
+            fontsize=least_pt(_WIDTH_IN),
+            color=colour,
+            zorder=6,
+            ha="center",
+            va="center",
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.6},
+        )
         size = note.get_window_extent()
         half = np.array([size.width, size.height]) / 2 + _GAP_PX
         at = axes.transData.transform((x, y))
-        best, fewest = np.zeros(2), np.inf
+        best = np.zeros(2)
+        fewest = np.inf
         for shift in _shifts(half, figure.dpi):
             box = np.array([at + shift - half, at + shift + half])
             outside = (box[0] < frame.min).any() or (box[1] > frame.max).any()
             hits = 1000 * outside + 3 * _within(box, taken) + 0.2 * _within(box, crossed)
             leader = at + shift * np.linspace(0, 1, 12)[:, None]
-            near = np.hypot(*(leader[:, None] - taken[None]).transpose(2, 0, 1)).min(axis=0) < _NEAR_PX
+            near = (
+                np.hypot(*(leader[:, None] - taken[None]).transpose(2, 0, 1)).min(axis=0)
+                < _NEAR_PX
+            )
             hits += 2 * int((near & (np.hypot(*(taken - at).T) > _NEAR_PX)).sum())
-            hits += 100 * sum(bool(((box[0] <= other[1]) & (other[0] <= box[1])).all()) for other in boxes)
+            hits += 100 * sum(
+                bool(((box[0] <= other[1]) & (other[0] <= box[1])).all()) for other in boxes
+            )
             if hits < fewest:
-                best, fewest = shift, hits
+                best = shift
+                fewest = hits
         boxes.append(np.array([at + best - half, at + best + half]))
         note.set_position(tuple(best * 72 / figure.dpi))
 

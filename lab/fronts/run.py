@@ -12,7 +12,6 @@ import numpy as np
 
 from cep.codes.published import for_chips
 from cep.files.files import FRONT_SCHEMA, json_text
-from cep.files.outputs import new_files, write_text
 from cep.optics.mtf import HOPELESS_DB
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.plots.canvas import save
@@ -23,8 +22,7 @@ from cep.search.ways import check_light
 from lab.fronts.front import Front, FrontPoint, knees
 from lab.fronts.pareto import front_points, pareto_front
 from lab.fronts.plot import pareto_figure
-
-__all__ = ["FrontComparison", "pareto"]
+from motdiff.files.outputs import new_files, write_text
 
 
 @dataclass(frozen=True)
@@ -39,8 +37,8 @@ class FrontComparison:
     published : mapping from a name to FrontPoint
         Whether or not they keep the problem's limits.
     verdict : Verdict or None
-        Whether to use one of the front's codes, by the restoration expected with the problem's camera; None without a
-        motion.
+        Whether to use one of the front's codes, by the restoration expected with the problem's
+        camera; None without a motion.
     single : FrontPoint or None
         The best single exposure within the limits, measured as the front is.
     """
@@ -64,14 +62,19 @@ class FrontComparison:
             warnings.append("the search was stopped early, this is the front so far")
         elif self.front.stopped == "time" and self.how.steps is not None:
             moves = f"{self.how.steps:,} moves"
-            warnings.append(f"time_s ended the search before its {moves}: another run may give another front")
+            warnings.append(
+                f"time_s ended the search before its {moves}: another run may give another front"
+            )
         if self.front.sampled:
-            warnings.append("along a curved path minima over samples prove nothing: the front is over noise and light")
+            warnings.append(
+                "along a curved path minima over samples prove nothing: the front is over noise and light"
+            )
         return tuple(warnings)
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``python -m lab pareto --json`` prints them."""
-        front, judged = self.front, self.verdict
+        front = self.front
+        judged = self.verdict
         return {
             "verdict": None if judged is None else judged.sentence,
             "choice": None if judged is None else judged.choice,
@@ -95,7 +98,8 @@ class FrontComparison:
         source : mapping, optional
             ``trajectory`` and ``linear_px`` as they were given.
         """
-        front, problem = self.front, self.front.problem
+        problem = self.front.problem
+        front = self.front
         return {
             "schema": FRONT_SCHEMA,
             "unit": front.unit,
@@ -109,7 +113,9 @@ class FrontComparison:
                 "chips": problem.chips,
                 "open_range": problem.open_limits,
                 "direction": problem.direction,
-                **{name: limit for name, limit in asdict(problem.runs).items() if name != "fixed"},  # no such option
+                **{
+                    name: limit for name, limit in asdict(problem.runs).items() if name != "fixed"
+                },  # no such option
                 "camera": problem.camera.to_dict(),
                 "steps": front.steps,
                 "stopped": front.stopped,
@@ -117,9 +123,12 @@ class FrontComparison:
             },
         }
 
-    def save(self, path: Path | str, plot: Path | str, *, source: Mapping[str, object] | None = None) -> None:
+    def save(
+        self, path: Path | str, plot: Path | str, *, source: Mapping[str, object] | None = None
+    ) -> None:
         """Write :meth:`stored` as a ``front.json``, and its figure as .png, .pdf or .svg: both or neither."""
-        document, figure = Path(path), Path(plot)
+        document = Path(path)
+        figure = Path(plot)
         with new_files([document, figure]) as made:
             write_text(made[document], json_text(self.stored(source)))
             save(pareto_figure(self.front, self.published), made[figure])
@@ -153,8 +162,8 @@ def pareto(
     Raises
     ------
     ValueError
-        If a path cannot be measured or is too short for so many chips, an argument is out of its range, or every code
-        found has a zero.
+        If a path cannot be measured or is too short for so many chips, an argument is out of its
+        range, or every code found has a zero.
     """
     how = Search(steps=steps, time_s=time_s, seed=seed)
     for scenario in problem.scenarios:
@@ -163,9 +172,17 @@ def pareto(
     if problem.scenarios:
         check_light(problem)
     on_checked()
-    front = pareto_front(problem, rng=np.random.default_rng(seed), steps=steps, time_s=how.limit_s, progress=progress)
+    front = pareto_front(
+        problem,
+        rng=np.random.default_rng(seed),
+        steps=steps,
+        time_s=how.limit_s,
+        progress=progress,
+    )
     if not front.points:
-        raise ValueError("open_range: every code found of so many open chips has a zero, allow others or search longer")
+        raise ValueError(
+            "open_range: every code found of so many open chips has a zero, allow others or search longer"
+        )
     entries = for_chips(problem.chips)
     points = front_points(problem, (entry.code for entry in entries))
     published = dict(zip((entry.name for entry in entries), points, strict=True))

@@ -10,8 +10,6 @@ from torch.nn import functional
 
 from motdiff.network.denoiser import timestep_embedding
 
-__all__ = ["AdmConfig", "AdmUNet"]
-
 _HEAD = 64  # channels of an attention head
 _GROUPS = 32  # of a group norm
 _LARGEST_PX = 1024
@@ -36,7 +34,8 @@ class AdmConfig:
     blocks : int
         Residual blocks of each level.
     attention : tuple of int
-        Sides in pixels of the levels with attention; their channels are a multiple of 64, and the last level's.
+        Sides in pixels of the levels with attention; their channels are a multiple of 64, and the
+        last level's.
     learned_variance : bool
         Whether the output has as many channels again, for the variance.
 
@@ -57,25 +56,39 @@ class AdmConfig:
     def __post_init__(self) -> None:
         for name in ("multipliers", "attention"):
             values = getattr(self, name)
-            if not isinstance(values, list | tuple) or not all(type(value) is int for value in values):
+            if not isinstance(values, list | tuple) or not all(
+                type(value) is int for value in values
+            ):
                 raise ValueError(f"{name}: must be whole numbers, got {values!r}")
             object.__setattr__(self, name, tuple(values))  # JSON has lists
         limits = {"size": _LARGEST_PX, "channels": 3, "width": _WIDEST, "blocks": _DEEPEST}
         for name, largest in limits.items():
             value = getattr(self, name)
             if type(value) is not int or not 1 <= value <= largest:
-                raise ValueError(f"{name}: must be a whole number within 1..{largest}, got {value!r}")
+                raise ValueError(
+                    f"{name}: must be a whole number within 1..{largest}, got {value!r}"
+                )
         if self.channels == 2:
             raise ValueError("channels: must be 1 or 3, got 2")
-        if not 1 <= len(self.multipliers) <= _DEEPEST or self.size % 2 ** (len(self.multipliers) - 1):
+        if not 1 <= len(self.multipliers) <= _DEEPEST or self.size % 2 ** (
+            len(self.multipliers) - 1
+        ):
             raise ValueError(
                 f"multipliers: must be 1..{_DEEPEST} levels that halve {self.size} px, got {self.multipliers}"
             )
         widths = [self.width * multiplier for multiplier in self.multipliers]
         if self.width % _GROUPS or not all(0 < width <= _WIDEST for width in widths):
-            raise ValueError(f"width: must be a multiple of {_GROUPS}, with levels up to {_WIDEST}, got {self.width}")
-        if any(width % _HEAD for level, width in enumerate(widths) if self.attends(level) or level == len(widths) - 1):
-            raise ValueError(f"width: levels with attention must be a multiple of {_HEAD} wide, got {self.width}")
+            raise ValueError(
+                f"width: must be a multiple of {_GROUPS}, with levels up to {_WIDEST}, got {self.width}"
+            )
+        if any(
+            width % _HEAD
+            for level, width in enumerate(widths)
+            if self.attends(level) or level == len(widths) - 1
+        ):
+            raise ValueError(
+                f"width: levels with attention must be a multiple of {_HEAD} wide, got {self.width}"
+            )
 
     def attends(self, level: int) -> bool:
         """Whether a level has attention."""
@@ -102,7 +115,9 @@ class AdmUNet(nn.Module):
         self.time_embed = nn.Sequential(
             nn.Linear(config.width, time_width), nn.SiLU(), nn.Linear(time_width, time_width)
         )
-        self.input_blocks = nn.ModuleList([_Stage(nn.Conv2d(config.channels, widths[0], 3, padding=1))])
+        self.input_blocks = nn.ModuleList(
+            [_Stage(nn.Conv2d(config.channels, widths[0], 3, padding=1))]
+        )
         skips = [widths[0]]
         channels = widths[0]
         for level, width in enumerate(widths):
@@ -112,7 +127,9 @@ class AdmUNet(nn.Module):
                 channels = width
                 skips.append(channels)
             if level < len(widths) - 1:
-                self.input_blocks.append(_Stage(_ResidualBlock(channels, channels, time_width, scale=0.5)))
+                self.input_blocks.append(
+                    _Stage(_ResidualBlock(channels, channels, time_width, scale=0.5))
+                )
                 skips.append(channels)
         self.middle_block = _Stage(
             _ResidualBlock(channels, channels, time_width),
@@ -125,10 +142,14 @@ class AdmUNet(nn.Module):
                 grows = level > 0 and index == config.blocks
                 inputs = channels + skips.pop()
                 attends = config.attends(level)
-                self.output_blocks.append(_stage(inputs, width, time_width, attends=attends, grows=grows))
+                self.output_blocks.append(
+                    _stage(inputs, width, time_width, attends=attends, grows=grows)
+                )
                 channels = width
         outputs = config.channels * (2 if config.learned_variance else 1)
-        self.out = nn.Sequential(nn.GroupNorm(_GROUPS, channels), nn.SiLU(), nn.Conv2d(channels, outputs, 3, padding=1))
+        self.out = nn.Sequential(
+            nn.GroupNorm(_GROUPS, channels), nn.SiLU(), nn.Conv2d(channels, outputs, 3, padding=1)
+        )
 
     def forward(self, x: Tensor, t: Tensor) -> Tensor:
         """Noise in images (B, C, S, S) at timesteps (B,), (B, C, S, S), then the channels of the variance."""
@@ -153,7 +174,9 @@ class _Stage(nn.Sequential):
         return x
 
 
-def _stage(inputs: int, outputs: int, time_width: int, *, attends: bool, grows: bool = False) -> _Stage:
+def _stage(
+    inputs: int, outputs: int, time_width: int, *, attends: bool, grows: bool = False
+) -> _Stage:
     layers: list[nn.Module] = [_ResidualBlock(inputs, outputs, time_width)]
     if attends:
         layers.append(_Attention(outputs))
@@ -173,9 +196,14 @@ class _ResidualBlock(nn.Module):
         )
         self.emb_layers = nn.Sequential(nn.SiLU(), nn.Linear(time_width, 2 * outputs))
         self.out_layers = nn.Sequential(
-            nn.GroupNorm(_GROUPS, outputs), nn.SiLU(), nn.Identity(), nn.Conv2d(outputs, outputs, 3, padding=1)
+            nn.GroupNorm(_GROUPS, outputs),
+            nn.SiLU(),
+            nn.Identity(),
+            nn.Conv2d(outputs, outputs, 3, padding=1),
         )
-        self.skip_connection = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
+        self.skip_connection = (
+            nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
+        )
 
     def forward(self, x: Tensor, time: Tensor) -> Tensor:
         hidden = self.in_layers[2](_resized(self.in_layers[:2](x), self.scale))

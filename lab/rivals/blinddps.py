@@ -1,17 +1,20 @@
 """BlindDPS with weights of the user: photo and kernel sampled jointly from two diffusion priors.
 
-Nothing here ships a diffusion prior of photos. A folder of weights holds two files of :func:`write_prior`:
+Nothing here ships a diffusion prior of photos. A folder of weights holds two files of
+:func:`write_prior`:
 
-================== ============================ ====================================================================
-image.safetensors  (1, C, S, S), C = 1 or 3     photos as 2 v - 1 of their display values v (sRGB), such as FFHQ's
-kernel.safetensors (1, 1, K, K), K < S          kernels as 2 k / max(k) - 1
-================== ============================ ====================================================================
+================== ============================
+==================================================================== image.safetensors  (1, C, S,
+S), C = 1 or 3     photos as 2 v - 1 of their display values v (sRGB), such as FFHQ's
+kernel.safetensors (1, 1, K, K), K < S          kernels as 2 k / max(k) - 1 ==================
+============================ ====================================================================
 
-Each is a network ``eps(x, t)`` that predicts the noise in ``x`` (float32) at timestep ``t`` ((1,) int64, 0..999) of the
-linear schedule of :func:`linear_alpha_bar`; further output channels, such as a learned variance, are ignored. The
-authors' checkpoints are turned into such files once (:func:`write_prior` has the example). Programs and pickles are
-not read: both run code of whoever wrote them. A network of another kind goes into ``BlindDpsEstimator`` as a
-:class:`Prior`, in a module of one's own that ``module:name`` names.
+Each is a network ``eps(x, t)`` that predicts the noise in ``x`` (float32) at timestep ``t`` ((1,)
+int64, 0..999) of the linear schedule of :func:`linear_alpha_bar`; further output channels, such as
+a learned variance, are ignored. The authors' checkpoints are turned into such files once
+(:func:`write_prior` has the example). Programs and pickles are not read: both run code of whoever
+wrote them. A network of another kind goes into ``BlindDpsEstimator`` as a :class:`Prior`, in a
+module of one's own that ``module:name`` names.
 """
 
 from __future__ import annotations
@@ -34,10 +37,9 @@ from motdiff.files.inputs import one_line
 from motdiff.training.simulation import blurred
 from motdiff.weights_io import filled, read_card, write_with_card
 
-__all__ = ["BlindDpsEstimator", "Prior", "linear_alpha_bar", "load_priors", "sample_jointly", "write_prior"]
-
 _SCHEMA = "motdiff.prior/1"
-_IMAGE, _KERNEL = "image.safetensors", "kernel.safetensors"
+_IMAGE = "image.safetensors"
+_KERNEL = "kernel.safetensors"
 _SRGB_KNEE = 0.0031308 * 12.92
 
 
@@ -48,7 +50,8 @@ class Prior:
     Attributes
     ----------
     eps : callable
-        Noise in a noisy signal (1, C, S, S) at timestep (1,) int64; further channels of its output are ignored.
+        Noise in a noisy signal (1, C, S, S) at timestep (1,) int64; further channels of its output
+        are ignored.
     shape : tuple of int
         (1, C, S, S).
     device : torch.device
@@ -65,7 +68,8 @@ class BlindDpsEstimator:
     Parameters
     ----------
     priors : pair of Prior, optional
-        Of the photo and of the kernel, see :func:`load_priors`; without them :meth:`estimate` raises an error.
+        Of the photo and of the kernel, see :func:`load_priors`; without them :meth:`estimate`
+        raises an error.
     strength : float
         Of the pull towards the blurred photo, times the square root of ``alpha_bar``.
     seed : int
@@ -80,7 +84,8 @@ class BlindDpsEstimator:
 
     References
     ----------
-    Chung, Kim, Kim, Ye, "Parallel diffusion models of operator and image for blind inverse problems", CVPR 2023.
+    Chung, Kim, Kim, Ye, "Parallel diffusion models of operator and image for blind inverse
+    problems", CVPR 2023.
     """
 
     def __init__(
@@ -93,7 +98,9 @@ class BlindDpsEstimator:
     ) -> None:
         if not (math.isfinite(strength) and strength >= 0):
             raise ValueError(f"strength: must be a number of at least 0, got {strength}")
-        self._strength, self._seed, self._progress = strength, seed, progress
+        self._strength = strength
+        self._seed = seed
+        self._progress = progress
         if priors is not None:
             _check_pair(*priors)
         self._priors = priors
@@ -101,21 +108,30 @@ class BlindDpsEstimator:
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Draw the kernel of ``photo``, (H, W) or (H, W, 3), linear light 0..1, in its best crop of S - K + 1 px.
 
-        Its centroid lies at index 32, to whole pixels. The draw is not scored: ``confidence`` is 0.
+        Its centroid lies at index 32, to whole pixels. The draw is not scored: ``confidence`` is
+        0.
 
         Raises
         ------
         ValueError
-            If there are no weights, or the photo is smaller than the crop, not finite, or without texture.
+            If there are no weights, or the photo is smaller than the crop, not finite, or without
+            texture.
         """
         if self._priors is None:
-            raise ValueError(f"needs weights: a folder with {_IMAGE} and {_KERNEL}, see lab.rivals.blinddps")
+            raise ValueError(
+                f"needs weights: a folder with {_IMAGE} and {_KERNEL}, see lab.rivals.blinddps"
+            )
         image, kernel = self._priors
-        channels, size = image.shape[1], image.shape[-1] - kernel.shape[-1] + 1
-        window = torch.from_numpy(_window(photo, size, channels).astype(np.float32)).to(image.device)
+        channels = image.shape[1]
+        size = image.shape[-1] - kernel.shape[-1] + 1
+        window = torch.from_numpy(_window(photo, size, channels).astype(np.float32)).to(
+            image.device
+        )
 
         def residual(image_signal: Tensor, kernel_signal: Tensor) -> Tensor:
-            return 2 * (window - blurred(_to_linear((image_signal[0] + 1) / 2), _kernel_of(kernel_signal)))
+            return 2 * (
+                window - blurred(_to_linear((image_signal[0] + 1) / 2), _kernel_of(kernel_signal))
+            )
 
         drawn = sample_jointly(
             (image, kernel),
@@ -126,7 +142,9 @@ class BlindDpsEstimator:
             progress=self._progress,
         )
         details = {"misfit": float(residual(*drawn).square().mean().sqrt()) / 2, "crop_px": size}
-        return estimate_from_kernel("blinddps", _kernel_of(drawn[1]).double().cpu().numpy(), details)
+        return estimate_from_kernel(
+            "blinddps", _kernel_of(drawn[1]).double().cpu().numpy(), details
+        )
 
 
 def load_priors(folder: Path | str, *, device: torch.device | str = "cpu") -> tuple[Prior, Prior]:
@@ -139,7 +157,9 @@ def load_priors(folder: Path | str, *, device: torch.device | str = "cpu") -> tu
     ValueError
         If a file is not one of :func:`write_prior`, or the two do not belong together.
     """
-    image, kernel = (_load_prior(Path(folder) / name, torch.device(device)) for name in (_IMAGE, _KERNEL))
+    image, kernel = (
+        _load_prior(Path(folder) / name, torch.device(device)) for name in (_IMAGE, _KERNEL)
+    )
     try:
         _check_pair(image, kernel)
     except ValueError as error:
@@ -170,7 +190,8 @@ def write_prior(state: Mapping[str, Tensor], target: Path | str, config: AdmConf
             ("ffhq_10m.pt", "image", AdmConfig(256, 3, 128, (1, 1, 2, 2, 4, 4))),
             ("kernel_checkpoint.pt", "kernel", AdmConfig(64, 1, 64, (1, 2, 3, 4))),
         ):
-            write_prior(torch.load(source, weights_only=True), f"priors/{name}.safetensors", config)
+            write_prior(torch.load(source, weights_only=True), f"priors/{name}.safetensors",
+            config)
     """
     with torch.device("meta"):
         network = AdmUNet(config)
@@ -203,12 +224,15 @@ def sample_jointly(
 ) -> tuple[Tensor, Tensor]:
     r"""Sample two signals jointly, each by its own diffusion, both guided by the measurement.
 
-    At each timestep, from both noisy signals at once, with ``x0`` the clean signals that their priors guess ::
+    At each timestep, from both noisy signals at once, with ``x0`` the clean signals that their
+    priors guess ::
 
-        x_{t-1} = posterior mean of x_t and x0 + noise - strength sqrt(alpha_bar_t) grad_{x_t} |residual(x0)|
+        x_{t-1} = posterior mean of x_t and x0 + noise - strength sqrt(alpha_bar_t) grad_{x_t}
+        |residual(x0)|
 
-    The paper's step is constant; this one, which grows as the guesses get better, is that of its authors' program.
-    Their penalty on the kernel's sum is left out: it is constant for kernels of sum 1.
+    The paper's step is constant; this one, which grows as the guesses get better, is that of its
+    authors' program. Their penalty on the kernel's sum is left out: it is constant for kernels of
+    sum 1.
 
     Parameters
     ----------
@@ -234,19 +258,23 @@ def sample_jointly(
 
     noisy = [noise(prior) for prior in priors]
     for t in reversed(range(len(alpha_bar))):
-        now, before = alpha_bar[t], alpha_bar[t - 1] if t else 1.0
+        now = alpha_bar[t]
+        before = alpha_bar[t - 1] if t else 1.0
         with torch.enable_grad():
             noisy = [signal.requires_grad_() for signal in noisy]
-            clean = [_guess(prior, signal, t, now) for prior, signal in zip(priors, noisy, strict=True)]
+            clean = [
+                _guess(prior, signal, t, now) for prior, signal in zip(priors, noisy, strict=True)
+            ]
             distance = torch.linalg.vector_norm(residual(clean[0], clean[1]))
             pulls = torch.autograd.grad(distance, noisy)
-        kept, shown = (
-            math.sqrt(now / before) * (1 - before) / (1 - now),
-            math.sqrt(before) * (1 - now / before) / (1 - now),
-        )
+        kept = math.sqrt(now / before) * (1 - before) / (1 - now)
+        shown = math.sqrt(before) * (1 - now / before) / (1 - now)
         spread = math.sqrt((1 - before) / (1 - now) * (1 - now / before))
         noisy = [
-            kept * signal.detach() + shown * guess.detach() + spread * noise(prior) - strength * math.sqrt(now) * pull
+            kept * signal.detach()
+            + shown * guess.detach()
+            + spread * noise(prior)
+            - strength * math.sqrt(now) * pull
             for prior, signal, guess, pull in zip(priors, noisy, clean, pulls, strict=True)
         ]
         if progress is not None:
@@ -256,7 +284,9 @@ def sample_jointly(
 
 def _guess(prior: Prior, noisy: Tensor, t: int, alpha_bar: float) -> Tensor:
     """Clean signal, by Tweedie's formula."""
-    eps = prior.eps(noisy, torch.full((1,), t, dtype=torch.int64, device=prior.device))[:, : prior.shape[1]]
+    eps = prior.eps(noisy, torch.full((1,), t, dtype=torch.int64, device=prior.device))[
+        :, : prior.shape[1]
+    ]
     return ((noisy - math.sqrt(1 - alpha_bar) * eps) / math.sqrt(alpha_bar)).clamp(-1, 1)
 
 
@@ -264,19 +294,25 @@ def _check_pair(image: Prior, kernel: Prior) -> None:
     for name, prior in (("image", image), ("kernel", kernel)):
         shape = prior.shape
         if len(shape) != 4 or shape[0] != 1 or shape[2] != shape[3]:
-            raise ValueError(f"{name} prior: must be eps(x, t) of x in a fixed shape (1, C, S, S), got {shape}")
+            raise ValueError(
+                f"{name} prior: must be eps(x, t) of x in a fixed shape (1, C, S, S), got {shape}"
+            )
     if image.shape[1] not in (1, 3) or kernel.shape[1] != 1 or kernel.shape[-1] >= image.shape[-1]:
         raise ValueError(
             f"priors: need an image prior of 1 or 3 channels and a smaller kernel prior of 1, "
             f"got {image.shape} and {kernel.shape}"
         )
     if image.device != kernel.device:
-        raise ValueError(f"priors: must both be on one device, got {image.device} and {kernel.device}")
+        raise ValueError(
+            f"priors: must both be on one device, got {image.device} and {kernel.device}"
+        )
 
 
 def _load_prior(file: Path, device: torch.device) -> Prior:
     if not file.is_file():
-        raise FileNotFoundError(f"{file}: no such file; BlindDPS needs {_IMAGE} and {_KERNEL} in this folder")
+        raise FileNotFoundError(
+            f"{file}: no such file; BlindDPS needs {_IMAGE} and {_KERNEL} in this folder"
+        )
     card = read_card(file, _SCHEMA)
     try:
         config = AdmConfig(**card)
@@ -285,7 +321,9 @@ def _load_prior(file: Path, device: torch.device) -> Prior:
     with torch.device("meta"):  # the header may ask for more memory than the file's tensors have
         network = AdmUNet(config)
     return Prior(
-        filled(network, file, schema=_SCHEMA).to(device), (1, config.channels, config.size, config.size), device
+        filled(network, file, schema=_SCHEMA).to(device),
+        (1, config.channels, config.size, config.size),
+        device,
     )
 
 
@@ -300,7 +338,11 @@ def _window(photo: ArrayLike, size: int, channels: int) -> NDArray[np.float64]:
         raise ValueError("photo: is constant; motion shows only where the scene has texture")
     ((row, column),) = pick_crops(grey, size=size, count=1)
     image = np.asarray(photo, dtype=np.float64)
-    light = image if channels == 3 and image.ndim == 3 and image.shape[2] == 3 else np.stack([grey] * channels, axis=2)
+    light = (
+        image
+        if channels == 3 and image.ndim == 3 and image.shape[2] == 3
+        else np.stack([grey] * channels, axis=2)
+    )
     return np.moveaxis(light[row : row + size, column : column + size], 2, 0)
 
 

@@ -11,21 +11,20 @@ from motdiff.estimators.conditioning import conditioning_maps
 from motdiff.psf_frame import PSF_PX
 from motdiff.tracing.quadratic import QuadraticPath
 
-__all__ = ["ParametricEstimator"]
-
 
 class ParametricEstimator:
     """Blind estimator of Motion-ETR's class: one quadratic path, predicted directly and not refined.
 
-    It has the condition network of the shipped MoTDiff and started from its former weights. Its output and its training
-    differ: the shipped one saw 16,016 samples drawn from 704 prepared ones, MoTDiff 209,600 from
-    13,376.
-    :func:`motdiff.tracing.quadratic.most_alike_quadratic` is the limit of the class.
+    It has the condition network of the shipped MoTDiff and started from its former weights. Its
+    output and its training differ: the shipped one saw 16,016 samples drawn from 704 prepared
+    ones, MoTDiff 209,600 from 13,376. :func:`motdiff.tracing.quadratic.most_alike_quadratic` is
+    the limit of the class.
 
     Parameters
     ----------
     weights : path, optional
-        A file from ``python -m motdiff export`` of a run with target "path"; the shipped one when omitted.
+        A file from ``python -m motdiff export`` of a run with target "path"; the shipped one when
+        omitted.
 
     References
     ----------

@@ -10,32 +10,35 @@ from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.conditioning import conditioning_maps
 from motdiff.estimators.from_kernel import estimate_from_kernel
 
-__all__ = ["PsfDiffusionEstimator"]
-
 
 class PsfDiffusionEstimator:
     """Blind estimator in Kernel-Diff's representation: one PSF sampled by conditional diffusion, not refined.
 
-    It has the condition network of the shipped MoTDiff and started from its former weights. Its output and its training
-    differ: the shipped one saw 12,816 samples drawn from 704 prepared ones, MoTDiff 209,600 from
-    13,376.
-    Kernel-Diff's guidance by a deblurring network at each of 1000 steps is not part of it.
+    It has the condition network of the shipped MoTDiff and started from its former weights. Its
+    output and its training differ: the shipped one saw 12,816 samples drawn from 704 prepared
+    ones, MoTDiff 209,600 from 13,376. Kernel-Diff's guidance by a deblurring network at each of
+    1000 steps is not part of it.
 
     Parameters
     ----------
     weights : path, optional
-        A file from ``python -m motdiff export`` of a run with target "psf"; the shipped one when omitted.
+        A file from ``python -m motdiff export`` of a run with target "psf"; the shipped one when
+        omitted.
     steps : int
-        DDIM steps. One, as MoTDiff takes, gives the network's mean guess, which is nearer to the truth than a draw.
+        DDIM steps. One, as MoTDiff takes, gives the network's mean guess, which is nearer to the
+        truth than a draw.
     seed : int
         Of the draw.
 
     References
     ----------
-    Sanghvi, Chi, Chan, "Kernel diffusion: an alternate approach to blind deconvolution", ECCV 2024.
+    Sanghvi, Chi, Chan, "Kernel diffusion: an alternate approach to blind deconvolution", ECCV
+    2024.
     """
 
-    def __init__(self, *, weights: Path | str | None = None, steps: int = 1, seed: int = 0) -> None:
+    def __init__(
+        self, *, weights: Path | str | None = None, steps: int = 1, seed: int = 0
+    ) -> None:
         from lab.weights import PSF_WEIGHTS
         from motdiff.network.diffusion import cosine_schedule
         from motdiff.weights import load_network
@@ -43,12 +46,14 @@ class PsfDiffusionEstimator:
         self._schedule = cosine_schedule()
         self._schedule.timesteps(steps)  # refuses a wrong number now, not at every photo
         self._network = load_network(PSF_WEIGHTS if weights is None else weights, target="psf")
-        self._steps, self._seed = steps, seed
+        self._steps = steps
+        self._seed = seed
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Draw the PSF of ``photo``, (H, W) or (H, W, 3), linear light 0..1; see :func:`conditioning_maps`.
 
-        Its centroid lies at the middle of its frame, to whole pixels. The draw is not scored: ``confidence`` is 0.
+        Its centroid lies at the middle of its frame, to whole pixels. The draw is not scored:
+        ``confidence`` is 0.
         """
         import torch
 

@@ -3,11 +3,12 @@
     python -m lab.studies.ablation PHOTOS [--runs FOLDER] [--samples 1600] [--seeds 2]
     python -m lab.studies.ablation PREPARED PREPARED_VALIDATION --physics [--samples 9600]
 
-The first form trains the paper's network (PVT v2 b0 on the photo alone, 60-px Boracchi-Foi paths). The second trains
-the network for two CPU cores on samples written by ``python -m motdiff prepare``. Every row of a seed has the same
-samples, order and updates; all but one thing is the same. One thread; a row is appended to ``FOLDER/paper.jsonl`` or
-``FOLDER/physics.jsonl`` as soon as it is done, and an interrupted bench goes on where it stopped. At the end stands the
-table of Markdown.
+The first form trains the paper's network (PVT v2 b0 on the photo alone, 60-px Boracchi-Foi paths).
+The second trains the network for two CPU cores on samples written by ``python -m motdiff
+prepare``. Every row of a seed has the same samples, order and updates; all but one thing is the
+same. One thread; a row is appended to ``FOLDER/paper.jsonl`` or ``FOLDER/physics.jsonl`` as soon
+as it is done, and an interrupted bench goes on where it stopped. At the end stands the table of
+Markdown.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from lab.studies.inputs import kept_rows
 
 from lab.bench.statistics import mean_interval
+from lab.studies.inputs import kept_rows
 from motdiff.training.config import DataConfig, TrainingConfig, read_config
 from motdiff.training.run import Pace, make_sources, train, validation_scores
 
@@ -44,7 +45,10 @@ def rows(base: TrainingConfig) -> dict[str, TrainingConfig]:
     }
     if base.network.backbone == "none":
         return known
-    scales = {f"{name} only": replace(base, network=replace(base.network, features=name)) for name in ("f2", "f4")}
+    scales = {
+        f"{name} only": replace(base, network=replace(base.network, features=name))
+        for name in ("f2", "f4")
+    }
     return {**known, **scales}
 
 
@@ -57,13 +61,22 @@ def paper(photos: str) -> TrainingConfig:
 def physics(prepared: str, validation: str) -> TrainingConfig:
     """Take the network that two cores can train, on prepared samples."""
     config = read_config(_CONFIGS / "cpu.toml")
-    return replace(config, data=replace(config.data, prepared=prepared, prepared_validation=validation))
+    return replace(
+        config, data=replace(config.data, prepared=prepared, prepared_validation=validation)
+    )
 
 
 def budgeted(base: TrainingConfig, *, samples: int, seed: int) -> TrainingConfig:
     """Shorten a run to so many samples; the rate falls along its cosine within them."""
     steps = max(1, samples // _BATCH)
-    short = {"steps": steps, "batch": _BATCH, "rate": 1e-3, "warm_up": steps // 20, "ema": 0.99, "precision": "bf16"}
+    short = {
+        "steps": steps,
+        "batch": _BATCH,
+        "rate": 1e-3,
+        "warm_up": steps // 20,
+        "ema": 0.99,
+        "precision": "bf16",
+    }
     return replace(base, optimiser=replace(base.optimiser, **short, seed=seed))
 
 
@@ -72,7 +85,9 @@ def measured(config: TrainingConfig, folder: Path) -> np.ndarray:
     short = replace(config, data=replace(config.data, validation=1))  # scored below, not twice
     trainer = train(short, folder, pace=Pace(validate_steps=config.optimiser.steps))
     if trainer.step < config.optimiser.steps:
-        raise SystemExit(f"stopped at step {trainer.step} of {config.optimiser.steps}; the same command goes on")
+        raise SystemExit(
+            f"stopped at step {trainer.step} of {config.optimiser.steps}; the same command goes on"
+        )
     scored = replace(config, data=replace(config.data, validation=_VALIDATION))
     return validation_scores(trainer, make_sources(scored).validation)
 
@@ -96,8 +111,14 @@ def table(scores: Scores) -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", nargs="*", help="folder of sharp photos; or, with --physics, both folders of samples")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "data",
+        nargs="*",
+        help="folder of sharp photos; or, with --physics, both folders of samples",
+    )
     parser.add_argument("--physics", action="store_true")
     parser.add_argument("--runs", type=Path, default=Path("ablation"))
     parser.add_argument("--samples", type=int, default=1600)
@@ -107,7 +128,9 @@ def main() -> None:
         print("skipped: it needs a folder of sharp photos, see --help")
         return
     if len(options.data) != (2 if options.physics else 1):
-        parser.error("give one folder of photos, or with --physics the two folders of prepared samples")
+        parser.error(
+            "give one folder of photos, or with --physics the two folders of prepared samples"
+        )
     torch.set_num_threads(1)
     kind = "physics" if options.physics else "paper"
     base = physics(*options.data) if options.physics else paper(*options.data)
@@ -119,7 +142,12 @@ def main() -> None:
                 continue
             folder = options.runs / kind / f"{options.samples}-{seed}-{name.replace(' ', '-')}"
             found = known[seed, name] = measured(config, folder)
-            line = {"seed": seed, "row": name, "samples": options.samples, "mnc": found.round(5).tolist()}
+            line = {
+                "seed": seed,
+                "row": name,
+                "samples": options.samples,
+                "mnc": found.round(5).tolist(),
+            }
             with file.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(line) + "\n")
     print("\n".join(table(known)))

@@ -2,7 +2,8 @@
 
     python -m lab.studies.annealed [--chips 40 44 48 52] [--seeds 0 1] [--seconds 60]
 
-Seconds are of the processor, on one thread, with compiling done before. 52 chips have 26 open, others any number.
+Seconds are of the processor, on one thread, with compiling done before. 52 chips have 26 open,
+others any number.
 """
 
 from __future__ import annotations
@@ -30,11 +31,15 @@ def annealed(problem: SearchProblem, seconds: float, seed: int) -> SearchResult:
             raise KeyboardInterrupt
 
     rng = np.random.default_rng(seed)
-    return anneal(problem, rng=rng, steps=None, time_s=100 * seconds, threads=1, progress=stop_at_the_end)
+    return anneal(
+        problem, rng=rng, steps=None, time_s=100 * seconds, threads=1, progress=stop_at_the_end
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--chips", type=int, nargs="+", default=CHIPS)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--seconds", type=float, default=60.0)
@@ -50,7 +55,8 @@ def main() -> None:
                 raise SystemExit(f"--chips: no proof for {chips} chips, see docs/optima.md")
             began = time.process_time()
             found = annealed(problem, options.seconds, seed)
-            seconds, lowest = time.process_time() - began, min_chip(found.code)
+            seconds = time.process_time() - began
+            lowest = min_chip(found.code)
             share = 100 * lowest / proven.minimum.upper
             print(
                 f"| {chips} | {found.code.open_chips} | {proven.minimum.upper:.4f} | {lowest:.4f} | {share:.1f} "

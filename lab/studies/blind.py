@@ -1,11 +1,12 @@
 """Blind estimation: wall time of an estimate, and contact sheets of real photos without truth.
 
-    OMP_NUM_THREADS=2 taskset -c 0,1 python -m lab.studies.blind seconds [DIR]   # on two cores, 256 x 256 px
-    python -m lab.studies.blind photos DIR -o OUT   # contact sheet of the estimates
+    OMP_NUM_THREADS=2 taskset -c 0,1 python -m lab.studies.blind seconds [DIR]   # on two cores,
+    256 x 256 px python -m lab.studies.blind photos DIR -o OUT   # contact sheet of the estimates
     ... --method motdiff                           # pmp when omitted
 
-Without a folder the sharp photos are scikit-image's own, without a trace the hand shake is synthetic. What estimates
-are worth where the motion is known is measured by ``python -m lab bench blind``.
+Without a folder the sharp photos are scikit-image's own, without a trace the hand shake is
+synthetic. What estimates are worth where the motion is known is measured by ``python -m lab bench
+blind``.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from lab.studies.inputs import FloatArray, smooth_trace
-from lab.studies.inputs import photos as photos_of
 
 from cep.calibration.calibrate import METHODS, make_estimator
 from cep.files.images import read_image, write_image
 from cep.restoration import restore
+from lab.studies.inputs import photos as photos_of
+from lab.studies.inputs import smooth_trace
 from motdiff.crops import CROP_PX
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.files.gyro_tables import read_gyro
@@ -30,12 +31,17 @@ from motdiff.gyro import GyroTrace
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import photograph
+from motdiff.types import FloatArray
 
 PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff"}
 
 
 def pictures(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in PICTURES and "kernel" not in path.name)
+    return sorted(
+        path
+        for path in folder.rglob("*")
+        if path.suffix.lower() in PICTURES and "kernel" not in path.name
+    )
 
 
 def estimated(estimator: Estimator, photo: FloatArray) -> tuple[MotionEstimate, float]:
@@ -45,11 +51,18 @@ def estimated(estimator: Estimator, photo: FloatArray) -> tuple[MotionEstimate, 
 
 
 def wall_times(
-    folder: Path | None, trace_file: Path | None, count: int, sigma: float, seed: int, estimator: Estimator
+    folder: Path | None,
+    trace_file: Path | None,
+    count: int,
+    sigma: float,
+    seed: int,
+    estimator: Estimator,
 ) -> None:
     """Wall time of each estimate, after loading, of photos of 256 x 256 px; the first is not counted."""
     side = CROP_PX + PSF_PX  # the kernel's frame is lost at the borders
-    scenes = [scene[:side, :side] for scene in sharp_photos(folder) if min(scene.shape[:2]) >= side]
+    scenes = [
+        scene[:side, :side] for scene in sharp_photos(folder) if min(scene.shape[:2]) >= side
+    ]
     took = []
     for kind, photo, _ in shaken(scenes, trace_of(trace_file, seed), count + 1, sigma, seed):
         start = time.perf_counter()
@@ -57,7 +70,9 @@ def wall_times(
         took.append(time.perf_counter() - start)
         searches = estimate.details.get("classical", estimate.details.get("starts"))
         print(f"{kind:14s} {photo.shape}  {took[-1]:5.2f} s  {searches} searches", flush=True)
-    print(f"mean {np.mean(took[1:]):.2f} s, {min(took[1:]):.2f} to {max(took[1:]):.2f} s, n {count}")
+    print(
+        f"mean {np.mean(took[1:]):.2f} s, {min(took[1:]):.2f} to {max(took[1:]):.2f} s, n {count}"
+    )
 
 
 def trace_of(file: Path | None, seed: int) -> GyroTrace:
@@ -69,7 +84,9 @@ def trace_of(file: Path | None, seed: int) -> GyroTrace:
 def sharp_photos(folder: Path | None) -> list[FloatArray]:
     if folder is None:
         return [image for _, image in photos_of(None)]
-    return [read_image(path, gamma="linear") for path in pictures(folder)]  # code values as light, as the field does
+    return [
+        read_image(path, gamma="linear") for path in pictures(folder)
+    ]  # code values as light, as the field does
 
 
 def shaken(
@@ -107,8 +124,19 @@ def photos(folder: Path, out: Path, gamma: str, estimator: Estimator) -> None:
         )
         restored = restore(photo, estimate.psf, method="tv").image
         psf = np.sqrt(estimate.psf / estimate.psf.max())
-        tiles = [thumbnail(photo), thumbnail(restored), cv2.resize(psf, (300, 300), interpolation=cv2.INTER_NEAREST)]
-        strips.append(np.hstack([tile if tile.ndim == 3 else np.repeat(tile[:, :, None], 3, axis=2) for tile in tiles]))
+        tiles = [
+            thumbnail(photo),
+            thumbnail(restored),
+            cv2.resize(psf, (300, 300), interpolation=cv2.INTER_NEAREST),
+        ]
+        strips.append(
+            np.hstack(
+                [
+                    tile if tile.ndim == 3 else np.repeat(tile[:, :, None], 3, axis=2)
+                    for tile in tiles
+                ]
+            )
+        )
     out.mkdir(parents=True, exist_ok=True)
     write_image(out / "sheet.png", np.clip(np.vstack(strips), 0, 1))
 
@@ -116,14 +144,17 @@ def photos(folder: Path, out: Path, gamma: str, estimator: Estimator) -> None:
 def thumbnail(photo: FloatArray) -> FloatArray:
     """Middle 300 x 300 px, padded when smaller."""
     rows, columns = photo.shape[:2]
-    top, left = max(0, (rows - 300) // 2), max(0, (columns - 300) // 2)
+    top = max(0, (rows - 300) // 2)
+    left = max(0, (columns - 300) // 2)
     part = photo[top : top + 300, left : left + 300]
     pad = [(0, 300 - part.shape[0]), (0, 300 - part.shape[1])] + [(0, 0)] * (part.ndim - 2)
     return np.pad(np.clip(part, 0, 1), pad)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("what", choices=["seconds", "photos"], nargs="?", default="seconds")
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--gyro-trace", type=Path)

@@ -3,7 +3,8 @@
     python -m lab.studies.bounds [--seconds 5] [--skip-curve-noise]
 
 min |P| in chips on the unit circle; min |H| times n along a motion, so that both count open chips; noise in dB,
-10 log10 mean 1/|H|^2, light-true. "found" anneals for each objective for so many seconds, one core.
+10 log10 mean 1/|H|^2, light-true. "found" anneals for each objective for so many seconds, one
+core.
 """
 
 from __future__ import annotations
@@ -22,12 +23,15 @@ from cep.search.problem import SearchProblem
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
-CHIPS, OPEN = 52, (26, 26)
+CHIPS = 52
+OPEN = (26, 26)
 
 
 def problems() -> dict[str, SearchProblem]:
     curve = boracchi_foi(np.random.default_rng(0), max_length_px=60.0)
-    ramp = Trajectory.from_samples(np.stack([60 * np.linspace(0, 1, 50) ** 2, np.zeros(50)], axis=1))
+    ramp = Trajectory.from_samples(
+        np.stack([60 * np.linspace(0, 1, 50) ** 2, np.zeros(50)], axis=1)
+    )
     along = SearchProblem.along
     return {
         "circle n=52 k=26": SearchProblem(chips=CHIPS, open_range=OPEN),
@@ -52,7 +56,9 @@ def row(name: str, problem: SearchProblem, seconds: float, *, noise: bool) -> No
             figure = found.noise if goal == "noise" else found.min_mtf * problem.chips
             winner = found.method["noise" if goal == "noise" else "min_mtf"]
             checked = all(proof.check() for proof in found.proofs)
-            cells.append(f"{figure:8.4f} {winner:17s}{took:6.2f} s{'' if checked else ' PROOF FAILS'}")
+            cells.append(
+                f"{figure:8.4f} {winner:17s}{took:6.2f} s{'' if checked else ' PROOF FAILS'}"
+            )
         code = anneal(asked, rng=np.random.default_rng(0), steps=None, time_s=seconds).code
         metrics = problem.measure(code, budget=0)
         if not problem.scenarios:
@@ -79,10 +85,19 @@ def rounding(name: str, problem: SearchProblem) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--skip-curve-noise", action="store_true", help="the longest relaxations, up to a minute each")
+    parser.add_argument(
+        "--skip-curve-noise",
+        action="store_true",
+        help="the longest relaxations, up to a minute each",
+    )
     chosen = parser.parse_args()
     for name, problem in problems().items():
-        row(name, problem, chosen.seconds, noise=not (chosen.skip_curve_noise and name.startswith("curve")))
+        row(
+            name,
+            problem,
+            chosen.seconds,
+            noise=not (chosen.skip_curve_noise and name.startswith("curve")),
+        )
     print("\nRandomised rounding, 2000 codes each")
     for name in ("straight 30 px", "accelerated 60 px", "curve, one way", "curve, both ways"):
         rounding(name, problems()[name])

@@ -9,30 +9,38 @@ import sys
 from collections.abc import Sequence
 
 import numpy as np
-from lab.studies.inputs import photos
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.signal import fftconvolve
 
 from cep.calibration.order_codes import gray_planes, search_order_codes
-from cep.calibration.order_separation import BAND_CY_PX, BLIND_ERROR, OrderSeparation, ordered_walks
+from cep.calibration.order_separation import (
+    BAND_CY_PX,
+    BLIND_ERROR,
+    OrderSeparation,
+    ordered_walks,
+)
 from cep.codes.published import published
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.search.limits import Limits
+from lab.studies.inputs import photos
 from motdiff.estimators.pmp import PmpEstimator
 from motdiff.motions import boracchi_foi
+from motdiff.types import FloatArray
 
-FloatArray = NDArray[np.float64]
-
-CHIPS, DESIGN_WALKS, TEST_WALKS = 52, 64, 100
-SIDE_PX, NOISE = 257, 0.005
+CHIPS = 52
+DESIGN_WALKS = 64
+TEST_WALKS = 100
+SIDE_PX = 257
+NOISE = 0.005
 
 
 def separation() -> None:
     rng = np.random.default_rng(0)
     design = OrderSeparation(ordered_walks(DESIGN_WALKS, rng=rng), chips=CHIPS)
     test = OrderSeparation(ordered_walks(TEST_WALKS, rng=np.random.default_rng(1)), chips=CHIPS)
-    whole, half = np.ones(CHIPS), 1 - gray_planes(1, CHIPS)[0]
+    whole = np.ones(CHIPS)
+    half = 1 - gray_planes(1, CHIPS)[0]
     raskar = published("raskar-52").code.array
     de_bruijn = np.array(list("00010111"), dtype=float)[np.arange(CHIPS) * 8 // CHIPS]
     drawn = rng.random((3, CHIPS)).argsort(axis=1) < CHIPS // 2
@@ -52,21 +60,35 @@ def separation() -> None:
         for most_open in (CHIPS, CHIPS - 1) if count > 1 else (CHIPS,):
             limits = Limits(CHIPS, (1, most_open))
             name = f"designed, {count}" + ("" if most_open == CHIPS else ", none open")
-            rows[name] = search_order_codes(limits, count, measure=design, rng=np.random.default_rng(2))
-    print("| codes | walks resolved | median | worst tenth | conditioning |\n|---|---:|---:|---:|---:|")
+            rows[name] = search_order_codes(
+                limits, count, measure=design, rng=np.random.default_rng(2)
+            )
+    print(
+        "| codes | walks resolved | median | worst tenth | conditioning |\n|---|---:|---:|---:|---:|"
+    )
     for name, codes in rows.items():
         apart = np.sum([test.of(code) for code in codes], axis=0)
         resolved = int((test.of_each_motion(apart) > BLIND_ERROR).sum())
         conditioning = np.quantile(test.conditioning(np.array(codes)), 0.1)
-        figures = f"{resolved} of {TEST_WALKS} | {np.median(apart):.3f} | {np.quantile(apart, 0.1):.3f}"
+        figures = (
+            f"{resolved} of {TEST_WALKS} | {np.median(apart):.3f} | {np.quantile(apart, 0.1):.3f}"
+        )
         print(f"| {name} | {figures} | {conditioning:.3f} |", flush=True)
     for name, codes in rows.items():
         if name.startswith("designed"):
-            print(name, *("".join(str(int(bit)) for bit in np.asarray(code)) for code in codes), flush=True)
+            print(
+                name,
+                *("".join(str(int(bit)) for bit in np.asarray(code)) for code in codes),
+                flush=True,
+            )
 
 
 def blind() -> None:
-    codes = {"open": np.ones(CHIPS), "first half": 1 - gray_planes(1, CHIPS)[0], "Gray": gray_planes(2, CHIPS)[1]}
+    codes = {
+        "open": np.ones(CHIPS),
+        "first half": 1 - gray_planes(1, CHIPS)[0],
+        "Gray": gray_planes(2, CHIPS)[1],
+    }
     print("| photo | " + " | ".join(codes) + " |\n|---|" + "---:|" * len(codes))
     errors = []
     for number, (name, photo) in enumerate(photos(None)):
@@ -81,10 +103,14 @@ def blind() -> None:
             psf = psf / psf.sum()
             blurred = fftconvolve(sharp, psf, mode="valid")[:SIDE_PX, :SIDE_PX]
             noise = np.random.default_rng(number).normal(0, NOISE / code.duty, blurred.shape)
-            row.append(_error(psf, PmpEstimator(crops=1).estimate(np.clip(blurred + noise, 0, 1)).psf))
+            row.append(
+                _error(psf, PmpEstimator(crops=1).estimate(np.clip(blurred + noise, 0, 1)).psf)
+            )
         errors += row
         print(f"| {name} | " + " | ".join(f"{error:.3f}" for error in row) + " |", flush=True)
-    print(f"median {np.median(errors):.3f}, quartiles {np.quantile(errors, [0.25, 0.75]).round(3).tolist()}")
+    print(
+        f"median {np.median(errors):.3f}, quartiles {np.quantile(errors, [0.25, 0.75]).round(3).tolist()}"
+    )
 
 
 def _error(psf: FloatArray, found: FloatArray, grid_px: int = 240) -> float:

@@ -1,11 +1,13 @@
 """The whole chain on simulated hand shakes: (estimate ->) optimise -> capture -> restore, coded against uncoded.
 
-    python -m lab.studies.chain [--estimate true|pmp] [--shakes 10] [--chips 52] [--seconds 8] [--objective mse]
+    python -m lab.studies.chain [--estimate true|pmp] [--shakes 10] [--chips 52] [--seconds 8]
+    [--objective mse]
 
-Rows compare exposures of the SAME time along the same path by the PSNR of their Wiener restorations (camera's noise,
-32 px of border cropped). The code is designed once per shake for both directions of the path, at 10,000 photons.
-"coded, tested" picks the direction by the two-direction test, "coded" is told it; "snapshot" opens the shutter only
-while the image moves about one pixel. With `--estimate pmp` the path comes from one ordinary blurred photo, and every
+Rows compare exposures of the SAME time along the same path by the PSNR of their Wiener
+restorations (camera's noise, 32 px of border cropped). The code is designed once per shake for
+both directions of the path, at 10,000 photons. "coded, tested" picks the direction by the
+two-direction test, "coded" is told it; "snapshot" opens the shutter only while the image moves
+about one pixel. With `--estimate pmp` the path comes from one ordinary blurred photo, and every
 restoration but the snapshot's leans on it; PSNR is then up to shift.
 """
 
@@ -32,11 +34,24 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 
-SCENES = ("camera", "astronaut", "coffee", "chelsea", "rocket", "moon", "brick", "coins", "page", "clock")
+SCENES = (
+    "camera",
+    "astronaut",
+    "coffee",
+    "chelsea",
+    "rocket",
+    "moon",
+    "brick",
+    "coins",
+    "page",
+    "clock",
+)
 LIGHT = (100.0, 300.0, 1000.0, 3000.0, 10_000.0, 30_000.0, 100_000.0)
 CROP_PX = 32
 READ_NOISE_E = Camera().read_noise_e
-SHARP_PX = 1.09  # image motion that leaves an exposure practically sharp (Tendero, Morel, Rouge 2013)
+SHARP_PX = (
+    1.09  # image motion that leaves an exposure practically sharp (Tendero, Morel, Rouge 2013)
+)
 
 
 def scene(name: str) -> np.ndarray:
@@ -47,7 +62,8 @@ def scene(name: str) -> np.ndarray:
 
 def snapshot_psf(path: Trajectory) -> np.ndarray:
     """PSF of the longest single opening around mid-exposure that moves the image by at most SHARP_PX."""
-    low, high = 0.0, 0.5
+    low = 0.0
+    high = 0.5
     for _ in range(40):
         half = 0.5 * (low + high)
         moved = np.ptp(path.at(np.linspace(0.5 - half, 0.5 + half, 101)), axis=0).max()
@@ -71,12 +87,15 @@ def estimator(name: str) -> Callable[[np.ndarray, Trajectory], Trajectory]:
 
 
 def row(label: str, gains: list[float]) -> None:
-    mean, spread = np.mean(gains), np.std(gains)
+    mean = np.mean(gains)
+    spread = np.std(gains)
     print(f"  {label:<26}{mean:>8.2f}{spread:>8.2f}{min(gains):>8.2f}{max(gains):>8.2f}")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--estimate", choices=("true", "pmp"), default="true")
     parser.add_argument("--shakes", type=int, default=10)
     parser.add_argument("--chips", type=int, default=52)
@@ -87,23 +106,33 @@ def main() -> None:
     options = parser.parse_args()
     estimate = estimator(options.estimate)
     shifted = options.estimate != "true"
-    light_range = open_range_of_duty(options.chips, *(float(part) for part in options.duty.split(":")))
+    light_range = open_range_of_duty(
+        options.chips, *(float(part) for part in options.duty.split(":"))
+    )
     results: dict[float, dict[str, list[float]]] = {level: defaultdict(list) for level in LIGHT}
     overview = defaultdict(list)
     started = time.process_time()
     for index in range(options.shakes):
         # apart, since a time-limited search draws as often as the machine allows
         rng, search_rng = np.random.default_rng([options.seed, index]).spawn(2)
-        sharp, path = scene(SCENES[index % len(SCENES)]), boracchi_foi(rng)
+        sharp = scene(SCENES[index % len(SCENES)])
+        path = boracchi_foi(rng)
         truth = visible(sharp, PSF_PX)
         open_psf = path.psf(PSF_PX)
         found = estimate(capture(sharp, open_psf, camera=Camera(), rng=rng), path)
         problem = SearchProblem.along(
-            found, chips=options.chips, objective=options.objective, direction="unknown", open_range=light_range
+            found,
+            chips=options.chips,
+            objective=options.objective,
+            direction="unknown",
+            open_range=light_range,
         )
         code: ShutterCode = anneal(problem, rng=search_rng, time_s=options.seconds).code
-        frame = max(PSF_PX, found.frame_size(), found.reversed().frame_size())  # a lost estimate can be large
-        true_psf, flash = coded_psf(path, code, PSF_PX), snapshot_psf(path)
+        frame = max(
+            PSF_PX, found.frame_size(), found.reversed().frame_size()
+        )  # a lost estimate can be large
+        true_psf = coded_psf(path, code, PSF_PX)
+        flash = snapshot_psf(path)
         ways = [coded_psf(p, code, frame) for p in (found, found.reversed())]
         if mnc_subpixel(ways[1], true_psf) > mnc_subpixel(ways[0], true_psf):
             ways.reverse()  # an estimate may run backwards; the first is now the right one
@@ -112,8 +141,11 @@ def main() -> None:
         overview["snapshot"].append(float(flash.sum()))
         overview["mnc"].append(mnc_subpixel(found.psf(frame), open_psf))
         for level in LIGHT:
-            # a raw file's pedestal of 6 sigma: without it, clipped read noise would brighten the darkest photos
-            camera = Camera(photons_full_scale=level, black_level=min(1.0, 6 * READ_NOISE_E / level))
+            # a raw file's pedestal of 6 sigma: without it, clipped read noise would brighten the
+            # darkest photos
+            camera = Camera(
+                photons_full_scale=level, black_level=min(1.0, 6 * READ_NOISE_E / level)
+            )
             coded = capture(sharp, true_psf, camera=camera, rng=rng)
             tested = compare_psfs(coded, *ways)
             scores = {}
@@ -143,7 +175,12 @@ def main() -> None:
             f"{np.mean(table['coded']):.2f} dB, snapshot {np.mean(table['snapshot']):.2f} dB; direction "
             f"{len(table['forward'])} right, {len(table['reverse'])} wrong, {len(table['undecidable'])} undecidable"
         )
-        for label in ("coded - uncoded", "coded, tested - uncoded", "snapshot - uncoded", "coded - snapshot"):
+        for label in (
+            "coded - uncoded",
+            "coded, tested - uncoded",
+            "snapshot - uncoded",
+            "coded - snapshot",
+        ):
             row(label, table[label])
     print(f"{time.process_time() - started:.0f} CPU-s")
 

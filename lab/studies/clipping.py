@@ -1,8 +1,9 @@
 """Photos with clipped lights: restored with and without the fill, and their PSFs estimated.
 
-Eight scenes of scikit-image at 0.7 of full scale at most, 256 x 256 px, with 20 to 60 lights 3 to 20 times full scale,
-blurred along walks of 20 to 40 px, with 0.5 % noise, clipped (docs/decisions/restoration.md, motion-estimation.md).
-The page is text on paper about as white as full scale. PSNR is in linear light cut to 0..1, 20 px from the border.
+Eight scenes of scikit-image at 0.7 of full scale at most, 256 x 256 px, with 20 to 60 lights 3 to
+20 times full scale, blurred along walks of 20 to 40 px, with 0.5 % noise, clipped
+(docs/decisions/restoration.md, motion-estimation.md). The page is text on paper about as white as
+full scale. PSNR is in linear light cut to 0..1, 20 px from the border.
 
     OMP_NUM_THREADS=1 python -m lab.studies.clipping
 """
@@ -25,7 +26,9 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import blur_valid, visible
 
 SCENES = ("camera", "astronaut", "coffee", "chelsea", "rocket", "coins", "brick", "gravel")
-SIDE_PX, BORDER_PX, SIGMA = 256, 20, 0.005
+SIDE_PX = 256
+BORDER_PX = 20
+SIGMA = 0.005
 
 
 def cropped(image: np.ndarray) -> np.ndarray:
@@ -40,7 +43,8 @@ def cropped(image: np.ndarray) -> np.ndarray:
 def with_lights(scene: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     y, x = np.indices(scene.shape)
     for _ in range(int(rng.integers(20, 61))):
-        centre, strength = rng.uniform(0, scene.shape), rng.uniform(3, 20)
+        centre = rng.uniform(0, scene.shape)
+        strength = rng.uniform(3, 20)
         radius = rng.uniform(0.6, 1.2) if rng.random() < 0.6 else rng.uniform(1.5, 4)
         disc = np.clip(radius + 0.5 - np.hypot(y - centre[0], x - centre[1]), 0, 1)
         scene = np.maximum(scene, strength * disc)
@@ -48,7 +52,9 @@ def with_lights(scene: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def main() -> None:
-    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+    argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    ).parse_args()
     found: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
     likeness: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for number, name in enumerate((*SCENES, "page")):
@@ -70,7 +76,10 @@ def main() -> None:
             truth = np.clip(visible(one, PSF_PX), 0, 1)[inner]
             filled = fill_clipped(photo, psf)
             for method, restored in METHODS.items():
-                pair = [psnr(np.clip(restored(image, psf), 0, 1)[inner], truth) for image in (photo, filled)]
+                pair = [
+                    psnr(np.clip(restored(image, psf), 0, 1)[inner], truth)
+                    for image in (photo, filled)
+                ]
                 found[kind, method].append((pair[0], pair[1]))
             estimate = PmpEstimator().estimate(photo)
             stated = float(str(estimate.details["psf_confidence"]))
@@ -79,10 +88,14 @@ def main() -> None:
     for (kind, method), pairs in found.items():
         without, with_fill = np.array(pairs).T
         gain = with_fill - without
-        print(f"{kind:12} {method:8} {without.mean():6.2f} {with_fill.mean():6.2f} dB, least gain {gain.min():5.2f}")
+        print(
+            f"{kind:12} {method:8} {without.mean():6.2f} {with_fill.mean():6.2f} dB, least gain {gain.min():5.2f}"
+        )
     for kind, values in likeness.items():
         mnc, stated = np.array(values).T
-        print(f"{kind:12} MNC of pmp {mnc.mean():.3f}, least {mnc.min():.3f}, stated {stated.mean():.2f}")
+        print(
+            f"{kind:12} MNC of pmp {mnc.mean():.3f}, least {mnc.min():.3f}, stated {stated.mean():.2f}"
+        )
 
 
 if __name__ == "__main__":

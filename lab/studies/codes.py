@@ -3,8 +3,9 @@
     python -m lab.studies.codes [--seconds 40] [--curved-seconds 10] [--motions 8]
                                [--only league|certificates|straight|curved] [--table league.tex]
 
-Noise gains are 10 log10 mean 1/|H|^2. On straight motion H is the code's polynomial in chips over the unit circle; on
-curved paths it is light-true over the band [-0.5, 0.5]^2, and "DC" adds 20 log10 duty.
+Noise gains are 10 log10 mean 1/|H|^2. On straight motion H is the code's polynomial in chips over
+the unit circle; on curved paths it is light-true over the band [-0.5, 0.5]^2, and "DC" adds 20
+log10 duty.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from motdiff.trajectory import Trajectory
 
 
 def chip_row(name: str, code: ShutterCode, seconds: float) -> None:
-    found, noise = chip_minimum(code), chip_noise_db(code)
+    found = chip_minimum(code)
+    noise = chip_noise_db(code)
     print(
         f"{name:22s} {code.chips:4d} {code.open_chips:4d} {found.upper:8.4f} {found.lower:8.4f} "
         f"{found.upper / code.open_chips:7.4f} {noise:8.2f} {noise + 20 * np.log10(code.open_chips):8.2f}  "
@@ -38,30 +40,61 @@ def chip_row(name: str, code: ShutterCode, seconds: float) -> None:
 
 def league(file: Path | None) -> None:
     """Print the tables of docs/league.md, and write them to a .tex, .csv or .md file where one is named."""
-    measured, claimed = [], []
+    measured = []
+    claimed = []
     for name in names():
         code = published(name).code
-        found, noise = chip_minimum(code), chip_noise_db(code)
+        found = chip_minimum(code)
+        noise = chip_noise_db(code)
         grid = np.abs(np.fft.fft(code.array)).min()
         shown = "inf", "inf"
         if found.upper > 0:
             shown = f"{noise:.2f}", f"{noise + 20 * np.log10(code.open_chips):.2f}"
         proven = f"{found.lower:.4f} .. {found.upper:.4f}"
         measured.append(
-            (name, code.chips, code.open_chips, proven, f"{found.upper / code.open_chips:.4f}", f"{grid:.4f}", *shown)
+            (
+                name,
+                code.chips,
+                code.open_chips,
+                proven,
+                f"{found.upper / code.open_chips:.4f}",
+                f"{grid:.4f}",
+                *shown,
+            )
         )
     for name, (points, claim) in CLAIMS.items():
         code = published(name).code
         found = chip_minimum(code)
         true = f"{found.upper / code.open_chips:.4f}"
         claimed.append((name, points, f"{claim:.6f}", true, f"{found.at[0]:.6f}", found.method))
-    heads = ("code", "n", "k", "min |P|, proven", "/ DC", "n-point DFT says", "noise, dB", "noise / DC, dB")
-    others = ("code", "points of the grid", "claimed min / DC", "proven min / DC", "where, cycles per chip", "proof")
+    heads = (
+        "code",
+        "n",
+        "k",
+        "min |P|, proven",
+        "/ DC",
+        "n-point DFT says",
+        "noise, dB",
+        "noise / DC, dB",
+    )
+    others = (
+        "code",
+        "points of the grid",
+        "claimed min / DC",
+        "proven min / DC",
+        "where, cycles per chip",
+        "proof",
+    )
     sheets = [
         Sheet("Published codes, measured again", heads, measured),
         Sheet("Minima that their authors claim", others, claimed),
     ]
-    print("\n".join(f"{markdown_table(one.columns, [list(map(str, row)) for row in one.rows])}\n" for one in sheets))
+    print(
+        "\n".join(
+            f"{markdown_table(one.columns, [list(map(str, row)) for row in one.rows])}\n"
+            for one in sheets
+        )
+    )
     if file is not None:
         write_sheets(sheets, file)
 
@@ -87,7 +120,12 @@ def certificates() -> None:
     for shake, path in enumerate(shakes):
         rows.append((f"one chip of 52, shake {shake}", ShutterCode("1".center(52, "0")), path))
         rows += [
-            (f"random, 52 chips, shake {shake} at 5 px", random_code(drawn, 52), path.scaled(1 / 12)) for _ in range(2)
+            (
+                f"random, 52 chips, shake {shake} at 5 px",
+                random_code(drawn, 52),
+                path.scaled(1 / 12),
+            )
+            for _ in range(2)
         ]
     certify(ShutterCode("1101"), shakes[0])
     for name, code, path in rows:
@@ -115,7 +153,9 @@ def straight(seconds: float) -> None:
     for objective in ("min-mtf", "noise"):
         problem = SearchProblem(chips=52, open_range=(26, 26), objective=objective)
         start = [entry.code for entry in for_chips(52)]
-        found = anneal(problem, rng=np.random.default_rng(0), steps=None, time_s=seconds, start=start)
+        found = anneal(
+            problem, rng=np.random.default_rng(0), steps=None, time_s=seconds, start=start
+        )
         chip_row(f"anneal {objective}", found.code, found.seconds)
         print(
             f"  {found.code.bits}  {found.steps / found.seconds:,.0f} moves/s; no code of 26 ones exceeds "
@@ -127,23 +167,34 @@ def curved(seconds: float, motions: int) -> None:
     from cep.search.annealing.anneal import anneal
     from cep.search.problem import SearchProblem
 
-    print(f"\nCurved paths (Boracchi-Foi, 60 px), 52 chips, {seconds:g} s a search; noise gain dB, light-true (DC)")
+    print(
+        f"\nCurved paths (Boracchi-Foi, 60 px), 52 chips, {seconds:g} s a search; noise gain dB, light-true (DC)"
+    )
     print(
         f"{'path':>6} {'no code':>15} {'one-way, along':>15} {'one-way, back':>15} {'both ways':>15} {'true min':>10}"
     )
     table = []
     for seed in range(motions):
         path = boracchi_foi(np.random.default_rng(seed), max_length_px=60.0)
-        gains, lowest = [measure(path, ShutterCode("1" * 52), budget=0)], []
+        gains = [measure(path, ShutterCode("1" * 52), budget=0)]
+        lowest = []
         for direction in ("forward", "unknown"):
-            problem = SearchProblem.along(path, chips=52, open_range=(26, 26), objective="noise", direction=direction)
-            code = anneal(problem, rng=np.random.default_rng(seed), steps=None, time_s=seconds).code
+            problem = SearchProblem.along(
+                path, chips=52, open_range=(26, 26), objective="noise", direction=direction
+            )
+            code = anneal(
+                problem, rng=np.random.default_rng(seed), steps=None, time_s=seconds
+            ).code
             ways = [measure(way, code, budget=0) for way in (path, path.reversed())]
             lowest.append(max(way.min_mtf for way in ways))
-            gains += ways if direction == "forward" else [max(ways, key=lambda way: way.noise_gain_db)]
+            gains += (
+                ways if direction == "forward" else [max(ways, key=lambda way: way.noise_gain_db)]
+            )
         row = [(gain.noise_gain_db, gain.dnf_db) for gain in gains]
         table.append(row)
-        print(f"{seed:6d}", *(f"{gain:7.1f} ({dc:5.1f})" for gain, dc in row), f"{max(lowest):9.1e}")
+        print(
+            f"{seed:6d}", *(f"{gain:7.1f} ({dc:5.1f})" for gain, dc in row), f"{max(lowest):9.1e}"
+        )
     print(f"{'mean':>6}", *(f"{gain:7.1f} ({dc:5.1f})" for gain, dc in np.mean(table, axis=0)))
     print(f"{'std':>6}", *(f"{gain:7.1f} ({dc:5.1f})" for gain, dc in np.std(table, axis=0)))
 

@@ -2,8 +2,9 @@
 
     python -m lab.studies.direction [--photos 60] [--jitter 0.3] [--seed 0]
 
-Boracchi-Foi, accelerated and straight motions, 300 x 300 px scenes, Raskar's 52-chip code and random half-open codes;
-Gauss noise of 0.2 to 2 % of full scale (the coded photo has half the light); the tested path is off by `--jitter`.
+Boracchi-Foi, accelerated and straight motions, 300 x 300 px scenes, Raskar's 52-chip code and
+random half-open codes; Gauss noise of 0.2 to 2 % of full scale (the coded photo has half the
+light); the tested path is off by `--jitter`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,18 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
 RASKAR_52 = ShutterCode("1010000111000001010000110011110111010111001001100111")
-SCENES = ("camera", "astronaut", "coffee", "chelsea", "rocket", "moon", "brick", "grass", "coins", "page")
+SCENES = (
+    "camera",
+    "astronaut",
+    "coffee",
+    "chelsea",
+    "rocket",
+    "moon",
+    "brick",
+    "grass",
+    "coins",
+    "page",
+)
 MOTIONS = {
     "Boracchi-Foi": boracchi_foi,
     "accelerated": quadratic,
@@ -46,20 +58,26 @@ def random_code(rng: np.random.Generator) -> ShutterCode:
 
 
 def jittered(path: Trajectory, amount_px: float, rng: np.random.Generator) -> Trajectory:
-    knots, t = rng.normal(scale=max(amount_px, 1e-12), size=(6, 2)), np.linspace(0, 1, 200)
-    wobble = np.stack([np.interp(t, np.linspace(0, 1, 6), knots[:, axis]) for axis in (0, 1)], axis=1)
+    knots = rng.normal(scale=max(amount_px, 1e-12), size=(6, 2))
+    t = np.linspace(0, 1, 200)
+    wobble = np.stack(
+        [np.interp(t, np.linspace(0, 1, 6), knots[:, axis]) for axis in (0, 1)], axis=1
+    )
     return Trajectory.from_samples(path.at(t) + wobble, t=t)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--photos", type=int, default=60)
     parser.add_argument("--jitter", type=float, default=0.0)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
     scenes = [scene(name) for name in SCENES]
-    rows, started = [], time.process_time()
+    rows = []
+    started = time.process_time()
     while len(rows) < options.photos:
         motion = str(rng.choice(list(MOTIONS)))
         band = int(rng.integers(len(NOISE)))
@@ -70,14 +88,17 @@ def main() -> None:
         if max(p.frame_size() for p in (path, guess, guess.reversed())) > PSF_PX:
             continue
         camera = Camera(photons_full_scale=1e6, read_noise_e=sigma * 1e6)
-        photo = capture(scenes[int(rng.integers(len(scenes)))], coded_psf(path, code), camera=camera, rng=rng)
+        photo = capture(
+            scenes[int(rng.integers(len(scenes)))], coded_psf(path, code), camera=camera, rng=rng
+        )
         result = compare_psfs(photo, coded_psf(guess, code), coded_psf(guess.reversed(), code))
         rows.append((motion, band, result.direction == "forward", result.confidence))
     seconds = (time.process_time() - started) / len(rows)
 
     def line(label: str, chosen: list[tuple[str, int, bool, float]]) -> None:
         if chosen:
-            right, sure = np.mean([r[2] for r in chosen]), [r[2] for r in chosen if r[3] > 0.9]
+            right = np.mean([r[2] for r in chosen])
+            sure = [r[2] for r in chosen if r[3] > 0.9]
             tail = f"{100 * np.mean(sure):5.1f} % of {len(sure)}" if sure else "-"
             print(f"{label:<22}{len(chosen):>7}{100 * right:>9.1f} %   {tail}")
 

@@ -2,11 +2,12 @@
 
     python -m lab.studies.drawn_path [--photos FOLDER] [--count 16] [--seed 0]
 
-For simulated photos with real borders and 1 % noise: the network's one-step map and dwell, told of the quick classical
-searches. "kernel": the drawn PSF is traced. "map": the map is traced and given the drawn PSF's dwell. "refined kernel"
-and "refined map": the same with the PSF refined on the photo, which is what ``cep calibrate`` does with the kernel.
-Figures: MNC of the trajectory's PSF; the path's distance from the true one in order, px, the better way round; and how
-much worse a code of 32 chips searched along the trajectory is than one searched along the true one, both for either
+For simulated photos with real borders and 1 % noise: the network's one-step map and dwell, told of
+the quick classical searches. "kernel": the drawn PSF is traced. "map": the map is traced and given
+the drawn PSF's dwell. "refined kernel" and "refined map": the same with the PSF refined on the
+photo, which is what ``cep calibrate`` does with the kernel. Figures: MNC of the trajectory's PSF;
+the path's distance from the true one in order, px, the better way round; and how much worse a code
+of 32 chips searched along the trajectory is than one searched along the true one, both for either
 direction, dB of the expected error along the true one.
 """
 
@@ -17,11 +18,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from lab.studies.inputs import photos, smooth_trace
 
 from cep.optics.code import ShutterCode
 from cep.search.problem import SearchProblem
 from cep.search.recipe import search_code
+from lab.studies.inputs import photos, smooth_trace
 from motdiff.estimators.kernel_score import Judge
 from motdiff.estimators.motdiff.drawing import quick_search
 from motdiff.estimators.multiscale import without_faint_parts
@@ -46,7 +47,9 @@ def motions(rng: np.random.Generator) -> dict[str, Trajectory]:
     return {
         "walk of 60 px": boracchi_foi(rng),
         "walk of 20 px": boracchi_foi(rng, max_length_px=20.0),
-        "shake": random_gyro_motion(trace, rng, exposure_s=float(rng.uniform(0.05, 0.3)), extent_px=20.0),
+        "shake": random_gyro_motion(
+            trace, rng, exposure_s=float(rng.uniform(0.05, 0.3)), extent_px=20.0
+        ),
     }
 
 
@@ -58,14 +61,20 @@ def trajectories(network: torch.nn.Module, photo: np.ndarray, seed: int) -> dict
     with torch.no_grad():
         maps = physics_maps(light, torch.from_numpy(searched.astype(np.float32))[None])
         drawn = sample_paths(
-            network, network.condition(None, maps), count=1, schedule=cosine_schedule(), steps=1,
+            network,
+            network.condition(None, maps),
+            count=1,
+            schedule=cosine_schedule(),
+            steps=1,
             generator=torch.Generator().manual_seed(seed),
-        )  # fmt: skip
+        )
     psf = drawn.psfs()[0, 0].double().numpy()
     odd = without_faint_light(in_frame(psf[None], PSF_PX - 1), below=0.02)[0]
     sharpened = refined(crops, odd / odd.sum(), sigma)
     chances = drawn.path[0, 0].numpy()
-    path = trace_map(chances > min(0.5, 0.5 * float(chances.max())))  # a lost guess is sure of no pixel
+    path = trace_map(
+        chances > min(0.5, 0.5 * float(chances.max()))
+    )  # a lost guess is sure of no pixel
     return {
         "kernel": simplest_trajectory(without_faint_parts(psf)),
         "map": fit_dwell(path, psf),
@@ -75,7 +84,9 @@ def trajectories(network: torch.nn.Module, photo: np.ndarray, seed: int) -> dict
 
 
 def searched(path: Trajectory, seed: int) -> ShutterCode:
-    problem = SearchProblem.along(path, chips=32, open_range=(10, 22), objective="mse", direction="unknown")
+    problem = SearchProblem.along(
+        path, chips=32, open_range=(10, 22), objective="mse", direction="unknown"
+    )
     return search_code(problem, rng=np.random.default_rng(seed), steps=20_000, time_s=600.0).code
 
 
@@ -85,7 +96,9 @@ def error_db(path: Trajectory, code: ShutterCode) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--photos", type=Path)
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--seed", type=int, default=0)
@@ -116,7 +129,9 @@ def main() -> None:
         for way in WAYS:
             table = np.array(by_way[way])
             error = table.std(axis=0) / len(table) ** 0.5
-            cells = " | ".join(f"{m:.3f} ({e:.3f})" for m, e in zip(table.mean(axis=0), error, strict=True))
+            cells = " | ".join(
+                f"{m:.3f} ({e:.3f})" for m, e in zip(table.mean(axis=0), error, strict=True)
+            )
             print(f"| {kind} | {way} | {len(table)} | {cells} |")
 
 

@@ -2,8 +2,9 @@
 
     python -m lab.studies.exact [--most 36] [--most-by-open 20] [--threads 1]
 
-Minima are proven to a millionth. "Codes" are all that a proof accounts for, up to a shift in time; the scan takes up
-mirror images once. Seconds are of the processor, all threads together, with compiling done before.
+Minima are proven to a millionth. "Codes" are all that a proof accounts for, up to a shift in time;
+the scan takes up mirror images once. Seconds are of the processor, all threads together, with
+compiling done before.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import argparse
 import time
 
 from cep.search.exhaustive.block_proof import judge_block, plan_blocks
-from cep.search.exhaustive.exact import ExactResult, exact
+from cep.search.exhaustive.exact import exact
+from cep.search.exhaustive.proof import ExactResult
 from cep.search.problem import SearchProblem
 
 
@@ -23,10 +25,13 @@ def timed(problem: SearchProblem, threads: int) -> tuple[ExactResult, float]:
 
 
 def free(most: int, threads: int) -> None:
-    print("| n | largest min &#124;P&#124; | k | length | code | codes | cpu s |\n|--:|--:|--:|--:|:--|--:|--:|")
+    print(
+        "| n | largest min &#124;P&#124; | k | length | code | codes | cpu s |\n|--:|--:|--:|--:|:--|--:|--:|"
+    )
     for chips in range(8, most + 1):
         found, seconds = timed(SearchProblem(chips=chips), threads)
-        core, codes = found.code.bits.strip("0"), sum(entry.codes for entry in found.proof.lengths)
+        core = found.code.bits.strip("0")
+        codes = sum(entry.codes for entry in found.proof.lengths)
         row = (
             chips,
             f"{found.proof.upper:.6f}",
@@ -71,7 +76,9 @@ def compare(chips: int) -> None:
     known, seconds = timed(problem, 1)
     plan = plan_blocks(problem)
     records = [
-        judge_block(plan.chips, plan.fewest, plan.most, block.first, block.until, known.proof.lower)
+        judge_block(
+            plan.chips, plan.fewest, plan.most, block.first, block.until, known.proof.lower
+        )
         for block in plan.blocks
     ]
     assert sum(record["codes"] for record in records) == plan.codes
@@ -81,13 +88,22 @@ def compare(chips: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--most", type=int, default=36, help="chips of the last row, free open count")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument(
-        "--most-by-open", type=int, default=20, help="chips of the last row, per open count; 0 for none"
+        "--most", type=int, default=36, help="chips of the last row, free open count"
+    )
+    parser.add_argument(
+        "--most-by-open",
+        type=int,
+        default=20,
+        help="chips of the last row, per open count; 0 for none",
     )
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--compare", type=int, nargs="+", default=(), help="chips: only compare the two scans")
+    parser.add_argument(
+        "--compare", type=int, nargs="+", default=(), help="chips: only compare the two scans"
+    )
     args = parser.parse_args()
     exact(SearchProblem(chips=20), threads=1)
     if args.compare:

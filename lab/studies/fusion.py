@@ -1,13 +1,15 @@
 """How much better one motion is found in several photos of it together than in each alone, and who is left out.
 
-    python -m lab.studies.fusion [--method motdiff] [--count 8] [--photos 3] [--noise 0.01 0.02] [--scaled 0]
+    python -m lab.studies.fusion [--method motdiff] [--count 8] [--photos 3] [--noise 0.01 0.02]
+    [--scaled 0]
         [--strangers 0] [--same-scene] [--seed 7]
 
-Motions are walks and arcs of 20 to 40 px, in turn. Photos of 236 px show the most textured parts of different scenes
-of scikit-image, or of one; with `--strangers` more photos show another motion. With `--scaled` the motion of each
-photo is that much longer or shorter, at most.
+Motions are walks and arcs of 20 to 40 px, in turn. Photos of 236 px show the most textured parts
+of different scenes of scikit-image, or of one; with `--strangers` more photos show another motion.
+With `--scaled` the motion of each photo is that much longer or shorter, at most.
 
-`single best` is chosen by the truth, as nobody can; `surest` by the estimates' confidence. MNC is with the true PSF.
+`single best` is chosen by the truth, as nobody can; `surest` by the estimates' confidence. MNC is
+with the true PSF.
 """
 
 from __future__ import annotations
@@ -16,19 +18,18 @@ import argparse
 from dataclasses import dataclass
 
 import numpy as np
-from lab.studies.inputs import photos
-from numpy.typing import NDArray
 
 from cep.calibration.calibrate import estimate_motion
+from lab.studies.inputs import photos
 from motdiff.crops import luminance, pick_crops
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi
 from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-FloatArray = NDArray[np.float64]
-
-SCENE_PX, FRAME_PX = 300, 65
+SCENE_PX = 300
+FRAME_PX = 65
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,12 @@ def motion_of(index: int, rng: np.random.Generator) -> Trajectory:
     length_px = rng.uniform(20, 40)
     if index % 2 == 0:
         return boracchi_foi(rng, max_length_px=length_px)
-    angle = rng.choice((-1, 1)) * np.linspace(0, rng.uniform(0.5, 3.0), 200) + rng.uniform(0, 2 * np.pi)
-    return Trajectory.from_samples(length_px / np.ptp(angle) * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    angle = rng.choice((-1, 1)) * np.linspace(0, rng.uniform(0.5, 3.0), 200) + rng.uniform(
+        0, 2 * np.pi
+    )
+    return Trajectory.from_samples(
+        length_px / np.ptp(angle) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    )
 
 
 def scenes() -> list[FloatArray]:
@@ -62,9 +67,15 @@ def scenes() -> list[FloatArray]:
 
 def figures_of(given: argparse.Namespace, index: int, noise: float) -> Row:
     rng = np.random.default_rng([given.seed, index])
-    path, other, shown = motion_of(index, rng), motion_of(index + 1, rng), scenes()
+    path = motion_of(index, rng)
+    other = motion_of(index + 1, rng)
+    shown = scenes()
     count = given.photos + given.strangers
-    which = [int(rng.integers(len(shown)))] * count if given.same_scene else rng.permutation(len(shown))[:count]
+    which = (
+        [int(rng.integers(len(shown)))] * count
+        if given.same_scene
+        else rng.permutation(len(shown))[:count]
+    )
     taken = []
     for i, scene in enumerate(which):
         own = np.random.default_rng([given.seed, index, i])
@@ -86,12 +97,18 @@ def figures_of(given: argparse.Namespace, index: int, noise: float) -> Row:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--method", default="motdiff", choices=("motdiff", "pmp"))
     parser.add_argument("--count", type=int, default=8, help="motions")
     parser.add_argument("--photos", type=int, default=3, help="of each motion")
-    parser.add_argument("--noise", nargs="+", type=float, default=[0.01, 0.02], help="shares of full scale")
-    parser.add_argument("--scaled", type=float, default=0.0, metavar="SHARE", help="of a photo's motion, at most")
+    parser.add_argument(
+        "--noise", nargs="+", type=float, default=[0.01, 0.02], help="shares of full scale"
+    )
+    parser.add_argument(
+        "--scaled", type=float, default=0.0, metavar="SHARE", help="of a photo's motion, at most"
+    )
     parser.add_argument("--strangers", type=int, default=0, help="photos of another motion")
     parser.add_argument("--same-scene", action="store_true")
     parser.add_argument("--seed", type=int, default=7)
@@ -109,8 +126,12 @@ def main() -> None:
         found = sum(len(strangers & set(row.left_out)) for row in rows)
         wrong = sum(len(set(row.left_out) - strangers) for row in rows)
         mean, best = (np.mean([pick(row.singles) for row in rows]) for pick in (np.mean, np.max))
-        surest, fused = (np.mean([getattr(row, name) for row in rows]) for name in ("surest", "fused"))
-        print("| noise | single, mean | surest | single best | fused | strangers left out | others left out |")
+        surest, fused = (
+            np.mean([getattr(row, name) for row in rows]) for name in ("surest", "fused")
+        )
+        print(
+            "| noise | single, mean | surest | single best | fused | strangers left out | others left out |"
+        )
         print(
             f"| {100 * noise:g} % | {mean:.3f} | {surest:.3f} | {best:.3f} | {fused:.3f} "
             f"| {found} of {len(strangers) * len(rows)} | {wrong} of {given.photos * len(rows)} |",

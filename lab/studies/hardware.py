@@ -2,7 +2,8 @@
 
     python -m lab.studies.hardware [--loads 200] [--triggers 400] [--codes 60]
 
-The Uno runs in real time for the first, since the line of 115200 baud is what takes it; the others count its cycles.
+The Uno runs in real time for the first, since the line of 115200 baud is what takes it; the others
+count its cycles.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ def trigger_latencies(triggers: int) -> list[int]:
 def edge_errors(codes: int) -> tuple[list[int], int]:
     """Errors of all edges against the first of their code, clock cycles, and the number of chips played."""
     rng = random.Random(1)
-    errors, chips = [], 0
+    errors = []
+    chips = 0
     with EmulatedUno(speed=0) as uno, Controller.open(uno.port) as controller:
         for _ in range(codes):
             bits = "1" + "".join(rng.choice("01") for _ in range(rng.randint(15, 511)))
@@ -82,13 +84,23 @@ def main() -> None:
         print(f"left out: {error}")
         return
     times = load_times_s(wanted.loads)
-    print(f"load and verify, 52 chips: median {statistics.median(times) * 1e3:.1f} ms, worst {times[-1] * 1e3:.1f} ms")
+    print(
+        f"load and verify, 52 chips: median {statistics.median(times) * 1e3:.1f} ms, worst {times[-1] * 1e3:.1f} ms"
+    )
     cycles = trigger_latencies(wanted.triggers)
-    told = [f"{name} {at * CYCLE_NS / 1e3:.2f} us" for name, at in
-            (("median", statistics.median(cycles)), ("least", cycles[0]), ("most", cycles[-1]))]  # fmt: skip
+    told = [
+        f"{name} {at * CYCLE_NS / 1e3:.2f} us"
+        for name, at in (
+            ("median", statistics.median(cycles)),
+            ("least", cycles[0]),
+            ("most", cycles[-1]),
+        )
+    ]
     print(f"trigger input to first chip, {len(cycles)} triggers: {', '.join(told)}")
     errors, chips = edge_errors(wanted.codes)
-    print(f"edges: {len(errors)} of {chips} chips are {min(errors):+d}..{max(errors):+d} cycles of 62.5 ns off")
+    print(
+        f"edges: {len(errors)} of {chips} chips are {min(errors):+d}..{max(errors):+d} cycles of 62.5 ns off"
+    )
 
 
 if __name__ == "__main__":

@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motdiff.gyro import GyroTrace
 from motdiff.simulate import to_linear
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 BUNDLED = ("camera", "astronaut", "coffee", "chelsea", "brick", "coins", "page", "moon")
 
@@ -25,9 +23,15 @@ def photos(folder: Path | None) -> list[tuple[str, FloatArray]]:
         from skimage import data
 
         return [(name, to_linear(getattr(data, name)() / 255.0)) for name in BUNDLED]
-    paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in {".png", ".jpg", ".jpeg", ".tif", ".bmp"})
+    paths = sorted(
+        p
+        for p in folder.rglob("*")
+        if p.suffix.lower() in {".png", ".jpg", ".jpeg", ".tif", ".bmp"}
+    )
     images = [(p.name, cv2.imread(str(p), cv2.IMREAD_COLOR)) for p in paths]
-    return [(name, to_linear(image[..., ::-1] / 255.0)) for name, image in images if image is not None]
+    return [
+        (name, to_linear(image[..., ::-1] / 255.0)) for name, image in images if image is not None
+    ]
 
 
 def smooth_trace(rng: np.random.Generator, *, duration_s: float, rate_hz: float) -> GyroTrace:

@@ -1,15 +1,16 @@
 """What the two networks add to ``pmp`` in ``cep calibrate``: paired MNC, by motion, noise and detail.
 
-    python -m lab.studies.motdiff_gain rows FILE --prepared CONFIG [--draws 8]       # held-out photos of a run
-    python -m lab.studies.motdiff_gain rows FILE --data DIR --protocol NAME [--gyro RECORDING]
-    python -m lab.studies.motdiff_gain table FILE...
+    python -m lab.studies.motdiff_gain rows FILE --prepared CONFIG [--draws 8]       # held-out
+    photos of a run python -m lab.studies.motdiff_gain rows FILE --data DIR --protocol NAME [--gyro
+    RECORDING] python -m lab.studies.motdiff_gain table FILE...
 
-Each photo is estimated by ``pmp``, by ``motdiff``, and by two others, which each lack one of its networks. ``pmp+`` is
-``pmp`` with the refinement and the correction of ``motdiff``: all of it but the diffusion network. ``uncorrected`` is
-``motdiff`` without the correction. A search that several need is run once, and its time counts for each. CONFIG is a
-run's TOML file with prepared samples; there the diffusion network alone is measured too. DIR and NAME are those of
-``python -m lab bench blind``. One thread; a row is appended as soon as it is done, and an interrupted bench goes on where it
-stopped.
+Each photo is estimated by ``pmp``, by ``motdiff``, and by two others, which each lack one of its
+networks. ``pmp+`` is ``pmp`` with the refinement and the correction of ``motdiff``: all of it but
+the diffusion network. ``uncorrected`` is ``motdiff`` without the correction. A search that several
+need is run once, and its time counts for each. CONFIG is a run's TOML file with prepared samples;
+there the diffusion network alone is measured too. DIR and NAME are those of ``python -m lab bench
+blind``. One thread; a row is appended as soon as it is done, and an interrupted bench goes on
+where it stopped.
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from lab.studies.inputs import kept_rows
 
 from lab.bench.blind.cases import make_case
 from lab.bench.blind.protocol import Protocol
@@ -33,6 +33,7 @@ from lab.bench.blind.run import blind_plan
 from lab.bench.statistics import mean_interval
 from lab.evaluation.draws import measure_draws
 from lab.evaluation.sets import levin_photo
+from lab.studies.inputs import kept_rows
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, FoundKernels
 from motdiff.estimators.kernel_score import distinct, noise_sigma, rank_kernels, shared_sigma
@@ -100,7 +101,9 @@ class PmpCorrected(PmpEstimator):
         alike = mnc_matrix(kernels)
         order = np.argsort(-rank_kernels(crops, kernels).probabilities)
         chosen = distinct(alike, order[:1], order[1:], most=_REFINED)
-        sharpened = side_by_side([partial(refined, crops, kernels[i], shared_sigma(crops)) for i in chosen])
+        sharpened = side_by_side(
+            [partial(refined, crops, kernels[i], shared_sigma(crops)) for i in chosen]
+        )
         for i, kernel in zip(chosen, sharpened, strict=True):
             kernels[i] = kernel
         probabilities = rank_kernels(crops, kernels).probabilities
@@ -136,7 +139,9 @@ class SharedSearch:
         self._found: dict[bytes, tuple[list[FloatArray], float]] = {}
         self.spared_s = 0.0
 
-    def kernels(self, estimator: PmpEstimator, crops: FloatArray, **options: object) -> list[FloatArray]:
+    def kernels(
+        self, estimator: PmpEstimator, crops: FloatArray, **options: object
+    ) -> list[FloatArray]:
         """Search as :meth:`motdiff.estimators.pmp.PmpEstimator.kernels`, or give what was found before."""
         key = crops.tobytes()
         if key in self._found:
@@ -160,7 +165,9 @@ def prepared_photos(config_file: Path) -> Iterator[Photo]:
     truth = psfs_of_maps(samples.dwell[:, 0].float()).double().numpy()
     for i, kind in enumerate(kinds):
         light = samples.photos[i, 0].double().div(255).square().numpy()
-        yield Photo(f"{i:04d}", kind, f"{i:04d}", light, truth[i], samples.kernels[i].double().numpy())
+        yield Photo(
+            f"{i:04d}", kind, f"{i:04d}", light, truth[i], samples.kernels[i].double().numpy()
+        )
 
 
 def protocol_photos(folder: Path, protocol: Protocol, recording: Path | None) -> Iterator[Photo]:
@@ -181,7 +188,13 @@ def protocol_photos(folder: Path, protocol: Protocol, recording: Path | None) ->
 
 def estimators() -> dict[str, Estimator]:
     """Make the methods."""
-    return dict(zip(METHODS, (PmpEstimator(), PmpCorrected(), Uncorrected(), MotDiffEstimator()), strict=True))
+    return dict(
+        zip(
+            METHODS,
+            (PmpEstimator(), PmpCorrected(), Uncorrected(), MotDiffEstimator()),
+            strict=True,
+        )
+    )
 
 
 def row_of(photo: Photo, methods: dict[str, Estimator], shared: SharedSearch) -> dict[str, object]:
@@ -189,20 +202,32 @@ def row_of(photo: Photo, methods: dict[str, Estimator], shared: SharedSearch) ->
     grey = luminance(photo.light)
     gradients = np.concatenate([np.diff(grey, axis=axis).ravel() for axis in (0, 1)])
     sigma = noise_sigma(grey)
-    row: dict[str, object] = {"name": photo.name, "kind": photo.kind, "scene": photo.scene, "sigma": sigma}
+    row: dict[str, object] = {
+        "name": photo.name,
+        "kind": photo.kind,
+        "scene": photo.scene,
+        "sigma": sigma,
+    }
     row["detail"] = float(np.sqrt(max(np.mean(gradients**2) - 2 * sigma**2, 0.0)))
     for name, estimator in methods.items():
         shared.spared_s, began_s = 0.0, time.process_time()
         found = estimator.estimate(photo.light)
         cpu_s = time.process_time() - began_s + shared.spared_s
         mnc = mnc_subpixel(found.psf, photo.psf)
-        row[name] = {"mnc": mnc, "confidence": found.confidence, "cpu_s": cpu_s, **_chosen(found.details)}
+        row[name] = {
+            "mnc": mnc,
+            "confidence": found.confidence,
+            "cpu_s": cpu_s,
+            **_chosen(found.details),
+        }
     shared.forget()
     return row
 
 
 def _chosen(details: object) -> dict[str, object]:
-    return {"chosen": details["chosen"]} if isinstance(details, dict) and "chosen" in details else {}
+    return (
+        {"chosen": details["chosen"]} if isinstance(details, dict) and "chosen" in details else {}
+    )
 
 
 def drawn(
@@ -210,7 +235,8 @@ def drawn(
 ) -> dict[str, object]:
     """Draws of the network alone, told of the kernels prepared with the photo, and the same corrected."""
     figures: dict[str, object] = {}
-    crops, others = luminance(photo.light)[None], list(photo.conditions[:2])
+    crops = luminance(photo.light)[None]
+    others = list(photo.conditions[:2])
     for steps in _STEPS:
         draws = draw_psfs(
             network,
@@ -220,11 +246,22 @@ def drawn(
             steps=steps,
             generator=torch.Generator().manual_seed(number),
         )
-        better = [corrected_kernel(correction, crops, draw, others, sigma=shared_sigma(crops)) for draw in draws]
-        for name, kernels in ((f"ddim:{steps}", list(draws)), (f"ddim:{steps}, corrected", better)):
+        better = [
+            corrected_kernel(correction, crops, draw, others, sigma=shared_sigma(crops))
+            for draw in draws
+        ]
+        for name, kernels in (
+            (f"ddim:{steps}", list(draws)),
+            (f"ddim:{steps}, corrected", better),
+        ):
             found = measure_draws(kernels, photo.psf)
             mncs = [mnc_subpixel(kernel, photo.psf) for kernel in kernels]
-            figures[name] = {"mnc": mncs, "best": found.best, "alike": found.alike, "covered": found.covered}
+            figures[name] = {
+                "mnc": mncs,
+                "best": found.best,
+                "alike": found.alike,
+                "covered": found.covered,
+            }
     return figures
 
 
@@ -232,9 +269,12 @@ def write_rows(file: Path, photos: Iterable[Photo], draws: int) -> None:
     """Append the rows that ``file`` lacks."""
     there = {row["name"]: row for row in read_rows([file])} if file.exists() else {}
     shared = SharedSearch(PmpEstimator.kernels)
-    # the methods compared share each photo's search; type: pmp's own class is changed, for this process alone
+    # the methods compared share each photo's search; type: pmp's own class is changed, for this
+    # process alone
     PmpEstimator.kernels = lambda *given, **options: shared.kernels(*given, **options)  # type: ignore[method-assign]
-    methods, network, correction = estimators(), load_network(), load_correction()
+    methods = estimators()
+    network = load_network()
+    correction = load_correction()
     with torch.no_grad(), one_thread():
         for number, photo in enumerate(photos):
             known = there.get(photo.name, {})
@@ -263,7 +303,9 @@ def groups(rows: list[dict]) -> Iterator[tuple[str, list[dict]]]:
     yield "all", rows
     for kind in dict.fromkeys(_KINDS.values()):
         yield kind, [row for row in rows if _KINDS[row["kind"]] == kind]
-    thirds = tuple(float(x) for x in np.quantile([row["detail"] for row in rows], (1 / 3, 2 / 3)).round(3))
+    thirds = tuple(
+        float(x) for x in np.quantile([row["detail"] for row in rows], (1 / 3, 2 / 3)).round(3)
+    )
     levels = (
         ("noise", _NOISE, lambda row: row["sigma"]),
         ("detail", thirds, lambda row: row["detail"]),
@@ -278,7 +320,9 @@ def groups(rows: list[dict]) -> Iterator[tuple[str, list[dict]]]:
 def difference(rows: list[dict], first: str, second: str) -> str:
     """Mean paired difference with its 95 % interval, photos of one scene drawn together."""
     less = [row[first]["mnc"] - row[second]["mnc"] for row in rows]
-    found = mean_interval(less, rng=np.random.default_rng(0), clusters=[row["scene"] for row in rows])
+    found = mean_interval(
+        less, rng=np.random.default_rng(0), clusters=[row["scene"] for row in rows]
+    )
     if found.clusters < _LEAST_SCENES or not np.isfinite(found.low):
         return f"{found.mean:.3f}"
     return f"{found.mean:.3f} [{found.low:.3f}, {found.high:.3f}]"
@@ -286,7 +330,9 @@ def difference(rows: list[dict], first: str, second: str) -> str:
 
 def line(name: str, rows: list[dict]) -> str:
     """Line of the table: means, paired differences, and the photos whose kernel became clearly better or worse."""
-    means = " | ".join(format(np.mean([row[method]["mnc"] for row in rows]), ".3f") for method in METHODS)
+    means = " | ".join(
+        format(np.mean([row[method]["mnc"] for row in rows]), ".3f") for method in METHODS
+    )
     less = " | ".join(difference(rows, "motdiff", other) for other in METHODS[:-1])
     change = np.array([row["motdiff"]["mnc"] - row["pmp"]["mnc"] for row in rows])
     changed = f"{np.sum(change > _CHANGED)}, {np.sum(change < -_CHANGED)}"
@@ -307,10 +353,15 @@ def table(rows: list[dict]) -> Iterator[str]:
         if some:
             yield line(name, some)
     known = [row for row in rows if _LAST_DRAWS in row]
-    for name in [f"ddim:{steps}{ending}" for steps in _STEPS for ending in ("", ", corrected")] if known else ():
+    for name in (
+        [f"ddim:{steps}{ending}" for steps in _STEPS for ending in ("", ", corrected")]
+        if known
+        else ()
+    ):
         of = [row[name] for row in known]
         one, best, alike, covered = (
-            np.mean([np.mean(figures[key]) for figures in of]) for key in ("mnc", "best", "alike", "covered")
+            np.mean([np.mean(figures[key]) for figures in of])
+            for key in ("mnc", "best", "alike", "covered")
         )
         yield (
             f"\nDraws, {name}, {len(of)} photos: one draw {one:.3f}, "
@@ -319,7 +370,9 @@ def table(rows: list[dict]) -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("what", choices=["rows", "table"], nargs="?")
     parser.add_argument("files", type=Path, nargs="*")
     parser.add_argument("--prepared", type=Path, metavar="CONFIG")

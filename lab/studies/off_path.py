@@ -2,10 +2,11 @@
 
     python -m lab.studies.off_path [--walks 16] [--errors 0 0.1 0.25 0.5 1] [--steps 150000]
 
-Walks of 60 px, 52 chips, 26 open, direction known; smooth errors of the path. Rows: the objective alone,
-``xN`` the mean over N paths with other errors of that size. Columns, mean over the walks:
-noise gain and ``mse`` along the true path, then the error of a Wiener filter that has the path that is off, at 10,000
-photo-electrons, with the filter's noise as the camera's and at its best; less the same objective alone, 95 % interval.
+Walks of 60 px, 52 chips, 26 open, direction known; smooth errors of the path. Rows: the objective
+alone, ``xN`` the mean over N paths with other errors of that size. Columns, mean over the walks:
+noise gain and ``mse`` along the true path, then the error of a Wiener filter that has the path
+that is off, at 10,000 photo-electrons, with the filter's noise as the camera's and at its best;
+less the same objective alone, 95 % interval.
 """
 
 from __future__ import annotations
@@ -24,14 +25,20 @@ from cep.optics.mtf import inverse_scene, noise_variance
 from cep.search.annealing.anneal import anneal
 from cep.search.objective import Objective
 from cep.search.optimize_class import draw_motions
-from cep.search.problem import Scenario, SearchProblem
+from cep.search.problem import SearchProblem
+from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
 ROWS = ("noise", "noise x8", "mse", "mse x8")
-_KNOTS, _ALIKE, _CHIPS, _OPEN = 201, 0.1, 52, 26
+_KNOTS = 201
+_ALIKE = 0.1
+_CHIPS = 52
+_OPEN = 26
 
 
-def off(path: Trajectory, error_px: float, rng: np.random.Generator, *, exactly: bool) -> Trajectory:
+def off(
+    path: Trajectory, error_px: float, rng: np.random.Generator, *, exactly: bool
+) -> Trajectory:
     """Displace a path by a smooth error, correlated over a tenth of the exposure."""
     t = np.linspace(0, 1, _KNOTS)
     alike = np.exp(-0.5 * ((t[:, None] - t) / _ALIKE) ** 2)
@@ -39,7 +46,9 @@ def off(path: Trajectory, error_px: float, rng: np.random.Generator, *, exactly:
     error -= error.mean(axis=0)
     error *= error_px / (np.sqrt((error**2).sum(axis=1).mean()) if exactly else np.sqrt(2))
     times = np.union1d(path.t, t)
-    xy = [np.interp(times, path.t, path.xy[:, i]) + np.interp(times, t, error[:, i]) for i in (0, 1)]
+    xy = [
+        np.interp(times, path.t, path.xy[:, i]) + np.interp(times, t, error[:, i]) for i in (0, 1)
+    ]
     return Trajectory.from_samples(np.stack(xy, axis=1), t=times, direction="known")
 
 
@@ -47,7 +56,8 @@ def restored_db(true: Trajectory, given: Trajectory, code: ShutterCode) -> tuple
     """Error of a Wiener filter with a path that is off: with the camera's noise, and with what noise suits it best."""
     samples = band_samples(true)
     passed, taken = (coded_otf(path, code, samples.fx, samples.fy) for path in (true, given))
-    inverse, noise = inverse_scene(samples)[:, 0], noise_variance(Camera(), code.duty)
+    inverse = inverse_scene(samples)[:, 0]
+    noise = noise_variance(Camera(), code.duty)
 
     def error_db(told: float) -> float:
         gain = np.conj(taken) / (np.abs(taken) ** 2 + told * inverse)
@@ -57,29 +67,45 @@ def restored_db(true: Trajectory, given: Trajectory, code: ShutterCode) -> tuple
     return error_db(noise), min(error_db(noise * 10**step) for step in np.arange(-0.5, 3.1, 0.25))
 
 
-def figures(path: Trajectory, given: Trajectory, row: str, error_px: float, seed: int, steps: int) -> list[float]:
+def figures(
+    path: Trajectory, given: Trajectory, row: str, error_px: float, seed: int, steps: int
+) -> list[float]:
     name, _, many = row.partition(" x")
     rng = np.random.default_rng([seed, 9])
-    paths = [off(given, error_px, rng, exactly=False) for _ in range(int(many))] if many else [given]
+    paths = (
+        [off(given, error_px, rng, exactly=False) for _ in range(int(many))] if many else [given]
+    )
     problem = SearchProblem.along(
-        *paths, chips=_CHIPS, open_range=(_OPEN, _OPEN), objective=name, direction="forward", rule="mean",
-    )  # fmt: skip
+        *paths,
+        chips=_CHIPS,
+        open_range=(_OPEN, _OPEN),
+        objective=name,
+        direction="forward",
+        rule="mean",
+    )
     began = time.process_time()
     code = anneal(problem, rng=np.random.default_rng(1), steps=steps, time_s=600, threads=1).code
     seconds = time.process_time() - began
     judge = Objective(
-        SearchProblem(chips=_CHIPS, scenarios=(Scenario(path),), objective="noise", direction="forward"),
-        oversampling=16, dtype=np.float64,
-    )  # fmt: skip
+        SearchProblem(
+            chips=_CHIPS, scenarios=(Scenario(path),), objective="noise", direction="forward"
+        ),
+        oversampling=16,
+        dtype=np.float64,
+    )
     bits = code.array[None].astype(np.int8)
     along = [float(one.cost_of(bits)[0]) for one in (judge, judge.instead("mse"))]
     return [*along, *restored_db(path, given, code), seconds]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--walks", type=int, default=16)
-    parser.add_argument("--errors", type=float, nargs="+", default=[0.0, 0.1, 0.25, 0.5, 1.0], metavar="PX")
+    parser.add_argument(
+        "--errors", type=float, nargs="+", default=[0.0, 0.1, 0.25, 0.5, 1.0], metavar="PX"
+    )
     parser.add_argument("--steps", type=int, default=150_000)
     given = parser.parse_args()
     walks = draw_motions(given.walks, length_px=60.0, rng=np.random.default_rng(8))
@@ -95,8 +121,13 @@ def main() -> None:
             means = "  ".join(f"{value:7.2f}" for value in found[row].mean(axis=0)[:4])
             less = found[row] - found[row.split(" ")[0]]
             spread = 1.96 * less.std(axis=0, ddof=1) / np.sqrt(len(less))
-            compared = "  ".join(f"{m:+.2f} +- {s:.2f}" for m, s in zip(less.mean(axis=0)[:4], spread, strict=False))
-            print(f"{error_px:5.2f} px  {row:9} {means}   {compared}   {found[row][:, 4].mean():.1f} s", flush=True)
+            compared = "  ".join(
+                f"{m:+.2f} +- {s:.2f}" for m, s in zip(less.mean(axis=0)[:4], spread, strict=False)
+            )
+            print(
+                f"{error_px:5.2f} px  {row:9} {means}   {compared}   {found[row][:, 4].mean():.1f} s",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

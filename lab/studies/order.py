@@ -1,17 +1,19 @@
 """How often the order in time of a motion is found from photos taken through known codes, and how well that is known.
 
     python -m lab.studies.order [--photos FOLDER] [--gyro FILE] [--set open+gray3 open+one one]
-        [--motions walks arcs gyro] [--count 4] [--noise 0 0.005 0.02] [--moved 2] [--results order.jsonl]
-        [--workers 2] [--seed 0]
+        [--motions walks arcs gyro] [--count 4] [--noise 0 0.005 0.02] [--moved 2] [--results
+        order.jsonl] [--workers 2] [--seed 0]
 
-A set names the photos' codes, as `codes_of_set` of lab/bench/coded/calibrations.py does; `one` is Raskar's code. Each
-photo shows one crop, moved by up to `--moved` px of its own, through the light-true PSF of its code, with Gauss noise
-of so much of full scale. The n-th motion is the same in every set and at every noise. What may differ from photo to
-photo beside: `--brightness`, `--scaled`, `--wobble`. With `--light` the photos show a small light in the dark.
+A set names the photos' codes, as `codes_of_set` of lab/bench/coded/calibrations.py does; `one` is
+Raskar's code. Each photo shows one crop, moved by up to `--moved` px of its own, through the
+light-true PSF of its code, with Gauss noise of so much of full scale. The n-th motion is the same
+in every set and at every noise. What may differ from photo to photo beside: `--brightness`,
+`--scaled`, `--wobble`. With `--light` the photos show a small light in the dark.
 
-`right`: the rms distance from the truth, at equal times after the best shift, is at most 1 px and smaller than that of
-the path run backwards; `any given`: one of the paths that the estimate gives is within 1 px. With
-`--results` each finished motion is a line of that file; the same command goes on from it.
+`right`: the rms distance from the truth, at equal times after the best shift, is at most 1 px and
+smaller than that of the path run backwards; `any given`: one of the paths that the estimate gives
+is within 1 px. With `--results` each finished motion is a line of that file; the same command goes
+on from it.
 """
 
 from __future__ import annotations
@@ -28,11 +30,10 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from lab.studies.inputs import kept_rows, photos, smooth_trace
-from numpy.typing import NDArray
 
 from cep.files.images import read_image
 from lab.bench.coded.calibrations import codes_of_set, moved_psfs
+from lab.studies.inputs import kept_rows, photos, smooth_trace
 from motdiff.crops import luminance, pick_crops
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
@@ -40,13 +41,13 @@ from motdiff.metrics import timed_distance_px
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 MOTIONS = ("walks", "arcs", "gyro")
 EXPOSURES_S = (0.05, 0.1, 0.25, 0.5)
 RIGHT_PX = 1.0
-LIT, DARK = 0.8, 0.01  # of full scale: a light's trail at its brightest, and what is around it
+LIT = 0.8  # of full scale: a light's trail at its brightest, and what is around it
+DARK = 0.01
 SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".bmp"}
 
 
@@ -75,29 +76,43 @@ class Case:
 
 @cache
 def trace_of(gyro: str) -> GyroTrace:
-    return read_gyro(gyro) if gyro else smooth_trace(np.random.default_rng(0), duration_s=120.0, rate_hz=200.0)
+    return (
+        read_gyro(gyro)
+        if gyro
+        else smooth_trace(np.random.default_rng(0), duration_s=120.0, rate_hz=200.0)
+    )
 
 
 def motion_of(case: Case, rng: np.random.Generator) -> Trajectory:
     if case.motions == "walks":
         return boracchi_foi(rng)
     if case.motions == "gyro":
-        exposure_s, extent_px = float(rng.choice(EXPOSURES_S)), float(rng.uniform(8, 30))
-        return random_gyro_motion(trace_of(case.gyro), rng, exposure_s=exposure_s, extent_px=extent_px)
-    angle = rng.choice((-1, 1)) * np.linspace(0, rng.uniform(0.5, 3.0), 200) + rng.uniform(0, 2 * np.pi)
+        exposure_s = float(rng.choice(EXPOSURES_S))
+        extent_px = float(rng.uniform(8, 30))
+        return random_gyro_motion(
+            trace_of(case.gyro), rng, exposure_s=exposure_s, extent_px=extent_px
+        )
+    angle = rng.choice((-1, 1)) * np.linspace(0, rng.uniform(0.5, 3.0), 200) + rng.uniform(
+        0, 2 * np.pi
+    )
     radius_px = rng.uniform(20, 60) / np.ptp(angle)
-    return Trajectory.from_samples(radius_px * np.stack([np.cos(angle), np.sin(angle)], axis=1), direction="known")
+    return Trajectory.from_samples(
+        radius_px * np.stack([np.cos(angle), np.sin(angle)], axis=1), direction="known"
+    )
 
 
 def wobbled(path: Trajectory, wobble_px: float, rng: np.random.Generator) -> Trajectory:
     """Return the path with a smooth error of so many px rms."""
-    t, knots = np.linspace(0, 1, 201), np.linspace(0, 1, 6)
+    t = np.linspace(0, 1, 201)
+    knots = np.linspace(0, 1, 6)
     error = np.stack([np.interp(t, knots, rng.standard_normal(6)) for _ in range(2)], axis=1)
     error -= error.mean(axis=0)
     error *= wobble_px / np.sqrt((error**2).sum(axis=1).mean())
     t = np.union1d(t, path.t)
     return Trajectory.from_samples(
-        path.at(t) + np.stack([np.interp(t, np.linspace(0, 1, 201), column) for column in error.T], axis=1), t=t
+        path.at(t)
+        + np.stack([np.interp(t, np.linspace(0, 1, 201), column) for column in error.T], axis=1),
+        t=t,
     )
 
 
@@ -125,7 +140,9 @@ def scene_of(case: Case, rng: np.random.Generator) -> FloatArray:
     height, width = (min(case.side_px, n) for n in grey.shape)
     down, right = ((case.side_px - n, case.side_px) for n in (height, width))
     around = case.side_px // 2
-    wide = np.pad(grey, [(around, around + down[0]), (around, around + right[0])], mode="symmetric")
+    wide = np.pad(
+        grey, [(around, around + down[0]), (around, around + right[0])], mode="symmetric"
+    )
     return wide[row : row + 2 * case.side_px, column : column + 2 * case.side_px]
 
 
@@ -138,19 +155,25 @@ def spot(scene: FloatArray, psf: FloatArray) -> FloatArray:
 
 def photos_of(case: Case) -> tuple[Trajectory, list[FloatArray]]:
     """Path, and the photos of it."""
-    # what does not depend on the codes and the noise is drawn first: all sets are compared on the same
+    # what does not depend on the codes and the noise is drawn first: all sets are compared on the
+    # same
     rng = np.random.default_rng([case.seed, MOTIONS.index(case.motions), case.index])
-    path, scene = motion_of(case, rng), scene_of(case, rng)
+    path = motion_of(case, rng)
+    scene = scene_of(case, rng)
     own = [
         np.random.default_rng([case.seed, MOTIONS.index(case.motions), case.index, photo])
         for photo in range(len(case.codes))
     ]
-    shifts_px, motions, light = [], [], []
+    shifts_px = []
+    motions = []
+    light = []
     for rng in own:
         shifts_px.append(rng.uniform(-case.moved_px, case.moved_px, 2))
         factor = 1 + rng.uniform(-case.scaled, case.scaled)
         light.append(np.exp(rng.uniform(-case.brightness, case.brightness)))
-        motions.append((wobbled(path, case.wobble_px, rng) if case.wobble_px else path).scaled(factor))
+        motions.append(
+            (wobbled(path, case.wobble_px, rng) if case.wobble_px else path).scaled(factor)
+        )
     psfs = moved_psfs(motions, case.codes, shifts_px)
     frame = psfs.shape[-1]
     margin = (2 * case.side_px - (case.side_px + frame - 1)) // 2
@@ -174,7 +197,8 @@ def figures_of(case: Case) -> dict[str, object]:
 
     estimator = TrailEstimator if case.light else CodedEstimator
     path, taken = photos_of(case)
-    began, began_cpu = time.perf_counter(), time.process_time()
+    began = time.perf_counter()
+    began_cpu = time.process_time()
     row: dict[str, object]
     try:
         found = estimator(case.codes, seed=case.index).estimate_from(taken)
@@ -195,7 +219,9 @@ def figures_of(case: Case) -> dict[str, object]:
 
 
 def is_right(row: dict[str, object]) -> bool:
-    return "error_px" in row and row["error_px"] <= RIGHT_PX and row["error_px"] < row["reversed_px"]
+    return (
+        "error_px" in row and row["error_px"] <= RIGHT_PX and row["error_px"] < row["reversed_px"]
+    )
 
 
 # -- many cases
@@ -203,7 +229,11 @@ def is_right(row: dict[str, object]) -> bool:
 
 def finished(file: Path | None) -> dict[str, dict[str, object]]:
     """Figures by their case, from the whole lines of a file of results."""
-    return {key(row.pop("case")): row for row in kept_rows(file)} if file is not None and file.exists() else {}
+    return (
+        {key(row.pop("case")): row for row in kept_rows(file)}
+        if file is not None and file.exists()
+        else {}
+    )
 
 
 def key(case: object) -> str:
@@ -218,7 +248,10 @@ def measured(cases: Sequence[Case], workers: int) -> Iterator[tuple[Case, dict[s
         workers,
         mp_context=get_context("spawn"),  # torch's threads do not survive a fork
         initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),  # Ctrl-C ends the run; what is being measured is finished first
+        initargs=(
+            signal.SIGINT,
+            signal.SIG_IGN,
+        ),  # Ctrl-C ends the run; what is being measured is finished first
     )
     try:
         running = {pool.submit(figures_of, case): case for case in cases}
@@ -243,21 +276,33 @@ def numbers(rows: Sequence[dict[str, object]], name: str) -> FloatArray:
 
 
 def order_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
-    print("\n| motions | noise | set | count | right | error, px: median | p90 | backwards | any given | s | CPU s |")
+    print(
+        "\n| motions | noise | set | count | right | error, px: median | p90 | backwards | any given | s | CPU s |"
+    )
     print("|---|---|---|---|---|---|---|---|---|---|---|")
     for motions, noise, name in sorted({(case.motions, case.noise, case.set) for case, _ in rows}):
-        chosen = [row for case, row in rows if (case.motions, case.noise, case.set) == (motions, noise, name)]
+        chosen = [
+            row
+            for case, row in rows
+            if (case.motions, case.noise, case.set) == (motions, noise, name)
+        ]
         found = [row for row in chosen if "error_px" in row]
         right = np.mean([is_right(row) for row in chosen])
         line = f"| {motions} | {100 * noise:g} % | {name} | {len(chosen)} | {right:.2f} "
         if found:
-            errors, best = numbers(found, "error_px"), numbers(found, "best_of_all_px")
+            errors = numbers(found, "error_px")
+            best = numbers(found, "best_of_all_px")
             backwards = np.mean(numbers(found, "reversed_px") < errors)
-            line += f"| {np.median(errors):.2f} | {np.percentile(errors, 90):.2f} | {backwards:.2f} "
+            line += (
+                f"| {np.median(errors):.2f} | {np.percentile(errors, 90):.2f} | {backwards:.2f} "
+            )
             line += f"| {np.mean(best <= RIGHT_PX):.2f} "
         else:
             line += "| - | - | - | - "
-        print(line + f"| {numbers(chosen, 'seconds').mean():.0f} | {numbers(chosen, 'cpu_s').mean():.0f} |")
+        print(
+            line
+            + f"| {numbers(chosen, 'seconds').mean():.0f} | {numbers(chosen, 'cpu_s').mean():.0f} |"
+        )
 
 
 def confidence_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
@@ -265,20 +310,27 @@ def confidence_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
     for name in sorted({case.set for case, _ in rows}):
         found = [row for case, row in rows if case.set == name and "error_px" in row]
         for low in (0, 0.25, 0.5, 0.75):
-            within = [row for row in found if low <= row["confidence"] < low + 0.25 + (low == 0.75)]
+            within = [
+                row for row in found if low <= row["confidence"] < low + 0.25 + (low == 0.75)
+            ]
             if within:
                 right = np.mean([is_right(row) for row in within])
                 mean = numbers(within, "confidence").mean()
-                print(f"| {name} | {low:.2f} to {low + 0.25:.2f} | {len(within)} | {mean:.2f} | {right:.2f} |")
+                print(
+                    f"| {name} | {low:.2f} to {low + 0.25:.2f} | {len(within)} | {mean:.2f} | {right:.2f} |"
+                )
 
 
 def uncertainty_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
-    print("\nof the right ones\n| set | motions | stated, px: median | true | true / stated: median | p90 |")
+    print(
+        "\nof the right ones\n| set | motions | stated, px: median | true | true / stated: median | p90 |"
+    )
     print("|---|---|---|---|---|---|")
     for name in sorted({case.set for case, _ in rows}):
         right = [row for case, row in rows if case.set == name and is_right(row)]
         if right:
-            stated, true = numbers(right, "stated_px"), numbers(right, "error_px")
+            stated = numbers(right, "stated_px")
+            true = numbers(right, "error_px")
             ratio = true / np.maximum(stated, 1e-3)
             print(
                 f"| {name} | {len(right)} | {np.median(stated):.2f} | {np.median(true):.2f} | {np.median(ratio):.2f} "
@@ -287,40 +339,86 @@ def uncertainty_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--photos", default="", metavar="FOLDER", help="scenes; scikit-image's own when omitted")
-    parser.add_argument("--light", action="store_true", help="a small light's trails in place of photos of a scene")
-    parser.add_argument("--gyro", default="", metavar="FILE", help="angular-rate trace; synthetic when omitted")
-    parser.add_argument("--set", nargs="+", default=["open+gray3", "open+one", "one"], metavar="CODES")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--photos", default="", metavar="FOLDER", help="scenes; scikit-image's own when omitted"
+    )
+    parser.add_argument(
+        "--light", action="store_true", help="a small light's trails in place of photos of a scene"
+    )
+    parser.add_argument(
+        "--gyro", default="", metavar="FILE", help="angular-rate trace; synthetic when omitted"
+    )
+    parser.add_argument(
+        "--set", nargs="+", default=["open+gray3", "open+one", "one"], metavar="CODES"
+    )
     parser.add_argument("--motions", nargs="+", default=["walks"], choices=MOTIONS)
     parser.add_argument("--count", type=int, default=4, help="of each kind of motion")
-    parser.add_argument("--noise", nargs="+", type=float, default=[0.005], help="shares of full scale")
+    parser.add_argument(
+        "--noise", nargs="+", type=float, default=[0.005], help="shares of full scale"
+    )
     parser.add_argument("--chips", type=int, default=52, help="of `gray` and `half`")
     parser.add_argument("--side", type=int, default=256, help="of the photos, px")
     parser.add_argument(
-        "--moved", type=float, default=2.0, metavar="PX", help="shift of a photo, at most, on each axis"
+        "--moved",
+        type=float,
+        default=2.0,
+        metavar="PX",
+        help="shift of a photo, at most, on each axis",
     )
-    parser.add_argument("--brightness", type=float, default=0.0, metavar="SPREAD", help="at most, log of the factor")
-    parser.add_argument("--scaled", type=float, default=0.0, metavar="SHARE", help="of a photo's motion, at most")
-    parser.add_argument("--wobble", type=float, default=0.0, metavar="PX", help="smooth error of a photo's motion, rms")
-    parser.add_argument("--results", type=Path, metavar="FILE", help="JSON lines; a new file for a new estimator")
+    parser.add_argument(
+        "--brightness",
+        type=float,
+        default=0.0,
+        metavar="SPREAD",
+        help="at most, log of the factor",
+    )
+    parser.add_argument(
+        "--scaled", type=float, default=0.0, metavar="SHARE", help="of a photo's motion, at most"
+    )
+    parser.add_argument(
+        "--wobble",
+        type=float,
+        default=0.0,
+        metavar="PX",
+        help="smooth error of a photo's motion, rms",
+    )
+    parser.add_argument(
+        "--results", type=Path, metavar="FILE", help="JSON lines; a new file for a new estimator"
+    )
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     try:
-        sets = {name: codes_of_set(name.replace("one", "raskar-52"), given.chips) for name in given.set}
+        sets = {
+            name: codes_of_set(name.replace("one", "raskar-52"), given.chips) for name in given.set
+        }
     except ValueError as refusal:
         parser.error(f"--set: {refusal}")
     cases = [
         Case(
-            set=name, codes=codes, motions=motions, index=index, noise=noise,
-            moved_px=given.moved, brightness=given.brightness, scaled=given.scaled, wobble_px=given.wobble,
-            side_px=given.side, seed=given.seed, photos=given.photos, gyro=given.gyro if motions == "gyro" else "",
+            set=name,
+            codes=codes,
+            motions=motions,
+            index=index,
+            noise=noise,
+            moved_px=given.moved,
+            brightness=given.brightness,
+            scaled=given.scaled,
+            wobble_px=given.wobble,
+            side_px=given.side,
+            seed=given.seed,
+            photos=given.photos,
+            gyro=given.gyro if motions == "gyro" else "",
             light=given.light,
         )
-        for index in range(given.count) for motions in given.motions
-        for noise in given.noise for name, codes in sets.items()
-    ]  # fmt: skip
+        for index in range(given.count)
+        for motions in given.motions
+        for noise in given.noise
+        for name, codes in sets.items()
+    ]
     known = finished(given.results)
     rows = [(case, known[key(asdict(case))]) for case in cases if key(asdict(case)) in known]
     missing = [case for case in cases if key(asdict(case)) not in known]
@@ -330,9 +428,14 @@ def main() -> None:
             keep(given.results, case, row)
             rows.append((case, row))
             verdict = "right" if is_right(row) else "wrong"
-            figures = "  ".join(f"{name} {value:.2f}" for name, value in row.items() if isinstance(value, float))
+            figures = "  ".join(
+                f"{name} {value:.2f}" for name, value in row.items() if isinstance(value, float)
+            )
             refused = row.get("refused", "")
-            print(f"{case.motions} {case.index} {case.noise:g} {case.set}: {verdict}  {figures}{refused}", flush=True)
+            print(
+                f"{case.motions} {case.index} {case.noise:g} {case.set}: {verdict}  {figures}{refused}",
+                flush=True,
+            )
     except KeyboardInterrupt:
         print("stopped: the motions so far")
     if rows:

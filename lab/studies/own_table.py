@@ -2,9 +2,10 @@
 
     python -m lab.studies.own_table [--problems 14] [--steps 20000] [--seed 0]
 
-Random problems: walks, arcs and straight lines of 20 to 60 px, 16 to 64 chips, each objective, cameras of little and
-much read noise. ``lost`` is by how many dB the best row that keeps the problem's limits beats the returned code, by the
-problem's own objective; "free" counts rows outside the limits as well, such as a snapshot with fewer open chips.
+Random problems: walks, arcs and straight lines of 20 to 60 px, 16 to 64 chips, each objective,
+cameras of little and much read noise. ``lost`` is by how many dB the best row that keeps the
+problem's limits beats the returned code, by the problem's own objective; "free" counts rows
+outside the limits as well, such as a snapshot with fewer open chips.
 """
 
 from __future__ import annotations
@@ -39,18 +40,25 @@ def random_problem(rng: np.random.Generator) -> SearchProblem:
         chips=chips,
         objective=str(rng.choice(OBJECTIVES)),
         open_range=open_range_of_duty(chips, low, min(1.0, low + 0.4)),
-        camera=Camera(photons_full_scale=float(10 ** rng.uniform(3, 5)), read_noise_e=float(10 ** rng.uniform(0.3, 2))),
+        camera=Camera(
+            photons_full_scale=float(10 ** rng.uniform(3, 5)),
+            read_noise_e=float(10 ** rng.uniform(0.3, 2)),
+        ),
     )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--problems", type=int, default=14)
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
-    print("chips  objective   code, dB   lost, dB  to                               lost free, dB  to")
+    print(
+        "chips  objective   code, dB   lost, dB  to                               lost free, dB  to"
+    )
     losses = []
     for index in range(given.problems):
         problem = random_problem(rng)
@@ -68,7 +76,8 @@ def main() -> None:
             flush=True,
         )
     table = np.array(losses)
-    lost, worst = (table > 1e-6).sum(axis=0), table.max(axis=0)
+    lost = (table > 1e-6).sum(axis=0)
+    worst = table.max(axis=0)
     print(f"lost within the limits: {lost[0]} of {len(table)}, up to {worst[0]:.3f} dB")
     print(f"lost to any row: {lost[1]} of {len(table)}, up to {worst[1]:.3f} dB")
 

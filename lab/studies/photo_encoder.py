@@ -2,10 +2,10 @@
 
     python -m lab.studies.photo_encoder CONFIG [--runs FOLDER] [--updates 128]
 
-CONFIG is a run's TOML file with prepared samples, as motdiff/configs/cpu.toml. Every row goes on from the shipped
-weights with the same samples in the same order: told of the physics maps, of the photo too, or of the photo alone (all
-maps blanked); and with a denoiser that sees the whole map. The figures are by kind of motion. An interrupted bench goes
-on where it stopped.
+CONFIG is a run's TOML file with prepared samples, as motdiff/configs/cpu.toml. Every row goes on
+from the shipped weights with the same samples in the same order: told of the physics maps, of the
+photo too, or of the photo alone (all maps blanked); and with a denoiser that sees the whole map.
+The figures are by kind of motion. An interrupted bench goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -42,17 +42,26 @@ def rows(base: TrainingConfig) -> dict[str, TrainingConfig]:
     encoder = replace(base, network=replace(base.network, backbone="b0", photo_pool=2))
     alone = replace(encoder, data=replace(base.data, physics_dropout=_BLANKED))
     wide = replace(base, network=replace(base.network, denoiser_view=1))
-    return {"physics maps": base, "photo and physics maps": encoder, "global view": wide, "photo": alone}
+    return {
+        "physics maps": base,
+        "photo and physics maps": encoder,
+        "global view": wide,
+        "photo": alone,
+    }
 
 
 def held_out(config: TrainingConfig) -> dict[str, list[Batch]]:
     """Sort the prepared validation samples (shards 0, 1, 2, ...) by their kind of motion."""
     samples = read_shards(config.data.prepared_validation)
-    kinds = np.array(drawn_kinds(config.motions, count=len(samples), seed=config.optimiser.seed + 1))
+    kinds = np.array(
+        drawn_kinds(config.motions, count=len(samples), seed=config.optimiser.seed + 1)
+    )
     batches = {}
     for kind in sorted(set(kinds)):
         at = torch.from_numpy(np.flatnonzero(kinds == kind))
-        some = Samples(*(getattr(samples, name)[at] for name in ("photos", "kernels", "x0", "dwell")))
+        some = Samples(
+            *(getattr(samples, name)[at] for name in ("photos", "kernels", "x0", "dwell"))
+        )
         source = PreparedSource(some, photo=True, physics=True, seed=0, symmetries=False)
         batches[kind] = source.batch(0, len(at)).split(_BATCH)
     return batches
@@ -64,30 +73,42 @@ def measured(trainer: Trainer, batches: list[Batch]) -> tuple[float, np.ndarray]
     network = trainer.average
     assert isinstance(network, MotDiffNetwork)
     sampler = deepcopy(network)
-    sampler.denoiser.output[1].bias[0] -= math.log(trainer.config.loss.path_weight + 1)  # as when exported
+    sampler.denoiser.output[1].bias[0] -= math.log(
+        trainer.config.loss.path_weight + 1
+    )  # as when exported
     blank = trainer.config.data.physics_dropout == _BLANKED
     losses: list[float] = []
     scores: list[list[list[float]]] = [[] for _ in _STEPS]
     for number, whole in enumerate(batches):
         photo = None if network.photo is None else whole.photo
-        physics = torch.zeros_like(whole.physics) if blank and whole.physics is not None else whole.physics
+        physics = (
+            torch.zeros_like(whole.physics)
+            if blank and whole.physics is not None
+            else whole.physics
+        )
         seen = Batch(photo, physics, whole.x0, whole.dwell)
         generator = torch.Generator().manual_seed(number)
         loss = [
-            loss_of(network, seen, trainer.config.loss, schedule=trainer.schedule, generator=generator)
+            loss_of(
+                network, seen, trainer.config.loss, schedule=trainer.schedule, generator=generator
+            )
             for _ in range(4)
         ]
         losses += len(seen) * [float(torch.stack([path for path, _ in loss]).mean())]
         truth = psfs_of_maps(seen.dwell[:, 0]).double().numpy()
         for score, steps in zip(scores, _STEPS, strict=True):
             generator = torch.Generator().manual_seed(number)
-            drawn = drawn_psfs(sampler, seen, schedule=trainer.schedule, steps=steps, generator=generator)
+            drawn = drawn_psfs(
+                sampler, seen, schedule=trainer.schedule, steps=steps, generator=generator
+            )
             score.append([mnc(a, b) for a, b in zip(drawn.double().numpy(), truth, strict=True)])
     return float(np.mean(losses)), np.array([np.concatenate(score) for score in scores])
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("config", nargs="?", help="TOML file of a run with prepared samples")
     parser.add_argument("--runs", type=Path, default=Path("photo_encoder"))
     parser.add_argument("--updates", type=int, default=128)
@@ -105,14 +126,23 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|")
     for name, config in {"start": None, **rows(base)}.items():
         folder = options.runs / name.replace(" ", "-")
-        trainer = Trainer(base) if config is None else train(config, folder, pace=Pace(validate_steps=options.updates))
+        trainer = (
+            Trainer(base)
+            if config is None
+            else train(config, folder, pace=Pace(validate_steps=options.updates))
+        )
         for kind, some in batches.items():
             loss, scores = measured(trainer, some)
             gain = scores - reference.setdefault(kind, scores)
             error = gain.std(axis=1) / math.sqrt(gain.shape[1])
             means = " | ".join(f"{mean:.3f}" for mean in scores.mean(axis=1))
-            gains = ", ".join(f"{g:+.3f} ({e:.3f})" for g, e in zip(gain.mean(axis=1), error, strict=True))
-            print(f"| {name} | {kind} | {scores.shape[1]} | {loss:.4f} | {means} | {gains} |", flush=True)
+            gains = ", ".join(
+                f"{g:+.3f} ({e:.3f})" for g, e in zip(gain.mean(axis=1), error, strict=True)
+            )
+            print(
+                f"| {name} | {kind} | {scores.shape[1]} | {loss:.4f} | {means} | {gains} |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

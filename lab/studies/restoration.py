@@ -1,7 +1,8 @@
 """Restoration methods side by side, with the true PSF and with a slightly wrong one (docs/decisions/restoration.md).
 
-Motions, light and noise are those of ``python -m lab bench cep --protocol ours``, shutter open and Raskar-52. The wrong PSF is
-that of the path, bent and sped up at random until its open PSF is 0.9 alike (MNC).
+Motions, light and noise are those of ``python -m lab bench cep --protocol ours``, shutter open and
+Raskar-52. The wrong PSF is that of the path, bent and sped up at random until its open PSF is 0.9
+alike (MNC).
 
     OMP_NUM_THREADS=1 python -m lab.studies.restoration PHOTOS
 """
@@ -34,22 +35,29 @@ CODES = (ShutterCode("1" * 52), published("raskar-52").code)
 LEVELS = (300.0, 1000.0, 10_000.0, 100_000.0)
 COMPARED = ("wiener", "tv", "l0", "pnp")
 TOLD_THE_NOISE = ("wiener", "pnp")
-BORDER_PX, ALIKE = 32, 0.9
+BORDER_PX = 32
+ALIKE = 0.9
 
 
 def alike(path: Trajectory, rng: np.random.Generator) -> Trajectory:
     """Bend the path and change its speed, as far as its open PSF stays as much alike as asked."""
     t = np.linspace(0, 1, 400)
     xy = path.at(t)
-    bend = sum(rng.normal(size=2) / (k + 1) * np.cos(np.pi * k * t[:, None] + rng.uniform(0, 6)) for k in range(1, 5))
+    bend = sum(
+        rng.normal(size=2) / (k + 1) * np.cos(np.pi * k * t[:, None] + rng.uniform(0, 6))
+        for k in range(1, 5)
+    )
     speed = sum(rng.normal() / (k + 1) * np.sin(np.pi * k * t) for k in range(1, 4))
 
     def bent(share: float) -> Trajectory:
         times = np.maximum.accumulate(t + 0.5 * share * speed)
         times = (times - times[0]) / np.ptp(times) + 1e-6 * t
-        return Trajectory.from_samples(xy + share * np.ptp(xy, axis=0).max() * bend, t=times / times[-1])
+        return Trajectory.from_samples(
+            xy + share * np.ptp(xy, axis=0).max() * bend, t=times / times[-1]
+        )
 
-    least, most = 0.0, 0.3
+    least = 0.0
+    most = 0.3
     for _ in range(14):
         middle = (least + most) / 2
         found = bent(middle)
@@ -59,7 +67,9 @@ def alike(path: Trajectory, rng: np.random.Generator) -> Trajectory:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("photos", type=Path)
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--turns", type=int, default=2, help="motions per photo, 1 to 3")
@@ -80,21 +90,32 @@ def main() -> None:
                 whose.append(number)
                 for level in LEVELS:
                     camera = PROTOCOL.camera(level)
-                    photo = capture(scene, psf, camera=camera, rng=np.random.default_rng([8, number, index, which]))
+                    photo = capture(
+                        scene,
+                        psf,
+                        camera=camera,
+                        rng=np.random.default_rng([8, number, index, which]),
+                    )
                     for is_true, assumed in ((True, psf), (False, other)):
                         for name in COMPARED:
                             told = {"camera": camera} if name in TOLD_THE_NOISE else {}
                             started = time.process_time()
                             restored = METHODS[name](photo, assumed, **told)
                             seconds = time.process_time() - started
-                            psnr_db, ssim = psnr_ssim_up_to_shift(np.clip(restored, 0, 1), truth, crop_px=BORDER_PX)
+                            psnr_db, ssim = psnr_ssim_up_to_shift(
+                                np.clip(restored, 0, 1), truth, crop_px=BORDER_PX
+                            )
                             found[is_true, level, name].append((psnr_db, ssim, seconds))
     print("PSF    electrons  method   PSNR dB   SSIM  CPU-s  pnp less it, dB")
     for (is_true, level, name), figures in found.items():
         psnr_db, ssim, seconds = np.mean(figures, axis=0)
         gains = np.subtract(found[is_true, level, "pnp"], figures)[:, 0]
         interval = mean_interval(gains, rng=np.random.default_rng(0), clusters=whose)
-        gain = "" if name == "pnp" else f"{interval.mean:+.2f} [{interval.low:+.2f}, {interval.high:+.2f}]"
+        gain = (
+            ""
+            if name == "pnp"
+            else f"{interval.mean:+.2f} [{interval.low:+.2f}, {interval.high:+.2f}]"
+        )
         psf = "true" if is_true else "wrong"
         print(f"{psf:6} {level:9.0f}  {name:7} {psnr_db:8.2f} {ssim:6.3f} {seconds:6.2f}  {gain}")
 

@@ -2,12 +2,12 @@
 
     python -m lab.studies.search [--only frontier|jeon|exact|speed|direction|long] [--seconds 60] [--seed 0]
 
-frontier   52 chips, 26 open: smallest |P| and noise of deconvolution (DC-normalised), and one code with both
-jeon       each length and light of Jeon's table: one code that is better on both figures
-exact      proven optima, and the codes counted per second
-speed      moves per second and core of the annealer on one curved path, against plain numpy
-direction  curved motion of unknown direction: noise gain of the worse direction, for no code, one-way and robust codes
-long       128 to 1024 chips, and 52 chips under the limits of a device
+frontier   52 chips, 26 open: smallest |P| and noise of deconvolution (DC-normalised), and one code
+with both jeon       each length and light of Jeon's table: one code that is better on both figures
+exact      proven optima, and the codes counted per second speed      moves per second and core of
+the annealer on one curved path, against plain numpy direction  curved motion of unknown direction:
+noise gain of the worse direction, for no code, one-way and robust codes long       128 to 1024
+chips, and 52 chips under the limits of a device
 """
 
 from __future__ import annotations
@@ -53,13 +53,18 @@ def frontier(seconds: float, seed: int) -> None:
     for objective in ("min-mtf", "noise", (("min-mtf", 0.15), ("noise", 1.0))):
         code, took = search(replace(circle, objective=objective), seconds, seed)
         lowest, noise = figures(code)
-        print(f"| {objective}: {code.bits} | {lowest:.4f} | {noise:.2f} | {took:.0f} |", flush=True)
+        print(
+            f"| {objective}: {code.bits} | {lowest:.4f} | {noise:.2f} | {took:.0f} |", flush=True
+        )
 
 
 def jeon(seconds: float, seed: int) -> None:
     print("| code | open | its min P | its noise, dB | our min P | our noise, dB | better | s |")
     print("|---|---|---|---|---|---|---|---|")
-    names = sorted((name for name in PUBLISHED if name.startswith("jeon")), key=lambda name: PUBLISHED[name].chips)
+    names = sorted(
+        (name for name in PUBLISHED if name.startswith("jeon")),
+        key=lambda name: PUBLISHED[name].chips,
+    )
     rows = code_rows([(name, PUBLISHED[name]) for name in names], time_s=seconds / 4, seed=seed)
     for row in rows:
         (a, c), (b, d) = row.minima, row.noise_db
@@ -103,12 +108,15 @@ def speed(seconds: float, seed: int) -> None:
     columns = coarse.rows.shape[-1]
     print(f"| {columns} frequencies, one core | moves/s |\n|---|---|")
     for moves in (10_000, 1_000_000):
-        started, made = time.thread_time(), 0
+        started = time.thread_time()
+        made = 0
         best = code
         for count, codes in crew._cooling(Cooling(code, 0.3, 0.1, moves, 1)):
-            made, best = made + count, codes[0]
+            made = made + count
+            best = codes[0]
     print(f"| annealing | {made / (time.thread_time() - started):.3g} |")
-    started, made = time.thread_time(), 0
+    started = time.thread_time()
+    made = 0
     for count, _ in crew._cooling(Cooling(best, 0.05, 0.04, 1_000_000, 1)):
         made += count
     print(f"| annealing, cold, at a good code | {made / (time.thread_time() - started):.3g} |")
@@ -125,7 +133,9 @@ def direction(seconds: float, seed: int) -> None:
     rows = []
     for shake in range(SHAKES):
         path = boracchi_foi(np.random.default_rng(shake))
-        problem = SearchProblem.along(path, chips=52, open_range=(1, 52), objective="noise", direction="unknown")
+        problem = SearchProblem.along(
+            path, chips=52, open_range=(1, 52), objective="noise", direction="unknown"
+        )
         one_way = replace(problem, direction="forward")
         forward, _ = search(one_way, each, shake)
         robust, _ = search(problem, each, shake)
@@ -138,7 +148,14 @@ def direction(seconds: float, seed: int) -> None:
         line += [gains[1][0].dnf_db, max(gain.dnf_db for gain in gains[2])]
         rows.append(line)
         print(f"shake {shake}: " + "  ".join(f"{value:.2f}" for value in line), flush=True)
-    names = ("no code", "one-way", "one-way, reversed", "robust, worse way", "one-way, DNF", "robust, DNF")
+    names = (
+        "no code",
+        "one-way",
+        "one-way, reversed",
+        "robust, worse way",
+        "one-way, DNF",
+        "robust, DNF",
+    )
     print("| " + " | ".join(names) + " |\n|" + "---|" * len(names))
     print("| " + " | ".join(f"{value:.2f}" for value in np.mean(rows, axis=0)) + " |")
 
@@ -146,14 +163,23 @@ def direction(seconds: float, seed: int) -> None:
 def long_codes(seconds: float, seed: int) -> None:
     print("| chips | open | min P | noise, dB | s |\n|---|---|---|---|---|")
     for chips in (128, 256, 512, 1024):
-        problem = SearchProblem(chips=chips, open_range=(chips // 2, chips // 2), objective="noise")
+        problem = SearchProblem(
+            chips=chips, open_range=(chips // 2, chips // 2), objective="noise"
+        )
         code, took = search(problem, seconds, seed)
         lowest, noise = figures(code)
-        print(f"| {chips} | {code.open_chips} | {lowest:.4f} | {noise:.2f} | {took:.0f} |", flush=True)
-    problem = SearchProblem(chips=52, open_range=(20, 30), objective="noise", runs=RunLimits(min_open=2, min_closed=2))
+        print(
+            f"| {chips} | {code.open_chips} | {lowest:.4f} | {noise:.2f} | {took:.0f} |",
+            flush=True,
+        )
+    problem = SearchProblem(
+        chips=52, open_range=(20, 30), objective="noise", runs=RunLimits(min_open=2, min_closed=2)
+    )
     code, took = search(problem, seconds / 2, seed)
     lowest, noise = figures(code)
-    print(f"| 52, runs of 2 at least | {code.open_chips} | {lowest:.4f} | {noise:.2f} | {took:.0f} |")
+    print(
+        f"| 52, runs of 2 at least | {code.open_chips} | {lowest:.4f} | {noise:.2f} | {took:.0f} |"
+    )
 
 
 SECTIONS = {
@@ -167,7 +193,9 @@ SECTIONS = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--only", choices=SECTIONS)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,7 +1,8 @@
 """The studio, measured in a headless Chromium: paint, changes until shown, memory, a large photo, attacks requests.
 
-Times are from the hand's event until strip, MTFs, figures and the simulated photo of this state are on the page. The
-memory is the proportional share (PSS) of the server and all its processes: pages that they share count once.
+Times are from the hand's event until strip, MTFs, figures and the simulated photo of this state
+are on the page. The memory is the proportional share (PSS) of the server and all its processes:
+pages that they share count once.
 
 Run: python -m lab.studies.studio [--changes 60] [--requests 300]
 """
@@ -76,14 +77,23 @@ def main() -> None:
     parser.add_argument("--changes", type=int, default=60)
     parser.add_argument("--requests", type=int, default=300)
     options = parser.parse_args()
-    command = [sys.executable, "-c", "from cep.commands.main import run; run()", "studio", "--no-browser", "--json"]
+    command = [
+        sys.executable,
+        "-c",
+        "from cep.commands.main import run; run()",
+        "studio",
+        "--no-browser",
+        "--json",
+    ]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert server.stdout is not None
     told = ""
     while not told.rstrip().endswith("}"):
         told += server.stdout.readline()
     home = urlsplit(json.loads(told)["address"])
-    cookie = send(home.netloc, "GET", f"/?{home.query}", {}, [])[1]["set-cookie"].split(";")[0]  # the key works once
+    cookie = send(home.netloc, "GET", f"/?{home.query}", {}, [])[1]["set-cookie"].split(";")[
+        0
+    ]  # the key works once
     peak = Peak(server.pid)
     print(f"{os.cpu_count()} cores; load before {os.getloadavg()[0]:.1f}: the machine is shared")
     try:
@@ -109,10 +119,14 @@ def in_browser(netloc: str, cookie: str, changes: int, peak: Peak) -> None:
         wait(page)
         begun = time.perf_counter()
         page.goto(address)
-        paint = page.evaluate("performance.getEntriesByName('first-contentful-paint')[0]?.startTime")
+        paint = page.evaluate(
+            "performance.getEntriesByName('first-contentful-paint')[0]?.startTime"
+        )
         wait(page)
         whole = time.perf_counter() - begun
-        print(f"page: first paint {paint or float('nan'):.0f} ms, all of its first state {1000 * whole:.0f} ms")
+        print(
+            f"page: first paint {paint or float('nan'):.0f} ms, all of its first state {1000 * whole:.0f} ms"
+        )
         for name, state in STATES.items():
             page.evaluate("state => { location.hash = state; }", state)
             wait(page)
@@ -127,9 +141,17 @@ def in_browser(netloc: str, cookie: str, changes: int, peak: Peak) -> None:
         other = context.new_page()
         other.goto(f"{address}#motion=example:shake")
         wait(other)
-        row("flip a chip on a second page while the first one searches", other, FLIPS, changes, peak.pid)
+        row(
+            "flip a chip on a second page while the first one searches",
+            other,
+            FLIPS,
+            changes,
+            peak.pid,
+        )
         running = page.locator("#stop").is_visible()
-        print(f"the search was {'still running' if running else 'over already'}; memory so far {peak.now():.0f} MB")
+        print(
+            f"the search was {'still running' if running else 'over already'}; memory so far {peak.now():.0f} MB"
+        )
         if running:
             page.locator("#stop").click()
         while page.locator("#search").is_hidden():
@@ -159,15 +181,20 @@ def large_photo(page: object, peak: Peak) -> None:
             time.sleep(0.1)
             failed = page.locator(".error[data-for=photo]").inner_text()  # type: ignore[attr-defined]
             assert not failed, failed
-        megapixels, seconds = photo.shape[0] * photo.shape[1] / 1e6, time.perf_counter() - begun
-        print(f"photo of {megapixels:.1f} MP: motion after {seconds:.1f} s, memory at most {peak.most:.0f} MB")
+        megapixels = photo.shape[0] * photo.shape[1] / 1e6
+        seconds = time.perf_counter() - begun
+        print(
+            f"photo of {megapixels:.1f} MP: motion after {seconds:.1f} s, memory at most {peak.most:.0f} MB"
+        )
 
 
 def refused(netloc: str, cookie: str, count: int) -> None:
     """Send hostile requests; each must be answered with 4xx, and nothing may be left behind."""
     from hostile_requests import hostile
 
-    before, rng, codes = left(), np.random.default_rng(1), {}
+    before = left()
+    rng = np.random.default_rng(1)
+    codes = {}
     for number in range(count):
         method, path, changed, chunks = hostile(rng)
         headers = {"host": netloc, "origin": f"http://{netloc}", "cookie": cookie}
@@ -179,15 +206,30 @@ def refused(netloc: str, cookie: str, count: int) -> None:
         codes[status] = codes.get(status, 0) + 1
     alive = send(netloc, "GET", "/", {"host": netloc, "cookie": cookie}, [])[0]
     wrong = {status for status in codes if status is not None and not 400 <= status < 500}
-    print(f"{count} hostile requests: {dict(sorted(codes.items(), key=str))} (None: half an upload, broken off)")
-    print(f"answers other than 4xx: {wrong or 'none'}; files left: {left() - before or 'none'}; the page then: {alive}")
+    print(
+        f"{count} hostile requests: {dict(sorted(codes.items(), key=str))} (None: half an upload, broken off)"
+    )
+    print(
+        f"answers other than 4xx: {wrong or 'none'}; files left: {left() - before or 'none'}; the page then: {alive}"
+    )
 
 
-def send(netloc: str, method: str, path: str, headers: dict[str, str], chunks: list[bytes], *, half: bool = False):
+def send(
+    netloc: str,
+    method: str,
+    path: str,
+    headers: dict[str, str],
+    chunks: list[bytes],
+    *,
+    half: bool = False,
+):
     connection = http.client.HTTPConnection(netloc, timeout=20)
     try:
         connection.putrequest(
-            method, re.sub(r"[^!-~]", "x", path), skip_host="host" in headers, skip_accept_encoding=True
+            method,
+            re.sub(r"[^!-~]", "x", path),
+            skip_host="host" in headers,
+            skip_accept_encoding=True,
         )
         for name, value in headers.items():
             connection.putheader(name, value.encode("latin-1", "replace"))
@@ -226,7 +268,10 @@ def row(name: str, page: object, script: str, changes: int, server: int) -> None
     """Print the times of changes, and the processor time that each took: the server's, and the browser's."""
     before = cpu_s(server)
     median, high = np.percentile(page.evaluate(script, changes), [50, 95])  # type: ignore[attr-defined]
-    took = [1000 * (after - begun) / changes for begun, after in zip(before, cpu_s(server), strict=True)]
+    took = [
+        1000 * (after - begun) / changes
+        for begun, after in zip(before, cpu_s(server), strict=True)
+    ]
     print(
         f"{name}: median {median:.0f} ms, p95 {high:.0f} ms; processor {took[0]:.0f} ms in the server, "
         f"{took[1]:.0f} ms in the browser; {changes} changes, load {os.getloadavg()[0]:.1f}",
@@ -251,7 +296,9 @@ def family(root: int) -> list[int]:
     parents = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
-            parents[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            parents[int(folder.name)] = int(
+                (folder / "stat").read_text().rpartition(")")[2].split()[1]
+            )
         except (OSError, ValueError):
             continue
     found = [root]
@@ -264,7 +311,9 @@ class Peak:
     """Largest proportional set size of a process and those that it started, MB."""
 
     def __init__(self, pid: int) -> None:
-        self.pid, self.most, self._over = pid, 0.0, threading.Event()
+        self.pid = pid
+        self.most = 0.0
+        self._over = threading.Event()
         threading.Thread(target=self._watch, daemon=True).start()
 
     def now(self) -> float:

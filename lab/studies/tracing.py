@@ -11,9 +11,9 @@ import argparse
 import time
 
 import numpy as np
-from lab.studies.inputs import smooth_trace
 from scipy import spatial
 
+from lab.studies.inputs import smooth_trace
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
@@ -32,7 +32,9 @@ def draws_the_same(path: np.ndarray, hr_map: np.ndarray) -> bool:
     """Tell whether a path covers every drawn pixel, and nothing else, within 1.5 pixels of the map."""
     steps = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
     fine = np.linspace(0, steps[-1], int(steps[-1] * 8) + 2)
-    on_path = MAP_CENTRE + MAP_PITCH * np.stack([np.interp(fine, steps, path[:, axis]) for axis in (0, 1)], axis=-1)
+    on_path = MAP_CENTRE + MAP_PITCH * np.stack(
+        [np.interp(fine, steps, path[:, axis]) for axis in (0, 1)], axis=-1
+    )
     drawn = np.argwhere(hr_map)[:, ::-1]
     reach = 1.5
     missed = spatial.cKDTree(on_path).query(drawn)[0] > reach
@@ -50,7 +52,11 @@ def bending(path: np.ndarray) -> float:
 
 
 def order_table(maps: int, seed: int) -> None:
-    distances, lengths, explained, shorter, seconds = [], [], [], [], 0.0
+    distances = []
+    lengths = []
+    explained = []
+    shorter = []
+    seconds = 0.0
     for k in range(maps):
         truth = boracchi_foi(np.random.default_rng([seed, k]))
         hr_map = truth.hr_map()
@@ -61,15 +67,25 @@ def order_table(maps: int, seed: int) -> None:
         lengths.append(hr_map.sum() / (4 * truth.length_px))
         explained.append(draws_the_same(path, hr_map))
         shorter.append(bending(path) <= bending(truth.arc_resampled(500)) + 0.3)
-    d, same, smooth = np.array(distances), np.array(explained), np.array(shorter)
+    d = np.array(distances)
+    same = np.array(explained)
+    smooth = np.array(shorter)
     wrong = d > 1
-    print(f"order, {maps} Boracchi-Foi maps (60 px of path; distance = best monotone matching, up to reversal)")
+    print(
+        f"order, {maps} Boracchi-Foi maps (60 px of path; distance = best monotone matching, up to reversal)"
+    )
     print(f"  right (<= 1 HR px)            {np.mean(~wrong):.3f}")
     print(f"  distance, HR px               mean {d.mean():.2f}  median {np.median(d):.2f}")
     print(f"  distance of the right ones    mean {d[~wrong].mean():.2f}")
-    print(f"  wrong, same pixels, no more bending than the truth (unobservable)  {np.mean(wrong & same & smooth):.3f}")
-    print(f"  wrong, same pixels, more bending than the truth                    {np.mean(wrong & same & ~smooth):.3f}")
-    print(f"  wrong, other pixels                                                {np.mean(wrong & ~same):.3f}")
+    print(
+        f"  wrong, same pixels, no more bending than the truth (unobservable)  {np.mean(wrong & same & smooth):.3f}"
+    )
+    print(
+        f"  wrong, same pixels, more bending than the truth                    {np.mean(wrong & same & ~smooth):.3f}"
+    )
+    print(
+        f"  wrong, other pixels                                                {np.mean(wrong & ~same):.3f}"
+    )
     print(f"  cpu per map {seconds / maps:.3f} s")
     print("  right, by pixels drawn per HR px of arc (little = strands share pixels)")
     lengths_ = np.array(lengths)
@@ -83,23 +99,33 @@ def dwell_table(motions: int, trace: GyroTrace, seed: int) -> None:
     print(
         f"\nPSF MNC, sub-pixel, {motions} gyro-driven motions of 24 px per exposure; noise {NOISE:.0%} of the maximum"
     )
-    print("  exposure   bare map   map + dwell (p5)   + noise   PSF traced (p5)   + noise   map's order right")
+    print(
+        "  exposure   bare map   map + dwell (p5)   + noise   PSF traced (p5)   + noise   map's order right"
+    )
     for exposure_s in EXPOSURES_S:
         rows = []
         for k in range(motions):
             rng = np.random.default_rng([seed, k, int(1000 * exposure_s)])
             truth = random_gyro_motion(trace, rng, exposure_s=exposure_s, extent_px=24.0)
-            psf, hr_map = truth.psf(), truth.hr_map()
+            psf = truth.psf()
+            hr_map = truth.hr_map()
             noisy = np.maximum(psf + rng.normal(0, NOISE * psf.max(), psf.shape), 0)
             path = trace_map(hr_map)
 
             def score(found: Trajectory, psf: np.ndarray = psf) -> float:
                 return mnc_subpixel(found.psf(found.frame_size(FRAME)), psf)
 
-            bare = mnc_subpixel(hr_map.reshape(PSF_PX, MAP_PITCH, PSF_PX, MAP_PITCH).mean(axis=(1, 3)), psf)
-            fits = [fit_dwell(path, psf), fit_dwell(path, noisy), *map(trace_psf_to_trajectory, (psf, noisy))]
+            bare = mnc_subpixel(
+                hr_map.reshape(PSF_PX, MAP_PITCH, PSF_PX, MAP_PITCH).mean(axis=(1, 3)), psf
+            )
+            fits = [
+                fit_dwell(path, psf),
+                fit_dwell(path, noisy),
+                *map(trace_psf_to_trajectory, (psf, noisy)),
+            ]
             rows.append([bare, *map(score, fits), ordered_distance_px(path, truth.xy) <= HR_PX])
-        mean, low = np.mean(rows, axis=0), np.percentile(rows, 5, axis=0)
+        mean = np.mean(rows, axis=0)
+        low = np.percentile(rows, 5, axis=0)
         print(
             f"  {1000 * exposure_s:5.0f} ms   {mean[0]:8.3f}   {mean[1]:.3f} ({low[1]:.3f})      {mean[2]:.3f}"
             f"     {mean[3]:.3f} ({low[3]:.3f})     {mean[4]:.3f}     {mean[5]:.2f}"
@@ -107,10 +133,14 @@ def dwell_table(motions: int, trace: GyroTrace, seed: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--maps", type=int, default=200)
     parser.add_argument("--motions", type=int, default=25)
-    parser.add_argument("--gyro", metavar="FILE", help="angular-rate trace; synthetic when omitted")
+    parser.add_argument(
+        "--gyro", metavar="FILE", help="angular-rate trace; synthetic when omitted"
+    )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     order_table(options.maps, options.seed)

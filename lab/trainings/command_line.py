@@ -8,8 +8,6 @@ from collections.abc import Sequence
 
 from motdiff.files.inputs import printable
 
-__all__ = ["run_command"]
-
 
 def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
     """Parse the arguments and call the chosen command, which is the default ``command`` of its parser.
@@ -17,7 +15,8 @@ def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None
     Returns
     -------
     int
-        Exit code: 0 done, 2 for bad input, 1 for a failure, 130 after Ctrl-C. All but 0 print one line to stderr.
+        Exit code: 0 done, 2 for bad input, 1 for a failure, 130 after Ctrl-C. All but 0 print one
+        line to stderr.
     """
     given = parser.parse_args(arguments)
     try:

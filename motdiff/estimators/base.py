@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from motdiff.files.plugins import load_object
 from motdiff.trajectory import Trajectory
 
-__all__ = ["Estimator", "FoundKernels", "MotionEstimate", "load_estimator"]
-
 
 @dataclass(frozen=True)
 class MotionEstimate:
@@ -27,7 +25,8 @@ class MotionEstimate:
     weights : tuple of float
         Probability of each trajectory; they sum to 1.
     psf : (S, S) float
-        The blur kernel as this method estimates it: non-negative, sum 1, zero displacement at index ``S // 2``.
+        The blur kernel as this method estimates it: non-negative, sum 1, zero displacement at
+        index ``S // 2``.
     confidence : float
         0..1, how likely the estimate is good rather than lost.
     warnings : tuple of str
@@ -35,7 +34,8 @@ class MotionEstimate:
     details : dict
         Figures behind the estimate (JSON-able), for the report.
     psf_warnings : tuple of str
-        Those of the ``warnings`` that are for users of the PSF, too, whatever its path and confidence are.
+        Those of the ``warnings`` that are for users of the PSF, too, whatever its path and
+        confidence are.
     draws : tuple of (S, S) float
         Kernels drawn at random, each as likely as the others; empty for a method that draws none.
     """
@@ -87,7 +87,8 @@ class FoundKernels:
     warnings : tuple of str
         Warnings for the user, one sentence each.
     origins : tuple of K str
-        Where each kernel comes from; the report gives that of the best (``chosen``), or nothing where this is empty.
+        Where each kernel comes from; the report gives that of the best (``chosen``), or nothing
+        where this is empty.
     """
 
     kernels: tuple[NDArray[np.float64], ...]
@@ -118,7 +119,8 @@ def load_estimator(reference: str) -> Estimator:
     Parameters
     ----------
     reference : str
-        ``module:name`` of an estimator, or of a class or function that makes one without arguments.
+        ``module:name`` of an estimator, or of a class or function that makes one without
+        arguments.
 
     Raises
     ------
@@ -127,7 +129,11 @@ def load_estimator(reference: str) -> Estimator:
     """
     found = load_object(reference)
     try:
-        made = found() if callable(found) and (isinstance(found, type) or not isinstance(found, Estimator)) else found
+        made = (
+            found()
+            if callable(found) and (isinstance(found, type) or not isinstance(found, Estimator))
+            else found
+        )
     except TypeError as error:
         raise ValueError(f"{reference}: cannot be made without arguments ({error})") from None
     if not isinstance(made, Estimator):

@@ -13,8 +13,6 @@ from motdiff.psf_frame import PSF_PX
 if TYPE_CHECKING:
     from torch import Tensor
 
-__all__ = ["conditioning_maps"]
-
 _MOST_CROPS = 3
 
 
@@ -40,6 +38,8 @@ def conditioning_maps(photo: ArrayLike) -> Tensor:
     grey = textured_luminance(photo, least_px=PSF_PX)  # of the lag maps
     crops = best_crops(grey, count=_MOST_CROPS)
     classical = quick_search(crops, sigma=noise_sigma(crops[0]))
-    light, kernels = (torch.from_numpy(array.astype(np.float32))[None] for array in (crops, classical))
+    light, kernels = (
+        torch.from_numpy(array.astype(np.float32))[None] for array in (crops, classical)
+    )
     with torch.no_grad():
         return physics_maps(light, kernels)

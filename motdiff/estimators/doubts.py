@@ -1,7 +1,7 @@
 """Doubts about the motion found in a photo, from the photo's edges, lights and texture: first of all, that it has none.
 
-Edges narrower than the path found could leave them contradict it. Where they are narrow in every direction, or the
-kernel found is no wider than a lens's spot, the photo shows no motion.
+Edges narrower than the path found could leave them contradict it. Where they are narrow in every
+direction, or the kernel found is no wider than a lens's spot, the photo shows no motion.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motdiff.crops import CLIPPED_LEVEL
 from motdiff.estimators.base import MotionEstimate
@@ -17,28 +16,33 @@ from motdiff.estimators.edge_widths import EdgeWidths, edge_widths, kernel_edge_
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = ["doubted"]
-
-FloatArray = NDArray[np.float64]
-
-# evidence of no motion, docs/decisions/motion-estimation.md: widths of edges in px, and their share of the kernel's
+# evidence of no motion, docs/decisions/motion-estimation.md: widths of edges in px, and their
+# share of the kernel's
 _LOST = 0.5
-_SPOT_PX, _LOST_SPOT_PX = 2.7, 3.4
-_NARROW_PX, _NARROW_SHARE = 2.5, 0.55
+_SPOT_PX = 2.7
+_LOST_SPOT_PX = 3.4
+_NARROW_PX = 2.5
+_NARROW_SHARE = 0.55
 _STILL_CONFIDENCE = 0.9
 _CLIPPED = 0.02  # share of the pixels
-_ROUND_MNC, _ROUND_RATIO = 0.98, 2.0  # likeness of a spot with a Gaussian, and the ratio of its widths
-_DOUBTED, _CONTRADICTED = 0.5, 0.25  # most confidence that such a doubt leaves
+_ROUND_MNC = 0.98  # likeness of a spot with a Gaussian, and the ratio of its widths
+_ROUND_RATIO = 2.0
+_DOUBTED = 0.5  # most confidence that such a doubt leaves
+_CONTRADICTED = 0.25
 
 
-def doubted(estimate: MotionEstimate, crops: FloatArray, *, uneven: bool, outgrown: bool) -> MotionEstimate:
+def doubted(
+    estimate: MotionEstimate, crops: FloatArray, *, uneven: bool, outgrown: bool
+) -> MotionEstimate:
     """Test an estimate on the crops it was found in: it becomes that of a photo without motion, or has its doubts.
 
     Parameters
     ----------
     estimate : MotionEstimate
-        With ``psf_confidence`` and ``path_confidence`` in its details; its PSF at the scale of the crops.
+        With ``psf_confidence`` and ``path_confidence`` in its details; its PSF at the scale of the
+        crops.
     crops : (C, H, W) float, grey, linear light 0..1
     uneven : bool
         Whether the blur was found to differ across the photo.
@@ -74,12 +78,16 @@ def doubted(estimate: MotionEstimate, crops: FloatArray, *, uneven: bool, outgro
         doubts.append("the photo has too few steep edges for its motion to show in them")
     if clipped > _CLIPPED:
         most *= 1 - clipped
-        doubts.append(f"{100 * clipped:.0f} % of the pixels searched are clipped: their light is not known")
+        doubts.append(
+            f"{100 * clipped:.0f} % of the pixels searched are clipped: their light is not known"
+        )
     of_the_path = []
     most_of_path = most
     if spot or _is_round(estimate.psf):
         most_of_path = min(most, _CONTRADICTED)
-        of_the_path.append("the blur found is a round spot, as of a lens out of focus: it shows no path of a motion")
+        of_the_path.append(
+            "the blur found is a round spot, as of a lens out of focus: it shows no path of a motion"
+        )
     limited = {
         name: min(float(value), limit)
         for name, limit in (("psf_confidence", most), ("path_confidence", most_of_path))
@@ -96,10 +104,16 @@ def doubted(estimate: MotionEstimate, crops: FloatArray, *, uneven: bool, outgro
 
 def _still(estimate: MotionEstimate, edges: EdgeWidths) -> MotionEstimate:
     """Return the estimate of a photo without motion: a path of 0 px, whose PSF is a point."""
-    wide = f" (its sharpest edges are {edges.sharpest_px:.1f} px wide)" if edges.counts.any() else ""
+    wide = (
+        f" (its sharpest edges are {edges.sharpest_px:.1f} px wide)" if edges.counts.any() else ""
+    )
     sentence = f"This photo shows no motion blur{wide}"
     path = Trajectory.from_samples([[0.0, 0.0], [0.0, 0.0]])
-    sure = {"psf_confidence": _STILL_CONFIDENCE, "path_confidence": _STILL_CONFIDENCE, "trajectory_psf_mnc": 1.0}
+    sure = {
+        "psf_confidence": _STILL_CONFIDENCE,
+        "path_confidence": _STILL_CONFIDENCE,
+        "trajectory_psf_mnc": 1.0,
+    }
     return MotionEstimate(
         method=estimate.method,
         trajectories=(path,),
@@ -122,10 +136,15 @@ def _is_round(psf: FloatArray) -> bool:
     variances = np.linalg.eigvalsh(spread)
     if variances[1] > _ROUND_RATIO**2 * variances[0]:
         return False
-    gaussian = np.exp(-0.5 * (away * np.linalg.solve(spread, away)).sum(axis=0)).reshape(light.shape)
+    gaussian = np.exp(-0.5 * (away * np.linalg.solve(spread, away)).sum(axis=0)).reshape(
+        light.shape
+    )
     return mnc_subpixel(light, gaussian) >= _ROUND_MNC
 
 
 def _edge_figures(edges: EdgeWidths) -> dict[str, object]:
     sharpest = edges.sharpest_px
-    return {"sharpest_edges_px": None if np.isnan(sharpest) else sharpest, "steep_edges": int(edges.counts.sum())}
+    return {
+        "sharpest_edges_px": None if np.isnan(sharpest) else sharpest,
+        "steep_edges": int(edges.counts.sum()),
+    }

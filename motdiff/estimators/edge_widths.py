@@ -1,7 +1,8 @@
 """Widths of a photo's steepest edges, and those that a blur kernel would leave: the evidence of a photo without motion.
 
-A step edge in the scene becomes, in the photo, the kernel's sum along that edge: no edge across a motion of 20 px can
-stay 1 px wide. So narrow edges in several directions bound any motion, whatever kernel a search has found.
+A step edge in the scene becomes, in the photo, the kernel's sum along that edge: no edge across a
+motion of 20 px can stay 1 px wide. So narrow edges in several directions bound any motion,
+whatever kernel a search has found.
 """
 
 from __future__ import annotations
@@ -15,15 +16,14 @@ from scipy import ndimage
 
 from motdiff.crops import CLIPPED_LEVEL
 from motdiff.estimators.kernel_score import noise_sigma
-
-__all__ = ["EdgeWidths", "edge_widths", "kernel_edge_widths"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 DIRECTIONS = 8
 """Number of directions of edge normals, evenly spaced over half a turn."""
 
-_REACH_PX, _PLATEAU_PX, _STEP_PX = 10.0, 3.0, 0.5  # a profile's half length; where its plateaus begin; its pitch
+_REACH_PX = 10.0  # a profile's half length; where its plateaus begin; its pitch
+_PLATEAU_PX = 3.0
+_STEP_PX = 0.5
 _ALONG_PX = (-2, -1, 0, 1, 2)  # profiles averaged along the edge, against noise
 _STEEPEST = 75  # edges measured in each direction
 _LEAST_EDGES = 6  # in a direction, to say anything
@@ -41,8 +41,8 @@ class EdgeWidths:
     Attributes
     ----------
     widths_px : (8,) float
-        Contrast over steepest slope, of the steep edges with a normal in each eighth of half a turn; NaN where a
-        direction has too few.
+        Contrast over steepest slope, of the steep edges with a normal in each eighth of half a
+        turn; NaN where a direction has too few.
     counts : (8,) int
         Step edges that were measured in each direction.
     normals_rad : (8,) float
@@ -73,7 +73,11 @@ class EdgeWidths:
     def share_of(self, expected_px: FloatArray) -> float:
         """Geometric mean of these widths over ``expected_px`` (8,), those that a kernel leaves; NaN without edges."""
         seen = np.isfinite(self.widths_px)
-        return float(np.exp(np.mean(np.log(self.widths_px[seen] / expected_px[seen])))) if seen.any() else float("nan")
+        return (
+            float(np.exp(np.mean(np.log(self.widths_px[seen] / expected_px[seen]))))
+            if seen.any()
+            else float("nan")
+        )
 
     @property
     def _known(self) -> FloatArray:
@@ -83,13 +87,14 @@ class EdgeWidths:
 def edge_widths(crops: Iterable[ArrayLike]) -> EdgeWidths:
     """Measure the steepest step edges of a photo's crops, each (H, W), linear light.
 
-    The profile across an edge, averaged along 5 px of it, is a step where the levels beyond 3 px on its two sides
-    differ by most of its range, none of it clipped. The width is that difference over the steepest slope, at most about
-    10 px.
+    The profile across an edge, averaged along 5 px of it, is a step where the levels beyond 3 px
+    on its two sides differ by most of its range, none of it clipped. The width is that difference
+    over the steepest slope, at most about 10 px.
 
     References
     ----------
-    Marziliano, Dufaux, Winkler, Ebrahimi, "A no-reference perceptual blur metric", ICIP 2002: edges' widths as blur.
+    Marziliano, Dufaux, Winkler, Ebrahimi, "A no-reference perceptual blur metric", ICIP 2002:
+    edges' widths as blur.
     """
     found = [_edges(np.asarray(crop, dtype=np.float64)) for crop in crops]
     normal = np.concatenate([one[0] for one in found])
@@ -97,7 +102,9 @@ def edge_widths(crops: Iterable[ArrayLike]) -> EdgeWidths:
     direction = _eighth(normal)
     counts = np.bincount(direction, minlength=DIRECTIONS)
     widths = [
-        float(np.quantile(width[direction == d], _QUANTILE)) if counts[d] >= _LEAST_EDGES else np.nan
+        float(np.quantile(width[direction == d], _QUANTILE))
+        if counts[d] >= _LEAST_EDGES
+        else np.nan
         for d in range(DIRECTIONS)
     ]
     normals = (np.arange(DIRECTIONS) + 0.5) * np.pi / DIRECTIONS
@@ -128,7 +135,9 @@ def kernel_edge_widths(psf: ArrayLike, normals_rad: ArrayLike) -> FloatArray:
     offsets = np.arange(-_REACH_PX, _REACH_PX + _STEP_PX / 2, _STEP_PX)
     widths = []
     for angle in np.asarray(normals_rad, dtype=np.float64):
-        spread, _ = np.histogram(right * np.cos(angle) + down * np.sin(angle), bins=bins, weights=light)
+        spread, _ = np.histogram(
+            right * np.cos(angle) + down * np.sin(angle), bins=bins, weights=light
+        )
         edge = np.cumsum(ndimage.gaussian_filter1d(spread / light.sum(), _LENS_PX / _STEP_PX))
         slope = edge[2:] - edge[:-2]
         steepest = int(np.argmax(slope)) + 1
@@ -157,11 +166,16 @@ def _edges(grey: FloatArray) -> tuple[FloatArray, FloatArray]:
     direction = _eighth(angle % np.pi)
     order = np.argsort(-steepness[y, x], kind="stable")
     chosen = np.concatenate([order[direction[order] == d][:_STEEPEST] for d in range(DIRECTIONS)])
-    y, x, angle = y[chosen], x[chosen], angle[chosen]
+    y = y[chosen]
+    x = x[chosen]
+    angle = angle[chosen]
     offsets = np.arange(-_REACH_PX, _REACH_PX + _STEP_PX / 2, _STEP_PX)
-    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    c = np.cos(angle)[:, None]
+    s = np.sin(angle)[:, None]
     lines = [
-        ndimage.map_coordinates(grey, [y[:, None] + offsets * s + o * c, x[:, None] + offsets * c - o * s], order=1)
+        ndimage.map_coordinates(
+            grey, [y[:, None] + offsets * s + o * c, x[:, None] + offsets * c - o * s], order=1
+        )
         for o in _ALONG_PX
     ]
     profile = np.mean(lines, axis=0)
@@ -175,5 +189,8 @@ def _edges(grey: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _contrast(profiles: FloatArray, offsets: FloatArray) -> FloatArray:
     """Difference (N,) of the levels on the two sides of profiles (N, T)."""
-    above, below = offsets >= _PLATEAU_PX, offsets <= -_PLATEAU_PX
-    return np.asarray(profiles[:, above].mean(axis=1) - profiles[:, below].mean(axis=1), dtype=np.float64)
+    above = offsets >= _PLATEAU_PX
+    below = offsets <= -_PLATEAU_PX
+    return np.asarray(
+        profiles[:, above].mean(axis=1) - profiles[:, below].mean(axis=1), dtype=np.float64
+    )

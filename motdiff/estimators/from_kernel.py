@@ -13,12 +13,12 @@ from motdiff.psf_frame import PSF_PX, centred, in_frame, without_faint_light
 from motdiff.tracing import simplest_trajectory
 from motdiff.trajectory import Trajectory
 
-__all__ = ["as_estimate", "estimate_from_kernel"]
-
 _FAINT = 0.01  # share of the peak: output of a generator off the path
 
 
-def estimate_from_kernel(method: str, kernel: ArrayLike, details: Mapping[str, object]) -> MotionEstimate:
+def estimate_from_kernel(
+    method: str, kernel: ArrayLike, details: Mapping[str, object]
+) -> MotionEstimate:
     """Build an estimate from a kernel alone; its ``confidence`` is 0.
 
     Parameters
@@ -26,8 +26,8 @@ def estimate_from_kernel(method: str, kernel: ArrayLike, details: Mapping[str, o
     method : str
         Its name.
     kernel : (k, k) array_like
-        Non-negative, with some light, anywhere in its frame. What is below a hundredth of the peak is dropped, and the
-        centroid moves to the frame's middle, to whole pixels.
+        Non-negative, with some light, anywhere in its frame. What is below a hundredth of the peak
+        is dropped, and the centroid moves to the frame's middle, to whole pixels.
     details : mapping
         Figures for the report.
     """
@@ -36,7 +36,9 @@ def estimate_from_kernel(method: str, kernel: ArrayLike, details: Mapping[str, o
     reach = int(np.abs(np.argwhere(psf) - np.array(psf.shape) // 2).max())
     psf = in_frame(psf, max(PSF_PX, 2 * (reach + 1)))
     trajectory = simplest_trajectory(without_faint_parts(psf))
-    return MotionEstimate(method, (trajectory,), (1.0,), psf, confidence=0.0, details=dict(details))
+    return MotionEstimate(
+        method, (trajectory,), (1.0,), psf, confidence=0.0, details=dict(details)
+    )
 
 
 def as_estimate(found: MotionEstimate | Trajectory | ArrayLike, method: str) -> MotionEstimate:
@@ -63,7 +65,9 @@ def as_estimate(found: MotionEstimate | Trajectory | ArrayLike, method: str) -> 
     if isinstance(found, MotionEstimate):
         return found
     if isinstance(found, Trajectory):
-        return MotionEstimate(method, (found,), (1.0,), found.psf(found.frame_size(PSF_PX)), confidence=0.0)
+        return MotionEstimate(
+            method, (found,), (1.0,), found.psf(found.frame_size(PSF_PX)), confidence=0.0
+        )
     try:
         psf = np.empty(0) if np.iscomplexobj(found) else np.asarray(found, dtype=np.float64)
     except (TypeError, ValueError):
@@ -77,4 +81,8 @@ def as_estimate(found: MotionEstimate | Trajectory | ArrayLike, method: str) -> 
 
 
 def _kind(found: object) -> str:
-    return f"{found.dtype} of shape {found.shape}" if isinstance(found, np.ndarray) else type(found).__name__
+    return (
+        f"{found.dtype} of shape {found.shape}"
+        if isinstance(found, np.ndarray)
+        else type(found).__name__
+    )

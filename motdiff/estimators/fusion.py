@@ -7,15 +7,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import Judge, kernel_score
 from motdiff.metrics import mnc_matrix, mnc_subpixel
-
-__all__ = ["GOOD_MNC", "Fusion", "cut_alike", "fuse"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 GOOD_MNC = 0.7
 """From this MNC on, the kernel of a single photo counts as that of the motion they share."""
@@ -31,8 +27,8 @@ class Fusion:
     Attributes
     ----------
     found : FoundKernels
-        The joint search, its best kernel chosen among that of the search and those of the photos; with warnings
-        about photos that contradict it.
+        The joint search, its best kernel chosen among that of the search and those of the photos;
+        with warnings about photos that contradict it.
     crops : (C, H, W) float
         Those of the photos that were kept.
     kept, left_out : tuple of int
@@ -80,13 +76,15 @@ def fuse(
 ) -> Fusion:
     """Find the kernel that explains several photos, each with a latent image of its own.
 
-    Every crop has its own latent image, so that neither the scene nor a shift of the kernel needs to be common. The
-    candidates are the kernel of the joint search, that of each photo alone, and this one refined on all photos. The
-    score of :func:`motdiff.estimators.kernel_score.kernel_score`, its mean over the photos, chooses; agreement is the
-    mean MNC with the photos' own kernels.
+    Every crop has its own latent image, so that neither the scene nor a shift of the kernel needs
+    to be common. The candidates are the kernel of the joint search, that of each photo alone, and
+    this one refined on all photos. The score of
+    :func:`motdiff.estimators.kernel_score.kernel_score`, its mean over the photos, chooses;
+    agreement is the mean MNC with the photos' own kernels.
 
-    A photo whose own kernel is unlike the shared one, and explains it clearly better, shows another motion. The
-    clearest one is left out and the search repeated, as long as more than half of the photos are left.
+    A photo whose own kernel is unlike the shared one, and explains it clearly better, shows
+    another motion. The clearest one is left out and the search repeated, as long as more than half
+    of the photos are left.
 
     Parameters
     ----------
@@ -106,7 +104,10 @@ def fuse(
         """Fuse some of the photos; with how much better those of another motion are explained by their own kernel."""
         together = np.concatenate([crops[i] for i in kept])
         found = _chosen(
-            search(together), [own[i] for i in kept], [judges[i] for i in kept], refine=partial(refine, together)
+            search(together),
+            [own[i] for i in kept],
+            [judges[i] for i in kept],
+            refine=partial(refine, together),
         )
         shared = found.kernels[found.best]
         alike = tuple(mnc_subpixel(kernel, shared) for kernel in kernels)
@@ -116,7 +117,8 @@ def fuse(
         return Fusion(found, together, tuple(kept), left_out, alike), others
 
     everything, suspects = fused(range(len(crops)))
-    result, others = everything, suspects
+    result = everything
+    others = suspects
     while others and 2 * (len(result.kept) - 1) > len(crops):
         clearest = max(others, key=others.__getitem__)
         result, others = fused([i for i in result.kept if i != clearest])
@@ -124,15 +126,22 @@ def fuse(
         listed = " and ".join(f"{i + 1} (MNC {everything.repeatability[i]:.2f})" for i in suspects)
         warning = f"photo{'s' * (len(suspects) > 1)} {listed} may show another motion, but no majority agrees: kept"
         doubted = np.minimum(everything.found.probabilities, _DOUBTED)
-        return _warned(replace(everything, found=replace(everything.found, probabilities=doubted)), [warning])
-    return _warned(result, [
-        f"photo {i + 1} shows another motion (MNC {result.repeatability[i]:.2f} with the others): left out"
-        for i in result.left_out
-    ])  # fmt: skip
+        return _warned(
+            replace(everything, found=replace(everything.found, probabilities=doubted)), [warning]
+        )
+    return _warned(
+        result,
+        [
+            f"photo {i + 1} shows another motion (MNC {result.repeatability[i]:.2f} with the others): left out"
+            for i in result.left_out
+        ],
+    )
 
 
 def _warned(fusion: Fusion, warnings: Sequence[str]) -> Fusion:
-    return replace(fusion, found=replace(fusion.found, warnings=(*fusion.found.warnings, *warnings)))
+    return replace(
+        fusion, found=replace(fusion.found, warnings=(*fusion.found.warnings, *warnings))
+    )
 
 
 def _chosen(
@@ -150,7 +159,8 @@ def _chosen(
     best = int(np.argmax(kernel_score(evidence, agreement)))
     if best == 0:
         return replace(joint, details={**joint.details, "fused_by": "joint search"})
-    kernels, probabilities = list(joint.kernels), joint.probabilities.copy()
+    kernels = list(joint.kernels)
+    probabilities = joint.probabilities.copy()
     kernels[joint.best] = candidates[best]
     origins = list(joint.origins)
     if origins:
@@ -158,7 +168,13 @@ def _chosen(
     probabilities[joint.best] = max(joint.confidence, own[(best - 1) % len(own)].confidence)
     chosen = "kernel of one photo" + (", refined on all" if best > len(own) else "")
     details = {**joint.details, "fused_by": chosen}
-    return replace(joint, kernels=tuple(kernels), probabilities=probabilities, details=details, origins=tuple(origins))
+    return replace(
+        joint,
+        kernels=tuple(kernels),
+        probabilities=probabilities,
+        details=details,
+        origins=tuple(origins),
+    )
 
 
 def _gain(judge: Judge, own: FloatArray, shared: FloatArray) -> float:

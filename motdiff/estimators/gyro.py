@@ -13,8 +13,6 @@ from motdiff.gyro import DEFAULT_AXES, GyroTrace, roll_rad, trajectory_from_gyro
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import check_length
 
-__all__ = ["GyroEstimator"]
-
 _ROLL_LIMIT_PX = 1.0
 _TRUSTED_STEP_S = 0.01  # hands shake up to about 12 Hz; a slower recording misses part of it
 
@@ -23,12 +21,13 @@ _TRUSTED_STEP_S = 0.01  # hands shake up to about 12 Hz; a slower recording miss
 class GyroEstimator:
     """Integrate a gyroscope's rates over the exposure.
 
-    Only the photo's size is used: the trajectory is that of :func:`motdiff.gyro.trajectory_from_gyro`, with
-    known direction and dwell, and shares its assumptions (rotation only, small angles, one motion for the whole photo).
+    Only the photo's size is used: the trajectory is that of
+    :func:`motdiff.gyro.trajectory_from_gyro`, with known direction and dwell, and shares its
+    assumptions (rotation only, small angles, one motion for the whole photo).
 
-    ``confidence`` is 1 less the share of the motion that the trajectory cannot hold: displacement by roll at the
-    photo's corner over the extent of the path, and the longest gap between readings over the exposure; an exposure
-    with no reading inside has 0.
+    ``confidence`` is 1 less the share of the motion that the trajectory cannot hold: displacement
+    by roll at the photo's corner over the extent of the path, and the longest gap between readings
+    over the exposure; an exposure with no reading inside has 0.
 
     Parameters
     ----------
@@ -39,8 +38,9 @@ class GyroEstimator:
         Opening of the shutter, on the trace's clock.
     exposure_s : float, seconds
     axes : str, optional
-        Directions of the sensor's axes, as of :func:`motdiff.gyro.image_rates_rad_s`. When omitted they are taken as
-        :data:`motdiff.gyro.DEFAULT_AXES`, with a warning: wrong axes give a mirrored or turned path.
+        Directions of the sensor's axes, as of :func:`motdiff.gyro.image_rates_rad_s`. When omitted
+        they are taken as :data:`motdiff.gyro.DEFAULT_AXES`, with a warning: wrong axes give a
+        mirrored or turned path.
     size : int, px
         Frame of the PSF; a longer path gets the frame it needs.
     """
@@ -58,8 +58,8 @@ class GyroEstimator:
         Raises
         ------
         ValueError
-            If the exposure does not lie within the trace, a parameter is not positive, or the path needs a frame
-            larger than the photo, as that of rates in deg/s that were read as rad/s.
+            If the exposure does not lie within the trace, a parameter is not positive, or the path
+            needs a frame larger than the photo, as that of rates in deg/s that were read as rad/s.
         """
         height, width = crops.luminance(photo).shape
         window = {"start_s": self.start_s, "exposure_s": self.exposure_s}
@@ -75,7 +75,9 @@ class GyroEstimator:
         check_length(trajectory)
         roll = roll_rad(self.trace, axes=axes, **window)
         corner_px = 0.5 * math.hypot(height, width)
-        inside = (self.trace.t_s >= self.start_s) & (self.trace.t_s <= self.start_s + self.exposure_s)
+        inside = (self.trace.t_s >= self.start_s) & (
+            self.trace.t_s <= self.start_s + self.exposure_s
+        )
         readings = int(inside.sum())
         step_s = 1 / self.trace.sample_rate_hz
         warnings = [*self.trace.warnings]
@@ -113,5 +115,11 @@ class GyroEstimator:
             "columns": self.trace.columns,
         }
         return MotionEstimate(
-            "gyro", (trajectory,), (1.0,), trajectory.psf(frame), (1 - lost) * sampled, tuple(warnings), details
+            "gyro",
+            (trajectory,),
+            (1.0,),
+            trajectory.psf(frame),
+            (1 - lost) * sampled,
+            tuple(warnings),
+            details,
         )

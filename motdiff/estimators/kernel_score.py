@@ -1,8 +1,9 @@
 """No-reference quality score of blur kernels.
 
-Blind estimation fails silently: a wrong kernel restores to a sparse picture too, so sparsity cannot choose. Two cues
-that the sparse search does not use can. The photo's *power spectrum* has the kernel's zeros in it (no phase), and
-the *phase* distinguishes a kernel from its point reflection (same power). Both are compared with nothing but the photo.
+Blind estimation fails silently: a wrong kernel restores to a sparse picture too, so sparsity
+cannot choose. Two cues that the sparse search does not use can. The photo's *power spectrum* has
+the kernel's zeros in it (no phase), and the *phase* distinguishes a kernel from its point
+reflection (same power). Both are compared with nothing but the photo.
 """
 
 from __future__ import annotations
@@ -19,23 +20,7 @@ from motdiff.crops import uniformity
 from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
 from motdiff.psf_frame import in_frame
 from motdiff.threads import side_by_side
-
-__all__ = [
-    "Judge",
-    "Phase",
-    "Ranking",
-    "Spectrum",
-    "candidate_probabilities",
-    "distinct",
-    "kernel_score",
-    "noise_sigma",
-    "rank_kernels",
-    "shared_sigma",
-    "uneven_blur_warning",
-]
-
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _TOP = 3  # how many like-minded candidates count as agreement
 _LEAST_SIGMA = 1e-3
@@ -72,7 +57,8 @@ def noise_sigma(photo: FloatArray) -> float:
 
     References
     ----------
-    Immerkaer, "Fast noise variance estimation", CVIU 1996; here with the median, which blurred edges leave alone.
+    Immerkaer, "Fast noise variance estimation", CVIU 1996; here with the median, which blurred
+    edges leave alone.
     """
     second = photo[:, :-2] - 2 * photo[:, 1:-1] + photo[:, 2:]
     mixed = second[:-2] - 2 * second[1:-1] + second[2:]
@@ -88,8 +74,8 @@ class Spectrum:
     r"""A photo's power spectrum, prepared to be compared with those of kernels.
 
     The model of the spectrum is ``A |K(f)|^2 / |f|^2 + sigma^2``, A at its maximum likelihood. A smooth scene spectrum
-    (a power law with curvature, and two harmonics of orientation) is regressed out of both sides, so that what remains
-    are the dips that only the kernel makes.
+    (a power law with curvature, and two harmonics of orientation) is regressed out of both sides,
+    so that what remains are the dips that only the kernel makes.
 
     Parameters
     ----------
@@ -99,7 +85,8 @@ class Spectrum:
 
     References
     ----------
-    Whittle, "Estimation and information in stationary time series", 1953 (likelihood of a periodogram).
+    Whittle, "Estimation and information in stationary time series", 1953 (likelihood of a
+    periodogram).
     """
 
     def __init__(self, photo: FloatArray, *, sigma: float) -> None:
@@ -108,14 +95,17 @@ class Spectrum:
         window /= np.sqrt(np.mean(window**2))
         centred = (photo - np.average(photo, weights=window)) * window
         power = np.abs(fft.rfft2(centred)) ** 2 / (height * width)
-        fy, fx = fft.fftfreq(height)[:, None], np.abs(fft.rfftfreq(width))[None, :]
+        fy = fft.fftfreq(height)[:, None]
+        fx = np.abs(fft.rfftfreq(width))[None, :]
         radius2 = fx**2 + fy**2
         self._used = (radius2 > _BAND_CY_PX[0] ** 2) & (radius2 < _BAND_CY_PX[1] ** 2)
         radius2[0, 0] = 1.0
-        self._radius2, self._floor = radius2, max(sigma, _LEAST_SIGMA) ** 2
+        self._radius2 = radius2
+        self._floor = max(sigma, _LEAST_SIGMA) ** 2
         self._power = power[self._used].astype(np.float32)
         self._log_median = float(np.median(np.log(power[self._used])))
-        log_radius, angle = np.log(radius2)[self._used], np.arctan2(fy, fx)[self._used]
+        log_radius = np.log(radius2)[self._used]
+        angle = np.arctan2(fy, fx)[self._used]
         smooth = np.stack(
             [np.ones_like(angle), log_radius, log_radius**2]
             + [wave(order * angle) for order in (2, 4) for wave in (np.cos, np.sin)],
@@ -159,10 +149,17 @@ class Phase:
         energy = float(np.mean(np.diff(photo, axis=0) ** 2) + np.mean(np.diff(photo, axis=1) ** 2))
         noise_to_scene = 40 * max(sigma, 2e-3) ** 2 / max(energy - 4 * sigma**2, 1e-6)
         self._margin = min(32, min(photo.shape) // 4)
-        padded = np.pad(photo - photo.mean(), self._margin, mode="symmetric")  # a mean would hide faint contrast below
+        padded = np.pad(
+            photo - photo.mean(), self._margin, mode="symmetric"
+        )  # a mean would hide faint contrast below
         self._shape = padded.shape
-        self._spectrum = fft.rfft2(padded).astype(np.complex64)  # the evidence changes by 1e-7, in half the time
-        radius2 = fft.fftfreq(padded.shape[0])[:, None] ** 2 + fft.rfftfreq(padded.shape[1])[None, :] ** 2
+        self._spectrum = fft.rfft2(padded).astype(
+            np.complex64
+        )  # the evidence changes by 1e-7, in half the time
+        radius2 = (
+            fft.fftfreq(padded.shape[0])[:, None] ** 2
+            + fft.rfftfreq(padded.shape[1])[None, :] ** 2
+        )
         self._penalty = (noise_to_scene * radius2 + 1e-12).astype(np.float32)
 
     def evidence(self, kernel: FloatArray) -> float:
@@ -176,7 +173,9 @@ class Phase:
         transfer = fft.rfft2(np.roll(frame, (-centre, -centre), axis=(0, 1)))
         quotient = self._spectrum / (transfer.real**2 + transfer.imag**2 + self._penalty)
         # point reflection of a real kernel conjugates its transfer function
-        right, reflected = (self._sparsity(quotient * response) for response in (transfer.conj(), transfer))
+        right, reflected = (
+            self._sparsity(quotient * response) for response in (transfer.conj(), transfer)
+        )
         return reflected - right
 
     def _sparsity(self, spectrum: NDArray[np.complex64]) -> float:
@@ -185,7 +184,9 @@ class Phase:
         gradients = np.concatenate([np.diff(restored, axis=axis).ravel() for axis in (0, 1)])
         energy = gradients**2
         half = np.float32(_SPARSE_NORM / 2)
-        norm = np.mean(energy**half, dtype=np.float64) / np.mean(energy, dtype=np.float64) ** (_SPARSE_NORM / 2)
+        norm = np.mean(energy**half, dtype=np.float64) / np.mean(energy, dtype=np.float64) ** (
+            _SPARSE_NORM / 2
+        )
         return float(np.log(norm))
 
 
@@ -213,9 +214,12 @@ class Judge:
 
         Returns
         -------
-        Spectral fit and phase evidence (means over crops), and the share of light on the frame's rim.
+        Spectral fit and phase evidence (means over crops), and the share of light on the frame's
+        rim.
         """
-        return np.array(side_by_side([partial(self._row, kernel) for kernel in kernels]), dtype=np.float64)
+        return np.array(
+            side_by_side([partial(self._row, kernel) for kernel in kernels]), dtype=np.float64
+        )
 
     def _row(self, kernel: FloatArray) -> tuple[float, float, float]:
         fit = np.mean([spectrum.fit(kernel) for spectrum in self._spectra])
@@ -223,12 +227,16 @@ class Judge:
         return float(fit), float(phase), float(1 - kernel[1:-1, 1:-1].sum() / kernel.sum())
 
 
-# One score for all kernels. Its weights choose the kernel with the highest MNC on average, fitted on simulated motions
-# over training photos (120 photos, 8 or 9 starts each); a fit to drawn kernels is no better, docs/decisions/network.md.
-_EVIDENCE_WEIGHTS, _AGREEMENT_WEIGHT = np.array([0.8, 2.0, -1.0]), 0.4
-# Slope and offset turn the winner's score into the share of winners with a sub-pixel MNC of 0.7 or more: fitted apart
-# for classical searches alone and for these together with draws, whose agreement is another mean.
-_SEARCHED, _DRAWN = (8.3, -5.15), (12.5, -8.5)
+# One score for all kernels. Its weights choose the kernel with the highest MNC on average, fitted
+# on simulated motions over training photos (120 photos, 8 or 9 starts each); a fit to drawn
+# kernels is no better, docs/decisions/network.md.
+_EVIDENCE_WEIGHTS = np.array([0.8, 2.0, -1.0])
+_AGREEMENT_WEIGHT = 0.4
+# Slope and offset turn the winner's score into the share of winners with a sub-pixel MNC of 0.7 or
+# more: fitted apart for classical searches alone and for these together with draws, whose
+# agreement is another mean.
+_SEARCHED = (8.3, -5.15)
+_DRAWN = (12.5, -8.5)
 
 
 def kernel_score(evidence: FloatArray, agreement: FloatArray | float = 0.0) -> FloatArray:
@@ -236,7 +244,9 @@ def kernel_score(evidence: FloatArray, agreement: FloatArray | float = 0.0) -> F
 
     Agreement is a mean MNC; omit it to compare by the photo alone.
     """
-    return np.asarray(evidence @ _EVIDENCE_WEIGHTS + _AGREEMENT_WEIGHT * agreement, dtype=np.float64)
+    return np.asarray(
+        evidence @ _EVIDENCE_WEIGHTS + _AGREEMENT_WEIGHT * agreement, dtype=np.float64
+    )
 
 
 def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
@@ -254,15 +264,20 @@ def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
     np.fill_diagonal(alike, 0)
     top = max(min(_TOP, count - 1), 1)
     agreement = np.sort(alike, axis=1)[:, -top:].mean(axis=1) if count > 1 else np.ones(1)
-    probabilities = _probabilities(kernel_score(Judge(photos).evidence(kernels), agreement), _SEARCHED)
+    probabilities = _probabilities(
+        kernel_score(Judge(photos).evidence(kernels), agreement), _SEARCHED
+    )
     best = int(np.argmax(probabilities))
     return Ranking(best, probabilities, float(agreement[best]))
 
 
-def candidate_probabilities(evidence: FloatArray, alike: FloatArray, *, samples: int, classical: int) -> FloatArray:
+def candidate_probabilities(
+    evidence: FloatArray, alike: FloatArray, *, samples: int, classical: int
+) -> FloatArray:
     """Probability (K,) of each of K kernels to be good: first the drawn ones, then the classical ones, then others.
 
-    A kernel agrees by its mean MNC with the drawn ones and that with the classical ones, half each, without itself.
+    A kernel agrees by its mean MNC with the drawn ones and that with the classical ones, half
+    each, without itself.
 
     Parameters
     ----------
@@ -277,11 +292,15 @@ def candidate_probabilities(evidence: FloatArray, alike: FloatArray, *, samples:
     index = np.arange(len(alike))
     among_samples = alike[:, :samples].sum(axis=1) / np.maximum(samples - (index < samples), 1)
     is_classical = (index >= samples) & (index < samples + classical)
-    among_classical = alike[:, samples : samples + classical].sum(axis=1) / np.maximum(classical - is_classical, 1)
+    among_classical = alike[:, samples : samples + classical].sum(axis=1) / np.maximum(
+        classical - is_classical, 1
+    )
     return _probabilities(kernel_score(evidence, (among_samples + among_classical) / 2), _DRAWN)
 
 
-def distinct(alike: FloatArray, first: Iterable[int], order: Iterable[int], *, most: int) -> list[int]:
+def distinct(
+    alike: FloatArray, first: Iterable[int], order: Iterable[int], *, most: int
+) -> list[int]:
     """Choose those of ``first``, then the first of ``order`` that are not the same kernel as one chosen before.
 
     Parameters
@@ -313,10 +332,13 @@ def _probabilities(scores: FloatArray, calibration: tuple[float, float]) -> Floa
 _CLEARLY = 0.02  # docs/decisions/motion-estimation.md
 
 
-def uneven_blur_warning(crops: FloatArray, own: Sequence[FloatArray], shared: FloatArray) -> str | None:
+def uneven_blur_warning(
+    crops: FloatArray, own: Sequence[FloatArray], shared: FloatArray
+) -> str | None:
     """Return a warning when no kernel explains every crop as well as that crop's own, else None.
 
-    Different kernels of single crops are no evidence: a search in one crop fails more often than a blur differs.
+    Different kernels of single crops are no evidence: a search in one crop fails more often than a
+    blur differs.
 
     Parameters
     ----------
@@ -330,7 +352,9 @@ def uneven_blur_warning(crops: FloatArray, own: Sequence[FloatArray], shared: Fl
     scores = np.stack([kernel_score(Judge(crop[None]).evidence(kernels)) for crop in crops])
     alike = np.array([[mnc_subpixel(one, other) for other in kernels] for one in kernels[1:]])
     # (crops, kernels): how much better a crop's own kernel explains it than another one does
-    missing = np.where(alike < SAME_KERNEL_MNC, np.diagonal(scores, offset=1)[:, None] - scores, 0.0)
+    missing = np.where(
+        alike < SAME_KERNEL_MNC, np.diagonal(scores, offset=1)[:, None] - scores, 0.0
+    )
     best = int(np.argmin((missing > _CLEARLY).sum(axis=0)))
     differing = np.flatnonzero(missing[:, best] > _CLEARLY)
     if differing.size == 0:

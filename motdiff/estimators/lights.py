@@ -6,9 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
-__all__ = ["MOST_LIGHTS", "without_lights"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 MOST_LIGHTS = 0.05
 """Share of clipped pixels up to which they are lights: more are a sky, a wall or paper, whose edges show the blur."""
@@ -31,18 +29,25 @@ def without_lights(photo: FloatArray, clipped: NDArray[np.bool_]) -> FloatArray:
 
     Notes
     -----
-    The membrane solves Laplace's equation for the values around it; at the photo's border its slope is 0.
+    The membrane solves Laplace's equation for the values around it; at the photo's border its
+    slope is 0.
     """
-    hidden = ndimage.binary_dilation(clipped, np.ones((3, 3)), iterations=_MARGIN_PX) if clipped.any() else clipped
+    hidden = (
+        ndimage.binary_dilation(clipped, np.ones((3, 3)), iterations=_MARGIN_PX)
+        if clipped.any()
+        else clipped
+    )
     if not 0 < hidden.mean() <= _MOST_SPANNED:
         return photo
     rows, columns = np.nonzero(hidden)
     number = np.full(photo.shape, -1)
     number[rows, columns] = np.arange(rows.size)
-    neighbours, known = np.zeros(rows.size), np.zeros(rows.size)
+    neighbours = np.zeros(rows.size)
+    known = np.zeros(rows.size)
     links = []
     for down, across in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        y, x = rows + down, columns + across
+        y = rows + down
+        x = columns + across
         own = np.flatnonzero((y >= 0) & (y < photo.shape[0]) & (x >= 0) & (x < photo.shape[1]))
         other = number[y[own], x[own]]
         neighbours[own] += 1
@@ -50,7 +55,9 @@ def without_lights(photo: FloatArray, clipped: NDArray[np.bool_]) -> FloatArray:
         known[given] += photo[y[given], x[given]]
         links.append(np.stack([own[other >= 0], other[other >= 0]]))
     first, second = np.concatenate(links, axis=1)
-    linked = sparse.csr_matrix((np.ones(first.size), (first, second)), shape=(rows.size, rows.size))
+    linked = sparse.csr_matrix(
+        (np.ones(first.size), (first, second)), shape=(rows.size, rows.size)
+    )
     laplacian = sparse.diags(neighbours) - linked
     spanned = photo.copy()
     spanned[rows, columns] = sparse.linalg.spsolve(laplacian.tocsc(), known)

@@ -25,10 +25,8 @@ from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.threads import one_thread_a_call
 from motdiff.tracing import is_tangled, simplest_trajectory
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = ["BlindEstimator", "without_faint_parts"]
-
-FloatArray = NDArray[np.float64]
 _Photo = TypeVar("_Photo")
 _Made = TypeVar("_Made")
 
@@ -37,23 +35,31 @@ _LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halve
 _FACTORS = (1, 2, 4)  # by which the photo is made smaller, one after the other
 _FAINT = 0.05  # share of the peak: noise of a fitted kernel, docs/decisions/tracing.md
 _SPECK_SHARE = 0.1
-_SAME_MOTION_MNC = 0.8  # less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
+_SAME_MOTION_MNC = (
+    0.8  # less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
+)
 _MOST_MOTIONS = 3
 _LOST = 0.5
 _MOST_CROPS = 12  # of several photos together
-# kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px, six
-_WEB_PX, _WEB_TURNS, _WEB_CONFIDENCE = 200.0, 4.0, 0.2
+# kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px,
+# six
+_WEB_PX = 200.0
+_WEB_TURNS = 4.0
+_WEB_CONFIDENCE = 0.2
 _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
-# of paths whose kernel is good, the share that is right to within 1 px, in length and order: of arcs, bends and tangles
+# of paths whose kernel is good, the share that is right to within 1 px, in length and order: of
+# arcs, bends and tangles
 _BENT_TURNS = 1.3
-_ARC_RIGHT, _BENT_RIGHT, _TANGLED_RIGHT = 0.9, 0.3, 0.1
+_ARC_RIGHT = 0.9
+_BENT_RIGHT = 0.3
+_TANGLED_RIGHT = 0.1
 
 
 class BlindEstimator(ABC):
     """Estimator from the blurred photo alone: its subclasses search the kernel of crops, at one scale.
 
-    Where the blur is lost in a photo with clipped lights, it is searched again without them. Where it outgrows the
-    search, or is lost in a large photo, the photo is halved and tried again.
+    Where the blur is lost in a photo with clipped lights, it is searched again without them. Where
+    it outgrows the search, or is lost in a large photo, the photo is halved and tried again.
 
     Parameters
     ----------
@@ -78,7 +84,8 @@ class BlindEstimator(ABC):
         if crops < 1:
             raise ValueError(f"crops: must be at least 1, got {crops}")
         self._crops = crops
-        self._tell, self._progress = progress, Progress(progress)
+        self._tell = progress
+        self._progress = Progress(progress)
 
     @abstractmethod
     def search(self, crops: FloatArray) -> FoundKernels:
@@ -108,51 +115,73 @@ class BlindEstimator(ABC):
     def estimate_from(self, photos: Sequence[ArrayLike]) -> MotionEstimate:
         """Estimate the one motion in photos taken of it, of the same scene or of different ones.
 
-        The motion is searched in each photo alone and in all together: :func:`motdiff.estimators.fusion.fuse`.
+        The motion is searched in each photo alone and in all together:
+        :func:`motdiff.estimators.fusion.fuse`.
 
         Parameters
         ----------
         photos : sequence of N (H, W) or (H, W, 3) array_like, linear light 0..1
-            Their sizes may differ; where one is small, only the middles of the others are searched.
+            Their sizes may differ; where one is small, only the middles of the others are
+            searched.
 
         Returns
         -------
-        MotionEstimate with ``direction`` unknown; distinct kernels follow as alternatives. Of several photos
-        ``details`` hold ``photos``, their number; for each ``repeatability``, the MNC of its own kernel with the shared
-        one, both uncorrected, and ``repeatability_px``, the distance of their paths, None where its kernel is another;
-        ``seen_in``, how many kernels agree; and ``left_out``, the numbers, from 1, of photos that show another motion.
+        MotionEstimate with ``direction`` unknown; distinct kernels follow as alternatives. Of
+        several photos ``details`` hold ``photos``, their number; for each ``repeatability``, the
+        MNC of its own kernel with the shared one, both uncorrected, and ``repeatability_px``, the
+        distance of their paths, None where its kernel is another; ``seen_in``, how many kernels
+        agree; and ``left_out``, the numbers, from 1, of photos that show another motion.
 
         Raises
         ------
         ValueError
-            If a photo is smaller than ``smallest_px``, not finite, or without texture, or much smaller than another.
+            If a photo is smaller than ``smallest_px``, not finite, or without texture, or much
+            smaller than another.
         """
         with one_thread_a_call():
             whole = self._progress = Progress(self._tell)
-            greys = _each(photos, lambda photo: textured_luminance(photo, least_px=self.smallest_px))
-            greys = [exposure_gain(photo) * grey for photo, grey in zip(photos, greys, strict=True)]
+            greys = _each(
+                photos, lambda photo: textured_luminance(photo, least_px=self.smallest_px)
+            )
+            greys = [
+                exposure_gain(photo) * grey for photo, grey in zip(photos, greys, strict=True)
+            ]
             count = min(self._crops, max(1, _MOST_CROPS // len(photos)))
             clipped = [clipped_mask(photo) for photo in photos]
             levels: list[_Level] = []
             for factor in _FACTORS:
                 both = list(zip(greys, clipped, strict=True))
                 cut = _each(both, partial(_textured_crops, factor=factor, count=count))
-                level = self._alone(factor, cut[0]) if len(cut) == 1 else self._fused(factor, cut, whole)
-                if levels and level.found.confidence < max(_LOST, levels[-1].found.confidence + _CLEARLY):
+                level = (
+                    self._alone(factor, cut[0])
+                    if len(cut) == 1
+                    else self._fused(factor, cut, whole)
+                )
+                if levels and level.found.confidence < max(
+                    _LOST, levels[-1].found.confidence + _CLEARLY
+                ):
                     break
                 levels.append(level)
-                if not _wants_halving(level, self.largest_px, min(min(grey.shape) for grey in greys)):
+                if not _wants_halving(
+                    level, self.largest_px, min(min(grey.shape) for grey in greys)
+                ):
                     break
             best = levels[-1]
             corrected = self.corrected(best.crops, best.found)
-            tested = replace(best, found=replace(best.found, best=corrected.best))  # a correction spreads light
+            tested = replace(
+                best, found=replace(best.found, best=corrected.best)
+            )  # a correction spreads light
             uneven = None
             if len(best.crops) > (1 if best.fusion is None else len(best.fusion.kept)):
                 alone = self.single(best.crops, best.found)
-                uneven = uneven_blur_warning(best.crops, alone, tested.found.kernels[corrected.best])
+                uneven = uneven_blur_warning(
+                    best.crops, alone, tested.found.kernels[corrected.best]
+                )
             outgrown = _outgrown(tested, self.largest_px)
             estimate = _described(replace(best, found=corrected), self.method, uneven)
-            estimate = doubted(estimate, levels[0].photographed, uneven=uneven is not None, outgrown=outgrown)
+            estimate = doubted(
+                estimate, levels[0].photographed, uneven=uneven is not None, outgrown=outgrown
+            )
             whole.finish()
             return estimate
 
@@ -181,7 +210,9 @@ class BlindEstimator(ABC):
             alone.append(self._searched(cut))
             self._progress.finish()
         own = [found for _, found in alone]
-        fusion = fuse(cut_alike([crops for crops, _ in alone]), own, search=together, refine=self.refine)
+        fusion = fuse(
+            cut_alike([crops for crops, _ in alone]), own, search=together, refine=self.refine
+        )
         kept = np.concatenate([photographed[i] for i in fusion.kept])
         return _Level(factor, fusion.crops, fusion.found, kept, fusion, tuple(own))
 
@@ -190,7 +221,9 @@ class BlindEstimator(ABC):
         found = self.search(cut.crops)
         if found.confidence >= _LOST or not 0 < cut.clipped.mean() <= MOST_LIGHTS:
             return cut.crops, found
-        crops = np.stack([without_lights(crop, one) for crop, one in zip(cut.crops, cut.clipped, strict=True)])
+        crops = np.stack(
+            [without_lights(crop, one) for crop, one in zip(cut.crops, cut.clipped, strict=True)]
+        )
         if np.array_equal(crops, cut.crops) or not np.ptp(crops, axis=(1, 2)).all():
             return cut.crops, found
         again = self.search(crops)
@@ -232,7 +265,9 @@ class _Level:
     own: tuple[FoundKernels, ...] = ()
 
 
-def _textured_crops(photo: tuple[FloatArray, NDArray[np.bool_]], *, factor: int, count: int) -> _Cut:
+def _textured_crops(
+    photo: tuple[FloatArray, NDArray[np.bool_]], *, factor: int, count: int
+) -> _Cut:
     """Crops, at most ``count``, of a photo (H, W) and its clipped pixels, made smaller by the factor."""
     grey, clipped = photo
     if factor > 1:
@@ -241,12 +276,15 @@ def _textured_crops(photo: tuple[FloatArray, NDArray[np.bool_]], *, factor: int,
             cv2.resize(image, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
             for image in (grey, clipped.astype(np.float64))
         )
-        grey, clipped = np.asarray(grey, dtype=np.float64), np.asarray(share > 0)
+        grey = np.asarray(grey, dtype=np.float64)
+        clipped = np.asarray(share > 0)
     windows = best_windows(grey, count=count)
     crops, hidden = (np.stack([image[window] for window in windows]) for image in (grey, clipped))
     textured = np.ptp(crops, axis=(1, 2)) > 0  # a clipped sky has no texture and no noise
     if not textured.any():
-        raise ValueError("photo: has edges of one direction at most; motion shows only where the scene has texture")
+        raise ValueError(
+            "photo: has edges of one direction at most; motion shows only where the scene has texture"
+        )
     return _Cut(crops[textured], hidden[textured])
 
 
@@ -264,10 +302,13 @@ def _outgrown(level: _Level, largest_px: int) -> bool:
 
 
 def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate:
-    found, kernels = level.found, level.found.kernels
+    kernels = level.found.kernels
+    found = level.found
     chosen = [found.best]
     for i in np.argsort(-found.probabilities):
-        if len(chosen) < _MOST_MOTIONS and all(mnc_subpixel(kernels[i], kernels[j]) < _SAME_MOTION_MNC for j in chosen):
+        if len(chosen) < _MOST_MOTIONS and all(
+            mnc_subpixel(kernels[i], kernels[j]) < _SAME_MOTION_MNC for j in chosen
+        ):
             chosen.append(int(i))
     trajectories = [simplest_trajectory(without_faint_parts(kernels[i])) for i in chosen]
     if level.factor > 1:
@@ -280,9 +321,12 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
     of_the_psf = [*found.warnings, *([] if uneven is None else [uneven])]
     warnings = list(of_the_psf)
     confidence = found.confidence
-    length_px, extent_px = trajectories[0].length_px, trajectories[0].extent_px
+    length_px = trajectories[0].length_px
+    extent_px = trajectories[0].extent_px
     tangled = is_tangled(trajectories[0].scaled(1 / level.factor))  # strands as searched
-    if length_px > max(_WEB_PX * level.factor, _WEB_TURNS * extent_px):  # the limit is in pixels of what was searched
+    if length_px > max(
+        _WEB_PX * level.factor, _WEB_TURNS * extent_px
+    ):  # the limit is in pixels of what was searched
         confidence = min(confidence, _WEB_CONFIDENCE)
         warnings.append(
             f"the path found is {length_px:.0f} px long within {extent_px:.0f} px: more a web of noise than a motion"
@@ -333,7 +377,9 @@ def _repeatability(level: _Level) -> dict[str, object]:
     apart: list[float | None] = []
     for i, (found, alike) in enumerate(zip(level.own, fusion.repeatability, strict=True)):
         agrees = alike >= GOOD_MNC and i in fusion.kept
-        own = simplest_trajectory(without_faint_parts(found.kernels[found.best])) if agrees else None
+        own = (
+            simplest_trajectory(without_faint_parts(found.kernels[found.best])) if agrees else None
+        )
         apart.append(None if own is None else path_distance_px(own.scaled(level.factor), path))
     return {
         "photos": len(level.own),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from motdiff import crops
@@ -13,11 +13,7 @@ from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import mnc_subpixel, register_shift
 from motdiff.psf_frame import PSF_PX, centred, in_frame
 from motdiff.tracing import trace_psf_to_trajectory
-
-__all__ = ["PointEstimator", "background_light"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from motdiff.types import BoolArray, FloatArray
 
 _GAP_PX = 2  # breaks in a streak up to twice this are bridged: noise where the light ran fast
 _KEPT_SIGMA = 3.0
@@ -38,16 +34,18 @@ class _Streak:
 class PointEstimator:
     """Take the streak of a point light, on a darker background, as the PSF.
 
-    Assumes that the light is small against a pixel (a distant lamp, a laser spot, a star): nothing is deconvolved, so
-    a light d px wide widens the path by d. The background is the local median; a streak is an area above its noise.
-    Streaks that touch the photo's border are left out, saturated ones come after all others, as their dwell is cut.
-    Several lights that agree with the best one (sub-pixel MNC) are averaged, weighted by their signal-to-noise ratio.
+    Assumes that the light is small against a pixel (a distant lamp, a laser spot, a star): nothing
+    is deconvolved, so a light d px wide widens the path by d. The background is the local median;
+    a streak is an area above its noise. Streaks that touch the photo's border are left out,
+    saturated ones come after all others, as their dwell is cut. Several lights that agree with the
+    best one (sub-pixel MNC) are averaged, weighted by their signal-to-noise ratio.
 
     The PSF's centroid lies within half a pixel of the frame's centre.
 
-    ``confidence`` is the share of the streak that its noise leaves certain, ``snr^2 / (1 + snr^2)`` with the SNR of the
-    whole PSF (its norm over the noise in its support), times the unsaturated share of the streak's pixels, times the
-    share of comparable streaks that agree: things in an ordinary photo are no lights, and do not.
+    ``confidence`` is the share of the streak that its noise leaves certain, ``snr^2 / (1 +
+    snr^2)`` with the SNR of the whole PSF (its norm over the noise in its support), times the
+    unsaturated share of the streak's pixels, times the share of comparable streaks that agree:
+    things in an ordinary photo are no lights, and do not.
 
     Parameters
     ----------
@@ -84,8 +82,14 @@ class PointEstimator:
         best = max(streaks, key=lambda s: (s.clipped_share <= _LOST_TO_CLIPPING, _snr(s)))
         others = sorted((s for s in streaks if s is not best), key=_snr, reverse=True)
         # faint streaks add nothing to the average or to the test of uniform blur
-        comparable = [s for s in others if _snr(s) > 0.2 * _snr(best) and s.clipped_share <= _LOST_TO_CLIPPING]
-        agreeing = [s for s in comparable if mnc_subpixel(best.psf, s.psf) >= self.agreement][: self.most - 1]
+        comparable = [
+            s
+            for s in others
+            if _snr(s) > 0.2 * _snr(best) and s.clipped_share <= _LOST_TO_CLIPPING
+        ]
+        agreeing = [s for s in comparable if mnc_subpixel(best.psf, s.psf) >= self.agreement][
+            : self.most - 1
+        ]
         psf = in_frame(centred(_average([best, *agreeing])), self.size)
         psf = psf / psf.sum()
         warnings = []
@@ -110,14 +114,22 @@ class PointEstimator:
         agreed = (1 + len(agreeing)) / (1 + min(len(comparable), self.most - 1))
         confidence = snr**2 / (1 + snr**2) * (1 - best.clipped_share) * agreed
         return MotionEstimate(
-            "point", (trace_psf_to_trajectory(psf),), (1.0,), psf, confidence, tuple(warnings), details
+            "point",
+            (trace_psf_to_trajectory(psf),),
+            (1.0,),
+            psf,
+            confidence,
+            tuple(warnings),
+            details,
         )
 
 
 def _snr(streak: _Streak) -> float:
     """Norm of the streak over that of the noise in its support."""
     support = max(1, int((streak.psf > 0).sum()))
-    return float(np.linalg.norm(streak.psf) * streak.flux / (max(streak.noise, 1e-6) * np.sqrt(support)))
+    return float(
+        np.linalg.norm(streak.psf) * streak.flux / (max(streak.noise, 1e-6) * np.sqrt(support))
+    )
 
 
 def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_Streak], int, int]:
@@ -129,17 +141,26 @@ def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_St
     # a small mean finds the faint, fast parts of a streak
     smooth = ndimage.uniform_filter(above, 3)
     bright = smooth > _KEPT_SIGMA * noise / 3 + 1e-4
-    joined = ndimage.binary_closing(np.pad(bright, _GAP_PX), iterations=_GAP_PX)[_GAP_PX:-_GAP_PX, _GAP_PX:-_GAP_PX]
+    joined = ndimage.binary_closing(np.pad(bright, _GAP_PX), iterations=_GAP_PX)[
+        _GAP_PX:-_GAP_PX, _GAP_PX:-_GAP_PX
+    ]
     labels, _ = ndimage.label(joined | bright, structure=np.ones((3, 3)))
     found: list[_Streak] = []
     too_long = cut_off = 0
     for index, window in enumerate(ndimage.find_objects(labels), 1):
         own = labels[window] == index
         values = np.where(own, above[window], 0)
-        if values.max() < _FOUND_SIGMA * noise or values.sum() < _FOUND_SIGMA * noise * np.sqrt(own.sum()):
+        if values.max() < _FOUND_SIGMA * noise or values.sum() < _FOUND_SIGMA * noise * np.sqrt(
+            own.sum()
+        ):
             continue
         rows, columns = window
-        if rows.start == 0 or columns.start == 0 or rows.stop == light.shape[0] or columns.stop == light.shape[1]:
+        if (
+            rows.start == 0
+            or columns.start == 0
+            or rows.stop == light.shape[0]
+            or columns.stop == light.shape[1]
+        ):
             cut_off += 1
             continue
         if max(values.shape) > size:
@@ -148,9 +169,13 @@ def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_St
         values = np.maximum(values, 0)
         frame = np.zeros((size, size))
         frame[: values.shape[0], : values.shape[1]] = values
-        share = float(clipped[window][own].sum()) / max(1, int((values > 0.1 * values.max()).sum()))
+        share = float(clipped[window][own].sum()) / max(
+            1, int((values > 0.1 * values.max()).sum())
+        )
         box = (rows.start, columns.start, values.shape[0], values.shape[1])
-        found.append(_Streak(frame / values.sum(), float(values.sum()), noise, min(1.0, share), box))
+        found.append(
+            _Streak(frame / values.sum(), float(values.sum()), noise, min(1.0, share), box)
+        )
     return found, too_long, cut_off
 
 
@@ -158,11 +183,17 @@ def background_light(light: FloatArray, size: int) -> FloatArray:
     """Estimate the light behind the streaks: medians of blocks a few times the frame, joined smoothly."""
     block = 2 * size
     rows, columns = (np.array_split(np.arange(n), max(1, n // block)) for n in light.shape)
-    medians = np.array([[np.median(light[r[0] : r[-1] + 1, c[0] : c[-1] + 1]) for c in columns] for r in rows])
+    medians = np.array(
+        [[np.median(light[r[0] : r[-1] + 1, c[0] : c[-1] + 1]) for c in columns] for r in rows]
+    )
     row_at = np.interp(np.arange(light.shape[0]), [r.mean() for r in rows], np.arange(len(rows)))
-    column_at = np.interp(np.arange(light.shape[1]), [c.mean() for c in columns], np.arange(len(columns)))
+    column_at = np.interp(
+        np.arange(light.shape[1]), [c.mean() for c in columns], np.arange(len(columns))
+    )
     grid = np.meshgrid(row_at, column_at, indexing="ij")
-    return np.asarray(ndimage.map_coordinates(medians, grid, order=1, mode="nearest"), dtype=np.float64)
+    return np.asarray(
+        ndimage.map_coordinates(medians, grid, order=1, mode="nearest"), dtype=np.float64
+    )
 
 
 def _average(streaks: list[_Streak]) -> FloatArray:

@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-__all__ = ["PatchPair", "explained_share", "fit_psf", "residual_variance"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _INNER = 150
 _RHO = 2.0  # in units of the model's geometric mean
@@ -45,7 +42,8 @@ class _Operator:
     """``A k = sharp * k`` on the valid pixels of one pair, its adjoint, and the Toeplitz model of ``A' W A``."""
 
     def __init__(self, pair: PatchPair, size: int) -> None:
-        self.pair, self.size = pair, size
+        self.pair = pair
+        self.size = size
         self.shape = tuple(fft.next_fast_len(n, real=True) for n in pair.sharp.shape)
         self.spectrum = fft.rfft2(pair.sharp, self.shape)
 
@@ -82,8 +80,9 @@ def fit_psf(
 ) -> FloatArray:
     """Minimise ``sum W |blurred - sharp * k|^2 / 2 + sparse sum k`` over k >= 0.
 
-    A projected Newton method: the Hessian is modelled by the autocorrelation of the sharp patches (Toeplitz, so FFTs of
-    the PSF's frame apply and invert it), and an exact line search on the true objective makes every step a descent.
+    A projected Newton method: the Hessian is modelled by the autocorrelation of the sharp patches
+    (Toeplitz, so FFTs of the PSF's frame apply and invert it), and an exact line search on the
+    true objective makes every step a descent.
 
     Parameters
     ----------
@@ -99,7 +98,8 @@ def fit_psf(
 
     Returns
     -------
-    (size, size) float64, non-negative; its sum is the gain of the blurred photo over the sharp one.
+    (size, size) float64, non-negative; its sum is the gain of the blurred photo over the sharp
+    one.
     """
     operators = [_Operator(pair, size) for pair in pairs]
     frame = (2 * size, 2 * size)
@@ -113,16 +113,23 @@ def fit_psf(
     for _ in range(steps):
         gradient = np.full((size, size), sparse)
         for operator, image in zip(operators, predicted, strict=True):
-            gradient = gradient - operator.adjoint(operator.pair.weight * (operator.pair.blurred - image))
+            gradient = gradient - operator.adjoint(
+                operator.pair.weight * (operator.pair.blurred - image)
+            )
         step = _constrained_step(psf, gradient, model) - psf
         moved = [operator.forward(step) for operator in operators]
-        curvature = sum(float((o.pair.weight * image**2).sum()) for o, image in zip(operators, moved, strict=True))
+        curvature = sum(
+            float((o.pair.weight * image**2).sum())
+            for o, image in zip(operators, moved, strict=True)
+        )
         slope = float((gradient * step).sum())
         if not (slope < 0 < curvature):
             break
         length = min(1.0, -slope / curvature)
         psf = psf + length * step
-        predicted = [image + length * change for image, change in zip(predicted, moved, strict=True)]
+        predicted = [
+            image + length * change for image, change in zip(predicted, moved, strict=True)
+        ]
         if np.abs(step).max() < 1e-3 * psf.max():
             break
     return psf
@@ -130,7 +137,10 @@ def fit_psf(
 
 def residual_variance(pairs: Sequence[PatchPair], psf: FloatArray) -> float:
     """Mean square residual of a fit by ``psf``, over the pixels that count."""
-    residual = sum(float((p.weight * (p.blurred - _Operator(p, len(psf)).forward(psf)) ** 2).sum()) for p in pairs)
+    residual = sum(
+        float((p.weight * (p.blurred - _Operator(p, len(psf)).forward(psf)) ** 2).sum())
+        for p in pairs
+    )
     return residual / max(1.0, sum(pair.pixels for pair in pairs))
 
 
@@ -144,20 +154,24 @@ def explained_share(pairs: Sequence[PatchPair], psf: FloatArray) -> float:
 def _constrained_step(start: FloatArray, gradient: FloatArray, model: FloatArray) -> FloatArray:
     """Minimise ``gradient . (k - start) + (k - start) H (k - start) / 2`` over k >= 0 in its frame.
 
-    ``model`` is the spectrum of H on a frame of twice the size. ADMM splits the quadratic, solved exactly there, from
-    the constraint; unlike projected gradients it converges although scenes have little fine detail.
+    ``model`` is the spectrum of H on a frame of twice the size. ADMM splits the quadratic, solved
+    exactly there, from the constraint; unlike projected gradients it converges although scenes
+    have little fine detail.
     """
     size = len(start)
     frame = (2 * size, 2 * size)
-    wide_start, wide_gradient = np.zeros(frame), np.zeros(frame)
+    wide_start = np.zeros(frame)
+    wide_gradient = np.zeros(frame)
     wide_start[:size, :size], wide_gradient[:size, :size] = start, gradient
     constant = model * fft.rfft2(wide_start) - fft.rfft2(wide_gradient)
     rho = _RHO * float(np.exp(np.log(np.maximum(model, 1e-9 * model.max())).mean()))
-    kept, dual = wide_start, np.zeros(frame)
+    kept = wide_start
+    dual = np.zeros(frame)
     for _ in range(_INNER):
         free = fft.irfft2((constant + rho * fft.rfft2(kept - dual)) / (model + rho), frame)
         relaxed = 1.6 * free - 0.6 * kept
-        previous, kept = kept, np.zeros(frame)
+        previous = kept
+        kept = np.zeros(frame)
         kept[:size, :size] = np.maximum((relaxed + dual)[:size, :size], 0)
         dual = dual + relaxed - kept
         if (

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft, ndimage
 
 from motdiff import crops
@@ -17,21 +17,22 @@ from motdiff.estimators.registration import coarse_shift, high_passed
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX, centroid_px, without_faint_light
 from motdiff.tracing import trace_psf_to_trajectory
+from motdiff.types import BoolArray, FloatArray
 
-__all__ = ["ReferenceEstimator"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-
-_HIGH_PASS_PX = 4.0  # sigma; slower differences (vignetting, lamps, haze) say little about a kernel and mislead it
+# sigma; slower differences (vignetting, lamps, haze) say little about a kernel and mislead it
+_HIGH_PASS_PX = 4.0
 _RIM_PX = int(3 * _HIGH_PASS_PX)  # the high-passed photo is not trusted this close to its border
 _SPLINE_MARGIN_PX = 8
 _LEAST_CROP_PX = 32
 _LAMP_REACH = 0.005  # share of a lamp's light that spoils a pixel
-_LAMP_FAINT = 0.05  # share of the peak: a lamp must not spoil the photo through noise in the first kernel
+_LAMP_FAINT = (
+    0.05  # share of the peak: a lamp must not spoil the photo through noise in the first kernel
+)
 _SPECK_FAINT = 0.03  # share of the peak: fainter light joins no parts of the kernel
 _SPECK_SHARE = 0.02  # of all light: a part with less is noise
-_CHANNEL_CLIPPED = 0.1  # a channel with this share of clipped pixels is worth nothing beside others
+_CHANNEL_CLIPPED = (
+    0.1  # a channel with this share of clipped pixels is worth nothing beside others
+)
 _LOST = 0.6
 
 
@@ -39,19 +40,22 @@ _LOST = 0.6
 class ReferenceEstimator:
     """Find the kernel that turns a sharp photo into the blurred one.
 
-    The least clipped colour channels of both photos are averaged, high-passed (which removes offset and slow
-    differences of light), registered by cross-correlation and then to a fraction of a pixel by the kernel's own
-    centroid, and compared in textured, unsaturated crops. The kernel is the non-negative least-squares fit over all
-    pixels whose light comes from known pixels, with the exponential prior whose mean is that of a spread-out kernel;
-    the fit's own residual gives the noise that weighs it. The gain between the photos is the kernel's sum.
+    The least clipped colour channels of both photos are averaged, high-passed (which removes
+    offset and slow differences of light), registered by cross-correlation and then to a fraction
+    of a pixel by the kernel's own centroid, and compared in textured, unsaturated crops. The
+    kernel is the non-negative least-squares fit over all pixels whose light comes from known
+    pixels, with the exponential prior whose mean is that of a spread-out kernel; the fit's own
+    residual gives the noise that weighs it. The gain between the photos is the kernel's sum.
 
-    ``confidence`` is the share of the high-passed photo's variance, less its noise, that sharp * PSF explains, times
-    the MNC with the truth that the agreement of two fits, each to half of the pixels, lets expect.
+    ``confidence`` is the share of the high-passed photo's variance, less its noise, that sharp *
+    PSF explains, times the MNC with the truth that the agreement of two fits, each to half of the
+    pixels, lets expect.
 
     Parameters
     ----------
     sharp : (H, W) or (H, W, C) float, linear light 0..1
-        Photo of the same scene in the same scale and orientation; its size may differ from the blurred photo's.
+        Photo of the same scene in the same scale and orientation; its size may differ from the
+        blurred photo's.
     size : int, px
         Frame of the PSF.
     crop_px, crop_count : int
@@ -93,18 +97,34 @@ class ReferenceEstimator:
             moved = (shift[0] + offset[0], shift[1] + offset[1])
             places = self._places(sharp, blurred, moved)
             pairs = [self._pair(sharp, blurred, place, moved, psf) for place in places]
-            psf, shift = psf_fit.fit_psf(pairs, self.size, sparse=sparse), moved
+            psf = psf_fit.fit_psf(pairs, self.size, sparse=sparse)
+            shift = moved
             if math.hypot(*centroid_px(psf)) < 0.1:
                 break
         psf = _without_specks(psf)
         gain = float(psf.sum())
         if gain <= 0:
-            raise ValueError("photo: nothing of it follows from the sharp photo; is it the same scene?")
-        alone = [psf_fit.fit_psf([pair], self.size, sparse=sparse, start=psf, steps=3) for pair in pairs]
-        halves = [psf_fit.fit_psf(_half(pairs, side), self.size, sparse=sparse, start=psf, steps=3) for side in (0, 1)]
+            raise ValueError(
+                "photo: nothing of it follows from the sharp photo; is it the same scene?"
+            )
+        alone = [
+            psf_fit.fit_psf([pair], self.size, sparse=sparse, start=psf, steps=3) for pair in pairs
+        ]
+        halves = [
+            psf_fit.fit_psf(_half(pairs, side), self.size, sparse=sparse, start=psf, steps=3)
+            for side in (0, 1)
+        ]
         agreement = mnc_subpixel(*halves) if all(half.any() for half in halves) else 0.0
         return self._report(
-            blurred, pairs, psf / gain, [k for k in alone if k.any()], gain, noise, shift, places, agreement
+            blurred,
+            pairs,
+            psf / gain,
+            [k for k in alone if k.any()],
+            gain,
+            noise,
+            shift,
+            places,
+            agreement,
         )
 
     def _report(
@@ -120,7 +140,8 @@ class ReferenceEstimator:
         agreement: float,
     ) -> MotionEstimate:
         explained = _explained_beyond_noise(pairs, gain * psf, blurred.noise_variance)
-        # of two fits to half of the pixels: the error energy of one, from which that of others follows
+        # of two fits to half of the pixels: the error energy of one, from which that of others
+        # follows
         half_error = 1 / max(agreement, 1e-3) - 1
         expected_mnc = 1 / math.sqrt(1 + half_error / 2)
         warnings = []
@@ -131,15 +152,23 @@ class ReferenceEstimator:
             )
         # single crops may disagree through noise alone
         by_noise = 1 / (1 + half_error * len(pairs) / 2)
-        differs = crops.blur_differs_warning(alone, limit=min(0.75, 0.85 * by_noise)) if len(alone) > 1 else None
+        differs = (
+            crops.blur_differs_warning(alone, limit=min(0.75, 0.85 * by_noise))
+            if len(alone) > 1
+            else None
+        )
         if differs:
             warnings.append(differs)
         rim = 1 - float(psf[2:-2, 2:-2].sum())
         if rim > 0.02:
-            warnings.append(f"The PSF reaches the rim of its {self.size} px frame: give a larger size.")
+            warnings.append(
+                f"The PSF reaches the rim of its {self.size} px frame: give a larger size."
+            )
         clipped = 1 - sum(pair.pixels for pair in pairs) / sum(pair.weight.size for pair in pairs)
         if clipped > 0.05:
-            warnings.append(f"{100 * clipped:.0f} % of the compared pixels are saturated and were left out.")
+            warnings.append(
+                f"{100 * clipped:.0f} % of the compared pixels are saturated and were left out."
+            )
         details: dict[str, object] = {
             "explained_share": explained,
             "expected_mnc": expected_mnc,
@@ -153,7 +182,13 @@ class ReferenceEstimator:
         }
         confidence = min(1.0, max(0.0, explained)) * expected_mnc
         return MotionEstimate(
-            "reference", (trace_psf_to_trajectory(psf),), (1.0,), psf, confidence, tuple(warnings), details
+            "reference",
+            (trace_psf_to_trajectory(psf),),
+            (1.0,),
+            psf,
+            confidence,
+            tuple(warnings),
+            details,
         )
 
     def _places(self, sharp: _Photo, blurred: _Photo, shift: tuple[float, float]) -> list[_Place]:
@@ -171,16 +206,26 @@ class ReferenceEstimator:
                 f"sharp: overlaps the photo by {max(0, extent[1])} x {max(0, extent[0])} px inside margins, "
                 f"wanted at least {_LEAST_CROP_PX} each way; give larger photos or a smaller size than {self.size}"
             )
-        rows, columns = slice(low[0], high[0]), slice(low[1], high[1])
+        rows = slice(low[0], high[0])
+        columns = slice(low[1], high[1])
         dy, dx = (round(d) for d in shift)
         beneath = (slice(low[0] - dy, high[0] - dy), slice(low[1] - dx, high[1] - dx))
-        scene = np.where(blurred.clipped[rows, columns] | sharp.clipped[beneath], 1.0, 0.5 * sharp.light[beneath])
+        scene = np.where(
+            blurred.clipped[rows, columns] | sharp.clipped[beneath],
+            1.0,
+            0.5 * sharp.light[beneath],
+        )
         found = crops.pick_crops(scene, size=self.crop_px, count=self.crop_count)
         height, width = (min(self.crop_px, n) for n in extent)
         return [_Place(low[0] + r, low[1] + c, height, width) for r, c in found]
 
     def _pair(
-        self, sharp: _Photo, blurred: _Photo, place: _Place, shift: tuple[float, float], psf: FloatArray | None
+        self,
+        sharp: _Photo,
+        blurred: _Photo,
+        place: _Place,
+        shift: tuple[float, float],
+        psf: FloatArray | None,
     ) -> psf_fit.PatchPair:
         whole = [math.floor(d) for d in shift]
         margin = _SPLINE_MARGIN_PX
@@ -195,19 +240,26 @@ class ReferenceEstimator:
         if max(part) > 1e-3:
             patch = ndimage.shift(patch, part, order=5, mode="nearest")
         inner = (slice(margin, -margin),) * 2
-        window = (slice(place.row, place.row + place.height), slice(place.column, place.column + place.width))
+        window = (
+            slice(place.row, place.row + place.height),
+            slice(place.column, place.column + place.width),
+        )
         good = ~ndimage.binary_dilation(blurred.clipped[window], iterations=2)
         lamps = sharp.clipped[cut][inner]
         if psf is not None and lamps.any():
             # light of unknown strength: leave out what it reaches
             solid = without_faint_light(psf, below=_LAMP_FAINT)
             spread = tuple(fft.next_fast_len(n, real=True) for n in lamps.shape)
-            spectrum = fft.rfft2(lamps.astype(np.float64), spread) * fft.rfft2(solid / solid.sum(), spread)
+            spectrum = fft.rfft2(lamps.astype(np.float64), spread) * fft.rfft2(
+                solid / solid.sum(), spread
+            )
             reach = fft.irfft2(spectrum, spread)
             start = self.size - 1
             good &= reach[start : lamps.shape[0], start : lamps.shape[1]] < _LAMP_REACH
         weight = good.astype(np.float64)
-        return psf_fit.PatchPair(np.asarray(patch[inner], np.float64), blurred.detail[window], weight)
+        return psf_fit.PatchPair(
+            np.asarray(patch[inner], np.float64), blurred.detail[window], weight
+        )
 
 
 @dataclass(frozen=True)
@@ -239,14 +291,20 @@ class _Photo:
         return cls(light, detail, crops.clipped_mask(photo), _noise_variance(light))
 
 
-def _clean_channels(sharp: ArrayLike, photo: ArrayLike) -> tuple[tuple[str, FloatArray], tuple[str, FloatArray]]:
+def _clean_channels(
+    sharp: ArrayLike, photo: ArrayLike
+) -> tuple[tuple[str, FloatArray], tuple[str, FloatArray]]:
     """Leave out colour channels that are clipped more than others and not much richer in texture."""
-    a, b = np.asarray(sharp, dtype=np.float64), np.asarray(photo, dtype=np.float64)
+    a = np.asarray(sharp, dtype=np.float64)
+    b = np.asarray(photo, dtype=np.float64)
     if a.ndim == b.ndim == 3 and a.shape[2] == b.shape[2] and a.size and b.size:
         share = np.maximum(*((image >= crops.CLIPPED_LEVEL).mean(axis=(0, 1)) for image in (a, b)))
-        worth = np.abs(np.diff(b, axis=1)).mean(axis=(0, 1)) * np.maximum(1 - share / _CHANNEL_CLIPPED, 0)
+        worth = np.abs(np.diff(b, axis=1)).mean(axis=(0, 1)) * np.maximum(
+            1 - share / _CHANNEL_CLIPPED, 0
+        )
         kept = worth >= 0.5 * worth.max()
-        a, b = a[..., kept], b[..., kept]
+        a = a[..., kept]
+        b = b[..., kept]
     return ("sharp", a), ("photo", b)
 
 
@@ -256,7 +314,9 @@ def _noise_variance(light: FloatArray) -> float:
     return float((np.median(np.abs(diagonal)) / 0.6745) ** 2)
 
 
-def _explained_beyond_noise(pairs: Sequence[psf_fit.PatchPair], psf: FloatArray, noise_variance: float) -> float:
+def _explained_beyond_noise(
+    pairs: Sequence[psf_fit.PatchPair], psf: FloatArray, noise_variance: float
+) -> float:
     pixels = max(1.0, sum(pair.pixels for pair in pairs))
     variance = sum(float((pair.weight * pair.blurred**2).sum()) for pair in pairs) / pixels
     left = max(0.0, psf_fit.residual_variance(pairs, psf) - noise_variance)
@@ -267,7 +327,9 @@ def _explained_beyond_noise(pairs: Sequence[psf_fit.PatchPair], psf: FloatArray,
 def _without_specks(psf: FloatArray) -> FloatArray:
     """Drop parts apart from the path with little light: noise scattered over the frame."""
     solid = psf > _SPECK_FAINT * psf.max()
-    labels, count = ndimage.label(ndimage.binary_dilation(solid, np.ones((3, 3)), iterations=2), np.ones((3, 3)))
+    labels, count = ndimage.label(
+        ndimage.binary_dilation(solid, np.ones((3, 3)), iterations=2), np.ones((3, 3))
+    )
     light = ndimage.sum_labels(psf, labels, np.arange(count + 1))
     light[0] = 0
     return np.where((light >= _SPECK_SHARE * psf.sum())[labels], psf, 0)

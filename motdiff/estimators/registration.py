@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, ndimage
 
-__all__ = ["coarse_shift", "high_passed"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _LARGE_PX = 1_500_000  # photos with more pixels are first registered binned
 _WINDOW_PX = 768
@@ -22,10 +19,14 @@ def high_passed(light: FloatArray, *, sigma_px: float) -> FloatArray:
     light : (H, W) float
     sigma_px : float, px
     """
-    return np.asarray(light - ndimage.gaussian_filter(light, sigma_px, truncate=3), dtype=np.float64)
+    return np.asarray(
+        light - ndimage.gaussian_filter(light, sigma_px, truncate=3), dtype=np.float64
+    )
 
 
-def coarse_shift(sharp: FloatArray, blurred: FloatArray, *, sigma_px: float = 4.0) -> tuple[float, float]:
+def coarse_shift(
+    sharp: FloatArray, blurred: FloatArray, *, sigma_px: float = 4.0
+) -> tuple[float, float]:
     """Whole-pixel (dy, dx) that moves ``sharp`` onto ``blurred``; their sizes may differ.
 
     Parameters
@@ -39,11 +40,16 @@ def coarse_shift(sharp: FloatArray, blurred: FloatArray, *, sigma_px: float = 4.
     if pixels <= _LARGE_PX:
         return _peak(*(high_passed(image, sigma_px=sigma_px) for image in (sharp, blurred)))
     factor = int(np.ceil(np.sqrt(pixels / _LARGE_PX)))
-    dy, dx = (factor * d for d in coarse_shift(_binned(sharp, factor), _binned(blurred, factor), sigma_px=sigma_px))
+    dy, dx = (
+        factor * d
+        for d in coarse_shift(_binned(sharp, factor), _binned(blurred, factor), sigma_px=sigma_px)
+    )
     # the middle of the overlap, at full size, with room for what binning left open
-    starts, lengths = [], []
+    starts = []
+    lengths = []
     for s, b, d in zip(sharp.shape, blurred.shape, (round(dy), round(dx)), strict=True):
-        low, high = max(0, d), min(b, s + d)
+        low = max(0, d)
+        high = min(b, s + d)
         length = max(2, min(_WINDOW_PX, high - low))
         starts.append((low + high - length) // 2)
         lengths.append(length)
@@ -62,8 +68,13 @@ def _binned(image: FloatArray, factor: int) -> FloatArray:
 
 
 def _peak(sharp: FloatArray, blurred: FloatArray) -> tuple[float, float]:
-    size = tuple(fft.next_fast_len(a + b, real=True) for a, b in zip(sharp.shape, blurred.shape, strict=True))
+    size = tuple(
+        fft.next_fast_len(a + b, real=True)
+        for a, b in zip(sharp.shape, blurred.shape, strict=True)
+    )
     product = fft.rfft2(blurred, size) * np.conj(fft.rfft2(sharp, size))
     peak = np.unravel_index(int(fft.irfft2(product, size).argmax()), size)
-    dy, dx = (int(p) if p < b else int(p) - n for p, n, b in zip(peak, size, blurred.shape, strict=True))
+    dy, dx = (
+        int(p) if p < b else int(p) - n for p, n, b in zip(peak, size, blurred.shape, strict=True)
+    )
     return float(dy), float(dx)

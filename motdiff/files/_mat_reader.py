@@ -2,8 +2,9 @@
 
     python -P _mat_reader.py FILE MIB SECONDS NAME...
 
-Writes to stdout a line of JSON, ``{"sent": [name, ...], "found": [name, ...]}`` or ``{"error": text}``, and then the
-arrays that are sent, in NumPy's file format. It imports nothing but NumPy and SciPy.
+Writes to stdout a line of JSON, ``{"sent": [name, ...], "found": [name, ...]}`` or ``{"error":
+text}``, and then the arrays that are sent, in NumPy's file format. It imports nothing but NumPy
+and SciPy.
 """
 
 from __future__ import annotations
@@ -41,14 +42,18 @@ def _read(path: str, names: list[str]) -> tuple[dict[str, Any], list[str]]:
     from numpy import asarray
     from scipy.io import loadmat, whosmat
 
-    with Path(path).open("rb") as stream:  # given a name, SciPy tries others when there is no such file
+    with Path(path).open(
+        "rb"
+    ) as stream:  # given a name, SciPy tries others when there is no such file
         variables = loadmat(stream, variable_names=names)
         arrays = {name: asarray(variables[name]) for name in names if name in variables}
         stream.seek(0)
         found = [] if arrays else [str(name) for name, *_ in whosmat(stream)]
     for name, array in arrays.items():
         if array.dtype.hasobject or array.dtype.fields is not None:
-            raise ValueError(f"variable {name} is a struct, a cell array or sparse, wanted a full array of numbers")
+            raise ValueError(
+                f"variable {name} is a struct, a cell array or sparse, wanted a full array of numbers"
+            )
     return arrays, found
 
 
@@ -71,7 +76,9 @@ def _main(path: str, most_mib: str, most_s: str, *names: str) -> None:
     pipe = sys.stdout.buffer
     pipe.write(json.dumps(answer).encode() + b"\n")
     for array in arrays.values():
-        write_array(SimpleNamespace(write=pipe.write), array, allow_pickle=False)  # by itself it would seek in the pipe
+        write_array(
+            SimpleNamespace(write=pipe.write), array, allow_pickle=False
+        )  # by itself it would seek in the pipe
 
 
 if __name__ == "__main__":

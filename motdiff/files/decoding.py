@@ -15,8 +15,6 @@ from motdiff.files.inputs import one_line
 from motdiff.files.photo_files import is_animated, orientation
 from motdiff.files.tiff_files import TIFF, channels, photo_page, refusal, tiff_orientation
 
-__all__ = ["decode", "decoder_output"]
-
 Samples = NDArray[Any]
 
 _STDERR = 2
@@ -26,7 +24,8 @@ _TURN = threading.Lock()  # there is one standard error for all threads
 def decode(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
     """Decode an image of :func:`motdiff.files.photo_files.photo_bytes`, upright as the camera was held.
 
-    Of a TIFF file with several pages the largest is decoded, the first of equals; previews and masks do not count.
+    Of a TIFF file with several pages the largest is decoded, the first of equals; previews and
+    masks do not count.
 
     Parameters
     ----------
@@ -44,7 +43,8 @@ def decode(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
     Raises
     ------
     ValueError
-        If the image cannot be decoded, or its samples or colours are none that are read; the line names it.
+        If the image cannot be decoded, or its samples or colours are none that are read; the line
+        names it.
     """
     if data.startswith(TIFF):
         return _decoded_tiff(data, name)
@@ -67,7 +67,7 @@ def _damaged(name: object) -> ValueError:
     return ValueError(f"{name}: the image is damaged or cut short and cannot be decoded")
 
 
-# -- OpenCV -----------------------------------------------------------------------------------------------------------
+# -- OpenCV ---------------------------------------------------------------------------------------
 
 
 def _decoded_by_opencv(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
@@ -82,8 +82,11 @@ def _decoded_by_opencv(data: bytes, name: object) -> tuple[Samples, tuple[str, .
     )
     if samples.ndim == 2:
         return samples, warnings
-    colours, others = samples[:, :, :3][:, :, ::-1], samples[:, :, 3:]
-    return (colours if colours.shape[2] == 3 else colours[:, :, 0]), warnings + _dropped(others, name)
+    colours = samples[:, :, :3][:, :, ::-1]
+    others = samples[:, :, 3:]
+    return (colours if colours.shape[2] == 3 else colours[:, :, 0]), warnings + _dropped(
+        others, name
+    )
 
 
 def _opencv_samples(data: bytes) -> Samples | None:
@@ -102,11 +105,15 @@ def _dropped(others: Samples, name: object, *, alpha: bool = True) -> tuple[str,
     full = 1 if others.dtype.kind == "f" else np.iinfo(others.dtype).max
     if not others.size or (alpha and others.min() >= full):
         return ()
-    what = "the transparency (alpha channel) was dropped" if alpha else "its channels beside the colours were dropped"
+    what = (
+        "the transparency (alpha channel) was dropped"
+        if alpha
+        else "its channels beside the colours were dropped"
+    )
     return (f"{name}: {what}",)
 
 
-# -- TIFF -------------------------------------------------------------------------------------------------------------
+# -- TIFF -----------------------------------------------------------------------------------------
 
 
 def _decoded_tiff(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
@@ -122,11 +129,13 @@ def _decoded_tiff(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
     warnings = _dropped(others, name, alpha=page.extrasamples[:1] in ((), (1,), (2,)))
     if pages > 1:
         which = "the first" if number == 1 else f"the largest, number {number},"
-        warnings += (f"{name}: holds {pages} pages, {which} was read; save the others as files of their own",)
+        warnings += (
+            f"{name}: holds {pages} pages, {which} was read; save the others as files of their own",
+        )
     return _turned(colours, tiff_orientation(page)), warnings
 
 
-# -- messages of decoders ---------------------------------------------------------------------------------------------
+# -- messages of decoders -------------------------------------------------------------------------
 
 
 @contextmanager

@@ -10,14 +10,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motdiff.files.inputs import one_line, read_text
 from motdiff.gyro import GyroTrace
+from motdiff.types import FloatArray
 
-__all__ = ["RateUnit", "TimeUnit", "read_gyro"]
-
-FloatArray = NDArray[np.float64]
 TimeUnit = Literal["ns", "us", "ms", "s"]
 RateUnit = Literal["rad", "deg"]
 
@@ -35,11 +32,11 @@ _RATE_UNITS: dict[RateUnit, str] = {
 }
 _TIME = "t|ts|time|timestamps?|(gyro|motion)timestamp_sincereboot|elapsed(_time)?"
 _NAMED_TIMES: dict[str, TimeUnit] = {"seconds_elapsed": "s", "cts": "ms", "timeus": "us"}
-_RATE = (
-    "w|g|gyro|gyr|gyroscope|gyrorotation|omega|rate|rot|(motion)?rotation_?rate|(.*_)?angular_(velocity|rate)|w_rs_s|"
-)
+_RATE = "w|g|gyro|gyr|gyroscope|gyrorotation|omega|rate|rot|(motion)?rotation_?rate|(.*_)?angular_(velocity|rate)|w_rs_s|"
 _GYROSCOPE = re.compile("gyr|angular_?(vel|rate)|rotation_?rate|omega", re.IGNORECASE)
-_OTHER_SENSOR = re.compile("accel|(^|_)acc(_|$)|magnet|(^|_)mag(_|$)|gravity|baro|gps|orientation", re.IGNORECASE)
+_OTHER_SENSOR = re.compile(
+    "accel|(^|_)acc(_|$)|magnet|(^|_)mag(_|$)|gravity|baro|gps|orientation", re.IGNORECASE
+)
 _SENSOR_COLUMN = re.compile("(.*_)?(sensors?|kind|stream|topic|type)(_(id|name|type))?")
 _FEWEST_NUMBERS = 3  # in a row; a line above the table has fewer
 _LONGEST_HEAD = 1000  # lines above the table
@@ -63,27 +60,33 @@ class _Columns:
     assumed: str = ""
 
 
-def read_gyro(path: Path | str, *, time_unit: TimeUnit | None = None, rate_unit: RateUnit | None = None) -> GyroTrace:
+def read_gyro(
+    path: Path | str, *, time_unit: TimeUnit | None = None, rate_unit: RateUnit | None = None
+) -> GyroTrace:
     """Read a recording: a timestamp and three angular rates per row, comma, semicolon, tab or space separated.
 
-    With a header, columns are found by name in any order (``t_ns``, ``time [s]``, ``timestamp``, ...; ``wx``,
-    ``gyro_y (deg/s)``, ``gyro_rad[2]``, ``z``, ...). Lines above it are passed over, and so are lines that start with
-    ``#``, unless one of them is the header. Without a header the first column is the time, or in a table of four
-    columns the only one that rises as a clock does; the rates follow in the order x, y, z. Of a table of several
-    sensors, with a column such as ``sensor``, the gyroscope's rows are read. A row that repeats the time of the row
-    before is left out. Between semicolons or tabs a decimal comma is read as a point.
+    With a header, columns are found by name in any order (``t_ns``, ``time [s]``, ``timestamp``,
+    ...; ``wx``, ``gyro_y (deg/s)``, ``gyro_rad[2]``, ``z``, ...). Lines above it are passed over,
+    and so are lines that start with ``#``, unless one of them is the header. Without a header the
+    first column is the time, or in a table of four columns the only one that rises as a clock
+    does; the rates follow in the order x, y, z. Of a table of several sensors, with a column such
+    as ``sensor``, the gyroscope's rows are read. A row that repeats the time of the row before is
+    left out. Between semicolons or tabs a decimal comma is read as a point.
 
-    What was read, and what was taken for granted, is in ``columns`` and ``warnings`` of the trace. The directions of
-    x, y and z are no part of a table: see :func:`motdiff.gyro.image_rates_rad_s`.
+    What was read, and what was taken for granted, is in ``columns`` and ``warnings`` of the trace.
+    The directions of x, y and z are no part of a table: see
+    :func:`motdiff.gyro.image_rates_rad_s`.
 
     Parameters
     ----------
     path : path of the file
     time_unit : {"ns", "us", "ms", "s"}, optional
-        Unit of the timestamps. When omitted, the header decides (``t_ns``, ``time[s]``), and without one the
-        spacing does, where only one of ns, us and s gives a sample rate within 10 Hz .. 10 kHz.
+        Unit of the timestamps. When omitted, the header decides (``t_ns``, ``time[s]``), and
+        without one the spacing does, where only one of ns, us and s gives a sample rate within 10
+        Hz .. 10 kHz.
     rate_unit : {"rad", "deg"}, optional
-        Unit of the rates, per second. When omitted, the header decides (``wx [deg/s]``, ``gx_dps``); rad/s without.
+        Unit of the rates, per second. When omitted, the header decides (``wx [deg/s]``,
+        ``gx_dps``); rad/s without.
 
     Raises
     ------
@@ -102,13 +105,22 @@ def read_gyro(path: Path | str, *, time_unit: TimeUnit | None = None, rate_unit:
     >>> round(trace.sample_rate_hz), trace.rate_rad_s[0].round(4).tolist()
     (200, [0.0, 1.5708, 0.0])
     """
-    for name, unit, known in (("time_unit", time_unit, _SECONDS), ("rate_unit", rate_unit, _RADIANS)):
+    for name, unit, known in (
+        ("time_unit", time_unit, _SECONDS),
+        ("rate_unit", rate_unit, _RADIANS),
+    ):
         if unit is not None and unit not in known:
             raise ValueError(f"{name}: must be one of {', '.join(known)}, got {unit!r}")
-    lines = [(number, line.strip()) for number, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
+    lines = [
+        (number, line.strip())
+        for number, line in enumerate(read_text(path).splitlines(), 1)
+        if line.strip()
+    ]
     table = [(number, _fields(line)) for number, line in lines if line[0] != "#"]
     if not table:
-        raise ValueError(f"{path}: no rows; wanted a timestamp and three angular rates (rad/s) in each")
+        raise ValueError(
+            f"{path}: no rows; wanted a timestamp and three angular rates (rad/s) in each"
+        )
     header = _header(lines)
     if header is None:
         rows = _rows_without_header(table, path)
@@ -125,26 +137,36 @@ def read_gyro(path: Path | str, *, time_unit: TimeUnit | None = None, rate_unit:
     values, repeats = _numbers(rows, columns, path)
     if len(values) < 2:
         raise ValueError(f"{path}: needs at least 2 rows of numbers, got {len(values)}")
-    stated_time, stated_rate = time_unit or columns.time_unit, rate_unit or columns.rate_unit
+    stated_time = time_unit or columns.time_unit
+    stated_rate = rate_unit or columns.rate_unit
     seconds = stated_time or _guessed_unit(values[:, 0], path)
     assumed = [columns.assumed] if columns.assumed and not sensor else []
     assumed += [] if stated_time else [f"times in {seconds}, by their spacing"]
     assumed += [] if stated_rate else ["rates in rad/s"]
-    warnings = [f"{path}: not stated in the file, and taken for granted: {'; '.join(assumed)}"] if assumed else []
+    warnings = (
+        [f"{path}: not stated in the file, and taken for granted: {'; '.join(assumed)}"]
+        if assumed
+        else []
+    )
     if repeats:
         others = f", and so are {len(repeats) - 1} others" if len(repeats) > 1 else ""
-        warnings.append(f"{path}: line {repeats[0]} repeats the time of the row before and is left out{others}")
+        warnings.append(
+            f"{path}: line {repeats[0]} repeats the time of the row before and is left out{others}"
+        )
     time, *rates = (one_line(columns.names[index]) for index in columns.index)
     read = f"time: {time}, in {seconds}; rates: {', '.join(rates)}, in {stated_rate or 'rad'}/s{sensor}"
     try:
         return GyroTrace(
-            values[:, 0] * _SECONDS[seconds], values[:, 1:] * _RADIANS[stated_rate or "rad"], read, tuple(warnings)
+            values[:, 0] * _SECONDS[seconds],
+            values[:, 1:] * _RADIANS[stated_rate or "rad"],
+            read,
+            tuple(warnings),
         )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
-# -- headers ----------------------------------------------------------------------------------------------------------
+# -- headers --------------------------------------------------------------------------------------
 
 
 def _header(lines: list[tuple[int, str]]) -> tuple[int, list[str], _Columns] | None:
@@ -163,9 +185,13 @@ def _header(lines: list[tuple[int, str]]) -> tuple[int, list[str], _Columns] | N
 def _with_units(names: Sequence[str], row: _Row, path: Path | str) -> _Columns:
     """Find the columns of a header whose units stand in the line below it."""
     number, units = row
-    columns = _columns([f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)])
+    columns = _columns(
+        [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
+    )
     if columns is None:
-        raise ValueError(f"{path}: line {number} holds no numbers, and no units of time and rates that are known")
+        raise ValueError(
+            f"{path}: line {number} holds no numbers, and no units of time and rates that are known"
+        )
     return columns
 
 
@@ -174,7 +200,9 @@ def _rows_without_header(table: list[_Row], path: Path | str) -> list[_Row]:
     first = next((i for i, (_, cells) in enumerate(table) if _is_row(cells)), None)
     width = 0 if first is None else len(table[first][1])
     above = (
-        table[:1] if first is None else [row for row in table[:first] if len(row[1]) == width or len(row[1]) > 3][-1:]
+        table[:1]
+        if first is None
+        else [row for row in table[:first] if len(row[1]) == width or len(row[1]) > 3][-1:]
     )
     for number, cells in above:
         if sum(map(_is_number, cells)) >= _FEWEST_NUMBERS:
@@ -183,7 +211,9 @@ def _rows_without_header(table: list[_Row], path: Path | str) -> list[_Row]:
                 "the columns, as t_s,wx,wy,wz would"
             )
         names = _names(one_line(", ".join(cells)))
-        raise ValueError(f"{path}: missing column {', '.join(_missing(names))}; the header is {', '.join(names)}")
+        raise ValueError(
+            f"{path}: missing column {', '.join(_missing(names))}; the header is {', '.join(names)}"
+        )
     assert first is not None
     return table[first:]
 
@@ -192,16 +222,26 @@ def _ordered(rows: list[_Row], path: Path | str, time_unit: TimeUnit | None) -> 
     """Find the time among columns without names: the first one, or the only one that rises as a clock does."""
     width = len(rows[0][1])
     if width < 4:
-        raise ValueError(f"{path}: line {rows[0][0]} has {width} columns, wanted a time and three rates")
-    clocks = {place: step for place in range(width) if (step := _clock_step(rows, place, time_unit)) is not None}
-    counters = [place for place, step in clocks.items() if step >= _LEAST_US]  # no rate changes by so much
+        raise ValueError(
+            f"{path}: line {rows[0][0]} has {width} columns, wanted a time and three rates"
+        )
+    clocks = {
+        place: step
+        for place in range(width)
+        if (step := _clock_step(rows, place, time_unit)) is not None
+    }
+    counters = [
+        place for place, step in clocks.items() if step >= _LEAST_US
+    ]  # no rate changes by so much
     likely = (counters or list(clocks)) if len(rows) >= _FEWEST_ROWS else [*clocks][:1]
     if not likely:
         _check_first_rises(rows, path)
     time = likely[0] if likely else 0
     if len(likely) > 1 and not (counters and time == 0):
         which = " and ".join(str(place + 1) for place in likely)
-        raise ValueError(f"{path}: columns {which} rise as a time does; a header such as t_s,wx,wy,wz must name them")
+        raise ValueError(
+            f"{path}: columns {which} rise as a time does; a header such as t_s,wx,wy,wz must name them"
+        )
     if time and width > 4:
         raise ValueError(
             f"{path}: column {time + 1} of {width} rises as a time does; a header such as t_s,wx,wy,wz must name them"
@@ -209,13 +249,17 @@ def _ordered(rows: list[_Row], path: Path | str, time_unit: TimeUnit | None) -> 
     rates = [place for place in range(width) if place != time][:3]
     x, y, z = rates
     names = tuple(f"column {place + 1}" for place in range(width))
-    assumed = f"{names[time]} is the time, columns {x + 1}, {y + 1}, {z + 1} the rates about x, y, z"
+    assumed = (
+        f"{names[time]} is the time, columns {x + 1}, {y + 1}, {z + 1} the rates about x, y, z"
+    )
     return _Columns((time, x, y, z), names, assumed=assumed)
 
 
 def _check_first_rises(rows: list[_Row], path: Path | str) -> None:
     """Refuse a table whose first column is no time while another rises, in a unit that its steps do not tell."""
-    rising = [place for place in range(len(rows[0][1])) if _clock_step(rows, place, "ms") is not None]
+    rising = [
+        place for place in range(len(rows[0][1])) if _clock_step(rows, place, "ms") is not None
+    ]
     if rising and rising[0] > 0:
         raise ValueError(
             f"{path}: column {rising[0] + 1} rises as a time does, and the first one does not; a header such as "
@@ -250,13 +294,16 @@ def _columns(header: Sequence[str]) -> _Columns | None:
             x, y, z = (axes[axis][0] for axis in "xyz")
             time, time_unit = times[0]
             assumed = "" if kind else f"{header[x]}, {header[y]}, {header[z]} are a gyroscope's"
-            return _Columns((time, x, y, z), tuple(header), time_unit or None, next(iter(units), None), assumed)
+            return _Columns(
+                (time, x, y, z), tuple(header), time_unit or None, next(iter(units), None), assumed
+            )
     return None
 
 
 def _as_time(name: str) -> TimeUnit | Literal[""] | None:
     """Return the unit of a column of times (``t_ns``, ``time [s]``), empty if unnamed; None for other columns."""
-    plain, units = _plain(name), "|".join(f"(?P<{unit}>{spelled})" for unit, spelled in _TIME_UNITS.items())
+    plain = _plain(name)
+    units = "|".join(f"(?P<{unit}>{spelled})" for unit, spelled in _TIME_UNITS.items())
     if plain in _NAMED_TIMES:
         return _NAMED_TIMES[plain]
     found = re.fullmatch(f"({_TIME})(_({units}))?", plain)
@@ -265,8 +312,11 @@ def _as_time(name: str) -> TimeUnit | Literal[""] | None:
 
 def _as_rate(name: str) -> tuple[str, str, RateUnit | None] | None:
     """Recognise a column of rates by kind, axis and unit, as ``wx``, ``gyro_y [rad/s]``, ``gyro_rad[2]``."""
-    name = re.sub(r"^(.+?)(_rad|_deg)?\[([012])\]$", lambda m: f"{m[1]}_{'xyz'[int(m[3])]}{m[2] or ''}", name)
-    plain, units = _plain(name), "|".join(f"(?P<{unit}>{spelled})" for unit, spelled in _RATE_UNITS.items())
+    name = re.sub(
+        r"^(.+?)(_rad|_deg)?\[([012])\]$", lambda m: f"{m[1]}_{'xyz'[int(m[3])]}{m[2] or ''}", name
+    )
+    plain = _plain(name)
+    units = "|".join(f"(?P<{unit}>{spelled})" for unit, spelled in _RATE_UNITS.items())
     found = re.fullmatch(f"(?P<kind>{_RATE})_?(?P<axis>[xyz])(_axis)?(_({units}))?", plain)
     if found is None:
         return None
@@ -280,12 +330,14 @@ def _plain(name: str) -> str:
 
 def _missing(header: Sequence[str]) -> list[str]:
     axes = {rate[1] for name in header if (rate := _as_rate(name))}
-    times = [] if any(_as_time(name) is not None for name in header) else ["timestamp (t_ns or t_s)"]
+    times = (
+        [] if any(_as_time(name) is not None for name in header) else ["timestamp (t_ns or t_s)"]
+    )
     rates = [f"w{axis} (rad/s)" for axis in "xyz" if axis not in axes]
     return times + rates or ["wx, wy, wz of one name and unit"]
 
 
-# -- rows -------------------------------------------------------------------------------------------------------------
+# -- rows -----------------------------------------------------------------------------------------
 
 
 def _names(line: str) -> list[str]:
@@ -299,7 +351,9 @@ def _fields(line: str) -> list[str]:
     separator = next((mark for mark in ";\t," if mark in line), None)
     if separator is None:
         return line.split()
-    cells = re.sub('"[^"]*"', lambda quoted: quoted[0].replace(separator, "\0"), line).split(separator)
+    cells = re.sub('"[^"]*"', lambda quoted: quoted[0].replace(separator, "\0"), line).split(
+        separator
+    )
     return [cell.replace("\0", separator).strip().strip('"') for cell in cells]
 
 
@@ -323,7 +377,9 @@ def _check_widths(rows: list[_Row], width: int, path: Path | str) -> None:
     """Refuse rows with more or fewer cells than there are columns; empty ones at the end do no harm."""
     for number, cells in rows:
         if len(cells) < width or any(cells[width:]):
-            raise ValueError(f"{path}: line {number} has {len(cells)} columns, wanted {width} as in the lines above")
+            raise ValueError(
+                f"{path}: line {number} has {len(cells)} columns, wanted {width} as in the lines above"
+            )
 
 
 def _gyroscope_rows(
@@ -334,7 +390,8 @@ def _gyroscope_rows(
     Raises
     ------
     ValueError
-        If a column holds the names or numbers of sensors, and none or several of them are a gyroscope.
+        If a column holds the names or numbers of sensors, and none or several of them are a
+        gyroscope.
     """
     for place in sorted(set(range(len(names))) - set(columns.index)):
         labels = {cells[place] for _, cells in rows}
@@ -346,7 +403,9 @@ def _gyroscope_rows(
             gyroscopes = {label for label in gyroscopes if "uncal" not in label.lower()}
         if len(gyroscopes) == 1:
             (label,) = gyroscopes
-            return [row for row in rows if row[1][place] == label], one_line(f"; {names[place]}: {label}")
+            return [row for row in rows if row[1][place] == label], one_line(
+                f"; {names[place]}: {label}"
+            )
         named = _SENSOR_COLUMN.fullmatch(_plain(names[place])) and len(labels) > 1
         if gyroscopes or named or any(_OTHER_SENSOR.search(label) for label in texts):
             listed = one_line(", ".join(sorted(labels)))
@@ -356,7 +415,9 @@ def _gyroscope_rows(
     return rows, ""
 
 
-def _numbers(rows: list[_Row], columns: _Columns, path: Path | str) -> tuple[FloatArray, list[int]]:
+def _numbers(
+    rows: list[_Row], columns: _Columns, path: Path | str
+) -> tuple[FloatArray, list[int]]:
     """Return times and rates (N, 4), and the numbers of the lines left out because they repeat a time."""
     values: list[list[float]] = []
     repeats: list[int] = []
@@ -373,7 +434,9 @@ def _numbers(rows: list[_Row], columns: _Columns, path: Path | str) -> tuple[Flo
         if values and row[0] == values[-1][0]:
             repeats.append(number)
         elif values and row[0] < values[-1][0]:
-            raise ValueError(f"{path}: timestamps must strictly increase, but line {number} does not")
+            raise ValueError(
+                f"{path}: timestamps must strictly increase, but line {number} does not"
+            )
         else:
             values.append(row)
     if len(repeats) > _MOST_REPEATS * len(rows):

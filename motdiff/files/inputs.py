@@ -8,18 +8,6 @@ import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
 
-__all__ = [
-    "JSON_BYTES",
-    "TEXT_BYTES",
-    "TOML_BYTES",
-    "one_line",
-    "printable",
-    "read_json",
-    "read_text",
-    "read_toml",
-    "regular_file",
-]
-
 JSON_BYTES = 16 * 2**20
 """Largest JSON file that is read: a path of 100,000 samples with an alternative. Parsed it may take 30 times more."""
 TOML_BYTES = 2**20
@@ -55,7 +43,8 @@ def regular_file(path: Path | str) -> Path:
     Raises
     ------
     ValueError
-        If it is a folder, a pipe (``/dev/stdin`` and the shell's ``<(...)`` are pipes), a socket or a device.
+        If it is a folder, a pipe (``/dev/stdin`` and the shell's ``<(...)`` are pipes), a socket
+        or a device.
     OSError
         If there is no such file, or its folder cannot be entered.
     """
@@ -81,9 +70,13 @@ def read_text(path: Path | str) -> str:
     try:
         text = data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: not a text file in UTF-8, save it as UTF-8 ({one_line(error)})") from None
+        raise ValueError(
+            f"{path}: not a text file in UTF-8, save it as UTF-8 ({one_line(error)})"
+        ) from None
     if "\0" in text:
-        raise ValueError(f"{path}: not a text file in UTF-8, save it as UTF-8 (it has zeros, as UTF-16 has)")
+        raise ValueError(
+            f"{path}: not a text file in UTF-8, save it as UTF-8 (it has zeros, as UTF-16 has)"
+        )
     return text
 
 
@@ -93,8 +86,8 @@ def read_json(path: Path | str) -> Any:
     Raises
     ------
     ValueError
-        If it is no regular file, larger than :data:`JSON_BYTES`, or not JSON, holds a number of thousands of digits,
-        or is nested too deeply.
+        If it is no regular file, larger than :data:`JSON_BYTES`, or not JSON, holds a number of
+        thousands of digits, or is nested too deeply.
     OSError
         If it cannot be read.
     """
@@ -111,8 +104,8 @@ def read_toml(path: Path | str) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        If it is no regular file, larger than :data:`TOML_BYTES`, or not TOML, holds a number of thousands of digits,
-        or is nested too deeply.
+        If it is no regular file, larger than :data:`TOML_BYTES`, or not TOML, holds a number of
+        thousands of digits, or is nested too deeply.
     OSError
         If it cannot be read.
     """
@@ -128,7 +121,9 @@ def _content(path: Path | str, *, most_bytes: int) -> bytes:
     with regular_file(path).open("rb") as stream:
         data = stream.read(most_bytes + 1)
     if len(data) > most_bytes:
-        raise ValueError(f"{path}: is too large, a file of this kind has at most {most_bytes >> 20} MiB")
+        raise ValueError(
+            f"{path}: is too large, a file of this kind has at most {most_bytes >> 20} MiB"
+        )
     return data
 
 
@@ -136,7 +131,11 @@ def _shallow(document: _Document) -> _Document:
     """Return a document whose lists and objects are not nested too deeply: later work on it would run out of stack."""
     level: list[Any] = [document]
     for _ in range(_DEEPEST):
-        inner = (item.values() if isinstance(item, dict) else item for item in level if isinstance(item, dict | list))
+        inner = (
+            item.values() if isinstance(item, dict) else item
+            for item in level
+            if isinstance(item, dict | list)
+        )
         level = [item for items in inner for item in items if isinstance(item, dict | list)]
         if not level:
             return document

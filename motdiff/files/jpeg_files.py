@@ -5,12 +5,14 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 
-__all__ = ["JPEG", "jpeg_complete", "jpeg_segments", "jpeg_size"]
-
 JPEG = b"\xff\xd8\xff"
 """First bytes of JPEG data."""
 
-_FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # SOF0 to SOF15 without DHT, JPG and DAC
+_FRAME_MARKERS = {*range(0xC0, 0xD0)} - {
+    0xC4,
+    0xC8,
+    0xCC,
+}  # SOF0 to SOF15 without DHT, JPG and DAC
 
 
 def jpeg_complete(data: bytes) -> bool:

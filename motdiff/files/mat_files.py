@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from motdiff.files.inputs import one_line, regular_file
 
-__all__ = ["levin_psf", "read_mat"]
-
 _MOST_MIB = 1024
 _MOST_CPU_S = 15
 _MOST_S = 120  # on the clock: a busy machine may need seconds to load SciPy
@@ -39,8 +37,9 @@ def read_mat(path: Path | str, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     Raises
     ------
     ValueError
-        If SciPy cannot read the file, crashes while it tries, or needs more than 1 GiB of memory or 15 s of computing;
-        or if the file has none of the variables, or one is a struct, a cell array or sparse. The line names the file.
+        If SciPy cannot read the file, crashes while it tries, or needs more than 1 GiB of memory
+        or 15 s of computing; or if the file has none of the variables, or one is a struct, a cell
+        array or sparse. The line names the file.
     OSError
         If there is no such file.
     """
@@ -52,7 +51,10 @@ def read_mat(path: Path | str, names: Sequence[str]) -> dict[str, NDArray[Any]]:
         answer: dict[str, Any] = json.loads(stream.readline())
         if "error" in answer:
             raise ValueError(answer["error"])
-        arrays = {str(name): np.lib.format.read_array(stream, allow_pickle=False) for name in answer["sent"]}
+        arrays = {
+            str(name): np.lib.format.read_array(stream, allow_pickle=False)
+            for name in answer["sent"]
+        }
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{source}: cannot be read as a .mat file ({one_line(error)})") from None
     if not arrays:
@@ -65,8 +67,9 @@ def read_mat(path: Path | str, names: Sequence[str]) -> dict[str, NDArray[Any]]:
 def levin_psf(kernel: NDArray[Any]) -> NDArray[Any]:
     """Turn the kernel ``f`` of one of Levin's files into a PSF.
 
-    In these files the blurred photo ``y`` is the sharp one, ``x``, convolved with ``f`` turned by 180 degrees, and then
-    shifted by up to 4 px. So the PSF, as it is convolved with here, is ``f`` turned by 180 degrees.
+    In these files the blurred photo ``y`` is the sharp one, ``x``, convolved with ``f`` turned by
+    180 degrees, and then shifted by up to 4 px. So the PSF, as it is convolved with here, is ``f``
+    turned by 180 degrees.
 
     Parameters
     ----------
@@ -74,7 +77,8 @@ def levin_psf(kernel: NDArray[Any]) -> NDArray[Any]:
 
     References
     ----------
-    Levin, Weiss, Durand, Freeman, "Understanding and evaluating blind deconvolution algorithms", CVPR 2009.
+    Levin, Weiss, Durand, Freeman, "Understanding and evaluating blind deconvolution algorithms",
+    CVPR 2009.
     """
     return np.rot90(kernel, 2)
 
@@ -82,7 +86,16 @@ def levin_psf(kernel: NDArray[Any]) -> NDArray[Any]:
 def _answer(source: Path, names: Sequence[str]) -> bytes:
     limits = (str(_MOST_MIB), str(_MOST_CPU_S))
     # -P: the script's own folder, this package, must not hide modules of the same names
-    command = [sys.executable, "-P", "-W", "ignore", str(_SCRIPT), str(source.absolute()), *limits, *names]
+    command = [
+        sys.executable,
+        "-P",
+        "-W",
+        "ignore",
+        str(_SCRIPT),
+        str(source.absolute()),
+        *limits,
+        *names,
+    ]
     try:
         run = subprocess.run(
             command,
@@ -90,10 +103,15 @@ def _answer(source: Path, names: Sequence[str]) -> bytes:
             capture_output=True,
             timeout=_MOST_S,
             check=False,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # each thread of the pool takes address space
+            env={
+                **os.environ,
+                "OPENBLAS_NUM_THREADS": "1",
+            },  # each thread of the pool takes address space
         )
     except subprocess.TimeoutExpired:
-        raise ValueError(f"{source}: cannot be read as a .mat file (it takes longer than {_MOST_S} s)") from None
+        raise ValueError(
+            f"{source}: cannot be read as a .mat file (it takes longer than {_MOST_S} s)"
+        ) from None
     if run.returncode != 0:
         last = run.stderr.decode(errors="replace").strip().rpartition("\n")[2]
         reason = last or f"reading it ended with status {run.returncode}"

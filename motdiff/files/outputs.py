@@ -10,20 +10,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-__all__ = [
-    "behind_links",
-    "check_file",
-    "check_folder",
-    "hidden_folder",
-    "naming",
-    "nearest_folder",
-    "new_file",
-    "new_files",
-    "replace_all",
-    "write_bytes",
-    "write_text",
-]
-
 
 @contextmanager
 def new_files(paths: Iterable[Path | str], *, force: bool = True) -> Iterator[dict[Path, Path]]:
@@ -44,17 +30,24 @@ def new_files(paths: Iterable[Path | str], *, force: bool = True) -> Iterator[di
     Raises
     ------
     ValueError
-        If two of the paths lead to the same file, or without ``force`` a file has appeared there meanwhile.
+        If two of the paths lead to the same file, or without ``force`` a file has appeared there
+        meanwhile.
     OSError
-        If writing fails, as on a full disk; the error names the output, and the earlier files are as they were.
+        If writing fails, as on a full disk; the error names the output, and the earlier files are
+        as they were.
     """
     places = [Path(path) for path in paths]
     real = {place: behind_links(place) for place in places}
     if len({place.absolute() for place in real.values()}) < len(places):
         raise ValueError(f"{', '.join(map(str, places))}: two of these are the same file")
     with ExitStack() as stack:
-        made = {place: stack.enter_context(hidden_folder(real[place].parent, place)) / place.name for place in places}
-        with naming({made[place]: place for place in places}, places[0] if len(places) == 1 else None):
+        made = {
+            place: stack.enter_context(hidden_folder(real[place].parent, place)) / place.name
+            for place in places
+        }
+        with naming(
+            {made[place]: place for place in places}, places[0] if len(places) == 1 else None
+        ):
             yield made
             replace_all({real[place]: made[place] for place in places}, force=force)
 
@@ -84,7 +77,8 @@ def check_file(path: Path | str) -> None:
     Raises
     ------
     ValueError
-        If something other than a regular file is in its place, or its folder is missing or cannot be written to.
+        If something other than a regular file is in its place, or its folder is missing or cannot
+        be written to.
     """
     place = Path(path)
     if place.is_dir():
@@ -104,7 +98,8 @@ def check_folder(path: Path | str) -> None:
     Raises
     ------
     ValueError
-        If a file is in its place, or the folder, or the nearest one above it, cannot be written to.
+        If a file is in its place, or the folder, or the nearest one above it, cannot be written
+        to.
     """
     place = Path(path)
     if place.exists() and not place.is_dir():
@@ -114,13 +109,16 @@ def check_folder(path: Path | str) -> None:
         raise ValueError(f"{place}: the folder {nearest} cannot be written to")
 
 
-# -- the parts of it --------------------------------------------------------------------------------------------------
+# -- the parts of it ------------------------------------------------------------------------------
 
 
-def replace_all(new: Mapping[Path, Path], *, remove: Iterable[Path] = (), force: bool = True) -> None:
+def replace_all(
+    new: Mapping[Path, Path], *, remove: Iterable[Path] = (), force: bool = True
+) -> None:
     """Rename files to their places and remove others; when a step fails, the earlier files are restored.
 
-    All files are on the disk before the first is renamed: a full one is noticed while nothing has changed.
+    All files are on the disk before the first is renamed: a full one is noticed while nothing has
+    changed.
 
     Parameters
     ----------
@@ -132,7 +130,8 @@ def replace_all(new: Mapping[Path, Path], *, remove: Iterable[Path] = (), force:
     Raises
     ------
     ValueError
-        If a file is at a place and ``force`` is not given, be it since a moment ago: another process wrote it.
+        If a file is at a place and ``force`` is not given, be it since a moment ago: another
+        process wrote it.
     OSError
         If a file cannot be renamed. A note names what could not be restored, and where it is kept.
     """
@@ -187,7 +186,8 @@ def _sync(file: Path) -> None:
 def _put_where_none_is(file: Path, place: Path) -> None:
     """Rename a file to a place where there is none, as one step: of two processes one is refused.
 
-    A hard link is made only where nothing is. Without hard links, an empty file is made first, which is one's own.
+    A hard link is made only where nothing is. Without hard links, an empty file is made first,
+    which is one's own.
     """
     try:
         try:
@@ -213,7 +213,9 @@ def _keep(place: Path, kept: Path) -> None:
 
 def _restore(place: Path, kept: Path | None, temporary: Path | None) -> None:
     if kept is not None:
-        if os.path.lexists(kept) and not (os.path.lexists(place) and os.path.samestat(kept.lstat(), place.lstat())):
+        if os.path.lexists(kept) and not (
+            os.path.lexists(place) and os.path.samestat(kept.lstat(), place.lstat())
+        ):
             kept.replace(place)
     elif temporary is not None and not temporary.exists():  # it has been renamed
         place.unlink(missing_ok=True)

@@ -11,8 +11,6 @@ from motdiff.files.inputs import regular_file
 from motdiff.files.jpeg_files import JPEG, jpeg_complete, jpeg_segments, jpeg_size
 from motdiff.files.tiff_files import TIFF, exif_orientation, photo_page
 
-__all__ = ["MOST_PX", "check_px", "is_animated", "orientation", "photo_bytes"]
-
 MOST_PX = 120_000_000
 """Pixels of the largest photo that is read: in colour 2.9 GB as float64, and restoring it takes several times that."""
 
@@ -24,8 +22,9 @@ _MOST_BYTES = 2**31  # 120 megapixels of four 32-bit samples
 def photo_bytes(path: Path | str) -> bytes:
     """Read an image file for decoding; incomplete and too large files are refused.
 
-    Decoders fill the missing part of a cut file with grey and call it a success. And a small file may hold a large
-    image: a white one of 30,000 x 30,000 px fits into a megabyte, and takes gigabytes once it is decoded.
+    Decoders fill the missing part of a cut file with grey and call it a success. And a small file
+    may hold a large image: a white one of 30,000 x 30,000 px fits into a megabyte, and takes
+    gigabytes once it is decoded.
 
     Parameters
     ----------
@@ -38,28 +37,36 @@ def photo_bytes(path: Path | str) -> bytes:
     Raises
     ------
     ValueError
-        If the file is no regular file, empty, of another format, cut short, or has more than :data:`MOST_PX` pixels;
-        the line names it.
+        If the file is no regular file, empty, of another format, cut short, or has more than
+        :data:`MOST_PX` pixels; the line names it.
     OSError
         If the file cannot be read.
     """
     source = regular_file(path)
     length = source.stat().st_size
     if length > _MOST_BYTES:
-        raise ValueError(f"{source}: has {length / 1e9:.1f} GB, an image file of at most 2 GB is read")
+        raise ValueError(
+            f"{source}: has {length / 1e9:.1f} GB, an image file of at most 2 GB is read"
+        )
     data = source.read_bytes()
     if not data:
         raise ValueError(f"{source}: the file is empty")
     if data.startswith(_PNG):
-        complete, size = _png_complete(data), _png_size
+        complete = _png_complete(data)
+        size = _png_size
     elif data.startswith(JPEG):
-        complete, size = jpeg_complete(data), jpeg_size
+        complete = jpeg_complete(data)
+        size = jpeg_size
     elif data.startswith(TIFF):
-        complete, size = True, _tiff_size  # what is cut off shows as it is decoded
+        complete = True  # what is cut off shows as it is decoded
+        size = _tiff_size
     elif _is_webp(data):
-        complete, size = _webp_complete(data), _webp_size
+        complete = _webp_complete(data)
+        size = _webp_size
     else:
-        raise ValueError(f"{source}: not a PNG, JPEG, TIFF or WebP image (it begins with {data[:12]!r})")
+        raise ValueError(
+            f"{source}: not a PNG, JPEG, TIFF or WebP image (it begins with {data[:12]!r})"
+        )
     try:
         width, height = size(data)
     except (struct.error, ValueError):
@@ -85,7 +92,7 @@ def check_px(width: int, height: int, name: object) -> None:
         )
 
 
-# -- completeness -----------------------------------------------------------------------------------------------------
+# -- completeness ---------------------------------------------------------------------------------
 
 
 def _png_complete(data: bytes) -> bool:
@@ -119,7 +126,7 @@ def _webp_complete(data: bytes) -> bool:
     return bool(8 + length <= len(data))
 
 
-# -- orientation, animation ------------------------------------------------------------------------------------------
+# -- orientation, animation -----------------------------------------------------------------------
 
 
 def orientation(data: bytes) -> int:
@@ -136,7 +143,13 @@ def orientation(data: bytes) -> int:
 
 def is_animated(data: bytes) -> bool:
     """Whether a PNG or WebP file holds more than one picture."""
-    chunks = _png_chunks(data) if data.startswith(_PNG) else _webp_chunks(data) if _is_webp(data) else ()
+    chunks = (
+        _png_chunks(data)
+        if data.startswith(_PNG)
+        else _webp_chunks(data)
+        if _is_webp(data)
+        else ()
+    )
     return any(kind in (b"acTL", b"ANIM") for kind, _, _ in chunks)
 
 
@@ -144,7 +157,9 @@ def _exif(data: bytes) -> Iterator[bytes]:
     if data.startswith(_PNG):
         yield from (data[start:end] for kind, start, end in _png_chunks(data) if kind == b"eXIf")
     elif data.startswith(JPEG):
-        bodies = (data[start + 2 : end] for marker, start, end in jpeg_segments(data) if marker == 0xE1)
+        bodies = (
+            data[start + 2 : end] for marker, start, end in jpeg_segments(data) if marker == 0xE1
+        )
         yield from (body for body in bodies if body.startswith(_EXIF))
     elif _is_webp(data):
         yield from (data[start:end] for kind, start, end in _webp_chunks(data) if kind == b"EXIF")
@@ -159,7 +174,7 @@ def _webp_chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
         at += 8 + length + length % 2
 
 
-# -- width and height, px ---------------------------------------------------------------------------------------------
+# -- width and height, px -------------------------------------------------------------------------
 
 
 def _png_size(data: bytes) -> tuple[int, int]:

@@ -9,13 +9,15 @@ from typing import Any
 
 from motdiff.files.inputs import one_line
 
-__all__ = ["is_reference", "load_object"]
-
 
 def is_reference(text: str) -> bool:
     """Whether a text has the form ``module:name``, as ``mymodule:MyEstimator`` or ``package.module:name``."""
     module, colon, name = text.partition(":")
-    return bool(colon) and name.isidentifier() and all(part.isidentifier() for part in module.split("."))
+    return (
+        bool(colon)
+        and name.isidentifier()
+        and all(part.isidentifier() for part in module.split("."))
+    )
 
 
 def load_object(reference: str) -> Any:
@@ -29,7 +31,8 @@ def load_object(reference: str) -> Any:
     Raises
     ------
     ValueError
-        If the text is no reference, the module cannot be imported, or has no such object; the line says which.
+        If the text is no reference, the module cannot be imported, or has no such object; the line
+        says which.
 
     Examples
     --------
@@ -43,7 +46,9 @@ def load_object(reference: str) -> Any:
         raise ValueError(f"{reference[:80]!r}: must be module:name, as mymodule:MyEstimator")
     module, _, name = reference.partition(":")
     here = str(Path.cwd())
-    if here not in sys.path:  # it stays: what is made of the object may import more, or be sent to a worker
+    if (
+        here not in sys.path
+    ):  # it stays: what is made of the object may import more, or be sent to a worker
         sys.path.append(here)
     try:
         found = import_module(module)

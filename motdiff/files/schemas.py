@@ -1,6 +1,7 @@
 """JSON Schemas of the files: read from the package, and what readers refuse a document by.
 
-The schemas are those that are published, of JSON Schema 2020-12. Of its keywords the ones in :data:`KEYWORDS` are used.
+The schemas are those that are published, of JSON Schema 2020-12. Of its keywords the ones in
+:data:`KEYWORDS` are used.
 """
 
 from __future__ import annotations
@@ -15,13 +16,23 @@ from typing import Any
 
 from motdiff.files.inputs import one_line
 
-__all__ = ["KEYWORDS", "fault", "load_schema"]
-
 _NOTES = {"$schema", "$id", "title", "description", "default", "$defs"}
 KEYWORDS = _NOTES | {
-    "type", "const", "enum", "required", "properties", "additionalProperties", "items", "minItems", "pattern",
-    "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "anyOf",
-}  # fmt: skip
+    "type",
+    "const",
+    "enum",
+    "required",
+    "properties",
+    "additionalProperties",
+    "items",
+    "minItems",
+    "pattern",
+    "minimum",
+    "maximum",
+    "exclusiveMinimum",
+    "exclusiveMaximum",
+    "anyOf",
+}
 """Keywords that :func:`fault` knows; others would be passed over, so :func:`load_schema` refuses them."""
 
 _LARGEST = 1e300
@@ -30,9 +41,14 @@ _LARGEST = 1e300
 _END = re.compile(r"\$$")  # in Python also before a last line feed, unlike in JSON Schema
 
 _NAMES = {
-    "object": "an object", "array": "a list", "string": "a string", "number": "a number", "integer": "a whole number",
-    "boolean": "true or false", "null": "null",
-}  # fmt: skip
+    "object": "an object",
+    "array": "a list",
+    "string": "a string",
+    "number": "a number",
+    "integer": "a whole number",
+    "boolean": "true or false",
+    "null": "null",
+}
 
 
 @cache
@@ -73,7 +89,9 @@ def fault(value: object, schema: Mapping[str, Any], *, where: str = "") -> str |
     >>> fault({"bits": 17}, {"properties": {"bits": {"type": "integer", "minimum": 1, "maximum": 16}}})
     'bits: must be a whole number within 1..16, got 17'
     """
-    if "anyOf" in schema and all(fault(value, one, where=where) is not None for one in schema["anyOf"]):
+    if "anyOf" in schema and all(
+        fault(value, one, where=where) is not None for one in schema["anyOf"]
+    ):
         return _refusal(value, schema, where)
     if not _holds(value, schema):
         return _refusal(value, schema, where)
@@ -97,7 +115,9 @@ def _object_fault(value: Mapping[str, Any], schema: Mapping[str, Any], where: st
         elif others is False:
             return f"unknown field {one_line(repr(inside + name))}; there are {', '.join(sorted(known))}"
         else:
-            wrong = None if others is True else fault(item, others, where=f"{inside}{one_line(name)}")
+            wrong = (
+                None if others is True else fault(item, others, where=f"{inside}{one_line(name)}")
+            )
         if wrong is not None:
             return wrong
     return None
@@ -108,8 +128,12 @@ def _list_fault(value: list[Any], schema: Mapping[str, Any], where: str) -> str 
     if items is None:
         return None
     if items.get("type") in ("number", "integer"):  # may be a hundred thousand of them
-        wrong_at = next((index for index, item in enumerate(value) if not _holds(item, items)), None)
-        return None if wrong_at is None else _refusal(value[wrong_at], items, f"{where}[{wrong_at}]")
+        wrong_at = next(
+            (index for index, item in enumerate(value) if not _holds(item, items)), None
+        )
+        return (
+            None if wrong_at is None else _refusal(value[wrong_at], items, f"{where}[{wrong_at}]")
+        )
     found = (fault(item, items, where=f"{where}[{index}]") for index, item in enumerate(value))
     return next((wrong for wrong in found if wrong is not None), None)
 
@@ -117,14 +141,19 @@ def _list_fault(value: list[Any], schema: Mapping[str, Any], where: str) -> str 
 def _holds(value: object, schema: Mapping[str, Any]) -> bool:
     """Whether a value itself is as the schema says, whatever is inside."""
     types = schema.get("type", ())
-    if types and not any(_is(value, kind) for kind in ([types] if isinstance(types, str) else types)):
+    if types and not any(
+        _is(value, kind) for kind in ([types] if isinstance(types, str) else types)
+    ):
         return False
     if "const" in schema and not _same(value, schema["const"]):
         return False
     if "enum" in schema and not any(_same(value, one) for one in schema["enum"]):
         return False
     if isinstance(value, str):
-        return "pattern" not in schema or re.search(_END.sub(r"\\Z", schema["pattern"]), value) is not None
+        return (
+            "pattern" not in schema
+            or re.search(_END.sub(r"\\Z", schema["pattern"]), value) is not None
+        )
     if isinstance(value, list):
         return len(value) >= int(schema.get("minItems", 0))
     if isinstance(value, int | float) and not isinstance(value, bool):
@@ -144,8 +173,12 @@ def _is(value: object, kind: str) -> bool:
             return True
         return math.isfinite(value) and (kind == "number" or value.is_integer())
     kinds: dict[str, type | tuple[type, ...]] = {
-        "object": dict, "array": list, "string": str, "boolean": bool, "null": type(None),
-    }  # fmt: skip
+        "object": dict,
+        "array": list,
+        "string": str,
+        "boolean": bool,
+        "null": type(None),
+    }
     return isinstance(value, kinds[kind])
 
 
@@ -186,11 +219,18 @@ def _wanted(value: object, schema: Mapping[str, Any]) -> str:
 
 
 def _range(value: object, schema: Mapping[str, Any]) -> str:
-    low, high = schema.get("minimum"), schema.get("maximum")
-    above, below = schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum")
+    low = schema.get("minimum")
+    high = schema.get("maximum")
+    above = schema.get("exclusiveMinimum")
+    below = schema.get("exclusiveMaximum")
     if low is not None and high is not None:
         return f" within {low:g}..{high:g}"
-    limits = {" of {:g} or more": low, " above {:g}": above, " up to {:g}": high, " below {:g}": below}
+    limits = {
+        " of {:g} or more": low,
+        " above {:g}": above,
+        " up to {:g}": high,
+        " below {:g}": below,
+    }
     too_large = isinstance(value, int | float) and value >= _LARGEST
     return " and".join(
         text.format(limit)

@@ -15,22 +15,44 @@ from motdiff.files.jpeg_files import jpeg_complete, jpeg_size
 if TYPE_CHECKING:
     from tifffile import TiffFile, TiffPage
 
-__all__ = ["TIFF", "channels", "exif_orientation", "photo_page", "refusal", "tiff_orientation"]
-
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 """First bytes of a TIFF file: either byte order, the last two BigTIFF."""
 
 Samples = NDArray[Any]
 
-_MOST_FIELDS = 2**15  # of all directories, and what reading a directory takes counts as eight: half a second
+_MOST_FIELDS = (
+    2**15
+)  # of all directories, and what reading a directory takes counts as eight: half a second
 _MOST_DIRECTORY_BYTES = 2**23  # 120 megapixels in tiles of 16 px take less
 _LEAST_PX = 2**24  # a small image may be stored in one large tile
 _NO_PHOTO = 0b1101  # bits of NewSubfileType: reduced, mask, depth map; bit 1 is a page of several
-_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _MASK, _YCBCR = 0, 1, 2, 3, 4, 6
+_WHITE_IS_ZERO = 0
+_BLACK_IS_ZERO = 1
+_RGB = 2
+_PALETTE = 3
+_MASK = 4
+_YCBCR = 6
 _COLOURS = {5: "CMYK", 8: "CIELab", 32803: "a colour filter mosaic", 34892: "linear RAW"}
-_SAMPLES = {2: "integers with a sign", 3: "floating point", 5: "complex numbers", 6: "complex numbers"}
+_SAMPLES = {
+    2: "integers with a sign",
+    3: "floating point",
+    5: "complex numbers",
+    6: "complex numbers",
+}
 _JPEG = 7
-_COMPRESSIONS = (1, 2, 3, 4, 5, _JPEG, 8, 32773, 32946, 34925, 50000)  # their decoders unpack no more than is wanted
+_COMPRESSIONS = (
+    1,
+    2,
+    3,
+    4,
+    5,
+    _JPEG,
+    8,
+    32773,
+    32946,
+    34925,
+    50000,
+)  # their decoders unpack no more than is wanted
 _MOST_CHANNELS = 8
 _ALPHA = (1, 2)  # extra samples: associated, unassociated
 
@@ -120,15 +142,24 @@ def exif_orientation(exif: bytes) -> int:
 
 
 def _photometric(page: TiffPage) -> int:
-    return int(page.photometric) if 262 in page.tags else _RGB if page.samplesperpixel >= 3 else _BLACK_IS_ZERO
+    return (
+        int(page.photometric)
+        if 262 in page.tags
+        else _RGB
+        if page.samplesperpixel >= 3
+        else _BLACK_IS_ZERO
+    )
 
 
 def refusal(page: TiffPage) -> str:
     """Why a page is not read, and what would be; empty if it is read."""
     from tifffile import PHOTOMETRIC, TIFF
 
-    photometric, samples, bits = _photometric(page), page.samplesperpixel, page.bitspersample
-    compression, kind = int(page.compression), int(page.sampleformat)
+    photometric = _photometric(page)
+    samples = page.samplesperpixel
+    bits = page.bitspersample
+    compression = int(page.compression)
+    kind = int(page.sampleformat)
     if photometric not in (_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR):
         names = {colours.value: colours.name for colours in PHOTOMETRIC} | _COLOURS
         return f"its colours are {names.get(photometric, f'of kind {photometric}')}, save it as RGB or grey"
@@ -168,19 +199,27 @@ def channels(page: TiffPage) -> tuple[Samples, Samples]:
         Of any kind, if the file is damaged or cut short.
     """
     _check_segments(page)
-    photometric, bits = _photometric(page), page.bitspersample
-    samples = page.asarray(squeeze=False)[:, 0]  # planes, rows, columns, channels that are stored together
+    photometric = _photometric(page)
+    bits = page.bitspersample
+    samples = page.asarray(squeeze=False)[
+        :, 0
+    ]  # planes, rows, columns, channels that are stored together
     samples = samples[0] if len(samples) == 1 else np.moveaxis(samples[:, :, :, 0], 0, 2)
     if photometric == _PALETTE:
         palette = (np.asarray(page.colormap) >> 8).astype(np.uint8).T
         return palette[samples[:, :, 0].astype(np.uint16)], samples[:, :, 1:]
     if bits % 8:
-        full, largest = (255 if bits < 8 else 65535), 2**bits - 1
+        full = 255 if bits < 8 else 65535
+        largest = 2**bits - 1
         unsigned = np.dtype(f"u{samples.itemsize}")
-        samples = ((np.arange(2**bits) * full + largest // 2) // largest).astype(unsigned)[samples.view(unsigned)]
+        samples = ((np.arange(2**bits) * full + largest // 2) // largest).astype(unsigned)[
+            samples.view(unsigned)
+        ]
     if photometric == _WHITE_IS_ZERO:
         samples = (1 if samples.dtype.kind == "f" else np.iinfo(samples.dtype).max) - samples
-    if photometric == _YCBCR and (page.compression != _JPEG or page.planarconfig == 2):  # else it is RGB already
+    if photometric == _YCBCR and (
+        page.compression != _JPEG or page.planarconfig == 2
+    ):  # else it is RGB already
         import cv2
 
         return cv2.cvtColor(samples[:, :, [0, 2, 1]], cv2.COLOR_YCrCb2RGB), samples[:, :, 3:]
@@ -191,12 +230,20 @@ def channels(page: TiffPage) -> tuple[Samples, Samples]:
 
 def _check_segments(page: TiffPage) -> None:
     """Check strips or tiles: those that are missing would be black, and those of a small file may be gigabytes."""
-    file, number, px = page.parent.filehandle, math.prod(page.chunked), math.prod(page.chunks)
+    file = page.parent.filehandle
+    number = math.prod(page.chunked)
+    px = math.prod(page.chunks)
     segments = [*zip(page.dataoffsets, page.databytecounts, strict=False)][:number]
-    if len(segments) != number or not all(0 < offset < offset + length <= file.size for offset, length in segments):
+    if len(segments) != number or not all(
+        0 < offset < offset + length <= file.size for offset, length in segments
+    ):
         raise ValueError("a strip or tile is missing or cut short")
     packed = sum(length for _, length in segments)
-    if number * px > 2 * page.size + _LEAST_PX or packed > file.size + 2 * page.nbytes or page.jpegheader:
+    if (
+        number * px > 2 * page.size + _LEAST_PX
+        or packed > file.size + 2 * page.nbytes
+        or page.jpegheader
+    ):
         raise ValueError("strips or tiles are larger than the image")
     for offset, length in segments if page.compression == _JPEG else ():
         file.seek(offset)

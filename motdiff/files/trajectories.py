@@ -15,11 +15,10 @@ from motdiff.files.outputs import write_text
 from motdiff.files.schemas import fault, load_schema
 from motdiff.trajectory import Direction, Trajectory, check_length
 
-__all__ = ["SCHEMA", "StoredMotion", "read_motion", "stated_uncertainty_px", "trajectory_text", "write_motion"]
-
 SCHEMA = "cep.trajectory/1"
 _FARTHEST_PX = 1e5
-_DENSE, _THINNED_PX = 2000, 1e-4
+_DENSE = 2000
+_THINNED_PX = 1e-4
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,9 @@ def write_motion(path: Path | str, motion: StoredMotion) -> None:
         "direction": motion.trajectory.direction,
         **_samples(motion.trajectory),
         "weight": motion.weight,
-        "alternatives": [{"weight": weight, **_samples(other)} for weight, other in motion.alternatives],
+        "alternatives": [
+            {"weight": weight, **_samples(other)} for weight, other in motion.alternatives
+        ],
         "source": dict(motion.source),
     }
     write_text(path, json.dumps(document, indent=1) + "\n")
@@ -80,8 +81,8 @@ def read_motion(path: Path | str) -> StoredMotion:
     Raises
     ------
     ValueError
-        If the file is not JSON, not of this schema, or its samples are not a trajectory, or one longer than
-        :data:`motdiff.trajectory.LONGEST_PX`; the line names the file.
+        If the file is not JSON, not of this schema, or its samples are not a trajectory, or one
+        longer than :data:`motdiff.trajectory.LONGEST_PX`; the line names the file.
     OSError
         If the file cannot be read.
     """
@@ -98,7 +99,9 @@ def read_motion(path: Path | str) -> StoredMotion:
             for other in document.get("alternatives", [])
         )
         main = _trajectory(document, direction)
-        return StoredMotion(main, float(document.get("weight", 1.0)), alternatives, document.get("source", {}))
+        return StoredMotion(
+            main, float(document.get("weight", 1.0)), alternatives, document.get("source", {})
+        )
     except ValueError as error:
         raise ValueError(f"{path}: {one_line(error)}") from None
 
@@ -119,7 +122,11 @@ def stated_uncertainty_px(motion: StoredMotion, path: Path | str) -> float | Non
     stated = motion.source.get("path_uncertainty_px")
     if stated is None:
         return None
-    if not isinstance(stated, int | float) or isinstance(stated, bool) or not 0 < stated < _FARTHEST_PX:
+    if (
+        not isinstance(stated, int | float)
+        or isinstance(stated, bool)
+        or not 0 < stated < _FARTHEST_PX
+    ):
         raise ValueError(
             f"{path}: source path_uncertainty_px must be a number of px above 0, got {one_line(repr(stated))}"
         )
@@ -133,7 +140,9 @@ def _samples(trajectory: Trajectory) -> dict[str, list[float]]:
 def _trajectory(fields: Mapping[str, Any], direction: Direction) -> Trajectory:
     columns: list[Sequence[float]] = [fields["t"], fields["x"], fields["y"]]
     if len({len(column) for column in columns}) != 1:
-        raise ValueError(f"t, x and y must be equally long, got {[len(column) for column in columns]}")
+        raise ValueError(
+            f"t, x and y must be equally long, got {[len(column) for column in columns]}"
+        )
     t, x, y = (np.array(column, dtype=np.float64) for column in columns)
     exact = Trajectory.from_samples(np.column_stack([x, y]), t=t, direction=direction)
     if t[0] != 0 or t[-1] != 1:

@@ -8,8 +8,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-__all__ = ["LocalEmphasis", "StepwiseAggregation"]
-
 
 class LocalEmphasis(nn.Module):
     """Two 3x3 convolutions with ReLU, then bilinear upsampling; each stage has its own.
@@ -21,13 +19,17 @@ class LocalEmphasis(nn.Module):
 
     References
     ----------
-    Choi et al., "MoTDiff", arXiv 2510.26173, equation 3; after SSFormer's progressive locality decoder.
+    Choi et al., "MoTDiff", arXiv 2510.26173, equation 3; after SSFormer's progressive locality
+    decoder.
     """
 
     def __init__(self, inputs: int, width: int) -> None:
         super().__init__()
         self.convs = nn.Sequential(
-            nn.Conv2d(inputs, width, 3, 1, 1), nn.ReLU(), nn.Conv2d(width, width, 3, 1, 1), nn.ReLU()
+            nn.Conv2d(inputs, width, 3, 1, 1),
+            nn.ReLU(),
+            nn.Conv2d(width, width, 3, 1, 1),
+            nn.ReLU(),
         )
 
     def forward(self, feature: Tensor, size: Sequence[int]) -> Tensor:
@@ -35,13 +37,16 @@ class LocalEmphasis(nn.Module):
         emphasised: Tensor = self.convs(feature)  # (B, width, h, w)
         if emphasised.shape[-2:] == torch.Size(size):
             return emphasised
-        return functional.interpolate(emphasised, tuple(size), mode="bilinear", align_corners=False)
+        return functional.interpolate(
+            emphasised, tuple(size), mode="bilinear", align_corners=False
+        )
 
 
 class StepwiseAggregation(nn.Module):
     """z4 = f4up, then z_s = ReLU(conv1x1(cat(z_{s+1}, f_s_up))) for s = 3, 2, 1.
 
-    Neighbouring scales meet first, so that no layer has to join global and local motion cues at once.
+    Neighbouring scales meet first, so that no layer has to join global and local motion cues at
+    once.
 
     Parameters
     ----------
@@ -57,7 +62,9 @@ class StepwiseAggregation(nn.Module):
 
     def __init__(self, scales: int, width: int) -> None:
         super().__init__()
-        self.joins = nn.ModuleList(nn.Conv2d(2 * width, width, 1) for _ in range(scales - 1))  # joins[s - 1] gives z_s
+        self.joins = nn.ModuleList(
+            nn.Conv2d(2 * width, width, 1) for _ in range(scales - 1)
+        )  # joins[s - 1] gives z_s
 
     def forward(self, emphasised: Sequence[Tensor]) -> Tensor:
         """Features f1up, f2up, ... (B, width, h, w) to z1 (B, width, h, w)."""

@@ -12,11 +12,10 @@ from motdiff.network.pvt import PyramidVisionTransformer
 from motdiff.network.unet import GridUNet, silence
 from motdiff.psf_frame import PSF_PX
 
-__all__ = ["PHOTO_PX", "ConditionNetwork", "PhotoEncoder"]
-
 _IMAGENET_MEAN = (0.485, 0.456, 0.406)
 _IMAGENET_STD = (0.229, 0.224, 0.225)
-_STRIDE, _CONDITION_STRIDE = 32, 4  # of the coarsest feature, and of the condition, in photo pixels
+_STRIDE = 32  # of the coarsest feature, and of the condition, in photo pixels
+_CONDITION_STRIDE = 4
 
 PHOTO_PX = _CONDITION_STRIDE * PSF_PX
 """Side of the photo that goes with physics maps, px: its features then lie on the PSF's grid."""
@@ -28,8 +27,8 @@ class PhotoEncoder(nn.Module):
     Parameters
     ----------
     config : NetworkConfig
-        With a backbone "b0" .. "b5". For features "f2" only two of the backbone's stages are built. With `photo_pool` 2
-        all this happens at half the size, and z1 is interpolated.
+        With a backbone "b0" .. "b5". For features "f2" only two of the backbone's stages are
+        built. With `photo_pool` 2 all this happens at half the size, and z1 is interpolated.
 
     References
     ----------
@@ -42,25 +41,40 @@ class PhotoEncoder(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         used = {"multi": (0, 1, 2, 3), "f2": (1,), "f4": (3,)}[config.features]
-        self.used, self.pool = used, config.photo_pool
+        self.used = used
+        self.pool = config.photo_pool
         self.backbone = PyramidVisionTransformer(config.backbone, stages=used[-1] + 1)
-        self.emphasis = nn.ModuleList(LocalEmphasis(self.backbone.channels[i], config.width) for i in used)
+        self.emphasis = nn.ModuleList(
+            LocalEmphasis(self.backbone.channels[i], config.width) for i in used
+        )
         self.aggregation = StepwiseAggregation(len(used), config.width)
         self.register_buffer("mean", torch.tensor(_IMAGENET_MEAN)[:, None, None], persistent=False)
         self.register_buffer("std", torch.tensor(_IMAGENET_STD)[:, None, None], persistent=False)
 
     def forward(self, photo: Tensor) -> Tensor:
         """Encode photos (B, 3, H, W), sides multiples of 32 `photo_pool`, as z1; ValueError for another shape."""
-        sides, unit = photo.shape[-2:], _STRIDE * self.pool
-        if photo.ndim != 4 or photo.shape[1] != 3 or any(side == 0 or side % unit for side in sides):
+        sides = photo.shape[-2:]
+        unit = _STRIDE * self.pool
+        if (
+            photo.ndim != 4
+            or photo.shape[1] != 3
+            or any(side == 0 or side % unit for side in sides)
+        ):
             wanted = f"(B, 3, H, W) with sides that are multiples of {unit}"
             raise ValueError(f"photo has shape {tuple(photo.shape)}; it must be {wanted}")
         pooled = functional.avg_pool2d(photo, self.pool) if self.pool > 1 else photo
         features = self.backbone((pooled - self.mean) / self.std)
         fine = [side // (_CONDITION_STRIDE * self.pool) for side in sides]
-        emphasised = [emphasis(features[i], fine) for i, emphasis in zip(self.used, self.emphasis, strict=True)]
+        emphasised = [
+            emphasis(features[i], fine)
+            for i, emphasis in zip(self.used, self.emphasis, strict=True)
+        ]
         z1: Tensor = self.aggregation(emphasised)
-        return functional.interpolate(z1, scale_factor=self.pool, mode="bilinear") if self.pool > 1 else z1
+        return (
+            functional.interpolate(z1, scale_factor=self.pool, mode="bilinear")
+            if self.pool > 1
+            else z1
+        )
 
 
 class ConditionNetwork(nn.Module):
@@ -78,8 +92,9 @@ class ConditionNetwork(nn.Module):
     physics : GridUNet or None
         Encoder of the physics maps.
     fusion : Conv2d or None
-        Where there are both: 1x1 convolution of the photo's features, added to those of the physics maps. It starts at
-        zero, so that a photo encoder can be put on a trained network without changing what it draws.
+        Where there are both: 1x1 convolution of the photo's features, added to those of the
+        physics maps. It starts at zero, so that a photo encoder can be put on a trained network
+        without changing what it draws.
     condition_channels : int
         Channels of the condition: `physics_width`, or `width` without physics maps.
     """
@@ -89,7 +104,12 @@ class ConditionNetwork(nn.Module):
         self.config = config
         self.photo = None if config.backbone == "none" else PhotoEncoder(config)
         self.physics = (
-            GridUNet(config.physics_channels, config.physics_width, config.physics_depth, config.physics_patch)
+            GridUNet(
+                config.physics_channels,
+                config.physics_width,
+                config.physics_depth,
+                config.physics_patch,
+            )
             if config.physics_channels
             else None
         )
@@ -105,8 +125,8 @@ class ConditionNetwork(nn.Module):
         Parameters
         ----------
         photo : (B, 3, H, W) float, display values 0..1
-            Blurred photo, sides multiples of 32 `photo_pool`; 256x256 together with physics maps. None without a photo
-            encoder.
+            Blurred photo, sides multiples of 32 `photo_pool`; 256x256 together with physics maps.
+            None without a photo encoder.
         physics : (B, P, 64, 64) float
             Physics maps; None if the network takes none.
 
@@ -137,4 +157,6 @@ class ConditionNetwork(nn.Module):
 
 def _check_presence(name: str, value: Tensor | None, *, wanted: bool) -> None:
     if (value is not None) != wanted:
-        raise ValueError(f"{name} {'is None; this network needs it' if wanted else 'must be None for this network'}")
+        raise ValueError(
+            f"{name} {'is None; this network needs it' if wanted else 'must be None for this network'}"
+        )

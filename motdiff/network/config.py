@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-__all__ = ["BACKBONES", "FEATURES", "TARGETS", "NetworkConfig"]
-
 BACKBONES = ("b0", "b1", "b2", "b3", "b4", "b5", "none")
 FEATURES = ("multi", "f2", "f4")
 TARGETS = ("map", "psf", "path")
@@ -20,12 +18,14 @@ class NetworkConfig:
     Parameters
     ----------
     target : str
-        "map": diffusion of HR path maps, MoTDiff. "psf" and "path" are the baselines over the same condition: diffusion
-        of 64x64 PSFs, and one quadratic path predicted at once, without a denoiser.
+        "map": diffusion of HR path maps, MoTDiff. "psf" and "path" are the baselines over the same
+        condition: diffusion of 64x64 PSFs, and one quadratic path predicted at once, without a
+        denoiser.
     backbone : str
         Size of the PVT v2 photo encoder, "b0".."b5"; "none": no photo encoder, physics maps only.
     features : str
-        "multi": all four scales condition the denoiser; "f2" or "f4": only that one (the paper's ablation).
+        "multi": all four scales condition the denoiser; "f2" or "f4": only that one (the paper's
+        ablation).
     photo_pool : int
         1, or 2: the photo encoder sees means of 2x2 pixels, at about a quarter of the cost.
     width : int
@@ -33,7 +33,8 @@ class NetworkConfig:
     denoiser_width : int
         Channels of the denoiser's encoding block and mid layer; a multiple of 4 (PixelShuffle).
     denoiser_view : int
-        Levels, 0..2, of the U-Net by which the denoiser sees the whole map; 0: none, as the paper's.
+        Levels, 0..2, of the U-Net by which the denoiser sees the whole map; 0: none, as the
+        paper's.
     decoder_widths : tuple of two int
         Channels after each decoding block's convolution; the first a multiple of 4 (PixelShuffle).
     dropout : float
@@ -45,7 +46,8 @@ class NetworkConfig:
     physics_depth : int
         Levels of the physics U-Net below its first, 1..4.
     physics_patch : int
-        1, or 2: the physics U-Net works on 32x32 with 2x2 pixels as channels, at about a third of the cost.
+        1, or 2: the physics U-Net works on 32x32 with 2x2 pixels as channels, at about a third of
+        the cost.
     dwell : bool
         A second output channel: time spent per map pixel.
     time_width : int
@@ -84,7 +86,9 @@ class NetworkConfig:
         if self.denoiser_view:
             _multiple("denoiser_width", self.denoiser_width, 8)
         if not isinstance(self.decoder_widths, tuple) or len(self.decoder_widths) != 2:
-            raise ValueError(f"decoder_widths is {self.decoder_widths!r}; it must be a tuple of two whole numbers")
+            raise ValueError(
+                f"decoder_widths is {self.decoder_widths!r}; it must be a tuple of two whole numbers"
+            )
         _multiple("decoder_widths[0]", self.decoder_widths[0], 4)
         _multiple("decoder_widths[1]", self.decoder_widths[1], 1)
         if not 0 <= self.dropout < 1:
@@ -101,7 +105,9 @@ class NetworkConfig:
                 f"dwell is True; it must be False for target {self.target!r}, which holds the time already"
             )
         if self.backbone == "none" and self.physics_channels == 0:
-            raise ValueError("physics_channels is 0; a network without a photo encoder (backbone 'none') needs some")
+            raise ValueError(
+                "physics_channels is 0; a network without a photo encoder (backbone 'none') needs some"
+            )
 
     def as_dict(self) -> dict[str, Any]:
         """Fields as plain values, ready for `json.dumps`."""
@@ -118,8 +124,12 @@ class NetworkConfig:
         """
         unknown = sorted(set(values) - {field.name for field in fields(cls)})
         if unknown:
-            raise ValueError(f"values has unknown fields {', '.join(unknown)}; known are those of NetworkConfig")
-        plain: dict[str, Any] = {k: tuple(value) if isinstance(value, list) else value for k, value in values.items()}
+            raise ValueError(
+                f"values has unknown fields {', '.join(unknown)}; known are those of NetworkConfig"
+            )
+        plain: dict[str, Any] = {
+            k: tuple(value) if isinstance(value, list) else value for k, value in values.items()
+        }
         return cls(**plain)
 
 

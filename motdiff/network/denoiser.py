@@ -11,25 +11,25 @@ from torch.nn import functional
 from motdiff.network.unet import GridUNet, silence
 from motdiff.psf_frame import MAP_PITCH
 
-__all__ = ["Denoiser", "timestep_embedding"]
-
 _PATH_SHARE = 0.01  # of a map's pixels lie on the path: the output starts from this probability
 
 
 class Denoiser(nn.Module):
     """Noisy map, timestep and condition to logits of the path map.
 
-    Encoding block: 7x7 convolution with stride 4 + ReLU, ResNet block (3x3, batch norm), 3x3 convolution + ReLU.
-    The condition is concatenated. Mid layer: 1x1 convolution + ReLU. Two decoding blocks: PixelShuffle x2, 3x3
-    convolution + ReLU. Output: dropout, 1x1 convolution. There are no skip connections, so that the noisy map's fine
-    grain cannot leak into the estimate.
+    Encoding block: 7x7 convolution with stride 4 + ReLU, ResNet block (3x3, batch norm), 3x3
+    convolution + ReLU. The condition is concatenated. Mid layer: 1x1 convolution + ReLU. Two
+    decoding blocks: PixelShuffle x2, 3x3 convolution + ReLU. Output: dropout, 1x1 convolution.
+    There are no skip connections, so that the noisy map's fine grain cannot leak into the
+    estimate.
 
-    The paper does not say how the timestep enters. Here: sinusoidal embedding -> two-layer network -> a scale and a
-    shift of each channel, after the ResNet block's first batch norm and on the mid layer before its ReLU.
+    The paper does not say how the timestep enters. Here: sinusoidal embedding -> two-layer network
+    -> a scale and a shift of each channel, after the ResNet block's first batch norm and on the
+    mid layer before its ReLU.
 
-    Its receptive field is about 16 map pixels, so it cannot decide for one path where the condition allows several.
-    With `view` a U-Net with attention over the whole map, whose output is 0 at first, is added to the mid layer. The
-    paper has none.
+    Its receptive field is about 16 map pixels, so it cannot decide for one path where the
+    condition allows several. With `view` a U-Net with attention over the whole map, whose output
+    is 0 at first, is added to the mid layer. The paper has none.
 
     Parameters
     ----------
@@ -46,14 +46,16 @@ class Denoiser(nn.Module):
     time_width : int
         Channels of the timestep's embedding, even.
     pitch : int
-        Map pixels per condition pixel: 4; or 1 for maps on the condition's own grid, without stride and PixelShuffle.
+        Map pixels per condition pixel: 4; or 1 for maps on the condition's own grid, without
+        stride and PixelShuffle.
     view : int
-        Levels of the U-Net over the whole map below its first of 16x16; 0 for none. With one the condition must be
-        64x64.
+        Levels of the U-Net over the whole map below its first of 16x16; 0 for none. With one the
+        condition must be 64x64.
 
     References
     ----------
-    Choi et al., "MoTDiff", arXiv 2510.26173, equation 5 and "Simple diffusion denoiser architecture".
+    Choi et al., "MoTDiff", arXiv 2510.26173, equation 5 and "Simple diffusion denoiser
+    architecture".
     """
 
     def __init__(
@@ -81,8 +83,16 @@ class Denoiser(nn.Module):
         if self.view is not None:
             silence(self.view.out[-1])
         self.decode = nn.Sequential(
-            *(nn.PixelShuffle(grow), nn.Conv2d(width // grow**2, decoder_widths[0], 3, 1, 1), nn.ReLU()),
-            *(nn.PixelShuffle(grow), nn.Conv2d(decoder_widths[0] // grow**2, decoder_widths[1], 3, 1, 1), nn.ReLU()),
+            *(
+                nn.PixelShuffle(grow),
+                nn.Conv2d(width // grow**2, decoder_widths[0], 3, 1, 1),
+                nn.ReLU(),
+            ),
+            *(
+                nn.PixelShuffle(grow),
+                nn.Conv2d(decoder_widths[0] // grow**2, decoder_widths[1], 3, 1, 1),
+                nn.ReLU(),
+            ),
         )
         self.output = nn.Sequential(nn.Dropout(dropout), _output_layer(decoder_widths[1], outputs))
 
@@ -110,9 +120,13 @@ class Denoiser(nn.Module):
         batch, _, height, width = condition.shape
         wanted = (batch, 1, self.pitch * height, self.pitch * width)
         if x_t.shape != wanted:
-            raise ValueError(f"x_t has shape {tuple(x_t.shape)}; with this condition it must be {wanted}")
+            raise ValueError(
+                f"x_t has shape {tuple(x_t.shape)}; with this condition it must be {wanted}"
+            )
         if t.shape != (batch,):
-            raise ValueError(f"t has shape {tuple(t.shape)}; it must be ({batch},), one timestep per map")
+            raise ValueError(
+                f"t has shape {tuple(t.shape)}; it must be ({batch},), one timestep per map"
+            )
         time = self.time(t)  # (B, time_width)
         x = functional.relu(self.enter(x_t))  # (B, width, H/4, W/4)
         x = self.residual(x, time)
@@ -132,10 +146,13 @@ def timestep_embedding(t: Tensor, width: int) -> Tensor:
 
     References
     ----------
-    Vaswani et al., "Attention is all you need", 2017, section 3.5; Ho et al., DDPM, 2020, appendix B.
+    Vaswani et al., "Attention is all you need", 2017, section 3.5; Ho et al., DDPM, 2020, appendix
+    B.
     """
     half = width // 2
-    freq_rad = torch.exp(-math.log(10_000) / half * torch.arange(half, device=t.device, dtype=torch.float32))
+    freq_rad = torch.exp(
+        -math.log(10_000) / half * torch.arange(half, device=t.device, dtype=torch.float32)
+    )
     angle = t.float()[:, None] * freq_rad  # (B, width / 2)
     return torch.cat([angle.cos(), angle.sin()], dim=1)
 

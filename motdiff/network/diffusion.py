@@ -1,7 +1,7 @@
 """Diffusion process of trajectory maps: schedules, noising, and samplers (DDPM, DDIM, DPM-Solver++).
 
-Everything is in x0 form. At the last timestep of the cosine schedule ``alpha_bar`` is 2.4e-9, where a guess of x0 is
-still well defined but one of the noise would be divided by 5e-5.
+Everything is in x0 form. At the last timestep of the cosine schedule ``alpha_bar`` is 2.4e-9,
+where a guess of x0 is still well defined but one of the noise would be divided by 5e-5.
 """
 
 from __future__ import annotations
@@ -14,16 +14,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-__all__ = [
-    "Schedule",
-    "cosine_schedule",
-    "from_signal",
-    "q_sample",
-    "samples",
-    "stochastic_trajectory_pixel_dropout",
-    "to_signal",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
@@ -32,8 +22,8 @@ class Schedule:
     Parameters
     ----------
     alpha_bar : (T,) float64 tensor
-        Share of the signal's power left at timestep index 0..T-1 (the paper's ``alpha_t`` for t = 1..T), strictly
-        decreasing, between 0 and 1.
+        Share of the signal's power left at timestep index 0..T-1 (the paper's ``alpha_t`` for t =
+        1..T), strictly decreasing, between 0 and 1.
 
     Raises
     ------
@@ -46,9 +36,13 @@ class Schedule:
     def __post_init__(self) -> None:
         a = self.alpha_bar
         if a.ndim != 1 or a.dtype != torch.float64:
-            raise ValueError(f"alpha_bar must be a (T,) float64 tensor, got {tuple(a.shape)} {a.dtype}")
+            raise ValueError(
+                f"alpha_bar must be a (T,) float64 tensor, got {tuple(a.shape)} {a.dtype}"
+            )
         if not (len(a) and a[-1] > 0 and a[0] < 1 and (a.diff() < 0).all()):
-            raise ValueError("alpha_bar must decrease strictly inside (0, 1), as cosine_schedule() does")
+            raise ValueError(
+                "alpha_bar must decrease strictly inside (0, 1), as cosine_schedule() does"
+            )
 
     @property
     def steps(self) -> int:
@@ -72,10 +66,13 @@ class Schedule:
 
         References
         ----------
-        Lin et al., "Common diffusion noise schedules and sample steps are flawed", WACV 2024, table 2.
+        Lin et al., "Common diffusion noise schedules and sample steps are flawed", WACV 2024,
+        table 2.
         """
         if not 1 <= steps <= self.steps:
-            raise ValueError(f"steps must be 1..{self.steps}, the schedule's timesteps; got {steps}")
+            raise ValueError(
+                f"steps must be 1..{self.steps}, the schedule's timesteps; got {steps}"
+            )
         return tuple(round(self.steps * left / steps) - 1 for left in range(steps, 0, -1))
 
 
@@ -114,10 +111,13 @@ def from_signal(signal: Tensor) -> Tensor:
     return (signal + 1) / 2
 
 
-def stochastic_trajectory_pixel_dropout(x0: Tensor, p: float, generator: torch.Generator) -> Tensor:
+def stochastic_trajectory_pixel_dropout(
+    x0: Tensor, p: float, generator: torch.Generator
+) -> Tensor:
     """Trajectory map with gaps: each path pixel becomes background with probability ``p`` (STPD).
 
-    Only the network's input is built from this map. Its target stays the whole one, so that it learns to close gaps.
+    Only the network's input is built from this map. Its target stays the whole one, so that it
+    learns to close gaps.
 
     Parameters
     ----------
@@ -163,27 +163,35 @@ def q_sample(schedule: Schedule, signal: Tensor, t: Tensor, noise: Tensor) -> Te
 
     References
     ----------
-    Choi et al., "MoTDiff", arXiv:2510.26173, eq. 1 and eq. 8 (second line); Ho et al., NeurIPS 2020, eq. 4.
+    Choi et al., "MoTDiff", arXiv:2510.26173, eq. 1 and eq. 8 (second line); Ho et al., NeurIPS
+    2020, eq. 4.
     """
     if t.shape != signal.shape[:1]:
-        raise ValueError(f"t must hold one timestep per sample, shape {tuple(signal.shape[:1])}; got {tuple(t.shape)}")
+        raise ValueError(
+            f"t must hold one timestep per sample, shape {tuple(signal.shape[:1])}; got {tuple(t.shape)}"
+        )
     if noise.shape != signal.shape:
-        raise ValueError(f"noise must be shaped like the signal, {tuple(signal.shape)}; got {tuple(noise.shape)}")
+        raise ValueError(
+            f"noise must be shaped like the signal, {tuple(signal.shape)}; got {tuple(noise.shape)}"
+        )
     per_sample = (-1, *(1 for _ in signal.shape[1:]))
-    kept = schedule.alpha_bar.sqrt().to(signal)[t].view(per_sample)  # (B, 1, ...); roots and 1 - a in float64
+    kept = (
+        schedule.alpha_bar.sqrt().to(signal)[t].view(per_sample)
+    )  # (B, 1, ...); roots and 1 - a in float64
     added = (1 - schedule.alpha_bar).sqrt().to(signal)[t].view(per_sample)  # (B, 1, ...)
     return kept * signal + added * noise
 
 
 # One step serves all methods: from x_t and the estimate x0 to the next, less noisy timestep t',
-#     x_t' = sqrt(a') x0 + sqrt(1 - a' - sigma^2) eps + sigma noise,      eps = (x_t - sqrt(a) x0) / sqrt(1 - a),
-#     sigma = eta sqrt((1 - a') / (1 - a) (1 - a / a')),                  a = alpha_bar[t], a' = alpha_bar[t'],
-# where a method of order 2 extrapolates x0 along log(SNR) with the step before.
+# x_t' = sqrt(a') x0 + sqrt(1 - a' - sigma^2) eps + sigma noise,      eps = (x_t - sqrt(a) x0) /
+# sqrt(1 - a),
+# sigma = eta sqrt((1 - a') / (1 - a) (1 - a / a')),                  a = alpha_bar[t], a' =
+# alpha_bar[t'], where a method of order 2 extrapolates x0 along log(SNR) with the step before.
 #
-# method     eta     order   description
-# ddpm       1       1       ancestral sampling with the posterior's variance: Ho et al. 2020, eq. 6-7
-# ddim       0..1    1       Song et al., ICLR 2021, eq. 12 and 16; eta = 0 is deterministic, eta = 1 is ddpm
-# dpm++2m    0       2       DPM-Solver++(2M): Lu et al., arXiv:2211.01095, algorithm 2; its first step is ddim's
+# method     eta     order   description ddpm       1       1       ancestral sampling with the
+# posterior's variance: Ho et al. 2020, eq. 6-7 ddim       0..1    1       Song et al., ICLR 2021,
+# eq. 12 and 16; eta = 0 is deterministic, eta = 1 is ddpm dpm++2m    0       2
+# DPM-Solver++(2M): Lu et al., arXiv:2211.01095, algorithm 2; its first step is ddim's
 _ORDER = {"ddpm": 1, "ddim": 1, "dpm++2m": 2}
 
 
@@ -201,19 +209,22 @@ def samples(
 ) -> Iterator[Tensor]:
     """Draw signals from noise; yields the estimate of x0 at each step, and the last one is the result.
 
-    Runs without gradients: a ``predict_x0`` that needs them turns them on itself (``torch.enable_grad``).
+    Runs without gradients: a ``predict_x0`` that needs them turns them on itself
+    (``torch.enable_grad``).
 
     Parameters
     ----------
     predict_x0 : callable
-        ``predict_x0(x_t, t)``: noisy signal (B, ...) and timestep index (B,) int64, 0..T-1, to clean signal (B, ...).
+        ``predict_x0(x_t, t)``: noisy signal (B, ...) and timestep index (B,) int64, 0..T-1, to
+        clean signal (B, ...).
     shape : sequence of int
         (B, ...), the batch to draw.
     schedule : Schedule
     steps : int
         1..T network calls, at trailing timesteps (`Schedule.timesteps`).
     generator : torch.Generator
-        Noise is drawn on its device and moved to ``device``: with a CPU generator it is the same on all devices.
+        Noise is drawn on its device and moved to ``device``: with a CPU generator it is the same
+        on all devices.
     method : {"ddim", "ddpm", "dpm++2m"}
         See the table above this function in the source.
     eta : float
@@ -231,8 +242,8 @@ def samples(
     Raises
     ------
     ValueError
-        At the call, if ``method`` is unknown, ``steps`` is outside 1..T, or ``eta`` is outside 0..1 or given to a
-        method that fixes it.
+        At the call, if ``method`` is unknown, ``steps`` is outside 1..T, or ``eta`` is outside
+        0..1 or given to a method that fixes it.
     """
     if method not in _ORDER:
         raise ValueError(f"method must be one of {', '.join(_ORDER)}; got {method!r}")
@@ -245,7 +256,9 @@ def samples(
     eta = 1.0 if method == "ddpm" else eta
 
     def noise() -> Tensor:
-        return torch.randn(tuple(shape), generator=generator, device=generator.device, dtype=dtype).to(place)
+        return torch.randn(
+            tuple(shape), generator=generator, device=generator.device, dtype=dtype
+        ).to(place)
 
     return _descend(predict_x0, noise, timesteps, schedule.alpha_bar.tolist(), eta, _ORDER[method])
 
@@ -259,18 +272,25 @@ def _descend(
     eta: float,
     order: int,
 ) -> Iterator[Tensor]:
-    x = noise()  # (B, ...) pure noise: what the signal adds at T-1, sqrt(alpha_bar) = 5e-5, is left out
+    x = (
+        noise()
+    )  # (B, ...) pure noise: what the signal adds at T-1, sqrt(alpha_bar) = 5e-5, is left out
     earlier: tuple[float, Tensor] | None = None  # log(SNR) / 2 and x0 one step before
     for t, following in itertools.zip_longest(timesteps, timesteps[1:]):
-        x0 = predict_x0(x, torch.full((len(x),), t, dtype=torch.int64, device=x.device)).to(x.dtype)  # (B, ...)
+        x0 = predict_x0(x, torch.full((len(x),), t, dtype=torch.int64, device=x.device)).to(
+            x.dtype
+        )  # (B, ...)
         yield x0
         if following is None:
             return
-        now, then = alpha_bar[t], alpha_bar[following]
+        now = alpha_bar[t]
+        then = alpha_bar[following]
         ahead = x0
         if order == 2:
             if earlier is not None:
-                ratio = (_half_log_snr(then) - _half_log_snr(now)) / (_half_log_snr(now) - earlier[0])
+                ratio = (_half_log_snr(then) - _half_log_snr(now)) / (
+                    _half_log_snr(now) - earlier[0]
+                )
                 ahead = x0 + ratio / 2 * (x0 - earlier[1])
             earlier = _half_log_snr(now), x0
         variance = eta**2 * (1 - then) / (1 - now) * (1 - now / then)

@@ -8,8 +8,6 @@ from torch.nn import functional
 
 from motdiff.network.diffusion import to_signal
 
-__all__ = ["denoising_loss", "dwell_loss", "structure_loss", "weighted_bce", "weighted_iou"]
-
 
 def structure_loss(logits: Tensor, x0: Tensor, *, path_weight: float, iou: float = 1.0) -> Tensor:
     r"""Weighted cross-entropy plus weighted intersection over union, the mean over the batch.
@@ -28,10 +26,12 @@ def structure_loss(logits: Tensor, x0: Tensor, *, path_weight: float, iou: float
     x0 : (B, 1, H, W) float
         True trajectory map, 1 on the path and 0 elsewhere, without dropout.
     path_weight : float
-        The paper's lambda, at least 0: a path pixel counts ``path_weight + 1`` times a background pixel.
+        The paper's lambda, at least 0: a path pixel counts ``path_weight + 1`` times a background
+        pixel.
     iou : float
-        Weight of wIoU; 1 is the paper's. With 0 and ``path_weight = 0`` the best ``p`` is the posterior mean that the
-        diffusion's steps take it for; otherwise it is larger, and samples fill in where the path is uncertain.
+        Weight of wIoU; 1 is the paper's. With 0 and ``path_weight = 0`` the best ``p`` is the
+        posterior mean that the diffusion's steps take it for; otherwise it is larger, and samples
+        fill in where the path is uncertain.
 
     Returns
     -------
@@ -45,8 +45,8 @@ def structure_loss(logits: Tensor, x0: Tensor, *, path_weight: float, iou: float
 
     References
     ----------
-    Choi et al., "MoTDiff", arXiv:2510.26173, eq. 6 and 7; Wei et al., "F3Net", AAAI 2020 (pixel position aware
-    loss), for the two weighted terms.
+    Choi et al., "MoTDiff", arXiv:2510.26173, eq. 6 and 7; Wei et al., "F3Net", AAAI 2020 (pixel
+    position aware loss), for the two weighted terms.
     """
     for name, value in (("path_weight", path_weight), ("iou", iou)):
         if not value >= 0:
@@ -58,9 +58,12 @@ def structure_loss(logits: Tensor, x0: Tensor, *, path_weight: float, iou: float
 
 def weighted_bce(logits: Tensor, x0: Tensor, weight: Tensor) -> Tensor:
     """Cross-entropy (B,) of each sample: the mean over its pixels with weights ``weight`` (see `structure_loss`)."""
-    # F3Net's code passes `reduce='none'`, which PyTorch reads as reduce=True: it then returns the batch's plain mean,
-    # the weights cancel and thin paths count for nothing. Many copies inherit it. `reduction` is the right name.
-    loss = functional.binary_cross_entropy_with_logits(logits, x0, reduction="none")  # (B, 1, H, W)
+    # F3Net's code passes `reduce='none'`, which PyTorch reads as reduce=True: it then returns the
+    # batch's plain mean, the weights cancel and thin paths count for nothing. Many copies inherit
+    # it. `reduction` is the right name.
+    loss = functional.binary_cross_entropy_with_logits(
+        logits, x0, reduction="none"
+    )  # (B, 1, H, W)
     return (weight * loss).flatten(1).sum(1) / weight.flatten(1).sum(1)
 
 
@@ -92,8 +95,8 @@ def denoising_loss(logits: Tensor, x0: Tensor) -> Tensor:
 
     References
     ----------
-    Ho et al., NeurIPS 2020, eq. 14, here for x0 instead of the noise; Choi et al., "MoTDiff", arXiv:2510.26173,
-    ablation table, note b ("the standard denoising loss").
+    Ho et al., NeurIPS 2020, eq. 14, here for x0 instead of the noise; Choi et al., "MoTDiff",
+    arXiv:2510.26173, ablation table, note b ("the standard denoising loss").
     """
     logits, x0 = _full_precision(logits, x0)
     return functional.mse_loss(to_signal(torch.sigmoid(logits)), to_signal(x0))
@@ -102,16 +105,17 @@ def denoising_loss(logits: Tensor, x0: Tensor) -> Tensor:
 def dwell_loss(logits: Tensor, dwell: Tensor, x0: Tensor) -> Tensor:
     """Smooth L1 error of the predicted dwell, ``softplus(logits)``, on the path alone.
 
-    The mean over the path pixels of each sample, then over the batch; a sample without a path contributes 0. A map
-    without dwell reaches MNC 0.82-0.90 at best on real hand shake; this output is there to do better.
+    The mean over the path pixels of each sample, then over the batch; a sample without a path
+    contributes 0. A map without dwell reaches MNC 0.82-0.90 at best on real hand shake; this
+    output is there to do better.
 
     Parameters
     ----------
     logits : (B, 1, H, W) float
         The network's second output.
     dwell : (B, 1, H, W) float
-        True time spent at each path pixel, at least 0, relative: its mean over the sample's path pixels is 1. Not
-        read elsewhere.
+        True time spent at each path pixel, at least 0, relative: its mean over the sample's path
+        pixels is 1. Not read elsewhere.
     x0 : (B, 1, H, W) float
         True trajectory map, 1 on the path and 0 elsewhere.
 
@@ -127,7 +131,9 @@ def dwell_loss(logits: Tensor, dwell: Tensor, x0: Tensor) -> Tensor:
     """
     logits, dwell, x0 = _full_precision(logits, dwell, x0)
     path = x0 > 0.5  # (B, 1, H, W)
-    dwell = torch.where(path, dwell, torch.zeros_like(dwell))  # a NaN off the path would reach the gradient as 0 * NaN
+    dwell = torch.where(
+        path, dwell, torch.zeros_like(dwell)
+    )  # a NaN off the path would reach the gradient as 0 * NaN
     error = functional.smooth_l1_loss(functional.softplus(logits), dwell, reduction="none") * path
     return (error.flatten(1).sum(1) / path.flatten(1).sum(1).clamp(min=1)).mean()
 
@@ -135,7 +141,11 @@ def dwell_loss(logits: Tensor, dwell: Tensor, x0: Tensor) -> Tensor:
 def _full_precision(logits: Tensor, *targets: Tensor) -> tuple[Tensor, ...]:
     """Tensors in at least float32, the targets in the logits' type; sums over 65,536 pixels overflow float16."""
     for target in targets:
-        if target.shape != logits.shape:  # (B, H, W) would broadcast against (B, 1, H, W) to (B, B, H, W)
-            raise ValueError(f"logits must be shaped like the target, {tuple(target.shape)}; got {tuple(logits.shape)}")
+        if (
+            target.shape != logits.shape
+        ):  # (B, H, W) would broadcast against (B, 1, H, W) to (B, B, H, W)
+            raise ValueError(
+                f"logits must be shaped like the target, {tuple(target.shape)}; got {tuple(logits.shape)}"
+            )
     dtype = torch.float32 if logits.dtype in (torch.float16, torch.bfloat16) else logits.dtype
     return logits.to(dtype), *(target.to(dtype) for target in targets)

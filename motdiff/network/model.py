@@ -9,8 +9,6 @@ from motdiff.network.config import NetworkConfig
 from motdiff.network.denoiser import Denoiser
 from motdiff.psf_frame import MAP_PITCH
 
-__all__ = ["MotDiffNetwork"]
-
 
 class MotDiffNetwork(ConditionNetwork):
     """Photo, physics maps, noisy map and timestep to logits of the path map (or of the PSF, see `pitch`).
@@ -31,8 +29,8 @@ class MotDiffNetwork(ConditionNetwork):
 
     References
     ----------
-    Choi et al., "MoTDiff: High-resolution motion trajectory estimation from a single blurred image using diffusion
-    models", arXiv 2510.26173. The physics maps are ours.
+    Choi et al., "MoTDiff: High-resolution motion trajectory estimation from a single blurred image
+    using diffusion models", arXiv 2510.26173. The physics maps are ours.
     """
 
     def __init__(self, config: NetworkConfig) -> None:
@@ -64,9 +62,11 @@ class MotDiffNetwork(ConditionNetwork):
     ) -> Tensor:
         """`condition` and `denoise` in one: for training, where each photo meets one timestep.
 
-        An `x_t` smaller than the photo's map is a window of it, whose first pixel is `pitch` times `corner` (row,
-        column): the denoiser works on that window only, at a fraction of the cost.
+        An `x_t` smaller than the photo's map is a window of it, whose first pixel is `pitch` times
+        `corner` (row, column): the denoiser works on that window only, at a fraction of the cost.
         """
         condition = self.condition(photo, physics)
-        rows, columns = (slice(c, c + n // self.pitch) for c, n in zip(corner, x_t.shape[-2:], strict=True))
+        rows, columns = (
+            slice(c, c + n // self.pitch) for c, n in zip(corner, x_t.shape[-2:], strict=True)
+        )
         return self.denoise(x_t, t, condition[..., rows, columns])

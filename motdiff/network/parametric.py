@@ -11,8 +11,6 @@ from motdiff.network.condition import ConditionNetwork
 from motdiff.network.config import NetworkConfig
 from motdiff.psf_frame import PSF_PX
 
-__all__ = ["PathHead", "PathNetwork"]
-
 _SCALE_PX = 16.0  # of a coefficient where the output is 1
 _GROUPS = 8
 _HIDDEN = 128
@@ -21,8 +19,9 @@ _HIDDEN = 128
 class PathHead(nn.Module):
     """Condition (B, C, 64, 64) to the coefficients (B, 2, 2) of a path, px; three strided convolutions, two layers.
 
-    A path and its reverse, ``a -> -a``, look the same. So it is the complex square ``a^2 / |a|`` that is predicted,
-    which they share: a network cannot jump from one sign to the other between photos that are nearly alike.
+    A path and its reverse, ``a -> -a``, look the same. So it is the complex square ``a^2 / |a|``
+    that is predicted, which they share: a network cannot jump from one sign to the other between
+    photos that are nearly alike.
 
     Parameters
     ----------
@@ -35,12 +34,18 @@ class PathHead(nn.Module):
         widths = (channels, channels, 32, 32)
         layers: list[nn.Module] = []
         for inputs, outputs in itertools.pairwise(widths):
-            layers += [nn.GroupNorm(_GROUPS, inputs), nn.SiLU(), nn.Conv2d(inputs, outputs, 3, 2, 1)]
+            layers += [
+                nn.GroupNorm(_GROUPS, inputs),
+                nn.SiLU(),
+                nn.Conv2d(inputs, outputs, 3, 2, 1),
+            ]
         self.narrow = nn.Sequential(*layers)  # (B, 32, 8, 8)
         self.hidden = nn.Linear(widths[-1] * (PSF_PX // 8) ** 2, _HIDDEN)
         self.output = nn.Linear(_HIDDEN, 4)
         nn.init.normal_(self.output.weight, std=0.02)
-        self.output.bias = nn.Parameter(torch.tensor([0.5, 0.0, 0.0, 0.0]))  # no gradient leads away from a = 0
+        self.output.bias = nn.Parameter(
+            torch.tensor([0.5, 0.0, 0.0, 0.0])
+        )  # no gradient leads away from a = 0
 
     def forward(self, condition: Tensor) -> Tensor:
         """Coefficients (B, 2, 2): ``a`` and ``b`` of :class:`QuadraticPath`, x before y, px."""
@@ -66,8 +71,8 @@ class PathNetwork(ConditionNetwork):
 
     References
     ----------
-    Zhang, Wang, Maybank, Tao, "Exposure trajectory recovery from motion blur", TPAMI 2022 (Motion-ETR: per pixel, with
-    a photo encoder of its own; here one path per photo).
+    Zhang, Wang, Maybank, Tao, "Exposure trajectory recovery from motion blur", TPAMI 2022
+    (Motion-ETR: per pixel, with a photo encoder of its own; here one path per photo).
     """
 
     def __init__(self, config: NetworkConfig) -> None:

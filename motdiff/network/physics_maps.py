@@ -1,6 +1,7 @@
 """Physics maps of a photo's blur on the PSF's 64 x 64 grid: correlations, cepstrum, quick classical kernels.
 
-The network sees these maps beside the photo's features (or instead of them): they lie on the same grid as the path.
+The network sees these maps beside the photo's features (or instead of them): they lie on the same
+grid as the path.
 """
 
 from __future__ import annotations
@@ -13,18 +14,6 @@ from torch import Tensor
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
 from motdiff.estimators.pmp.latent import Coupling
 from motdiff.psf_frame import PSF_PX, margins
-
-__all__ = [
-    "QUICK_STARTS",
-    "QuickStart",
-    "autocorrelation",
-    "display_photo",
-    "lags",
-    "physics_maps",
-    "quick_kernels",
-    "spectral_maps",
-    "stacked_maps",
-]
 
 _QUICK_COUPLING = Coupling(start=16.0, end=100.0, growth=2.0)
 _QUICK_FINE_WEIGHTS = (1e-3, 3e-4)  # fewer steps than the full searches have
@@ -65,8 +54,9 @@ def physics_maps(photos: Tensor, kernels: Tensor) -> Tensor:
 
     Returns
     -------
-    (B, 2 + 2 K, 64, 64) float32: autocorrelation and cepstrum of the photo, the kernels over their peaks, and the
-    kernels' own autocorrelations, to be compared with the photo's. Zero lag and zero displacement at index 32.
+    (B, 2 + 2 K, 64, 64) float32: autocorrelation and cepstrum of the photo, the kernels over their
+    peaks, and the kernels' own autocorrelations, to be compared with the photo's. Zero lag and
+    zero displacement at index 32.
     """
     return stacked_maps(spectral_maps(photos), kernels)
 
@@ -130,9 +120,10 @@ def quick_kernels(
 def spectral_maps(photos: Tensor) -> Tensor:
     """Autocorrelation of the whitened photo and its cepstrum, at lags of -32..31 px.
 
-    Sharp scenes have power spectra near ``1 / f^2``; times ``f^2`` they are about white, and the photo's
-    autocorrelation is about the kernel's. The cepstrum turns the product of spectra into a sum, where the kernel's
-    zeros show as ripples. Means over crops; the scale is the rms of the map.
+    Sharp scenes have power spectra near ``1 / f^2``; times ``f^2`` they are about white, and the
+    photo's autocorrelation is about the kernel's. The cepstrum turns the product of spectra into a
+    sum, where the kernel's zeros show as ripples. Means over crops; the scale is the rms of the
+    map.
 
     Parameters
     ----------
@@ -150,8 +141,15 @@ def spectral_maps(photos: Tensor) -> Tensor:
     height, width = photos.shape[-2:]
     if min(height, width) < PSF_PX:
         raise ValueError(f"photos: sides must be at least {PSF_PX} px, got {width} x {height}")
-    window = torch.hann_window(height, periodic=False, device=photos.device, dtype=photos.dtype)[:, None]
-    window = window * torch.hann_window(width, periodic=False, device=photos.device, dtype=photos.dtype)[None, :]
+    window = torch.hann_window(height, periodic=False, device=photos.device, dtype=photos.dtype)[
+        :, None
+    ]
+    window = (
+        window
+        * torch.hann_window(width, periodic=False, device=photos.device, dtype=photos.dtype)[
+            None, :
+        ]
+    )
     mean = (photos * window).sum(dim=(-2, -1), keepdim=True) / window.sum()
     power = torch.fft.rfft2((photos - mean) * window).abs().square()
     fy = torch.fft.fftfreq(height, device=photos.device, dtype=photos.dtype)[:, None]
@@ -159,7 +157,9 @@ def spectral_maps(photos: Tensor) -> Tensor:
     radius2 = fx.square() + fy.square()
     band = torch.exp(-radius2 / (2 * _BAND_SIGMA_CY_PX**2))  # above, noise rules
     white = power * radius2
-    level = white.mean(dim=(-2, -1), keepdim=True).clamp(min=1e-12)  # 0 where a photo is flat, such as a clipped sky
+    level = white.mean(dim=(-2, -1), keepdim=True).clamp(
+        min=1e-12
+    )  # 0 where a photo is flat, such as a clipped sky
     log_white = torch.log(white / level + 1e-3)
     both = torch.stack([(white * band).mean(dim=1), (log_white * band).mean(dim=1)], dim=1)
     return _scaled(lags(torch.fft.irfft2(both, s=(height, width))))

@@ -1,7 +1,8 @@
 """Pyramid Vision Transformer v2: features of a photo at four scales.
 
-Parameters are named as in timm's `pvt_v2_b0` .. `pvt_v2_b5`, so its ImageNet weights load without a map of names.
-Stochastic depth is left out: it has no parameters, and the condition should not change from one call to the next.
+Parameters are named as in timm's `pvt_v2_b0` .. `pvt_v2_b5`, so its ImageNet weights load without
+a map of names. Stochastic depth is left out: it has no parameters, and the condition should not
+change from one call to the next.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from torch.nn import functional
 
 from motdiff.files.inputs import regular_file
 
-__all__ = ["VARIANTS", "PyramidVisionTransformer", "Variant", "load_backbone"]
-
 _HEADS = (1, 2, 5, 8)
 _REDUCTIONS = (8, 4, 2, 1)  # keys and values are taken on a grid coarser by this factor
-_EPS = 1e-6  # of the blocks' norms; those after a convolution have torch's 1e-5, as the published weights expect
+# of the blocks' norms; those after a convolution have torch's 1e-5, as the published weights
+# expect
+_EPS = 1e-6
 
 
 class Variant(NamedTuple):
@@ -54,7 +55,8 @@ class PyramidVisionTransformer(nn.Module):
 
     References
     ----------
-    Wang et al., "PVT v2: Improved baselines with pyramid vision transformer", Computational Visual Media 2022.
+    Wang et al., "PVT v2: Improved baselines with pyramid vision transformer", Computational Visual
+    Media 2022.
     """
 
     def __init__(self, variant: str, *, stages: int = 4) -> None:
@@ -68,7 +70,14 @@ class PyramidVisionTransformer(nn.Module):
         self.channels = dims[:stages]
         self.patch_embed = _PatchEmbedding(3, dims[0], kernel=7, stride=4)
         self.stages = nn.ModuleList(
-            _Stage(dims[i - 1] if i else None, dims[i], depths[i], _HEADS[i], _REDUCTIONS[i], mlp_ratios[i])
+            _Stage(
+                dims[i - 1] if i else None,
+                dims[i],
+                depths[i],
+                _HEADS[i],
+                _REDUCTIONS[i],
+                mlp_ratios[i],
+            )
             for i in range(stages)
         )
         self.apply(_initialise)
@@ -104,11 +113,21 @@ class _Stage(nn.Module):
     """One scale: patch embedding (not in the first stage, whose embedding is the network's), blocks, norm."""
 
     def __init__(
-        self, inputs: int | None, channels: int, depth: int, heads: int, reduction: int, mlp_ratio: int
+        self,
+        inputs: int | None,
+        channels: int,
+        depth: int,
+        heads: int,
+        reduction: int,
+        mlp_ratio: int,
     ) -> None:
         super().__init__()
-        self.downsample = None if inputs is None else _PatchEmbedding(inputs, channels, kernel=3, stride=2)
-        self.blocks = nn.ModuleList(_Block(channels, heads, reduction, mlp_ratio) for _ in range(depth))
+        self.downsample = (
+            None if inputs is None else _PatchEmbedding(inputs, channels, kernel=3, stride=2)
+        )
+        self.blocks = nn.ModuleList(
+            _Block(channels, heads, reduction, mlp_ratio) for _ in range(depth)
+        )
         self.norm = nn.LayerNorm(channels, eps=_EPS)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -152,8 +171,12 @@ class _Attention(nn.Module):
         batch, height, width, channels = x.shape
         coarse = x
         if self.sr is not None and self.norm is not None:
-            coarse = self.norm(self.sr(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1))  # (B, h/r, w/r, C)
-        query = self.q(x).view(batch, -1, self.heads, channels // self.heads).transpose(1, 2)  # (B, heads, N, d)
+            coarse = self.norm(
+                self.sr(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
+            )  # (B, h/r, w/r, C)
+        query = (
+            self.q(x).view(batch, -1, self.heads, channels // self.heads).transpose(1, 2)
+        )  # (B, heads, N, d)
         pair = self.kv(coarse).view(batch, -1, 2, self.heads, channels // self.heads)
         key, value = pair.permute(2, 0, 3, 1, 4)  # (B, heads, N / r^2, d) each
         mixed = functional.scaled_dot_product_attention(query, key, value)
@@ -181,7 +204,9 @@ def _initialise(module: nn.Module) -> None:
     if isinstance(module, nn.Linear):
         nn.init.trunc_normal_(module.weight, std=0.02)
     elif isinstance(module, nn.Conv2d):
-        fan_out = module.kernel_size[0] * module.kernel_size[1] * module.out_channels // module.groups
+        fan_out = (
+            module.kernel_size[0] * module.kernel_size[1] * module.out_channels // module.groups
+        )
         nn.init.normal_(module.weight, 0, math.sqrt(2 / fan_out))
     if isinstance(module, nn.Linear | nn.Conv2d) and module.bias is not None:
         nn.init.zeros_(module.bias)
@@ -200,20 +225,29 @@ def load_backbone(model: PyramidVisionTransformer, path: str | Path) -> None:
     Raises
     ------
     ValueError
-        If `path` is no safetensors file, lacks parameters, has others besides, or is of another variant's size.
+        If `path` is no safetensors file, lacks parameters, has others besides, or is of another
+        variant's size.
     """
     try:
         weights = load_file(regular_file(path))
     except SafetensorError as error:
-        raise ValueError(f"path {path} is not a safetensors file ({error}); it must be timm's pvt_v2 weights") from None
+        raise ValueError(
+            f"path {path} is not a safetensors file ({error}); it must be timm's pvt_v2 weights"
+        ) from None
     own = model.state_dict()
     absent = tuple(f"stages.{i}." for i in range(len(model.stages), 4))
-    weights = {name: value for name, value in weights.items() if not name.startswith(("head.", *absent))}
+    weights = {
+        name: value for name, value in weights.items() if not name.startswith(("head.", *absent))
+    }
     wanted = f"it must hold timm's pvt_v2_{model.variant}"
     if missing := sorted(own.keys() - weights.keys()):
-        raise ValueError(f"path {path} lacks {len(missing)} of {len(own)} parameters, first {missing[0]}; {wanted}")
+        raise ValueError(
+            f"path {path} lacks {len(missing)} of {len(own)} parameters, first {missing[0]}; {wanted}"
+        )
     if extra := sorted(weights.keys() - own.keys()):
-        raise ValueError(f"path {path} has {len(extra)} parameters too many, first {extra[0]}; {wanted}")
+        raise ValueError(
+            f"path {path} has {len(extra)} parameters too many, first {extra[0]}; {wanted}"
+        )
     for name, value in weights.items():
         if value.shape != own[name].shape:
             sizes = f"{tuple(value.shape)}, not {tuple(own[name].shape)}"

@@ -12,8 +12,6 @@ from motdiff.network import MotDiffNetwork
 from motdiff.network.diffusion import Schedule, from_signal, samples, to_signal
 from motdiff.psf_frame import MAP_PITCH
 
-__all__ = ["DOUBT", "PathSamples", "psf_signals", "psfs_of_maps", "psfs_of_signals", "sample_paths"]
-
 DOUBT = 0.02
 """Share of the peak below which a network's output is taken for 0: off the path it never quite is."""
 
@@ -90,15 +88,22 @@ def sample_paths(
 def psfs_of_maps(maps: Tensor) -> Tensor:
     """PSFs (..., 64, 64), sum 1, of non-negative HR maps (..., 256, 256), seen through each PSF pixel's bilinear hat.
 
-    The hat makes them those of :meth:`motdiff.trajectory.Trajectory.psf`: with a true map of path and dwell the MNC is
-    over 0.99, with plain 4 x 4 means 0.92 to 0.97. An empty map becomes a point.
+    The hat makes them those of :meth:`motdiff.trajectory.Trajectory.psf`: with a true map of path
+    and dwell the MNC is over 0.99, with plain 4 x 4 means 0.92 to 0.97. An empty map becomes a
+    point.
     """
     lead = maps.shape[:-2]
-    offsets = (torch.arange(2 * MAP_PITCH, device=maps.device, dtype=maps.dtype) + 0.5) / MAP_PITCH - 1
+    offsets = (
+        torch.arange(2 * MAP_PITCH, device=maps.device, dtype=maps.dtype) + 0.5
+    ) / MAP_PITCH - 1
     hat = 1 - offsets.abs()
     flat = maps.reshape(-1, 1, *maps.shape[-2:])
-    across = functional.conv2d(flat, hat[None, None, None, :], stride=(1, MAP_PITCH), padding=(0, MAP_PITCH // 2))
-    psfs = functional.conv2d(across, hat[None, None, :, None], stride=(MAP_PITCH, 1), padding=(MAP_PITCH // 2, 0))[:, 0]
+    across = functional.conv2d(
+        flat, hat[None, None, None, :], stride=(1, MAP_PITCH), padding=(0, MAP_PITCH // 2)
+    )
+    psfs = functional.conv2d(
+        across, hat[None, None, :, None], stride=(MAP_PITCH, 1), padding=(MAP_PITCH // 2, 0)
+    )[:, 0]
     point = torch.zeros_like(psfs)
     point[:, psfs.shape[1] // 2, psfs.shape[2] // 2] = 1
     total = psfs.sum(dim=(1, 2), keepdim=True)
@@ -109,7 +114,8 @@ def psfs_of_maps(maps: Tensor) -> Tensor:
 def psf_signals(psfs: Tensor) -> Tensor:
     """Signals of PSFs (..., S, S) for the diffusion, 0..1: the root of each over its peak.
 
-    Kernel-Diff diffuses PSFs of sum 1, most of which lie within a hundredth of 0; the root uses the range.
+    Kernel-Diff diffuses PSFs of sum 1, most of which lie within a hundredth of 0; the root uses
+    the range.
     """
     return (psfs / psfs.amax(dim=(-2, -1), keepdim=True).clamp(min=1e-12)).sqrt()
 

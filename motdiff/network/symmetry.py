@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from torch import Tensor
 
-__all__ = ["SYMMETRIES", "inverse_symmetry", "mirrored"]
-
 SYMMETRIES = 8
 
 
 def mirrored(maps: Tensor, symmetry: int, *, pitch: int) -> Tensor:
     """Turn or mirror maps (B, C, H, W) about the zero displacement, one of the 8 symmetries of the square.
 
-    The zero lies at index ``H // 2`` of a PSF's grid and at ``129.5`` of the HR map, half a PSF pixel off the array's
-    middle: a flipped axis must be moved by one PSF pixel.
+    The zero lies at index ``H // 2`` of a PSF's grid and at ``129.5`` of the HR map, half a PSF
+    pixel off the array's middle: a flipped axis must be moved by one PSF pixel.
 
     Parameters
     ----------
@@ -21,7 +19,8 @@ def mirrored(maps: Tensor, symmetry: int, *, pitch: int) -> Tensor:
     symmetry : int, 0..7
         1: rows flipped; 2: columns flipped; 4: transposed; added up.
     pitch : int
-        Map pixels per PSF pixel: 1 for PSFs and physics maps, 4 for HR maps; 0 for photos, which have no centre.
+        Map pixels per PSF pixel: 1 for PSFs and physics maps, 4 for HR maps; 0 for photos, which
+        have no centre.
     """
     if symmetry & 1:
         maps = maps.flip(2).roll(pitch, 2)

@@ -1,7 +1,8 @@
 """Small U-Net on the PSF's 64x64 grid, over physics maps or over the denoiser's features.
 
-On this grid the position has a meaning (a displacement, a lag): a learned position embedding gives it to every pixel,
-and attention at the coarse levels joins distant positions, such as the symmetric halves of a spectrum.
+On this grid the position has a meaning (a displacement, a lag): a learned position embedding gives
+it to every pixel, and attention at the coarse levels joins distant positions, such as the
+symmetric halves of a spectrum.
 """
 
 from __future__ import annotations
@@ -14,8 +15,6 @@ from torch.nn import functional
 
 from motdiff.psf_frame import PSF_PX
 
-__all__ = ["GridUNet", "silence"]
-
 _HEADS = 4
 _LARGEST = 2.0  # channels grow by half the width per level, up to this multiple
 
@@ -23,8 +22,9 @@ _LARGEST = 2.0  # channels grow by half the width per level, up to this multiple
 class GridUNet(nn.Module):
     """Maps (B, C, 64, 64) to features (B, width, 64, 64).
 
-    Residual blocks (GroupNorm, SiLU) at `depth` levels below 64x64 with 1, 1.5, 2, 2, ... times `width` channels;
-    self-attention at the two coarsest levels; skip connections; a learned position embedding.
+    Residual blocks (GroupNorm, SiLU) at `depth` levels below 64x64 with 1, 1.5, 2, 2, ... times
+    `width` channels; self-attention at the two coarsest levels; skip connections; a learned
+    position embedding.
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ class GridUNet(nn.Module):
     depth : int
         Levels below the first: 64 -> 32 -> ... -> 64 / 2^depth.
     patch : int
-        1, 2 or 4: every 2x2 or 4x4 pixels of the maps become channels of one, and the first level works on 32x32 or
-        16x16; 2 costs about a third of 1.
+        1, 2 or 4: every 2x2 or 4x4 pixels of the maps become channels of one, and the first level
+        works on 32x32 or 16x16; 2 costs about a third of 1.
     """
 
     def __init__(self, channels: int, width: int, depth: int, patch: int = 1) -> None:
@@ -45,15 +45,24 @@ class GridUNet(nn.Module):
         widths = [int(width * min(1 + level / 2, _LARGEST)) for level in range(depth + 1)]
         attends = [level > 0 and level >= depth - 1 for level in range(depth + 1)]
         self.channels = channels
-        self.fold, self.unfold = nn.PixelUnshuffle(patch), nn.PixelShuffle(patch)
+        self.fold = nn.PixelUnshuffle(patch)
+        self.unfold = nn.PixelShuffle(patch)
         self.stem = nn.Conv2d(channels * patch**2, width, 3, 1, 1)
         self.position = nn.Parameter(_waves(width, side))  # (1, width, side, side)
         self.fine = _Level(width, width, attends=False)
-        self.down = nn.ModuleList(nn.Conv2d(widths[i], widths[i + 1], 3, 2, 1) for i in range(depth))
-        self.inward = nn.ModuleList(_Level(widths[i + 1], widths[i + 1], attends=attends[i + 1]) for i in range(depth))
+        self.down = nn.ModuleList(
+            nn.Conv2d(widths[i], widths[i + 1], 3, 2, 1) for i in range(depth)
+        )
+        self.inward = nn.ModuleList(
+            _Level(widths[i + 1], widths[i + 1], attends=attends[i + 1]) for i in range(depth)
+        )
         self.up = nn.ModuleList(nn.Conv2d(widths[i + 1], widths[i], 1) for i in range(depth))
-        self.outward = nn.ModuleList(_Level(2 * widths[i], widths[i], attends=attends[i]) for i in range(depth))
-        self.out = nn.Sequential(_group_norm(width), nn.SiLU(), nn.Conv2d(width, width * patch**2, 1))
+        self.outward = nn.ModuleList(
+            _Level(2 * widths[i], widths[i], attends=attends[i]) for i in range(depth)
+        )
+        self.out = nn.Sequential(
+            _group_norm(width), nn.SiLU(), nn.Conv2d(width, width * patch**2, 1)
+        )
 
     def forward(self, maps: Tensor) -> Tensor:
         """Features (B, width, 64, 64) of maps (B, C, 64, 64).
@@ -64,13 +73,17 @@ class GridUNet(nn.Module):
             If `maps` has another shape.
         """
         if maps.shape[1:] != (self.channels, PSF_PX, PSF_PX):
-            raise ValueError(f"maps has shape {tuple(maps.shape)}; it must be (B, {self.channels}, {PSF_PX}, {PSF_PX})")
+            raise ValueError(
+                f"maps has shape {tuple(maps.shape)}; it must be (B, {self.channels}, {PSF_PX}, {PSF_PX})"
+            )
         x: Tensor = self.fine(self.stem(self.fold(maps)) + self.position)  # (B, width, side, side)
         skips = []
         for down, inward in zip(self.down, self.inward, strict=True):
             skips.append(x)
             x = inward(down(x))  # half the side each time
-        for up, outward, skip in zip(reversed(self.up), reversed(self.outward), reversed(skips), strict=True):
+        for up, outward, skip in zip(
+            reversed(self.up), reversed(self.outward), reversed(skips), strict=True
+        ):
             x = functional.interpolate(up(x), scale_factor=2.0, mode="nearest")
             x = outward(torch.cat([x, skip], dim=1))
         features: Tensor = self.unfold(self.out(x))  # (B, width, 64, 64)
@@ -88,8 +101,12 @@ class _Level(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, *, attends: bool) -> None:
         super().__init__()
-        self.before = nn.Sequential(_group_norm(inputs), nn.SiLU(), nn.Conv2d(inputs, outputs, 3, 1, 1))
-        self.after = nn.Sequential(_group_norm(outputs), nn.SiLU(), nn.Conv2d(outputs, outputs, 3, 1, 1))
+        self.before = nn.Sequential(
+            _group_norm(inputs), nn.SiLU(), nn.Conv2d(inputs, outputs, 3, 1, 1)
+        )
+        self.after = nn.Sequential(
+            _group_norm(outputs), nn.SiLU(), nn.Conv2d(outputs, outputs, 3, 1, 1)
+        )
         self.shortcut = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
         self.attention = _Attention(outputs) if attends else nn.Identity()
 
@@ -109,7 +126,9 @@ class _Attention(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         batch, channels, height, width = x.shape
-        triple = self.qkv(self.norm(x)).reshape(batch, 3, _HEADS, channels // _HEADS, height * width)
+        triple = self.qkv(self.norm(x)).reshape(
+            batch, 3, _HEADS, channels // _HEADS, height * width
+        )
         query, key, value = triple.permute(1, 0, 2, 4, 3)  # (B, heads, N, d) each
         mixed = functional.scaled_dot_product_attention(query, key, value)
         out: Tensor = self.proj(mixed.transpose(2, 3).reshape(batch, channels, height, width))
@@ -123,7 +142,9 @@ def _group_norm(channels: int) -> nn.GroupNorm:
 def _waves(width: int, side: int) -> Tensor:
     """Sines and cosines of x and of y, periods 4 to 2 side px, (1, width, side, side): initial position embedding."""
     freq_cy_px = torch.logspace(math.log2(0.5 / side), math.log2(1 / 4), width // 4, base=2)
-    angle = 2 * math.pi * freq_cy_px[:, None] * (torch.arange(side) - (side - 1) / 2)  # (width / 4, side)
+    angle = (
+        2 * math.pi * freq_cy_px[:, None] * (torch.arange(side) - (side - 1) / 2)
+    )  # (width / 4, side)
     wave = torch.cat([angle.sin(), angle.cos()])  # (width / 2, side)
     across = wave[:, None, :].expand(-1, side, -1)
     down = wave[:, :, None].expand(-1, -1, side)

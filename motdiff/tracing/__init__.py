@@ -1,9 +1,10 @@
 """From a drawn motion to an ordered, timed one: HR map or PSF -> path -> trajectory.
 
-A map or a PSF shows where the camera went, not in which order. :func:`trace_map` and :func:`trace_psf` find the
-smoothest walk that covers what is drawn; :func:`fit_dwell` finds the time spent along it; :func:`simplest_trajectory`
-prefers a plain arc. Direction stays unknown: a path and its reverse draw the same. :func:`is_tangled` is true where
-the order along it is uncertain.
+A map or a PSF shows where the camera went, not in which order. :func:`trace_map` and
+:func:`trace_psf` find the smoothest walk that covers what is drawn; :func:`fit_dwell` finds the
+time spent along it; :func:`simplest_trajectory` prefers a plain arc. Direction stays unknown: a
+path and its reverse draw the same. :func:`is_tangled` is true where the order along it is
+uncertain.
 """
 
 from motdiff.tracing.dwell import fit_dwell

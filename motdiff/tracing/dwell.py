@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg, optimize
 
 from motdiff.metrics import register_shift
 from motdiff.psf_frame import in_frame
 from motdiff.trajectory import Trajectory, slice_psfs
-
-__all__ = ["checked_psf", "fit_dwell"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _SPACING_PX = 0.5
 _FLOOR = 1e-3  # least dwell of a piece, as a part of the mean: a Trajectory's time must increase
@@ -22,7 +19,9 @@ _MOST_SHIFT_PX = 2.0
 _SHORTEST_PX = 0.05  # a path must lead somewhere, even for a point
 
 
-def fit_dwell(path_px: ArrayLike, psf: ArrayLike, *, smoothness: float = 0.01, extend_px: float = 1.0) -> Trajectory:
+def fit_dwell(
+    path_px: ArrayLike, psf: ArrayLike, *, smoothness: float = 0.01, extend_px: float = 1.0
+) -> Trajectory:
     """Fit the time spent along a path, and its global sub-pixel shift, so that the exact PSF matches ``psf``.
 
     Parameters
@@ -32,7 +31,8 @@ def fit_dwell(path_px: ArrayLike, psf: ArrayLike, *, smoothness: float = 0.01, e
     psf : (H, W) array_like
         Non-negative; any total.
     smoothness : float
-        Weight of the squared differences of neighbouring dwells, relative to the data's own curvature.
+        Weight of the squared differences of neighbouring dwells, relative to the data's own
+        curvature.
     extend_px : float, px
         Both ends are prolonged by this before the fit; ends without dwell are cut off again.
 
@@ -44,7 +44,8 @@ def fit_dwell(path_px: ArrayLike, psf: ArrayLike, *, smoothness: float = 0.01, e
     Raises
     ------
     ValueError
-        If the path is not (N, 2) and finite, or the PSF is not finite, non-negative and with light.
+        If the path is not (N, 2) and finite, or the PSF is not finite, non-negative and with
+        light.
     """
     light = checked_psf(psf)
     target = in_frame(light / light.sum(), 2 * (max(light.shape) // 2) + 1)
@@ -100,7 +101,9 @@ def _non_negative_fit(pieces: FloatArray, target: FloatArray, smoothness: float)
 def _nodes(path_px: ArrayLike, extend_px: float) -> FloatArray:
     path = np.asarray(path_px, dtype=np.float64)
     if path.ndim != 2 or path.shape[1:] != (2,) or not len(path) or not np.isfinite(path).all():
-        raise ValueError(f"path_px: must be finite (N, 2) points with N >= 1, got shape {path.shape}")
+        raise ValueError(
+            f"path_px: must be finite (N, 2) points with N >= 1, got shape {path.shape}"
+        )
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     path = path[np.r_[True, steps > 1e-9]]
     if len(path) < 2 or steps.sum() < _SHORTEST_PX:
@@ -110,7 +113,8 @@ def _nodes(path_px: ArrayLike, extend_px: float) -> FloatArray:
     if extend_px > 0:
         # the direction at an end, from the last pixel or so
         ends = [_at(arc, path, s) for s in (min(1.0, arc[-1]), max(arc[-1] - 1.0, 0.0))]
-        before, after = path[0] - ends[0], path[-1] - ends[1]
+        before = path[0] - ends[0]
+        after = path[-1] - ends[1]
         path = np.concatenate(
             [
                 (path[0] + extend_px * before / np.linalg.norm(before))[None],
@@ -131,13 +135,21 @@ def _trajectory(nodes: FloatArray, dwell: FloatArray) -> Trajectory:
     """Cut the ends that got no time, and make a Trajectory of the rest."""
     busy = np.flatnonzero(dwell > 2 * dwell.min() + 1e-3 * dwell.mean())
     if busy.size:
-        nodes, dwell = nodes[busy[0] : busy[-1] + 2], dwell[busy[0] : busy[-1] + 1]
+        nodes = nodes[busy[0] : busy[-1] + 2]
+        dwell = dwell[busy[0] : busy[-1] + 1]
     return Trajectory.from_samples(nodes, t=np.r_[0.0, np.cumsum(dwell)])
 
 
 def checked_psf(psf: ArrayLike) -> FloatArray:
     """Return a PSF as float64, or raise ValueError if it is not finite, non-negative, (H, W) and with light."""
     light = np.asarray(psf, dtype=np.float64)
-    if light.ndim != 2 or not np.isfinite(light).all() or light.min(initial=0.0) < 0 or light.sum() <= 0:
-        raise ValueError(f"psf: must be a finite, non-negative (H, W) array with some light, got shape {light.shape}")
+    if (
+        light.ndim != 2
+        or not np.isfinite(light).all()
+        or light.min(initial=0.0) < 0
+        or light.sum() <= 0
+    ):
+        raise ValueError(
+            f"psf: must be a finite, non-negative (H, W) array with some light, got shape {light.shape}"
+        )
     return light

@@ -8,14 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage, spatial
 
-__all__ = ["Branch", "BranchGraph", "branch_graph", "drawn_pixels"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from motdiff.types import BoolArray, FloatArray
 
 _EIGHT = np.ones((3, 3), dtype=bool)
 _PINHOLE_AREA = 2  # pixels: such holes lie between strands that run along each other
-_SOFT_HIGH, _SOFT_LOW = 0.5, 0.25  # hysteresis on a soft map, as parts of its maximum
+_SOFT_HIGH = 0.5  # hysteresis on a soft map, as parts of its maximum
+_SOFT_LOW = 0.25
 
 
 @dataclass(frozen=True)
@@ -29,11 +27,13 @@ class Branch:
     ends : (int, int)
         Nodes at its first and last point.
     extra_px : float
-        Drawn pixels beyond those of a single line of usual width: the mark of strands side by side.
+        Drawn pixels beyond those of a single line of usual width: the mark of strands side by
+        side.
     optional : bool
         True for a guess across a gap: a trail may use it but need not.
     worth : float, 0..1
-        Weight of its pixels where a trail leaves them out: small for a faint line among bright ones.
+        Weight of its pixels where a trail leaves them out: small for a faint line among bright
+        ones.
     """
 
     points: FloatArray
@@ -61,27 +61,35 @@ def drawn_pixels(hr_map: ArrayLike) -> BoolArray:
     """
     soft = np.asarray(hr_map, dtype=np.float64)
     if soft.ndim != 2 or not np.isfinite(soft).all() or soft.min(initial=0.0) < 0:
-        raise ValueError(f"hr_map: must be a finite, non-negative (H, W) array, got shape {soft.shape}")
+        raise ValueError(
+            f"hr_map: must be a finite, non-negative (H, W) array, got shape {soft.shape}"
+        )
     peak = float(soft.max(initial=0.0))
     if peak <= 0:
-        raise ValueError("hr_map: nothing is drawn in it (all zero); needs at least one pixel of path")
+        raise ValueError(
+            "hr_map: nothing is drawn in it (all zero); needs at least one pixel of path"
+        )
     labels, _ = ndimage.label(soft >= _SOFT_LOW * peak, structure=_EIGHT)
     strong = np.unique(labels[soft >= _SOFT_HIGH * peak])
     return np.asarray(np.isin(labels, strong[strong > 0]), dtype=bool)
 
 
-def branch_graph(drawn: BoolArray, *, gap_px: float = 6.0, speck_px: int = 4, spur_px: float = 0.0) -> BranchGraph:
+def branch_graph(
+    drawn: BoolArray, *, gap_px: float = 6.0, speck_px: int = 4, spur_px: float = 0.0
+) -> BranchGraph:
     """Skeletonise the drawn pixels, join their parts and split them into branches at ends and crossings.
 
     Parameters
     ----------
     drawn : (H, W) bool
     gap_px : float
-        Longest gap bridged, in pixels of the map. Parts further away are kept only if they are the largest.
+        Longest gap bridged, in pixels of the map. Parts further away are kept only if they are the
+        largest.
     speck_px : int
         Parts of fewer pixels than this are dust when there is anything larger.
     spur_px : float
-        Dead ends shorter than this are taken off, shortest first; of a forked tip the longer prong stays.
+        Dead ends shorter than this are taken off, shortest first; of a forked tip the longer prong
+        stays.
     """
     from skimage.morphology import skeletonize
 
@@ -124,7 +132,9 @@ def _joined_parts(skeleton: BoolArray, gap_px: float, speck_px: int) -> BoolArra
             break
         part = rest.pop(nearest)
         here = int(np.argmin(distance))
-        bridge = np.rint(np.linspace(part[here], kept[index[here]], int(np.ceil(distance[here])) + 1)).astype(np.intp)
+        bridge = np.rint(
+            np.linspace(part[here], kept[index[here]], int(np.ceil(distance[here])) + 1)
+        ).astype(np.intp)
         joined[tuple(part.T)] = True
         joined[tuple(bridge.T)] = True
         kept = np.concatenate([kept, part, bridge])
@@ -153,7 +163,11 @@ def _spurs(nodes: FloatArray, branches: list[Branch], spur_px: float) -> list[Br
     degree = np.bincount([end for branch in branches for end in branch.ends], minlength=len(nodes))
     shortest: dict[int, Branch] = {}
     for branch in branches:
-        turned = branch if degree[branch.ends[1]] == 1 else Branch(branch.points[::-1], branch.ends[::-1])
+        turned = (
+            branch
+            if degree[branch.ends[1]] == 1
+            else Branch(branch.points[::-1], branch.ends[::-1])
+        )
         crossing, tip = turned.ends
         if degree[tip] != 1 or degree[crossing] < 3 or len(branch.points) - 1 >= spur_px:
             continue
@@ -177,7 +191,8 @@ def _split(skeleton: BoolArray) -> tuple[FloatArray, list[Branch]]:
     for start in range(len(pixels)):
         if start in node_of or len(neighbours[start]) == 2:
             continue
-        cluster, queue = [start], [start] if crossing[start] else []
+        cluster = [start]
+        queue = [start] if crossing[start] else []
         while queue:  # crossings drawn several pixels wide are one node
             for j in neighbours[queue.pop()]:
                 if crossing[j] and j not in cluster:
@@ -205,7 +220,9 @@ def _split(skeleton: BoolArray) -> tuple[FloatArray, list[Branch]]:
                     walk(start, second)
             elif second not in used:
                 walk(start, second)
-    for start in range(len(pixels)):  # what is left are loops without any crossing: cut them at their sharpest bend
+    for start in range(
+        len(pixels)
+    ):  # what is left are loops without any crossing: cut them at their sharpest bend
         if start in node_of or start in used:
             continue
         loop = [start, neighbours[start][0]]
@@ -219,7 +236,8 @@ def _split(skeleton: BoolArray) -> tuple[FloatArray, list[Branch]]:
 
 
 def _sharpest(loop: FloatArray, reach: int = 5) -> int:
-    ahead, behind = np.roll(loop, -reach, axis=0) - loop, loop - np.roll(loop, reach, axis=0)
+    ahead = np.roll(loop, -reach, axis=0) - loop
+    behind = loop - np.roll(loop, reach, axis=0)
     norms = np.linalg.norm(ahead, axis=1) * np.linalg.norm(behind, axis=1)
     return int(np.argmin(np.sum(ahead * behind, axis=1) / np.maximum(norms, 1e-9)))
 
@@ -235,7 +253,10 @@ def _with_extra(branches: list[Branch], drawn: BoolArray) -> list[Branch]:
     steps = np.array([max(1, len(branch.points) - 1) for branch in branches])
     order = np.argsort(area / steps)
     # the width below which half of the line lies
-    width = max(1.0, float((area / steps)[order][np.searchsorted(np.cumsum(steps[order]), 0.5 * steps.sum())]))
+    width = max(
+        1.0,
+        float((area / steps)[order][np.searchsorted(np.cumsum(steps[order]), 0.5 * steps.sum())]),
+    )
     return [
         replace(branch, extra_px=float(min(max(0.0, area[i] / width - steps[i] - 1), steps[i])))
         for i, branch in enumerate(branches)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX
@@ -13,19 +13,17 @@ from motdiff.tracing.dwell import checked_psf, fit_dwell
 from motdiff.tracing.graph import BranchGraph, branch_graph, drawn_pixels
 from motdiff.tracing.trail import smoothest_trail
 from motdiff.trajectory import Trajectory
-
-__all__ = ["crossings", "is_tangled", "trace_map", "trace_psf", "trace_psf_to_trajectory"]
-
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from motdiff.types import BoolArray, FloatArray
 
 _MARGIN_PX = 3
 _RIDGE_PX = 0.4  # scale of the ridge filter, on top of the 0.6 px of the spline that interpolates
-_SPUR_PX, _NOISY_SPUR_PX = 7.0, 12.0  # fine pixels: what a skeleton grows at blobs
+_SPUR_PX = 7.0  # fine pixels: what a skeleton grows at blobs
+_NOISY_SPUR_PX = 12.0
 _NOISE_MEDIANS = 8.0  # ridges this far above the median response are no noise
-_WEAK_PART, _STRONG_PART = 0.015, 0.08  # hysteresis, as parts of the strongest ridge
-_LOCAL_PART, _LOCAL_PX = 0.1, 1.5  # fainter crests so near a strong one are its side lobes
+_WEAK_PART = 0.015  # hysteresis, as parts of the strongest ridge
+_STRONG_PART = 0.08
+_LOCAL_PART = 0.1  # fainter crests so near a strong one are its side lobes
+_LOCAL_PX = 1.5
 _PSF_GAP_PX = 14.0  # fine pixels: fast stretches sink into noise
 _DUST_PART = 0.04  # parts with less ridge than this part of the largest are dust
 _CREST_PX = 0.6  # a Gaussian this wide measures a line's light
@@ -38,7 +36,8 @@ def trace_map(hr_map: ArrayLike) -> FloatArray:
     Parameters
     ----------
     hr_map : (256, 256) array_like, binary or soft (0..1 or any non-negative scale)
-        Displacement d px at index ``129.5 + 4 d``. Gaps of up to 1.5 px are bridged, dust is dropped.
+        Displacement d px at index ``129.5 + 4 d``. Gaps of up to 1.5 px are bridged, dust is
+        dropped.
 
     Returns
     -------
@@ -52,7 +51,8 @@ def trace_map(hr_map: ArrayLike) -> FloatArray:
 
     Notes
     -----
-    Where strands share pixels, a binary map does not determine their number or pairing; the smoothest curve is taken.
+    Where strands share pixels, a binary map does not determine their number or pairing; the
+    smoothest curve is taken.
     """
     soft = np.asarray(hr_map)
     if soft.shape != (MAP_PX, MAP_PX):
@@ -66,7 +66,8 @@ def trace_psf(psf: ArrayLike) -> FloatArray:
     Parameters
     ----------
     psf : (H, W) array_like
-        Non-negative, with zero displacement at index ``size // 2``; may be thick, speckled or noisy.
+        Non-negative, with zero displacement at index ``size // 2``; may be thick, speckled or
+        noisy.
 
     Returns
     -------
@@ -79,8 +80,12 @@ def trace_psf(psf: ArrayLike) -> FloatArray:
     """
     light = checked_psf(psf)
     drawn, spur_px = _ridges(light)
-    centre = MAP_PITCH * np.array([light.shape[1] // 2, light.shape[0] // 2]) + MAP_PITCH * _MARGIN_PX
-    return _traced(_with_worth(branch_graph(drawn, gap_px=_PSF_GAP_PX, spur_px=spur_px), light), centre)
+    centre = (
+        MAP_PITCH * np.array([light.shape[1] // 2, light.shape[0] // 2]) + MAP_PITCH * _MARGIN_PX
+    )
+    return _traced(
+        _with_worth(branch_graph(drawn, gap_px=_PSF_GAP_PX, spur_px=spur_px), light), centre
+    )
 
 
 def trace_psf_to_trajectory(psf: ArrayLike) -> Trajectory:
@@ -97,20 +102,31 @@ def trace_psf_to_trajectory(psf: ArrayLike) -> Trajectory:
 def _ridges(light: FloatArray) -> tuple[BoolArray, float]:
     """Mark the crests of the ridges on a padded grid of pitch 1/4 px; also the length of spurs to expect, fine pixels.
 
-    A crest is a local maximum across the ridge, so that a fast, faint stretch next to a slow, bright one is found.
+    A crest is a local maximum across the ridge, so that a fast, faint stretch next to a slow,
+    bright one is found.
     """
     padded = np.pad(light / light.max(), _MARGIN_PX)
-    grid = np.meshgrid(*(np.arange(MAP_PITCH * (n - 1) + 1) / MAP_PITCH for n in padded.shape), indexing="ij")
-    fine = ndimage.map_coordinates(padded, grid, order=3, prefilter=False)  # a smoothing spline: no overshoot
+    grid = np.meshgrid(
+        *(np.arange(MAP_PITCH * (n - 1) + 1) / MAP_PITCH for n in padded.shape), indexing="ij"
+    )
+    fine = ndimage.map_coordinates(
+        padded, grid, order=3, prefilter=False
+    )  # a smoothing spline: no overshoot
     sigma = _RIDGE_PX * MAP_PITCH
-    yy, xx, xy = (ndimage.gaussian_filter(fine, sigma, order=order) for order in ((2, 0), (0, 2), (1, 1)))
+    yy, xx, xy = (
+        ndimage.gaussian_filter(fine, sigma, order=order) for order in ((2, 0), (0, 2), (1, 1))
+    )
     ridge = np.maximum(0.5 * (np.hypot(xx - yy, 2 * xy) - xx - yy), 0.0)
     noise = _NOISE_MEDIANS * float(np.median(ridge))
     spur_px = _SPUR_PX if noise < _WEAK_PART * float(ridge.max()) else _NOISY_SPUR_PX
-    across = 0.5 * np.arctan2(2 * xy, xx - yy) + 0.5 * np.pi  # direction of the most negative curvature
+    across = (
+        0.5 * np.arctan2(2 * xy, xx - yy) + 0.5 * np.pi
+    )  # direction of the most negative curvature
     index = np.indices(ridge.shape).astype(np.float64)
     step = np.stack([np.sin(across), np.cos(across)])
-    beside = np.maximum(*(ndimage.map_coordinates(ridge, index + way * step, order=1) for way in (-1, 1)))
+    beside = np.maximum(
+        *(ndimage.map_coordinates(ridge, index + way * step, order=1) for way in (-1, 1))
+    )
     weak = max(_WEAK_PART * float(ridge.max()), noise)
     strong = max(_STRONG_PART * float(ridge.max()), 1.7 * weak)
     near = ndimage.maximum_filter(ridge, int(2 * _LOCAL_PX * MAP_PITCH) + 1)
@@ -121,7 +137,9 @@ def _ridges(light: FloatArray) -> tuple[BoolArray, float]:
         return np.asarray(fine >= fine.max(), dtype=bool), 0.0
     numbers = np.arange(count + 1)
     mass = ndimage.sum_labels(ridge, labels, numbers)
-    kept = (mass >= _DUST_PART * mass[1:].max()) & (ndimage.maximum(ridge, labels, numbers) >= min(strong, ridge.max()))
+    kept = (mass >= _DUST_PART * mass[1:].max()) & (
+        ndimage.maximum(ridge, labels, numbers) >= min(strong, ridge.max())
+    )
     kept[0] = False
     return np.asarray(kept[labels], dtype=bool), spur_px
 
@@ -131,10 +149,18 @@ def _with_worth(graph: BranchGraph, light: FloatArray) -> BranchGraph:
     if not graph.branches:
         return graph
     soft = ndimage.gaussian_filter(np.pad(light, _MARGIN_PX), _CREST_PX)
-    crests = [ndimage.map_coordinates(soft, branch.points[:, ::-1].T / MAP_PITCH, order=1) for branch in graph.branches]
-    median = max(float(np.median(np.concatenate(crests))), np.finfo(float).tiny)  # bridges over gaps are dark
+    crests = [
+        ndimage.map_coordinates(soft, branch.points[:, ::-1].T / MAP_PITCH, order=1)
+        for branch in graph.branches
+    ]
+    median = max(
+        float(np.median(np.concatenate(crests))), np.finfo(float).tiny
+    )  # bridges over gaps are dark
     shares = [min(1.0, float(crest.mean()) / median) for crest in crests]
-    branches = [replace(branch, worth=share**2) for branch, share in zip(graph.branches, shares, strict=True)]
+    branches = [
+        replace(branch, worth=share**2)
+        for branch, share in zip(graph.branches, shares, strict=True)
+    ]
     return replace(graph, branches=tuple(branches))
 
 
@@ -148,12 +174,18 @@ def _without_stairs(points: FloatArray) -> FloatArray:
         return points
     ends = 2 * points[[0, -1]]
     pad = min(6, len(points) - 1)
-    mirrored = np.concatenate([ends[0] - points[pad:0:-1], points, ends[1] - points[-2 : -pad - 2 : -1]])
-    return np.asarray(ndimage.gaussian_filter1d(mirrored, _STAIR_PX, axis=0)[pad:-pad], dtype=np.float64)
+    mirrored = np.concatenate(
+        [ends[0] - points[pad:0:-1], points, ends[1] - points[-2 : -pad - 2 : -1]]
+    )
+    return np.asarray(
+        ndimage.gaussian_filter1d(mirrored, _STAIR_PX, axis=0)[pad:-pad], dtype=np.float64
+    )
 
 
-# of 141 traced paths beyond both 30 had the right order, of 99 others 72 (docs/decisions/tracing.md)
-_LENGTH_PER_EXTENT, _CROSSINGS = 2.5, 1
+# of 141 traced paths beyond both 30 had the right order, of 99 others 72
+# (docs/decisions/tracing.md)
+_LENGTH_PER_EXTENT = 2.5
+_CROSSINGS = 1
 _LEAST_SINE = 0.2  # between strands that cross
 _STEP_PX = 0.25
 
@@ -166,16 +198,23 @@ def is_tangled(path: Trajectory) -> bool:
 def crossings(path: Trajectory) -> int:
     """Count the self-crossings of a path, in pieces of a quarter of a pixel.
 
-    Strands that touch do not cross, nor do strands that are retraced: within about a pixel of a crossing they part by
-    a sine of 0.2 or more.
+    Strands that touch do not cross, nor do strands that are retraced: within about a pixel of a
+    crossing they part by a sine of 0.2 or more.
     """
     points = path.arc_resampled(max(2, round(path.length_px / _STEP_PX) + 1))
-    side = _cross(np.diff(points, axis=0)[:, None], points - points[:-1, None])  # of pieces, of points
+    side = _cross(
+        np.diff(points, axis=0)[:, None], points - points[:-1, None]
+    )  # of pieces, of points
     parted = side[:, :-1] * side[:, 1:] < 0
     reach = round(1 / _STEP_PX)
     pieces = np.arange(len(points) - 1)
-    ways = points[np.minimum(pieces + 1 + reach, len(points) - 1)] - points[np.maximum(pieces - reach, 0)]
-    across = np.abs(_cross(ways[:, None], ways[None])) > _LEAST_SINE * ((2 * reach + 1) * _STEP_PX) ** 2
+    ways = (
+        points[np.minimum(pieces + 1 + reach, len(points) - 1)]
+        - points[np.maximum(pieces - reach, 0)]
+    )
+    across = (
+        np.abs(_cross(ways[:, None], ways[None])) > _LEAST_SINE * ((2 * reach + 1) * _STEP_PX) ** 2
+    )
     return int(np.triu(parted & parted.T & across, 2).sum())
 
 

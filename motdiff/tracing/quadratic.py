@@ -6,22 +6,19 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import optimize
 
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX
 from motdiff.tracing.path import trace_psf_to_trajectory
 from motdiff.trajectory import Trajectory
-
-__all__ = ["QuadraticPath", "most_alike_quadratic", "nearest_quadratic", "quadratic_of_psf", "simplest_trajectory"]
-
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _HAT_VARIANCE_PX2 = 1 / 6  # of the PSF's bilinear hat, along each axis
 _BLURS_PX = (3.0, 1.2, 0.0)  # on top of the hat, coarse to fine
-_POINTS, _TRUE_POINTS = 49, 240
+_POINTS = 49
+_TRUE_POINTS = 240
 _ANGLES = 4
 _BENDS = (0.0, 0.8, -0.8)  # of the bend across the motion, over the path's extent
 _NO_BETTER = 1e-6
@@ -46,7 +43,9 @@ class QuadraticPath:
         for name in ("a", "b"):
             value = np.array(getattr(self, name), dtype=np.float64)
             if value.shape != (2,) or not np.isfinite(value).all():
-                raise ValueError(f"{name}: must be two finite numbers (x, y), got {value.tolist()}")
+                raise ValueError(
+                    f"{name}: must be two finite numbers (x, y), got {value.tolist()}"
+                )
             value.setflags(write=False)
             object.__setattr__(self, name, value)
 
@@ -63,28 +62,37 @@ class QuadraticPath:
 def nearest_quadratic(truth: Trajectory) -> QuadraticPath:
     """Quadratic path with the least mean square distance to ``truth`` at equal times; a closed form.
 
-    For coded exposure, where the timing of the motion matters. Its reverse is the nearest of the reverse.
+    For coded exposure, where the timing of the motion matters. Its reverse is the nearest of the
+    reverse.
 
     Parameters
     ----------
     truth : Trajectory
     """
     steps = np.diff(truth.t)
-    start, end = truth.t[:-1] - 0.5, truth.t[1:] - 0.5
-    a, b = np.zeros(2), np.zeros(2)
-    for share in (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3)):  # Gauss: exact for pieces times t^2
+    start = truth.t[:-1] - 0.5
+    end = truth.t[1:] - 0.5
+    a = np.zeros(2)
+    b = np.zeros(2)
+    for share in (
+        0.5 - 0.5 / np.sqrt(3),
+        0.5 + 0.5 / np.sqrt(3),
+    ):  # Gauss: exact for pieces times t^2
         tau = start + share * (end - start)
         xy = truth.xy[:-1] + share * np.diff(truth.xy, axis=0)
         a += 0.5 * (steps * tau) @ xy
         b += 0.5 * (steps * (tau**2 - 1 / 12)) @ xy
-    return QuadraticPath(12 * a, 180 * b)  # the two shapes are orthogonal, of mean square 1/12 and 1/180
+    return QuadraticPath(
+        12 * a, 180 * b
+    )  # the two shapes are orthogonal, of mean square 1/12 and 1/180
 
 
 def most_alike_quadratic(truth: Trajectory, *, size: int = PSF_PX) -> QuadraticPath:
     """Quadratic path whose PSF is most alike to that of ``truth`` (sub-pixel MNC): the oracle of the parametric class.
 
-    Climbed from 13 starts twice each, on PSFs blurred less and less: a local optimum, but at least as good as
-    :func:`nearest_quadratic`, which is a candidate. Of its two directions it has the one nearer to the truth's.
+    Climbed from 13 starts twice each, on PSFs blurred less and less: a local optimum, but at least
+    as good as :func:`nearest_quadratic`, which is a candidate. Of its two directions it has the
+    one nearer to the truth's.
 
     Parameters
     ----------
@@ -101,7 +109,8 @@ def most_alike_quadratic(truth: Trajectory, *, size: int = PSF_PX) -> QuadraticP
         drawn = path.trajectory()
         return mnc_subpixel(drawn.psf(drawn.frame_size(size)), psf)
 
-    best, score = nearest, alike(nearest)
+    best = nearest
+    score = alike(nearest)
     for start, blurs_px in itertools.product(_starts(nearest, target), (_BLURS_PX, _BLURS_PX[1:])):
         found = start
         for blur_px in blurs_px:
@@ -109,14 +118,16 @@ def most_alike_quadratic(truth: Trajectory, *, size: int = PSF_PX) -> QuadraticP
         path = QuadraticPath(found[:2], found[2:4])
         path_score = alike(path)
         if path_score > score + _NO_BETTER:
-            best, score = path, path_score
+            best = path
+            score = path_score
     return best if best.a @ nearest.a >= 0 else best.reversed()
 
 
 def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
     """Quadratic path whose PSF is most alike to ``psf``, one of the two that are each other's reverse.
 
-    Climbed from seven starts that have the PSF's second moments: straight, bent, sped up and bent back motions.
+    Climbed from seven starts that have the PSF's second moments: straight, bent, sped up and bent
+    back motions.
 
     Parameters
     ----------
@@ -129,8 +140,15 @@ def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
         If ``psf`` is no such array.
     """
     light = np.asarray(psf, dtype=np.float64)
-    if light.ndim != 2 or not np.isfinite(light).all() or light.min(initial=0) < 0 or not light.any():
-        raise ValueError(f"psf: must be a non-negative (H, W) array with some light, got shape {light.shape}")
+    if (
+        light.ndim != 2
+        or not np.isfinite(light).all()
+        or light.min(initial=0) < 0
+        or not light.any()
+    ):
+        raise ValueError(
+            f"psf: must be a non-negative (H, W) array with some light, got shape {light.shape}"
+        )
     kept = np.argsort(-light, axis=None)[: min(_MOST_POINTS, np.count_nonzero(light))]
     rows, columns = np.unravel_index(kept, light.shape)
     weight = light[rows, columns] / light[rows, columns].sum()
@@ -139,14 +157,21 @@ def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
     across, along = np.linalg.eigh((weight * target.T) @ target)[1].T  # the smaller moment first
     length, width = (np.sqrt(weight @ (target @ axis) ** 2) for axis in (along, across))
     # the two shapes' mean squares are 1/12 and 1/180
-    straight, bent, back = np.sqrt(12) * length * along, np.sqrt(180) * width * across, np.sqrt(180) * length * along
+    straight = np.sqrt(12) * length * along
+    bent = np.sqrt(180) * width * across
+    back = np.sqrt(180) * length * along
     starts = [(straight, np.zeros(2))]
     starts += [(straight, sign * bent) for sign in (1, -1)]
     starts += [(0.7 * straight, sign * 0.7 * back) for sign in (1, -1)]
     starts += [(np.sqrt(12) * width * across, sign * back) for sign in (1, -1)]
     coarse = max(1.0, 0.15 * float(length))
     found = [
-        _climbed(np.concatenate([a, b, [0, 0]]), target, weight, variance_px2=_HAT_VARIANCE_PX2 + coarse**2)
+        _climbed(
+            np.concatenate([a, b, [0, 0]]),
+            target,
+            weight,
+            variance_px2=_HAT_VARIANCE_PX2 + coarse**2,
+        )
         for a, b in starts
     ]
     finest = [
@@ -160,7 +185,10 @@ def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
 def _points(coefficients: FloatArray, t: FloatArray) -> FloatArray:
     """Points (N, 2), px, of the path with coefficients (4,), ``a`` before ``b``, at times t (N,)."""
     tau = t - 0.5
-    return np.asarray(np.outer(tau, coefficients[:2]) + np.outer(tau**2 - 1 / 12, coefficients[2:4]), dtype=np.float64)
+    return np.asarray(
+        np.outer(tau, coefficients[:2]) + np.outer(tau**2 - 1 / 12, coefficients[2:4]),
+        dtype=np.float64,
+    )
 
 
 def _starts(nearest: QuadraticPath, target: FloatArray) -> list[FloatArray]:
@@ -170,7 +198,9 @@ def _starts(nearest: QuadraticPath, target: FloatArray) -> list[FloatArray]:
     for angle_rad in np.pi * np.arange(_ANGLES) / _ANGLES:
         along = np.array([np.cos(angle_rad), np.sin(angle_rad)])
         across = np.array([-along[1], along[0]])
-        starts += [extent_px * np.concatenate([along, 4 * bend * across, [0, 0]]) for bend in _BENDS]
+        starts += [
+            extent_px * np.concatenate([along, 4 * bend * across, [0, 0]]) for bend in _BENDS
+        ]
     return starts
 
 
@@ -182,8 +212,11 @@ def _climbed(
     The points' weights (M,) sum to 1.
     """
     t = (np.arange(_POINTS) + 0.5) / _POINTS
-    shapes = np.stack([t - 0.5, (t - 0.5) ** 2 - 1 / 12, np.ones(_POINTS)])  # of a, b and the shift
-    width, even = 4 * variance_px2, np.full(_POINTS, 1 / _POINTS)
+    shapes = np.stack(
+        [t - 0.5, (t - 0.5) ** 2 - 1 / 12, np.ones(_POINTS)]
+    )  # of a, b and the shift
+    width = 4 * variance_px2
+    even = np.full(_POINTS, 1 / _POINTS)
 
     def loss(values: FloatArray) -> tuple[float, FloatArray]:
         points = shapes.T @ values.reshape(3, 2)
@@ -196,9 +229,15 @@ def _climbed(
     return np.asarray(found.x, dtype=np.float64), float(found.fun)
 
 
-def _overlap(points: FloatArray, others: FloatArray, weight: FloatArray, width: float) -> tuple[float, FloatArray]:
+def _overlap(
+    points: FloatArray, others: FloatArray, weight: FloatArray, width: float
+) -> tuple[float, FloatArray]:
     """Weighted mean over pairs of exp(-distance^2 / width), with its gradient (N, 2) in the first points."""
-    distance2 = np.square(points).sum(axis=1)[:, None] + np.square(others).sum(axis=1) - 2 * points @ others.T
+    distance2 = (
+        np.square(points).sum(axis=1)[:, None]
+        + np.square(others).sum(axis=1)
+        - 2 * points @ others.T
+    )
     near = np.exp(distance2 / -width) * (weight / len(points))
     pulled = near.sum(axis=1, keepdims=True) * points - near @ others
     return float(near.sum()) + 1e-300, -2 / width * pulled
@@ -210,8 +249,9 @@ _EXPLAINED_MNC = 0.86  # docs/decisions/tracing.md
 def simplest_trajectory(psf: ArrayLike) -> Trajectory:
     """Turn an estimated PSF into a trajectory: a quadratic path where that explains the PSF, else a walk.
 
-    A walk covers all that is drawn, so the blotches of a blind kernel make it several times too long and lose its order
-    in time, which a shutter code depends on. A straight or evenly bent path cannot follow them.
+    A walk covers all that is drawn, so the blotches of a blind kernel make it several times too
+    long and lose its order in time, which a shutter code depends on. A straight or evenly bent
+    path cannot follow them.
 
     Parameters
     ----------
@@ -221,4 +261,6 @@ def simplest_trajectory(psf: ArrayLike) -> Trajectory:
     light = np.asarray(psf, dtype=np.float64)
     plain = quadratic_of_psf(light).trajectory()
     drawn = plain.psf(plain.frame_size(PSF_PX))
-    return plain if mnc_subpixel(drawn, light) >= _EXPLAINED_MNC else trace_psf_to_trajectory(light)
+    return (
+        plain if mnc_subpixel(drawn, light) >= _EXPLAINED_MNC else trace_psf_to_trajectory(light)
+    )

@@ -6,22 +6,21 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from motdiff.tracing.graph import BranchGraph
+from motdiff.types import FloatArray
 
-__all__ = ["smoothest_trail"]
-
-FloatArray = NDArray[np.float64]
-
-_SMOOTHING_PX = 2.0  # bends are felt through a Gaussian this wide: pixel stairs vanish, crossings stay straight
+# bends are felt through a Gaussian this wide: pixel stairs vanish, crossings stay straight
+_SMOOTHING_PX = 2.0
 _MEMORY_PX = 5 * _SMOOTHING_PX
 _UNCOVERED_COST = 0.8  # per pixel of line left out
 _REPEAT_COST = 0.03  # per pixel drawn again
 _GAP_COST = 0.6  # per pixel of a gap jumped
 _EXTRA_WEIGHT = 1.0
 _BURIED_END_COST = 1.0  # for an end of the path that no loose end of the drawing shows
-_REVERSAL_RELIEF = 2.0  # a hand that stops and turns back is likelier than its bend of 180 degrees looks
+_REVERSAL_RELIEF = (
+    2.0  # a hand that stops and turns back is likelier than its bend of 180 degrees looks
+)
 _PROMISE = 0.03  # per pixel still to cover, when partial walks are compared
 _MOST_PASSES = 3
 
@@ -52,10 +51,10 @@ class _Walk(NamedTuple):  # made by the ten thousand
 def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
     """Find the walk over all branches with the least bending, and return it as one polyline.
 
-    A walk pays for the bending energy of its Gaussian-smoothed curve, ``integral |G * p''|^2 ds`` (a reversal costs 4,
-    a right angle 2, going straight through a crossing nothing), for lines it runs along again, and for
-    lines it leaves out. Since the energy is felt over several pixels, it decides at shallow crossings, where two
-    strands share pixels, as well as at clean ones.
+    A walk pays for the bending energy of its Gaussian-smoothed curve, ``integral |G * p''|^2 ds``
+    (a reversal costs 4, a right angle 2, going straight through a crossing nothing), for lines it
+    runs along again, and for lines it leaves out. Since the energy is felt over several pixels, it
+    decides at shallow crossings, where two strands share pixels, as well as at clean ones.
 
     Parameters
     ----------
@@ -70,18 +69,27 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
     """
     if not graph.branches:
         return graph.nodes[:1]
-    lines = [_line(branch.points[::way], branch.ends[::way]) for branch in graph.branches for way in (1, -1)]
+    lines = [
+        _line(branch.points[::way], branch.ends[::way])
+        for branch in graph.branches
+        for way in (1, -1)
+    ]
     leaving: dict[int, list[int]] = {}
     for i, line in enumerate(lines):
         leaving.setdefault(line.start, []).append(i)
     optional = [branch.optional for branch in graph.branches]
     worth = [branch.worth for branch in graph.branches]
     extra = [_EXTRA_WEIGHT * branch.extra_px for branch in graph.branches]
-    total = sum(worth[i] * (line.length + extra[i]) for i, line in enumerate(lines[::2]) if not optional[i])
-    turns: dict[tuple[tuple[int, ...], int], tuple[float, tuple[int, ...]]] = {}  # cost, and what is recent after it
+    total = sum(
+        worth[i] * (line.length + extra[i]) for i, line in enumerate(lines[::2]) if not optional[i]
+    )
+    turns: dict[
+        tuple[tuple[int, ...], int], tuple[float, tuple[int, ...]]
+    ] = {}  # cost, and what is recent after it
 
     def extend(walk: _Walk, i: int) -> _Walk | None:
-        branch, line = i // 2, lines[i]
+        branch = i // 2
+        line = lines[i]
         relief = _REVERSAL_RELIEF if walk.step == i ^ 1 else 0.0
         passes = (walk.passes >> 2 * branch) & 3
         if passes >= _MOST_PASSES or (optional[branch] and passes):
@@ -89,7 +97,8 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
         turn = turns.get((walk.recent, i))
         if turn is None:
             turn = turns[walk.recent, i] = _turn(lines, walk.recent, i)
-        cost, left = walk.cost + turn[0] - relief, walk.left_px
+        cost = walk.cost + turn[0] - relief
+        left = walk.left_px
         if optional[branch]:
             cost += _GAP_COST * line.length
         elif passes:
@@ -105,14 +114,16 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
         walk = extend(_Walk(buried[line.start], total, 0, (), None, -2), i)
         if walk is not None:
             fresh.append(walk)
-    best, best_cost = fresh[0], np.inf
+    best = fresh[0]
+    best_cost = np.inf
     for _ in range(_MOST_PASSES * len(lines)):
         if not fresh:
             break
         for walk in fresh:
             final = walk.cost + buried[lines[walk.step].stop] + _UNCOVERED_COST * walk.left_px
             if final < best_cost - 1e-9:
-                best, best_cost = walk, final
+                best = walk
+                best_cost = final
         unique: dict[tuple[tuple[int, ...], int], _Walk] = {}
         for walk in fresh:
             key = (walk.recent, walk.passes)
@@ -145,11 +156,14 @@ def _line(points: FloatArray, ends: tuple[int, ...]) -> _Line:
         smooth[1:-1] = 0.25 * points[:-2] + 0.5 * points[1:-1] + 0.25 * points[2:]
     steps = np.diff(smooth, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
-    steps, lengths = steps[lengths > 1e-9], lengths[lengths > 1e-9]
+    steps = steps[lengths > 1e-9]
+    lengths = lengths[lengths > 1e-9]
     if not len(steps):
-        steps, lengths = np.array([[1.0, 0.0]]), np.array([1e-9])
+        steps = np.array([[1.0, 0.0]])
+        lengths = np.array([1e-9])
     tangents = steps / lengths[:, None]
-    at, bends = np.cumsum(lengths)[:-1], np.diff(tangents, axis=0)
+    at = np.cumsum(lengths)[:-1]
+    bends = np.diff(tangents, axis=0)
     own = float(np.sum(_felt(at[:, None] - at[None, :]) * (bends @ bends.T)))
     return _Line(ends[0], ends[1], float(lengths.sum()), tangents[0], tangents[-1], at, bends, own)
 
@@ -158,7 +172,9 @@ def _felt(distance_px: FloatArray) -> FloatArray:
     return np.asarray(np.exp(-((distance_px / (2 * _SMOOTHING_PX)) ** 2)), dtype=np.float64)
 
 
-def _turn(lines: list[_Line], recent: tuple[int, ...], following: int) -> tuple[float, tuple[int, ...]]:
+def _turn(
+    lines: list[_Line], recent: tuple[int, ...], following: int
+) -> tuple[float, tuple[int, ...]]:
     """Cost of going on along ``following``, and the directed branches that still influence the turn after it."""
     cost = _turn_cost([lines[j] for j in recent], lines[following])
     recent = (*recent, following)
@@ -172,9 +188,12 @@ def _turn_cost(recent: list[_Line], following: _Line) -> float:
     if not recent:
         return 0.0
     corner = following.first - recent[-1].last
-    at, bends = [np.zeros(1), following.at], [corner[None], following.bends]
-    new_at, new_bends = np.concatenate(at), np.concatenate(bends)
-    old_at, old_bends = [], []
+    at = [np.zeros(1), following.at]
+    bends = [corner[None], following.bends]
+    new_at = np.concatenate(at)
+    new_bends = np.concatenate(bends)
+    old_at = []
+    old_bends = []
     end = 0.0
     for k in range(len(recent) - 1, -1, -1):
         line = recent[k]
@@ -184,7 +203,8 @@ def _turn_cost(recent: list[_Line], following: _Line) -> float:
         if k:
             old_at.append(np.array([end]))
             old_bends.append((line.first - recent[k - 1].last)[None])
-    past_at, past_bends = np.concatenate(old_at), np.concatenate(old_bends)
+    past_at = np.concatenate(old_at)
+    past_bends = np.concatenate(old_bends)
     across = 2 * np.sum(_felt(new_at[:, None] - past_at[None, :]) * (new_bends @ past_bends.T))
     ahead = 2 * np.sum(_felt(following.at) * (following.bends @ corner))
     return float(across + ahead + corner @ corner)

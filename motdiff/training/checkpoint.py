@@ -16,8 +16,6 @@ from torch import Tensor
 
 from motdiff.files.inputs import read_json
 
-__all__ = ["PART_BYTES", "Checkpoint", "read_checkpoint", "write_checkpoint"]
-
 PART_BYTES = 15 * 2**20
 _INDEX = "index.json"
 _SCHEMA = "motdiff.checkpoint/1"
@@ -33,7 +31,8 @@ class Checkpoint:
     step : int
         Updates done.
     tensors : mapping from name to Tensor
-        Weights (``model.``), their average (``ema.``), Adam's moments (``adam.``) and the smoothed ``loss``.
+        Weights (``model.``), their average (``ema.``), Adam's moments (``adam.``) and the smoothed
+        ``loss``.
     config : mapping
         The run's configuration as plain values.
     seconds : float
@@ -47,7 +46,11 @@ class Checkpoint:
 
     def part(self, prefix: str) -> dict[str, Tensor]:
         """Tensors whose names begin with ``prefix``, by the rest of their names."""
-        return {name.removeprefix(prefix): t for name, t in self.tensors.items() if name.startswith(prefix)}
+        return {
+            name.removeprefix(prefix): t
+            for name, t in self.tensors.items()
+            if name.startswith(prefix)
+        }
 
 
 def write_checkpoint(folder: Path | str, checkpoint: Checkpoint) -> None:
@@ -56,8 +59,11 @@ def write_checkpoint(folder: Path | str, checkpoint: Checkpoint) -> None:
     The old one stays whole until the new one is complete.
     """
     target = Path(folder)
-    new, old = target.with_name(target.name + ".new"), target.with_name(target.name + ".old")
-    if not target.exists() and (old / _INDEX).exists():  # a kill came between the two renames: it is the only one
+    new = target.with_name(target.name + ".new")
+    old = target.with_name(target.name + ".old")
+    if (
+        not target.exists() and (old / _INDEX).exists()
+    ):  # a kill came between the two renames: it is the only one
         os.rename(old, target)
     for leftover in (new, old):
         shutil.rmtree(leftover, ignore_errors=True)
@@ -89,7 +95,9 @@ def write_checkpoint(folder: Path | str, checkpoint: Checkpoint) -> None:
     shutil.rmtree(old, ignore_errors=True)
 
 
-def read_checkpoint(folder: Path | str, *, device: str | torch.device = "cpu") -> Checkpoint | None:
+def read_checkpoint(
+    folder: Path | str, *, device: str | torch.device = "cpu"
+) -> Checkpoint | None:
     """Read a checkpoint, or the one before where a kill came between the two renames; None where there is none.
 
     Raises
@@ -111,5 +119,12 @@ def read_checkpoint(folder: Path | str, *, device: str | torch.device = "cpu") -
         for file in index["files"]:
             tensors.update(load_file(target / file, device=str(device)))
         return Checkpoint(index["step"], tensors, index["config"], index["seconds"])
-    except (ValueError, KeyError, TypeError, FileNotFoundError, NotADirectoryError, SafetensorError) as error:
+    except (
+        ValueError,
+        KeyError,
+        TypeError,
+        FileNotFoundError,
+        NotADirectoryError,
+        SafetensorError,
+    ) as error:
         raise ValueError(f"{target}: is no whole {_SCHEMA} checkpoint: {error}") from error

@@ -13,8 +13,6 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.training.motion_bank import MotionMix
 from motdiff.training.simulation import Photography
 
-__all__ = ["DataConfig", "LossConfig", "OptimiserConfig", "TrainingConfig", "read_config"]
-
 
 @dataclass(frozen=True)
 class DataConfig:
@@ -23,12 +21,14 @@ class DataConfig:
     Attributes
     ----------
     photos : str
-        Sharp photos: a folder, or a pack from ``python -m motdiff pack``. Every ``held_out``-th is for validation.
+        Sharp photos: a folder, or a pack from ``python -m motdiff pack``. Every ``held_out``-th is
+        for validation.
     held_out : int
     motions : int
         Size of the bank of motions; 0 draws new ones for every shard (prepared samples only).
     prepared : str
-        Folder of prepared samples (``python -m motdiff prepare``) instead of simulation on the fly; "" for none.
+        Folder of prepared samples (``python -m motdiff prepare``) instead of simulation on the
+        fly; "" for none.
     prepared_validation : str
     validation : int
         Number of validation samples.
@@ -48,15 +48,21 @@ class DataConfig:
         if not self.photos and not self.prepared:
             raise ValueError("data: needs photos, or prepared samples")
         if bool(self.prepared) != bool(self.prepared_validation):
-            raise ValueError("data.prepared_validation: prepared samples need both folders, or neither")
+            raise ValueError(
+                "data.prepared_validation: prepared samples need both folders, or neither"
+            )
         if self.held_out < 2:
             raise ValueError(f"data.held_out: must be at least 2, got {self.held_out}")
         if self.validation < 1:
             raise ValueError(f"data.validation: must be at least 1, got {self.validation}")
         if self.motions < 1 and not self.prepared:
-            raise ValueError(f"data.motions: must be at least 1 without prepared samples, got {self.motions}")
+            raise ValueError(
+                f"data.motions: must be at least 1 without prepared samples, got {self.motions}"
+            )
         if not 0 <= self.physics_dropout < 1:
-            raise ValueError(f"data.physics_dropout: must be at least 0 and below 1, got {self.physics_dropout}")
+            raise ValueError(
+                f"data.physics_dropout: must be at least 0 and below 1, got {self.physics_dropout}"
+            )
 
 
 @dataclass(frozen=True)
@@ -102,7 +108,8 @@ class OptimiserConfig:
     steps, batch : int
         Number of updates; samples of each, over all processes together.
     rate, last_rate : float
-        Adam's rate, from the first to the last along a cosine, after ``warm_up`` steps of linear rise.
+        Adam's rate, from the first to the last along a cosine, after ``warm_up`` steps of linear
+        rise.
     warm_up : int
     ema : float
         Decay of the averaged weights, which are the ones used.
@@ -111,16 +118,17 @@ class OptimiserConfig:
     precision : {"fp32", "bf16"}
         bf16 runs the forward pass under autocast.
     window : int
-        Side of the part of the 64-px field that the denoiser sees in each step, drawn at random; 64 is all. Smaller
-        ones are cheaper: the denoiser is local, the condition always sees everything.
+        Side of the part of the 64-px field that the denoiser sees in each step, drawn at random;
+        64 is all. Smaller ones are cheaper: the denoiser is local, the condition always sees
+        everything.
     compile : bool
         Whether torch.compile is used.
     start : str
-        Weights file that the run starts from: all of it where it holds the same network, else its condition network;
-        "" for random weights.
+        Weights file that the run starts from: all of it where it holds the same network, else its
+        condition network; "" for random weights.
     only : {"", "photo"}
-        "photo" trains the photo encoder and the layer that adds its features, and leaves the rest as it starts: what
-        the weights then gain is the encoder's. "" trains all.
+        "photo" trains the photo encoder and the layer that adds its features, and leaves the rest
+        as it starts: what the weights then gain is the encoder's. "" trains all.
     seed : int
     """
 
@@ -141,17 +149,23 @@ class OptimiserConfig:
     def __post_init__(self) -> None:
         for name in ("steps", "batch"):
             if getattr(self, name) < 1:
-                raise ValueError(f"optimiser.{name}: must be at least 1, got {getattr(self, name)}")
+                raise ValueError(
+                    f"optimiser.{name}: must be at least 1, got {getattr(self, name)}"
+                )
         for name in ("rate", "clip"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"optimiser.{name}: must be above 0, got {getattr(self, name)}")
         for name in ("last_rate", "warm_up"):
             if not getattr(self, name) >= 0:
-                raise ValueError(f"optimiser.{name}: must be at least 0, got {getattr(self, name)}")
+                raise ValueError(
+                    f"optimiser.{name}: must be at least 0, got {getattr(self, name)}"
+                )
         if not 0 <= self.seed < 2**32:
             raise ValueError(f"optimiser.seed: must lie within 0..2^32 - 1, got {self.seed}")
         if self.precision not in ("fp32", "bf16"):
-            raise ValueError(f'optimiser.precision: must be "fp32" or "bf16", got {self.precision!r}')
+            raise ValueError(
+                f'optimiser.precision: must be "fp32" or "bf16", got {self.precision!r}'
+            )
         if self.only not in ("", "photo"):
             raise ValueError(f'optimiser.only: must be "photo", or "" for all, got {self.only!r}')
         if self.only and not self.start:
@@ -182,9 +196,13 @@ class TrainingConfig:
     def __post_init__(self) -> None:
         if self.network.denoiser_view and self.optimiser.window != PSF_PX:
             given = self.optimiser.window
-            raise ValueError(f"optimiser.window: must be {PSF_PX} for a denoiser that sees the whole map, got {given}")
+            raise ValueError(
+                f"optimiser.window: must be {PSF_PX} for a denoiser that sees the whole map, got {given}"
+            )
         if self.optimiser.only == "photo" and self.network.backbone == "none":
-            raise ValueError('optimiser.only: must be "" for a network without a photo encoder, got "photo"')
+            raise ValueError(
+                'optimiser.only: must be "" for a network without a photo encoder, got "photo"'
+            )
 
     def as_dict(self) -> dict[str, Any]:
         """Fields as plain values, ready for JSON."""
@@ -207,12 +225,15 @@ def read_config(path: Path | str) -> TrainingConfig:
     Raises
     ------
     ValueError
-        If the file is not TOML, or a section, an entry, a type or a value is not known or wrong; the message names it.
+        If the file is not TOML, or a section, an entry, a type or a value is not known or wrong;
+        the message names it.
     """
     content = read_toml(path)
     unknown = set(content) - set(_SECTIONS)
     if unknown:
-        raise ValueError(f"{path}: unknown section [{min(unknown)}]; known are {', '.join(_SECTIONS)}")
+        raise ValueError(
+            f"{path}: unknown section [{min(unknown)}]; known are {', '.join(_SECTIONS)}"
+        )
     if "data" not in content:
         raise ValueError(f"{path}: needs a section [data] with photos or prepared samples")
     try:

@@ -1,6 +1,7 @@
 """Batches for training: simulated on the fly on the training device, or from prepared samples.
 
-A batch depends on the seed, the step and the process's rank alone, so that a run goes on exactly where it stopped.
+A batch depends on the seed, the step and the process's rank alone, so that a run goes on exactly
+where it stopped.
 """
 
 from __future__ import annotations
@@ -19,10 +20,9 @@ from motdiff.training.motion_bank import MotionBank
 from motdiff.training.samples import Samples, simulate
 from motdiff.training.simulation import Photography
 
-__all__ = ["Batch", "BatchSource", "LiveSource", "PreparedSource", "seed_of"]
-
 _PREPARING = 64
-_MOTIONS, _PHOTOS = 1, 2  # one seed for both would give each motion the same scene every time
+_MOTIONS = 1  # one seed for both would give each motion the same scene every time
+_PHOTOS = 2
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,9 @@ class Batch:
 
     def to(self, device: str | torch.device) -> Batch:
         """Copy to a device; what is there already stays."""
-        photo, physics = (None if maps is None else maps.to(device) for maps in (self.photo, self.physics))
+        photo, physics = (
+            None if maps is None else maps.to(device) for maps in (self.photo, self.physics)
+        )
         return Batch(photo, physics, self.x0.to(device), self.dwell.to(device))
 
     def split(self, size: int) -> list[Batch]:
@@ -57,7 +59,9 @@ class Batch:
         return [self._part(slice(first, first + size)) for first in range(0, len(self), size)]
 
     def _part(self, part: slice) -> Batch:
-        photo, physics = (None if maps is None else maps[part] for maps in (self.photo, self.physics))
+        photo, physics = (
+            None if maps is None else maps[part] for maps in (self.photo, self.physics)
+        )
         return Batch(photo, physics, self.x0[part], self.dwell[part])
 
 
@@ -93,8 +97,12 @@ class LiveSource:
         physics: bool,
         seed: int,
     ) -> None:
-        self._bank, self._scenes, self._photography = bank, scenes, photography
-        self._photo, self._physics, self._seed = photo, physics, seed
+        self._bank = bank
+        self._scenes = scenes
+        self._photography = photography
+        self._photo = photo
+        self._physics = physics
+        self._seed = seed
 
     def batch(self, step: int, size: int, *, rank: int = 0) -> Batch:
         """Simulate the batch of a step."""
@@ -103,7 +111,12 @@ class LiveSource:
         draw = torch.Generator().manual_seed(seed_of(self._seed, step, rank, _MOTIONS))
         index = torch.randint(len(self._bank), (size,), generator=draw).to(device)
         samples = simulate(
-            self._bank, self._scenes, index, photography=self._photography, physics=self._physics, seed=seed
+            self._bank,
+            self._scenes,
+            index,
+            photography=self._photography,
+            physics=self._physics,
+            seed=seed,
         )
         grey = samples.photos.mean(dim=1, keepdim=True)
         physics = physics_maps(grey, samples.kernels) if self._physics else None
@@ -125,14 +138,21 @@ class PreparedSource:
         Whether to turn and mirror.
     """
 
-    def __init__(self, samples: Samples, *, photo: bool, physics: bool, seed: int, symmetries: bool = True) -> None:
-        self._seed, self._symmetries = seed, symmetries
+    def __init__(
+        self, samples: Samples, *, photo: bool, physics: bool, seed: int, symmetries: bool = True
+    ) -> None:
+        self._seed = seed
+        self._symmetries = symmetries
         self._photos = samples.photos if photo else None
         self._maps: tuple[Tensor, Tensor] | None = None
         if physics:
             parts = torch.split(samples.photos, _PREPARING)
-            self._maps = torch.cat([spectral_maps(_light(part)).half() for part in parts]), samples.kernels
-        self._x0, self._dwell = samples.x0, samples.dwell
+            self._maps = (
+                torch.cat([spectral_maps(_light(part)).half() for part in parts]),
+                samples.kernels,
+            )
+        self._x0 = samples.x0
+        self._dwell = samples.dwell
 
     def __len__(self) -> int:
         return len(self._x0)
@@ -147,7 +167,11 @@ class PreparedSource:
         if self._symmetries:
             draw = torch.Generator().manual_seed(seed_of(self._seed, step, rank))
             groups = torch.randint(SYMMETRIES, (size,), generator=draw)
-        parts = [self._turned(index[groups == s], s) for s in range(SYMMETRIES) if bool((groups == s).any())]
+        parts = [
+            self._turned(index[groups == s], s)
+            for s in range(SYMMETRIES)
+            if bool((groups == s).any())
+        ]
         return _joined(parts)
 
     def _order(self, epoch: int, rank: int) -> Tensor:
@@ -159,9 +183,14 @@ class PreparedSource:
         if self._photos is not None:
             photo = display_photo(mirrored(_light(self._photos[index]), symmetry, pitch=0))
         if self._maps is not None:
-            spectral, kernels = (mirrored(maps[index].float(), symmetry, pitch=1) for maps in self._maps)
+            spectral, kernels = (
+                mirrored(maps[index].float(), symmetry, pitch=1) for maps in self._maps
+            )
             physics = stacked_maps(spectral, kernels)
-        x0, dwell = (mirrored(maps[index].float(), symmetry, pitch=MAP_PITCH) for maps in (self._x0, self._dwell))
+        x0, dwell = (
+            mirrored(maps[index].float(), symmetry, pitch=MAP_PITCH)
+            for maps in (self._x0, self._dwell)
+        )
         return Batch(photo, physics, x0, dwell)
 
 
@@ -175,8 +204,11 @@ def _joined(parts: Sequence[Batch]) -> Batch:
         there = [one for one in maps if one is not None]
         return torch.cat(there) if there else None
 
-    photo, physics = whole([part.photo for part in parts]), whole([part.physics for part in parts])
-    return Batch(photo, physics, torch.cat([p.x0 for p in parts]), torch.cat([p.dwell for p in parts]))
+    photo = whole([part.photo for part in parts])
+    physics = whole([part.physics for part in parts])
+    return Batch(
+        photo, physics, torch.cat([p.x0 for p in parts]), torch.cat([p.dwell for p in parts])
+    )
 
 
 def seed_of(*numbers: int) -> int:

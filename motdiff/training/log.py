@@ -11,9 +11,16 @@ from pathlib import Path
 from motdiff.files.outputs import write_bytes, write_text
 from motdiff.training.loop import Losses
 
-__all__ = ["RunLog", "last_validation", "read_log"]
-
-_FIELDS = ("step", "samples", "loss", "path", "dwell", "gradient", "samples_per_s", "validation_mnc")
+_FIELDS = (
+    "step",
+    "samples",
+    "loss",
+    "path",
+    "dwell",
+    "gradient",
+    "samples_per_s",
+    "validation_mnc",
+)
 _EVERY_STEPS = 50
 
 
@@ -31,7 +38,9 @@ class RunLog:
     """
 
     def __init__(self, folder: Path, *, steps: int, enabled: bool = True) -> None:
-        self._folder, self._steps, self._enabled = folder, steps, enabled
+        self._folder = folder
+        self._steps = steps
+        self._enabled = enabled
         self._began: tuple[int, float] | None = None
         self._last_mnc = math.nan
         self._live = sys.stderr.isatty()
@@ -60,13 +69,30 @@ class RunLog:
             self._began = (step, seconds)
         if step % _EVERY_STEPS:
             return
-        steps, spent = step - self._began[0], seconds - self._began[1]
+        steps = step - self._began[0]
+        spent = seconds - self._began[1]
         rate = steps * batch / spent if spent > 0 else math.nan
-        self._row([step, step * batch, losses.smoothed, losses.path, losses.dwell, losses.gradient, rate, math.nan])
+        self._row(
+            [
+                step,
+                step * batch,
+                losses.smoothed,
+                losses.path,
+                losses.dwell,
+                losses.gradient,
+                rate,
+                math.nan,
+            ]
+        )
         left_min = (self._steps - step) * batch / rate / 60
         text = f"step {step}/{self._steps}  loss {losses.smoothed:.4f}  MNC {self._last_mnc:.3f}  {rate:.1f} samples/s"
         text += f"  {seconds / 60:.0f} min done, {left_min:.0f} left"
-        print(f"{_cleared(self._live)}{text}", end="" if self._live else "\n", file=sys.stderr, flush=True)  # noqa: T201
+        print(
+            f"{_cleared(self._live)}{text}",
+            end="" if self._live else "\n",
+            file=sys.stderr,
+            flush=True,
+        )  # noqa: T201
 
     def resume(self, step: int, *, between: bool) -> bool:
         """Leave out the rows of steps that are to be done again; returns whether there is a validation of ``step``.
@@ -76,17 +102,21 @@ class RunLog:
         step : int
             Updates done.
         between : bool
-            Whether a validation of this step was made only because a piece ended there: it is left out as well.
+            Whether a validation of this step was made only because a piece ended there: it is left
+            out as well.
         """
         path = self._folder / "log.csv"
         if not path.exists():
             return False
         with path.open(newline="", encoding="utf-8") as file:
             lines = file.readlines()
-        kept, validated = lines[:1], False
+        kept = lines[:1]
+        validated = False
         for line in lines[1:]:
             values = next(csv.reader([line]), [])
-            if len(values) < len(_FIELDS) or int(values[0]) > step:  # cut short by a kill, or after the checkpoint
+            if (
+                len(values) < len(_FIELDS) or int(values[0]) > step
+            ):  # cut short by a kill, or after the checkpoint
                 continue
             last = int(values[0]) == step and values[-1] != ""
             if not (last and between):
@@ -127,7 +157,9 @@ class RunLog:
             writer = csv.writer(file)
             if new:
                 writer.writerow(_FIELDS)
-            writer.writerow([v if isinstance(v, int) else "" if math.isnan(v) else f"{v:.6g}" for v in values])
+            writer.writerow(
+                [v if isinstance(v, int) else "" if math.isnan(v) else f"{v:.6g}" for v in values]
+            )
 
     def _plot(self) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -150,7 +182,10 @@ class RunLog:
 def read_log(path: Path | str) -> list[dict[str, float]]:
     """Rows of a ``log.csv``; missing values are NaN."""
     with Path(path).open(newline="", encoding="utf-8") as file:
-        return [{name: float(row[name]) if row[name] else math.nan for name in _FIELDS} for row in csv.DictReader(file)]
+        return [
+            {name: float(row[name]) if row[name] else math.nan for name in _FIELDS}
+            for row in csv.DictReader(file)
+        ]
 
 
 def last_validation(path: Path | str) -> float | None:

@@ -29,11 +29,11 @@ from motdiff.training.data import Batch, BatchSource, seed_of
 from motdiff.training.targets import path_loss, psf_batch
 from motdiff.weights import PHOTO_PARTS, load_start
 
-__all__ = ["Losses", "Trainer", "learning_rate", "loss_of"]
-
 _BETAS = (0.9, 0.999)
 _SMOOTH = 0.95
-_NOISE, _DROPOUT = 3, 4  # seeds of their own, and not the batch's: else a motion would meet the same noise every time
+# seeds of their own, and not the batch's: else a motion would meet the same noise every time
+_NOISE = 3
+_DROPOUT = 4
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,8 @@ class Losses:
     gradient : float
         Norm of the gradient before clipping.
     smoothed : float
-        Running mean of the loss over the steps of the whole run so far, mostly over the last twenty.
+        Running mean of the loss over the steps of the whole run so far, mostly over the last
+        twenty.
     """
 
     total: float
@@ -82,14 +83,17 @@ class Trainer:
     """
 
     def __init__(self, config: TrainingConfig, *, device: str | torch.device = "cpu") -> None:
-        self.config, self.device = config, torch.device(device)
+        self.config = config
+        self.device = torch.device(device)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.optimiser.seed)
             self.network = build_network(config.network)
             self.average = build_network(config.network)
         if config.optimiser.start:
             load_start(self.network, config.optimiser.start)
-        kept = [part for name, part in self.network.named_children() if f"{name}." not in PHOTO_PARTS]
+        kept = [
+            part for name, part in self.network.named_children() if f"{name}." not in PHOTO_PARTS
+        ]
         self._kept = kept if config.optimiser.only == "photo" else []
         for part in self._kept:
             part.requires_grad_(False)
@@ -98,14 +102,21 @@ class Trainer:
             mine.to(self.device)
             mine.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average.eval().requires_grad_(False)
-        self.step, self.seconds, self.loss = 0, 0.0, math.nan
+        self.step = 0
+        self.seconds = 0.0
+        self.loss = math.nan
         self.schedule = cosine_schedule()
-        self._adam = torch.optim.Adam(self.network.parameters(), lr=config.optimiser.rate, betas=_BETAS)
-        self._rank, self._world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+        self._adam = torch.optim.Adam(
+            self.network.parameters(), lr=config.optimiser.rate, betas=_BETAS
+        )
+        self._rank = int(os.environ.get("RANK", "0"))
+        self._world = int(os.environ.get("WORLD_SIZE", "1"))
         model: nn.Module = self.network
         if self._world > 1:
             model = nn.parallel.DistributedDataParallel(model)
-        self._model: Callable[..., Tensor] = torch.compile(model) if config.optimiser.compile else model
+        self._model: Callable[..., Tensor] = (
+            torch.compile(model) if config.optimiser.compile else model
+        )
 
     @property
     def leads(self) -> bool:
@@ -115,11 +126,14 @@ class Trainer:
     def update(self, source: BatchSource) -> Losses:
         """Do one step.
 
-        Everything random in it follows from the seed, the step and the rank, so nothing of it needs to be stored.
+        Everything random in it follows from the seed, the step and the rank, so nothing of it
+        needs to be stored.
         """
         began = time.monotonic()
         optimiser = self.config.optimiser
-        batch = source.batch(self.step, max(1, optimiser.batch // self._world), rank=self._rank).to(self.device)
+        batch = source.batch(
+            self.step, max(1, optimiser.batch // self._world), rank=self._rank
+        ).to(self.device)
         for group in self._adam.param_groups:
             group["lr"] = learning_rate(self.step, optimiser)
         self.network.train()
@@ -141,10 +155,14 @@ class Trainer:
         self.step += 1
         loss = float(total.detach())
         if not math.isfinite(loss):
-            raise FloatingPointError(f"the loss became {loss} at step {self.step}; lower optimiser.rate")
+            raise FloatingPointError(
+                f"the loss became {loss} at step {self.step}; lower optimiser.rate"
+            )
         self.loss = loss if math.isnan(self.loss) else _SMOOTH * self.loss + (1 - _SMOOTH) * loss
         self.seconds += time.monotonic() - began
-        return Losses(loss, float(path.detach()), float(dwell.detach()), float(gradient), self.loss)
+        return Losses(
+            loss, float(path.detach()), float(dwell.detach()), float(gradient), self.loss
+        )
 
     def save(self, folder: Path | str) -> None:
         """Write the exact state (from the leading process only)."""
@@ -154,9 +172,15 @@ class Trainer:
         tensors |= {f"ema.{name}": tensor for name, tensor in self.average.state_dict().items()}
         for name, parameter in self.network.named_parameters():
             state = self._adam.state.get(parameter, {})
-            tensors |= {f"adam.{key}.{name}": state[key] for key in ("exp_avg", "exp_avg_sq") if key in state}
+            tensors |= {
+                f"adam.{key}.{name}": state[key]
+                for key in ("exp_avg", "exp_avg_sq")
+                if key in state
+            }
         tensors["loss"] = torch.tensor(self.loss, dtype=torch.float64)
-        write_checkpoint(folder, Checkpoint(self.step, tensors, self.config.as_dict(), self.seconds))
+        write_checkpoint(
+            folder, Checkpoint(self.step, tensors, self.config.as_dict(), self.seconds)
+        )
 
     def resume(self, folder: Path | str) -> bool:
         """Take up the state of ``folder``; False where there is none.
@@ -173,21 +197,30 @@ class Trainer:
             self.network.load_state_dict(checkpoint.part("model."))
             self.average.load_state_dict(checkpoint.part("ema."))
         except RuntimeError as error:
-            raise ValueError(f"{folder}: its checkpoint belongs to a network of another configuration") from error
-        first, second = checkpoint.part("adam.exp_avg."), checkpoint.part("adam.exp_avg_sq.")
+            raise ValueError(
+                f"{folder}: its checkpoint belongs to a network of another configuration"
+            ) from error
+        first = checkpoint.part("adam.exp_avg.")
+        second = checkpoint.part("adam.exp_avg_sq.")
         for name, parameter in self.network.named_parameters():
             if name in first:
                 self._adam.state[parameter] = {
                     "step": torch.tensor(float(checkpoint.step)),
-                    "exp_avg": torch.empty_like(parameter).copy_(first[name]),  # laid out as the parameter is
+                    "exp_avg": torch.empty_like(parameter).copy_(
+                        first[name]
+                    ),  # laid out as the parameter is
                     "exp_avg_sq": torch.empty_like(parameter).copy_(second[name]),
                 }
-        self.step, self.seconds = checkpoint.step, checkpoint.seconds
-        self.loss = float(checkpoint.tensors.get("loss", math.nan))  # earlier versions did not keep it
+        self.step = checkpoint.step
+        self.seconds = checkpoint.seconds
+        self.loss = float(
+            checkpoint.tensors.get("loss", math.nan)
+        )  # earlier versions did not keep it
         return True
 
     def _losses(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        target, blank = self.config.network.target, self.config.data.physics_dropout
+        target = self.config.network.target
+        blank = self.config.data.physics_dropout
         if target == "path":
             physics = _blanked(batch.physics, blank, generator)
             loss = path_loss(self._model(batch.photo, physics).float(), batch.dwell)
@@ -212,7 +245,9 @@ class Trainer:
         # early on the average follows fast, as it would otherwise remember the random start
         decay = min(self.config.optimiser.ema, (1 + self.step) / (10 + self.step))
         mine = [parameter.detach() for parameter in self.average.parameters()]
-        torch._foreach_lerp_(mine, [parameter.detach() for parameter in self.network.parameters()], 1 - decay)
+        torch._foreach_lerp_(
+            mine, [parameter.detach() for parameter in self.network.parameters()], 1 - decay
+        )
         for kept, now in zip(self.average.buffers(), self.network.buffers(), strict=True):
             kept.copy_(now)
 
@@ -222,7 +257,9 @@ def learning_rate(step: int, optimiser: OptimiserConfig) -> float:
     if step < optimiser.warm_up:
         return optimiser.rate * (step + 1) / optimiser.warm_up
     share = min(1.0, (step - optimiser.warm_up) / max(1, optimiser.steps - optimiser.warm_up))
-    return optimiser.last_rate + (optimiser.rate - optimiser.last_rate) * 0.5 * (1 + math.cos(math.pi * share))
+    return optimiser.last_rate + (optimiser.rate - optimiser.last_rate) * 0.5 * (
+        1 + math.cos(math.pi * share)
+    )
 
 
 def loss_of(
@@ -253,10 +290,12 @@ def loss_of(
 
     References
     ----------
-    Choi et al., "MoTDiff", arXiv 2510.26173, equations 6 to 8: pixels are dropped before noising, the target is whole.
+    Choi et al., "MoTDiff", arXiv 2510.26173, equations 6 to 8: pixels are dropped before noising,
+    the target is whole.
     """
     device = batch.x0.device
-    size, pitch = len(batch.x0), batch.x0.shape[-1] // PSF_PX
+    size = len(batch.x0)
+    pitch = batch.x0.shape[-1] // PSF_PX
     t = torch.randint(schedule.steps, (size,), generator=generator, device=device)
     signal = to_signal(stochastic_trajectory_pixel_dropout(batch.x0, loss.stpd, generator))
     noise = torch.randn(signal.shape, generator=generator, device=device)
@@ -266,13 +305,18 @@ def loss_of(
     row, column = (int(share * (PSF_PX - window) + 0.5) for share in spread.tolist())
     rows, columns = (slice(pitch * first, pitch * (first + window)) for first in (row, column))
     part = (..., rows, columns)
-    x0, dwell_map = batch.x0[part], batch.dwell[part]
-    logits = model(q_sample(schedule, signal[part], t, noise[part]), t, batch.photo, physics, (row, column))
+    x0 = batch.x0[part]
+    dwell_map = batch.dwell[part]
+    logits = model(
+        q_sample(schedule, signal[part], t, noise[part]), t, batch.photo, physics, (row, column)
+    )
     if loss.kind == "structure":
         path = structure_loss(logits[:, :1], x0, path_weight=loss.path_weight, iou=loss.iou)
     else:
         path = denoising_loss(logits[:, :1], x0)
-    dwell = dwell_loss(logits[:, 1:], dwell_map, x0) if logits.shape[1] > 1 else torch.zeros_like(path)
+    dwell = (
+        dwell_loss(logits[:, 1:], dwell_map, x0) if logits.shape[1] > 1 else torch.zeros_like(path)
+    )
     return path, dwell
 
 

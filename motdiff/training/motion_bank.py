@@ -21,9 +21,13 @@ from motdiff.processes import end_with_parent
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX, PSF_PX
 from motdiff.trajectory import Trajectory
 
-__all__ = ["MotionBank", "MotionMix", "build_bank", "draw_motion", "drawn_kinds", "dwell_on_map"]
-
-_KINDS = ("boracchi_foi", "boracchi_foi_short", "gyro", "straight", "quadratic")  # in the order of the shares
+_KINDS = (
+    "boracchi_foi",
+    "boracchi_foi_short",
+    "gyro",
+    "straight",
+    "quadratic",
+)  # in the order of the shares
 _TRIES = 100
 _CHUNK = 200
 _TIMES = 6000
@@ -67,7 +71,9 @@ class MotionMix:
     def __post_init__(self) -> None:
         shares = self.shares
         if min(shares) < 0 or sum(shares) <= 0:
-            raise ValueError(f"motions: the shares must be non-negative and not all zero, got {shares}")
+            raise ValueError(
+                f"motions: the shares must be non-negative and not all zero, got {shares}"
+            )
         if self.gyro > 0 and not self.gyro_trace:
             raise ValueError("gyro_trace: motions.gyro > 0 needs a gyroscope recording")
         if not 0 < self.min_length_px <= self.max_length_px:
@@ -108,7 +114,9 @@ class MotionBank:
 
     def to(self, device: str | torch.device) -> MotionBank:
         """Copy to a device."""
-        return MotionBank(*(tensor.to(device) for tensor in (self.psfs, self.pixels, self.dwell, self.starts)))
+        return MotionBank(
+            *(tensor.to(device) for tensor in (self.psfs, self.pixels, self.dwell, self.starts))
+        )
 
     def targets(self, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gather motions ``index`` (B,).
@@ -117,7 +125,8 @@ class MotionBank:
         -------
         psf (B, 64, 64), x0 (B, 1, 256, 256) of 0 and 1, dwell (B, 1, 256, 256); all float32
         """
-        begin, count = self.starts[index], self.starts[index + 1] - self.starts[index]
+        begin = self.starts[index]
+        count = self.starts[index + 1] - self.starts[index]
         sample = torch.repeat_interleave(torch.arange(len(index), device=index.device), count)
         within = torch.arange(int(count.sum()), device=index.device) - torch.repeat_interleave(
             count.cumsum(0) - count, count
@@ -132,7 +141,9 @@ class MotionBank:
         return self.psfs[index].float(), x0.view(shape), dwell.view(shape)
 
 
-def draw_motion(mix: MotionMix, rng: np.random.Generator, trace: GyroTrace | None = None) -> Trajectory:
+def draw_motion(
+    mix: MotionMix, rng: np.random.Generator, trace: GyroTrace | None = None
+) -> Trajectory:
     """Draw one motion of the mix that fits the 64-px frame.
 
     Parameters
@@ -145,8 +156,8 @@ def draw_motion(mix: MotionMix, rng: np.random.Generator, trace: GyroTrace | Non
     Raises
     ------
     ValueError
-        If no drawn motion fits the frame: the lengths are too large; or the mix has gyro-driven motion and there is no
-        trace.
+        If no drawn motion fits the frame: the lengths are too large; or the mix has gyro-driven
+        motion and there is no trace.
     """
     return _draw(mix, rng, trace)[1]
 
@@ -155,10 +166,14 @@ def drawn_kinds(mix: MotionMix, *, count: int, seed: int, first: int = 0) -> lis
     """Kinds of the motions that :func:`build_bank` draws, by the name of their share in the mix; same arguments."""
     trace = _trace(mix)
     indices = range(first, first + count)
-    return [_KINDS[_draw(mix, np.random.default_rng([seed, index]), trace)[0]] for index in indices]
+    return [
+        _KINDS[_draw(mix, np.random.default_rng([seed, index]), trace)[0]] for index in indices
+    ]
 
 
-def _draw(mix: MotionMix, rng: np.random.Generator, trace: GyroTrace | None) -> tuple[int, Trajectory]:
+def _draw(
+    mix: MotionMix, rng: np.random.Generator, trace: GyroTrace | None
+) -> tuple[int, Trajectory]:
     if mix.gyro > 0 and trace is None:
         raise ValueError("trace: motions.gyro > 0 needs a gyroscope recording, got none")
     shares = np.array(mix.shares) / sum(mix.shares)
@@ -167,17 +182,27 @@ def _draw(mix: MotionMix, rng: np.random.Generator, trace: GyroTrace | None) -> 
         if kind == 0:
             motion = boracchi_foi(rng, max_length_px=mix.max_length_px)
         elif kind == 1:
-            motion = boracchi_foi(rng, max_length_px=rng.uniform(mix.min_length_px, mix.max_length_px))
+            motion = boracchi_foi(
+                rng, max_length_px=rng.uniform(mix.min_length_px, mix.max_length_px)
+            )
         elif kind == 2 and trace is not None:
             extent_px = rng.uniform(mix.min_extent_px, mix.max_extent_px)
-            motion = random_gyro_motion(trace, rng, exposure_s=rng.uniform(*mix.exposure_s), extent_px=extent_px)
+            motion = random_gyro_motion(
+                trace, rng, exposure_s=rng.uniform(*mix.exposure_s), extent_px=extent_px
+            )
         elif kind == 3:
-            motion = random_straight(rng, min_length_px=mix.min_length_px, max_length_px=mix.max_length_px)
+            motion = random_straight(
+                rng, min_length_px=mix.min_length_px, max_length_px=mix.max_length_px
+            )
         else:
-            motion = quadratic(rng, min_length_px=mix.min_length_px, max_length_px=mix.max_length_px)
+            motion = quadratic(
+                rng, min_length_px=mix.min_length_px, max_length_px=mix.max_length_px
+            )
         if motion.frame_size() <= PSF_PX:
             return kind, motion
-    raise ValueError(f"max_length_px: {_TRIES} drawn motions did not fit {PSF_PX} px, got {mix.max_length_px}")
+    raise ValueError(
+        f"max_length_px: {_TRIES} drawn motions did not fit {PSF_PX} px, got {mix.max_length_px}"
+    )
 
 
 def dwell_on_map(motion: Trajectory, hr_map: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -202,7 +227,9 @@ def dwell_on_map(motion: Trajectory, hr_map: NDArray[np.uint8]) -> NDArray[np.fl
     return np.asarray(spent, dtype=np.float64)
 
 
-def build_bank(mix: MotionMix, *, count: int, seed: int, first: int = 0, workers: int = 1) -> MotionBank:
+def build_bank(
+    mix: MotionMix, *, count: int, seed: int, first: int = 0, workers: int = 1
+) -> MotionBank:
     """Draw ``count`` motions; motion i depends on (seed, first + i) only, whatever the number of workers.
 
     Parameters
@@ -219,7 +246,9 @@ def build_bank(mix: MotionMix, *, count: int, seed: int, first: int = 0, workers
     chunks = [range(start, min(start + _CHUNK, last)) for start in range(first, last, _CHUNK)]
     draw = partial(_drawn, mix, seed)
     if workers > 1:
-        with ProcessPoolExecutor(workers, initializer=end_with_parent, initargs=(os.getpid(),)) as pool:
+        with ProcessPoolExecutor(
+            workers, initializer=end_with_parent, initargs=(os.getpid(),)
+        ) as pool:
             drawn = [item for chunk in pool.map(draw, chunks) for item in chunk]
     else:
         drawn = [item for chunk in chunks for item in draw(chunk)]
@@ -255,9 +284,15 @@ def _drawn(mix: MotionMix, seed: int, indices: range) -> list[_Drawn]:
     return list(_motions(mix, seed, indices, trace))
 
 
-def _motions(mix: MotionMix, seed: int, indices: range, trace: GyroTrace | None) -> Iterator[_Drawn]:
+def _motions(
+    mix: MotionMix, seed: int, indices: range, trace: GyroTrace | None
+) -> Iterator[_Drawn]:
     for index in indices:
         motion = draw_motion(mix, np.random.default_rng([seed, index]), trace)
         hr_map = motion.hr_map()
         pixels = np.flatnonzero(hr_map).astype(np.int32)
-        yield motion.psf(PSF_PX).astype(np.float16), pixels, dwell_on_map(motion, hr_map).astype(np.float16)
+        yield (
+            motion.psf(PSF_PX).astype(np.float16),
+            pixels,
+            dwell_on_map(motion, hr_map).astype(np.float16),
+        )

@@ -16,12 +16,12 @@ from torch import Tensor
 from motdiff.files.inputs import regular_file
 from motdiff.files.outputs import write_bytes
 
-__all__ = ["PICTURES", "crops", "load_photos", "load_scenes", "pack_photos"]
-
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 
 
-def load_photos(source: Path | str, *, least_px: int, most_px: int = 640, device: str = "cpu") -> list[Tensor]:
+def load_photos(
+    source: Path | str, *, least_px: int, most_px: int = 640, device: str = "cpu"
+) -> list[Tensor]:
     """Read every photo of a folder (with its subfolders) or of a pack.
 
     Parameters
@@ -30,7 +30,8 @@ def load_photos(source: Path | str, *, least_px: int, most_px: int = 640, device
     least_px : int, px
         Photos with a shorter side are left out.
     most_px : int, px
-        Photos with a longer short side are shrunk to it: the detail of a full-size photo is softer than a kernel.
+        Photos with a longer short side are shrunk to it: the detail of a full-size photo is softer
+        than a kernel.
     device : str
 
     Returns
@@ -40,12 +41,15 @@ def load_photos(source: Path | str, *, least_px: int, most_px: int = 640, device
     Raises
     ------
     ValueError
-        If there is no photo large enough, a file cannot be read, or photos would be shrunk below ``least_px``.
+        If there is no photo large enough, a file cannot be read, or photos would be shrunk below
+        ``least_px``.
     """
     if most_px < least_px:
         raise ValueError(f"most_px: must be at least least_px = {least_px}, got {most_px}")
     photos = [
-        torch.from_numpy(np.ascontiguousarray(_shrunk(image, most_px).transpose(2, 0, 1))).to(device)
+        torch.from_numpy(np.ascontiguousarray(_shrunk(image, most_px).transpose(2, 0, 1))).to(
+            device
+        )
         for _, image in _images(Path(source))
         if min(image.shape[:2]) >= least_px
     ]
@@ -54,7 +58,9 @@ def load_photos(source: Path | str, *, least_px: int, most_px: int = 640, device
     return photos
 
 
-def pack_photos(source: Path | str, target: Path | str, *, most_px: int = 512, quality: int = 92) -> int:
+def pack_photos(
+    source: Path | str, target: Path | str, *, most_px: int = 512, quality: int = 92
+) -> int:
     """Pack a folder's photos as JPEGs into one .zip file, to travel to another machine.
 
     Parameters
@@ -78,7 +84,9 @@ def pack_photos(source: Path | str, target: Path | str, *, most_px: int = 512, q
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as pack:
         for number, (name, image) in enumerate(_images(Path(source))):
-            _, encoded = cv2.imencode(".jpg", _shrunk(image, most_px)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+            _, encoded = cv2.imencode(
+                ".jpg", _shrunk(image, most_px)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality]
+            )
             pack.writestr(f"{number:05d}_{Path(name).stem}.jpg", encoded.tobytes())
         if not pack.namelist():
             raise ValueError(f"{source}: holds no photo to pack")
@@ -86,7 +94,9 @@ def pack_photos(source: Path | str, target: Path | str, *, most_px: int = 512, q
     return len(buffer.getvalue())
 
 
-def load_scenes(source: str, *, held_out: int, least_px: int, device: str = "cpu") -> tuple[list[Tensor], list[Tensor]]:
+def load_scenes(
+    source: str, *, held_out: int, least_px: int, device: str = "cpu"
+) -> tuple[list[Tensor], list[Tensor]]:
     """Read a run's photos: those to train on, and every ``held_out``-th for validation.
 
     Parameters
@@ -111,11 +121,15 @@ def load_scenes(source: str, *, held_out: int, least_px: int, device: str = "cpu
     except ValueError as error:
         raise ValueError(f"data.photos: {error}") from None
     if not 2 <= held_out <= len(photos):
-        raise ValueError(f"data.held_out: must lie within 2..{len(photos)}, the number of photos; got {held_out}")
+        raise ValueError(
+            f"data.held_out: must lie within 2..{len(photos)}, the number of photos; got {held_out}"
+        )
     return [photo for i, photo in enumerate(photos) if i % held_out], list(photos[::held_out])
 
 
-def crops(photos: Sequence[Tensor], *, count: int, size: int, generator: torch.Generator) -> Tensor:
+def crops(
+    photos: Sequence[Tensor], *, count: int, size: int, generator: torch.Generator
+) -> Tensor:
     """Cut random square crops, turned and mirrored at random.
 
     Parameters
@@ -137,7 +151,9 @@ def crops(photos: Sequence[Tensor], *, count: int, size: int, generator: torch.G
     """
     shortest = min(min(photo.shape[1:]) for photo in photos)
     if shortest < size:
-        raise ValueError(f"photos: must be at least {size} x {size} px for such crops, got a side of {shortest} px")
+        raise ValueError(
+            f"photos: must be at least {size} x {size} px for such crops, got a side of {shortest} px"
+        )
     which = torch.randint(len(photos), (count,), generator=generator).tolist()
     place = torch.rand(count, 2, generator=generator).tolist()
     symmetry = torch.randint(8, (count,), generator=generator).tolist()
@@ -180,5 +196,7 @@ def _shrunk(image: NDArray[np.uint8], most_px: int) -> NDArray[np.uint8]:
     scale = most_px / min(image.shape[:2])
     if scale >= 1:
         return image
-    smaller = cv2.resize(np.ascontiguousarray(image), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    smaller = cv2.resize(
+        np.ascontiguousarray(image), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
+    )
     return np.asarray(smaller, dtype=np.uint8)

@@ -21,8 +21,6 @@ from motdiff.training.samples import Samples, simulate
 from motdiff.training.shards import load_shards, write_shards
 from motdiff.training.simulation import Photography
 
-__all__ = ["SHARD_SAMPLES", "Source", "prepare", "read_shards", "read_source", "simulated_shard"]
-
 SHARD_SAMPLES = 64
 _NAME = "shard"
 _SEEDS_APART = 1_000_003  # of two runs: a shard of one has no seed of the other's
@@ -55,7 +53,13 @@ def prepare(
     def made(shard: int) -> dict[str, NDArray[np.generic]]:
         return _arrays(
             simulated_shard(
-                shard, SHARD_SAMPLES, scenes=scenes, mix=mix, photography=photography, physics=True, seed=seed
+                shard,
+                SHARD_SAMPLES,
+                scenes=scenes,
+                mix=mix,
+                photography=photography,
+                physics=True,
+                seed=seed,
             )
         )
 
@@ -84,7 +88,14 @@ def simulated_shard(
     bank = build_bank(mix, count=count, seed=seed, first=shard * count)
     index = torch.arange(count)
     with torch.no_grad():
-        return simulate(bank, scenes, index, photography=photography, physics=physics, seed=seed * _SEEDS_APART + shard)
+        return simulate(
+            bank,
+            scenes,
+            index,
+            photography=photography,
+            physics=physics,
+            seed=seed * _SEEDS_APART + shard,
+        )
 
 
 @dataclass(frozen=True)
@@ -109,7 +120,9 @@ def read_source(config_file: Path | str, *, held_out: bool) -> Source:
     if not config.data.photos:
         raise ValueError(f"{config_file}: data.photos is needed to prepare samples")
     least_px = PHOTO_PX + config.photography.margin
-    seen, unseen = load_scenes(config.data.photos, held_out=config.data.held_out, least_px=least_px)
+    seen, unseen = load_scenes(
+        config.data.photos, held_out=config.data.held_out, least_px=least_px
+    )
     seed = config.optimiser.seed + (1 if held_out else 0)
     return Source(unseen if held_out else seen, config.motions, config.photography, seed)
 
@@ -119,7 +132,8 @@ def read_shards(folder: Path | str) -> Samples:
 
     Returns
     -------
-    Samples with uint8 photos (B, 1, 256, 256) holding ``255 sqrt(light)``, float16 kernels and dwell, uint8 x0
+    Samples with uint8 photos (B, 1, 256, 256) holding ``255 sqrt(light)``, float16 kernels and
+    dwell, uint8 x0
 
     Raises
     ------
@@ -129,7 +143,10 @@ def read_shards(folder: Path | str) -> Samples:
     missing = "prepared samples (shard_*.npz); write them with: python -m motdiff prepare"
     read = load_shards(folder, name=_NAME, load=_samples, missing=missing)
     return Samples(
-        *(torch.cat([getattr(part, name) for part in read]) for name in ("photos", "kernels", "x0", "dwell"))
+        *(
+            torch.cat([getattr(part, name) for part in read])
+            for name in ("photos", "kernels", "x0", "dwell")
+        )
     )
 
 
@@ -150,4 +167,6 @@ def _samples(stored: Mapping[str, NDArray[Any]]) -> Samples:
     dwell = np.zeros(path.shape, np.float16)
     dwell[path > 0] = stored["dwell"]
     photos = stored["photos"].reshape(count, 1, PHOTO_PX, PHOTO_PX)
-    return Samples(*(torch.from_numpy(array) for array in (photos, stored["kernels"], path, dwell)))
+    return Samples(
+        *(torch.from_numpy(array) for array in (photos, stored["kernels"], path, dwell))
+    )

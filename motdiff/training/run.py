@@ -30,8 +30,6 @@ from motdiff.training.prepared import read_shards
 from motdiff.training.samples import Samples
 from motdiff.training.targets import drawn_psfs
 
-__all__ = ["Pace", "Sources", "make_sources", "train", "validation_mnc", "validation_scores"]
-
 _VALIDATION_SEED = 7
 _VALIDATION_BATCH = 32
 _SAMPLING_STEPS = 10
@@ -54,9 +52,9 @@ class Pace:
     Attributes
     ----------
     minutes : float
-        The piece ends after so many (and goes on with the next call), at least one update done. They count everything:
-        reading or simulating samples, updates, and the validation at the end, which is left out where it would take
-        more than half of them.
+        The piece ends after so many (and goes on with the next call), at least one update done.
+        They count everything: reading or simulating samples, updates, and the validation at the
+        end, which is left out where it would take more than half of them.
     save_s : float, seconds
         Between two checkpoints.
     validate_steps : int
@@ -75,7 +73,9 @@ class Pace:
             raise ValueError(f"validate_steps: must be at least 1, got {self.validate_steps}")
 
 
-def make_sources(config: TrainingConfig, *, device: torch.device | str = "cpu", workers: int = 1) -> Sources:
+def make_sources(
+    config: TrainingConfig, *, device: torch.device | str = "cpu", workers: int = 1
+) -> Sources:
     """Read or simulate the samples of the run.
 
     Parameters
@@ -89,24 +89,43 @@ def make_sources(config: TrainingConfig, *, device: torch.device | str = "cpu", 
     Raises
     ------
     ValueError
-        If the network takes another number of physics maps than there are, or there are too few photos.
+        If the network takes another number of physics maps than there are, or there are too few
+        photos.
     """
-    data, seed = config.data, config.optimiser.seed
-    wanted = {"photo": config.network.backbone != "none", "physics": config.network.physics_channels > 0}
+    data = config.data
+    seed = config.optimiser.seed
+    wanted = {
+        "photo": config.network.backbone != "none",
+        "physics": config.network.physics_channels > 0,
+    }
     if data.prepared:
         known = _shards("prepared", data.prepared)
         _check_channels(config, known.kernels.shape[1])
         held_out = _shards("prepared_validation", data.prepared_validation)
         kept = PreparedSource(held_out, seed=_VALIDATION_SEED, symmetries=False, **wanted)
         fixed = kept.batch(0, min(data.validation, len(kept))).split(_VALIDATION_BATCH)
-        return Sources(PreparedSource(known, seed=seed, **wanted), tuple(batch.to(device) for batch in fixed))
+        return Sources(
+            PreparedSource(known, seed=seed, **wanted), tuple(batch.to(device) for batch in fixed)
+        )
     _check_channels(config, len(QUICK_STARTS))
-    chunks = [min(_VALIDATION_BATCH, data.validation - first) for first in range(0, data.validation, _VALIDATION_BATCH)]
+    chunks = [
+        min(_VALIDATION_BATCH, data.validation - first)
+        for first in range(0, data.validation, _VALIDATION_BATCH)
+    ]
     least_px = PHOTO_PX + config.photography.margin
-    seen, unseen = load_scenes(data.photos, held_out=data.held_out, least_px=least_px, device=str(device))
+    seen, unseen = load_scenes(
+        data.photos, held_out=data.held_out, least_px=least_px, device=str(device)
+    )
     bank = build_bank(config.motions, count=data.motions, seed=seed, workers=workers).to(device)
-    other = build_bank(config.motions, count=data.validation, seed=seed_of(seed, _VALIDATION_SEED), workers=workers)
-    check = LiveSource(other.to(device), unseen, config.photography, seed=_VALIDATION_SEED, **wanted)
+    other = build_bank(
+        config.motions,
+        count=data.validation,
+        seed=seed_of(seed, _VALIDATION_SEED),
+        workers=workers,
+    )
+    check = LiveSource(
+        other.to(device), unseen, config.photography, seed=_VALIDATION_SEED, **wanted
+    )
     return Sources(
         LiveSource(bank, seen, config.photography, seed=seed, **wanted),
         tuple(check.batch(i, n) for i, n in enumerate(chunks)),
@@ -136,7 +155,8 @@ def train(
     Raises
     ------
     ValueError
-        If the photos or samples are not there or do not fit the network, or ``folder`` holds a run of another network.
+        If the photos or samples are not there or do not fit the network, or ``folder`` holds a run
+        of another network.
     FloatingPointError
         If the loss is no longer finite.
     """
@@ -146,19 +166,27 @@ def train(
     place.mkdir(parents=True, exist_ok=True)
     distributed = int(os.environ.get("WORLD_SIZE", "1")) > 1
     if distributed:
-        torch.distributed.init_process_group("nccl" if torch.device(device).type == "cuda" else "gloo")
+        torch.distributed.init_process_group(
+            "nccl" if torch.device(device).type == "cuda" else "gloo"
+        )
     try:
         trainer = Trainer(config, device=device)
         resumed = trainer.resume(place / "checkpoint")
         log = RunLog(place, steps=config.optimiser.steps, enabled=trainer.leads)
-        log.say(f"{'resumed at' if resumed else 'new run, from'} step {trainer.step} of {config.optimiser.steps}")
+        log.say(
+            f"{'resumed at' if resumed else 'new run, from'} step {trainer.step} of {config.optimiser.steps}"
+        )
         sources = make_sources(config, device=device, workers=workers)
 
         def due() -> bool:
-            return trainer.step % pace.validate_steps == 0 or trainer.step == config.optimiser.steps
+            return (
+                trainer.step % pace.validate_steps == 0 or trainer.step == config.optimiser.steps
+            )
 
         def validate() -> None:
-            log.validated(trainer.step, validation_mnc(trainer, sources.validation), loss=trainer.loss)
+            log.validated(
+                trainer.step, validation_mnc(trainer, sources.validation), loss=trainer.loss
+            )
 
         validated = log.resume(trainer.step, between=not due())
         timed = trainer.leads and math.isfinite(pace.minutes)
@@ -170,9 +198,12 @@ def train(
                 if trainer.leads and trainer.step and due() and not validated:
                     validate()
                 started = time.monotonic()
-                losses, validated = trainer.update(sources.training), False
+                losses = trainer.update(sources.training)
+                validated = False
                 now = time.monotonic()
-                log.step(trainer.step, losses, batch=config.optimiser.batch, seconds=trainer.seconds)
+                log.step(
+                    trainer.step, losses, batch=config.optimiser.batch, seconds=trainer.seconds
+                )
                 another = now + (now - started)  # the end of another update
                 if due():
                     another += validation_s
@@ -187,7 +218,9 @@ def train(
             if finished or time.monotonic() + validation_s <= end + _SLACK_S:
                 validate()
             else:
-                log.say(f"step {trainer.step}: not validated, which takes about {validation_s / 60:.1f} min")
+                log.say(
+                    f"step {trainer.step}: not validated, which takes about {validation_s / 60:.1f} min"
+                )
         if trainer.leads:
             log.close()
     finally:
@@ -207,7 +240,9 @@ def _validation_time_s(trainer: Trainer, batches: tuple[Batch, ...]) -> float:
     return min(seconds) * sum(map(len, batches)) / len(few)
 
 
-def validation_mnc(trainer: Trainer, batches: tuple[Batch, ...], *, steps: int = _SAMPLING_STEPS) -> float:
+def validation_mnc(
+    trainer: Trainer, batches: tuple[Batch, ...], *, steps: int = _SAMPLING_STEPS
+) -> float:
     """Mean of :func:`validation_scores`; for comparing runs, not for reports."""
     return float(validation_scores(trainer, batches, steps=steps).mean())
 
@@ -224,7 +259,9 @@ def validation_scores(
     generator = torch.Generator(trainer.device).manual_seed(_VALIDATION_SEED)
     with torch.no_grad():
         for batch in batches:
-            drawn = drawn_psfs(network, batch, schedule=trainer.schedule, steps=steps, generator=generator)
+            drawn = drawn_psfs(
+                network, batch, schedule=trainer.schedule, steps=steps, generator=generator
+            )
             found = drawn.double().cpu().numpy()
             truth = psfs_of_maps(batch.dwell[:, 0]).double().cpu().numpy()
             scores += [mnc(a, b) for a, b in zip(found, truth, strict=True)]
@@ -240,9 +277,12 @@ def _shards(entry: str, folder: str) -> Samples:
 
 
 def _check_channels(config: TrainingConfig, kernels: int) -> None:
-    there, wanted = 2 + 2 * kernels, config.network.physics_channels
+    there = 2 + 2 * kernels
+    wanted = config.network.physics_channels
     if wanted not in (0, there):
-        raise ValueError(f"network.physics_channels: must be {there}, as many as there are physics maps, got {wanted}")
+        raise ValueError(
+            f"network.physics_channels: must be {there}, as many as there are physics maps, got {wanted}"
+        )
 
 
 def _agreed(over: bool, *, device: torch.device) -> bool:

@@ -16,8 +16,6 @@ from motdiff.training.motion_bank import MotionBank
 from motdiff.training.photos import crops
 from motdiff.training.simulation import Photography, photographed
 
-__all__ = ["Samples", "registration", "shifted", "simulate"]
-
 _KERNEL_BATCH = 8  # on a CPU larger ones fall out of the cache
 _REACH_MAP_PX = 32
 _ALIKE = 0.6  # below, the kernel is wrong and gives no position of the path
@@ -88,15 +86,16 @@ def simulate(
         ]
         kernels = torch.cat(parts)
         move = registration(kernels, dwell)
-        x0, dwell = shifted(x0, move), shifted(dwell, move)
+        x0 = shifted(x0, move)
+        dwell = shifted(dwell, move)
     return Samples(photos, kernels, x0, dwell)
 
 
 def registration(kernels: Tensor, dwell: Tensor) -> Tensor:
     """Shift of the motion that lays it on the most alike of its kernels.
 
-    A photo does not determine the position of the path, so a classical kernel is a pixel or two off the truth, which
-    pixel-wise losses would penalise.
+    A photo does not determine the position of the path, so a classical kernel is a pixel or two
+    off the truth, which pixel-wise losses would penalise.
 
     Parameters
     ----------
@@ -130,7 +129,9 @@ def shifted(maps: Tensor, move: Tensor) -> Tensor:
     batch, channels, height, width = maps.shape
     row = torch.arange(height, device=maps.device)[None, :] - move[:, :1]
     column = torch.arange(width, device=maps.device)[None, :] - move[:, 1:]
-    inside = ((row >= 0) & (row < height))[:, None, :, None] & ((column >= 0) & (column < width))[:, None, None, :]
+    inside = ((row >= 0) & (row < height))[:, None, :, None] & ((column >= 0) & (column < width))[
+        :, None, None, :
+    ]
     rows = row.clamp(0, height - 1)[:, None, :, None].expand(batch, channels, height, width)
     columns = column.clamp(0, width - 1)[:, None, None, :].expand(batch, channels, height, width)
     moved: Tensor = maps.gather(2, rows).gather(3, columns) * inside

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from motdiff.files.inputs import one_line, regular_file
 from motdiff.files.outputs import new_file
 
-__all__ = ["load_shards", "shard_range", "write_shards"]
-
 _Loaded = TypeVar("_Loaded")
 
 
@@ -30,9 +28,13 @@ def shard_range(text: str) -> range:
         first, last, *step = (int(number) for number in text.split(":"))
         shards = range(first, last, *step)
     except (TypeError, ValueError):
-        raise ValueError(f"--shards: must be FIRST:LAST or FIRST:LAST:STEP, got {text!r}") from None
+        raise ValueError(
+            f"--shards: must be FIRST:LAST or FIRST:LAST:STEP, got {text!r}"
+        ) from None
     if not shards or min(shards) < 0:
-        raise ValueError(f"--shards: must hold numbers from 0 upwards, FIRST below LAST, got {text!r}")
+        raise ValueError(
+            f"--shards: must hold numbers from 0 upwards, FIRST below LAST, got {text!r}"
+        )
     return shards
 
 
@@ -93,7 +95,9 @@ def load_shards(
     ValueError
         If there are none, or one is damaged.
     """
-    files = sorted(file for file in Path(folder).glob(f"{name}_*.npz") if ".partial" not in file.suffixes)
+    files = sorted(
+        file for file in Path(folder).glob(f"{name}_*.npz") if ".partial" not in file.suffixes
+    )
     if not files:
         raise ValueError(f"{folder}: holds no {missing}")
     return [_loaded(file, load) for file in files]

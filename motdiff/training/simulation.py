@@ -1,6 +1,7 @@
 """Simulation of blurred training photos, in batches on the training device.
 
-:func:`motdiff.simulate.photograph` takes one photo at a time in numpy; the tests compare the two blurs.
+:func:`motdiff.simulate.photograph` takes one photo at a time in numpy; the tests compare the two
+blurs.
 """
 
 from __future__ import annotations
@@ -14,8 +15,6 @@ from torch import Tensor
 from motdiff.estimators.pmp.grids import fast_size
 from motdiff.simulate import border_px
 
-__all__ = ["Photography", "blurred", "jpeg_loss", "photographed"]
-
 
 @dataclass(frozen=True)
 class Photography:
@@ -24,13 +23,17 @@ class Photography:
     Attributes
     ----------
     borders : {"real", "symmetric"}
-        "real": light comes from beyond the frame. "symmetric": the scene is mirrored there, as the paper's.
+        "real": light comes from beyond the frame. "symmetric": the scene is mirrored there, as the
+        paper's.
     most_noise : float
-        Largest standard deviation of the noise, full scale 1; small ones are likelier (most_noise times u squared).
+        Largest standard deviation of the noise, full scale 1; small ones are likelier (most_noise
+        times u squared).
     gammas : (float, float)
-        Range of the exponent that turns display values into light; half of the photos have 1 (values taken as light).
+        Range of the exponent that turns display values into light; half of the photos have 1
+        (values taken as light).
     wrong_gamma : float
-        Share of photos whose light is decoded with a wrong exponent, so that the blur is not quite a convolution.
+        Share of photos whose light is decoded with a wrong exponent, so that the blur is not quite
+        a convolution.
     gains : (float, float)
         Range of the exposure's factor; above 1 the lights are clipped.
     jpeg : float
@@ -92,7 +95,8 @@ def photographed(
     photos : (B, 3, h, w) float32, 0..1, light as the photographer decodes it
     sigma : (B,) float32, standard deviation of the noise
     """
-    batch, device = sharp.shape[0], sharp.device
+    batch = sharp.shape[0]
+    device = sharp.device
 
     def uniform(low: float, high: float) -> Tensor:
         return low + (high - low) * torch.rand(batch, generator=generator, device=device)
@@ -100,7 +104,9 @@ def photographed(
     def with_share(share: float) -> Tensor:
         return torch.rand(batch, generator=generator, device=device) < share
 
-    gamma = torch.where(with_share(0.5), torch.ones(batch, device=device), uniform(*photography.gammas))
+    gamma = torch.where(
+        with_share(0.5), torch.ones(batch, device=device), uniform(*photography.gammas)
+    )
     each = (slice(None), None, None, None)
     light = sharp ** gamma[each] * uniform(*photography.gains)[each]
     if photography.borders == "symmetric":
@@ -111,13 +117,16 @@ def photographed(
     display = photo.clamp(0, 1) ** (1 / gamma[each])
     lossy = jpeg_loss(display, uniform(*photography.qualities))
     display = torch.where(with_share(photography.jpeg)[each], lossy, (255 * display).round() / 255)
-    decoding = torch.where(with_share(photography.wrong_gamma), uniform(0.7, 1.4), torch.ones(batch, device=device))
+    decoding = torch.where(
+        with_share(photography.wrong_gamma), uniform(0.7, 1.4), torch.ones(batch, device=device)
+    )
     return display ** (gamma * decoding)[each], sigma
 
 
 def _mirrored(light: Tensor, size: int) -> Tensor:
     """Mirror beyond the borders, the edge pixel repeated, by what a PSF of ``size`` px reaches."""
-    before, after = size - 1 - size // 2, size // 2
+    before = size - 1 - size // 2
+    after = size // 2
     for axis in (2, 3):
         first = light.narrow(axis, 0, before).flip(axis)
         last = light.narrow(axis, light.shape[axis] - after, after).flip(axis)
@@ -164,7 +173,9 @@ def jpeg_loss(photos: Tensor, quality: Tensor) -> Tensor:
     clamped = quality.clamp(1, 100)
     scale = torch.where(clamped < 50, 50 / clamped, 2 - clamped / 50)[:, None, None]
     steps = (table * scale + 0.5).floor().clamp(1, 255)[:, None, None, None]  # (B, 1, 1, 1, 8, 8)
-    blocks = (255 * photos - 128).view(batch, channels, height // 8, 8, width // 8, 8).transpose(3, 4)
+    blocks = (
+        (255 * photos - 128).view(batch, channels, height // 8, 8, width // 8, 8).transpose(3, 4)
+    )
     spectrum = cosine @ blocks @ cosine.T
     restored = cosine.T @ ((spectrum / steps).round() * steps) @ cosine
     image = (restored.transpose(3, 4).reshape(batch, channels, height, width) + 128) / 255

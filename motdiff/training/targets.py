@@ -11,8 +11,6 @@ from motdiff.network.sampling import psf_signals, psfs_of_maps, psfs_of_signals,
 from motdiff.psf_frame import PSF_PX
 from motdiff.training.data import Batch
 
-__all__ = ["drawn_psfs", "path_loss", "path_psfs", "psf_batch"]
-
 _POINTS = 64
 _HAT_VARIANCE_PX2 = 1 / 6  # of the bilinear hat through which PSFs see the path
 _BLURS_PX = (0.6, 1.8, 5.0)  # the sharpest is nearly MNC; the others pull from farther away
@@ -36,11 +34,15 @@ def path_psfs(coefficients: Tensor, centre_px: Tensor, *, variance_px2: float) -
     variance_px2 : float, px^2
         Of a dot along each axis.
     """
-    tau = (torch.arange(_POINTS, device=coefficients.device, dtype=coefficients.dtype) + 0.5) / _POINTS - 0.5
+    tau = (
+        torch.arange(_POINTS, device=coefficients.device, dtype=coefficients.dtype) + 0.5
+    ) / _POINTS - 0.5
     shapes = torch.stack([tau, tau.square() - 1 / 12])  # (2, N)
     points = torch.einsum("sn,bsx->bxn", shapes, coefficients) + centre_px[..., None]
     at = torch.arange(PSF_PX, device=tau.device, dtype=tau.dtype) - PSF_PX // 2
-    dots = torch.exp(-(at[:, None] - points[:, :, None, :]).square() / (2 * variance_px2))  # (B, 2, 64, N)
+    dots = torch.exp(
+        -(at[:, None] - points[:, :, None, :]).square() / (2 * variance_px2)
+    )  # (B, 2, 64, N)
     return dots[:, 1] @ dots[:, 0].transpose(1, 2)
 
 
@@ -71,7 +73,12 @@ def path_loss(coefficients: Tensor, dwell: Tensor) -> Tensor:
 
 
 def drawn_psfs(
-    network: MotDiffNetwork | PathNetwork, batch: Batch, *, schedule: Schedule, steps: int, generator: torch.Generator
+    network: MotDiffNetwork | PathNetwork,
+    batch: Batch,
+    *,
+    schedule: Schedule,
+    steps: int,
+    generator: torch.Generator,
 ) -> Tensor:
     """PSF (B, 64, 64) that a network of any target gives for each photo: one draw, or the path's.
 
@@ -88,7 +95,9 @@ def drawn_psfs(
         psfs = path_psfs(paths, torch.zeros_like(paths[:, 0]), variance_px2=_HAT_VARIANCE_PX2)
         return psfs / psfs.sum(dim=(1, 2), keepdim=True)
     condition = network.condition(batch.photo, batch.physics)
-    drawn = sample_paths(network, condition, count=1, schedule=schedule, steps=steps, generator=generator)
+    drawn = sample_paths(
+        network, condition, count=1, schedule=schedule, steps=steps, generator=generator
+    )
     return drawn.psfs()[:, 0] if network.pitch > 1 else psfs_of_signals(drawn.path[:, 0])
 
 

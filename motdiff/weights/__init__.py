@@ -61,8 +61,9 @@ def export_weights(
     checkpoint : folder of a checkpoint
     target : .safetensors file to write
     offset : float
-        Taken from the path's logits. A loss that weighs path pixels more makes the network say too often that a pixel
-        is on the path; sampled with such probabilities, uncertain regions are filled in.
+        Taken from the path's logits. A loss that weighs path pixels more makes the network say too
+        often that a pixel is on the path; sampled with such probabilities, uncertain regions are
+        filled in.
     card : mapping, optional
         Further entries of the header: figures, data.
     validation_mnc : float, optional
@@ -75,7 +76,8 @@ def export_weights(
     Raises
     ------
     ValueError
-        If there is no checkpoint, float16 cannot hold its weights, or they draw no map that an offset could change.
+        If there is no checkpoint, float16 cannot hold its weights, or they draw no map that an
+        offset could change.
     """
     found = read_checkpoint(checkpoint)
     if found is None:
@@ -94,7 +96,10 @@ def export_weights(
         "seconds": f"{found.seconds:.0f}",
         "offset": f"{offset:g}",
         "history": json.dumps(
-            [*_earlier(found.config), _line(found.step, found.seconds, found.config, validation_mnc)]
+            [
+                *_earlier(found.config),
+                _line(found.step, found.seconds, found.config, validation_mnc),
+            ]
         ),
         "card": json.dumps(dict(card or {})),
     }
@@ -110,19 +115,28 @@ def _earlier(config: Mapping[str, Any]) -> list[dict[str, float | None]]:
         return []
     header = read_card(start)
     history: list[dict[str, float | None]] = header["run"]["history"]
-    return history or [_line(header["run"]["steps"], header["run"]["seconds"], header["config"], None)]
+    return history or [
+        _line(header["run"]["steps"], header["run"]["seconds"], header["config"], None)
+    ]
 
 
 def _line(
     steps: int, seconds: float, config: Mapping[str, Any], validation_mnc: float | None
 ) -> dict[str, float | None]:
     batch = int(config.get("optimiser", {}).get("batch", 1))
-    return {"samples": steps * batch, "hours": round(seconds / 3600, 2), "validation_mnc": validation_mnc}
+    return {
+        "samples": steps * batch,
+        "hours": round(seconds / 3600, 2),
+        "validation_mnc": validation_mnc,
+    }
 
 
 def _without_folders(config: Mapping[str, object]) -> dict[str, object]:
     """Replace paths by file names: folders of the training machine are not published."""
-    sections = {name: dict(values) if isinstance(values, Mapping) else values for name, values in config.items()}
+    sections = {
+        name: dict(values) if isinstance(values, Mapping) else values
+        for name, values in config.items()
+    }
     for name, entry in _PATHS:
         section = sections.get(name)
         if isinstance(section, dict) and section.get(entry):
@@ -149,7 +163,9 @@ def load_network(
     """
     network = _loaded(path, device)
     if not isinstance(network, MotDiffNetwork) or network.config.target != target:
-        raise ValueError(f"{path}: holds a network of target {network.config.target!r}, wanted {target!r}")
+        raise ValueError(
+            f"{path}: holds a network of target {network.config.target!r}, wanted {target!r}"
+        )
     return network
 
 
@@ -157,14 +173,17 @@ def load_path_network(path: Path | str, *, device: str | torch.device = "cpu") -
     """Build the network of quadratic paths that a weights file belongs to; otherwise as :func:`load_network`."""
     network = _loaded(path, device)
     if not isinstance(network, PathNetwork):
-        raise ValueError(f"{path}: holds a network of target {network.config.target!r}, wanted 'path'")
+        raise ValueError(
+            f"{path}: holds a network of target {network.config.target!r}, wanted 'path'"
+        )
     return network
 
 
 def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
     """Copy a weights file into ``network``: all of it where both are the same network, else its condition network.
 
-    A photo encoder or a global view that the file lacks makes no other network: it keeps its values, which are silent.
+    A photo encoder or a global view that the file lacks makes no other network: it keeps its
+    values, which are silent.
 
     Raises
     ------
@@ -172,7 +191,9 @@ def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
         If the file is not one of ours, or its condition network has other sizes.
     """
     other = _loaded(path, "cpu")
-    mine, parts, ours = network.state_dict(), other.state_dict(), network.config
+    mine = network.state_dict()
+    parts = other.state_dict()
+    ours = network.config
     theirs = replace(other.config, dropout=ours.dropout)  # dropout has no weights
     added: tuple[str, ...] = ()
     if theirs.backbone == "none" and network.physics is not None:
@@ -203,11 +224,15 @@ def _loaded(path: Path | str, device: str | torch.device) -> MotDiffNetwork | Pa
     try:
         network = build_network(NetworkConfig.from_dict(header["config"]["network"]))
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: its header describes no network known here: {one_line(error)}") from error
+        raise ValueError(
+            f"{path}: its header describes no network known here: {one_line(error)}"
+        ) from error
     try:
         network.load_state_dict(read_tensors(path, device=str(device)))
     except RuntimeError as error:
-        raise ValueError(f"{path}: its tensors do not fit the network in its own header") from error
+        raise ValueError(
+            f"{path}: its tensors do not fit the network in its own header"
+        ) from error
     network.to(device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return network.eval().requires_grad_(False)
@@ -216,8 +241,8 @@ def _loaded(path: Path | str, device: str | torch.device) -> MotDiffNetwork | Pa
 def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
     """Read the header of a weights file: ``config``, ``card``, and ``run`` (steps, seconds, offset, history).
 
-    The history has a line for each run that led to the weights, from the first: ``samples``, ``hours`` and
-    ``validation_mnc``. It is empty in files of before.
+    The history has a line for each run that led to the weights, from the first: ``samples``,
+    ``hours`` and ``validation_mnc``. It is empty in files of before.
 
     Raises
     ------
@@ -226,7 +251,9 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
     """
     header = read_header(path)
     if header.get("schema") != _SCHEMA:
-        raise ValueError(f"{path}: is no {_SCHEMA} file, its schema is {one_line(repr(header.get('schema')))}")
+        raise ValueError(
+            f"{path}: is no {_SCHEMA} file, its schema is {one_line(repr(header.get('schema')))}"
+        )
     try:
         run: dict[str, Any] = {
             "steps": int(header["step"]),
@@ -234,7 +261,11 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
             "offset": float(header["offset"]),
             "history": json.loads(header.get("history", "[]")),
         }
-        return {"config": json.loads(header["config"]), "card": json.loads(header["card"]), "run": run}
+        return {
+            "config": json.loads(header["config"]),
+            "card": json.loads(header["card"]),
+            "run": run,
+        }
     except (KeyError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: its header is not whole: {one_line(error)}") from error
 
@@ -242,6 +273,8 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
 def _in_order(data: bytes, header: Mapping[str, str]) -> bytes:
     """Put the header's entries in their order, which safetensors shuffles: the same run gives the same bytes."""
     start = 8 + int.from_bytes(data[:8], "little")
-    text = json.dumps(json.loads(data[8:start]) | {"__metadata__": header}, separators=(",", ":")).encode()
+    text = json.dumps(
+        json.loads(data[8:start]) | {"__metadata__": header}, separators=(",", ":")
+    ).encode()
     text += b" " * (-len(text) % 8)
     return len(text).to_bytes(8, "little") + text + data[start:]

@@ -12,14 +12,14 @@ from motdiff import weights_io
 from motdiff.network.correction import CorrectionNetwork
 from motdiff.weights_io import filled, write_with_card
 
-__all__ = ["CORRECTION_WEIGHTS", "SCHEMA", "load_correction", "read_card", "write_correction"]
-
 SCHEMA = "motdiff.correction/1"
 CORRECTION_WEIGHTS = Path(__file__).with_name("correction.safetensors")
 """The weights in the package."""
 
 
-def write_correction(state: Mapping[str, Tensor], target: Path | str, *, about: Mapping[str, Any]) -> int:
+def write_correction(
+    state: Mapping[str, Tensor], target: Path | str, *, about: Mapping[str, Any]
+) -> int:
     """Write a network's weights as float16; returns the bytes.
 
     Parameters

@@ -23,7 +23,9 @@ class Cep:
 
     def __init__(self, capfd):
         self._capfd = capfd
-        self.code, self.out, self.err = 0, "", ""
+        self.code = 0
+        self.out = ""
+        self.err = ""
 
     def __call__(self, *arguments):
         self._capfd.readouterr()
@@ -85,7 +87,9 @@ def small_inputs(tmp_path_factory):
     sharp = 0.1 + 0.8 * blocks
     motion = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
     write_image(folder / "sharp.png", sharp, bits=16)
-    write_image(folder / "blurred.png", blur_valid(sharp, motion.psf(motion.frame_size() | 1)), bits=16)
+    write_image(
+        folder / "blurred.png", blur_valid(sharp, motion.psf(motion.frame_size() | 1)), bits=16
+    )
     write_motion(folder / "trajectory.json", StoredMotion(motion, source={"method": "test"}))
     write_code(folder / "code.json", StoredCode(ShutterCode("1101000101101111", 250_000)))
     return folder
@@ -109,7 +113,9 @@ def browser():
         from playwright.sync_api import sync_playwright
     except ImportError:
         give_up("playwright is not installed: see .ci/tools")
-    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    chromium = next(
+        filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+    )
     if chromium is None:
         give_up("no Chromium is installed: see .ci/tools")
     with sync_playwright() as play:

@@ -84,7 +84,11 @@ print(_cache_folder(), double.stats.cache_misses)
 
 @pytest.mark.parametrize(
     ("settings", "kept"),
-    [({"HOME": "/proc/none"}, False), ({"NUMBA_CACHE_DIR": "/proc/none"}, False), ({"XDG_CACHE_HOME": "x"}, True)],
+    [
+        ({"HOME": "/proc/none"}, False),
+        ({"NUMBA_CACHE_DIR": "/proc/none"}, False),
+        ({"XDG_CACHE_HOME": "x"}, True),
+    ],
 )
 def test_without_a_folder_that_can_be_written(tmp_path, settings, kept):
     """A service user: a read-only installation, which a file in the folder's place stands for, and no home."""
@@ -94,10 +98,23 @@ def test_without_a_folder_that_can_be_written(tmp_path, settings, kept):
     (tmp_path / "cep" / "__pycache__").write_text("not a folder")
     shutil.copy(Path(cep.__file__).with_name("compiled.py"), tmp_path / "cep")
     (tmp_path / "loop.py").write_text(LOOP)
-    without = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "XDG_"))}
-    environment = without | {"PYTHONPATH": str(tmp_path), "TMPDIR": str(tmp_path / "temporary"), **settings}
+    without = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("NUMBA_", "XDG_"))
+    }
+    environment = without | {
+        "PYTHONPATH": str(tmp_path),
+        "TMPDIR": str(tmp_path / "temporary"),
+        **settings,
+    }
     done = subprocess.run(
-        [sys.executable, "loop.py"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "loop.py"],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     folder = Path(done.stdout.split()[0])
@@ -115,7 +132,9 @@ def test_without_a_folder_that_can_be_written(tmp_path, settings, kept):
 def test_compiled_loops_are_kept_under_their_sources_name():
     from cep.search.annealing import chains
 
-    folder = kept_folder(Path(cep.__file__).parent, otherwise=Path.home() / ".cache" / "coded-exposure")
+    folder = kept_folder(
+        Path(cep.__file__).parent, otherwise=Path.home() / ".cache" / "coded-exposure"
+    )
     dispatchers = [value for value in vars(chains).values() if hasattr(value, "_cache")]
     assert dispatchers
     assert all(str(folder) in dispatcher._cache.cache_path for dispatcher in dispatchers)

@@ -97,19 +97,23 @@ def test_nothing_else_is_there():
 
 
 def test_import_loads_nothing_but_the_standard_library():
-    program = (
-        "import sys, cep; print([name for name in ('numpy', 'torch', 'hw', 'motdiff', 'typer') if name in sys.modules])"
+    program = "import sys, cep; print([name for name in ('numpy', 'torch', 'hw', 'motdiff', 'typer') if name in sys.modules])"
+    told = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
-    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "[]"
 
 
-# -- objects of the user's own ----------------------------------------------------------------------------------------
+# -- objects of the user's own --------------------------------------------------------------------
 
 
 def test_a_code_of_ones_own(plugin):
     assert package.load_code(f"{plugin}:code").chip_ns == 20_000
-    assert package.load_code(f"{plugin}:bits").bits == package.load_code(f"{plugin}:make").bits == "1011"
+    assert (
+        package.load_code(f"{plugin}:bits").bits
+        == package.load_code(f"{plugin}:make").bits
+        == "1011"
+    )
     for name in ("number", "missing"):
         with pytest.raises(ValueError, match=f"^{plugin}:{name}: "):
             package.load_code(f"{plugin}:{name}")
@@ -126,7 +130,9 @@ def test_a_restoration_of_ones_own(plugin):
     assert by_object.method == "as_it_is"
     with pytest.raises(ValueError, match=r"method: .*cut returned an image of shape"):
         package.restore(photo, trajectory=path, method=f"{plugin}:cut")
-    ours = package.restore(photo, trajectory=path, method=lambda photo, psf: package.restore(photo, psf))
+    ours = package.restore(
+        photo, trajectory=path, method=lambda photo, psf: package.restore(photo, psf)
+    )
     np.testing.assert_array_equal(ours.image, package.restore(photo, trajectory=path).image)
     with pytest.raises(ValueError, match=r"method: .* returned a dict, wanted the restored photo"):
         package.restore(photo, trajectory=path, method=lambda _photo, _psf: {})
@@ -137,27 +143,46 @@ def test_a_restoration_of_ones_own(plugin):
 def test_a_figure_of_ones_own():
     path = package.Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])
     code = package.ShutterCode("11100101")
-    figures = {"start": lambda trajectory, _code: trajectory.xy[0, 0], "open": lambda _path, code: code.open_chips}
+    figures = {
+        "start": lambda trajectory, _code: trajectory.xy[0, 0],
+        "open": lambda _path, code: code.open_chips,
+    }
     for motion, direction in ((path, "auto"), (replace(path, direction="known"), "unknown")):
-        problem = package.SearchProblem.along(motion, chips=8, objective="mse", direction=direction)
+        problem = package.SearchProblem.along(
+            motion, chips=8, objective="mse", direction=direction
+        )
         first, second, *_ = rows = package.compare(problem, code, figures=figures)
-        start, opened = first.figures["start"], first.figures["open"]
+        start = first.figures["start"]
+        opened = first.figures["open"]
         assert start == (motion.xy[0, 0], motion.xy[-1, 0])
-        assert start[0] != start[1]  # no one number: nothing says which of the directions is the worse
+        assert (
+            start[0] != start[1]
+        )  # no one number: nothing says which of the directions is the worse
         assert (opened, second.figures["open"]) == ((5.0, 5.0), (8.0, 8.0))
         assert "start, forward / backward" in repr(rows)
     known = replace(path, direction="known")
-    assert package.audit(code, known, flips=0, figures=figures).figures == {"start": known.xy[0, 0], "open": 5.0}
+    assert package.audit(code, known, flips=0, figures=figures).figures == {
+        "start": known.xy[0, 0],
+        "open": 5.0,
+    }
     forward = package.SearchProblem.along(path, chips=8, objective="mse", direction="forward")
     best = package.optimize(forward, steps=200, figures=figures)
-    assert [row.figures["open"] for row in best.comparison] == [row.code.open_chips for row in best.comparison]
+    assert [row.figures["open"] for row in best.comparison] == [
+        row.code.open_chips for row in best.comparison
+    ]
     assert "figures" not in package.optimize(forward, steps=200).to_dict()
 
 
 def test_a_figure_that_fails_is_named_before_the_search(monkeypatch):
-    monkeypatch.setattr("cep.search.optimize.search", lambda *_args, **_options: pytest.fail("it was searched"))
+    monkeypatch.setattr(
+        "cep.search.optimize.search", lambda *_args, **_options: pytest.fail("it was searched")
+    )
     problem = package.SearchProblem.along(package.Trajectory.straight(9.0), chips=8)
-    for figure in (lambda _path, _code: 1 / 0, lambda _path, _code: None, lambda _path, _code: True):
+    for figure in (
+        lambda _path, _code: 1 / 0,
+        lambda _path, _code: None,
+        lambda _path, _code: True,
+    ):
         with pytest.raises(ValueError, match=r"^figure mine: "):
             package.optimize(problem, figures={"mine": figure})
 
@@ -182,17 +207,33 @@ def test_an_estimator_of_ones_own(plugin, tmp_path):
 
 def test_commands_take_them(cep, workplace, plugin):
     Path(workplace / f"{plugin}.py").write_text(PLUGIN)
-    sharp = cep.succeeds("deblur", "blurred.png", "--trajectory", "trajectory.json", "--method", f"{plugin}:as_it_is")
+    sharp = cep.succeeds(
+        "deblur",
+        "blurred.png",
+        "--trajectory",
+        "trajectory.json",
+        "--method",
+        f"{plugin}:as_it_is",
+    )
     assert sharp["method"] == f"{plugin}:as_it_is"
     assert cep.succeeds("audit", f"{plugin}:code")["bits"] == "110100"
     assert "no_such_module" in cep.refuses("audit", "no_such_module:code")
     line = cep.refuses(
-        "deblur", "blurred.png", "--trajectory", "trajectory.json", "--method", f"{plugin}:nothing", "-o", "x.png"
+        "deblur",
+        "blurred.png",
+        "--trajectory",
+        "trajectory.json",
+        "--method",
+        f"{plugin}:nothing",
+        "-o",
+        "x.png",
     )
     assert f"{plugin} has no 'nothing'" in line
     assert sharp["direction"] == "unknown"
     own = ("--method", f"{plugin}:Straight")
-    assert cep.succeeds("calibrate", "blurred.png", *own, "-o", "motion")["length_px"] == pytest.approx(7.0)
+    assert cep.succeeds("calibrate", "blurred.png", *own, "-o", "motion")[
+        "length_px"
+    ] == pytest.approx(7.0)
     Path("shots").mkdir()
     for name in ("a.png", "b.png"):
         shutil.copy("blurred.png", f"shots/{name}")
@@ -202,7 +243,8 @@ def test_commands_take_them(cep, workplace, plugin):
 
 def test_commands_take_figures(cep, workplace, plugin):
     Path(workplace / f"{plugin}.py").write_text(PLUGIN)
-    late, light = f"{plugin}:late", f"{plugin}:light"
+    late = f"{plugin}:late"
+    light = f"{plugin}:light"
     own = ("--trajectory", "trajectory.json", "--figure", late, "--figure", light)
     audited = cep.succeeds("audit", "1101000101101111", *own)["figures"]
     assert set(audited) == {late, light}
@@ -218,13 +260,17 @@ def test_commands_take_figures(cep, workplace, plugin):
     assert "forward / backward" in cep("audit", "1011", *own).out
     Path("motions/one").mkdir(parents=True)
     shutil.copy("trajectory.json", "motions/one")
-    found = cep.succeeds(*search, "--each", "motions", "--figure", light, "-o", "codes")["codes"]["one"]
+    found = cep.succeeds(*search, "--each", "motions", "--figure", light, "-o", "codes")["codes"][
+        "one"
+    ]
     assert found["figures"] == {light: [found["duty"]] * 2}
     (line,) = csv.DictReader(Path("codes/codes.csv").read_text().splitlines())
     assert line[light] == f"{found['duty']:.6g} / {found['duty']:.6g}"
     for name in ("broken", "wordy", "undefined", "number", "missing"):
         for command in (("audit", "1011"), ("mtf", "-o", "x.png"), (*search, "-o", "x.json")):
-            line = cep.refuses(*command, "--trajectory", "trajectory.json", "--figure", f"{plugin}:{name}")
+            line = cep.refuses(
+                *command, "--trajectory", "trajectory.json", "--figure", f"{plugin}:{name}"
+            )
             assert f"{plugin}:{name}" in line
     assert "--figure" in cep.refuses(*search, "--linear", "9", "--frames", "2", "--figure", light)
     assert not list(Path().glob("x.*"))
@@ -233,7 +279,9 @@ def test_commands_take_figures(cep, workplace, plugin):
 def test_a_module_that_fails_is_named_in_one_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("own_broken.py").write_text("1 / 0\n")
-    with pytest.raises(ValueError, match=r"^own_broken:x: importing own_broken failed .ZeroDivisionError") as caught:
+    with pytest.raises(
+        ValueError, match=r"^own_broken:x: importing own_broken failed .ZeroDivisionError"
+    ) as caught:
         load_object("own_broken:x")
     assert "\n" not in str(caught.value)
     with pytest.raises(ValueError, match="must be module:name"):
@@ -245,15 +293,19 @@ def test_a_restoration_saves_itself(tmp_path):
     psf = package.Trajectory.straight(6.0).psf(9)
     found = package.restore(np.clip(blur_valid(scene, psf), 0, 1), psf)
     found.save(tmp_path / "sharp.png", bits=16)
-    np.testing.assert_allclose(package.read_image(tmp_path / "sharp.png"), np.clip(found.image, 0, 1), atol=1e-4)
+    np.testing.assert_allclose(
+        package.read_image(tmp_path / "sharp.png"), np.clip(found.image, 0, 1), atol=1e-4
+    )
     assert found._repr_png_().startswith(b"\x89PNG")
     assert "48 x 48" not in repr(found)
     assert "40 x 40 px by wiener" in repr(found)
 
 
 def test_a_code_goes_with_a_trajectory_alone():
-    photo, psf = np.random.default_rng(0).random((32, 32)), np.full((3, 3), 1 / 9)
-    path, code = package.Trajectory.straight(4.0), package.ShutterCode("1011")
+    photo = np.random.default_rng(0).random((32, 32))
+    psf = np.full((3, 3), 1 / 9)
+    path = package.Trajectory.straight(4.0)
+    code = package.ShutterCode("1011")
     with pytest.raises(ValueError, match=r"^trajectory and psf: give one of them at most"):
         package.restore(photo, psf, trajectory=path)
     with pytest.raises(ValueError, match=r"^code: not valid with a PSF"):
@@ -264,7 +316,8 @@ def test_a_code_goes_with_a_trajectory_alone():
 
 def test_a_capture_along_a_path_is_the_one_through_its_psf():
     scene = np.random.default_rng(0).random((40, 40))
-    path, code = package.Trajectory.from_samples([[0, 0], [4, 1], [6, 5]]), package.ShutterCode("1011")
+    path = package.Trajectory.from_samples([[0, 0], [4, 1], [6, 5]])
+    code = package.ShutterCode("1011")
     psf = package.coded_psf(path, code, path.frame_size() | 1)
     along = package.capture(scene, path, code, rng=np.random.default_rng(3))
     through = package.capture(scene, psf, rng=np.random.default_rng(3))

@@ -1,6 +1,7 @@
 """The ATmega328P firmware under test: built from its sources, played on an emulated Uno, checked to the clock cycle.
 
-Every check here is one that the shipped firmware passes and that a firmware with a fault must fail.
+Every check here is one that the shipped firmware passes and that a firmware with a fault must
+fail.
 """
 
 from __future__ import annotations
@@ -88,7 +89,9 @@ class RawPort:
         return reply[2], reply[3:]
 
 
-def build(folder: Path, *changes: tuple[str, str, str], on_us: int = 0, duty_permille: int = 1000) -> Path:
+def build(
+    folder: Path, *changes: tuple[str, str, str], on_us: int = 0, duty_permille: int = 1000
+) -> Path:
     """Build the firmware in `folder`, with changes (file, old text, new text) of its sources; its hex file."""
     sources = folder / "sources"
     shutil.copytree(FOLDER, sources, ignore=shutil.ignore_patterns("*.hex*", "*.elf"))
@@ -97,7 +100,11 @@ def build(folder: Path, *changes: tuple[str, str, str], on_us: int = 0, duty_per
         assert text.count(old) == 1, f"{name} has {old!r} {text.count(old)} times"
         (sources / name).write_text(text.replace(old, new))
     limits = [f"MAX_ON_US={on_us}", f"MAX_DUTY_PERMILLE={duty_permille}"]
-    subprocess.run(["make", "-s", "-C", str(sources), f"OUT={folder}", *limits], check=True, capture_output=True)
+    subprocess.run(
+        ["make", "-s", "-C", str(sources), f"OUT={folder}", *limits],
+        check=True,
+        capture_output=True,
+    )
     (built,) = folder.glob("*.hex")
     return built
 
@@ -106,14 +113,16 @@ def ideal_edges(stored: Stored) -> tuple[tuple[int, int], ...]:
     """Edges of a program in ticks of the controller, rounded to whole ones as the protocol says (halves up)."""
     half = Fraction(1, 2)
     return tuple(
-        (int(chip * stored.chip_ticks + half), level) for chip, level in Program.from_bits(stored.bits, chip_ns=1).edges
+        (int(chip * stored.chip_ticks + half), level)
+        for chip, level in Program.from_bits(stored.bits, chip_ns=1).edges
     )
 
 
 @contextmanager
 def one_play(uno: Uno) -> Iterator[list[Play]]:
     """Collect what the pins do in the context as one play; it is appended to the list when the context ends."""
-    before, busy_before = len(uno.edges()), len(uno.edges("busy"))
+    before = len(uno.edges())
+    busy_before = len(uno.edges("busy"))
     plays: list[Play] = []
     yield plays
     busy = uno.edges("busy")[busy_before:]
@@ -129,7 +138,9 @@ def played(uno: Uno, controller: Controller, stored: Stored) -> Play:
     assert unpack_stored(controller.link.request(Op.READ)) == stored, "read-back differs"
     before = controller.status()
     with one_play(uno) as plays:
-        controller.arm(lease_ms=0xFFFF)  # a simulator may be far quicker than the clock, and this process be held up
+        controller.arm(
+            lease_ms=0xFFFF
+        )  # a simulator may be far quicker than the clock, and this process be held up
         controller.trigger()
         status = controller.wait(timeout_s=30)
     assert (status.state, status.pos) == (State.DONE, len(stored.bits)), "play did not end"
@@ -140,11 +151,14 @@ def played(uno: Uno, controller: Controller, stored: Stored) -> Play:
 def check_edges(play: Play, stored: Stored) -> None:
     """Check a play against its program, cycle by cycle.
 
-    A simulator changes pins late, up to the length of what the processor was at, and never early. Edges late by amounts
-    that are less than a tick apart are all within 4 cycles of their places, and none is in another tick.
+    A simulator changes pins late, up to the length of what the processor was at, and never early.
+    Edges late by amounts that are less than a tick apart are all within 4 cycles of their places,
+    and none is in another tick.
     """
     ideal = ideal_edges(stored)
-    assert [level for _, level in play.edges] == [level for _, level in ideal], "levels differ from the code"
+    assert [level for _, level in play.edges] == [level for _, level in ideal], (
+        "levels differ from the code"
+    )
     late = _lateness(play, stored)
     assert abs(late[0] - LEAD_CYCLES) <= 64, f"first chip begins {late[0]} cycles after busy"
     assert max(late) - min(late) < TICK_CYCLES, f"edges are {max(late) - min(late)} cycles off"
@@ -167,7 +181,10 @@ def check_wrong_crc(raw: RawPort, payload: bytes) -> None:
     bad = unpack_status(raw.ask(Op.STATUS)[1]).bad_frames
     for wrong in (0x0001, 0x8000, 0xFFFF):
         body = bytes([Op.LOAD, 77]) + payload
-        raw.send(BINARY.wrap(body + (binascii.crc_hqx(body, 0xFFFF) ^ wrong).to_bytes(2, "little")) + BINARY.end)
+        raw.send(
+            BINARY.wrap(body + (binascii.crc_hqx(body, 0xFFFF) ^ wrong).to_bytes(2, "little"))
+            + BINARY.end
+        )
         assert raw.hear_nothing(), "a frame with a wrong CRC is answered"
     assert raw.ask(Op.READ) == (0, stored), "a frame with a wrong CRC changed the program"
     assert unpack_status(raw.ask(Op.STATUS)[1]).bad_frames == bad + 3

@@ -1,8 +1,9 @@
 """An arbitrary-waveform generator of the 33500 class on a TCP socket, written from its manual (nothing of `hw`).
 
-Messages are parsed as IEEE 488.2 and SCPI say: units joined by semicolons that carry the header path on, long and
-short forms, optional nodes, numbers with units, quoted strings, definite-length blocks that may hold any byte, and an
-error queue. What the output does after a trigger is computed from the samples, in exact fractions of a second.
+Messages are parsed as IEEE 488.2 and SCPI say: units joined by semicolons that carry the header
+path on, long and short forms, optional nodes, numbers with units, quoted strings, definite-length
+blocks that may hold any byte, and an error queue. What the output does after a trigger is computed
+from the samples, in exact fractions of a second.
 """
 
 from __future__ import annotations
@@ -17,11 +18,20 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 MESSAGES = {
-    -102: "Syntax error", -104: "Data type error", -108: "Parameter not allowed", -109: "Missing parameter",
-    -113: "Undefined header", -161: "Invalid block data", -211: "Trigger ignored", -221: "Settings conflict",
-    -222: "Data out of range", -224: "Illegal parameter value", -350: "Error queue overflow",
-    785: "Specified arb waveform does not exist", 786: "Specified arb waveform already exists",
-}  # fmt: skip
+    -102: "Syntax error",
+    -104: "Data type error",
+    -108: "Parameter not allowed",
+    -109: "Missing parameter",
+    -113: "Undefined header",
+    -161: "Invalid block data",
+    -211: "Trigger ignored",
+    -221: "Settings conflict",
+    -222: "Data out of range",
+    -224: "Illegal parameter value",
+    -350: "Error queue overflow",
+    785: "Specified arb waveform does not exist",
+    786: "Specified arb waveform already exists",
+}
 LONGEST_QUEUE = 20
 POINTS = (8, 1_000_000)
 RATE = {"OFF": 62_500_000.0, "STEP": 250_000_000.0, "NORM": 250_000_000.0}  # most, by filter
@@ -51,7 +61,9 @@ class Awg:
     def __init__(self, faults: Faults | None = None) -> None:
         self.faults = faults or Faults()
         self.messages: list[str] = []  # headers and data as received, blocks as <n bytes>
-        self.plays: list[list[tuple[Fraction, float]]] = []  # (time after the trigger, volts), one list per burst
+        self.plays: list[
+            list[tuple[Fraction, float]]
+        ] = []  # (time after the trigger, volts), one list per burst
         self.free_runs = 0  # times the output was live with a waveform that waits for no trigger
         self.errors: list[int] = []
         self.arbs: dict[str, list[float]] = {}
@@ -62,11 +74,21 @@ class Awg:
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def _reset(self) -> None:
-        self.output, self.load = False, 50.0
-        self.function, self.arb, self.filter, self.rate = "SIN", "EXP_RISE", "STEP", 40_000.0
-        self.high, self.low = 0.05, -0.05
-        self.burst, self.burst_mode, self.cycles, self.phase = False, "TRIG", 1.0, 0.0
-        self.source, self.slope, self.delay = "IMM", "POS", 0.0
+        self.output = False
+        self.load = 50.0
+        self.function = "SIN"
+        self.arb = "EXP_RISE"
+        self.filter = "STEP"
+        self.rate = 40_000.0
+        self.high = 0.05
+        self.low = -0.05
+        self.burst = False
+        self.burst_mode = "TRIG"
+        self.cycles = 1.0
+        self.phase = 0.0
+        self.source = "IMM"
+        self.slope = "POS"
+        self.delay = 0.0
         self.border = "NORM"
         self._running: tuple[float, Fraction, list[tuple[Fraction, float]]] | None = None
 
@@ -93,13 +115,16 @@ class Awg:
     def _trigger(self) -> None:
         if not self.burst or self.burst_mode != "TRIG" or self.function != "ARB":
             raise ScpiError(-211)
-        if not self.output or (self._running and time.monotonic() - self._running[0] < self._running[1]):
+        if not self.output or (
+            self._running and time.monotonic() - self._running[0] < self._running[1]
+        ):
             return
         if self.filter != "OFF" or self.phase:
             raise NotImplementedError("smoothed or rotated waveforms")
         step = 1 / Fraction(self.rate)
         samples = self.arbs[self.arb]
-        edges, level = [], self.rest_volts
+        edges = []
+        level = self.rest_volts
         for index in range(int(self.cycles) * len(samples) + 1):
             # After the last cycle the output goes back to where the burst begins.
             volts = self._volts(samples[index % len(samples)])
@@ -122,7 +147,8 @@ class Awg:
         return volts
 
     def _volts(self, sample: float) -> float:
-        # The settings hold for the load that the instrument was told; without one the voltage is twice as high.
+        # The settings hold for the load that the instrument was told; without one the voltage is
+        # twice as high.
         volts = self.low + (self.high - self.low) * (sample + 1) / 2
         return volts * (2 if self.load == 50 else 1)
 
@@ -150,11 +176,14 @@ class Awg:
                 return
             if not data:
                 return
-            if hasattr(socket, "TCP_QUICKACK"):  # else the other side waits 40 ms before it sends the next message
+            if hasattr(
+                socket, "TCP_QUICKACK"
+            ):  # else the other side waits 40 ms before it sends the next message
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
             pending += data
             while (end := message_end(pending)) is not None:
-                message, pending = pending[: end - 1].rstrip(b"\r"), pending[end:]
+                message = pending[: end - 1].rstrip(b"\r")
+                pending = pending[end:]
                 text = message.decode("latin-1")
                 if self.faults.hang_up_on in (text, text.partition(" ")[0]):
                     return
@@ -168,7 +197,9 @@ class Awg:
         answers: list[str] = []
         path: list[str] = []
         for unit in split_outside(message, b";"):
-            text = re.sub(r"#.*", f"<{len(unit)} bytes>", unit.decode("latin-1"), flags=re.DOTALL).strip()
+            text = re.sub(
+                r"#.*", f"<{len(unit)} bytes>", unit.decode("latin-1"), flags=re.DOTALL
+            ).strip()
             self.messages.append(text)
             try:
                 for start, number in self.faults.refuse.items():
@@ -191,7 +222,8 @@ class Awg:
         header, _, rest = unit.partition(b" ")
         name = header.decode("ascii", errors="replace")
         if name.startswith("*"):
-            action, nodes = self._tree.get(name.upper().rstrip("?")), path
+            action = self._tree.get(name.upper().rstrip("?"))
+            nodes = path
         else:
             nodes = name.rstrip("?").lstrip(":").split(":")
             nodes = nodes if name.startswith(":") else path + nodes
@@ -214,7 +246,9 @@ class Awg:
             "FORMat:BORDer": self._choice("border", "NORMal", "SWAPped"),
             "[SOURce:]DATA:VOLatile:CLEar": lambda ask, data: self.arbs.clear(),
             "[SOURce:]DATA:ARBitrary": self._load_arb,
-            "[SOURce:]FUNCtion": self._choice("function", "SINusoid", "SQUare", "ARBitrary", "DC", live=True),
+            "[SOURce:]FUNCtion": self._choice(
+                "function", "SINusoid", "SQUare", "ARBitrary", "DC", live=True
+            ),
             "[SOURce:]FUNCtion:ARBitrary": self._select_arb,
             "[SOURce:]FUNCtion:ARBitrary:FILTer": self._choice("filter", "NORMal", "STEP", "OFF"),
             "[SOURce:]FUNCtion:ARBitrary:SRATe": self._set_rate,
@@ -239,10 +273,16 @@ class Awg:
     def _settled(self, live: bool) -> None:
         if not self.burst:
             self._running = None
-        if live and self.output and (self.function != "ARB" or not self.burst or self.source == "IMM"):
+        if (
+            live
+            and self.output
+            and (self.function != "ARB" or not self.burst or self.source == "IMM")
+        ):
             self.free_runs += 1
 
-    def _boolean(self, name: str, *, live: bool = False) -> Callable[[bool, list[bytes]], str | None]:
+    def _boolean(
+        self, name: str, *, live: bool = False
+    ) -> Callable[[bool, list[bytes]], str | None]:
         def do(ask: bool, data: list[bytes]) -> str | None:
             if ask:
                 return str(int(getattr(self, name)))
@@ -254,7 +294,9 @@ class Awg:
 
         return do
 
-    def _number(self, name: str, least: float, most: float) -> Callable[[bool, list[bytes]], str | None]:
+    def _number(
+        self, name: str, least: float, most: float
+    ) -> Callable[[bool, list[bytes]], str | None]:
         def do(ask: bool, data: list[bytes]) -> str | None:
             if ask:
                 return f"{getattr(self, name):+.15E}"
@@ -266,11 +308,17 @@ class Awg:
 
         return do
 
-    def _choice(self, name: str, *words: str, live: bool = False) -> Callable[[bool, list[bytes]], str | None]:
+    def _choice(
+        self, name: str, *words: str, live: bool = False
+    ) -> Callable[[bool, list[bytes]], str | None]:
         def do(ask: bool, data: list[bytes]) -> str | None:
             if ask:
                 return str(getattr(self, name))
-            found = [short(word) for word in words if one(data).decode().upper() in (word.upper(), short(word))]
+            found = [
+                short(word)
+                for word in words
+                if one(data).decode().upper() in (word.upper(), short(word))
+            ]
             if not found:
                 raise ScpiError(-224)
             setattr(self, name, found[0])
@@ -288,13 +336,18 @@ class Awg:
             raise ScpiError(786)
         if data[1].startswith(b"#"):
             digits = int(data[1][1:2])
-            count, block = int(data[1][2 : 2 + digits]), data[1][2 + digits :]
+            count = int(data[1][2 : 2 + digits])
+            block = data[1][2 + digits :]
             if count != len(block) or count % 4 or len(data) > 2:
                 raise ScpiError(-161)
-            samples = list(struct.unpack(f"{'<' if self.border == 'SWAP' else '>'}{count // 4}f", block))
+            samples = list(
+                struct.unpack(f"{'<' if self.border == 'SWAP' else '>'}{count // 4}f", block)
+            )
         else:
             samples = [number(value, -1, 1) for value in data[1:]]
-        if not POINTS[0] <= len(samples) <= POINTS[1] or not all(-1 <= sample <= 1 for sample in samples):
+        if not POINTS[0] <= len(samples) <= POINTS[1] or not all(
+            -1 <= sample <= 1 for sample in samples
+        ):
             raise ScpiError(-222)
         self.arbs[name] = samples
 
@@ -330,12 +383,16 @@ class Awg:
         return None
 
     def _set_amplitude(self, ask: bool, data: list[bytes]) -> None:
-        middle, amplitude = (self.high + self.low) / 2, number(one(data), 0.002, 20)
-        self.high, self.low = middle + amplitude / 2, middle - amplitude / 2
+        middle = (self.high + self.low) / 2
+        amplitude = number(one(data), 0.002, 20)
+        self.high = middle + amplitude / 2
+        self.low = middle - amplitude / 2
 
     def _set_offset(self, ask: bool, data: list[bytes]) -> None:
-        middle, shift = (self.high + self.low) / 2, number(one(data), -10, 10)
-        self.high, self.low = self.high - middle + shift, self.low - middle + shift
+        middle = (self.high + self.low) / 2
+        shift = number(one(data), -10, 10)
+        self.high = self.high - middle + shift
+        self.low = self.low - middle + shift
         if max(self.high, -self.low) > 10:
             raise ScpiError(-221)
 
@@ -355,7 +412,14 @@ def one(data: list[bytes]) -> bytes:
 def number(text: bytes, least: float, most: float) -> float:
     """Read a decimal number, MINimum, MAXimum or INFinity."""
     word = text.decode("ascii", errors="replace").upper()
-    special = {"MIN": least, "MINIMUM": least, "MAX": most, "MAXIMUM": most, "INF": 9.9e37, "INFINITY": 9.9e37}
+    special = {
+        "MIN": least,
+        "MINIMUM": least,
+        "MAX": most,
+        "MAXIMUM": most,
+        "INF": 9.9e37,
+        "INFINITY": 9.9e37,
+    }
     if word in special:
         return special[word]
     if not re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(E[+-]?\d+)?", word):
@@ -410,7 +474,9 @@ def message_end(data: bytes) -> int | None:
 
 def split_outside(data: bytes, separator: bytes) -> list[bytes]:
     """Split at a separator that is in no string and no block."""
-    parts, begin, index = [], 0, 0
+    parts = []
+    begin = 0
+    index = 0
     while index < len(data):
         after = _skipped(data, index)
         if after is None or after == index:

@@ -22,8 +22,12 @@ class Cluster:
     def __init__(self, folder):
         self._processes = []
         contact = folder / "scheduler.json"
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "tests")))}
-        self._folder, self._environment = folder, environment
+        environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "tests"))),
+        }
+        self._folder = folder
+        self._environment = environment
         options = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", contact)
         self.scheduler = self._start("scheduler", *options, environment=environment)
         self.address = self._address(contact)
@@ -32,9 +36,23 @@ class Cluster:
         """Start workers, with the packages below ``root`` instead of these."""
         environment = self._environment
         if root is not None:
-            environment = {**environment, "PYTHONPATH": os.pathsep.join(map(str, (root, ROOT / "tests")))}
-        options = ("--no-nanny", "--nthreads", "1", "--local-directory", self._folder, "--death-timeout", "60")
-        return [self._start("worker", self.address, *options, environment=environment) for _ in range(count)]
+            environment = {
+                **environment,
+                "PYTHONPATH": os.pathsep.join(map(str, (root, ROOT / "tests"))),
+            }
+        options = (
+            "--no-nanny",
+            "--nthreads",
+            "1",
+            "--local-directory",
+            self._folder,
+            "--death-timeout",
+            "60",
+        )
+        return [
+            self._start("worker", self.address, *options, environment=environment)
+            for _ in range(count)
+        ]
 
     def stop(self):
         for process in self._processes:
@@ -42,10 +60,18 @@ class Cluster:
             process.wait()
 
     def _start(self, kind, *options, environment):
-        command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", "--no-dashboard", *map(str, options)]
+        command = [
+            sys.executable,
+            "-m",
+            f"distributed.cli.dask_{kind}",
+            "--no-dashboard",
+            *map(str, options),
+        ]
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         # "python -m" would find the packages of the current folder before those of the environment
-        self._processes.append(subprocess.Popen(command, env=environment, cwd=self._folder, **quiet))
+        self._processes.append(
+            subprocess.Popen(command, env=environment, cwd=self._folder, **quiet)
+        )
         return self._processes[-1]
 
     def _address(self, contact):
@@ -68,7 +94,9 @@ def require_dask():
 def cluster_in(folder, monkeypatch):
     """Start a cluster without workers, whose files lie in a folder, and stop it and its workers at the end."""
     require_dask()
-    monkeypatch.setattr("cep.jobs.executors._WORKERS_S", 60.0)  # a busy machine is slow to start one
+    monkeypatch.setattr(
+        "cep.jobs.executors._WORKERS_S", 60.0
+    )  # a busy machine is slow to start one
     all_sources.cache_clear()  # they may have been edited since the last test
     made = Cluster(folder)
     try:

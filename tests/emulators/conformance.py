@@ -1,7 +1,7 @@
 """What docs/cxp1.md demands of every device, as checks that share no code with `hw`.
 
-Each check gets a `Device` that has just started. It sends bodies (op, seq, payload) and sees bodies; framing and time
-are the device's.
+Each check gets a `Device` that has just started. It sends bodies (op, seq, payload) and sees
+bodies; framing and time are the device's.
 """
 
 from __future__ import annotations
@@ -48,7 +48,9 @@ class Host:
 
     def read(self, reply: bytes | None) -> tuple[int, bytes]:
         assert reply is not None, f"no reply to {self.last.hex()}"
-        assert reply[:2] == bytes([self.last[0] | 0x80, self.last[1]]), f"{reply.hex()} to {self.last.hex()}"
+        assert reply[:2] == bytes([self.last[0] | 0x80, self.last[1]]), (
+            f"{reply.hex()} to {self.last.hex()}"
+        )
         return reply[2], reply[3:]
 
     def ok(self, op: int, payload: bytes = b"") -> bytes:
@@ -58,7 +60,18 @@ class Host:
 
     def hello(self) -> dict[str, int]:
         data = self.ok(HELLO)
-        names = ("version", "flags", "chips", "tick_ns", "least", "most", "on", "duty", "lead_ns", "cause")
+        names = (
+            "version",
+            "flags",
+            "chips",
+            "tick_ns",
+            "least",
+            "most",
+            "on",
+            "duty",
+            "lead_ns",
+            "cause",
+        )
         assert data[:4] == b"CXP1"
         return dict(zip(names, struct.unpack_from("<BBHHIIIHIB", data, 4), strict=True))
 
@@ -112,9 +125,9 @@ def check_idle(device: Device) -> None:
         assert host.ask(op, payload) == (WRONG_STATE, b"")
     assert host.ask(ABORT) == (OK, b"")
     found = host.status()
-    assert {name: found[name] for name in ("state", "begun", "plays", "missed", "bad", "crc")} == dict.fromkeys(
-        ("state", "begun", "plays", "missed", "bad", "crc"), 0
-    )
+    assert {
+        name: found[name] for name in ("state", "begun", "plays", "missed", "bad", "crc")
+    } == dict.fromkeys(("state", "begun", "plays", "missed", "bad", "crc"), 0)
 
 
 def check_unknown_requests(device: Device) -> None:
@@ -142,8 +155,14 @@ def check_load_and_read(device: Device) -> None:
 def check_refused_load_changes_nothing(device: Device) -> None:
     host = Host(device)
     told = host.hello()
-    least, most = told["least"], told["most"]
-    refused = [program(least - 1, CODE), program(0, CODE), program(least, "0" * 10), program(least, "", chips=0)]
+    least = told["least"]
+    most = told["most"]
+    refused = [
+        program(least - 1, CODE),
+        program(0, CODE),
+        program(least, "0" * 10),
+        program(least, "", chips=0),
+    ]
     refused.append(program(least, "1" + "0" * told["chips"]))  # one chip too many
     refused.append(program(least, "1000000000000001", chips=15))  # an open padding bit
     if most < 2**32 - 1:
@@ -166,8 +185,15 @@ def check_lengths(device: Device) -> None:
     for payload in (b"", good[:4], good[:7], good[:-1], good + b"\0"):
         assert host.ask(LOAD, payload) == (BAD_LENGTH, b"")
     host.load()
-    for op, payload in ((READ, b"\0"), (ARM, b""), (ARM, b"\1"), (ARM, b"\1\0\0"), (ABORT, b"\0"), (HELLO, b"\0"),
-                        (STATUS, b"\0\0")):  # fmt: skip
+    for op, payload in (
+        (READ, b"\0"),
+        (ARM, b""),
+        (ARM, b"\1"),
+        (ARM, b"\1\0\0"),
+        (ABORT, b"\0"),
+        (HELLO, b"\0"),
+        (STATUS, b"\0\0"),
+    ):
         assert host.ask(op, payload) == (BAD_LENGTH, b"")
         assert host.state == LOADED
     host.ok(ARM, arm(60000))
@@ -265,8 +291,11 @@ def check_wrong_crc_changes_nothing(device: Device) -> None:
     stored = host.load()
     spoiled = 0
     for spoil in (0x0001, 0x0100, 0x8000, 0xFFFF):
-        for body in (bytes([LOAD, 1]) + program(host.ticks(0.002), "111"), bytes([ARM, 2]) + arm(60000),
-                     bytes([HELLO, 3])):  # fmt: skip
+        for body in (
+            bytes([LOAD, 1]) + program(host.ticks(0.002), "111"),
+            bytes([ARM, 2]) + arm(60000),
+            bytes([HELLO, 3]),
+        ):
             assert device.send(body, spoil=spoil) is None
             spoiled += 1
     assert host.ask(READ) == (OK, stored)
@@ -319,10 +348,15 @@ def check_announced_limits(device: Device) -> None:
     told = host.hello()
     assert told["duty"] < 1000
     assert told["on"]
-    least, on, duty = told["least"], told["on"], told["duty"]
+    least = told["least"]
+    on = told["on"]
+    duty = told["duty"]
     opened = 50 * duty // 1000
     assert host.ask(LOAD, program(least, ("10" * 25)[: 2 * opened].ljust(50, "0")))[0] == OK
-    assert host.ask(LOAD, program(least, "01" * (opened + 1) + "0" * (48 - 2 * opened))) == (DUTY_LIMIT, b"")
+    assert host.ask(LOAD, program(least, "01" * (opened + 1) + "0" * (48 - 2 * opened))) == (
+        DUTY_LIMIT,
+        b"",
+    )
     assert host.ask(LOAD, program(on, "1" + "0" * 49))[0] == OK
     assert host.ask(LOAD, program(on + 1, "1" + "0" * 49)) == (ON_LIMIT, b"")
     assert host.ask(LOAD, program(on // 2, "0110" + "0" * 46))[0] == OK

@@ -1,7 +1,7 @@
 """A small CXP1 controller on a pseudo-terminal, written from docs/cxp1.md alone (nothing of `hw` is imported).
 
-It plays in real time, logs what it did, and breaks on demand: noise, lost or wrong replies, a dead or strange
-device, a stored bit gone wrong, an unplugged cable.
+It plays in real time, logs what it did, and breaks on demand: noise, lost or wrong replies, a dead
+or strange device, a stored bit gone wrong, an unplugged cable.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ class Faults:
     noise: float = 0.0  # chance per byte, each way, of a drop, a flip or a duplicate
     seed: int = 0
     silent: bool = False
-    silent_after: int | None = None  # op after which (done, unanswered) nothing is ever answered again
+    silent_after: int | None = (
+        None  # op after which (done, unanswered) nothing is ever answered again
+    )
     babble: bytes = b""  # sent instead of any reply
     boot_noise: bytes = b""  # sent at once at boot
     deaf_s: float = 0.0  # bytes that come earlier after the first one vanish (bootloader)
@@ -37,12 +39,16 @@ class Faults:
     version: int = 1
     bad_crc_replies: int = 0
     wrong_seq_replies: int = 0
-    lost_replies: dict[int, int] = field(default_factory=dict)  # op -> how many of its replies never leave
+    lost_replies: dict[int, int] = field(
+        default_factory=dict
+    )  # op -> how many of its replies never leave
     unplug_on: int | None = None  # op during whose frame the cable is pulled
     stored_flip: int | None = None  # stored bit that goes wrong after LOAD
     stored_crc_wrong: bool = False
     stuck_play: bool = False
-    state_after: dict[int, int] = field(default_factory=dict)  # op -> state it is in afterwards, whatever it should be
+    state_after: dict[int, int] = field(
+        default_factory=dict
+    )  # op -> state it is in afterwards, whatever it should be
     fault: bool = False  # every play misses an edge
 
 
@@ -65,15 +71,25 @@ class CxpController:
         trigger_input: bool = True,
     ) -> None:
         self.faults = faults or Faults()
-        self.max_chips, self.tick_ns, self.min_ticks, self.max_ticks = max_chips, tick_ns, min_ticks, max_ticks
-        self.max_on_ticks, self.max_duty, self.firmware, self.text = max_on_ticks, max_duty, firmware, text
-        self.clock_ppm, self.boot, self.trigger_input = clock_ppm, time.monotonic(), trigger_input
+        self.max_chips = max_chips
+        self.tick_ns = tick_ns
+        self.min_ticks = min_ticks
+        self.max_ticks = max_ticks
+        self.max_on_ticks = max_on_ticks
+        self.max_duty = max_duty
+        self.firmware = firmware
+        self.text = text
+        self.clock_ppm = clock_ppm
+        self.boot = time.monotonic()
+        self.trigger_input = trigger_input
         self.rng = random.Random(self.faults.seed)
         self.bad_crc_left = self.faults.bad_crc_replies
         self.wrong_seq_left = self.faults.wrong_seq_replies
         self.lost_left = dict(self.faults.lost_replies)
         self.state = IDLE
-        self.ticks, self.fraction, self.bits = 0.0, 0, ""
+        self.ticks = 0.0
+        self.fraction = 0
+        self.bits = ""
         self.runs = self.bad_frames = self.late = 0
         self.play_start = self.lease_end = 0.0
         self.last_request: tuple[int, int, int] | None = None
@@ -134,7 +150,11 @@ class CxpController:
     def _noisy(self, data: bytes) -> bytes:
         out = bytearray()
         for byte in data:
-            kind = self.rng.choice(["drop", "flip", "twice"]) if self.rng.random() < self.faults.noise else ""
+            kind = (
+                self.rng.choice(["drop", "flip", "twice"])
+                if self.rng.random() < self.faults.noise
+                else ""
+            )
             if kind == "flip":
                 byte ^= 1 << self.rng.randrange(8)
             out += bytes([byte]) * {"drop": 0, "twice": 2}.get(kind, 1)
@@ -152,7 +172,9 @@ class CxpController:
         self.pending += self._noisy(data)
         end = b"\n" if self.text else b"\0"
         # The op is the second byte of a stuffed frame: the first is COBS's own.
-        if self.faults.unplug_on is not None and self.pending.lstrip(b"\0")[1:2] == bytes([self.faults.unplug_on]):
+        if self.faults.unplug_on is not None and self.pending.lstrip(b"\0")[1:2] == bytes(
+            [self.faults.unplug_on]
+        ):
             self.unplugged = True
             return
         while end in self.pending:
@@ -163,7 +185,11 @@ class CxpController:
                 self._put(self.faults.babble)
                 continue
             raw = untext(stuffed) if self.text else unstuff(stuffed)
-            if raw is None or len(raw) < 4 or binascii.crc_hqx(raw[:-2], 0xFFFF) != struct.unpack("<H", raw[-2:])[0]:
+            if (
+                raw is None
+                or len(raw) < 4
+                or binascii.crc_hqx(raw[:-2], 0xFFFF) != struct.unpack("<H", raw[-2:])[0]
+            ):
                 self.bad_frames = min(self.bad_frames + 1, 255)
                 continue
             self._serve(raw[0], raw[1], raw[2:-2], struct.unpack("<H", raw[-2:])[0])
@@ -176,7 +202,8 @@ class CxpController:
             self.ops.append(op)
             error, data = self._do(op, payload)
             if not error and op in self.faults.state_after:
-                self.state, self.lease_end = self.faults.state_after[op], time.monotonic() + 60
+                self.state = self.faults.state_after[op]
+                self.lease_end = time.monotonic() + 60
             self.last_request = (op, seq, crc)
             self.last_reply = bytes([op | 0x80, seq, error]) + data
         self.mute = self.mute or op == self.faults.silent_after
@@ -194,7 +221,9 @@ class CxpController:
             self.bad_crc_left -= 1
             check ^= 0x0101
         sealed = reply + struct.pack("<H", check)
-        self._put(b":" + sealed.hex().upper().encode() + b"\r\n" if self.text else stuff(sealed) + b"\0")
+        self._put(
+            b":" + sealed.hex().upper().encode() + b"\r\n" if self.text else stuff(sealed) + b"\0"
+        )
 
     def _do(self, op: int, payload: bytes) -> tuple[int, bytes]:
         if op not in range(HELLO, STATUS + 1):
@@ -207,13 +236,24 @@ class CxpController:
         }
         if self.state not in allowed.get(op, range(6)):
             return 4, b""
-        if (op in (HELLO, READ, TRIG, ABORT, STATUS) and payload) or (op == ARM and len(payload) != 2):
+        if (op in (HELLO, READ, TRIG, ABORT, STATUS) and payload) or (
+            op == ARM and len(payload) != 2
+        ):
             return 2, b""
         if op == HELLO:
             flags = 1 | self.trigger_input << 1
-            told = (self.faults.version, flags, self.max_chips, self.tick_ns, self.min_ticks, self.max_ticks)
+            told = (
+                self.faults.version,
+                flags,
+                self.max_chips,
+                self.tick_ns,
+                self.min_ticks,
+                self.max_ticks,
+            )
             limits = (self.max_on_ticks, self.max_duty, 20_000, 0)
-            return 0, self.faults.magic + struct.pack("<BBHHIIIHIB", *told, *limits) + self.firmware.encode()
+            return 0, self.faults.magic + struct.pack(
+                "<BBHHIIIHIB", *told, *limits
+            ) + self.firmware.encode()
         if op == LOAD:
             return self._load(payload)
         if op == READ:
@@ -222,18 +262,26 @@ class CxpController:
             lease_ms = struct.unpack("<H", payload)[0]
             if not lease_ms:
                 return 3, b""
-            self.state, self.lease_end = ARMED, time.monotonic() + lease_ms * 1e-3
+            self.state = ARMED
+            self.lease_end = time.monotonic() + lease_ms * 1e-3
         elif op == TRIG:
-            self.state, self.play_start = PLAY, time.monotonic()
+            self.state = PLAY
+            self.play_start = time.monotonic()
             self.plays.append(self.bits)
         elif op == ABORT:
             self.state = LOADED if self.bits else IDLE
         elif op == STATUS:
             position = 0
             if self.state == PLAY:
-                position = int((time.monotonic() - self.play_start) * 1e9 / (self.ticks * self.tick_ns))
+                position = int(
+                    (time.monotonic() - self.play_start) * 1e9 / (self.ticks * self.tick_ns)
+                )
             position = min(position, len(self.bits))
-            uptime_us = int((time.monotonic() - self.boot) * 1e6 * (1 + self.clock_ppm * 1e-6)) + 2**32 - 300_000
+            uptime_us = (
+                int((time.monotonic() - self.boot) * 1e6 * (1 + self.clock_ppm * 1e-6))
+                + 2**32
+                - 300_000
+            )
             counts = (self.runs % 65536, min(self.late, 255), self.bad_frames, uptime_us % 2**32)
             crc = zlib.crc32(self._stored()) if self.bits else 0
             return 0, struct.pack("<BHHBBII", self.state, position, *counts, crc)
@@ -247,7 +295,10 @@ class CxpController:
             return 2, b""
         padded = "".join(format(byte, "08b") for byte in payload[8:])
         bits = padded[:count]
-        if not self.min_ticks <= ticks <= self.max_ticks - (fraction > 0) or not 1 <= count <= self.max_chips:
+        if (
+            not self.min_ticks <= ticks <= self.max_ticks - (fraction > 0)
+            or not 1 <= count <= self.max_chips
+        ):
             return 3, b""
         if "1" in padded[count:] or "1" not in bits:
             return 3, b""
@@ -256,7 +307,9 @@ class CxpController:
         longest = max(len(run) for run in bits.split("0"))
         if self.max_on_ticks and longest * (ticks + fraction / 65536) > self.max_on_ticks:
             return 6, b""
-        self.fraction, self.bits, self.state = fraction, bits, LOADED
+        self.fraction = fraction
+        self.bits = bits
+        self.state = LOADED
         self.ticks = ticks + fraction / 65536
         echo = struct.pack("<I", zlib.crc32(self._stored()) ^ self.faults.stored_crc_wrong)
         if self.faults.stored_flip is not None:
@@ -268,7 +321,9 @@ class CxpController:
         count = len(self.bits)
         size = -(-count // 8)
         number = int(self.bits, 2) << (8 * size - count)
-        return struct.pack("<IHH", int(self.ticks), self.fraction, count) + number.to_bytes(size, "big")
+        return struct.pack("<IHH", int(self.ticks), self.fraction, count) + number.to_bytes(
+            size, "big"
+        )
 
 
 def stuff(data: bytes) -> bytes:
@@ -277,7 +332,8 @@ def stuff(data: bytes) -> bytes:
     parts = data.split(b"\0")
     for index, part in enumerate(parts):
         while len(part) > 254:
-            out, part = out + b"\xff" + part[:254], part[254:]
+            out = out + b"\xff" + part[:254]
+            part = part[254:]
         if len(part) == 254 and index == len(parts) - 1:
             out += b"\xff" + part
         elif len(part) == 254:
@@ -291,7 +347,9 @@ def unstuff(data: bytes) -> bytes | None:
     """Undo `stuff`; None when it is not stuffed data."""
     out = b""
     while data:
-        code, block, data = data[0], data[1 : data[0]], data[data[0] :]
+        code = data[0]
+        block = data[1 : data[0]]
+        data = data[data[0] :]
         if len(block) != code - 1:
             return None
         out += block + (b"\0" if data and code < 255 else b"")

@@ -1,8 +1,9 @@
 """A Pulse Pal v2 on a pseudo-terminal, written from its protocol alone (nothing of `hw` is imported).
 
-It keeps what the real one keeps: two train memories that are never cleared, parameters per channel, links from the
-trigger inputs. What a channel puts out is computed as edges in 50 us cycles; cycles go by with the wall clock, but
-at least one per command, as in the firmware that serves one command per cycle.
+It keeps what the real one keeps: two train memories that are never cleared, parameters per
+channel, links from the trigger inputs. What a channel puts out is computed as edges in 50 us
+cycles; cycles go by with the wall clock, but at least one per command, as in the firmware that
+serves one command per cycle.
 """
 
 from __future__ import annotations
@@ -17,10 +18,27 @@ from dataclasses import dataclass, field
 
 CYCLE_S = 50e-6
 CELLS = 5001  # per train; the firmware writes behind them when told to
-REST, OPEN_5V = 32768, 49152  # DAC codes of 0 V and 5 V
+REST = 32768  # DAC codes of 0 V and 5 V
+OPEN_5V = 49152
 FOREVER = 2**32  # a time that comes again only when the counter wraps, after 59 hours
-HELLO, PARAM, TRAIN_1, TRAIN_2, SOFT_TRIGGER, FIXED, ABORT, DISCONNECT, INFO = 72, 74, 75, 76, 77, 79, 80, 81, 94
-WIDTHS = {1: 1, 2: 2, 3: 2, **dict.fromkeys(range(4, 12), 4), **dict.fromkeys(range(12, 17), 1), 17: 2, 128: 1}
+HELLO = 72
+PARAM = 74
+TRAIN_1 = 75
+TRAIN_2 = 76
+SOFT_TRIGGER = 77
+FIXED = 79
+ABORT = 80
+DISCONNECT = 81
+INFO = 94
+WIDTHS = {
+    1: 1,
+    2: 2,
+    3: 2,
+    **dict.fromkeys(range(4, 12), 4),
+    **dict.fromkeys(range(12, 17), 1),
+    17: 2,
+    128: 1,
+}
 DEFAULTS = {1: 0, 2: OPEN_5V, 3: 16384, 4: 20, 5: 20, 6: 20, 7: 200, 8: 0, 9: 0, 10: 20_000, 11: 0}
 DEFAULTS |= {12: 1, 13: 0, 14: 0, 15: 0, 16: 0, 17: REST}
 
@@ -34,7 +52,9 @@ class Faults:
     boot_noise: bytes = b""
     deaf_s: float = 0.0  # bytes that come earlier after the first one vanish
     late_s: dict[int, float] = field(default_factory=dict)  # op -> how much longer it takes
-    silent_after: int | None = None  # op after which (done, unanswered) nothing is ever answered again
+    silent_after: int | None = (
+        None  # op after which (done, unanswered) nothing is ever answered again
+    )
     unplug_on: int | None = None  # op whose bytes pull the cable
     refuse: int | None = None  # parameter that is answered by 0
     twice: int | None = None  # op that is answered twice
@@ -63,8 +83,12 @@ class Channel:
 class PulsePal:
     """The device; use as a context manager. `port` is the name of its pseudo-terminal."""
 
-    def __init__(self, faults: Faults | None = None, *, firmware: int = 21, timer_us: int = 50) -> None:
-        self.faults, self.firmware, self.timer_us = faults or Faults(), firmware, timer_us
+    def __init__(
+        self, faults: Faults | None = None, *, firmware: int = 21, timer_us: int = 50
+    ) -> None:
+        self.faults = faults or Faults()
+        self.firmware = firmware
+        self.timer_us = timer_us
         self.channels = {k: Channel() for k in range(1, 5)}
         self.trigger_modes = {1: 0, 2: 0}
         self.times = {k: [0] * CELLS for k in (TRAIN_1, TRAIN_2)}
@@ -119,7 +143,11 @@ class PulsePal:
         with self._lock:
             self._advance()
             for index, channel in self.channels.items():
-                if channel.values[11 + number] and self.trigger_modes[number] == 0 and channel.play is None:
+                if (
+                    channel.values[11 + number]
+                    and self.trigger_modes[number] == 0
+                    and channel.play is None
+                ):
                     self._start(index, self._cycle)
 
     def _run(self) -> None:
@@ -144,7 +172,8 @@ class PulsePal:
         self.pending += data
         while self.pending and not self.unplugged:
             if self.pending[0] != 213:
-                self.ignored, self.pending = self.ignored + self.pending[:1], self.pending[1:]
+                self.ignored = self.ignored + self.pending[:1]
+                self.pending = self.pending[1:]
                 continue
             if len(self.pending) > 1 and self.pending[1] == self.faults.unplug_on:
                 self.unplugged = True
@@ -152,7 +181,8 @@ class PulsePal:
             length = self._length(self.pending)
             if length is None or len(self.pending) < length:
                 return
-            command, self.pending = self.pending[:length], self.pending[length:]
+            command = self.pending[:length]
+            self.pending = self.pending[length:]
             with self._lock:
                 self._cycle += 1  # a command takes a cycle of its own
                 self._advance()
@@ -181,7 +211,9 @@ class PulsePal:
         if op == INFO and self.firmware >= 22:
             return struct.pack("<BIBI", 2, self.timer_us, 2, 5000)
         if op == PARAM:
-            number, channel, value = data[0], data[1], int.from_bytes(data[2:], "little")
+            number = data[0]
+            channel = data[1]
+            value = int.from_bytes(data[2:], "little")
             if number == self.faults.refuse:
                 return b"\0"
             if number == 128:
@@ -192,7 +224,9 @@ class PulsePal:
         if op in (TRAIN_1, TRAIN_2):
             count = int.from_bytes(data[:4], "little")
             if count > CELLS - 1:
-                self.overrun = self.mute = True  # other memory is overwritten: nothing is certain any more
+                self.overrun = self.mute = (
+                    True  # other memory is overwritten: nothing is certain any more
+                )
                 return b""
             self.counts[op] = count
             self.times[op][:count] = struct.unpack_from(f"<{count}I", data, 4)
@@ -207,9 +241,13 @@ class PulsePal:
                 if channel.play is not None:
                     channel.play.killed = self._cycle
                     channel.play.edges = [
-                        edge for edge in channel.play.edges if channel.play.start + edge[0] < self._cycle
+                        edge
+                        for edge in channel.play.edges
+                        if channel.play.start + edge[0] < self._cycle
                     ]
-                    channel.play.edges.append((self._cycle - channel.play.start, channel.values[17]))
+                    channel.play.edges.append(
+                        (self._cycle - channel.play.start, channel.values[17])
+                    )
                 channel.play = None
         return b""
 
@@ -219,10 +257,17 @@ class PulsePal:
         for index, channel in self.channels.items():
             while True:
                 play = channel.play
-                if play is not None and play.end is not None and play.start + play.end < self._cycle:
+                if (
+                    play is not None
+                    and play.end is not None
+                    and play.start + play.end < self._cycle
+                ):
                     channel.play = None
-                elif play is None and channel.pending is not None and channel.pending < self._cycle:
-                    # Taken in its own cycle or as soon as the channel is idle; a command of that cycle came before.
+                elif (
+                    play is None and channel.pending is not None and channel.pending < self._cycle
+                ):
+                    # Taken in its own cycle or as soon as the channel is idle; a command of that
+                    # cycle came before.
                     last = [old for old in self._plays if old.channel == index][-1:]
                     free = [(old.killed or old.start + (old.end or 0)) for old in last]
                     start, channel.pending = max([channel.pending, *free]), None
@@ -240,18 +285,27 @@ class PulsePal:
         """What a channel with these parameters puts out after a trigger; only what a code needs is modelled."""
         if values[1] or values[15] or values[8] or values[16]:
             raise NotImplementedError("biphasic pulses, bursts and loops")
-        delay, width, rest = values[11], values[4], values[17]
-        if values[14] == 0:  # pulses of one voltage with equal gaps, till the train's duration is over
+        delay = values[11]
+        width = values[4]
+        rest = values[17]
+        if (
+            values[14] == 0
+        ):  # pulses of one voltage with equal gaps, till the train's duration is over
             starts = range(delay, delay + values[10], width + values[7])
-            edges = [edge for start in starts for edge in ((start, values[2]), (start + width, rest))]
+            edges = [
+                edge for start in starts for edge in ((start, values[2]), (start + width, rest))
+            ]
             return edges, delay + values[10]
         op = TRAIN_1 if values[14] == 1 else TRAIN_2
-        times, volts, count = self.times[op], self.volts[op], self.counts[op]
+        times = self.times[op]
+        volts = self.volts[op]
+        count = self.counts[op]
         edges = []
         now = times[0]
         for k in range(count):
             edges.append((delay + now, volts[k]))
-            # The next entry is looked at even behind the last pulse, where an older train may have left something.
+            # The next entry is looked at even behind the last pulse, where an older train may have
+            # left something.
             following = times[k + 1]
             if (following - times[k]) % 2**32 > width:
                 edges.append((delay + now + width, rest))
@@ -263,12 +317,17 @@ class PulsePal:
             if k == count - 1:
                 if not joined:
                     return edges, delay + ready
-                if following > now:  # one more entry is played, and the channel is stopped in the same cycle
+                if (
+                    following > now
+                ):  # one more entry is played, and the channel is stopped in the same cycle
                     edges.append((delay + following, rest))
                     return edges, delay + following
                 return edges, None
             if following < ready or (joined and following == now):
-                return edges, None  # its cycle has gone by: the channel waits for the counter to wrap
+                return (
+                    edges,
+                    None,
+                )  # its cycle has gone by: the channel waits for the counter to wrap
             now = following
         return edges, 0
 

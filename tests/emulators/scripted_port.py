@@ -20,7 +20,8 @@ class ScriptedPort:
         return len(self.waiting)
 
     def read(self, size):
-        data, self.waiting = self.waiting[:size], self.waiting[size:]
+        data = self.waiting[:size]
+        self.waiting = self.waiting[size:]
         return data
 
     def write(self, data):

@@ -26,7 +26,9 @@ def require_node_module(*names: str) -> None:
     require_tool("node")
     absent = [name for name in names if not (NODE_FOLDER / "node_modules" / name).is_dir()]
     if absent:
-        give_up(f"node modules {', '.join(absent)} not installed: npm ci --prefix tests/emulators/node")
+        give_up(
+            f"node modules {', '.join(absent)} not installed: npm ci --prefix tests/emulators/node"
+        )
 
 
 def require_simavr() -> None:

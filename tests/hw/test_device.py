@@ -71,10 +71,15 @@ def test_own_exposure_time_shortens_what_can_be_commanded():
 
 
 def test_chip_too_long():
-    assert "too long; at most 32.7675 ms" in load_profile("cxp-avr").check(Program("1", 33_000_000))[0]
+    assert (
+        "too long; at most 32.7675 ms"
+        in load_profile("cxp-avr").check(Program("1", 33_000_000))[0]
+    )
 
 
-@pytest.mark.parametrize(("chip_ns", "chips", "count"), [(50_000, 1024, 0), (49_500, 1025, 2), (50_100, 52, 1)])
+@pytest.mark.parametrize(
+    ("chip_ns", "chips", "count"), [(50_000, 1024, 0), (49_500, 1025, 2), (50_100, 52, 1)]
+)
 def test_avr_profile(chip_ns, chips, count):
     assert len(load_profile("cxp-avr").check(Program("1" * chips, chip_ns))) == count
 
@@ -88,7 +93,8 @@ def test_built_in_profiles_load_under_their_own_names():
 
 def test_liquid_crystals_have_ramps_and_others_none():
     assert {load_profile(name).rise_ns for name in ("generic", "cxp-avr")} == {0}
-    flc, nematic = load_profile("flc"), load_profile("lc-dual-frequency")
+    flc = load_profile("flc")
+    nematic = load_profile("lc-dual-frequency")
     assert 0 < flc.rise_ns == flc.fall_ns < nematic.rise_ns == nematic.fall_ns
     ramps = parse_profile('schema = "hw.device/1"\nname = "mine"\nrise_ns = 30\nfall_ns = 0\n')
     assert (ramps.rise_ns, ramps.fall_ns) == (30, 0)
@@ -98,7 +104,11 @@ def test_liquid_crystals_have_ramps_and_others_none():
 def test_users_profile_from_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('schema = "hw.device/1"\nname = "mine"\nmax_duty = 0.3\nclosed_level = 1\n')
-    assert load_profile(str(path)) == load_profile(path) == DeviceProfile(name="mine", max_duty=0.3, closed_level=1)
+    assert (
+        load_profile(str(path))
+        == load_profile(path)
+        == DeviceProfile(name="mine", max_duty=0.3, closed_level=1)
+    )
 
 
 @pytest.mark.parametrize(
@@ -161,7 +171,9 @@ def test_bad_files_get_one_clear_line(tmp_path):
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "latin-1"])
 def test_a_profile_in_another_encoding_is_told_what_would_be_right(tmp_path, encoding):
     path = tmp_path / "mine.toml"
-    path.write_bytes('schema = "hw.device/1"\nname = "mine"\ndescription = "Ferré"\n'.encode(encoding))
+    path.write_bytes(
+        'schema = "hw.device/1"\nname = "mine"\ndescription = "Ferré"\n'.encode(encoding)
+    )
     with pytest.raises(ValueError, match=r"mine.toml is not UTF-8: .*save it as UTF-8") as caught:
         load_profile(path)
     assert "\n" not in str(caught.value)
@@ -172,12 +184,15 @@ def test_a_file_too_large_for_its_kind_is_refused_before_it_is_parsed(tmp_path, 
     path = tmp_path / "a.toml"
     with path.open("wb") as stream:
         stream.truncate(2**40)  # sparse: only a reader that takes it all would notice
-    with pytest.raises(ValueError, match=rf"a\.toml cannot be read: it is too large, .* at most {limit_mib} MiB"):
+    with pytest.raises(
+        ValueError, match=rf"a\.toml cannot be read: it is too large, .* at most {limit_mib} MiB"
+    ):
         read(path)
 
 
 def test_a_profile_with_the_mark_of_windows_editors(tmp_path):
-    plain, marked = tmp_path / "plain.toml", tmp_path / "marked.toml"
+    plain = tmp_path / "plain.toml"
+    marked = tmp_path / "marked.toml"
     plain.write_text('schema = "hw.device/1"\nname = "mine"\ntick_ns = 500\n')
     marked.write_bytes(b"\xef\xbb\xbf" + plain.read_bytes())
     assert load_profile(str(marked)) == load_profile(str(plain))

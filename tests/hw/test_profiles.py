@@ -9,7 +9,8 @@ from hw.device import load_profile, profile_names
 from hw.program import Program
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
-US, MS = 1_000, 1_000_000
+US = 1_000
+MS = 1_000_000
 
 ALTERNATING_5000 = "10" * 5000
 
@@ -72,7 +73,9 @@ def test_a_pregius_sensor_needs_gaps_and_not_only_exposures():
 
 
 def test_the_document_names_every_profile():
-    page = (Path(__file__).resolve().parents[2] / "docs" / "hardware.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "hardware.md").read_text(
+        encoding="utf-8"
+    )
     table = page.partition("## Names of devices")[2].partition("\n## ")[0]
     rows = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
     named = [name for row in rows for name in re.findall(r"`([\w-]+)`", row)]

@@ -33,7 +33,8 @@ def test_edges_replay_to_the_bits(program):
     # Play the edges on a clock and sample the middle of each chip: an independent way back.
     edges = list(program.edges)
     assert [level for _, level in edges] == [1, 0] * program.pulses
-    level, sampled = 0, ""
+    level = 0
+    sampled = ""
     for k in range(program.chips):
         while edges and 2 * edges[0][0] < (2 * k + 1) * program.chip_ns:
             level = edges.pop(0)[1]
@@ -48,8 +49,13 @@ def test_runs_add_up_and_all_ways_back_are_exact(program):
     assert sum(ns for _, ns in program.runs) == program.duration_ns
     assert sum(ns for level, ns in program.runs if level) == program.open_ns
     assert all(a != b for (a, _), (b, _) in zip(program.runs, program.runs[1:], strict=False))
-    assert Program.from_edges(program.edges, chip_ns=program.chip_ns, chips=program.chips) == program
-    assert Program.from_bytes(program.to_bytes(), chips=program.chips, chip_ns=program.chip_ns) == program
+    assert (
+        Program.from_edges(program.edges, chip_ns=program.chip_ns, chips=program.chips) == program
+    )
+    assert (
+        Program.from_bytes(program.to_bytes(), chips=program.chips, chip_ns=program.chip_ns)
+        == program
+    )
 
 
 def test_first_edge_waits_for_the_first_open_chip():
@@ -63,11 +69,16 @@ def test_bytes_are_msb_first():
 def test_crc_tells_code_length_and_chip_apart():
     program = Program.from_bits("1011", chip_ns=200_000)
     assert program.code_crc32 == zlib.crc32(struct.pack("<QI", 200_000, 4) + b"\xb0")
-    others = [Program.from_bits("10110", chip_ns=200_000), Program.from_bits("1011", chip_ns=200_001)]
+    others = [
+        Program.from_bits("10110", chip_ns=200_000),
+        Program.from_bits("1011", chip_ns=200_001),
+    ]
     assert program.code_crc32 not in {other.code_crc32 for other in others}
 
 
-@pytest.mark.parametrize("bits", [[1, 0, 1], (True, False, True), np.array([1, 0, 1]), np.array([1, 0, 1], dtype=bool)])
+@pytest.mark.parametrize(
+    "bits", [[1, 0, 1], (True, False, True), np.array([1, 0, 1]), np.array([1, 0, 1], dtype=bool)]
+)
 def test_takes_sequences_and_numpy(bits):
     program = Program.from_bits(bits, chip_ns=np.int64(5))
     assert program == Program("101", 5)

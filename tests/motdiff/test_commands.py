@@ -61,7 +61,10 @@ steps = 1
 batch = 1
 window = 8
 """
-PREPARED = '[data]\nphotos = "photos.zip"\nheld_out = 2\nprepared = "seen"\nprepared_validation = "unseen"\n' + PHYSICS
+PREPARED = (
+    '[data]\nphotos = "photos.zip"\nheld_out = 2\nprepared = "seen"\nprepared_validation = "unseen"\n'
+    + PHYSICS
+)
 
 
 @pytest.fixture(autouse=True)
@@ -70,7 +73,9 @@ def small_world(tmp_path, monkeypatch):
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     starts = tuple(QuickStart(size, 1.0) for size in (9, 11, 13))
-    monkeypatch.setattr(samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1))
+    monkeypatch.setattr(
+        samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1)
+    )
     monkeypatch.setattr(prepared_module, "SHARD_SAMPLES", 2)
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     monkeypatch.chdir(tmp_path)
@@ -127,7 +132,10 @@ def test_from_photos_to_weights(photos, motdiff):
     assert code == 0
     assert told.splitlines()[-1].startswith("shard 2 of 3")
     assert motdiff("prepare", "run.toml", "-o", "unseen", "--shards", "0:1", "--held-out")[0] == 0
-    assert sorted(path.name for path in Path("seen").iterdir()) == ["shard_00000.npz", "shard_00002.npz"]
+    assert sorted(path.name for path in Path("seen").iterdir()) == [
+        "shard_00000.npz",
+        "shard_00002.npz",
+    ]
     code, told = motdiff("train", "run.toml", "-o", "run", "--device", "cpu", "--minutes", 0)
     assert code == 0
     assert "new run, from step 0 of 2" in told
@@ -140,25 +148,35 @@ def test_from_photos_to_weights(photos, motdiff):
     assert code == 0
     score = read_log("run/log.csv")[-1]["validation_mnc"]
     assert re.fullmatch(
-        rf"weights\.safetensors: [\d.]+ MiB; 4 samples in 0\.0 h, 1 run, validation MNC {score:.3f}\n", told
+        rf"weights\.safetensors: [\d.]+ MiB; 4 samples in 0\.0 h, 1 run, validation MNC {score:.3f}\n",
+        told,
     )
     assert read_card("weights.safetensors")["run"]["steps"] == 2
     assert load_network("weights.safetensors").config.physics_channels == 8
 
 
 def test_training_on_simulated_photos(photos, motdiff):
-    code, told = motdiff("train", write("run.toml", LIVE), "-o", "run", "--device", "cpu", "--validate-every", 1)
+    code, told = motdiff(
+        "train", write("run.toml", LIVE), "-o", "run", "--device", "cpu", "--validate-every", 1
+    )
     assert code == 0, told
-    assert {path.name for path in Path("run").iterdir()} == {"checkpoint", "log.csv", "progress.png"}
+    assert {path.name for path in Path("run").iterdir()} == {
+        "checkpoint",
+        "log.csv",
+        "progress.png",
+    }
 
 
 def small(name, **changes):
     """Text of a shipped configuration with changed entries: every key and value that stays is the shipped one."""
-    table = tomllib.loads((ROOT / "motdiff" / "configs" / f"{name}.toml").read_text(encoding="utf-8"))
+    table = tomllib.loads(
+        (ROOT / "motdiff" / "configs" / f"{name}.toml").read_text(encoding="utf-8")
+    )
     for section, entries in changes.items():
         table[section] |= entries
     return "".join(
-        f"[{section}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in entries.items())
+        f"[{section}]\n"
+        + "".join(f"{key} = {json.dumps(value)}\n" for key, value in entries.items())
         for section, entries in table.items()
     )
 
@@ -182,7 +200,13 @@ def first_minute(motdiff, text):
 
 SMALL = {
     "data": {"photos": "photos.zip", "motions": 8, "held_out": 2, "validation": 1},
-    "network": {"width": 8, "physics_width": 8, "denoiser_width": 8, "decoder_widths": [8, 4], "time_width": 16},
+    "network": {
+        "width": 8,
+        "physics_width": 8,
+        "denoiser_width": 8,
+        "decoder_widths": [8, 4],
+        "time_width": 16,
+    },
     "optimiser": {"steps": 2, "batch": 2, "warm_up": 1},
 }
 
@@ -195,13 +219,27 @@ def test_the_papers_first_minute_on_a_gpu(photos, motdiff):
 def test_a_gpus_first_minute(photos, motdiff):
     """gpu.toml in small sizes, from photos to a sheet of draws and an estimate with the exported weights."""
     shakes = np.cumsum(np.random.default_rng(0).standard_normal((1500, 3)), axis=0)
-    rows = [f"{i / 200},{x},{y},{z}" for i, (x, y, z) in enumerate(0.01 * (shakes - shakes.mean(axis=0)))]
+    rows = [
+        f"{i / 200},{x},{y},{z}"
+        for i, (x, y, z) in enumerate(0.01 * (shakes - shakes.mean(axis=0)))
+    ]
     trace = write("gyro.csv", "\n".join(["t_s,x,y,z", *rows]))
     network = first_minute(motdiff, small("gpu", **SMALL, motions={"gyro_trace": trace}))
     assert network.config.denoiser_view == 2
     photo = cv2.imread("photos/photo0.png")[:256, :256]
     cv2.imwrite("blurred.png", photo)
-    sample = ("sample", "blurred.png", "-o", "o.png", "--weights", "w.safetensors", "--count", 2, "--steps", 2)
+    sample = (
+        "sample",
+        "blurred.png",
+        "-o",
+        "o.png",
+        "--weights",
+        "w.safetensors",
+        "--count",
+        2,
+        "--steps",
+        2,
+    )
     assert motdiff(*sample)[0] == 0
     height, width = cv2.imread("o.png").shape[:2]
     assert width > 4 * height  # a row of the photo, three kernels and two draws, under titles
@@ -228,7 +266,11 @@ def test_held_out_samples_are_of_other_photos(photos, motdiff, monkeypatch):
 def test_it_is_a_module_with_help():
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     shown = subprocess.run(
-        [sys.executable, "-m", "motdiff", "--help"], env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-m", "motdiff", "--help"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     for command in ("train", "prepare", "pack", "export"):
         assert command in shown.stdout
@@ -238,7 +280,9 @@ def test_help_needs_no_torch():
     code = "import sys; from motdiff.commands import run\ntry: run(['train', '--help'])\nexcept SystemExit: pass\n"
     code += "print('torch' in sys.modules, file=sys.stderr)"
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
     assert done.stderr.strip() == "False"
 
 
@@ -247,9 +291,18 @@ def test_help_needs_no_torch():
 CONFIGS = {
     "broken TOML": ("[data\n", "run.toml: not a TOML file"),
     "no data": ("", r"needs a section \[data\]"),
-    "unknown entry": ('[data]\nphotos = "photos"\n[optimiser]\nepochs = 3\n', r"optimiser\.epochs: is not known"),
-    "wrong type": ('[data]\nphotos = "photos"\n[optimiser]\nsteps = "3"\n', r"optimiser\.steps: must be of type int"),
-    "wrong value": ('[data]\nphotos = "photos"\n[network]\nbackbone = "b9"\n', r"network\.backbone is 'b9'"),
+    "unknown entry": (
+        '[data]\nphotos = "photos"\n[optimiser]\nepochs = 3\n',
+        r"optimiser\.epochs: is not known",
+    ),
+    "wrong type": (
+        '[data]\nphotos = "photos"\n[optimiser]\nsteps = "3"\n',
+        r"optimiser\.steps: must be of type int",
+    ),
+    "wrong value": (
+        '[data]\nphotos = "photos"\n[network]\nbackbone = "b9"\n',
+        r"network\.backbone is 'b9'",
+    ),
     "no such photos": (
         LIVE.replace('"photos"', '"nowhere"'),
         r"run\.toml: data\.photos: there is no 'nowhere' here; .*BSDS500$",
@@ -258,8 +311,14 @@ CONFIGS = {
         LIVE.replace('"photos"', '"photos.zip"'),
         r"run\.toml: data\.photos: there is no 'photos\.zip' here",
     ),
-    "an empty folder": (LIVE.replace('"photos"', '"empty"'), r"run\.toml: data\.photos: empty: holds no photo"),
-    "too few photos": (LIVE.replace("held_out = 2", "held_out = 99"), r"run\.toml: data\.held_out: must lie within"),
+    "an empty folder": (
+        LIVE.replace('"photos"', '"empty"'),
+        r"run\.toml: data\.photos: empty: holds no photo",
+    ),
+    "too few photos": (
+        LIVE.replace("held_out = 2", "held_out = 99"),
+        r"run\.toml: data\.held_out: must lie within",
+    ),
     "no such samples": (PREPARED, r"run\.toml: data\.prepared: seen: holds no prepared samples"),
     "no such recording": (
         LIVE.replace("max_length_px = 12", 'gyro = 1.0\ngyro_trace = "gyro.txt"'),
@@ -277,12 +336,16 @@ def test_a_configuration_that_can_be_mended(case, photos, motdiff):
     text, said = CONFIGS[case]
     Path("empty").mkdir()
     outcome = motdiff("train", write("run.toml", text), "-o", "run", "--device", "cpu")
-    lines = [line for line in outcome[1].splitlines(keepends=True) if not line.startswith("new run")]
+    lines = [
+        line for line in outcome[1].splitlines(keepends=True) if not line.startswith("new run")
+    ]
     assert_mendable((outcome[0], "".join(lines)), said)
     assert not Path("run/checkpoint").exists()
 
 
-@pytest.mark.parametrize("case", ["no such photos", "an empty folder", "too few photos", "no such recording"])
+@pytest.mark.parametrize(
+    "case", ["no such photos", "an empty folder", "too few photos", "no such recording"]
+)
 def test_preparing_names_the_entry_and_its_file_too(case, photos, motdiff):
     text, said = CONFIGS[case]
     Path("empty").mkdir()
@@ -290,10 +353,14 @@ def test_preparing_names_the_entry_and_its_file_too(case, photos, motdiff):
     assert not Path("samples").exists() or not list(Path("samples").iterdir())
 
 
-@pytest.mark.parametrize("shards", ["five", "0", "1:2:3:4", "0:9:0", "1.5:3", "", ":3", "3:3", "5:2", "0:-4"])
+@pytest.mark.parametrize(
+    "shards", ["five", "0", "1:2:3:4", "0:9:0", "1.5:3", "", ":3", "3:3", "5:2", "0:-4"]
+)
 def test_shards_that_are_no_range(shards, motdiff):
     write("run.toml", PREPARED)
-    assert_mendable(motdiff("prepare", "run.toml", "-o", "seen", "--shards", shards), f"--shards: .*'{shards}'")
+    assert_mendable(
+        motdiff("prepare", "run.toml", "-o", "seen", "--shards", shards), f"--shards: .*'{shards}'"
+    )
     assert not Path("seen").exists()
 
 
@@ -309,17 +376,26 @@ def test_shards_that_are_no_range(shards, motdiff):
         (["pack", "photos", "no/such/folder/photos.zip"], r"photos\.zip: there is no folder"),
         (["export", "nowhere", "-o", "w.safetensors"], "holds no checkpoint"),
         (["train", "run.toml", "-o", "run", "--minutes", "-1"], "minutes: must be at least 0"),
-        (["train", "run.toml", "-o", "run", "--validate-every", "0"], "validate_steps: must be at least 1"),
+        (
+            ["train", "run.toml", "-o", "run", "--validate-every", "0"],
+            "validate_steps: must be at least 1",
+        ),
         (["train", "run.toml", "-o", "run", "--save-every", "nan"], "save_s: must be at least 0"),
         (["train", "run.toml", "-o", "photos/photo0.png", "--device", "cpu"], "photo0.png"),
         (["train", "run.toml", "-o", "run", "--device", "tpu"], "--device: must be cpu, cuda"),
         (["train", "run.toml", "-o", "run", "--device", "cuda:x"], "--device: must be cpu, cuda"),
-        (["train", "run.toml", "-o", "run", "--device", "cuda:99"], "--device: there is no GPU cuda:99"),
+        (
+            ["train", "run.toml", "-o", "run", "--device", "cuda:99"],
+            "--device: there is no GPU cuda:99",
+        ),
         (["sample", "none.png", "-o", "o.png"], r"none\.png: No such file or directory$"),
         (["sample", "photos", "-o", "o.png"], "photos: is a folder, a regular file is needed$"),
         (["sample", "empty.png", "-o", "o.png"], r"empty\.png: the file is empty"),
         (["sample", "run.toml", "-o", "o.png"], r"run\.toml: not a PNG, JPEG, TIFF or WebP image"),
-        (["export", "nowhere", "-o", "w.safetensors", "--card", "run.toml"], r"run\.toml: not a JSON file"),
+        (
+            ["export", "nowhere", "-o", "w.safetensors", "--card", "run.toml"],
+            r"run\.toml: not a JSON file",
+        ),
     ],
 )
 def test_arguments_that_can_be_mended(arguments, said, photos, motdiff):
@@ -334,7 +410,8 @@ def test_a_missing_gpu_is_told(motdiff, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     write("run.toml", LIVE)
     assert_mendable(
-        motdiff("train", "run.toml", "-o", "run", "--device", "cuda"), "no GPU cuda:0 here, use --device cpu"
+        motdiff("train", "run.toml", "-o", "run", "--device", "cuda"),
+        "no GPU cuda:0 here, use --device cpu",
     )
 
 
@@ -349,12 +426,15 @@ def test_a_missing_gpu_is_told(motdiff, monkeypatch):
     ],
 )
 def test_each_process_takes_its_own_gpu(wanted, rank, name, photos, motdiff, monkeypatch):
-    taken, devices = [], []
+    taken = []
+    devices = []
     monkeypatch.setenv("LOCAL_RANK", rank)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.setattr(torch.cuda, "set_device", taken.append)
-    monkeypatch.setattr("motdiff.training.run.train", lambda *_, device, **__: devices.append(device))
+    monkeypatch.setattr(
+        "motdiff.training.run.train", lambda *_, device, **__: devices.append(device)
+    )
     assert motdiff("train", write("run.toml", LIVE), "-o", "run", "--device", wanted)[0] == 0
     assert devices == [name]
     assert taken == ([] if name == "cpu" else [name])
@@ -363,7 +443,9 @@ def test_each_process_takes_its_own_gpu(wanted, rank, name, photos, motdiff, mon
 def test_a_run_of_another_network_is_left_alone(photos, motdiff):
     assert motdiff("train", write("run.toml", LIVE), "-o", "run", "--device", "cpu")[0] == 0
     other = write("other.toml", LIVE.replace("denoiser_width = 8", "denoiser_width = 16"))
-    assert_mendable(motdiff("train", other, "-o", "run", "--device", "cpu"), "network of another configuration")
+    assert_mendable(
+        motdiff("train", other, "-o", "run", "--device", "cpu"), "network of another configuration"
+    )
     assert read_checkpoint("run/checkpoint").config["network"]["denoiser_width"] == 8
 
 
@@ -380,7 +462,9 @@ def test_a_run_of_another_network_is_left_alone(photos, motdiff):
 def test_a_wrong_command_line_is_told_in_one_line(arguments, helper, capsys):
     with pytest.raises(SystemExit) as caught:
         commands.run(arguments)
-    assert_mendable((caught.value.code, capsys.readouterr().err), rf"\(see python -m {helper} --help\)$")
+    assert_mendable(
+        (caught.value.code, capsys.readouterr().err), rf"\(see python -m {helper} --help\)$"
+    )
 
 
 # ---- failures and Ctrl-C
@@ -406,7 +490,8 @@ def test_each_end_has_its_exit_code(error, code, line, motdiff, monkeypatch):
 
 def test_a_loss_that_is_not_finite_is_a_failure(photos, motdiff, monkeypatch):
     monkeypatch.setattr(
-        "motdiff.training.loop.loss_of", lambda *_, **__: (torch.tensor(float("nan"), requires_grad=True),) * 2
+        "motdiff.training.loop.loss_of",
+        lambda *_, **__: (torch.tensor(float("nan"), requires_grad=True),) * 2,
     )
     code, told = motdiff("train", write("run.toml", LIVE), "-o", "run", "--device", "cpu")
     assert code == 1
@@ -431,6 +516,8 @@ def test_outputs_that_cannot_be_written_are_told_before_inputs_are_read(motdiff,
     files = arguments[0] in ("pack", "export", "sample")
     for place in ("file/out", "nowhere/out") if files else ("file/out", "file"):
         said = "nowhere" if place == "nowhere/out" else "file"
-        assert_mendable(motdiff(*(part.replace("OUT", place) for part in arguments)), rf"error: {said}\b.*")
+        assert_mendable(
+            motdiff(*(part.replace("OUT", place) for part in arguments)), rf"error: {said}\b.*"
+        )
     assert sorted(path.name for path in Path().iterdir()) == ["file", "run.toml"]
     assert Path("file").read_text() == "precious"

@@ -6,7 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from motdiff.crops import blur_differs_warning, clipped_mask, exposure_gain, luminance, pick_crops, uniformity
+from motdiff.crops import (
+    blur_differs_warning,
+    clipped_mask,
+    exposure_gain,
+    luminance,
+    pick_crops,
+    uniformity,
+)
 from motdiff.motions import boracchi_foi
 
 
@@ -26,7 +33,9 @@ def test_prefers_texture_to_flat_and_to_stripes() -> None:
 
 def test_avoids_clipped_areas() -> None:
     photo = blobs((128, 384))
-    photo[:, 256:] = np.where(photo[:, 256:] > 0.5, 1.0, 0.0)  # the strongest texture of all, saturated
+    photo[:, 256:] = np.where(
+        photo[:, 256:] > 0.5, 1.0, 0.0
+    )  # the strongest texture of all, saturated
     for _, column in pick_crops(photo, size=128, count=2):
         assert column <= 128 + 16
 
@@ -38,14 +47,20 @@ def test_everything_clipped_still_gives_a_crop() -> None:
 
 
 @given(
-    height=st.integers(2, 300), width=st.integers(2, 300), size=st.integers(2, 150), count=st.integers(1, 6),
+    height=st.integers(2, 300),
+    width=st.integers(2, 300),
+    size=st.integers(2, 150),
+    count=st.integers(1, 6),
     colour=st.booleans(),
-)  # fmt: skip
+)
 @settings(max_examples=40, deadline=None)
-def test_crops_lie_inside_and_mostly_apart(height: int, width: int, size: int, count: int, colour: bool) -> None:
+def test_crops_lie_inside_and_mostly_apart(
+    height: int, width: int, size: int, count: int, colour: bool
+) -> None:
     photo = np.random.default_rng(height).random((height, width, 3) if colour else (height, width))
     crops = pick_crops(photo, size=size, count=count)
-    h, w = min(size, height), min(size, width)
+    h = min(size, height)
+    w = min(size, width)
     assert 1 <= len(crops) <= count
     for i, (row, column) in enumerate(crops):
         assert 0 <= row <= height - h

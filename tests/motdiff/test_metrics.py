@@ -36,7 +36,8 @@ seeds = st.integers(0, 10_000)
 @given(seed=seeds, scale=st.floats(1e-3, 1e3), dy=st.integers(-5, 5), dx=st.integers(-5, 5))
 @settings(max_examples=20, deadline=None)
 def test_mnc_ignores_shift_scale_and_frame(seed: int, scale: float, dy: int, dx: int) -> None:
-    a, b = kernel(seed), kernel(seed + 1)
+    a = kernel(seed)
+    b = kernel(seed + 1)
     moved = scale * np.roll(np.pad(b, 6), (dy, dx), axis=(0, 1))
     for measure, tolerance in ((mnc, 1e-9), (mnc_subpixel, 2e-3)):  # the sub-pixel grid is finite
         assert measure(a, moved) == pytest.approx(measure(a, b), abs=tolerance)
@@ -115,17 +116,26 @@ def test_mnc_matrix_is_the_subpixel_mnc_of_every_pair(seed: int) -> None:
 def test_mnc_matrix_is_the_best_of_four_half_pixel_shifts(seed: int) -> None:
     a, b = motions(seed, 2)
     spectrum = np.fft.fft2(np.pad(a, 64))
-    halves = [np.fft.ifft2(ndimage.fourier_shift(spectrum, (dy, dx))).real for dy in (0, 0.5) for dx in (0, 0.5)]
+    halves = [
+        np.fft.ifft2(ndimage.fourier_shift(spectrum, (dy, dx))).real
+        for dy in (0, 0.5)
+        for dx in (0, 0.5)
+    ]
     expected = max(np.linalg.norm(half) / np.linalg.norm(a) * mnc(half, b) for half in halves)
     assert mnc_matrix([a, b])[0, 1] == pytest.approx(expected, abs=3e-3)
 
 
 def test_mnc_matrix_ignores_scale_frame_and_place() -> None:
-    a, b = kernel(1), kernel(2)
-    found = mnc_matrix([a, b, 7 * np.pad(a, ((3, 11), (6, 0))), np.roll(np.pad(b, 9), (4, -7), axis=(0, 1))])
+    a = kernel(1)
+    b = kernel(2)
+    found = mnc_matrix(
+        [a, b, 7 * np.pad(a, ((3, 11), (6, 0))), np.roll(np.pad(b, 9), (4, -7), axis=(0, 1))]
+    )
     assert found[0, 2] == pytest.approx(1, abs=1e-9)
     assert found[1, 3] == pytest.approx(1, abs=1e-9)
-    np.testing.assert_allclose(found[2:, :2], found[:2, :2], atol=3e-3)  # the sinc's tails wrap at other frames
+    np.testing.assert_allclose(
+        found[2:, :2], found[:2, :2], atol=3e-3
+    )  # the sinc's tails wrap at other frames
 
 
 def test_mnc_matrix_of_points_by_hand() -> None:
@@ -133,7 +143,11 @@ def test_mnc_matrix_of_points_by_hand() -> None:
     point[6, 6] = 2
     across[6, 4], across[6, 9] = 1, 1
     down[2, 6], down[10, 6] = 1, 1
-    expected = [[1, np.sqrt(1 / 2), np.sqrt(1 / 2)], [np.sqrt(1 / 2), 1, 1 / 2], [np.sqrt(1 / 2), 1 / 2, 1]]
+    expected = [
+        [1, np.sqrt(1 / 2), np.sqrt(1 / 2)],
+        [np.sqrt(1 / 2), 1, 1 / 2],
+        [np.sqrt(1 / 2), 1 / 2, 1],
+    ]
     np.testing.assert_allclose(mnc_matrix([point, across, down]), expected, atol=1e-9)
 
 
@@ -153,7 +167,9 @@ def test_mnc_matrix_of_one_is_one() -> None:
 
 @pytest.mark.parametrize("bad", [np.zeros((3, 3)), np.ones(3), np.full((3, 3), np.nan)])
 def test_mnc_matrix_names_what_is_no_psf(bad: np.ndarray) -> None:
-    with pytest.raises(ValueError, match=r"^psfs\[1\]: must be a finite \(H, W\) array with some light"):
+    with pytest.raises(
+        ValueError, match=r"^psfs\[1\]: must be a finite \(H, W\) array with some light"
+    ):
         mnc_matrix([np.ones((3, 3)), bad])
 
 
@@ -172,10 +188,11 @@ def test_path_distance_ignores_direction_and_dwell(seed: int) -> None:
 
 
 def test_path_distance_of_parallel_lines_of_two_lengths() -> None:
-    # points at equal share of the arc lie |s| (20 - 10) apart, s from -1/2 to 1/2: 2.5 px on average
-    assert path_distance_px(Trajectory.straight(20.0), Trajectory.straight(10.0), samples=2001) == pytest.approx(
-        2.5, 1e-3
-    )
+    # points at equal share of the arc lie |s| (20 - 10) apart, s from -1/2 to 1/2: 2.5 px on
+    # average
+    assert path_distance_px(
+        Trajectory.straight(20.0), Trajectory.straight(10.0), samples=2001
+    ) == pytest.approx(2.5, 1e-3)
 
 
 @pytest.mark.parametrize(("error", "decibels"), [(1.0, 0.0), (0.1, 20.0), (0.5, 6.0206)])
@@ -200,7 +217,9 @@ def test_psnr_and_ssim_up_to_shift(shift: tuple[float, float]) -> None:
     assert psnr_up_to_shift(moved, image) > psnr_up_to_shift(moved, image, max_shift_px=0) + 5
     assert ssim_up_to_shift(moved, image) > 0.97
     colour = np.stack([moved] * 3, axis=-1)
-    assert psnr_up_to_shift(colour, np.stack([image] * 3, axis=-1)) == pytest.approx(psnr_up_to_shift(moved, image))
+    assert psnr_up_to_shift(colour, np.stack([image] * 3, axis=-1)) == pytest.approx(
+        psnr_up_to_shift(moved, image)
+    )
 
 
 def test_psnr_refuses_unequal_or_tiny_photos() -> None:

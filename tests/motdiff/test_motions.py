@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from motdiff.gyro import GyroTrace
-from motdiff.motions import DEBLURGAN_EXPL, boracchi_foi, quadratic, random_gyro_motion, random_straight
+from motdiff.motions import (
+    DEBLURGAN_EXPL,
+    boracchi_foi,
+    quadratic,
+    random_gyro_motion,
+    random_straight,
+)
 from motdiff.trajectory import Trajectory
 
 
@@ -14,7 +20,9 @@ def shaky_trace(seed: int = 0, count: int = 2000, rate_hz: float = 200.0) -> Gyr
     return GyroTrace(np.arange(count) / rate_hz, 0.01 * (rate - rate.mean(axis=0)))
 
 
-def textbook_walk(rng: np.random.Generator, max_length: float, expl: float, iters: int) -> np.ndarray:
+def textbook_walk(
+    rng: np.random.Generator, max_length: float, expl: float, iters: int
+) -> np.ndarray:
     """The recipe step by step in px, as published, from the same draws."""
     c, p, g = (top * rng.random() for top in (0.7, 0.2, 10.0))
     angle = rng.uniform(0, 2 * np.pi)
@@ -52,7 +60,9 @@ def test_boracchi_foi_has_constant_speed_exact_length_and_fits_the_frame(seed: i
 
 
 def test_boracchi_foi_extents_match_the_measured_reference() -> None:
-    extents = [boracchi_foi(np.random.default_rng(seed), expl=0.005).extent_px for seed in range(150)]
+    extents = [
+        boracchi_foi(np.random.default_rng(seed), expl=0.005).extent_px for seed in range(150)
+    ]
     assert np.median(extents) == pytest.approx(17, abs=2.5)  # 16.8 measured on the original code
     assert np.percentile(extents, 5) == pytest.approx(11, abs=2)
 
@@ -72,7 +82,9 @@ def test_boracchi_foi_without_shakes_is_straight() -> None:
 
 def test_big_shakes_turn_back() -> None:
     rng = np.random.default_rng(3)
-    walk = boracchi_foi(rng, expl=1.0, inertia_max=0, gaussian_max=0, big_shake_max=0.2, samples=500)
+    walk = boracchi_foi(
+        rng, expl=1.0, inertia_max=0, gaussian_max=0, big_shake_max=0.2, samples=500
+    )
     d = np.diff(walk.xy, axis=0)
     turn = np.arccos(np.clip((d[1:] * d[:-1]).sum(axis=1) / (60 / 499) ** 2, -1, 1))
     sharp = turn[turn > 1e-6]
@@ -90,7 +102,9 @@ def test_straight_and_quadratic(seed: int) -> None:
     bent = quadratic(rng, min_length_px=7, max_length_px=9, samples=101)
     assert 7 <= bent.length_px <= 9
     acceleration = np.diff(bent.xy, n=2, axis=0)
-    np.testing.assert_allclose(acceleration, np.broadcast_to(acceleration[0], acceleration.shape), atol=1e-9)
+    np.testing.assert_allclose(
+        acceleration, np.broadcast_to(acceleration[0], acceleration.shape), atol=1e-9
+    )
     mean_velocity = bent.xy[-1] - bent.xy[0]
     assert np.linalg.norm(acceleration[0]) * 100**2 <= np.linalg.norm(mean_velocity) * (1 + 1e-9)
     straight = quadratic(rng, max_bend=0)
@@ -112,7 +126,9 @@ def test_gyro_motion_has_the_extent_asked_for_and_known_direction() -> None:
 
 def test_gyro_motion_turns_the_window_only() -> None:
     trace = shaky_trace()
-    a = random_gyro_motion(trace, np.random.default_rng(5), exposure_s=0.2, extent_px=10, rotate=False)
+    a = random_gyro_motion(
+        trace, np.random.default_rng(5), exposure_s=0.2, extent_px=10, rotate=False
+    )
     b = random_gyro_motion(trace, np.random.default_rng(5), exposure_s=0.2, extent_px=10)
     ra, rb = (np.linalg.norm(m.xy, axis=1) for m in (a, b))
     np.testing.assert_allclose(ra / ra.max(), rb / rb.max(), atol=1e-9)

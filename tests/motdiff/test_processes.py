@@ -5,7 +5,9 @@ import sys
 import pytest
 from killed_parents import outliving
 
-pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/proc tells which processes live")
+pytestmark = pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="/proc tells which processes live"
+)
 
 CELLS = """
 import bench_work, numpy as np
@@ -34,7 +36,10 @@ motion_bank.build_bank(None, count=1000, seed=0, workers=2)
 def test_workers_of_cells_end_with_a_killed_run(tmp_path):
     """One works, the other begins, and a third is kept by joblib for its semaphores."""
     log = tmp_path / "log"
-    assert outliving(CELLS.format(log=str(log), cache=str(tmp_path / "cache")), busy=log, least=2) == []
+    assert (
+        outliving(CELLS.format(log=str(log), cache=str(tmp_path / "cache")), busy=log, least=2)
+        == []
+    )
 
 
 @pytest.mark.slow(reason="processes that load the library")

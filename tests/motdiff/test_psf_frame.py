@@ -29,7 +29,8 @@ def test_a_kernel_keeps_its_displacements_in_any_frame(rows, columns, size, seed
     framed = in_frame(kernels, size)
     assert framed.shape == (2, size, size)
     for y, x in np.ndindex(rows, columns):
-        row, column = y - rows // 2 + size // 2, x - columns // 2 + size // 2
+        row = y - rows // 2 + size // 2
+        column = x - columns // 2 + size // 2
         if 0 <= row < size and 0 <= column < size:
             np.testing.assert_array_equal(framed[:, row, column], kernels[:, y, x])
             framed[:, row, column] = 0

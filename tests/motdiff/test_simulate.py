@@ -20,7 +20,12 @@ from motdiff.simulate import (
 from motdiff.trajectory import Trajectory
 
 
-@given(seed=st.integers(0, 1000), rows=st.integers(1, 9), columns=st.integers(1, 9), colour=st.booleans())
+@given(
+    seed=st.integers(0, 1000),
+    rows=st.integers(1, 9),
+    columns=st.integers(1, 9),
+    colour=st.booleans(),
+)
 @settings(max_examples=40, deadline=None)
 def test_blur_valid_is_true_convolution(seed: int, rows: int, columns: int, colour: bool) -> None:
     rng = np.random.default_rng(seed)
@@ -28,7 +33,13 @@ def test_blur_valid_is_true_convolution(seed: int, rows: int, columns: int, colo
     psf = rng.random((rows, columns))
     blurred = blur_valid(image, psf)
     channels = image[..., None] if image.ndim == 2 else image
-    direct = np.stack([signal.convolve(c, psf, mode="valid", method="direct") for c in np.moveaxis(channels, 2, 0)], 2)
+    direct = np.stack(
+        [
+            signal.convolve(c, psf, mode="valid", method="direct")
+            for c in np.moveaxis(channels, 2, 0)
+        ],
+        2,
+    )
     np.testing.assert_allclose(blurred.reshape(direct.shape), direct, atol=1e-12)
     assert image[valid_window(image.shape, psf.shape)].shape == blurred.shape
 
@@ -41,7 +52,9 @@ def test_a_point_draws_the_psf_where_the_point_is(size: int) -> None:
     blurred = np.zeros_like(image)
     blurred[valid_window(image.shape, psf.shape)] = blur_valid(image, psf)
     half = size // 2
-    np.testing.assert_allclose(blurred[20 - half : 20 - half + size, 22 - half : 22 - half + size], psf, atol=1e-14)
+    np.testing.assert_allclose(
+        blurred[20 - half : 20 - half + size, 22 - half : 22 - half + size], psf, atol=1e-14
+    )
 
 
 @pytest.mark.parametrize("size", [1, 6, 7])
@@ -49,18 +62,25 @@ def test_a_delta_changes_nothing(size: int) -> None:
     image = np.random.default_rng(0).random((20, 23, 3))
     psf = np.zeros((size, size))
     psf[size // 2, size // 2] = 1
-    np.testing.assert_allclose(blur_valid(image, psf), image[valid_window(image.shape, psf.shape)], atol=1e-12)
+    np.testing.assert_allclose(
+        blur_valid(image, psf), image[valid_window(image.shape, psf.shape)], atol=1e-12
+    )
     np.testing.assert_allclose(blur_symmetric(image, psf), image, atol=1e-12)
 
 
 def test_symmetric_borders_mirror_the_scene_and_agree_inside() -> None:
     rng = np.random.default_rng(1)
-    image, psf = rng.random((20, 24)), rng.random((6, 5))
+    image = rng.random((20, 24))
+    psf = rng.random((6, 5))
     blurred = blur_symmetric(image, psf)
     assert blurred.shape == image.shape
-    np.testing.assert_allclose(blurred[valid_window(image.shape, psf.shape)], blur_valid(image, psf), atol=1e-12)
+    np.testing.assert_allclose(
+        blurred[valid_window(image.shape, psf.shape)], blur_valid(image, psf), atol=1e-12
+    )
     wide = np.pad(image, 10, mode="symmetric")
-    np.testing.assert_allclose(blurred, signal.convolve(wide, psf)[10 + 3 : 10 + 3 + 20, 10 + 2 : 10 + 2 + 24])
+    np.testing.assert_allclose(
+        blurred, signal.convolve(wide, psf)[10 + 3 : 10 + 3 + 20, 10 + 2 : 10 + 2 + 24]
+    )
     np.testing.assert_allclose(blur_symmetric(np.ones((9, 9)), psf / psf.sum()), 1, atol=1e-12)
 
 
@@ -88,7 +108,10 @@ def test_photon_and_read_noise_have_their_variances() -> None:
 
 def test_noise_repeats_with_the_seed_and_refuses_nonsense() -> None:
     grey = np.full((4, 4), 0.5)
-    a, b = (add_noise(grey, np.random.default_rng(3), photons_full_scale=50, read_sigma=0.1) for _ in range(2))
+    a, b = (
+        add_noise(grey, np.random.default_rng(3), photons_full_scale=50, read_sigma=0.1)
+        for _ in range(2)
+    )
     np.testing.assert_array_equal(a, b)
     rng = np.random.default_rng(0)
     with pytest.raises(ValueError, match="read_sigma"):
@@ -113,17 +136,24 @@ def test_photograph_is_blur_noise_and_what_is_recorded() -> None:
     np.testing.assert_array_equal(recorded, np.rint(noisy))
 
 
-@pytest.mark.parametrize(("borders", "blur"), [("real", blur_valid), ("symmetric", blur_symmetric)])
+@pytest.mark.parametrize(
+    ("borders", "blur"), [("real", blur_valid), ("symmetric", blur_symmetric)]
+)
 def test_a_photo_shows_the_visible_part_of_its_scene(borders, blur) -> None:
-    scene, rng = np.random.default_rng(0).random((60, 70, 3)), np.random.default_rng(1)
+    scene = np.random.default_rng(0).random((60, 70, 3))
+    rng = np.random.default_rng(1)
     psf = Trajectory.straight(9.0, angle_rad=0.4).psf(20)
     photo = photograph(scene, psf, rng=rng, borders=borders, read_sigma=0)
     np.testing.assert_array_equal(photo, np.clip(blur(scene, psf), 0, 1))
     shown = visible(scene, 20, borders=borders)
-    assert photo.shape == shown.shape == (60 - border_px(borders, 20), 70 - border_px(borders, 20), 3)
+    assert (
+        photo.shape == shown.shape == (60 - border_px(borders, 20), 70 - border_px(borders, 20), 3)
+    )
     still = np.zeros((20, 20))
     still[10, 10] = 1
-    np.testing.assert_allclose(photograph(scene, still, rng=rng, borders=borders, read_sigma=0), shown, atol=1e-12)
+    np.testing.assert_allclose(
+        photograph(scene, still, rng=rng, borders=borders, read_sigma=0), shown, atol=1e-12
+    )
 
 
 def test_unknown_borders_are_refused() -> None:
@@ -133,7 +163,9 @@ def test_unknown_borders_are_refused() -> None:
 
 @given(value=st.floats(-1.5, 1.5), gamma=st.none() | st.floats(0.3, 4))
 def test_gamma_round_trips_and_is_odd(value: float, gamma: float | None) -> None:
-    assert to_linear(to_display(value, gamma=gamma), gamma=gamma) == pytest.approx(value, abs=1e-12)
+    assert to_linear(to_display(value, gamma=gamma), gamma=gamma) == pytest.approx(
+        value, abs=1e-12
+    )
     assert to_display(-value, gamma=gamma) == pytest.approx(-to_display(value, gamma=gamma))
 
 

@@ -43,7 +43,9 @@ def test_results_come_in_the_order_of_the_jobs_not_of_their_ends(monkeypatch):
         *[(8, "1", 4, 1), (8, "2", 6, 2), (2, "8", 4, 2), (3, "0", 4, 1), (3, "no number", 6, 3)],
     ],
 )
-def test_as_many_run_at_a_time_as_there_are_cores_and_the_environment_allows(monkeypatch, count, limit, jobs, expected):
+def test_as_many_run_at_a_time_as_there_are_cores_and_the_environment_allows(
+    monkeypatch, count, limit, jobs, expected
+):
     cores(monkeypatch, count)
     if limit is not None:
         monkeypatch.setenv("OMP_NUM_THREADS", limit)
@@ -52,7 +54,9 @@ def test_as_many_run_at_a_time_as_there_are_cores_and_the_environment_allows(mon
 
 def most_at_a_time(jobs, expected):
     """Run jobs that wait until as many as expected are there."""
-    lock, running, most = threading.Lock(), 0, 0
+    lock = threading.Lock()
+    running = 0
+    most = 0
     together = threading.Barrier(expected)
 
     def job():
@@ -164,7 +168,11 @@ def test_a_stop_between_two_jobs_ends_the_run(monkeypatch):
 @pytest.mark.parametrize("kept", [one_thread, one_thread_a_call])
 def test_torch_and_blas_have_one_thread_while_it_lasts(kept):
     def threads():
-        pools = {pool["filepath"]: pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+        pools = {
+            pool["filepath"]: pool["num_threads"]
+            for pool in threadpool_info()
+            if pool["user_api"] == "blas"
+        }
         return {"torch": torch.get_num_threads(), **pools}
 
     def failing():
@@ -182,7 +190,8 @@ def test_torch_and_blas_have_one_thread_while_it_lasts(kept):
 
 @pytest.mark.parametrize("first_out", [0, 1])
 def test_two_threads_within_it_leave_the_process_what_it_had(first_out):
-    inside, leave = [threading.Event(), threading.Event()], [threading.Event(), threading.Event()]
+    inside = [threading.Event(), threading.Event()]
+    leave = [threading.Event(), threading.Event()]
 
     def run(k):
         with one_thread_a_call(), one_thread_a_call():
@@ -194,7 +203,8 @@ def test_two_threads_within_it_leave_the_process_what_it_had(first_out):
         both.wait(20)
         return torch.get_num_threads()
 
-    before, both = blas_threads(), threading.Barrier(2)
+    before = blas_threads()
+    both = threading.Barrier(2)
     with ThreadPoolExecutor(2) as pool:
         runs = []
         for k in (0, 1):
@@ -211,7 +221,8 @@ def test_two_threads_within_it_leave_the_process_what_it_had(first_out):
 
 
 def test_one_that_enters_after_the_first_has_left_limits_the_blas_again():
-    inside, leave = threading.Event(), threading.Event()
+    inside = threading.Event()
+    leave = threading.Event()
 
     def stay():
         with one_thread_a_call():

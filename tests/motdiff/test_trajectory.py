@@ -17,7 +17,9 @@ def wiggle(seed: int, *, samples: int = 40, size_px: float = 16.0) -> Trajectory
     return motion.scaled(size_px / motion.extent_px)
 
 
-def quadrature_otf(motion: Trajectory, fx: np.ndarray, fy: np.ndarray, lo: float = 0.0, hi: float = 1.0) -> np.ndarray:
+def quadrature_otf(
+    motion: Trajectory, fx: np.ndarray, fy: np.ndarray, lo: float = 0.0, hi: float = 1.0
+) -> np.ndarray:
     """Composite 24-point Gauss-Legendre: good to 1e-13 while a quarter of a straight piece turns the phase < 8 rad."""
     nodes, weights = np.polynomial.legendre.leggauss(24)
     u = np.union1d(motion.t[(motion.t > lo) & (motion.t < hi)], [lo, hi])
@@ -26,7 +28,12 @@ def quadrature_otf(motion: Trajectory, fx: np.ndarray, fy: np.ndarray, lo: float
     times = 0.5 * (u[1:] + u[:-1])[:, None] + half[:, None] * nodes
     p = motion.at(times.ravel())
     w = (half[:, None] * weights).ravel()
-    return np.array([w @ np.exp(-2j * np.pi * (a * p[:, 0] + b * p[:, 1])) for a, b in zip(fx, fy, strict=True)])
+    return np.array(
+        [
+            w @ np.exp(-2j * np.pi * (a * p[:, 0] + b * p[:, 1]))
+            for a, b in zip(fx, fy, strict=True)
+        ]
+    )
 
 
 seeds = st.integers(0, 2**31)
@@ -38,7 +45,9 @@ def test_otf_equals_dense_integration(seed: int) -> None:
     motion = wiggle(seed)
     fx, fy = np.random.default_rng(seed).uniform(-0.6, 0.6, (2, 50))
     fx[0] = fy[0] = 0
-    np.testing.assert_allclose(motion.otf(fx, fy), quadrature_otf(motion, fx, fy), atol=1e-11, rtol=0)
+    np.testing.assert_allclose(
+        motion.otf(fx, fy), quadrature_otf(motion, fx, fy), atol=1e-11, rtol=0
+    )
 
 
 def test_slice_otfs_equal_dense_integration_and_add_up() -> None:
@@ -48,13 +57,17 @@ def test_slice_otfs_equal_dense_integration_and_add_up() -> None:
     edges.sort()
     slices = motion.slice_otfs(edges, fx, fy)
     for part, lo, hi in zip(slices, edges[:-1], edges[1:], strict=True):
-        np.testing.assert_allclose(part, quadrature_otf(motion, fx, fy, lo, hi), atol=1e-11, rtol=0)
+        np.testing.assert_allclose(
+            part, quadrature_otf(motion, fx, fy, lo, hi), atol=1e-11, rtol=0
+        )
     np.testing.assert_allclose(slices.sum(axis=0), motion.otf(fx, fy), atol=1e-12)
     np.testing.assert_allclose(motion.slice_otfs((0.2, 0.7), 0.0, 0.0), [0.5], atol=1e-12)
 
 
 @given(length=st.floats(0.5, 60), angle=st.floats(0, 6.3), f=frequencies)
-def test_straight_motion_has_a_sinc_otf(length: float, angle: float, f: tuple[float, float]) -> None:
+def test_straight_motion_has_a_sinc_otf(
+    length: float, angle: float, f: tuple[float, float]
+) -> None:
     along = f[0] * np.cos(angle) + f[1] * np.sin(angle)
     otf = Trajectory.straight(length, angle_rad=angle).otf(*f)
     assert otf == pytest.approx(np.sinc(along * length), abs=1e-12)
@@ -77,14 +90,24 @@ def test_reversal_and_mirror(seed: int, f: tuple[float, float]) -> None:
 def test_scaling_stretches_frequency(seed: int, factor: float, f: tuple[float, float]) -> None:
     motion = wiggle(seed)
     scaled = motion.scaled(factor)
-    assert scaled.otf(*f) == pytest.approx(complex(motion.otf(factor * f[0], factor * f[1])), abs=1e-10)
+    assert scaled.otf(*f) == pytest.approx(
+        complex(motion.otf(factor * f[0], factor * f[1])), abs=1e-10
+    )
     assert scaled.length_px == pytest.approx(factor * motion.length_px)
     assert scaled.extent_px == pytest.approx(factor * motion.extent_px)
 
 
-@given(seed=seeds, dx=st.floats(-100, 100), dy=st.floats(-100, 100), t0=st.floats(-5, 5), dt=st.floats(0.01, 100))
+@given(
+    seed=seeds,
+    dx=st.floats(-100, 100),
+    dy=st.floats(-100, 100),
+    t0=st.floats(-5, 5),
+    dt=st.floats(0.01, 100),
+)
 @settings(max_examples=30, deadline=None)
-def test_from_samples_forgets_origin_and_clock(seed: int, dx: float, dy: float, t0: float, dt: float) -> None:
+def test_from_samples_forgets_origin_and_clock(
+    seed: int, dx: float, dy: float, t0: float, dt: float
+) -> None:
     motion = wiggle(seed)
     moved = Trajectory.from_samples(motion.xy + np.array([dx, dy]), t=t0 + dt * motion.t)
     np.testing.assert_allclose(moved.xy, motion.xy, atol=1e-9)
@@ -116,7 +139,9 @@ def test_psf_of_a_horizontal_box() -> None:
     psf = Trajectory.straight(3.0).psf(9)  # from -1.5 to 1.5 along the centre row
 
     def hat(u: np.ndarray) -> np.ndarray:  # integral of the hat up to u
-        return np.where(u <= 0, 0.5 * (np.clip(u, -1, 0) + 1) ** 2, 1 - 0.5 * (1 - np.clip(u, 0, 1)) ** 2)
+        return np.where(
+            u <= 0, 0.5 * (np.clip(u, -1, 0) + 1) ** 2, 1 - 0.5 * (1 - np.clip(u, 0, 1)) ** 2
+        )
 
     n = np.arange(9) - 4
     np.testing.assert_allclose(psf[4], (hat(1.5 - n) - hat(-1.5 - n)) / 3, atol=1e-14)
@@ -130,12 +155,16 @@ def test_psf_spectrum_is_the_aliased_otf_through_the_bilinear_hat(seed: int) -> 
     fx, fy = np.random.default_rng(seed).uniform(-0.5, 0.5, (2, 6))
     at = np.arange(33) - 16
     spectrum = np.array(
-        [np.exp(-2j * np.pi * b * at) @ psf @ np.exp(-2j * np.pi * a * at) for a, b in zip(fx, fy, strict=True)]
+        [
+            np.exp(-2j * np.pi * b * at) @ psf @ np.exp(-2j * np.pi * a * at)
+            for a, b in zip(fx, fy, strict=True)
+        ]
     )
 
     def alias_sum(reach: int) -> np.ndarray:
         m = np.arange(-reach, reach + 1)
-        gx, gy = fx[:, None, None] + m[None, :, None], fy[:, None, None] + m[None, None, :]
+        gx = fx[:, None, None] + m[None, :, None]
+        gy = fy[:, None, None] + m[None, None, :]
         return (motion.otf(gx, gy) * bilinear_otf(gx, gy)).sum(axis=(1, 2))
 
     errors = [np.abs(alias_sum(reach) - spectrum).max() for reach in (2, 8, 32)]
@@ -149,8 +178,11 @@ def test_psf_spectrum_equals_dense_integration_of_the_hat() -> None:
     at = np.arange(33) - 16
     spectrum = motion.psf(33).sum(axis=0) @ np.exp(-2j * np.pi * f * at)
     x = motion.at((np.arange(400_000) + 0.5) / 400_000)[:, 0]
-    whole, part = np.floor(x), x - np.floor(x)
-    wave = (1 - part) * np.exp(-2j * np.pi * f * whole) + part * np.exp(-2j * np.pi * f * (whole + 1))
+    whole = np.floor(x)
+    part = x - np.floor(x)
+    wave = (1 - part) * np.exp(-2j * np.pi * f * whole) + part * np.exp(
+        -2j * np.pi * f * (whole + 1)
+    )
     assert spectrum == pytest.approx(wave.mean(), abs=1e-8)
 
 
@@ -190,7 +222,9 @@ def test_box_mean_of_the_hr_map_is_centred_with_the_psf() -> None:
     box = motion.hr_map().reshape(64, 4, 64, 4).mean(axis=(1, 3))
     at = np.arange(64) - 32
     for axis in (0, 1):
-        assert at @ box.sum(axis=axis) / box.sum() == pytest.approx(0, abs=0.13)  # half an HR pixel
+        assert at @ box.sum(axis=axis) / box.sum() == pytest.approx(
+            0, abs=0.13
+        )  # half an HR pixel
         assert at @ motion.psf(64).sum(axis=axis) == pytest.approx(0, abs=1e-9)
 
 
@@ -227,7 +261,9 @@ def test_resampling() -> None:
         ([0, 1], [[0, 0], [3, 0]], "from_samples"),
     ],
 )
-def test_bad_samples_are_refused_in_one_line(t: list[float], xy: list[list[float]], said: str) -> None:
+def test_bad_samples_are_refused_in_one_line(
+    t: list[float], xy: list[list[float]], said: str
+) -> None:
     with pytest.raises(ValueError, match=said) as caught:
         Trajectory(np.array(t), np.array(xy))
     assert "\n" not in str(caught.value)
@@ -259,8 +295,12 @@ def dense(samples: int, noise_px: float) -> Trajectory:
 
 
 @pytest.mark.parametrize("tolerance_px", [1e-4, 0.01, 1.0])
-@pytest.mark.parametrize(("samples", "noise_px"), [(2, 0.0), (3, 0.0), (1000, 0.0), (4097, 1e-5), (4095, 0.3)])
-def test_a_thinned_path_is_at_the_same_place_at_any_time(samples: int, noise_px: float, tolerance_px: float) -> None:
+@pytest.mark.parametrize(
+    ("samples", "noise_px"), [(2, 0.0), (3, 0.0), (1000, 0.0), (4097, 1e-5), (4095, 0.3)]
+)
+def test_a_thinned_path_is_at_the_same_place_at_any_time(
+    samples: int, noise_px: float, tolerance_px: float
+) -> None:
     path = dense(samples, noise_px)
     thin = path.thinned(tolerance_px)
     assert thin.direction == "known"
@@ -275,7 +315,9 @@ def test_a_million_samples_become_few_with_the_same_otf() -> None:
     assert thin.t.size < 3000
     fx, fy = np.random.default_rng(1).uniform(-0.5, 0.5, (2, 12))
     edges = np.linspace(0, 1, 9)
-    difference = np.abs(path.slice_otfs(edges, fx, fy) - thin.slice_otfs(edges, fx, fy)).sum(axis=0)
+    difference = np.abs(path.slice_otfs(edges, fx, fy) - thin.slice_otfs(edges, fx, fy)).sum(
+        axis=0
+    )
     assert (difference <= 2 * np.pi * np.hypot(fx, fy) * 1e-4).all()
 
 

@@ -14,9 +14,8 @@ from cep.proofs.certify.minimum import Minimum, chip_minimum, mtf_minimum
 from cep.proofs.certify.zeros import Zero
 from motdiff.trajectory import Trajectory
 
-__all__ = ["BOTH", "FORWARD", "Certificate", "certify"]
-
-FORWARD, BOTH = ("forward",), ("forward", "backward")
+FORWARD = ("forward",)
+BOTH = ("forward", "backward")
 _BUDGET = 400_000
 
 
@@ -106,16 +105,20 @@ class Certificate:
             raise ValueError(f"certificate: a field has the wrong type ({error})") from None
 
 
-def certify(code: ShutterCode, trajectory: Trajectory | None = None, *, budget: int = _BUDGET) -> Certificate:
+def certify(
+    code: ShutterCode, trajectory: Trajectory | None = None, *, budget: int = _BUDGET
+) -> Certificate:
     """Prove bounds of a code's minimum: of |P| in chips, or of |H| along a trajectory.
 
     Parameters
     ----------
     code : ShutterCode
     trajectory : Trajectory, optional
-        An unknown direction counts as the worse of the two; a uniform straight motion has the same |H| on both ways.
+        An unknown direction counts as the worse of the two; a uniform straight motion has the same
+        |H| on both ways.
     budget : int
-        Largest number of cells of the subdivision along a path; running out leaves a wider, still valid, interval.
+        Largest number of cells of the subdivision along a path; running out leaves a wider, still
+        valid, interval.
 
     Examples
     --------
@@ -129,12 +132,21 @@ def certify(code: ShutterCode, trajectory: Trajectory | None = None, *, budget: 
     forward = mtf_minimum(trajectory, code, budget=budget)
     same_back = uniform_length_px(trajectory) is not None
     if same_back or trajectory.direction == "known":
-        return _of(forward, "light-true", code, BOTH if same_back else FORWARD, "forward", vertices)
+        return _of(
+            forward, "light-true", code, BOTH if same_back else FORWARD, "forward", vertices
+        )
     backward = mtf_minimum(trajectory.reversed(), code, budget=budget)
     way = "forward" if forward.upper <= backward.upper else "backward"
     worse = forward if way == "forward" else backward
     lower = min(forward.lower, backward.lower)
-    return _of(Minimum(lower, worse.upper, worse.at, worse.method, worse.zero), "light-true", code, BOTH, way, vertices)
+    return _of(
+        Minimum(lower, worse.upper, worse.at, worse.method, worse.zero),
+        "light-true",
+        code,
+        BOTH,
+        way,
+        vertices,
+    )
 
 
 def _of(
@@ -145,6 +157,18 @@ def _of(
     direction: str,
     vertices: Mapping[str, Any] | None,
 ) -> Certificate:
-    lower, upper = float(found.lower), float(found.upper)
+    lower = float(found.lower)
+    upper = float(found.upper)
     at = tuple(float(value) for value in np.atleast_1d(found.at))
-    return Certificate(unit, lower, upper, at, found.method, code.bits, directions, direction, vertices, found.zero)
+    return Certificate(
+        unit,
+        lower,
+        upper,
+        at,
+        found.method,
+        code.bits,
+        directions,
+        direction,
+        vertices,
+        found.zero,
+    )

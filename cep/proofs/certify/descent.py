@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.compiled import compiled
 from cep.proofs.certify.taylor import Pieces
+from motdiff.types import FloatArray
 
-__all__ = ["polish"]
-
-FloatArray = NDArray[np.float64]
 _STEPS = 60
 
 
@@ -23,14 +20,25 @@ def polish(pieces: Pieces, starts: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @compiled
-def _expand(fx: float, fy: float, weight: FloatArray, middle: FloatArray, delta: FloatArray, out: FloatArray) -> None:
+def _expand(
+    fx: float,
+    fy: float,
+    weight: FloatArray,
+    middle: FloatArray,
+    delta: FloatArray,
+    out: FloatArray,
+) -> None:
     """Write H, its gradient and second derivatives xx, xy, yy as real and imaginary parts: (12,)."""
-    mx, my, dx, dy = middle[0], middle[1], delta[0], delta[1]
+    mx = middle[0]
+    my = middle[1]
+    dx = delta[0]
+    dy = delta[1]
     hr = hi = xr = xi = yr = yi = ar = ai = br = bi = cr = ci = 0.0
     for s in range(weight.size):
         turn = fx * mx[s] + fy * my[s]
         turn -= np.floor(turn + 0.5)
-        re, im = weight[s] * np.cos(2 * np.pi * turn), -weight[s] * np.sin(2 * np.pi * turn)
+        re = weight[s] * np.cos(2 * np.pi * turn)
+        im = -weight[s] * np.sin(2 * np.pi * turn)
         x = np.pi * (fx * dx[s] + fy * dy[s])
         z = x * x
         s0 = 1.0 - z / 6 * (1.0 - z / 20 * (1.0 - z / 42 * (1.0 - z / 72 * (1.0 - z / 110))))
@@ -38,42 +46,61 @@ def _expand(fx: float, fy: float, weight: FloatArray, middle: FloatArray, delta:
         s2 = -(1.0 - 3 * z / 10 * (1.0 - 5 * z / 84 * (1.0 - 7 * z / 270))) / 3
         hr += s0 * re
         hi += s0 * im
-        # derivatives of sinc(f.d) exp(-2 pi i f.m) in units of (2 pi)^order; 1/2 d is half the piece
-        ux, uy = 0.5 * dx[s], 0.5 * dy[s]
+        # derivatives of sinc(f.d) exp(-2 pi i f.m) in units of (2 pi)^order; 1/2 d is half the
+        # piece
+        ux = 0.5 * dx[s]
+        uy = 0.5 * dy[s]
         xr += mx[s] * s0 * im + ux * s1 * re
         xi += ux * s1 * im - mx[s] * s0 * re
         yr += my[s] * s0 * im + uy * s1 * re
         yi += uy * s1 * im - my[s] * s0 * re
         # (-i m + u d/dx)^2 sinc = -m m s0 - i (m u + u m) s1 + u u s2
-        e, f = ux * ux * s2 - mx[s] * mx[s] * s0, -2 * mx[s] * ux * s1
+        e = ux * ux * s2 - mx[s] * mx[s] * s0
+        f = -2 * mx[s] * ux * s1
         ar += e * re - f * im
         ai += e * im + f * re
-        e, f = ux * uy * s2 - mx[s] * my[s] * s0, -(mx[s] * uy + my[s] * ux) * s1
+        e = ux * uy * s2 - mx[s] * my[s] * s0
+        f = -(mx[s] * uy + my[s] * ux) * s1
         br += e * re - f * im
         bi += e * im + f * re
-        e, f = uy * uy * s2 - my[s] * my[s] * s0, -2 * my[s] * uy * s1
+        e = uy * uy * s2 - my[s] * my[s] * s0
+        f = -2 * my[s] * uy * s1
         cr += e * re - f * im
         ci += e * im + f * re
-    one, two = 2 * np.pi, 4 * np.pi**2
+    one = 2 * np.pi
+    two = 4 * np.pi**2
     out[0], out[1] = hr, hi
     out[2], out[3], out[4], out[5] = one * xr, one * xi, one * yr, one * yi
-    out[6], out[7], out[8], out[9], out[10], out[11] = two * ar, two * ai, two * br, two * bi, two * cr, two * ci
+    out[6], out[7], out[8], out[9], out[10], out[11] = (
+        two * ar,
+        two * ai,
+        two * br,
+        two * bi,
+        two * cr,
+        two * ci,
+    )
 
 
 @compiled
 def _step(jet: FloatArray, free_x: bool, free_y: bool) -> tuple[float, float]:
     """Newton's step of |H|^2 / 2, or Gauss's where it is not convex."""
-    gx, gy = jet[0] * jet[2] + jet[1] * jet[3], jet[0] * jet[4] + jet[1] * jet[5]
-    a, b = jet[2] * jet[2] + jet[3] * jet[3], jet[2] * jet[4] + jet[3] * jet[5]
+    gx = jet[0] * jet[2] + jet[1] * jet[3]
+    gy = jet[0] * jet[4] + jet[1] * jet[5]
+    a = jet[2] * jet[2] + jet[3] * jet[3]
+    b = jet[2] * jet[4] + jet[3] * jet[5]
     c = jet[4] * jet[4] + jet[5] * jet[5]
-    na, nb = a + jet[0] * jet[6] + jet[1] * jet[7], b + jet[0] * jet[8] + jet[1] * jet[9]
+    na = a + jet[0] * jet[6] + jet[1] * jet[7]
+    nb = b + jet[0] * jet[8] + jet[1] * jet[9]
     nc = c + jet[0] * jet[10] + jet[1] * jet[11]
     if free_x and free_y:
         if na + nc > 0.0 and na * nc - nb * nb > 1e-6 * (na + nc) * (na + nc):
-            a, b, c = na, nb, nc
+            a = na
+            b = nb
+            c = nc
         else:
             lift = 1e-3 * (a + c)
-            a, c = a + lift, c + lift
+            a = a + lift
+            c = c + lift
         det = a * c - b * b
         if det <= 0.0:
             return 0.0, 0.0
@@ -96,13 +123,16 @@ def _descend(
     delta: FloatArray,
     lowest: FloatArray,
 ) -> None:
-    jet, trial = np.empty(12), np.empty(12)
+    jet = np.empty(12)
+    trial = np.empty(12)
     for i in range(points.shape[0]):
-        fx, fy = points[i, 0], points[i, 1]
+        fx = points[i, 0]
+        fy = points[i, 1]
         _expand(fx, fy, weight, middle, delta, jet)
         value = np.sqrt(jet[0] * jet[0] + jet[1] * jet[1])
         for _ in range(_STEPS):
-            gx, gy = jet[0] * jet[2] + jet[1] * jet[3], jet[0] * jet[4] + jet[1] * jet[5]
+            gx = jet[0] * jet[2] + jet[1] * jet[3]
+            gy = jet[0] * jet[4] + jet[1] * jet[5]
             # at an edge whose outside is lower, only the other axis is free
             free_x = not ((fx <= box[0, 0] and gx >= 0.0) or (fx >= box[0, 1] and gx <= 0.0))
             free_y = not ((fy <= box[1, 0] and gy >= 0.0) or (fy >= box[1, 1] and gy <= 0.0))
@@ -117,7 +147,9 @@ def _descend(
                 found = np.sqrt(trial[0] * trial[0] + trial[1] * trial[1])
                 if found < value:
                     better = found < value * (1 - 1e-15)
-                    fx, fy, value = new_x, new_y, found
+                    fx = new_x
+                    fy = new_y
+                    value = found
                     jet[:] = trial
                     break
                 step_x *= 0.35

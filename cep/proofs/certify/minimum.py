@@ -27,15 +27,14 @@ from cep.proofs.certify.taylor import (
 )
 from cep.proofs.certify.zeros import Zero, kantorovich, zeros_along, zeros_of_code
 from motdiff.trajectory import Trajectory
-
-__all__ = ["SUBDIVISION", "Minimum", "chip_minimum", "min_chip", "mtf_minimum"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 SUBDIVISION = "second-order subdivision"
-_CANDIDATES, _LATER = 24, 4  # cells refined: local minima of the first grid, lowest of a later level
+_CANDIDATES = 24  # cells refined: local minima of the first grid, lowest of a later level
+_LATER = 4
 _NEARLY_ZERO = 1e-8  # of DC: below it a proof of a true zero is tried
-_CHIP_GAP, _PATH_GAP = 1e-6, 1e-4  # relative widths at which subdivision stops
+_CHIP_GAP = 1e-6  # relative widths at which subdivision stops
+_PATH_GAP = 1e-4
 _PADDED = 16  # points per chip of the quick grid
 _FEW = 512  # cells left before sums are made longer for a minimum near rounding
 _ALONG = 14.0  # cells per px and spread on a line, where they cost little
@@ -83,7 +82,8 @@ def min_chip(code: ShutterCode) -> float:
     grid = np.abs(np.fft.rfft(code.array, _PADDED * code.chips))
     local = np.flatnonzero(ndimage.minimum_filter1d(grid, 3) == grid)
     starts = np.stack([local, 0 * local], axis=1) / (_PADDED * code.chips)
-    # narrow minima hide between points of the grid: what counts is how low |P| could fall within a step
+    # narrow minima hide between points of the grid: what counts is how low |P| could fall within a
+    # step
     floor = floors(pieces, jets(pieces, starts), np.array([1 / (_PADDED * code.chips), 0.0]))
     order = np.argsort(floor + 0.1 * grid[local])
     lowest = float(polish(pieces, starts[order[:_LATER]])[1].min())
@@ -95,7 +95,9 @@ def min_chip(code: ShutterCode) -> float:
 
 def chip_minimum(code: ShutterCode, *, budget: int = 2_000_000) -> Minimum:
     """Bounds of :func:`min_chip`, within a millionth of it; zeros are decided in exact arithmetic."""
-    found = _bounded(pieces_of_code(code), _CHIP_GAP, budget, lambda _: _first(zeros_of_code(code.bits).found))
+    found = _bounded(
+        pieces_of_code(code), _CHIP_GAP, budget, lambda _: _first(zeros_of_code(code.bits).found)
+    )
     return Minimum(found.lower, found.upper, found.at[:1], found.method, found.zero)
 
 
@@ -114,18 +116,20 @@ def mtf_minimum(
     trajectory : Trajectory
     code : ShutterCode
     budget : int
-        Largest number of cells of the subdivision, which may then end with a wider interval than a thousandth; 0 for
-        a quick upper bound.
+        Largest number of cells of the subdivision, which may then end with a wider interval than a
+        thousandth; 0 for a quick upper bound.
     response, edges
         How and when the shutter plays the chips, as in :func:`cep.optics.exposure.open_path`.
     """
-    axis, path = straight_axis(trajectory), open_path(trajectory, code, response=response, edges=edges)
+    axis = straight_axis(trajectory)
+    path = open_path(trajectory, code, response=response, edges=edges)
     if axis is None:
         pieces = pieces_of_path(path)
         return _bounded(pieces, _PATH_GAP, budget, lambda at: kantorovich(pieces, at))
     uniform_px = uniform_length_px(trajectory) if response is None and edges is None else None
     if uniform_px is not None and 0.5 * np.abs(axis).sum() * uniform_px >= code.chips:
-        # in the band a chip so long has zeros of its own, those of a box: no grid, whose work is the length squared
+        # in the band a chip so long has zeros of its own, those of a box: no grid, whose work is
+        # the length squared
         zero = _first(zeros_along(trajectory, code).found)
         if zero is not None:  # rounding may put the first one just outside
             return Minimum(0.0, 0.0, zero.at, zero.method, zero)
@@ -139,22 +143,33 @@ def mtf_minimum(
     return Minimum(found.lower, found.upper, at, found.method, found.zero)
 
 
-def _bounded(pieces: Pieces, gap: float, budget: int, prove: Callable[[FloatArray], Zero | None]) -> Minimum:
+def _bounded(
+    pieces: Pieces, gap: float, budget: int, prove: Callable[[FloatArray], Zero | None]
+) -> Minimum:
     """Bound the minimum by a first grid, refinement, and subdivision of the cells that could hold less."""
     dc = float(pieces.weight.sum())
-    plane, points_only = pieces.box[1, 1] > pieces.box[1, 0], not pieces.delta.any()
+    plane = pieces.box[1, 1] > pieces.box[1, 0]
+    points_only = not pieces.delta.any()
     cells, half = first_cells(pieces) if plane else first_cells(pieces, cells_per_px=_ALONG)
-    lower, upper, at, tried = np.inf, np.inf, cells[0], np.inf
+    lower = np.inf
+    upper = np.inf
+    at = cells[0]
+    tried = np.inf
     while True:
         jet = jets(pieces, cells)
         values = np.hypot(jet[:, 0], jet[:, 1])
         if values.min() < upper:
-            starts = _local_minima(pieces, half, values) if upper == np.inf else np.argsort(values)[:_LATER]
+            starts = (
+                _local_minima(pieces, half, values)
+                if upper == np.inf
+                else np.argsort(values)[:_LATER]
+            )
             points = snapped(polish(pieces, cells[starts])[0])
             jet_there = jets(pieces, points)
             lowest = np.hypot(jet_there[:, 0], jet_there[:, 1]) + pieces.slack
             if lowest.min() < upper:
-                upper, at = float(lowest.min()), points[lowest.argmin()]
+                upper = float(lowest.min())
+                at = points[lowest.argmin()]
         if upper < min(_NEARLY_ZERO * dc, 0.5 * tried):
             tried = upper
             zero = prove(at)
@@ -163,8 +178,14 @@ def _bounded(pieces: Pieces, gap: float, budget: int, prove: Callable[[FloatArra
         floor = floors(pieces, jet, half)
         closed = floor >= upper * (1 - gap)
         lower = min(lower, float(floor[closed].min(initial=np.inf)))
-        ways, left = 2 ** (1 + plane), int((~closed).sum())
-        if points_only and left < _FEW and 0.1 * gap * upper < pieces.slack and not pieces.extended:
+        ways = 2 ** (1 + plane)
+        left = int((~closed).sum())
+        if (
+            points_only
+            and left < _FEW
+            and 0.1 * gap * upper < pieces.slack
+            and not pieces.extended
+        ):
             pieces = extended(pieces)
             there = jets(pieces, at[None])[0]
             upper = min(upper, float(np.hypot(there[0], there[1])) + pieces.slack)
@@ -173,13 +194,19 @@ def _bounded(pieces: Pieces, gap: float, budget: int, prove: Callable[[FloatArra
             lower = min(lower, float(floor[~closed].min(initial=np.inf)), upper)
             return Minimum(lower, upper, (float(at[0]), float(at[1])))
         half = half / 2
-        corners = half * (np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) if plane else np.array([[-1, 0], [1, 0]]))
+        corners = half * (
+            np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+            if plane
+            else np.array([[-1, 0], [1, 0]])
+        )
         cells = (cells[~closed][:, None] + corners).reshape(-1, 2)
 
 
 def _local_minima(pieces: Pieces, half: FloatArray, values: FloatArray) -> NDArray[np.intp]:
     """Cells of the first grid that are lower than their neighbours: the lowest of them."""
-    shape = np.maximum(1, np.rint(np.ptp(pieces.box, axis=1) / np.maximum(2 * half, 1e-300))).astype(int)
+    shape = np.maximum(
+        1, np.rint(np.ptp(pieces.box, axis=1) / np.maximum(2 * half, 1e-300))
+    ).astype(int)
     grid = values.reshape(tuple(shape))
     local = np.flatnonzero((ndimage.minimum_filter(grid, 3, mode="nearest") == grid).ravel())
     return np.asarray(local[np.argsort(values[local])][:_CANDIDATES])

@@ -1,8 +1,8 @@
 """Exact zeros of a code's 0/1 polynomial on the unit circle, in integer arithmetic.
 
-A zero on the circle is shared with the reversed polynomial, so it divides the greatest common divisor of the two: a
-product of cyclotomic polynomials (roots of unity), times a self-reciprocal rest. On the circle the rest is a real
-function but for its phase, whose zeros are changes of sign.
+A zero on the circle is shared with the reversed polynomial, so it divides the greatest common
+divisor of the two: a product of cyclotomic polynomials (roots of unity), times a self-reciprocal
+rest. On the circle the rest is a real function but for its phase, whose zeros are changes of sign.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SignChange", "circle_rest", "divided", "divisible", "real_form", "sign_changes", "vanishing_orders"]
+from motdiff.types import FloatArray
 
 IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 _PRIME = 2**31 - 1
 _CELLS = 200_000
 
@@ -45,8 +44,8 @@ def vanishing_orders(coefficients: IntArray) -> tuple[int, ...]:
 def divisible(coefficients: IntArray, order: int) -> bool:
     """Whether the cyclotomic polynomial of ``order`` divides, decided in integers.
 
-    It does exactly if ``z^d - 1`` divides the product with ``z^(d/p) - 1`` over the primes p of d: those contain every
-    other factor of ``z^d - 1``, and never this one.
+    It does exactly if ``z^d - 1`` divides the product with ``z^(d/p) - 1`` over the primes p of d:
+    those contain every other factor of ``z^d - 1``, and never this one.
     """
     rest = np.zeros(order, dtype=np.int64)
     padded = np.zeros(-(-len(coefficients) // order) * order, dtype=np.int64)
@@ -59,8 +58,10 @@ def divisible(coefficients: IntArray, order: int) -> bool:
 
 def divided(coefficients: IntArray, order: int) -> IntArray:
     """Quotient by the cyclotomic polynomial of ``order`` > 1, which must divide."""
-    # Phi_d is the product of (1 - z^(d/e))^mu(e) over the squarefree e: as power series, shifts and running sums
-    rest, squarefree = coefficients.copy(), [(1, 1)]
+    # Phi_d is the product of (1 - z^(d/e))^mu(e) over the squarefree e: as power series, shifts
+    # and running sums
+    rest = coefficients.copy()
+    squarefree = [(1, 1)]
     for prime in _primes_of(order):
         squarefree += [(e * prime, -sign) for e, sign in squarefree]
     for e, sign in squarefree:
@@ -126,21 +127,26 @@ def real_form(factor: IntArray, cycles: FloatArray) -> tuple[FloatArray, FloatAr
 def sign_changes(factor: IntArray) -> tuple[tuple[SignChange, ...], bool]:
     """All changes of sign of a self-reciprocal factor for 0..1/2 cycles per chip, and whether these are all its zeros.
 
-    On every cell the function either keeps away from zero or is monotone, by its value, slope and curvature.
+    On every cell the function either keeps away from zero or is monotone, by its value, slope and
+    curvature.
     """
     if len(factor) < 2:
         return (), True
     middle = np.arange(len(factor)) - 0.5 * (len(factor) - 1)
     bend = 4 * np.pi**2 * float(np.abs(factor) @ middle**2)
     centres = (np.arange(4 * len(factor)) + 0.5) / (8 * len(factor))
-    half, found, looked = 1 / (16 * len(factor)), [], 0
+    half = 1 / (16 * len(factor))
+    found = []
+    looked = 0
     while centres.size and looked < _CELLS and half > 1e-13:
         looked += centres.size
         value, slope, slack = real_form(factor, centres)
         reach = np.abs(slope) * half + 0.5 * bend * half**2 + slack
         near = np.abs(value) <= reach
         monotone = np.abs(slope) > bend * half + slack * 2 * np.pi * len(factor)
-        ends = real_form(factor, np.concatenate([centres - half, centres + half]))[0].reshape(2, -1)
+        ends = real_form(factor, np.concatenate([centres - half, centres + half]))[0].reshape(
+            2, -1
+        )
         crosses = (ends[0] > 0) != (ends[1] > 0)
         for centre in centres[near & monotone & crosses]:
             found.append(_bisected(factor, float(centre - half), float(centre + half)))
@@ -159,7 +165,8 @@ def _bisected(factor: IntArray, low: float, high: float) -> SignChange | None:
             high = middle
         else:
             low = middle
-    at, radius = 0.5 * (low + high), 1e-14
+    at = 0.5 * (low + high)
+    radius = 1e-14
     while radius < 1e-3:
         ends, _, slack = real_form(factor, np.array([at - radius, at + radius]))
         if abs(ends[0]) > slack and abs(ends[1]) > slack and (ends[0] > 0) != (ends[1] > 0):
@@ -169,7 +176,8 @@ def _bisected(factor: IntArray, low: float, high: float) -> SignChange | None:
 
 
 def _primes_of(number: int) -> list[int]:
-    found, divisor = [], 2
+    found = []
+    divisor = 2
     while divisor * divisor <= number:
         if number % divisor == 0:
             found.append(divisor)
@@ -197,13 +205,15 @@ def _gcd(a: IntArray, b: IntArray) -> IntArray:
             rest[offset:] = (rest[offset:] - rest[-1] * b) % _PRIME
             kept = np.flatnonzero(rest)
             rest = rest[: kept[-1] + 1] if kept.size else rest[:0]
-        a, b = b, rest
+        a = b
+        b = rest
     return np.asarray(a * pow(int(a[-1]), -1, _PRIME) % _PRIME, dtype=np.int64)
 
 
 def _divides(factor: IntArray, whole: IntArray) -> bool:
     """Whether a monic factor divides, by long division in Python's unbounded integers."""
-    rest, parts = [int(v) for v in whole], [int(v) for v in factor]
+    rest = [int(v) for v in whole]
+    parts = [int(v) for v in factor]
     while len(rest) >= len(parts):
         lead = rest.pop()
         offset = len(rest) + 1 - len(parts)

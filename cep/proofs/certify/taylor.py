@@ -1,10 +1,12 @@
 """Taylor bounds: H and its derivatives at many frequencies, and a lower bound of |H| on a cell around each.
 
-With the path measured from the centroid of its open part, Taylor's theorem gives on the cell ``|d_i| <= h_i``::
+With the path measured from the centroid of its open part, Taylor's theorem gives on the cell
+``|d_i| <= h_i``::
 
     |H(f + d)|  >=  Re(conj(u) (H + g . d)) - (2 pi)^2 / 2 d' M d - slack,   |u| = 1,
 
-``g`` the gradient and ``M = integral of p p' dt`` the open path's second moment. The bound closes quadratically.
+``g`` the gradient and ``M = integral of p p' dt`` the open path's second moment. The bound closes
+quadratically.
 """
 
 from __future__ import annotations
@@ -13,26 +15,15 @@ from dataclasses import dataclass, replace
 from math import ceil, log2
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.compiled import compiled
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import OpenPath
+from motdiff.types import FloatArray
 
-__all__ = [
-    "Pieces",
-    "extended",
-    "first_cells",
-    "floors",
-    "jets",
-    "pieces_along",
-    "pieces_of_code",
-    "pieces_of_path",
-    "snapped",
-]
-
-FloatArray = NDArray[np.float64]
-_LONGEST_PX = 0.25  # of a piece: the series of sinc below are good to rounding up to a phase of 0.6
+_LONGEST_PX = (
+    0.25  # of a piece: the series of sinc below are good to rounding up to a phase of 0.6
+)
 _EPS = 2.0**-53
 
 
@@ -90,15 +81,22 @@ def pieces_along(path: OpenPath, axis: FloatArray) -> Pieces:
 def pieces_of_code(code: ShutterCode) -> Pieces:
     """Prepare a code's 0/1 polynomial on the unit circle, frequencies in cycles per chip.
 
-    Chips count from a whole one and frequencies are multiples of 2^-43, so that phases are exact: only sines and sums
-    are rounded.
+    Chips count from a whole one and frequencies are multiples of 2^-43, so that phases are exact:
+    only sines and sums are rounded.
     """
     chips = np.flatnonzero(code.array > 0).astype(np.float64)
     chips -= np.rint(chips.mean())
     middle = np.stack([chips, np.zeros(chips.size)])
     moment = np.array([[float(chips @ chips), 0.0], [0.0, 0.0]])
     slack = _EPS * chips.size * (chips.size + 100)
-    return Pieces(np.ones(chips.size), middle, np.zeros_like(middle), moment, np.array([[0.0, 0.5], [0.0, 0.0]]), slack)
+    return Pieces(
+        np.ones(chips.size),
+        middle,
+        np.zeros_like(middle),
+        moment,
+        np.array([[0.0, 0.5], [0.0, 0.0]]),
+        slack,
+    )
 
 
 def snapped(points: FloatArray) -> FloatArray:
@@ -117,11 +115,19 @@ def _pieces(weight: FloatArray, a: FloatArray, b: FloatArray, box: FloatArray) -
     # any point would do; the centroid makes the moment, and with it the remainder, smallest
     middle = middle - share @ middle / total
     moment = (middle.T * share) @ middle + (delta.T * share) @ delta / 12
-    # each phase is off by a few roundings of |f . p|, the cuts by a rounding of the time; a sum by one per term
+    # each phase is off by a few roundings of |f . p|, the cuts by a rounding of the time; a sum by
+    # one per term
     span = float(np.abs(a).max() + np.abs(b).max()) + 1
     length = float(np.linalg.norm(b - a, axis=1).sum())
     slack = _EPS * (total * (200 * span + owner.size + 100) + 8 * len(weight) + 20 * length)
-    return Pieces(share, np.ascontiguousarray(middle.T), np.ascontiguousarray(delta.T), moment * (1 + 1e-9), box, slack)
+    return Pieces(
+        share,
+        np.ascontiguousarray(middle.T),
+        np.ascontiguousarray(delta.T),
+        moment * (1 + 1e-9),
+        box,
+        slack,
+    )
 
 
 def jets(pieces: Pieces, points: FloatArray) -> FloatArray:
@@ -144,7 +150,8 @@ def _long_jets(pieces: Pieces, points: FloatArray) -> FloatArray:
     places = pieces.middle[0].astype(np.longdouble)
     turns = points[:, :1].astype(np.longdouble) * places
     phase = 2 * np.longdouble("3.14159265358979323846264338327950288") * (turns - np.rint(turns))
-    re, im = np.cos(phase), -np.sin(phase)
+    re = np.cos(phase)
+    im = -np.sin(phase)
     scale = 2 * np.pi * places
     columns = [re.sum(axis=1), im.sum(axis=1), (scale * im).sum(axis=1), -(scale * re).sum(axis=1)]
     return np.stack([*columns, 0 * columns[0], 0 * columns[0]], axis=1).astype(np.float64)
@@ -170,32 +177,47 @@ def first_cells(pieces: Pieces, *, cells_per_px: float = 1.5) -> tuple[FloatArra
         for side, s in zip(sides, spread, strict=True)
     ]
     half = sides / counts / 2
-    axes = [lo + h * (2 * np.arange(n) + 1) for lo, h, n in zip(pieces.box[:, 0], half, counts, strict=True)]
+    axes = [
+        lo + h * (2 * np.arange(n) + 1)
+        for lo, h, n in zip(pieces.box[:, 0], half, counts, strict=True)
+    ]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2), half
 
 
 @compiled
-def _jets(points: FloatArray, weight: FloatArray, middle: FloatArray, delta: FloatArray, out: FloatArray) -> None:
-    mx, my, dx, dy = middle[0], middle[1], delta[0], delta[1]
+def _jets(
+    points: FloatArray, weight: FloatArray, middle: FloatArray, delta: FloatArray, out: FloatArray
+) -> None:
+    mx = middle[0]
+    my = middle[1]
+    dx = delta[0]
+    dy = delta[1]
     for i in range(points.shape[0]):
-        fx, fy = points[i, 0], points[i, 1]
+        fx = points[i, 0]
+        fy = points[i, 1]
         hr = hi = xr = xi = yr = yi = 0.0
         for s in range(weight.size):
             turn = fx * mx[s] + fy * my[s]
-            # sine and cosine of pi v, |v| <= 1/2, by their series, then of the double angle: no call, so it vectorises
+            # sine and cosine of pi v, |v| <= 1/2, by their series, then of the double angle: no
+            # call, so it vectorises
             v = np.pi * (turn - np.floor(turn + 0.5))
             q = v * v
             sine = v * (1.0 - q / 6 * (1.0 - q / 20 * (1.0 - q / 42 * (1.0 - q / 72 * (1.0 - q / 110 * (1.0 - q / 156 * (1.0 - q / 210 * (1.0 - q / 272 * (1.0 - q / 342)))))))))  # fmt: skip # noqa: E501
             cosine = 1.0 - q / 2 * (1.0 - q / 12 * (1.0 - q / 30 * (1.0 - q / 56 * (1.0 - q / 90 * (1.0 - q / 132 * (1.0 - q / 182 * (1.0 - q / 240 * (1.0 - q / 306 * (1.0 - q / 380)))))))))  # fmt: skip # noqa: E501
-            re, im = 1.0 - 2.0 * sine * sine, -2.0 * sine * cosine
+            re = 1.0 - 2.0 * sine * sine
+            im = -2.0 * sine * cosine
             x = np.pi * (fx * dx[s] + fy * dy[s])
             z = x * x
-            gain = weight[s] * (1.0 - z / 6 * (1.0 - z / 20 * (1.0 - z / 42 * (1.0 - z / 72 * (1.0 - z / 110)))))
+            gain = weight[s] * (
+                1.0 - z / 6 * (1.0 - z / 20 * (1.0 - z / 42 * (1.0 - z / 72 * (1.0 - z / 110))))
+            )
             slope = -np.pi * weight[s] * x / 3 * (1.0 - z / 10 * (1.0 - z / 28 * (1.0 - z / 54 * (1.0 - z / 88 * (1.0 - z / 130)))))  # fmt: skip # noqa: E501
-            # d/df of exp(-2 pi i f.m) sinc(f.d): -2 pi i m times the term, and d times the slope of sinc
+            # d/df of exp(-2 pi i f.m) sinc(f.d): -2 pi i m times the term, and d times the slope
+            # of sinc
             hr += gain * re
             hi += gain * im
-            turned_re, turned_im = 2 * np.pi * gain * im, -2 * np.pi * gain * re
+            turned_re = 2 * np.pi * gain * im
+            turned_im = -2 * np.pi * gain * re
             xr += mx[s] * turned_re + dx[s] * slope * re
             xi += mx[s] * turned_im + dx[s] * slope * im
             yr += my[s] * turned_re + dy[s] * slope * re
@@ -206,21 +228,34 @@ def _jets(points: FloatArray, weight: FloatArray, middle: FloatArray, delta: Flo
 @compiled
 def _floors(jet: FloatArray, half_x: float, half_y: float, loss: float, out: FloatArray) -> None:
     for i in range(jet.shape[0]):
-        hr, hi, xr, xi, yr, yi = jet[i, 0], jet[i, 1], jet[i, 2], jet[i, 3], jet[i, 4], jet[i, 5]
+        hr = jet[i, 0]
+        hi = jet[i, 1]
+        xr = jet[i, 2]
+        xi = jet[i, 3]
+        yr = jet[i, 4]
+        yi = jet[i, 5]
         best = 0.0
-        x2, y2 = xr * xr + xi * xi, yr * yr + yi * yi
+        x2 = xr * xr + xi * xi
+        y2 = yr * yr + yi * yi
         x = y = 0.0
         # of the few operations below
         rounding = abs(hr) + abs(hi) + (abs(xr) + abs(xi)) * half_x + (abs(yr) + abs(yi)) * half_y
         rounding *= 2e-15
         for _ in range(4):
-            # direction u: first of H at the centre, then of H + g.d where that is nearly smallest; any u is valid
-            ur, ui = hr + x * xr + y * yr, hi + x * xi + y * yi
+            # direction u: first of H at the centre, then of H + g.d where that is nearly smallest;
+            # any u is valid
+            ur = hr + x * xr + y * yr
+            ui = hi + x * xi + y * yi
             size = np.sqrt(ur * ur + ui * ui)
             if size > 0.0:
                 ur /= size
                 ui /= size
-                floor = ur * hr + ui * hi - abs(ur * xr + ui * xi) * half_x - abs(ur * yr + ui * yi) * half_y
+                floor = (
+                    ur * hr
+                    + ui * hi
+                    - abs(ur * xr + ui * xi) * half_x
+                    - abs(ur * yr + ui * yi) * half_y
+                )
                 best = max(best, floor - rounding)
             if x2 > 0.0:
                 x = -((hr + y * yr) * xr + (hi + y * yi) * xi) / x2

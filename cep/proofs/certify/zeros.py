@@ -9,7 +9,6 @@ from math import ceil, gcd
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.optics.band import in_band, straight_axis, uniform_length_px
 from cep.optics.code import ShutterCode
@@ -17,11 +16,10 @@ from cep.optics.exposure import open_path
 from cep.proofs.certify.polynomial import circle_rest, sign_changes, vanishing_orders
 from cep.proofs.certify.taylor import Pieces, first_cells, floors, jets, pieces_of_path
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = ["Zero", "Zeros", "kantorovich", "zeros_along", "zeros_of_code"]
-
-FloatArray = NDArray[np.float64]
-_NEWTON, _TRIED = 8, 2000
+_NEWTON = 8
+_TRIED = 2000
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,8 @@ class Zero:
     at : tuple of float
         Cycles per chip, or (fx, fy) in cycles/px: the zero lies within ``radius`` of it.
     kind : str
-        "root of unity", "sign change", "closed form" (of a straight motion's chip) or "kantorovich".
+        "root of unity", "sign change", "closed form" (of a straight motion's chip) or
+        "kantorovich".
     radius : float
         0 for a root of unity at the fraction ``at`` rounded.
     alone_within : float
@@ -41,7 +40,8 @@ class Zero:
     order : int
         Of the root of unity, else 0.
     factor : tuple of int
-        "sign change": the self-reciprocal factor of the code's polynomial that changes sign, lowest degree first.
+        "sign change": the self-reciprocal factor of the code's polynomial that changes sign,
+        lowest degree first.
     """
 
     at: tuple[float, ...]
@@ -54,7 +54,9 @@ class Zero:
     @property
     def method(self) -> str:
         """Name of the proof in a certificate."""
-        return f"root of unity of order {self.order}" if self.order else f"zero proven ({self.kind})"
+        return (
+            f"root of unity of order {self.order}" if self.order else f"zero proven ({self.kind})"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON."""
@@ -112,15 +114,18 @@ def zeros_of_code(bits: str) -> Zeros:
         return Zeros(tuple(sorted(found, key=lambda zero: zero.at)), complete=False)
     changes, complete = sign_changes(rest)
     factor = tuple(int(value) for value in rest)
-    found += [Zero((change.at,), "sign change", change.radius, factor=factor) for change in changes]
+    found += [
+        Zero((change.at,), "sign change", change.radius, factor=factor) for change in changes
+    ]
     return Zeros(tuple(sorted(found, key=lambda zero: zero.at)), complete)
 
 
 def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_000) -> Zeros:
     """All zeros of H in the band along a trajectory taken as given, fy >= 0.
 
-    Every cell of a subdivision either keeps away from zero, or lies within the ball in which the Newton-Kantorovich
-    theorem allows one zero only. A straight motion's zeros are lines across it: their points on its axis are listed.
+    Every cell of a subdivision either keeps away from zero, or lies within the ball in which the
+    Newton-Kantorovich theorem allows one zero only. A straight motion's zeros are lines across it:
+    their points on its axis are listed.
 
     Parameters
     ----------
@@ -147,11 +152,14 @@ def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_
         budget -= len(cells)
         jet = jets(pieces, cells)
         keep = floors(pieces, jet, half) <= 0
-        cells, jet = cells[keep], jet[keep]
+        cells = cells[keep]
+        jet = jet[keep]
         _, alone = _radii(pieces, jet)
         settled = alone > float(np.hypot(*half))
         proven = [(zero, _place_in(pieces.box, zero)) for zero in _newton(pieces, cells[settled])]
-        complete &= len(proven) == settled.sum() and all(inside is not None for _, inside in proven)
+        complete &= len(proven) == settled.sum() and all(
+            inside is not None for _, inside in proven
+        )
         found = _joined(found, [zero for zero, inside in proven if inside])
         half = half / 2
         corners = half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
@@ -164,7 +172,8 @@ def kantorovich(pieces: Pieces, point: FloatArray) -> Zero | None:
 
     References
     ----------
-    Ortega, "The Newton-Kantorovich theorem", American Mathematical Monthly 75, 1968: with the Jacobian J at the point,
+    Ortega, "The Newton-Kantorovich theorem", American Mathematical Monthly 75, 1968: with the
+    Jacobian J at the point,
     a Lipschitz constant L of the derivative, ``eta = |J^-1 H|`` and ``h = |J^-1| L eta <= 1/2``, a zero lies within
     ``(1 - sqrt(1 - 2 h)) / (|J^-1| L)`` and no other within ``(1 + sqrt(1 - 2 h)) / (|J^-1| L)``.
     """
@@ -180,7 +189,9 @@ def _radii(pieces: Pieces, jet: FloatArray) -> tuple[FloatArray, FloatArray]:
     squares = (jet[:, 2:] ** 2).sum(axis=1)
     determinant = np.abs(jet[:, 2] * jet[:, 5] - jet[:, 3] * jet[:, 4])
     largest = np.sqrt((squares + np.sqrt(np.maximum(squares**2 - 4 * determinant**2, 0))) / 2)
-    smallest = determinant / np.maximum(largest, 1e-300) - 4 * pieces.gradient_slack - 1e-12 * largest
+    smallest = (
+        determinant / np.maximum(largest, 1e-300) - 4 * pieces.gradient_slack - 1e-12 * largest
+    )
     smallest = np.maximum(smallest, 1e-100)
     h = lipschitz * residual / smallest**2
     root = np.sqrt(np.maximum(1 - 2 * h, 0))
@@ -226,14 +237,16 @@ def _joined(found: list[Zero], more: list[Zero]) -> list[Zero]:
 
 
 def _same(one: Zero, other: Zero) -> bool:
-    a, b = np.array(one.at), np.array(other.at)
+    a = np.array(one.at)
+    b = np.array(other.at)
     alone = max(one.alone_within, other.alone_within)
     return bool(min(np.linalg.norm(a - b), np.linalg.norm(a + b)) < alone)
 
 
 def _straight_zeros(trajectory: Trajectory, code: ShutterCode) -> Zeros:
     """|H| is |sinc(s) P(s)| / n along the axis, s in cycles per chip."""
-    axis, length_px = straight_axis(trajectory), uniform_length_px(trajectory)
+    axis = straight_axis(trajectory)
+    length_px = uniform_length_px(trajectory)
     assert axis is not None
     assert length_px is not None
     per_chip = code.chips / length_px
@@ -249,7 +262,11 @@ def _straight_zeros(trajectory: Trajectory, code: ShutterCode) -> Zeros:
     for turn, zero in sorted(found.items()):
         listed.append(
             Zero(
-                in_band(turn * per_chip, axis), zero.kind, zero.radius * per_chip, order=zero.order, factor=zero.factor
+                in_band(turn * per_chip, axis),
+                zero.kind,
+                zero.radius * per_chip,
+                order=zero.order,
+                factor=zero.factor,
             )
         )
     return Zeros(tuple(listed), of_code.complete)

@@ -1,7 +1,7 @@
 """Independent check of a proof in blocks: its file, its count of codes, every survivor, and folds drawn at random.
 
-Nothing of the search is used: other arithmetic (float64, Fourier transforms of whole rings), other enumeration. The
-format and the argument are in docs/proofs/README.md.
+Nothing of the search is used: other arithmetic (float64, Fourier transforms of whole rings), other
+enumeration. The format and the argument are in docs/proofs/README.md.
 """
 
 from __future__ import annotations
@@ -20,16 +20,21 @@ from numpy.typing import NDArray
 
 from cep.proofs.verify.sums import RefusedError
 
-__all__ = ["PROOF_SCHEMA", "ProofVerdict", "is_proof", "verify_proof"]
-
 PROOF_SCHEMA = "cep.proof/1"
 _VERSION = 1
 _MOST_BYTES = 8 * 2**20  # of a file; a thousand blocks have half a megabyte
 _CLOSE = 1e-6  # relative: minima are stated to nine digits
 _DRAWN = 2**22  # codes judged one by one, at most about
 _ROWS = 2**15
-_LONGEST_PREFIX, _LONGEST_SUFFIX = 8, 9  # more would take hours, or gigabytes
-_SPLITS = {0: [0], 1: [0, 1], 2: [0, 1, 2], 3: [1, 2], 4: [2]}  # of a sum of four chips into two sums of two
+_LONGEST_PREFIX = 8  # more would take hours, or gigabytes
+_LONGEST_SUFFIX = 9
+_SPLITS = {
+    0: [0],
+    1: [0, 1],
+    2: [0, 1, 2],
+    3: [1, 2],
+    4: [2],
+}  # of a sum of four chips into two sums of two
 
 
 @dataclass(frozen=True)
@@ -48,7 +53,8 @@ class ProofVerdict:
         Its smallest |P|, computed here.
     blocks, codes, survivors : int
     folds, judged : int
-        Folds drawn at random and judged again, and the codes on rings that were judged for it one by one.
+        Folds drawn at random and judged again, and the codes on rings that were judged for it one
+        by one.
     """
 
     holds: bool
@@ -70,7 +76,9 @@ class ProofVerdict:
 
 def is_proof(path: Path | str) -> bool:
     """Whether a file begins as a proof in blocks does."""
-    if not os.path.isfile(path):  # to open a pipe may take for ever; bits may be too long for a name
+    if not os.path.isfile(
+        path
+    ):  # to open a pipe may take for ever; bits may be too long for a name
         return False
     try:
         with Path(path).open("rb") as stream:
@@ -112,33 +120,52 @@ def verify_proof(
     """
     header, records = _read(Path(path))
     reasons: list[str] = []
-    about: dict[str, Any] = {key: int(header[key]) for key in ("chips", "fewest_open", "most_open")}
+    about: dict[str, Any] = {
+        key: int(header[key]) for key in ("chips", "fewest_open", "most_open")
+    }
     try:
         codes = _check_count(header, records)
-        reasons.append(f"{len(records)} blocks follow each other without a gap, and hold all {codes:.6g} codes once")
+        reasons.append(
+            f"{len(records)} blocks follow each other without a gap, and hold all {codes:.6g} codes once"
+        )
         survivors = _check_survivors(header, records, progress)
         if not survivors:
             raise RefusedError("no code survives, so none is the best")
-        bits = max(survivors, key=lambda one: (round(survivors[one], 7), one.count("1"), -len(one), one))
+        bits = max(
+            survivors, key=lambda one: (round(survivors[one], 7), one.count("1"), -len(one), one)
+        )
         highest = max(float(record["bound"]) for record in records)
         if highest > survivors[bits] * (1 + _CLOSE):
             raise RefusedError(
                 f"a bound of {highest:.9g} is above the best code's {survivors[bits]:.9g}: it hides codes"
             )
-        reasons.append(f"{len(survivors)} survivors have the minima stated, and lie in their blocks")
+        reasons.append(
+            f"{len(survivors)} survivors have the minima stated, and lie in their blocks"
+        )
         drawn = rng.permutation(len(records))[:blocks]
         folds = judged = 0
         for done, index in enumerate(drawn):
             progress(0.2 + 0.8 * done / len(drawn), f"block {index}")
             more = _check_block(header, records[index], rng, _DRAWN // len(drawn))
-            folds, judged = folds + more[0], judged + more[1]
-        reasons.append(f"{len(drawn)} blocks counted out anew; {folds} of their folds leave the same survivors")
+            folds = folds + more[0]
+            judged = judged + more[1]
+        reasons.append(
+            f"{len(drawn)} blocks counted out anew; {folds} of their folds leave the same survivors"
+        )
     except RefusedError as error:
         return ProofVerdict(False, (*reasons, str(error)), **about, blocks=len(records))
     return ProofVerdict(
-        True, tuple(reasons), **about, bits=bits, minimum=survivors[bits], blocks=len(records), codes=codes,
-        survivors=len(survivors), folds=folds, judged=judged,
-    )  # fmt: skip
+        True,
+        tuple(reasons),
+        **about,
+        bits=bits,
+        minimum=survivors[bits],
+        blocks=len(records),
+        codes=codes,
+        survivors=len(survivors),
+        folds=folds,
+        judged=judged,
+    )
 
 
 def _read(path: Path) -> tuple[Mapping[str, Any], list[dict[str, Any]]]:
@@ -155,7 +182,9 @@ def _read(path: Path) -> tuple[Mapping[str, Any], list[dict[str, Any]]]:
             if not isinstance(lines[-1], dict):
                 raise ValueError
         except (ValueError, RecursionError):
-            raise ValueError(f"{path}: line {number} is damaged, a JSON object is needed") from None
+            raise ValueError(
+                f"{path}: line {number} is damaged, a JSON object is needed"
+            ) from None
     header = lines[0] if lines else {}
     if header.get("schema") != PROOF_SCHEMA or header.get("version") != _VERSION:
         raise ValueError(
@@ -168,7 +197,9 @@ def _read(path: Path) -> tuple[Mapping[str, Any], list[dict[str, Any]]]:
     if bad is not None:
         raise ValueError(f"{path}: {bad}: must be a whole number")
     for number, record in enumerate(lines[1:], 2):
-        bad = next((key for key, kind in kinds.items() if not isinstance(record.get(key), kind)), None)
+        bad = next(
+            (key for key, kind in kinds.items() if not isinstance(record.get(key), kind)), None
+        )
         bound = record.get("bound")
         if not (isinstance(bound, int | float) and 0 <= bound <= header["chips"]):
             bad = "bound"
@@ -179,20 +210,28 @@ def _read(path: Path) -> tuple[Mapping[str, Any], list[dict[str, Any]]]:
 
 def _check_count(header: Mapping[str, Any], records: Sequence[Mapping[str, Any]]) -> int:
     """Check that blocks are complete and their codes sum to the closed count."""
-    ring, quarter, prefix = header["ring"], header["ring"] // 4, header["prefix"]
+    ring = header["ring"]
+    quarter = header["ring"] // 4
+    prefix = header["prefix"]
     prefixes = range(max(1, quarter - _LONGEST_SUFFIX), min(quarter, _LONGEST_PREFIX + 1))
     if ring % 4 or not 12 <= ring <= 64 or ring < header["chips"] or prefix not in prefixes:
-        raise RefusedError(f"a ring of {ring} chips with a prefix of {prefix} is not valid for {header['chips']} chips")
+        raise RefusedError(
+            f"a ring of {ring} chips with a prefix of {prefix} is not valid for {header['chips']} chips"
+        )
     at = 0
     for record in records:
         if record["first"] < at:
-            raise RefusedError(f"the prefixes {record['first']} to {min(record['until'], at)} are counted twice")
+            raise RefusedError(
+                f"the prefixes {record['first']} to {min(record['until'], at)} are counted twice"
+            )
         if record["first"] > at:
             raise RefusedError(f"the block of prefixes {at} to {record['first']} is missing")
         at = record["until"]
     if at != 5**prefix:
         raise RefusedError(f"the block of prefixes {at} to {5**prefix} is missing")
-    closed = sum(comb(ring, opened) for opened in range(header["fewest_open"], header["most_open"] + 1))
+    closed = sum(
+        comb(ring, opened) for opened in range(header["fewest_open"], header["most_open"] + 1)
+    )
     total = sum(record["codes"] for record in records)
     if total != closed:
         raise RefusedError(f"the blocks hold {total} codes, there are {closed}")
@@ -200,26 +239,40 @@ def _check_count(header: Mapping[str, Any], records: Sequence[Mapping[str, Any]]
 
 
 def _check_survivors(
-    header: Mapping[str, Any], records: Sequence[Mapping[str, Any]], progress: Callable[[float, str], None]
+    header: Mapping[str, Any],
+    records: Sequence[Mapping[str, Any]],
+    progress: Callable[[float, str], None],
 ) -> dict[str, float]:
     """Judge every survivor again; return their minima."""
-    ring, prefix = header["ring"], header["prefix"]
+    ring = header["ring"]
+    prefix = header["prefix"]
     found: dict[str, float] = {}
     for done, record in enumerate(records):
         progress(0.2 * done / len(records), "survivors")
-        names, stated = record["survivors"].split(), record["minima"].split()
+        names = record["survivors"].split()
+        stated = record["minima"].split()
         if len(names) != len(stated):
-            raise RefusedError(f"block {record['first']}: {len(names)} survivors with {len(stated)} minima")
+            raise RefusedError(
+                f"block {record['first']}: {len(names)} survivors with {len(stated)} minima"
+            )
         for bits, text in zip(names, stated, strict=True):
-            inside = set(bits) <= {"0", "1"} and bits[0] == bits[-1] == "1" and len(bits) <= header["chips"]
+            inside = (
+                set(bits) <= {"0", "1"}
+                and bits[0] == bits[-1] == "1"
+                and len(bits) <= header["chips"]
+            )
             if not inside or not header["fewest_open"] <= bits.count("1") <= header["most_open"]:
                 raise RefusedError(f"block {record['first']}: {bits} is no code of this problem")
             value = _minimum(bits)
             if abs(value - float(text)) > _CLOSE * value or value < record["bound"] * (1 - _CLOSE):
-                raise RefusedError(f"{bits} has a minimum of {value:.9g}, not {text} above {record['bound']:.9g}")
+                raise RefusedError(
+                    f"{bits} has a minimum of {value:.9g}, not {text} above {record['bound']:.9g}"
+                )
             place = _number(_canonical(_fold(bits, ring))[:prefix])
             if not record["first"] <= place < record["until"]:
-                raise RefusedError(f"{bits} belongs to another block than that of prefixes {record['first']} on")
+                raise RefusedError(
+                    f"{bits} belongs to another block than that of prefixes {record['first']} on"
+                )
             if bits in found or bits[::-1] in found:
                 raise RefusedError(f"{bits} is listed twice")
             found[bits] = value
@@ -237,7 +290,9 @@ def _check_block(
     ways = np.array([1, 4, 6, 4, 1])[folds].prod(axis=1)
     orbits = 1 + (np.diff(np.sort(images, axis=0), axis=0) > 0).sum(axis=0)  # images that differ
     if int((ways * orbits).sum()) != record["codes"]:
-        raise RefusedError(f"the block of prefixes {record['first']} holds {int((ways * orbits).sum())} codes")
+        raise RefusedError(
+            f"the block of prefixes {record['first']} holds {int((ways * orbits).sum())} codes"
+        )
     listed: dict[tuple[int, ...], set[str]] = {}
     for bits in record["survivors"].split():
         listed.setdefault(tuple(_canonical(_fold(bits, header["ring"]))), set()).add(bits)
@@ -252,15 +307,21 @@ def _check_block(
         left, more = _judged(np.array(fold), header["chips"], float(record["bound"]))
         if left != listed.get(fold, set()):
             other = sorted(left ^ listed.get(fold, set()))[0]
-            raise RefusedError(f"block {record['first']}: {other} is a survivor in one count and none in the other")
-        done, judged = done + 1, judged + more
+            raise RefusedError(
+                f"block {record['first']}: {other} is a survivor in one count and none in the other"
+            )
+        done = done + 1
+        judged = judged + more
     return done, judged
 
 
 def _folds(header: Mapping[str, Any], record: Mapping[str, Any]) -> NDArray[np.int64]:
     """All folds of a block that none of their rotations and mirror images exceeds, (R, q)."""
-    quarter, prefix = header["ring"] // 4, header["prefix"]
-    behind = np.arange(5 ** (quarter - prefix))[:, None] // 5 ** np.arange(quarter - prefix)[::-1] % 5
+    quarter = header["ring"] // 4
+    prefix = header["prefix"]
+    behind = (
+        np.arange(5 ** (quarter - prefix))[:, None] // 5 ** np.arange(quarter - prefix)[::-1] % 5
+    )
     parts = [np.zeros((0, quarter), np.int64)]
     for number in range(record["first"], record["until"]):
         front = np.array([number // 5**place % 5 for place in reversed(range(prefix))])
@@ -293,13 +354,16 @@ def _judged(fold: NDArray[np.int64], chips: int, bound: float) -> tuple[set[str]
         part = halves[at : at + _ROWS]
         part = part[np.abs(np.fft.fft(part, axis=1))[:, 1:].min(axis=1) >= least]
         for half in part:
-            single, both = np.flatnonzero(half == 1), np.flatnonzero(half == 2)
+            single = np.flatnonzero(half == 1)
+            both = np.flatnonzero(half == 2)
             if not single.size:
                 continue
             waves = np.exp(-2j * np.pi * np.outer(single, odd) / (4 * quarter))
             for low in range(0, 2 ** (single.size - 1), _ROWS):
                 count = np.arange(low, min(low + _ROWS, 2 ** (single.size - 1)))
-                first = (count[:, None] >> np.arange(single.size)) & 1  # the last is always behind: half a turn
+                first = (
+                    count[:, None] >> np.arange(single.size)
+                ) & 1  # the last is always behind: half a turn
                 judged += len(count)
                 sums = (2.0 * first - 1) @ waves.real, (2.0 * first - 1) @ waves.imag
                 for chosen in first[np.hypot(*sums).min(axis=1) >= least]:
@@ -317,14 +381,17 @@ def _turned(ring: NDArray[np.int64], chips: int, bound: float) -> set[str]:
     codes = codes[~codes[:, chips:].any(axis=1)]
     if not len(codes):
         return set()
-    codes = codes[np.abs(np.fft.rfft(codes, 8 * size, axis=1)).min(axis=1) >= bound * (1 - 1e-9) - 1e-9]
+    codes = codes[
+        np.abs(np.fft.rfft(codes, 8 * size, axis=1)).min(axis=1) >= bound * (1 - 1e-9) - 1e-9
+    ]
     cores = ("".join(map(str, code)).rstrip("0") for code in codes.tolist())
     return {max(bits, bits[::-1]) for bits in cores if _minimum(bits) >= bound * (1 - 1e-8)}
 
 
 def _minimum(bits: str) -> float:
     """Smallest |P| on the unit circle, by sampling and golden sections about the lowest samples."""
-    code, size = np.array([int(bit) for bit in bits]), 64 * len(bits)
+    code = np.array([int(bit) for bit in bits])
+    size = 64 * len(bits)
     sampled = np.abs(np.fft.rfft(code, size))
     inner = np.r_[sampled[1], sampled, sampled[-2]]
     local = np.flatnonzero((inner[1:-1] <= inner[:-2]) & (inner[1:-1] <= inner[2:]))
@@ -335,12 +402,15 @@ def _minimum(bits: str) -> float:
         angle = 2 * np.longdouble(np.pi) * np.outer(turns, places)
         return np.asarray(np.hypot(np.cos(angle).sum(axis=1), np.sin(angle).sum(axis=1)))
 
-    low, high = (local - 1) / np.longdouble(size), (local + 1) / np.longdouble(size)
+    low = (local - 1) / np.longdouble(size)
+    high = (local + 1) / np.longdouble(size)
     share = (np.sqrt(np.longdouble(5)) - 1) / 2
     for _ in range(60):
-        a, b = high - share * (high - low), low + share * (high - low)
+        a = high - share * (high - low)
+        b = low + share * (high - low)
         left = look(a) < look(b)
-        low, high = np.where(left, low, a), np.where(left, b, high)
+        low = np.where(left, low, a)
+        high = np.where(left, b, high)
     return float(min(look((low + high) / 2).min(), sampled.min()))
 
 

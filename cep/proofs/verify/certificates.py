@@ -1,12 +1,13 @@
 """Independent check of a certificate: plain and slow, sharing no code with its making.
 
-It uses only numpy and the certificate's data. Values are summed directly from the path's vertices; the lower bound
-is checked by its own subdivision into cells of half-sides h and circumradius r, on which
+It uses only numpy and the certificate's data. Values are summed directly from the path's vertices;
+the lower bound is checked by its own subdivision into cells of half-sides h and circumradius r, on
+which
 
     |H|  >=  |H0| - sum_i h_i |d|H|/df_i| - r^2 / 2 (2 pi)^2 lambda,
 
-lambda the larger principal moment of the open path; zeros by integer division, a change of sign, or the winding number
-of H around them.
+lambda the larger principal moment of the open path; zeros by integer division, a change of sign,
+or the winding number of H around them.
 """
 
 from __future__ import annotations
@@ -20,8 +21,6 @@ from numpy.typing import NDArray
 
 from cep.proofs.verify.sums import Lines, RefusedError, chip_lines, named, on_axis, path_lines
 from cep.proofs.verify.zeros import zero_holds
-
-__all__ = ["Verdict", "verify"]
 
 FloatArray = NDArray[np.float64]
 _TOLERANCE = 1e-9  # relative, on both bounds
@@ -66,18 +65,21 @@ def verify(
     Parameters
     ----------
     certificate : mapping, or an object whose ``to_dict()`` is one
-        As in ``code.json``: ``unit``, ``lower``, ``upper``, ``at``; ``zero`` where 0 is claimed; ``trajectory`` with
-        ``t``, ``x``, ``y``; ``directions``; ``bits``.
+        As in ``code.json``: ``unit``, ``lower``, ``upper``, ``at``; ``zero`` where 0 is claimed;
+        ``trajectory`` with ``t``, ``x``, ``y``; ``directions``; ``bits``.
     bits : str, optional
-        The code that the certificate must be about, as 0 and 1; the one that it names when omitted.
+        The code that the certificate must be about, as 0 and 1; the one that it names when
+        omitted.
     path : (t, xy), optional
-        Times (T,) from 0 to 1 and vertices (T, 2), px, where the certificate does not hold them itself.
+        Times (T,) from 0 to 1 and vertices (T, 2), px, where the certificate does not hold them
+        itself.
     budget : int
         Largest number of frequencies; a check that needs more counts as not confirmed.
 
     Examples
     --------
-    A minimum of one chip at half a cycle per chip is claimed, and too high: the true one is 0.91277.
+    A minimum of one chip at half a cycle per chip is claimed, and too high: the true one is
+    0.91277.
 
     >>> claim = {"unit": "chips", "bits": "11100101", "lower": 0.95, "upper": 1.0, "at": [0.5]}
     >>> bool(verify(claim)), bool(verify(claim | {"lower": 0.9}))
@@ -90,16 +92,22 @@ def verify(
     except RefusedError as refusal:
         return Verdict(False, (*reasons, str(refusal)))
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
-        return Verdict(False, (*reasons, f"the certificate cannot be read ({type(error).__name__}: {error})"))
+        return Verdict(
+            False, (*reasons, f"the certificate cannot be read ({type(error).__name__}: {error})")
+        )
     return Verdict(True, tuple(reasons))
 
 
-def _check(bits: str, claim: Mapping[str, Any], path: Any, budget: int, reasons: list[str]) -> None:
+def _check(
+    bits: str, claim: Mapping[str, Any], path: Any, budget: int, reasons: list[str]
+) -> None:
     if not bits or set(bits) - {"0", "1"} or "1" not in bits:
         raise RefusedError("the bits are no code")
     if claim.get("bits", bits) != bits:
         raise RefusedError("the certificate is about another code")
-    lower, upper, unit = float(claim["lower"]), float(claim["upper"]), claim["unit"]
+    lower = float(claim["lower"])
+    upper = float(claim["upper"])
+    unit = claim["unit"]
     at = np.array([float(value) for value in claim["at"]])
     if not 0 <= lower <= upper < np.inf:
         raise RefusedError(f"the bounds {lower:g} .. {upper:g} are no interval")
@@ -107,7 +115,8 @@ def _check(bits: str, claim: Mapping[str, Any], path: Any, budget: int, reasons:
         if at.shape != (1,) or not np.isfinite(at).all():
             raise RefusedError("a frequency in chip units is one number")
         ways = {"forward": chip_lines(bits)}
-        box, vertices = np.array([[0.0, 0.5], [0.0, 0.0]]), None
+        box = np.array([[0.0, 0.5], [0.0, 0.0]])
+        vertices = None
         point = np.array([[at[0], 0.0]])
     elif unit == "light-true":
         if at.shape != (2,) or not (np.abs(at) <= 0.5 + 1e-12).all():
@@ -119,7 +128,8 @@ def _check(bits: str, claim: Mapping[str, Any], path: Any, budget: int, reasons:
             raise RefusedError("the directions are unknown")
         both = {"forward": (t, xy), "backward": (1 - t[::-1], xy[::-1])}
         ways = {way: path_lines(bits, *both[way]) for way in listed}
-        box, point = np.array([[-0.5, 0.5], [0.0, 0.5]]), at[None]
+        box = np.array([[-0.5, 0.5], [0.0, 0.5]])
+        point = at[None]
     else:
         raise RefusedError(f"the unit {unit!r} is unknown")
     way = claim.get("direction", next(iter(ways)))
@@ -136,32 +146,46 @@ def _check(bits: str, claim: Mapping[str, Any], path: Any, budget: int, reasons:
         reasons.append("no lower bound above 0 is claimed")
         return
     for name, lines in ways.items():
-        # open chips may lie on a straight stretch one way and on a bend the other: each way has its own frequencies
+        # open chips may lie on a straight stretch one way and on a bend the other: each way has
+        # its own frequencies
         looked = _nothing_below(*on_axis(lines, box), lower * (1 - _TOLERANCE), budget)
-        reasons.append(f"{name}, nothing lies below the lower bound {lower:.9g} ({looked} frequencies)")
+        reasons.append(
+            f"{name}, nothing lies below the lower bound {lower:.9g} ({looked} frequencies)"
+        )
 
 
 def _nothing_below(lines: Lines, box: FloatArray, level: float, budget: int) -> int:
-    sides, looked = np.ptp(box, axis=1), 0
+    sides = np.ptp(box, axis=1)
+    looked = 0
     used = sides > 0
-    counts = np.where(used, np.maximum(1, np.ceil(4 * sides * max(2.0, lines.spread))), 1).astype(int)
+    counts = np.where(used, np.maximum(1, np.ceil(4 * sides * max(2.0, lines.spread))), 1).astype(
+        int
+    )
     half = sides / counts / 2
     axes = [box[k, 0] + half[k] * (2 * np.arange(counts[k]) + 1) for k in (0, 1)]
     cells = np.array(np.meshgrid(*axes, indexing="ij")).reshape(2, -1).T
-    signs = np.array([(i, j) for i in ((-1, 1) if used[0] else (0,)) for j in ((-1, 1) if used[1] else (0,))])
+    signs = np.array(
+        [(i, j) for i in ((-1, 1) if used[0] else (0,)) for j in ((-1, 1) if used[1] else (0,))]
+    )
     while len(cells):
         looked += len(cells)
         if looked > budget:
-            raise RefusedError(f"the lower bound {level:.9g} could not be confirmed with {budget} frequencies")
+            raise RefusedError(
+                f"the lower bound {level:.9g} could not be confirmed with {budget} frequencies"
+            )
         size, loss = lines.bound_cells(cells, half, used)
         if size.min() < level - lines.slack:
             where = cells[size.argmin()]
             at = named(where[used])
-            raise RefusedError(f"|H| at {at} is {size.min():.9g}, below the lower bound {level:.9g}")
+            raise RefusedError(
+                f"|H| at {at} is {size.min():.9g}, below the lower bound {level:.9g}"
+            )
         slack = lines.slack * (1 + 10 * lines.spread * float(np.hypot(*half)))
         cells = cells[size - loss - slack < level]
         if len(cells) and loss.max() < slack:
-            raise RefusedError(f"the lower bound {level:.9g} is too close to the minimum for double precision")
+            raise RefusedError(
+                f"the lower bound {level:.9g} is too close to the minimum for double precision"
+            )
         half = half / 2
         cells = (cells[:, None] + signs * half).reshape(-1, 2)
     return looked
@@ -170,16 +194,26 @@ def _nothing_below(lines: Lines, box: FloatArray, level: float, budget: int) -> 
 def _vertices(stored: Any, path: Any) -> tuple[FloatArray, FloatArray]:
     given = None if path is None else (np.array(path[0], float), np.array(path[1], float))
     if stored is not None:
-        found = np.array(stored["t"], float), np.stack([np.array(stored[k], float) for k in "xy"], axis=1)
+        found = (
+            np.array(stored["t"], float),
+            np.stack([np.array(stored[k], float) for k in "xy"], axis=1),
+        )
         if given and any(
-            a.shape != b.shape or not np.allclose(a, b, rtol=0, atol=1e-9) for a, b in zip(found, given, strict=True)
+            a.shape != b.shape or not np.allclose(a, b, rtol=0, atol=1e-9)
+            for a, b in zip(found, given, strict=True)
         ):
             raise RefusedError("the certificate is about another trajectory")
         given = found
     if given is None:
         raise RefusedError("the certificate does not hold its trajectory, and none was given")
     t, xy = given
-    if len(t) < 2 or xy.shape != (len(t), 2) or not (np.diff(t) > 0).all() or t[0] != 0 or t[-1] != 1:
+    if (
+        len(t) < 2
+        or xy.shape != (len(t), 2)
+        or not (np.diff(t) > 0).all()
+        or t[0] != 0
+        or t[-1] != 1
+    ):
         raise RefusedError("the trajectory's times do not rise from 0 to 1")
     if not np.isfinite(xy).all():
         raise RefusedError("the trajectory's places are not finite")

@@ -8,8 +8,6 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Lines", "RefusedError", "chip_lines", "named", "on_axis", "path_lines"]
-
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _CHUNK = 2**19
@@ -34,11 +32,13 @@ class Lines:
         """H (F,) and its gradient (F, 2) at frequencies (F, 2)."""
         if not self.delta.any():
             return self._look_at_points(f)
-        value, slope = np.empty(len(f), np.complex128), np.empty((len(f), 2), np.complex128)
+        value = np.empty(len(f), np.complex128)
+        slope = np.empty((len(f), 2), np.complex128)
         step = max(1, _CHUNK // len(self.weight))
         for lo in range(0, len(f), step):
             part = f[lo : lo + step]
-            turns, x = part @ self.middle.T, pi * (part @ self.delta.T)
+            turns = part @ self.middle.T
+            x = pi * (part @ self.delta.T)
             small = np.abs(x) < 1e-3
             safe = np.where(small, 1.0, x)
             gain = np.where(small, 1 - x * x / 6, np.sin(safe) / safe)
@@ -46,7 +46,9 @@ class Lines:
             wave = self.weight * np.exp(-2j * pi * (turns - np.rint(turns)))
             seen = wave * gain
             value[lo : lo + step] = seen.sum(axis=1)
-            slope[lo : lo + step] = -2j * pi * (seen @ self.middle) + pi * ((wave * change) @ self.delta)
+            slope[lo : lo + step] = -2j * pi * (seen @ self.middle) + pi * (
+                (wave * change) @ self.delta
+            )
         return value, slope
 
     def bound_cells(
@@ -57,13 +59,20 @@ class Lines:
         The cells have half-sides ``half``, (2,); an axis that is not ``used`` has none.
         """
         value, slope = self.look(cells)
-        size, radius = np.abs(value), float(np.hypot(*half))
-        downhill = np.where(used, np.abs((np.conj(value)[:, None] * slope).real), 0) / np.maximum(size, 1e-300)[:, None]
-        return size, (downhill * half).sum(axis=1) * (1 + 1e-12) + 2 * pi**2 * self.principal * radius**2
+        size = np.abs(value)
+        radius = float(np.hypot(*half))
+        downhill = (
+            np.where(used, np.abs((np.conj(value)[:, None] * slope).real), 0)
+            / np.maximum(size, 1e-300)[:, None]
+        )
+        return size, (downhill * half).sum(axis=1) * (
+            1 + 1e-12
+        ) + 2 * pi**2 * self.principal * radius**2
 
     def _look_at_points(self, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Sum open chips in the machine's longest floating point: a minimum may be a millionth of their number."""
-        value, slope = np.empty(len(f), np.complex128), np.zeros((len(f), 2), np.complex128)
+        value = np.empty(len(f), np.complex128)
+        slope = np.zeros((len(f), 2), np.complex128)
         step = max(1, _CHUNK // len(self.weight))
         places = self.middle[:, 0].astype(np.longdouble)
         for lo in range(0, len(f), step):
@@ -93,16 +102,23 @@ def path_lines(bits: str, t: FloatArray, xy: FloatArray) -> Lines:
 
 
 def _about_centroid(weight: FloatArray, a: FloatArray, b: FloatArray) -> Lines:
-    middle, delta, total = (a + b) / 2, b - a, float(weight.sum())
+    middle = (a + b) / 2
+    delta = b - a
+    total = float(weight.sum())
     # whole chips stay whole, so that their phases are exact to the last digit
     centre = np.average(middle, axis=0, weights=weight)
     middle = middle - (centre if delta.any() else np.rint(centre))
     spread = float((np.abs(middle) + np.abs(delta)).max())
-    second = np.einsum("s,si,sj->ij", weight, middle, middle) + np.einsum("s,si,sj->ij", weight, delta, delta) / 12
+    second = (
+        np.einsum("s,si,sj->ij", weight, middle, middle)
+        + np.einsum("s,si,sj->ij", weight, delta, delta) / 12
+    )
     # roundings: of each phase in proportion to the turns, and one per term of the sum
     rounding = float(np.finfo(np.longdouble if not delta.any() else np.float64).eps) * 0.55
     slack = rounding * (total * (100 * (spread + 1) + len(weight) + 100) + 10 * len(weight))
-    return Lines(weight, middle, delta, float(np.linalg.eigvalsh(second)[-1]) * (1 + 1e-9), spread, slack)
+    return Lines(
+        weight, middle, delta, float(np.linalg.eigvalsh(second)[-1]) * (1 + 1e-9), spread, slack
+    )
 
 
 def on_axis(lines: Lines, box: FloatArray) -> tuple[Lines, FloatArray]:
@@ -111,12 +127,20 @@ def on_axis(lines: Lines, box: FloatArray) -> tuple[Lines, FloatArray]:
     size = float(np.hypot(*shift))
     if box[1, 0] == box[1, 1] or size == 0:
         return lines, box
-    along, across = shift / size, np.array([-shift[1], shift[0]]) / size
-    if np.abs(lines.middle @ across).max() + np.abs(lines.delta @ across).max() > 1e-12 * lines.spread:
+    along = shift / size
+    across = np.array([-shift[1], shift[0]]) / size
+    if (
+        np.abs(lines.middle @ across).max() + np.abs(lines.delta @ across).max()
+        > 1e-12 * lines.spread
+    ):
         return lines, box
-    a, b = (np.stack([ends @ along, 0 * lines.weight], axis=1) for ends in
-            (lines.middle - lines.delta / 2, lines.middle + lines.delta / 2))  # fmt: skip
-    return _about_centroid(lines.weight, a, b), np.array([[0.0, 0.5 * np.abs(along).sum()], [0.0, 0.0]])
+    a, b = (
+        np.stack([ends @ along, 0 * lines.weight], axis=1)
+        for ends in (lines.middle - lines.delta / 2, lines.middle + lines.delta / 2)
+    )
+    return _about_centroid(lines.weight, a, b), np.array(
+        [[0.0, 0.5 * np.abs(along).sum()], [0.0, 0.0]]
+    )
 
 
 def named(at: FloatArray) -> str:

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from cep.proofs.verify.sums import Lines, RefusedError, named
 
-__all__ = ["zero_holds"]
-
 FloatArray = NDArray[np.float64]
 _MOST_TURNS = 2**17  # points on a circle
 
 
-def zero_holds(bits: str, zero: Mapping[str, Any], at: FloatArray, lines: Lines, vertices: Any) -> str:
+def zero_holds(
+    bits: str, zero: Mapping[str, Any], at: FloatArray, lines: Lines, vertices: Any
+) -> str:
     """Return the proof of the zero in words; raise RefusedError where there is none.
 
     Parameters
@@ -38,13 +38,21 @@ def zero_holds(bits: str, zero: Mapping[str, Any], at: FloatArray, lines: Lines,
         order = int(zero["order"])
         turn = round(turns * order)
         # beyond six times the degree a cyclotomic polynomial is longer than the code's
-        if not 2 <= order <= 6 * len(bits) or abs(turns - turn / order) > 1e-9 or gcd(turn, order) != 1:
+        if (
+            not 2 <= order <= 6 * len(bits)
+            or abs(turns - turn / order) > 1e-9
+            or gcd(turn, order) != 1
+        ):
             raise RefusedError(f"{named(at)} is no primitive root of unity of order {order}")
         if any(_remainder([int(bit) for bit in bits], _cyclotomic(order))):
-            raise RefusedError(f"the polynomial does not vanish at the roots of unity of order {order}")
+            raise RefusedError(
+                f"the polynomial does not vanish at the roots of unity of order {order}"
+            )
         return f"the cyclotomic polynomial of order {order} divides the code's, in integers"
     if kind == "sign change":
-        return _crossing(bits, [int(value) for value in zero["factor"]], turns, float(zero["radius"]))
+        return _crossing(
+            bits, [int(value) for value in zero["factor"]], turns, float(zero["radius"])
+        )
     if kind == "closed form" and vertices is not None:
         if round(turns) == 0 or abs(turns - round(turns)) > 1e-9:
             raise RefusedError(f"{named(at)} is no zero of a chip's sinc")
@@ -69,12 +77,16 @@ def _crossing(bits: str, factor: list[int], turns: float, radius: float) -> str:
     wave = np.cos if factor[0] == factor[-1] else np.sin
     # a straight motion's frequency is known to a few roundings only
     radius += 1e-12
-    ends = [sum(value * wave(2 * pi * f * place) for value, place in zip(factor, places, strict=True)) for f in
-            (turns - radius, turns + radius)]  # fmt: skip
+    ends = [
+        sum(value * wave(2 * pi * f * place) for value, place in zip(factor, places, strict=True))
+        for f in (turns - radius, turns + radius)
+    ]
     slack = 1e-15 * sum(abs(value) for value in factor) * (len(factor) + 10)
     if not (min(ends) < -slack and max(ends) > slack):
         raise RefusedError(f"no change of sign is seen at {turns:.9g} cycles per chip")
-    return f"a self-reciprocal factor changes sign within {radius:.1e} of {turns:.9g} cycles per chip"
+    return (
+        f"a self-reciprocal factor changes sign within {radius:.1e} of {turns:.9g} cycles per chip"
+    )
 
 
 def _encircled(lines: Lines, at: FloatArray, alone_within: float) -> str:
@@ -98,7 +110,9 @@ def _encircled(lines: Lines, at: FloatArray, alone_within: float) -> str:
 
 def _cyclotomic(order: int) -> list[int]:
     """Coefficients, lowest first: one prime at a time, Phi_mp(z) = Phi_m(z^p) / Phi_m(z), then z -> z^(d / radical)."""
-    found, radical, rest = [-1, 1], 1, order
+    found = [-1, 1]
+    radical = 1
+    rest = order
     for prime in range(2, order + 1):
         if rest % prime == 0:
             while rest % prime == 0:
@@ -120,7 +134,9 @@ def _remainder(whole: list[int], factor: list[int]) -> list[int]:
 
 def _long_division(whole: list[int], factor: list[int]) -> tuple[list[int], list[int]]:
     """Quotient and remainder by a polynomial whose leading coefficient is 1 or -1, in Python's exact integers."""
-    rest, quotient, size = list(whole), [], len(factor)
+    rest = list(whole)
+    quotient = []
+    size = len(factor)
     while len(rest) >= size:
         lead = rest.pop() * factor[-1]
         quotient.append(lead)

@@ -9,8 +9,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-__all__ = ["WIDTHS", "DenoisingNetwork"]
-
 WIDTHS = (32, 48, 64)
 _SHUFFLE = 2  # the finest features are at half the resolution: four times as quick
 
@@ -27,9 +25,9 @@ class DenoisingNetwork(nn.Module):
 
     References
     ----------
-    Zhang, Zuo, Zhang, "FFDNet", IEEE TIP 2018: shuffled pixels and a map of the noise level. Mohan, Kadkhodaie,
-    Simoncelli, Fernandez-Granda, "Robust and interpretable blind image denoising via bias-free convolutional neural
-    networks", ICLR 2020.
+    Zhang, Zuo, Zhang, "FFDNet", IEEE TIP 2018: shuffled pixels and a map of the noise level.
+    Mohan, Kadkhodaie, Simoncelli, Fernandez-Granda, "Robust and interpretable blind image
+    denoising via bias-free convolutional neural networks", ICLR 2020.
     """
 
     def __init__(self, widths: Sequence[int] = WIDTHS) -> None:
@@ -39,8 +37,12 @@ class DenoisingNetwork(nn.Module):
         self.encoders = nn.ModuleList([_Block(w) for w in widths[:-1]])
         self.encoders.append(nn.Sequential(_Block(widths[-1]), _Block(widths[-1])))
         steps = list(itertools.pairwise(widths))
-        self.downs = nn.ModuleList([nn.Conv2d(fine, coarse, 2, stride=2, bias=False) for fine, coarse in steps])
-        self.ups = nn.ModuleList([nn.Conv2d(coarse, 4 * fine, 1, bias=False) for fine, coarse in steps])
+        self.downs = nn.ModuleList(
+            [nn.Conv2d(fine, coarse, 2, stride=2, bias=False) for fine, coarse in steps]
+        )
+        self.ups = nn.ModuleList(
+            [nn.Conv2d(coarse, 4 * fine, 1, bias=False) for fine, coarse in steps]
+        )
         self.decoders = nn.ModuleList([_Block(w) for w in widths[:-1]])
         self.head = nn.Conv2d(widths[0], _SHUFFLE**2, 3, padding=1, bias=False)
 

@@ -8,22 +8,21 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from cep.restoration.denoiser.network import DenoisingNetwork
 from motdiff import weights_io
+from motdiff.types import FloatArray
 from motdiff.weights_io import filled, write_with_card
 
-__all__ = ["SCHEMA", "SHIPPED", "load_denoiser", "read_card", "write_weights"]
-
-FloatArray = NDArray[np.float64]
 SCHEMA = "cep.denoiser/1"
 SHIPPED = Path(__file__).with_name("denoiser.safetensors")
 """The weights in the package."""
 
 
-def write_weights(state: Mapping[str, Tensor], target: Path | str, *, about: Mapping[str, Any]) -> int:
+def write_weights(
+    state: Mapping[str, Tensor], target: Path | str, *, about: Mapping[str, Any]
+) -> int:
     """Write a network's weights as float16, with a JSON card in the header; returns the bytes.
 
     Raises
@@ -59,7 +58,9 @@ def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], F
 
     def denoised(image: FloatArray, sigma: float) -> FloatArray:
         with torch.inference_mode():
-            found = network(torch.from_numpy(image[None, None]).float(), torch.tensor([float(sigma)]))
+            found = network(
+                torch.from_numpy(image[None, None]).float(), torch.tensor([float(sigma)])
+            )
         return np.asarray(found[0, 0].numpy(), dtype=np.float64)
 
     return denoised

@@ -20,28 +20,16 @@ from cep.search.annealing.terms import lay_out
 from cep.search.objective import Objective, sample_count
 from cep.search.problem import SearchProblem
 
-__all__ = [
-    "CHAINS",
-    "COOLING",
-    "MOST_SWAPS",
-    "MOVES_SHARE",
-    "REHEATED",
-    "Budget",
-    "SearchResult",
-    "Stopped",
-    "anneal",
-    "hottest_db",
-    "standard_moves",
-]
-
-
 Codes = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
-_SEARCH_OVERSAMPLING, _JUDGED_OVERSAMPLING = 8, 64  # of the moves, and of the polish, which uses the continuum too
+_SEARCH_OVERSAMPLING = 8  # of the moves, and of the polish, which uses the continuum too
+_JUDGED_OVERSAMPLING = 64
 _HOT_DB = {"min-mtf": 0.8, "noise": 0.3, "flatness": 0.1, "mse": 0.1}  # docs/decisions/search.md
-_HOT_CHIPS, _HOTTEST = 52, 4.0  # these temperatures are for so many chips; fewer are at most so much hotter
+_HOT_CHIPS = 52  # these temperatures are for so many chips; fewer are at most so much hotter
+_HOTTEST = 4.0
 COOLING = 3.0  # hottest over coldest
-_WALKS_STRAIGHT, _WALKS_OTHERS = 6, 2  # chains of later rounds that walk instead
+_WALKS_STRAIGHT = 6  # chains of later rounds that walk instead
+_WALKS_OTHERS = 2
 _SHORT = 64  # chips up to which walks find better codes than cooling on straight motion
 MOST_SWAPS = 2**12  # chips up to which every neighbour is evaluated in each step
 REHEATED = 0.6
@@ -49,7 +37,9 @@ _SWEPT = 0.28  # temperature of sweeps, over the hottest: docs/decisions/search.
 _ELITES = 32
 _POOL = 8  # of the best, from which walks start
 _STANDARD_WORK = 2**33  # moves times frequencies after which more rarely find a better code
-_SWEPT_MOVES = 2**29  # the same number for sweeps, which take the time of a sixteenth of other moves
+_SWEPT_MOVES = (
+    2**29
+)  # the same number for sweeps, which take the time of a sixteenth of other moves
 _LEAST_OF_MEAN = 2**16
 MOVES_SHARE = 0.9  # of the fraction done that is told: the rest is the polish
 
@@ -62,15 +52,16 @@ class SearchResult:
     ----------
     code : ShutterCode
     objective : float
-        Cost in dB, lower is better, with minima over the continuum; see :mod:`cep.search.objective`.
+        Cost in dB, lower is better, with minima over the continuum; see
+        :mod:`cep.search.objective`.
     metrics : CodeMetrics
         Worst of each figure over the problem's scenarios and directions.
     seconds : float
     steps : int
         Moves tried.
     stopped : {"steps", "time", "interrupted", "complete"}
-        Its end: all moves made; the time limit, which makes the outcome depend on the machine; Ctrl-C; or that
-        no other code keeps the limits.
+        Its end: all moves made; the time limit, which makes the outcome depend on the machine;
+        Ctrl-C; or that no other code keeps the limits.
     """
 
     code: ShutterCode
@@ -126,24 +117,26 @@ def anneal(
     steps : int, optional
         Moves to try, over all chains. None searches for ``time_s``, and is not reproducible.
     time_s : float
-        Upper limit of the moves, seconds; ``math.inf`` for none. The closing polish ends at the latest a tenth of it,
-        or half a second, later; after Ctrl-C, within half a second. Preparing the moves (seconds for a class of
-        motions), preparing the polish and measuring the code (together milliseconds for 52 chips, 2 to 3 s for 512)
-        are not included.
+        Upper limit of the moves, seconds; ``math.inf`` for none. The closing polish ends at the
+        latest a tenth of it, or half a second, later; after Ctrl-C, within half a second.
+        Preparing the moves (seconds for a class of motions), preparing the polish and measuring
+        the code (together milliseconds for 52 chips, 2 to 3 s for 512) are not included.
     start : iterable of ShutterCode
-        Codes to start from besides random ones, such as published ones; those that break a limit are left out.
+        Codes to start from besides random ones, such as published ones; those that break a limit
+        are left out.
     progress : callable, optional
-        Called repeatedly with the fraction done, 0..1, and the best code so far. It may raise KeyboardInterrupt.
+        Called repeatedly with the fraction done, 0..1, and the best code so far. It may raise
+        KeyboardInterrupt.
     threads : int, optional
         As many as there are cores when omitted; the outcome does not depend on it.
     judge : Objective, optional
         The problem's on 64 samples per 1 / extent in float64, where it has been made already.
     moved : Objective, optional
-        The problem's on 8 samples per 1 / extent in float32, by which the moves are judged, where it has been made
-        already.
+        The problem's on 8 samples per 1 / extent in float32, by which the moves are judged, where
+        it has been made already.
     swaps : bool
-        Whether the closing polish exchanges open chips for closed ones, besides flipping single chips: many times the
-        work.
+        Whether the closing polish exchanges open chips for closed ones, besides flipping single
+        chips: many times the work.
 
     Raises
     ------
@@ -177,8 +170,16 @@ def anneal(
 
     try:
         if _movable(problem, elites.ranked()[0], free):
-            crews = _crews(problem, coarse, free, threads, sweep_tables(coarse, judge) if sweeping and judge else None)
-            budget.began = time.monotonic()  # the samples of a class of motions may take longer than the whole limit
+            crews = _crews(
+                problem,
+                coarse,
+                free,
+                threads,
+                sweep_tables(coarse, judge) if sweeping and judge else None,
+            )
+            budget.began = (
+                time.monotonic()
+            )  # the samples of a class of motions may take longer than the whole limit
             round_number = 0
             longest = _LONGEST_SWEPT if sweeping else _LONGEST
             while budget.left():
@@ -194,11 +195,16 @@ def anneal(
         if progress is not None:
             progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece.done, piece.code)
 
-    best, fine = elites.best(), judge or Objective(problem, oversampling=_JUDGED_OVERSAMPLING, dtype=np.float64)
+    best = elites.best()
+    fine = judge or Objective(problem, oversampling=_JUDGED_OVERSAMPLING, dtype=np.float64)
     found = Polished(best, fine.exact_cost(best), 0.0)
-    found, stopped = budget.polished(found, polish(fine, elites.ranked(), swaps=swaps), told, stopped=stopped)
+    found, stopped = budget.polished(
+        found, polish(fine, elites.ranked(), swaps=swaps), told, stopped=stopped
+    )
     metrics = problem.measure(found.code)
-    return SearchResult(found.code, found.cost, metrics, time.monotonic() - started, budget.done, stopped)
+    return SearchResult(
+        found.code, found.cost, metrics, time.monotonic() - started, budget.done, stopped
+    )
 
 
 def standard_moves(problem: SearchProblem) -> int:
@@ -206,7 +212,9 @@ def standard_moves(problem: SearchProblem) -> int:
     if swept(problem):
         return _SWEPT_MOVES
     columns = sample_count(problem, oversampling=_SEARCH_OVERSAMPLING)
-    if problem.rule == "mean":  # every move is judged on every motion, and a class of them leaves few valleys
+    if (
+        problem.rule == "mean"
+    ):  # every move is judged on every motion, and a class of them leaves few valleys
         return int(np.clip(_STANDARD_WORK // columns, _LEAST_OF_MEAN, 2**25))
     # the expected error of the best code gains less than 0.03 dB from four times as many
     most = 2**22 if problem.objective == "mse" else 2**25
@@ -236,7 +244,10 @@ def _crews(
     """Return a crew for the objective; of a mix also one for each part, which judges a move many times as fast."""
     parts = [coarse.instead(name) for name, _ in problem.objective_mix]
     objectives = [coarse] if len(parts) == 1 else [*parts, coarse]
-    return [Crew(one.problem, lay_out(one), free, threads=threads, sweeping=sweeping) for one in objectives]
+    return [
+        Crew(one.problem, lay_out(one), free, threads=threads, sweeping=sweeping)
+        for one in objectives
+    ]
 
 
 def _plans(
@@ -248,17 +259,24 @@ def _plans(
         return [Sweeps(moves, _SWEPT * hot, int(seed)) for seed in rng.integers(1, 2**62, CHAINS)]
     walks = 0
     if not (first or problem.limits_runs or problem.chips**2 // 4 > MOST_SWAPS):
-        straight = all(straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios)
+        straight = all(
+            straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios
+        )
         walks = _WALKS_STRAIGHT if straight and problem.chips <= _SHORT else _WALKS_OTHERS
     cooled = CHAINS - walks
     codes = problem.random_codes(cooled, rng=rng).astype(np.int8)
     best = elites.ranked()
-    kept = min(len(best), cooled // 2)  # the others from anywhere: starts may all lie in one valley
+    kept = min(
+        len(best), cooled // 2
+    )  # the others from anywhere: starts may all lie in one valley
     codes[:kept] = best[:kept]
     seeds = [int(seed) for seed in rng.integers(1, 2**62, CHAINS)]
     heats = [hot if first or index >= kept else REHEATED * hot for index in range(cooled)]
     chains = [
-        Cooling(*plan) for plan in zip(codes, heats, [hot / COOLING] * cooled, [moves] * cooled, seeds, strict=False)
+        Cooling(*plan)
+        for plan in zip(
+            codes, heats, [hot / COOLING] * cooled, [moves] * cooled, seeds, strict=False
+        )
     ]
     return [*chains, *(Walks(best[:_POOL], moves, seed) for seed in seeds[cooled:])]
 
@@ -267,10 +285,15 @@ Stopped = Literal["steps", "time", "interrupted", "complete", "proven"]
 """What ended a search: all its moves made, the time limit, Ctrl-C, that no other code keeps the limits, or a proof."""
 
 _Piece = TypeVar("_Piece")
-CHAINS = 8  # of a round: enough for most machines' cores, and the outcome must not depend on their number
-_SHORTEST, _LONGEST = 2**15, 2**22  # moves of a chain in the first and the last rounds
+# of a round: enough for most machines' cores, and the outcome must not depend on their number
+CHAINS = 8
+_SHORTEST = 2**15  # moves of a chain in the first and the last rounds
+_LONGEST = 2**22
 _LONGEST_SWEPT = 2**26  # the same in sweeps
-_POLISH_SHARE, _POLISH_S = 0.1, 0.5  # of the time limit, or seconds if that is more: what the polish may take on top
+_POLISH_SHARE = (
+    0.1  # of the time limit, or seconds if that is more: what the polish may take on top
+)
+_POLISH_S = 0.5
 
 
 @dataclass
@@ -290,7 +313,12 @@ class Budget:
 
     def used(self) -> float:
         """Fraction used, 0..1."""
-        return min(1.0, max(self.elapsed() / self.time_s, 0.0 if self.steps is None else self.done / self.steps))
+        return min(
+            1.0,
+            max(
+                self.elapsed() / self.time_s, 0.0 if self.steps is None else self.done / self.steps
+            ),
+        )
 
     def elapsed(self) -> float:
         """Seconds since it began."""
@@ -308,7 +336,9 @@ class Budget:
         if not self.done:
             return wanted
         # a chain cut off by the time limit is wasted
-        affordable = self.done / max(self.elapsed(), 1e-3) * (self.time_s - self.elapsed()) / CHAINS
+        affordable = (
+            self.done / max(self.elapsed(), 1e-3) * (self.time_s - self.elapsed()) / CHAINS
+        )
         return max(256, int(min(wanted, 0.95 * affordable)))
 
     def stopped(self) -> Stopped:
@@ -316,7 +346,12 @@ class Budget:
         return "steps" if self.steps is not None and self.done >= self.steps else "time"
 
     def polished(
-        self, found: _Piece, pieces: Iterable[_Piece], tell: Callable[[_Piece, bool], None], *, stopped: Stopped
+        self,
+        found: _Piece,
+        pieces: Iterable[_Piece],
+        tell: Callable[[_Piece, bool], None],
+        *,
+        stopped: Stopped,
     ) -> tuple[_Piece, Stopped]:
         """Take the pieces of a closing polish until it ends or must: sooner where Ctrl-C has stopped the search.
 
@@ -327,7 +362,8 @@ class Budget:
         pieces : iterable
             Each the best so far.
         tell : callable
-            Called with each piece and False, and at the end with the last one and True. It may raise KeyboardInterrupt.
+            Called with each piece and False, and at the end with the last one and True. It may
+            raise KeyboardInterrupt.
         stopped : {"steps", "time", "interrupted", "complete"}
             Reason of the end of the search so far.
 

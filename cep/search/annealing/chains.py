@@ -1,11 +1,13 @@
 """Parallel chains of the search: simulated annealing and tabu walks, compiled, each on its own thread.
 
-The cost of a move is summed only as far as it can still beat the best one of the step: most are refused early.
+The cost of a move is summed only as far as it can still beat the best one of the step: most are
+refused early.
 
 References
 ----------
-Gallardo, Cotta and Fernandez, "Finding low autocorrelation binary sequences with memetic algorithms", Applied Soft
-Computing 2009: tabu search with short random tenures and restarts on a problem of the same kind.
+Gallardo, Cotta and Fernandez, "Finding low autocorrelation binary sequences with memetic
+algorithms", Applied Soft Computing 2009: tabu search with short random tenures and restarts on a
+problem of the same kind.
 """
 
 from __future__ import annotations
@@ -38,11 +40,9 @@ from cep.search.annealing.terms import (
 )
 from cep.search.problem import SearchProblem
 
-__all__ = ["Cooling", "Crew", "Walks", "cool", "walk"]
-
-
 Codes = NDArray[np.int8]
-_COOL_SLICE, _WALK_SLICE = 4096, 16  # moves and steps until the OTF is summed anew and its frequencies sorted
+_COOL_SLICE = 4096  # moves and steps until the OTF is summed anew and its frequencies sorted
+_WALK_SLICE = 16
 _TICK_S = 0.1  # between two looks of the caller
 _PATIENCE = 32  # steps without a better code before a walk ends
 _KEPT = 64  # walks of a chain whose ends are offered: an exact objective ranks them
@@ -114,12 +114,18 @@ class Crew:
         threads: int | None = None,
         sweeping: SweepTables | None = None,
     ) -> None:
-        self._problem, self._tables, self._free, self._sweeping = problem, tables, free.astype(np.int64), sweeping
+        self._problem = problem
+        self._tables = tables
+        self._free = free.astype(np.int64)
+        self._sweeping = sweeping
         self._limits = limits_of(problem)
         self._threads = threads or os.cpu_count() or 1
 
     def run(
-        self, plans: Sequence[Cooling | Walks | Sweeps], tick: Callable[[int], bool], offer: Callable[[Codes], None]
+        self,
+        plans: Sequence[Cooling | Walks | Sweeps],
+        tick: Callable[[int], bool],
+        offer: Callable[[Codes], None],
     ) -> None:
         """Run the plans, and offer the codes that each chain found best, in the plans' order, whatever ends them.
 
@@ -127,12 +133,13 @@ class Crew:
         ----------
         plans : sequence of Cooling, Walks and Sweeps
         tick : callable
-            Called about ten times a second with the moves made since the last call; False stops the chains. It may
-            raise.
+            Called about ten times a second with the moves made since the last call; False stops
+            the chains. It may raise.
         offer : callable
             Called with (R, n) codes of every chain.
         """
-        stop, made = Event(), [0] * len(plans)
+        stop = Event()
+        made = [0] * len(plans)
 
         def one(index: int, plan: Cooling | Walks | Sweeps) -> Codes:
             best: Codes = np.empty((0, self._problem.chips), np.int8)
@@ -144,13 +151,17 @@ class Crew:
             return best
 
         with ThreadPoolExecutor(self._threads) as pool:
-            jobs: list[Future[Codes]] = [pool.submit(one, index, plan) for index, plan in enumerate(plans)]
+            jobs: list[Future[Codes]] = [
+                pool.submit(one, index, plan) for index, plan in enumerate(plans)
+            ]
             try:
-                told, waiting = 0, set(jobs)
+                told = 0
+                waiting = set(jobs)
                 while waiting:
                     _, waiting = wait(waiting, timeout=_TICK_S, return_when=FIRST_COMPLETED)
                     now = sum(made)
-                    news, told = now - told, now
+                    news = now - told
+                    told = now
                     if not tick(news):
                         break
             finally:
@@ -168,9 +179,11 @@ class Crew:
 
     def _cooling(self, plan: Cooling) -> Iterator[tuple[int, Codes]]:
         """Yield the moves made and the best codes after every slice."""
-        tables, work = own_tables(self._tables), work_space(self._tables, self._problem)
+        tables = own_tables(self._tables)
+        work = work_space(self._tables, self._problem)
         chain = new_chain(tables, plan.code, plan.seed)
-        ratio, done = plan.cold_db / plan.hot_db, 0
+        ratio = plan.cold_db / plan.hot_db
+        done = 0
         deepest: list[Codes] = []
         while done < plan.moves:
             refresh(tables, chain, self._problem.chips)
@@ -184,20 +197,28 @@ class Crew:
             yield count, np.concatenate([chain.best[None], *deepest])
 
     def _walks(self, plan: Walks) -> Iterator[tuple[int, Codes]]:
-        tables, work = own_tables(self._tables), work_space(self._tables, self._problem)
+        tables = own_tables(self._tables)
+        work = work_space(self._tables, self._problem)
         rng = np.random.default_rng(plan.seed)
         done = 0
         kept: list[tuple[float, Codes]] = []
         while done < plan.moves:
             chain = new_chain(tables, self._kicked(plan.pool, rng), int(rng.integers(1, 2**62)))
-            held, step, since = np.zeros(self._problem.chips, np.int64), 1, 0
+            held = np.zeros(self._problem.chips, np.int64)
+            step = 1
+            since = 0
             while since < _PATIENCE and done < plan.moves:
                 refresh(tables, chain, self._problem.chips)
                 before = chain.cost[1]
-                judged = walk(tables, self._limits, chain, self._free, work, held, step, _WALK_SLICE)
-                step, done = step + _WALK_SLICE, done + judged
+                judged = walk(
+                    tables, self._limits, chain, self._free, work, held, step, _WALK_SLICE
+                )
+                step = step + _WALK_SLICE
+                done = done + judged
                 since = 0 if chain.cost[1] < before else since + _WALK_SLICE
-                now = sorted([*kept, (float(chain.cost[1]), found_by(chain))], key=lambda entry: entry[0])[:_KEPT]
+                now = sorted(
+                    [*kept, (float(chain.cost[1]), found_by(chain))], key=lambda entry: entry[0]
+                )[:_KEPT]
                 yield judged, np.concatenate([codes for _, codes in now])
                 if not judged:
                     return
@@ -208,14 +229,16 @@ class Crew:
             drawn: Codes = self._problem.random_codes(1, rng=rng)[0].astype(np.int8)
             return drawn
         code: Codes = pool[int(rng.integers(len(pool)))].copy()
-        opened, closed = self._free[code[self._free] == 1], self._free[code[self._free] == 0]
+        opened = self._free[code[self._free] == 1]
+        closed = self._free[code[self._free] == 0]
         swaps = min(int(rng.integers(*_KICK)), opened.size, closed.size)
         code[rng.choice(opened, swaps, replace=False)] = 0
         code[rng.choice(closed, swaps, replace=False)] = 1
         return code
 
 
-_TENURE, _SPREAD = 4, 12  # steps that a moved chip stays where it is: at least, and drawn on top
+_TENURE = 4  # steps that a moved chip stays where it is: at least, and drawn on top
+_SPREAD = 12
 
 
 @compiled
@@ -239,37 +262,54 @@ def walk(
     free : (M,) int64
         Chips that may change.
     work : (3, 64) float32 or None
-        Work space; None where every move is usual (:func:`cep.search.annealing.terms.work_space`), which is faster.
+        Work space; None where every move is usual (:func:`cep.search.annealing.terms.work_space`),
+        which is faster.
     held : (chips,) int64
         Step until which each chip stays; changed in place.
     first : int
         Number of the first step.
     steps : int
     """
-    code, otf, random, costs = chain.code, chain.otf, chain.random, chain.cost
-    rows, layout, kinds = tables.rows, tables.layout, tables.kinds
-    scale, offset, light = tables.scale, tables.offset, tables.light
+    code = chain.code
+    otf = chain.otf
+    random = chain.random
+    costs = chain.cost
+    rows = tables.rows
+    layout = tables.layout
+    kinds = tables.kinds
+    scale = tables.scale
+    offset = tables.offset
+    light = tables.light
     sums = np.empty((kinds.size, layout.shape[0], 2))
-    changed, picked, best = np.empty(2, np.int64), np.zeros((2, 3), np.int64), np.zeros(2, np.int64)
+    changed = np.empty(2, np.int64)
+    picked = np.zeros((2, 3), np.int64)
+    best = np.zeros(2, np.int64)
     variants = rows.shape[1]
-    early, steep = alone(tables), kinds[0] == STEEP
-    opened, judged = int(code.sum()), 0
+    early = alone(tables)
+    steep = kinds[0] == STEEP
+    opened = int(code.sum())
+    judged = 0
     for step in range(first, first + steps):
         record = sum_of_cost(tables, costs[1]) if early else np.inf
-        lowest, ceiling, taken = np.inf, np.inf, 0
+        lowest = np.inf
+        ceiling = np.inf
+        taken = 0
         for a in range(len(free)):
             # b = a is a flip, any other b a swap of two unlike chips
             for b in range(a, len(free)):
-                i, j = free[a], free[b]
+                i = free[a]
+                j = free[b]
                 if a == b:
                     if not limits.low <= opened + 1 - 2 * code[i] <= limits.high:
                         continue
                 elif code[i] == code[j]:
                     continue
                 # a move that is held counts if it leads where the walk has never been
-                worth, most = lowest, ceiling
+                worth = lowest
+                most = ceiling
                 if (held[i] > step or held[j] > step) and costs[1] < lowest:
-                    worth, most = costs[1], record
+                    worth = costs[1]
+                    most = record
                 changed[0], changed[1] = i, j
                 count = 1 if a == b else 2
                 more = turn(code, changed, count, limits.chips, variants, picked)
@@ -337,23 +377,35 @@ def cool(
     free : (M,) int64
         Chips that may change.
     work : (3, 64) float32 or None
-        Work space; None where every move is usual (:func:`cep.search.annealing.terms.work_space`), which is faster.
+        Work space; None where every move is usual (:func:`cep.search.annealing.terms.work_space`),
+        which is faster.
     temperatures : (2,) float64, dB
         At the first move, and after the last.
     moves : int
     """
-    code, otf, random, costs = chain.code, chain.otf, chain.random, chain.cost
-    rows, layout, kinds = tables.rows, tables.layout, tables.kinds
-    scale, offset, light = tables.scale, tables.offset, tables.light
+    code = chain.code
+    otf = chain.otf
+    random = chain.random
+    costs = chain.cost
+    rows = tables.rows
+    layout = tables.layout
+    kinds = tables.kinds
+    scale = tables.scale
+    offset = tables.offset
+    light = tables.light
     sums = np.empty((kinds.size, layout.shape[0], 2))
-    changed, trial = np.empty(len(code), np.int64), np.empty_like(code)
+    changed = np.empty(len(code), np.int64)
+    trial = np.empty_like(code)
     picked = np.zeros((max(2, len(code)), 3), np.int64)
     variants = rows.shape[1]
     may_change = np.zeros(len(code), np.bool_)
     may_change[free] = True
-    early, steep = alone(tables), kinds[0] == STEEP
+    early = alone(tables)
+    steep = kinds[0] == STEEP
     cooling = (temperatures[1] / temperatures[0]) ** (1.0 / moves)
-    temperature, opened, accepted = temperatures[0], int(code.sum()), 0
+    temperature = temperatures[0]
+    opened = int(code.sum())
+    accepted = 0
     for _ in range(moves):
         temperature *= cooling
         if limits.constrained:

@@ -4,7 +4,8 @@ The joint cost is in :mod:`cep.search.annealing.joint`.
 
 References
 ----------
-Agrawal, Xu and Raskar, "Invertible motion blur in video", SIGGRAPH 2009: exposures whose joint transform has no null.
+Agrawal, Xu and Raskar, "Invertible motion blur in video", SIGGRAPH 2009: exposures whose joint
+transform has no null.
 """
 
 from __future__ import annotations
@@ -19,7 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.optics.code import ShutterCode
-from cep.search.annealing.anneal import CHAINS, COOLING, MOVES_SHARE, REHEATED, Budget, Stopped, hottest_db
+from cep.search.annealing.anneal import (
+    CHAINS,
+    COOLING,
+    MOVES_SHARE,
+    REHEATED,
+    Budget,
+    Stopped,
+    hottest_db,
+)
 from cep.search.annealing.chains import cool
 from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables, polish_jointly
 from cep.search.annealing.proposals import Limits
@@ -27,14 +36,15 @@ from cep.search.annealing.states import Chain, found_by, new_chain, own_tables, 
 from cep.search.annealing.terms import BLOCK, Tables, limits_of
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
-
-__all__ = ["FramesResult", "anneal_frames"]
+from motdiff.types import FloatArray
 
 Codes = NDArray[np.int8]
-FloatArray = NDArray[np.float64]
 Progress = Callable[[float, tuple[ShutterCode, ...]], None]
 _OVERSAMPLING = 8
-_SLICE, _VISIT = 4096, 256  # moves until the OTF is summed anew, and in one frame until the next one has its turn
+_SLICE = (
+    4096  # moves until the OTF is summed anew, and in one frame until the next one has its turn
+)
+_VISIT = 256
 _ELITES = 16
 
 
@@ -47,7 +57,8 @@ class FramesResult:
     codes : tuple of ShutterCode
         One for each frame.
     objective : float
-        Joint cost in dB on the fine grid, lower is better; see :func:`cep.search.annealing.joint.joint_cost`.
+        Joint cost in dB on the fine grid, lower is better; see
+        :func:`cep.search.annealing.joint.joint_cost`.
     minimum, noise_gain_db : float
         As :class:`cep.search.annealing.joint.JointFigures` has them; the minimum is sampled.
     seconds : float
@@ -91,12 +102,14 @@ def anneal_frames(
     steps : int, optional
         Moves to try, over all chains. None searches for ``time_s``, and is not reproducible.
     time_s : float
-        Upper limit of the moves, seconds; of the closing polish, a tenth of it or half a second more; ``math.inf`` for
-        none.
+        Upper limit of the moves, seconds; of the closing polish, a tenth of it or half a second
+        more; ``math.inf`` for none.
     start : iterable of sequences of ShutterCode
-        Codes of all frames to start from, besides random ones; those that break a limit are left out.
+        Codes of all frames to start from, besides random ones; those that break a limit are left
+        out.
     progress : callable, optional
-        Called now and then with the fraction done, 0..1, and the best codes so far. It may raise KeyboardInterrupt.
+        Called now and then with the fraction done, 0..1, and the best codes so far. It may raise
+        KeyboardInterrupt.
     threads : int, optional
         As many as there are cores when omitted; the outcome does not depend on it.
 
@@ -109,7 +122,10 @@ def anneal_frames(
         raise ValueError(f"frames: must be at least 1, got {frames}")
     budget = Budget(steps, time_s, time.monotonic())
     given = [[code.array for code in codes] for codes in start]
-    if any(len(codes) != frames or any(bits.size != problem.chips for bits in codes) for codes in given):
+    if any(
+        len(codes) != frames or any(bits.size != problem.chips for bits in codes)
+        for codes in given
+    ):
         raise ValueError(f"start: every one must be {frames} codes of {problem.chips} chips")
     elites = _Elites(Objective(problem, oversampling=_OVERSAMPLING))
     seeds = np.array([*given, problem.random_codes(frames, rng=rng)], dtype=np.int8)
@@ -129,16 +145,24 @@ def anneal_frames(
             stopped = budget.stopped()
     except KeyboardInterrupt:
         stopped = "interrupted"
-    ranked = np.concatenate([elites.ranked(frames), seeds])  # no start may beat what is returned on the fine grid
+    ranked = np.concatenate(
+        [elites.ranked(frames), seeds]
+    )  # no start may beat what is returned on the fine grid
 
     def told(piece: tuple[NDArray[np.int8], float], over: bool) -> None:
         if progress is not None:
-            progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece[1], _as_codes(piece[0]))
+            progress(
+                1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece[1], _as_codes(piece[0])
+            )
 
-    (best, _), stopped = budget.polished((ranked[0], 0.0), polish_jointly(problem, ranked), told, stopped=stopped)
+    (best, _), stopped = budget.polished(
+        (ranked[0], 0.0), polish_jointly(problem, ranked), told, stopped=stopped
+    )
     codes = _as_codes(best)
     cost = float(joint_cost(Objective(problem, oversampling=64, dtype=np.float64), best[None])[0])
-    return FramesResult(codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.done, stopped)
+    return FramesResult(
+        codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.done, stopped
+    )
 
 
 @dataclass
@@ -150,11 +174,15 @@ class _Elites:
 
     def offer(self, choices: Codes) -> None:
         for codes in choices:
-            self.costs[codes.astype(np.int8).tobytes()] = float(joint_cost(self.coarse, codes[None])[0])
+            self.costs[codes.astype(np.int8).tobytes()] = float(
+                joint_cost(self.coarse, codes[None])[0]
+            )
         self.costs = dict(sorted(self.costs.items(), key=lambda item: item[1])[:_ELITES])
 
     def ranked(self, frames: int) -> Codes:
-        return np.array([np.frombuffer(key, dtype=np.int8).reshape(frames, -1) for key in self.costs])
+        return np.array(
+            [np.frombuffer(key, dtype=np.int8).reshape(frames, -1) for key in self.costs]
+        )
 
 
 @dataclass(frozen=True)
@@ -169,7 +197,8 @@ class _Joint:
 
     @classmethod
     def of(cls, coarse: Objective, frames: int, free: NDArray[np.intp]) -> _Joint:
-        problem, tables = coarse.problem, joint_tables(coarse, frames)
+        problem = coarse.problem
+        tables = joint_tables(coarse, frames)
         return cls(problem, frames, tables, limits_of(problem), free.astype(np.int64))
 
     def chain(self, codes: Codes, seed: int) -> tuple[Tables, Chain]:
@@ -183,11 +212,16 @@ class _Joint:
         refresh(tables, chain, chips)
         work = np.empty((3, BLOCK), np.float32)
         for visit, first in enumerate(range(0, moves, _VISIT)):
-            count, frame = min(_VISIT, moves - first), visit % self.frames
+            count = min(_VISIT, moves - first)
+            frame = visit % self.frames
             own = slice(frame * chips, (frame + 1) * chips)
             others = int(chain.code.sum()) - int(chain.code[own].sum())
-            limits = self.limits._replace(low=self.limits.low + others, high=self.limits.high + others)
-            heats = heats_db[0] * (heats_db[1] / heats_db[0]) ** (np.array([first, first + count]) / moves)
+            limits = self.limits._replace(
+                low=self.limits.low + others, high=self.limits.high + others
+            )
+            heats = heats_db[0] * (heats_db[1] / heats_db[0]) ** (
+                np.array([first, first + count]) / moves
+            )
             cool(tables, limits, chain, self.free + own.start, work, heats, count)
 
 

@@ -1,12 +1,15 @@
 """Joint restoration of several frames of one scene: cost, figures and polish of their codes.
 
-Frames taken along the same motion, each with its own code, are restored jointly: the inverse sees the sum of their
+Frames taken along the same motion, each with its own code, are restored jointly: the inverse sees
+the sum of their
 |H|^2, so all that a single code does with |H| they do with the root of that sum. Their common noise gain is
-``10 log10 mean 1 / sum |H|^2``, and under the camera's noise the sum stands over the noise of a frame of mean light.
+``10 log10 mean 1 / sum |H|^2``, and under the camera's noise the sum stands over the noise of a
+frame of mean light.
 
 References
 ----------
-Agrawal, Xu and Raskar, "Invertible motion blur in video", SIGGRAPH 2009: exposures whose joint transform has no null.
+Agrawal, Xu and Raskar, "Invertible motion blur in video", SIGGRAPH 2009: exposures whose joint
+transform has no null.
 """
 
 from __future__ import annotations
@@ -23,11 +26,9 @@ from cep.search.annealing.polish import neighbours, otf_nearby
 from cep.search.annealing.terms import Tables, lay_out
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
-
-__all__ = ["JointFigures", "joint_cost", "joint_figures", "joint_tables", "polish_jointly"]
+from motdiff.types import FloatArray
 
 Codes = NDArray[np.int8]
-FloatArray = NDArray[np.float64]
 _FINE = 64
 _BATCH = 2**18  # numbers of an OTF evaluated at once: they stay in the cache
 _MOST_WORK = 2**37  # multiplications for all swaps of a frame; beyond, the polish leaves them out
@@ -40,7 +41,8 @@ class JointFigures(NamedTuple):
     Attributes
     ----------
     minimum : float
-        Smallest root of sum |H|^2 on the fine grid of frequencies: sampled, unlike a single code's proven minimum.
+        Smallest root of sum |H|^2 on the fine grid of frequencies: sampled, unlike a single code's
+        proven minimum.
     noise_gain_db : float
         ``10 log10 mean 1 / sum |H|^2``; infinite when a sample falls on a common zero.
     """
@@ -79,7 +81,8 @@ def joint_figures(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Joint
 
 def joint_tables(objective: Objective, frames: int) -> Tables:
     """Lay a problem out for the compiled loops, whose code is then all frames' chips in a row."""
-    chips, tables = objective.problem.chips, lay_out(objective)
+    chips = objective.problem.chips
+    tables = lay_out(objective)
     mean_open = np.arange(frames * chips + 1) / frames
     light = np.ones((len(tables.kinds), mean_open.size), np.float32)
     for o, (name, _) in enumerate(objective.problem.objective_mix):
@@ -96,17 +99,20 @@ def polish_jointly(problem: SearchProblem, ranked: Codes) -> Iterator[tuple[Code
     Yields
     ------
     (M, n) int8, float
-        The best so far, and the fraction done; after every piece of work, so that the caller may stop.
+        The best so far, and the fraction done; after every piece of work, so that the caller may
+        stop.
     """
     fine = Objective(problem, oversampling=_FINE, dtype=np.float64)
     curved = any(straight_axis(scenario.trajectory) is None for scenario in problem.scenarios)
     costs = np.concatenate([joint_cost(fine, codes[None]) for codes in ranked])
     leaders = np.argsort(costs, kind="stable")[: 1 if curved else 4]
-    best, lowest = ranked[leaders[0]], float(costs[leaders[0]])
+    best = ranked[leaders[0]]
+    lowest = float(costs[leaders[0]])
     for number, leader in enumerate(leaders):
         for cost, codes in _climb(fine, ranked[leader].copy(), float(costs[leader])):
             if cost < lowest:
-                best, lowest = codes.copy(), cost
+                best = codes.copy()
+                lowest = cost
             yield best, number / len(leaders)
 
 
@@ -118,20 +124,24 @@ def _climb(fine: Objective, codes: Codes, cost: float) -> Iterator[tuple[float, 
     stuck = frame = 0
     while stuck < frames:
         others = np.delete(codes, frame, axis=0)
-        power, duty = _power(fine, others).sum(axis=0), fine.duty(others).sum()
+        power = _power(fine, others).sum(axis=0)
+        duty = fine.duty(others).sum()
         otf = fine.otf(codes[frame][None])[0]
         near = neighbours(fine.problem, codes[frame], swaps=swaps)
         found = np.full(len(near), np.inf)
         for first in range(0, len(near), step):
             batch = near[first : first + step]
             own = (otf_nearby(fine, codes[frame], otf, batch) ** 2).sum(axis=1)
-            found[first : first + step] = _cost_of_power(fine, own + power, (fine.duty(batch) + duty) / frames)
+            found[first : first + step] = _cost_of_power(
+                fine, own + power, (fine.duty(batch) + duty) / frames
+            )
             yield cost, codes
         best = int(found.argmin()) if found.size else 0
         if found.size and found[best] < cost - 1e-9:
             cost, codes[frame], stuck = float(found[best]), near[best], 0
         else:
-            frame, stuck = (frame + 1) % frames, stuck + 1
+            frame = (frame + 1) % frames
+            stuck = stuck + 1
         yield cost, codes
 
 

@@ -17,12 +17,11 @@ from cep.optics.code import ShutterCode
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
-__all__ = ["Polished", "cheapest", "neighbours", "otf_nearby", "polish"]
-
-
 Codes = NDArray[np.int8]
 _HOPEFUL = 8  # neighbours evaluated on the continuum in a step
-_MOST_WORK = 2**39  # numbers times chips of a step; beyond, as for very long codes, swaps are left out
+_MOST_WORK = (
+    2**39
+)  # numbers times chips of a step; beyond, as for very long codes, swaps are left out
 
 
 class Polished(NamedTuple):
@@ -57,26 +56,33 @@ def polish(fine: Objective, ranked: Codes, *, swaps: bool = True) -> Iterator[Po
     for code in (ShutterCode.from_array(array) for array in ranked[:judged]):
         leaders = sorted([*leaders, (fine.exact_cost(code), code.bits, code)])[:climbed]
         yield Polished(leaders[0][2], leaders[0][0], 0.0)
-    best, best_cost = leaders[0][2], leaders[0][0]
+    best = leaders[0][2]
+    best_cost = leaders[0][0]
     for number, (start_cost, _, start) in enumerate(leaders):
         for cost, code in _climb(fine, start, start_cost, swaps=swaps):
             if cost < best_cost:
-                best, best_cost = code, cost
+                best = code
+                best_cost = cost
             yield Polished(best, best_cost, number / len(leaders))
 
 
-def _climb(fine: Objective, code: ShutterCode, cost: float, *, swaps: bool) -> Iterator[tuple[float, ShutterCode]]:
+def _climb(
+    fine: Objective, code: ShutterCode, cost: float, *, swaps: bool
+) -> Iterator[tuple[float, ShutterCode]]:
     """Go to the best neighbour until none is better; where it stands, after every piece of work."""
     swaps = swaps and code.chips**2 // 4 * fine.rows[0].size * code.chips <= _MOST_WORK
     while True:
         bits = code.array.astype(np.int8)
-        codes, below = neighbours(fine.problem, bits, swaps=swaps), cost - 1e-9
+        codes = neighbours(fine.problem, bits, swaps=swaps)
+        below = cost - 1e-9
         hopeful: NDArray[np.intp] = np.empty(0, np.intp)
         # a minimum over the continuum is never above the sampled one: only these can win
         for found_yet in cheapest(fine, bits, codes, most=_HOPEFUL, below=below):
             hopeful = found_yet
             yield cost, code
-        found = [(fine.exact_cost(c), c) for c in (ShutterCode.from_array(codes[i]) for i in hopeful)]
+        found = [
+            (fine.exact_cost(c), c) for c in (ShutterCode.from_array(codes[i]) for i in hopeful)
+        ]
         best = min(found, key=lambda pair: pair[0], default=(cost, code))
         if best[0] >= below:
             return
@@ -90,7 +96,9 @@ def neighbours(problem: SearchProblem, bits: Codes, *, swaps: bool) -> Codes:
     flips[np.arange(len(bits)), np.arange(len(bits))] ^= 1
     codes = [flips]
     if swaps:
-        first, second = (grid.ravel() for grid in np.meshgrid(np.flatnonzero(bits), np.flatnonzero(bits == 0)))
+        first, second = (
+            grid.ravel() for grid in np.meshgrid(np.flatnonzero(bits), np.flatnonzero(bits == 0))
+        )
         swapped = np.repeat(bits[None], first.size, axis=0)
         swapped[np.arange(first.size), first] = 0
         swapped[np.arange(first.size), second] = 1
@@ -112,19 +120,23 @@ def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) 
     which, chip = np.nonzero(change)
     row = chip
     if variants == 4:
-        # chips turn over one after the other from the first: the left neighbour has done so, the right one has not
-        left, right = np.pad(codes, ((0, 0), (1, 0)))[which, chip], np.pad(code, (0, 1))[chip + 1]
+        # chips turn over one after the other from the first: the left neighbour has done so, the
+        # right one has not
+        left = np.pad(codes, ((0, 0), (1, 0)))[which, chip]
+        right = np.pad(code, (0, 1))[chip + 1]
         row = 4 * chip + 2 * left + right
     signs = change[which, chip].astype(objective.rows.dtype)
     ends = np.searchsorted(which, np.arange(len(codes) + 1))
-    changed = csr_array((signs, row, ends), shape=(len(codes), chips * variants)) @ objective.rows.reshape(
-        chips * variants, -1
-    )
+    changed = csr_array(
+        (signs, row, ends), shape=(len(codes), chips * variants)
+    ) @ objective.rows.reshape(chips * variants, -1)
     changed += otf.ravel()
     return np.asarray(changed.reshape(len(codes), *otf.shape))
 
 
-def cheapest(objective: Objective, code: Codes, codes: Codes, *, most: int, below: float) -> Iterator[Indices]:
+def cheapest(
+    objective: Objective, code: Codes, codes: Codes, *, most: int, below: float
+) -> Iterator[Indices]:
     """Find the cheapest of (R, n) codes near a code (n,), as far as they cost less than ``below`` dB.
 
     Yields
@@ -134,17 +146,24 @@ def cheapest(objective: Objective, code: Codes, codes: Codes, *, most: int, belo
     """
     judges = [(judge, judge.otf(code[None])[0]) for judge in _judges(objective)]
     step = max(1, _BATCH // judges[0][1].size)
-    found, costs = np.empty(0, np.intp), np.empty(0)
+    found = np.empty(0, np.intp)
+    costs = np.empty(0)
     for start in range(0, len(codes), step):
         limit = below if found.size < most else float(costs[-1])
-        left, now = np.arange(start, min(start + step, len(codes))), np.empty(0)
+        left = np.arange(start, min(start + step, len(codes)))
+        now = np.empty(0)
         for judge, otf in judges:
             some = codes[left]
-            now = judge.cost(otf_nearby(judge, code, otf, some), judge.duty(some), judge.noise_of(some))
-            left, now = left[now < limit], now[now < limit]
-        found, costs = np.append(found, left), np.append(costs, now)
+            now = judge.cost(
+                otf_nearby(judge, code, otf, some), judge.duty(some), judge.noise_of(some)
+            )
+            left = left[now < limit]
+            now = now[now < limit]
+        found = np.append(found, left)
+        costs = np.append(costs, now)
         order = np.argsort(costs, kind="stable")[:most]
-        found, costs = found[order], costs[order]
+        found = found[order]
+        costs = costs[order]
         yield found
 
 
@@ -158,6 +177,7 @@ def _judges(objective: Objective) -> list[Objective]:
     few.rows = np.ascontiguousarray(objective.rows[..., np.concatenate(kept)])
     # a minimum takes nothing of a part but its columns
     few.parts = tuple(
-        replace(part, columns=slice(*bounds)) for part, bounds in zip(objective.parts, pairwise(ends), strict=True)
+        replace(part, columns=slice(*bounds))
+        for part, bounds in zip(objective.parts, pairwise(ends), strict=True)
     )
     return [few, objective]

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from cep.compiled import compiled, inlined
 
-__all__ = ["Limits", "draw_any", "draw_blocks", "keeps_runs", "uniform"]
-
 Codes = NDArray[np.int8]
 Ints = NDArray[np.int64]
 Random = NDArray[np.uint64]
@@ -56,7 +54,9 @@ def uniform(random: Random) -> float:
 
 
 @inlined
-def draw_any(code: Codes, free: Ints, limits: Any, opened: int, random: Random, changed: Ints) -> int:
+def draw_any(
+    code: Codes, free: Ints, limits: Any, opened: int, random: Random, changed: Ints
+) -> int:
     """Draw a flip or a swap into ``changed``; the number of chips, 0 if the draw found none that keeps the light."""
     if limits.low < limits.high and uniform(random) < 0.5:
         pick = free[int(uniform(random) * free.size)]
@@ -74,7 +74,13 @@ def draw_any(code: Codes, free: Ints, limits: Any, opened: int, random: Random, 
 
 @compiled
 def draw_blocks(
-    code: Codes, may_change: NDArray[np.bool_], limits: Any, opened: int, random: Random, trial: Codes, changed: Ints
+    code: Codes,
+    may_change: NDArray[np.bool_],
+    limits: Any,
+    opened: int,
+    random: Random,
+    trial: Codes,
+    changed: Ints,
 ) -> int:
     """Draw a move that keeps run limits: swap two chips, flip a block, or move a block."""
     chips = limits.chips
@@ -83,7 +89,8 @@ def draw_blocks(
         frame = chips * int(uniform(random) * (code.size // chips))
         trial[:] = code
         kind = uniform(random)
-        first, second = frame + int(uniform(random) * chips), frame + int(uniform(random) * chips)
+        first = frame + int(uniform(random) * chips)
+        second = frame + int(uniform(random) * chips)
         length = 1 + int(uniform(random) * longest)
         if kind < 0.2:
             trial[first], trial[second] = code[second], code[first]
@@ -92,11 +99,13 @@ def draw_blocks(
                 trial[j] = 1 - code[first]
         else:
             # rolling an interval moves a block from one of its ends to the other
-            begin, size = min(first, second), abs(first - second) + 1
+            begin = min(first, second)
+            size = abs(first - second) + 1
             shift = (length if first < second else size - length % size) % size
             for j in range(size):
                 trial[begin + (j + shift) % size] = code[begin + j]
-        count, light = 0, opened
+        count = 0
+        light = opened
         for j in range(code.size):
             if trial[j] != code[j]:
                 if not may_change[j] or count == _MOST_CHANGES:
@@ -115,7 +124,10 @@ def keeps_runs(code: Codes, limits: Any) -> bool:
     """Whether every frame keeps the limits on runs and pulses; before and after its pulses it is closed."""
     chips = limits.chips
     for start in range(0, code.size, chips):
-        run, pulses, value, began = 0, 0, 0, 0
+        run = 0
+        pulses = 0
+        value = 0
+        began = 0
         for j in range(start, start + chips):
             if code[j] == value:
                 run += 1

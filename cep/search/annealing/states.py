@@ -10,18 +10,6 @@ from numpy.typing import NDArray
 from cep.compiled import compiled
 from cep.search.annealing.terms import BLOCK, FLATNESS, SMALLEST, Tables, decibels, sums_over
 
-__all__ = [
-    "Chain",
-    "found_by",
-    "fresh_otf",
-    "new_chain",
-    "own_tables",
-    "refresh",
-    "smallest_power",
-    "total_cost",
-    "worst_first",
-]
-
 Floats = NDArray[np.float32]
 
 
@@ -54,9 +42,11 @@ def fresh_otf(tables: Any, code: NDArray[np.int8], chips: int, otf: Floats) -> N
     variants = tables.rows.shape[1]
     for j in range(len(code)):
         if code[j]:
-            # chips open from the first to the last: the left neighbour stands, the right one is closed yet
+            # chips open from the first to the last: the left neighbour stands, the right one is
+            # closed yet
             variant = 2 * code[j - 1] if variants == 4 and j % chips > 0 else 0
-            row, changed = tables.rows[j, variant].ravel(), otf[j // chips].ravel()
+            row = tables.rows[j, variant].ravel()
+            changed = otf[j // chips].ravel()
             for f in range(changed.size):
                 changed[f] += row[f]
 
@@ -64,12 +54,18 @@ def fresh_otf(tables: Any, code: NDArray[np.int8], chips: int, otf: Floats) -> N
 @compiled
 def worst_first(tables: Any, otf: Floats) -> None:
     """Sort each part's frequencies in place by their share of the cost: the worst ones reject most moves."""
-    frames, rows, scale, offset = otf.shape[0], tables.rows, tables.scale, tables.offset
+    frames = otf.shape[0]
+    rows = tables.rows
+    scale = tables.scale
+    offset = tables.offset
     for part in range(len(tables.layout)):
-        first, size = tables.layout[part, 0], (tables.layout[part, 1] - tables.layout[part, 0]) * BLOCK
-        key, kept = np.empty(size, np.float32), np.empty(size, np.float32)
+        first = tables.layout[part, 0]
+        size = (tables.layout[part, 1] - tables.layout[part, 0]) * BLOCK
+        key = np.empty(size, np.float32)
+        kept = np.empty(size, np.float32)
         for place in range(size):
-            block, f = first + place // BLOCK, place % BLOCK
+            block = first + place // BLOCK
+            f = place % BLOCK
             power = np.float32(SMALLEST)
             for frame in range(frames):
                 power += otf[frame, block, 0, f] ** 2 + otf[frame, block, 1, f] ** 2
@@ -79,19 +75,26 @@ def worst_first(tables: Any, otf: Floats) -> None:
                 key[place] = -1 / (scale[0, block, 0, f] * power + offset[0, block, 0, f])
         order = np.argsort(key)
         for line in range(rows.shape[0] * rows.shape[1] * 2):
-            chip, variant, half = line // (2 * rows.shape[1]), line // 2 % rows.shape[1], line % 2
+            chip = line // (2 * rows.shape[1])
+            variant = line // 2 % rows.shape[1]
+            half = line % 2
             for place in range(size):
-                kept[place] = rows[chip, variant, first + order[place] // BLOCK, half, order[place] % BLOCK]
+                kept[place] = rows[
+                    chip, variant, first + order[place] // BLOCK, half, order[place] % BLOCK
+                ]
             for place in range(size):
                 rows[chip, variant, first + place // BLOCK, half, place % BLOCK] = kept[place]
         for line in range(frames * 2):
             for place in range(size):
-                kept[place] = otf[line // 2, first + order[place] // BLOCK, line % 2, order[place] % BLOCK]
+                kept[place] = otf[
+                    line // 2, first + order[place] // BLOCK, line % 2, order[place] % BLOCK
+                ]
             for place in range(size):
                 otf[line // 2, first + place // BLOCK, line % 2, place % BLOCK] = kept[place]
         for table in (scale, offset):
             for line in range(scale.shape[0] * scale.shape[2]):
-                o, q = line // scale.shape[2], line % scale.shape[2]
+                o = line // scale.shape[2]
+                q = line % scale.shape[2]
                 for place in range(size):
                     kept[place] = table[o, first + order[place] // BLOCK, q, order[place] % BLOCK]
                 for place in range(size):
@@ -140,13 +143,16 @@ def smallest_power(tables: Any, otf: Floats) -> float:
 def new_chain(tables: Tables, code: NDArray[np.int8], seed: int, *, frames: int = 1) -> Chain:
     """Make a chain at a code, all frames' chips in a row; :func:`refresh` gives it its OTF and cost."""
     otf = np.empty((frames, tables.rows.shape[2], 2, BLOCK), np.float32)
-    costs, random = np.array([np.inf, np.inf, 0.0]), np.array([seed | 1], dtype=np.uint64)
+    costs = np.array([np.inf, np.inf, 0.0])
+    random = np.array([seed | 1], dtype=np.uint64)
     return Chain(code.copy(), code.copy(), code.copy(), otf, costs, random)
 
 
 def own_tables(tables: Tables) -> Tables:
     """Copy the tables that a chain sorts."""
-    return tables._replace(rows=tables.rows.copy(), scale=tables.scale.copy(), offset=tables.offset.copy())
+    return tables._replace(
+        rows=tables.rows.copy(), scale=tables.scale.copy(), offset=tables.offset.copy()
+    )
 
 
 def refresh(tables: Tables, chain: Chain, chips: int) -> None:

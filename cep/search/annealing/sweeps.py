@@ -1,9 +1,10 @@
 """Annealing of the smallest |P| at a constant temperature, by sweeps over all partners of a chip, compiled.
 
-For one chip the swaps with every other chip, and its flip, are judged side by side, at the dips of |P| alone. A move
-that deepens a dip beyond what is accepted is refused there. So a move costs a few cycles of the processor, and the
-cost in full is summed for few of them. The temperature is low and does not fall: the number of good codes met grows
-with the number of moves, however they are divided into chains (docs/decisions/search.md).
+For one chip the swaps with every other chip, and its flip, are judged side by side, at the dips of
+|P| alone. A move that deepens a dip beyond what is accepted is refused there. So a move costs a
+few cycles of the processor, and the cost in full is summed for few of them. The temperature is low
+and does not fall: the number of good codes met grows with the number of moves, however they are
+divided into chains (docs/decisions/search.md).
 """
 
 from __future__ import annotations
@@ -21,14 +22,13 @@ from cep.search.annealing.proposals import uniform
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
-__all__ = ["SweepTables", "Sweeps", "sweep", "sweep_tables", "sweeps", "swept"]
-
 Codes = NDArray[np.int8]
 Floats = NDArray[np.float32]
 _MOST_CHIPS = 64  # of a code: its moves are as many lanes of vector instructions
 _FREQUENCIES = 64  # at which the cost is summed
 _LANES = 16
-_CHAIN, _SLICE = 2**21, 2**17  # moves from one random code, and until the OTF is summed anew
+_CHAIN = 2**21  # moves from one random code, and until the OTF is summed anew
+_SLICE = 2**17
 _DIPS = 16  # frequencies at most at which moves are refused
 _SHALLOW = 3.0  # times the smallest |P|^2: dips above it refuse few moves
 _KEPT = 8  # last and best codes of a run, which are offered: an exact objective ranks them
@@ -85,7 +85,10 @@ def swept(problem: SearchProblem) -> bool:
         and problem.response is None
         and (
             not problem.scenarios
-            or (len(problem.ways()) == 1 and straight_axis(problem.scenarios[0].trajectory) is not None)
+            or (
+                len(problem.ways()) == 1
+                and straight_axis(problem.scenarios[0].trajectory) is not None
+            )
         )
     )
 
@@ -93,13 +96,15 @@ def swept(problem: SearchProblem) -> bool:
 def sweep_tables(objective: Objective, judge: Objective) -> SweepTables:
     """Lay out some samples of an objective of one part, and all of a finer one's.
 
-    The finer ones have to be so many that |P| has no dip between them: of a code with a zero, 8 per 1 / chips may show
-    a smallest |P| of 2 chips.
+    The finer ones have to be so many that |P| has no dip between them: of a code with a zero, 8
+    per 1 / chips may show a smallest |P| of 2 chips.
     """
     problem = objective.problem
     rows = problem.chips * objective.rows[:, 0]
     count = min(_FREQUENCIES, rows.shape[-1])
-    coarse = rows[:, :, np.linspace(0, rows.shape[-1] - 1, count).round().astype(int)].astype(np.float32)
+    coarse = rows[:, :, np.linspace(0, rows.shape[-1] - 1, count).round().astype(int)].astype(
+        np.float32
+    )
     fine = (problem.chips * judge.rows[:, 0]).astype(np.float32)
     lanes = -(-problem.chips // _LANES) * _LANES
     turned = np.zeros((count, 2, lanes), np.float32)
@@ -107,29 +112,48 @@ def sweep_tables(objective: Objective, judge: Objective) -> SweepTables:
     free = np.zeros(problem.chips, np.bool_)
     free[problem.free_chips] = True
     low, high = problem.open_limits
-    return SweepTables(np.ascontiguousarray(coarse), turned, np.ascontiguousarray(fine), free, low, high)
+    return SweepTables(
+        np.ascontiguousarray(coarse), turned, np.ascontiguousarray(fine), free, low, high
+    )
 
 
-def sweeps(problem: SearchProblem, tables: SweepTables, plan: Sweeps) -> Iterator[tuple[int, Codes]]:
+def sweeps(
+    problem: SearchProblem, tables: SweepTables, plan: Sweeps
+) -> Iterator[tuple[int, Codes]]:
     """Yield the moves made and the (R, n) best codes after every slice of chains from random codes."""
     rng = np.random.default_rng(plan.seed)
     random = np.array([int(rng.integers(1, 2**62)) | 1], dtype=np.uint64)
-    deepest, kept, done = np.zeros(1), np.empty((0, problem.chips), np.int8), 0
+    deepest = np.zeros(1)
+    kept = np.empty((0, problem.chips), np.int8)
+    done = 0
     while done < plan.moves:
         code = problem.random_codes(1, rng=rng)[0].astype(np.int8)
         until = min(plan.moves, done + _CHAIN)
         while done < until:
-            best, found = np.empty((_KEPT, problem.chips), np.int8), np.zeros(1, np.int64)
-            moves = sweep(tables, code, random, plan.temperature_db, min(_SLICE, until - done), deepest, best, found)
+            best = np.empty((_KEPT, problem.chips), np.int8)
+            found = np.zeros(1, np.int64)
+            moves = sweep(
+                tables,
+                code,
+                random,
+                plan.temperature_db,
+                min(_SLICE, until - done),
+                deepest,
+                best,
+                found,
+            )
             done += moves
             kept = np.concatenate([kept, best[: found[0]]])[-_KEPT:]
             yield moves, kept
 
 
 @inlined
-def _term_sum(by_chip: Floats, otf: Floats, a: int, b: int, s: np.float32, t: np.float32) -> np.float32:
+def _term_sum(
+    by_chip: Floats, otf: Floats, a: int, b: int, s: np.float32, t: np.float32
+) -> np.float32:
     """Sum of 1 / |P|^8 after the chips ``a`` and ``b`` have opened (1), closed (-1) or stayed (0)."""
-    one, total = np.float32(1), np.float32(0)
+    one = np.float32(1)
+    total = np.float32(0)
     for f in range(otf.shape[1]):
         x = otf[0, f] + s * by_chip[a, 0, f] + t * by_chip[b, 0, f]
         y = otf[1, f] + s * by_chip[a, 1, f] + t * by_chip[b, 1, f]
@@ -148,7 +172,8 @@ def _find_dips(otf: Floats, power: Floats, dips: NDArray[np.int64]) -> int:
         power[f] = otf[0, f] * otf[0, f] + otf[1, f] * otf[1, f]
     for f in range(size):
         lowest = min(lowest, power[f])
-    limit, count = np.float32(_SHALLOW) * lowest + _TINY, 0
+    limit = np.float32(_SHALLOW) * lowest + _TINY
+    count = 0
     for f in range(size):
         if power[f] < limit and count < _DIPS:
             left = power[f - 1] if f > 0 else power[1]
@@ -188,10 +213,17 @@ def sweep(
     found : (1,) int64
         How many codes were filled in.
     """
-    by_chip, by_frequency, fine, free = tables.by_chip, tables.by_frequency, tables.fine, tables.free
-    chips, size, lanes = by_chip.shape[0], by_chip.shape[2], by_frequency.shape[2]
-    otf, power = np.zeros((2, size), np.float32), np.empty(size, np.float32)
-    signs, refused = np.zeros(lanes, np.float32), np.empty(lanes, np.int32)
+    by_chip = tables.by_chip
+    by_frequency = tables.by_frequency
+    fine = tables.fine
+    free = tables.free
+    chips = by_chip.shape[0]
+    size = by_chip.shape[2]
+    lanes = by_frequency.shape[2]
+    otf = np.zeros((2, size), np.float32)
+    power = np.empty(size, np.float32)
+    signs = np.zeros(lanes, np.float32)
+    refused = np.empty(lanes, np.int32)
     dips = np.zeros(_DIPS, np.int64)
     precise = np.empty((2, fine.shape[2]), np.float32)
     opened = 0
@@ -221,10 +253,13 @@ def sweep(
             refused[j] = 0
         for d in range(count):
             f = dips[d]
-            x0, y0 = otf[0, f] + own * by_chip[i, 0, f], otf[1, f] + own * by_chip[i, 1, f]
-            real, imaginary = by_frequency[f, 0], by_frequency[f, 1]
+            x0 = otf[0, f] + own * by_chip[i, 0, f]
+            y0 = otf[1, f] + own * by_chip[i, 1, f]
+            real = by_frequency[f, 0]
+            imaginary = by_frequency[f, 1]
             for j in range(lanes):
-                x, y = x0 + signs[j] * real[j], y0 + signs[j] * imaginary[j]
+                x = x0 + signs[j] * real[j]
+                y = y0 + signs[j] * imaginary[j]
                 refused[j] += x * x + y * y < floor
         signs[i] = own
         once = tables.low <= opened + int(own) <= tables.high

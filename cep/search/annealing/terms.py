@@ -1,7 +1,8 @@
 """Cost terms of the compiled loops: sums over frequencies, updated by one row of the chip basis per changed chip.
 
-A code's cost is made of sums over frequencies of terms that are never negative, so a move is refused as soon as the
-terms seen exceed what would be accepted. Frequencies come in blocks of 64, the worst ones first.
+A code's cost is made of sums over frequencies of terms that are never negative, so a move is
+refused as soon as the terms seen exceed what would be accepted. Frequencies come in blocks of 64,
+the worst ones first.
 """
 
 from __future__ import annotations
@@ -15,30 +16,13 @@ from cep.compiled import compiled, inlined
 from cep.search.annealing.proposals import Limits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
-
-__all__ = [
-    "BLOCK",
-    "FLATNESS",
-    "RECIPROCAL",
-    "SMALLEST",
-    "STEEP",
-    "Tables",
-    "add_rows",
-    "alone",
-    "decibels",
-    "judge",
-    "lay_out",
-    "limits_of",
-    "sum_of_cost",
-    "sums_over",
-    "turn",
-    "work_space",
-]
-
+from motdiff.types import FloatArray
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]
-RECIPROCAL, STEEP, FLATNESS = 0, 1, 2  # objectives: sum of 1 / x, sum of 1 / x^4, variance of |H|
+RECIPROCAL = 0  # objectives: sum of 1 / x, sum of 1 / x^4, variance of |H|
+STEEP = 1
+FLATNESS = 2
 BLOCK = 64
 SMALLEST = np.float32(1e-8)  # of |P|^2: a chip has |P| of about 1
 
@@ -49,8 +33,8 @@ class Tables(NamedTuple):
     Attributes
     ----------
     rows : (chips, V, nb, 2, 64) float32
-        Change of the OTF, in chips, when a chip opens: real and imaginary parts. V is 4 where its neighbours matter
-        (2 left + right, open or closed), else 1.
+        Change of the OTF, in chips, when a chip opens: real and imaginary parts. V is 4 where its
+        neighbours matter (2 left + right, open or closed), else 1.
     layout : (parts, 3) int64
         First block, one past the last, and scenario of each part: a scenario in one direction.
     kinds, weights : (objectives,) int64, float64
@@ -75,7 +59,9 @@ class Tables(NamedTuple):
 
 
 @inlined
-def _block_power(rows: Floats, otf: Floats, picked: Ints, count: int, chips: int, block: int, work: Floats) -> None:
+def _block_power(
+    rows: Floats, otf: Floats, picked: Ints, count: int, chips: int, block: int, work: Floats
+) -> None:
     """|P|^2 of a changed code on one block, summed over frames, into work[2]; ``picked`` as :func:`turn` notes it."""
     for f in range(BLOCK):
         work[2, f] = SMALLEST
@@ -84,7 +70,8 @@ def _block_power(rows: Floats, otf: Floats, picked: Ints, count: int, chips: int
             work[0, f] = otf[frame, block, 0, f]
             work[1, f] = otf[frame, block, 1, f]
         for c in range(count):
-            chip, variant = picked[c, 0], picked[c, 1]
+            chip = picked[c, 0]
+            variant = picked[c, 1]
             if chip // chips != frame:
                 continue
             if picked[c, 2] > 0:
@@ -112,13 +99,20 @@ def _pair_sum(
     block: int,
 ) -> np.float32:
     """One objective's terms on one block when two chips of a single frame change: the usual move, nothing stored."""
-    one, total = np.float32(1), np.float32(0)
-    a, u, b, v = picked[0, 0], picked[0, 1], picked[1, 0], picked[1, 1]
-    s, t = np.float32(picked[0, 2]), np.float32(picked[1, 2])
+    one = np.float32(1)
+    total = np.float32(0)
+    a = picked[0, 0]
+    u = picked[0, 1]
+    b = picked[1, 0]
+    v = picked[1, 1]
+    s = np.float32(picked[0, 2])
+    t = np.float32(picked[1, 2])
     for f in range(BLOCK):
         x = otf[0, block, 0, f] + s * rows[a, u, block, 0, f] + t * rows[b, v, block, 0, f]
         y = otf[0, block, 1, f] + s * rows[a, u, block, 1, f] + t * rows[b, v, block, 1, f]
-        term = one / (light * scale[0, block, 0, f] * (x * x + y * y + SMALLEST) + offset[0, block, 0, f])
+        term = one / (
+            light * scale[0, block, 0, f] * (x * x + y * y + SMALLEST) + offset[0, block, 0, f]
+        )
         square = term * term
         total += plain * term + sharp * square * square
     return total
@@ -138,7 +132,8 @@ def _pair_sums(
     sums: NDArray[np.float64],
 ) -> bool:
     """As :func:`sums_over` for the usual move."""
-    plain, sharp = np.float32(not steep), np.float32(steep)  # a branch would keep vector instructions away
+    plain = np.float32(not steep)  # a branch would keep vector instructions away
+    sharp = np.float32(steep)
     for part in range(layout.shape[0]):
         total = 0.0
         for block in range(layout[part, 0], layout[part, 1]):
@@ -175,7 +170,9 @@ def sums_over(
         for block in range(layout[part, 0], layout[part, 1]):
             _block_power(rows, otf, picked, count, chips, block, work)
             for o in range(kinds.size):
-                total, mean, light = np.float32(0), np.float32(0), lights[o, opened]
+                total = np.float32(0)
+                mean = np.float32(0)
+                light = lights[o, opened]
                 if kinds[o] == STEEP:
                     for f in range(BLOCK):
                         term = one / (scale[o, block, 0, f] * work[2, f] + offset[o, block, 0, f])
@@ -184,7 +181,9 @@ def sums_over(
                 elif kinds[o] == RECIPROCAL:
                     for q in range(scale.shape[2]):
                         for f in range(BLOCK):
-                            total += one / (light * scale[o, block, q, f] * work[2, f] + offset[o, block, q, f])
+                            total += one / (
+                                light * scale[o, block, q, f] * work[2, f] + offset[o, block, q, f]
+                            )
                 else:
                     for f in range(BLOCK):
                         total += scale[o, block, 0, f] * work[2, f]
@@ -199,8 +198,12 @@ def sums_over(
 @compiled
 def decibels(tables: Any, sums: NDArray[np.float64], opened: int) -> float:
     """Cost of the sums: a scenario counts as its worse direction; scenarios as the worst, or by their shares."""
-    layout, kinds = tables.layout, tables.kinds
-    worst, mean, scenario, here = -np.inf, 0.0, -1, -np.inf
+    layout = tables.layout
+    kinds = tables.kinds
+    worst = -np.inf
+    mean = 0.0
+    scenario = -1
+    here = -np.inf
     for part in range(layout.shape[0]):
         total = 0.0
         for o in range(kinds.size):
@@ -211,7 +214,8 @@ def decibels(tables: Any, sums: NDArray[np.float64], opened: int) -> float:
         if layout[part, 2] != scenario:
             if scenario >= 0:
                 mean += tables.shares[scenario] * here
-            scenario, here = layout[part, 2], total
+            scenario = layout[part, 2]
+            here = total
         else:
             here = max(here, total)
         worst = max(worst, total)
@@ -234,10 +238,13 @@ def sum_of_cost(tables: Any, cost_db: float) -> float:
 
 
 @inlined
-def turn(code: NDArray[np.int8], changed: Ints, count: int, chips: int, variants: int, picked: Ints) -> int:
+def turn(
+    code: NDArray[np.int8], changed: Ints, count: int, chips: int, variants: int, picked: Ints
+) -> int:
     """Turn the changed chips over, one by one; how many more are open.
 
-    ``picked`` (at least 2, 3) takes chip, variant, and 1 for opening, -1 for closing, 0 for neither.
+    ``picked`` (at least 2, 3) takes chip, variant, and 1 for opening, -1 for closing, 0 for
+    neither.
     """
     opened = 0
     for c in range(count):
@@ -274,25 +281,52 @@ def judge(
 ) -> bool:
     """Sum the terms of a code changed by ``picked``; False as soon as a sum exceeds ``limit``.
 
-    The tables come one by one: taking them out of their tuple for every move would cost more than the sums.
+    The tables come one by one: taking them out of their tuple for every move would cost more than
+    the sums.
     """
     # without work space only the usual moves are compiled
     if work is None:
-        return _pair_sums(rows, layout, otf, scale, offset, light[0, opened], kinds[0] == STEEP, picked, limit, sums)
-    return sums_over(rows, layout, kinds, scale, offset, light, otf, picked, count, chips, opened, limit, work, sums)
+        return _pair_sums(
+            rows,
+            layout,
+            otf,
+            scale,
+            offset,
+            light[0, opened],
+            kinds[0] == STEEP,
+            picked,
+            limit,
+            sums,
+        )
+    return sums_over(
+        rows,
+        layout,
+        kinds,
+        scale,
+        offset,
+        light,
+        otf,
+        picked,
+        count,
+        chips,
+        opened,
+        limit,
+        work,
+        sums,
+    )
 
 
 @inlined
 def add_rows(rows: Floats, otf: Floats, picked: Ints, count: int, chips: int) -> None:
     """Change the OTF in place."""
     for c in range(count):
-        sign, row = np.float32(picked[c, 2]), rows[picked[c, 0], picked[c, 1]].ravel()
+        sign = np.float32(picked[c, 2])
+        row = rows[picked[c, 0], picked[c, 1]].ravel()
         changed = otf[picked[c, 0] // chips].ravel()  # a view, as rows are
         for f in range(changed.size):
             changed[f] += sign * row[f]
 
 
-FloatArray = NDArray[np.float64]
 _LEAST = 1e-9  # of a term's x, however deep a zero: 1 / x^4 must not overflow
 _NEVER = 1e30  # offset of columns that fill up a block: their terms vanish
 
@@ -330,7 +364,11 @@ def lay_out(objective: Objective) -> Tables:
     weight = np.concatenate([part.samples.weight for part in objective.parts])[places]
     chips = problem.chips
     mix = problem.objective_mix
-    across = max((p.samples.radius2.shape[1] for p in objective.parts), default=1) if "mse" in dict(mix) else 1
+    across = (
+        max((p.samples.radius2.shape[1] for p in objective.parts), default=1)
+        if "mse" in dict(mix)
+        else 1
+    )
     scale = np.zeros((len(mix), across, places.size))
     offset = np.full((len(mix), across, places.size), _NEVER)
     light = np.ones((len(mix), chips + 1))

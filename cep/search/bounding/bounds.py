@@ -1,10 +1,10 @@
 r"""Bounds over all codes: upper bounds of the smallest |H| and |P|, and lower bounds of the noise gain.
 
 Each figure is the best of several arguments, which :mod:`cep.search.bounding.motion_basis` and
-:mod:`cep.search.bounding.relaxation` prove; the relaxation only supplies multipliers. Every bound holds for each
-number of open chips alone, and a problem's bound is the weakest over its range. Limits on runs and single chips are
-ignored, so the bounds hold with them. A shutter with ramps is only bounded by its light: its |H|^2 is no quadratic
-form in the code.
+:mod:`cep.search.bounding.relaxation` prove; the relaxation only supplies multipliers. Every bound
+holds for each number of open chips alone, and a problem's bound is the weakest over its range.
+Limits on runs and single chips are ignored, so the bounds hold with them. A shutter with ramps is
+only bounded by its light: its |H|^2 is no quadratic form in the code.
 """
 
 from __future__ import annotations
@@ -22,10 +22,8 @@ from cep.search.bounding.proving import relaxed, tightened
 from cep.search.bounding.relaxation import DualProof, Relaxation, circle_grid
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = ["Bound", "bound", "relaxed_minimum"]
-
-FloatArray = NDArray[np.float64]
 _MOST_NUMBERS = 2**22  # of a basis: 64 MB
 _MOST_CHIPS = 256  # of a relaxation
 
@@ -37,17 +35,19 @@ class Bound:
     Attributes
     ----------
     min_mtf : float
-        No code's smallest |H| exceeds it, worst scenario and direction under either rule; light-true. On the unit
-        circle it is ``min_chip / chips``.
+        No code's smallest |H| exceeds it, worst scenario and direction under either rule;
+        light-true. On the unit circle it is ``min_chip / chips``.
     min_chip : float
         No code's smallest |P| over the unit circle exceeds it, chips.
     noise : float
-        No code's ``10 log10 mean 1/|H|^2`` lies below it, worst scenario and direction; light-true. The mean is that of
-        :func:`cep.proofs.measure.measure`; on the unit circle it is the one over the whole circle.
+        No code's ``10 log10 mean 1/|H|^2`` lies below it, worst scenario and direction;
+        light-true. The mean is that of :func:`cep.proofs.measure.measure`; on the unit circle it
+        is the one over the whole circle.
     method : dict of str to str
         The argument with the best bound for each of the three.
     proofs : tuple of DualProof
-        Of the relaxation, one for each number of open chips that it bounds better than the other arguments.
+        Of the relaxation, one for each number of open chips that it bounds better than the other
+        arguments.
     """
 
     min_mtf: float
@@ -64,8 +64,9 @@ def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") 
     ----------
     problem : SearchProblem
     effort : {"quick", "sdp"}
-        Quick takes milliseconds to a second. "sdp" relaxes the objective: the smallest |H| along motions
-        for "min-mtf", in seconds, and the mean of 1/|H|^2 for "noise", up to a minute on a curved path.
+        Quick takes milliseconds to a second. "sdp" relaxes the objective: the smallest |H| along
+        motions for "min-mtf", in seconds, and the mean of 1/|H|^2 for "noise", up to a minute on a
+        curved path.
 
     Raises
     ------
@@ -87,19 +88,23 @@ def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") 
     light = _light(problem, counts)
     proofs: list[DualProof] = []
     if not problem.scenarios:
-        mtf_name, mtf = chip_name, chip / problem.chips
+        mtf_name = chip_name
+        mtf = chip / problem.chips
     else:
         mtf_name, mtf = _best({"light": light, **mtf_ceilings(parts, counts)})
         if "min-mtf" in wanted and parts and problem.chips <= _MOST_CHIPS:
             mtf, won = tightened(parts, counts, mtf, "min")
             proofs += won
             mtf_name = "sdp" if _decides(won, counts[mtf.argmax()]) else mtf_name
-    noise_name, noise = "light", -20 * np.log10(light)
+    noise_name = "light"
+    noise = -20 * np.log10(light)
     worst: MotionBasis | None = None
     for part in judged:
         name, floors = _best(noise_floors(part, counts), upper=False)
         if floors.min() > noise.min():
-            noise_name, noise, worst = name, floors, part
+            noise_name = name
+            noise = floors
+            worst = part
     if "noise" in wanted and worst is not None and problem.chips <= _MOST_CHIPS:
         noise, won = tightened([worst], counts, noise, "noise")
         proofs += won
@@ -114,7 +119,8 @@ def relaxed_minimum(problem: SearchProblem, open_chips: int) -> Relaxation:
     Raises
     ------
     ValueError
-        If ``open_chips`` is not within 2..n-1, the shutter has ramps, or no solver finds an optimum.
+        If ``open_chips`` is not within 2..n-1, the shutter has ramps, or no solver finds an
+        optimum.
     """
     if not 1 < open_chips < problem.chips:
         raise ValueError(f"open_chips: must be within 2..{problem.chips - 1}, got {open_chips}")
@@ -145,7 +151,8 @@ def _motions(problem: SearchProblem) -> tuple[list[MotionBasis], list[MotionBasi
         basis = np.exp(-2j * np.pi * np.outer(np.arange(chips), samples.fx)) / chips
         circle = [MotionBasis(None, False, samples, basis)]
         return circle, circle
-    for_minima, for_means = [], []
+    for_minima = []
+    for_means = []
     for motion, both, edges in _played(problem):
         samples = band_samples(motion)
         affordable = chips * samples.fx.size <= _MOST_NUMBERS
@@ -167,11 +174,16 @@ def _played(problem: SearchProblem) -> list[tuple[Trajectory, bool, FloatArray |
         return []
     found: list[tuple[Trajectory, bool, FloatArray | None]] = []
     for scenario in problem.scenarios:
-        motion, both, edges = scenario.trajectory, problem.both_directions(scenario.trajectory), scenario.edges
+        motion = scenario.trajectory
+        both = problem.both_directions(scenario.trajectory)
+        edges = scenario.edges
         if edges is None:
             found.append((motion, both, None))
         else:  # the reversed path's chips are not the forward ones in another order
-            found += [(path, False, edges) for path in ([motion, motion.reversed()] if both else [motion])]
+            found += [
+                (path, False, edges)
+                for path in ([motion, motion.reversed()] if both else [motion])
+            ]
     return found
 
 
@@ -182,9 +194,15 @@ def _light(problem: SearchProblem, counts: NDArray[np.intp]) -> FloatArray:
     most = np.full(counts.size, np.inf)
     for scenario in problem.scenarios:
         basis, _, tail = chip_parts(
-            scenario.trajectory, problem.chips, 0.0, 0.0, response=problem.response, edges=scenario.edges
+            scenario.trajectory,
+            problem.chips,
+            0.0,
+            0.0,
+            response=problem.response,
+            edges=scenario.edges,
         )
-        # what opening takes away is left out: it only lowers the light; and each pulse has one tail
+        # what opening takes away is left out: it only lowers the light; and each pulse has one
+        # tail
         pulses = np.minimum(counts, problem.chips - counts + 1)
         chips, tails = (np.sort(each.real)[::-1].cumsum() for each in (basis, tail))
         most = np.minimum(most, chips[counts - 1] + tails[pulses - 1])

@@ -1,24 +1,26 @@
 r"""Quick bounds, in closed form or from one eigenvalue: of |P| on the circle, |H| along a motion, and noise.
 
-====================== =============================================================================================
+======================
+=============================================================================================
 random-code            ``min |P|^2 <= k (n - k) / (n - 1)``: the mean of |P|^2 over the n-th roots of unity except 1.
-                       No convex relaxation does better, as it admits the mean of all codes with k ones, whose
-                       ``C`` gives just this.
-degree-38              every code of at most 38 chips has ``min |P| <= 2``
-roots-of-unity         the best that the counts of open chips in residue classes allow, for few chips
-light                  the value at zero frequency: the open time
+                       No convex relaxation does better, as it admits the mean of all codes with k
+                       ones, whose ``C`` gives just this.
+degree-38              every code of at most 38 chips has ``min |P| <= 2`` roots-of-unity
+the best that the counts of open chips in residue classes allow, for few chips light
+the value at zero frequency: the open time
 one-frequency          ``|H(f)| <=`` the sum of the k largest |B_i(f)|
-weighted-parseval      straight uniform motion: random-code with the chip's sinc
-gram                   one eigenvalue of the Gram matrix averaged over the band outside a radius
-gram-rows              the k largest row sums of that matrix, each of its diagonal and k - 1 largest others
+weighted-parseval      straight uniform motion: random-code with the chip's sinc gram
+one eigenvalue of the Gram matrix averaged over the band outside a radius gram-rows
+the k largest row sums of that matrix, each of its diagonal and k - 1 largest others
 jensen                 ``mean 1/|H|^2 >= 1 / mean |H|^2``
-jensen-weighted        the same with weights that suit the mean of all codes; see :mod:`cep.search.bounding.relaxation`
-====================== =============================================================================================
+jensen-weighted        the same with weights that suit the mean of all codes; see
+:mod:`cep.search.bounding.relaxation` ======================
+=============================================================================================
 
 References
 ----------
-Hare and Jankauskas, "On Newman and Littlewood polynomials with prescribed number of zeros inside the unit disk",
-arXiv 1910.13994: the smallest degree with min |P| > 2 is 38.
+Hare and Jankauskas, "On Newman and Littlewood polynomials with prescribed number of zeros inside
+the unit disk", arXiv 1910.13994: the smallest degree with min |P| > 2 is 38.
 """
 
 from __future__ import annotations
@@ -32,15 +34,14 @@ from numpy.typing import NDArray
 from cep.optics.band import BandSamples, uniform_length_px
 from cep.search.bounding.relaxation import circle_average, gram, largest_forms
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = ["MotionBasis", "chip_ceilings", "mtf_ceilings", "noise_floors"]
-
-FloatArray = NDArray[np.float64]
 Counts = NDArray[np.intp]
 _UP = 1 + 1e-12  # rounding
 _RADII = 12
 _PROVEN_CHIPS = 38
-_CLASSES, _CLASSES_PAY = (8, 10, 12), 24  # beyond 24 chips the classes never beat the other bounds: measured
+_CLASSES = (8, 10, 12)  # beyond 24 chips the classes never beat the other bounds: measured
+_CLASSES_PAY = 24
 _TRIES = 6
 
 
@@ -79,7 +80,8 @@ class MotionBasis:
     def random_power(self, open_chips: int) -> FloatArray:
         """Mean of |H|^2 over all codes with k ones, (F,), kept away from 0."""
         own, all_open = self.power
-        n, k = len(self.basis), open_chips
+        n = len(self.basis)
+        k = open_chips
         pairs = k * (k - 1) / (n * max(n - 1, 1))
         mean = (k / n - pairs) * own + pairs * all_open
         return np.asarray(np.maximum(mean, 1e-4 * mean.mean()), dtype=np.float64)
@@ -104,7 +106,10 @@ def mtf_ceilings(parts: list[MotionBasis], counts: Counts) -> dict[str, FloatArr
         closed = _uniform_ceilings(part, counts)
         if not closed:
             largest = np.sort(np.abs(part.basis), axis=0)[::-1].cumsum(axis=0)
-            closed = {"one-frequency": largest.min(axis=1)[counts - 1] * _UP, **_gram_ceilings(part, counts)}
+            closed = {
+                "one-frequency": largest.min(axis=1)[counts - 1] * _UP,
+                **_gram_ceilings(part, counts),
+            }
         for name, values in closed.items():
             found[name] = np.minimum(found.get(name, np.inf), values)
     return found
@@ -113,8 +118,11 @@ def mtf_ceilings(parts: list[MotionBasis], counts: Counts) -> dict[str, FloatArr
 def noise_floors(part: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
     """Lower bounds of 10 log10 mean 1/|H|^2 for each number of ones, light-true, by name."""
     weight = part.samples.weight
-    found = {"jensen": -10 * np.log10(np.maximum(largest_forms(part.gram(weight), counts), 1e-300))}
-    best, tried = np.full(counts.size, -np.inf), set[int]()
+    found = {
+        "jensen": -10 * np.log10(np.maximum(largest_forms(part.gram(weight), counts), 1e-300))
+    }
+    best = np.full(counts.size, -np.inf)
+    tried = set[int]()
     while len(tried) < _TRIES:
         # weights that suit one count serve all: try where the bound is lowest until that is tried
         index = int(best.argmin()) if tried else counts.size - 1
@@ -125,24 +133,31 @@ def noise_floors(part: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
         if part.motion is None:
             ratio = circle_average(ratio, len(part.basis))
         reached = 20 * np.log10(float(weight @ ratio)) - 1e-9
-        best = np.maximum(best, reached - 10 * np.log10(largest_forms(part.gram(weight * ratio**2), counts)))
+        best = np.maximum(
+            best, reached - 10 * np.log10(largest_forms(part.gram(weight * ratio**2), counts))
+        )
     return {**found, "jensen-weighted": best}
 
 
 def _gram_ceilings(part: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
     radius = np.hypot(part.samples.fx, part.samples.fy)
     chips = len(part.basis)
-    eigen, rows = np.full(counts.size, np.inf), np.full(counts.size, np.inf)
+    eigen = np.full(counts.size, np.inf)
+    rows = np.full(counts.size, np.inf)
     for inner in np.linspace(0, 0.95 * radius.max(), _RADII if chips <= 256 else 3):
         share = np.where(radius >= inner, part.samples.weight, 0.0)
         matrix = part.gram(share / share.sum())
         eigen = np.minimum(eigen, largest_forms(matrix, counts))
         others = np.sort(np.where(np.eye(chips, dtype=bool), np.inf, matrix), axis=1)[:, ::-1]
         others[:, 0] = np.diag(matrix)
-        # column k - 1: the most that each open chip can add beside k - 1 others; the k largest of them
+        # column k - 1: the most that each open chip can add beside k - 1 others; the k largest of
+        # them
         most = np.sort(others.cumsum(axis=1), axis=0)[::-1].cumsum(axis=0).diagonal()
         rows = np.minimum(rows, most[counts - 1] + 1e-12 * np.abs(matrix).sum())
-    return {"gram": np.sqrt(np.maximum(eigen, 0.0)) * _UP, "gram-rows": np.sqrt(np.maximum(rows, 0.0)) * _UP}
+    return {
+        "gram": np.sqrt(np.maximum(eigen, 0.0)) * _UP,
+        "gram-rows": np.sqrt(np.maximum(rows, 0.0)) * _UP,
+    }
 
 
 def _uniform_ceilings(part: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
@@ -155,10 +170,16 @@ def _uniform_ceilings(part: MotionBasis, counts: Counts) -> dict[str, FloatArray
     if reach < 0.5 or chips == 1:
         return {}
     # |P| repeats: each n-th root of unity is seen wherever in the band the chip's sinc is smallest
-    seen = np.arange(1, chips)[:, None] / chips + np.arange(-np.ceil(reach) - 1, np.ceil(reach) + 1)
+    seen = np.arange(1, chips)[:, None] / chips + np.arange(
+        -np.ceil(reach) - 1, np.ceil(reach) + 1
+    )
     gain = np.where(np.abs(seen) <= reach * _UP, np.abs(np.sinc(seen)), np.inf).min(axis=1)
     power = counts * (chips - counts) / np.sum(1 / np.maximum(gain, 1e-9) ** 2)
-    found = {name: values / chips for name, values in chip_ceilings(chips, counts).items() if name != "random-code"}
+    found = {
+        name: values / chips
+        for name, values in chip_ceilings(chips, counts).items()
+        if name != "random-code"
+    }
     found["weighted-parseval"] = np.sqrt(power) / chips * _UP
     if reach >= 1:  # the chip's own zero
         found["one-frequency"] = np.full(counts.size, 1e-15)
@@ -170,11 +191,14 @@ def _class_ceilings(chips: int) -> FloatArray:
     """Best smallest |P| at the m-th roots of unity, any counts of open chips in the classes mod m, by k = 0..n."""
     best = np.full(chips + 1, np.inf)
     for classes in {min(m, chips) for m in _CLASSES}:
-        roots = np.exp(-2j * np.pi * np.outer(np.arange(classes), np.arange(classes // 2 + 1)) / classes)
+        roots = np.exp(
+            -2j * np.pi * np.outer(np.arange(classes), np.arange(classes // 2 + 1)) / classes
+        )
         sizes = [len(range(first, chips, classes)) for first in range(classes)]
         half = classes // 2
         (ones_a, values_a), (ones_b, values_b) = (
-            _all_counts(sizes[part], roots[part]) for part in (slice(0, half), slice(half, classes))
+            _all_counts(sizes[part], roots[part])
+            for part in (slice(0, half), slice(half, classes))
         )
         reached = np.zeros(chips + 1)
         for ones, value in zip(ones_a, values_a, strict=True):
@@ -183,6 +207,8 @@ def _class_ceilings(chips: int) -> FloatArray:
     return best
 
 
-def _all_counts(sizes: list[int], roots: NDArray[np.complex128]) -> tuple[Counts, NDArray[np.complex128]]:
+def _all_counts(
+    sizes: list[int], roots: NDArray[np.complex128]
+) -> tuple[Counts, NDArray[np.complex128]]:
     grid = np.indices([size + 1 for size in sizes]).reshape(len(sizes), -1).T
     return grid.sum(axis=1), grid @ roots

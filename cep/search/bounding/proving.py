@@ -13,16 +13,25 @@ from numpy.typing import NDArray
 from cep.optics.band import band_samples, straight_axis
 from cep.optics.exposure import chip_basis
 from cep.search.bounding.motion_basis import MotionBasis
-from cep.search.bounding.relaxation import DualProof, Relaxation, Solver, circle_average, largest_form, relax
+from cep.search.bounding.relaxation import (
+    DualProof,
+    Relaxation,
+    Solver,
+    circle_average,
+    largest_form,
+    relax,
+)
+from motdiff.types import FloatArray
 
-__all__ = ["relaxed", "tightened"]
-
-FloatArray = NDArray[np.float64]
 Counts = NDArray[np.intp]
-_START, _ADDED = 200, 150  # frequencies of the relaxed minimum
-_ROUNDS, _SETTLED = 6, 2e-3  # the bound holds after any round; stop where one gains less
+_START = 200  # frequencies of the relaxed minimum
+_ADDED = 150
+_ROUNDS = 6  # the bound holds after any round; stop where one gains less
+_SETTLED = 2e-3
 _UNUSED = 1e-4  # weights below this share of the largest make room
-_MOST_FREQUENCIES = 2600  # of a relaxed mean: Newton's matrix takes 54 MB and up to a second a step
+_MOST_FREQUENCIES = (
+    2600  # of a relaxed mean: Newton's matrix takes 54 MB and up to a second a step
+)
 _STRAIGHT_OVERSAMPLING = 8
 _LIGHTS = 6  # numbers of open chips that are relaxed, the weakest first
 
@@ -37,8 +46,9 @@ def tightened(
 ) -> tuple[FloatArray, list[DualProof]]:
     """Improve known bounds, (K,), one for each number of open chips, where the relaxation does.
 
-    The number of open chips with the weakest bound is relaxed, its multipliers are tried on all others, and so on until
-    the weakest has been relaxed. Where no solver finds an optimum, the known bounds stay.
+    The number of open chips with the weakest bound is relaxed, its multipliers are tried on all
+    others, and so on until the weakest has been relaxed. Where no solver finds an optimum, the
+    known bounds stay.
 
     Parameters
     ----------
@@ -56,7 +66,9 @@ def tightened(
     proofs : list of DualProof
         Of the improved bounds.
     """
-    best, proofs, tried = known.copy(), dict[int, DualProof](), set[int]()
+    best = known.copy()
+    proofs = dict[int, DualProof]()
+    tried = set[int]()
     sign = 1.0 if quantity == "min" else -1.0
     settled = -np.inf
     for _ in range(_LIGHTS):
@@ -73,11 +85,17 @@ def tightened(
         for other, count in enumerate(counts):
             form = max(largest_form(matrix, proof.multipliers, int(count)), 1e-300)
             # a hair for the rounding of the power, which the proof is checked with
-            value = (form / reached) ** 0.5 * (1 + 1e-12) if quantity == "min" else 10 * np.log10(reached / form) - 1e-9
+            value = (
+                (form / reached) ** 0.5 * (1 + 1e-12)
+                if quantity == "min"
+                else 10 * np.log10(reached / form) - 1e-9
+            )
             if sign * value < sign * best[other]:
                 best[other] = value
                 proofs[other] = replace(proof, open_chips=int(count), bound=float(value))
-        settled = max(settled, sign * best[index] + (0.01 * best[index] if quantity == "min" else 0.05))
+        settled = max(
+            settled, sign * best[index] + (0.01 * best[index] if quantity == "min" else 0.05)
+        )
     return best, [proofs[other] for other in sorted(proofs)]
 
 
@@ -109,7 +127,8 @@ def relaxed(
             if best is None:
                 raise
             break
-        value, before = found.weights.sum(), 0.0 if best is None else best[0].weights.sum()
+        value = found.weights.sum()
+        before = 0.0 if best is None else best[0].weights.sum()
         if value > before:
             best = found, chosen
         if value < before * (1 + _SETTLED):
@@ -135,7 +154,10 @@ def _minimum(
     matrix = np.zeros_like(found.products)
     for part, index, share in zip(parts, chosen, np.split(weights, ends[:-1]), strict=True):
         matrix += replace(part, basis=part.basis[:, index]).gram(share)
-    frequencies = [np.stack([p.samples.fx[i], p.samples.fy[i]], axis=1) for p, i in zip(parts, chosen, strict=True)]
+    frequencies = [
+        np.stack([p.samples.fx[i], p.samples.fy[i]], axis=1)
+        for p, i in zip(parts, chosen, strict=True)
+    ]
     proof = DualProof(
         quantity="min",
         chips=len(matrix),
@@ -155,15 +177,19 @@ def _minimum(
 def _mean(
     parts: Sequence[MotionBasis], open_chips: int, solvers: Sequence[Solver] | None
 ) -> tuple[DualProof, FloatArray, float]:
-    part, coarse = parts[0], parts[0]
-    samples, chips = part.samples, len(part.basis)
+    part = parts[0]
+    coarse = parts[0]
+    samples = part.samples
+    chips = len(part.basis)
     if part.motion is not None and straight_axis(part.motion) is not None:
         few = band_samples(part.motion, oversampling=_STRAIGHT_OVERSAMPLING)
         basis = chip_basis(part.motion, chips, few.fx, few.fy, edges=part.edges)
         coarse = replace(part, samples=few, basis=basis)
     shares = coarse.samples.weight
     if shares.size > _MOST_FREQUENCIES:
-        raise ValueError(f"samples: {shares.size} frequencies are too many to relax, at most {_MOST_FREQUENCIES}")
+        raise ValueError(
+            f"samples: {shares.size} frequencies are too many to relax, at most {_MOST_FREQUENCIES}"
+        )
     # the ends of a straight band may weigh nothing
     seen = shares > 0
     columns = _columns([coarse], [np.flatnonzero(seen)])
@@ -210,7 +236,9 @@ def _power(part: MotionBasis, products: FloatArray) -> FloatArray:
     """``tr(G_f C)`` on all samples, (F,)."""
     if part.both:
         products = 0.5 * (products + products[::-1, ::-1])
-    return np.asarray((part.basis.conj() * (products @ part.basis)).sum(axis=0).real, dtype=np.float64)
+    return np.asarray(
+        (part.basis.conj() * (products @ part.basis)).sum(axis=0).real, dtype=np.float64
+    )
 
 
 def _split(chosen: Counts, sizes: Sequence[int]) -> list[Counts]:

@@ -1,26 +1,31 @@
 """Semidefinite relaxation of the search: its value bounds every code, and its solution suggests codes.
 
-The products ``C = c c'`` of all codes with k ones are relaxed to symmetric ``C >= 0`` with ``tr C = k`` and
-``C 1 = k diag C``, which imply the lifted ``[[1, c'], [c, C]] >= 0`` with ``c = diag C``. The dual problem is solved,
+The products ``C = c c'`` of all codes with k ones are relaxed to symmetric ``C >= 0`` with ``tr C
+= k`` and ``C 1 = k diag C``, which imply the lifted ``[[1, c'], [c, C]] >= 0`` with ``c = diag
+C``. The dual problem is solved,
 
-    maximise ``g(a)`` over a >= 0 and v,  subject to  ``I - sum a_f G_f - (v 1' + 1 v') / 2 + k diag v >= 0``,
+    maximise ``g(a)`` over a >= 0 and v,  subject to  ``I - sum a_f G_f - (v 1' + 1 v') / 2 + k
+    diag v >= 0``,
 
-with ``g = sum a_f`` for the smallest |H|^2 (whose bound is k / g) and ``g = sum sqrt(w_f a_f)`` for the mean of
-1/|H|^2 (whose bound is g^2 / k). Newton steps on its logarithmic barrier cost little, as each G_f has two or four
-columns, and the barrier's inverse matrix is the relaxed C. The result of a solver is only used as multipliers of a
+with ``g = sum a_f`` for the smallest |H|^2 (whose bound is k / g) and ``g = sum sqrt(w_f a_f)``
+for the mean of 1/|H|^2 (whose bound is g^2 / k). Newton steps on its logarithmic barrier cost
+little, as each G_f has two or four columns, and the barrier's inverse matrix is the relaxed C. The
+result of a solver is only used as multipliers of a
 :class:`cep.search.bounding.relaxation.DualProof`.
 
 References
 ----------
-Mo and Duarte, "Design of spectrally shaped binary sequences via randomized convex relaxation", 2018: lifting and
-randomised rounding. Benson, Ye and Zhang, "Solving large-scale sparse semidefinite programs for combinatorial
-optimization", SIAM J. Optim. 2000: the dual barrier for low-rank constraints.
+Mo and Duarte, "Design of spectrally shaped binary sequences via randomized convex relaxation",
+2018: lifting and randomised rounding. Benson, Ye and Zhang, "Solving large-scale sparse
+semidefinite programs for combinatorial optimization", SIAM J. Optim. 2000: the dual barrier for
+low-rank constraints.
 
-At one frequency ``|H|^2 = c' G_f c`` with the Gram matrix ``G_f = Re conj(B(f)) B(f)'`` of the chip basis. For weights
-``a_f >= 0`` and ``G = sum a_f G_f`` every code c obeys
+At one frequency ``|H|^2 = c' G_f c`` with the Gram matrix ``G_f = Re conj(B(f)) B(f)'`` of the
+chip basis. For weights ``a_f >= 0`` and ``G = sum a_f G_f`` every code c obeys
 
 - ``min |H|^2 <= c' G c / sum a_f``, since a minimum is at most a mean;
-- ``mean 1/|H|^2 >= (sum sqrt(w_f a_f))^2 / c' G c`` for quadrature weights w, by Cauchy and Schwarz.
+- ``mean 1/|H|^2 >= (sum sqrt(w_f a_f))^2 / c' G c`` for quadrature weights w, by Cauchy and
+  Schwarz.
 
 A 0/1 code with k ones has ``c_i (sum_j c_j - k) = 0``, so for any v
 
@@ -30,8 +35,8 @@ Nothing is asked of a and v: a bad solver makes the bound loose, never wrong.
 
 References
 ----------
-Lovasz and Schrijver, "Cones of matrices and set-functions and 0-1 optimization", SIAM J. Optim. 1991: multiplying the
-constraint on the sum by each variable.
+Lovasz and Schrijver, "Cones of matrices and set-functions and 0-1 optimization", SIAM J. Optim.
+1991: multiplying the constraint on the sum by each variable.
 """
 
 from __future__ import annotations
@@ -48,29 +53,14 @@ from cep.optics.band import BandSamples, band_samples, circle_samples
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
 from motdiff.trajectory import Trajectory
+from motdiff.types import ComplexArray, FloatArray
 
-__all__ = [
-    "SOLVERS",
-    "DualProof",
-    "Relaxation",
-    "circle_average",
-    "circle_grid",
-    "cvxpy_solver",
-    "form_matrix",
-    "gram",
-    "largest_form",
-    "largest_forms",
-    "newton_solver",
-    "relax",
-    "rounded_codes",
-]
-
-
-FloatArray = NDArray[np.float64]
 Solver = Callable[[FloatArray, int, "FloatArray | None"], "Relaxation"]
-_GAP, _GAP_OF_MEAN = 1e-4, 2e-3  # relative, where Newton stops; 0.02 dB
+_GAP = 1e-4  # relative, where Newton stops; 0.02 dB
+_GAP_OF_MEAN = 2e-3
 _MOST_STEPS = 150
-_COOLING, _COOLING_OF_MEAN = 0.15, 0.1
+_COOLING = 0.15
+_COOLING_OF_MEAN = 0.1
 _BLOCK = 128  # frequencies whose products with all others are held at once
 
 
@@ -101,7 +91,11 @@ class Relaxation:
 
 
 def relax(
-    columns: FloatArray, open_chips: int, *, shares: FloatArray | None = None, solvers: Sequence[Solver] | None = None
+    columns: FloatArray,
+    open_chips: int,
+    *,
+    shares: FloatArray | None = None,
+    solvers: Sequence[Solver] | None = None,
 ) -> Relaxation:
     """Solve the relaxation; the next solver is tried where one does not end as exactly "optimal".
 
@@ -132,7 +126,9 @@ def relax(
     raise ValueError(f"relaxation: no solver found an optimum ({'; '.join(said)})")
 
 
-def rounded_codes(relaxation: Relaxation, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
+def rounded_codes(
+    relaxation: Relaxation, count: int, *, rng: np.random.Generator
+) -> NDArray[np.int8]:
     """Draw codes (count, n) whose first and second moments resemble the relaxed ones: Gaussian, k largest open.
 
     References
@@ -148,11 +144,15 @@ def rounded_codes(relaxation: Relaxation, count: int, *, rng: np.random.Generato
     return codes
 
 
-def newton_solver(columns: FloatArray, open_chips: int, shares: FloatArray | None = None) -> Relaxation:
+def newton_solver(
+    columns: FloatArray, open_chips: int, shares: FloatArray | None = None
+) -> Relaxation:
     """Follow the barrier's central path by damped Newton steps."""
     chips, m, rank = columns.shape
     flat = columns.reshape(chips, m * rank)
-    products = np.ones((chips, chips)) - open_chips * np.eye(chips)  # column i is what chip i's multiplier multiplies
+    products = np.ones((chips, chips)) - open_chips * np.eye(
+        chips
+    )  # column i is what chip i's multiplier multiplies
 
     def slack(a: FloatArray, v: FloatArray) -> FloatArray:
         used = (flat * np.repeat(a, rank)) @ flat.T
@@ -188,24 +188,40 @@ def newton_solver(columns: FloatArray, open_chips: int, shares: FloatArray | Non
             heat *= cooling
             continue
         down = step[:m] < 0
-        length = min(1.0, 0.9 / float(-step[:m][down].min())) if down.any() and step[:m].min() < -0.9 else 1.0
+        length = (
+            min(1.0, 0.9 / float(-step[:m][down].min()))
+            if down.any() and step[:m].min() < -0.9
+            else 1.0
+        )
         before = merit(a, v, heat)
         # steps in a are relative
-        while merit(a * (1 + length * step[:m]), v + length * step[m:], heat) < before + 0.1 * length * gain:
+        while (
+            merit(a * (1 + length * step[:m]), v + length * step[m:], heat)
+            < before + 0.1 * length * gain
+        ):
             length *= 0.5
             if length < 1e-9:
                 break
         if length < 1e-9:
             break
-        a, v = a * (1 + length * step[:m]), v + length * step[m:]
-    return Relaxation(open_chips, a, v, np.asarray(inverse * (open_chips / float(np.trace(inverse)))), status, "newton")
+        a = a * (1 + length * step[:m])
+        v = v + length * step[m:]
+    return Relaxation(
+        open_chips,
+        a,
+        v,
+        np.asarray(inverse * (open_chips / float(np.trace(inverse)))),
+        status,
+        "newton",
+    )
 
 
 def _random_power(columns: FloatArray, open_chips: int) -> FloatArray:
     """Mean of ``c' G_f c`` over all codes with k ones, (m,), kept away from 0."""
     chips = len(columns)
     pairs = open_chips * (open_chips - 1) / (chips * (chips - 1))
-    own, all_open = (columns**2).sum(axis=(0, 2)), (columns.sum(axis=0) ** 2).sum(axis=1)
+    own = (columns**2).sum(axis=(0, 2))
+    all_open = (columns.sum(axis=0) ** 2).sum(axis=1)
     power = (open_chips / chips - pairs) * own + pairs * all_open
     return np.asarray(np.maximum(power, 1e-4 * power.mean()), dtype=np.float64)
 
@@ -234,13 +250,20 @@ def _newton_step(
         root = np.sqrt(shares * a)
         slope += 0.5 * root / heat
         bend = 0.25 * root / heat
-    hessian = np.block([[pairs * np.outer(a, a) + np.diag(bend), (mixed * a).T], [mixed * a, chips]])
+    hessian = np.block(
+        [[pairs * np.outer(a, a) + np.diag(bend), (mixed * a).T], [mixed * a, chips]]
+    )
     size = np.sqrt(np.diag(hessian))
     gradient = np.concatenate([slope, -np.diag(turned)])
     hessian /= size
     hessian /= size[:, None]
     hessian[np.diag_indices(size.size)] += 1e-12
-    step = linalg.solve(hessian, gradient / size, assume_a="pos", overwrite_a=True, check_finite=False) / size
+    step = (
+        linalg.solve(
+            hessian, gradient / size, assume_a="pos", overwrite_a=True, check_finite=False
+        )
+        / size
+    )
     return np.asarray(step, dtype=np.float64), float(gradient @ step)
 
 
@@ -260,17 +283,22 @@ def _pairs(flat: FloatArray, through: FloatArray, rank: int) -> FloatArray:
     return out
 
 
-def cvxpy_solver(columns: FloatArray, open_chips: int, shares: FloatArray | None = None, *, name: str) -> Relaxation:
+def cvxpy_solver(
+    columns: FloatArray, open_chips: int, shares: FloatArray | None = None, *, name: str
+) -> Relaxation:
     """Solve the same problem with one of cvxpy's solvers."""
     import cvxpy
 
     chips, m, _ = columns.shape
-    a, v = cvxpy.Variable(m, nonneg=True), cvxpy.Variable(chips)
+    a = cvxpy.Variable(m, nonneg=True)
+    v = cvxpy.Variable(chips)
     forms = np.einsum("ifr,jfr->ijf", columns, columns).reshape(chips * chips, m)
     ones = np.ones((1, chips))
     spread = cvxpy.reshape(v, (chips, 1), order="C") @ ones
     used = cvxpy.reshape(forms @ a, (chips, chips), order="C")
-    semidefinite = np.eye(chips) - used - 0.5 * (spread + spread.T) + open_chips * cvxpy.diag(v) >> 0
+    semidefinite = (
+        np.eye(chips) - used - 0.5 * (spread + spread.T) + open_chips * cvxpy.diag(v) >> 0
+    )
     goal = cvxpy.sum(a) if shares is None else np.sqrt(shares) @ cvxpy.sqrt(a)
     problem = cvxpy.Problem(cvxpy.Maximize(goal), [semidefinite])
     try:
@@ -283,10 +311,14 @@ def cvxpy_solver(columns: FloatArray, open_chips: int, shares: FloatArray | None
         return Relaxation(open_chips, nothing, np.full(chips, np.nan), np.eye(chips), status, name)
     dual = np.asarray(semidefinite.dual_value, dtype=np.float64)
     products = 0.5 * (dual + dual.T) * (open_chips / float(np.trace(dual)))
-    return Relaxation(open_chips, np.maximum(a.value, 0.0), np.asarray(v.value), products, status, name)
+    return Relaxation(
+        open_chips, np.maximum(a.value, 0.0), np.asarray(v.value), products, status, name
+    )
 
 
-def _clarabel(columns: FloatArray, open_chips: int, shares: FloatArray | None = None) -> Relaxation:
+def _clarabel(
+    columns: FloatArray, open_chips: int, shares: FloatArray | None = None
+) -> Relaxation:
     return cvxpy_solver(columns, open_chips, shares, name="CLARABEL")
 
 
@@ -297,8 +329,8 @@ def _scs(columns: FloatArray, open_chips: int, shares: FloatArray | None = None)
 SOLVERS: tuple[Solver, ...] = (newton_solver, _clarabel, _scs)
 
 
-ComplexArray = NDArray[np.complex128]
-_ROUNDING = 1e-11  # of a basis, a Gram matrix and its eigenvalues, relative to the largest number that enters
+# of a basis, a Gram matrix and its eigenvalues, relative to the largest number that enters
+_ROUNDING = 1e-11
 
 
 @dataclass(frozen=True)
@@ -313,11 +345,13 @@ class DualProof:
     chips, open_chips : int
         n and k.
     motions : tuple of Trajectory or None
-        None is the unit circle of the code's polynomial over n; frequencies are then cycles per chip.
+        None is the unit circle of the code's polynomial over n; frequencies are then cycles per
+        chip.
     both : tuple of bool
         For each motion, whether both directions count: ``G_f`` is then the mean of both.
     edges : tuple of (n + 1,) float or None
-        For each motion, its chips' edges as fractions of the exposure, where they are not evenly spread.
+        For each motion, its chips' edges as fractions of the exposure, where they are not evenly
+        spread.
     motion : (m,) int
         Which of them a frequency belongs to.
     frequencies : (m, 2) float, cycles/px
@@ -344,18 +378,25 @@ class DualProof:
     def check(self) -> bool:
         """Whether the bound holds, recomputed from the motions: other code for the basis, Cholesky for the eigenvalue.
 
-        A matrix whose Cholesky factor exists in floating point is positive definite up to rounding, which the bound has
-        room for.
+        A matrix whose Cholesky factor exists in floating point is positive definite up to
+        rounding, which the bound has room for.
         """
-        k, n = self.open_chips, self.chips
+        k = self.open_chips
+        n = self.chips
         if not ((self.weights >= 0).all() and self.weights.any()):
             return False
-        if any(both and edges is not None for both, edges in zip(self.both, self.edges, strict=True)):
+        if any(
+            both and edges is not None for both, edges in zip(self.both, self.edges, strict=True)
+        ):
             return False  # the reversed path is no mirror image then
         total = np.zeros((n, n))
-        for index, (motion, both, edges) in enumerate(zip(self.motions, self.both, self.edges, strict=True)):
+        for index, (motion, both, edges) in enumerate(
+            zip(self.motions, self.both, self.edges, strict=True)
+        ):
             mine = self.motion == index
-            basis = _basis_again(motion, n, self.frequencies[mine], edges) * np.sqrt(self.weights[mine])
+            basis = _basis_again(motion, n, self.frequencies[mine], edges) * np.sqrt(
+                self.weights[mine]
+            )
             part = basis.real @ basis.real.T + basis.imag @ basis.imag.T
             total += 0.5 * (part + part[::-1, ::-1]) if both else part
         if self.quantity == "min":
@@ -403,12 +444,14 @@ def largest_form(matrix: FloatArray, multipliers: FloatArray, open_chips: int) -
 def largest_forms(matrix: FloatArray, counts: NDArray[np.intp]) -> FloatArray:
     """Upper bounds of ``c' G c`` for each number of ones, (K,), with the best equal multipliers ``v = x 1``.
 
-    With v = x 1 the matrix is ``G + x 1 1' - x k I``. Its largest eigenvalue lambda - x k has
-    ``1 / x = sum_i z_i^2 / (lambda - lambda_i)``, z the eigenvectors' sums: one decomposition serves all x and all k.
+    With v = x 1 the matrix is ``G + x 1 1' - x k I``. Its largest eigenvalue lambda - x k has ``1
+    / x = sum_i z_i^2 / (lambda - lambda_i)``, z the eigenvectors' sums: one decomposition serves
+    all x and all k.
     """
     values, vectors = np.linalg.eigh(matrix)
     ones = vectors.sum(axis=0) ** 2
-    top, spread = values[-1], max(float(np.ptp(values)), 1e-3 * float(np.abs(values).max()), 1e-300)
+    top = values[-1]
+    spread = max(float(np.ptp(values)), 1e-3 * float(np.abs(values).max()), 1e-300)
     second = values[-2] if len(values) > 1 else top - spread
     above = top + spread * len(values) * np.logspace(-12, 1.5, 160)
     between = second + (top - second) * np.linspace(0.005, 0.995, 100)
@@ -419,7 +462,11 @@ def largest_forms(matrix: FloatArray, counts: NDArray[np.intp]) -> FloatArray:
             x = 1 / (ones / (tried[..., None] - values)).sum(axis=-1)
             # below the top eigenvalue only a negative x keeps lambda the largest
             valid = np.isfinite(x) & ((tried > top) | ((x < 0) & (tried > second)))
-            found = tried - x * counts + _ROUNDING * (np.abs(tried) + np.abs(x) * (counts + values.size) + abs(top))
+            found = (
+                tried
+                - x * counts
+                + _ROUNDING * (np.abs(tried) + np.abs(x) * (counts + values.size) + abs(top))
+            )
         found = np.where(valid, found, np.inf)
         pick = found.argmin(axis=0)
         best = np.minimum(best, found[pick, np.arange(counts.size)])
@@ -427,7 +474,8 @@ def largest_forms(matrix: FloatArray, counts: NDArray[np.intp]) -> FloatArray:
         low = tried[np.maximum(pick - 1, 0), columns]
         high = tried[np.minimum(pick + 1, len(tried) - 1), columns]
         tried = low + (high - low) * np.linspace(0, 1, 24)[:, None]
-    # the ends that the search only approaches: x = 0, and x without end, where only all chips open are left
+    # the ends that the search only approaches: x = 0, and x without end, where only all chips open
+    # are left
     best = np.minimum(best, top + _ROUNDING * abs(top) * values.size)
     all_open = float(matrix.sum()) / values.size + _ROUNDING * float(np.abs(matrix).sum())
     return np.asarray(counts * np.where(counts == values.size, all_open, best), dtype=np.float64)
@@ -455,6 +503,16 @@ def _basis_again(
     motion: Trajectory | None, chips: int, frequencies: FloatArray, edges: FloatArray | None
 ) -> ComplexArray:
     if motion is None:
-        return np.asarray(np.exp(-2j * np.pi * np.outer(np.arange(chips), frequencies[:, 0])) / chips)
-    single = [ShutterCode("".join("1" if i == chip else "0" for i in range(chips))) for chip in range(chips)]
-    return np.stack([coded_otf(motion, code, frequencies[:, 0], frequencies[:, 1], edges=edges) for code in single])
+        return np.asarray(
+            np.exp(-2j * np.pi * np.outer(np.arange(chips), frequencies[:, 0])) / chips
+        )
+    single = [
+        ShutterCode("".join("1" if i == chip else "0" for i in range(chips)))
+        for chip in range(chips)
+    ]
+    return np.stack(
+        [
+            coded_otf(motion, code, frequencies[:, 0], frequencies[:, 1], edges=edges)
+            for code in single
+        ]
+    )

@@ -22,10 +22,8 @@ from cep.search.exhaustive.exhaust import (
     scan,
     sums_by_byte,
 )
+from motdiff.types import ComplexArray
 
-__all__ = ["MARGIN", "Scanner", "Tables"]
-
-ComplexArray = NDArray[np.complex128]
 Patterns = NDArray[np.int8]
 MARGIN = 1e-8  # relative: equal minima stay in spite of rounding
 _CELL = 0.15  # side of a cell over the limit; others: docs/decisions/search.md
@@ -50,13 +48,15 @@ class Tables:
     """
 
     def __init__(self, basis: ComplexArray, limits: Limits, limit: float) -> None:
-        self.limits, self.inner_at = limits, _cut(len(basis))[0] + _cut(len(basis))[1]
+        self.limits = limits
+        self.inner_at = _cut(len(basis))[0] + _cut(len(basis))[1]
         order = _order(basis, limits, limit)
         count = min(_FREQUENCIES, order.size // 8 * 8) if len(basis) >= _FEWEST_CHIPS else 0
         self.used = basis[:, order[:count]]
         # the bit tables' frequencies come last: they have judged already, if a little coarsely
         self.dense = sums_by_byte(basis[:, np.r_[order[count:], order[:count]]])
-        # six sums, each rounded to float32, then added up: at most eleven roundings in each of two parts
+        # six sums, each rounded to float32, then added up: at most eleven roundings in each of two
+        # parts
         self._error = np.sqrt(2) * 11 * 2.0**-24 * float(np.abs(basis).max(axis=1).sum())
         self._total = float(np.abs(basis).sum(axis=0).max())
         self._fill(limit)
@@ -107,16 +107,24 @@ class Scanner:
     """
 
     def __init__(
-        self, tables: Tables, length: int, *, ends_open: bool, mirrors: bool, fixed: str | None = None
+        self,
+        tables: Tables,
+        length: int,
+        *,
+        ends_open: bool,
+        mirrors: bool,
+        fixed: str | None = None,
     ) -> None:
         self.tables = tables
         limits = tables.limits
         head, near, tail = _cut(length)
         start = tables.inner_at - head - near
         places = np.cumsum([start, head, near, INNER, tail])
-        front, back = all_patterns(head), all_patterns(tail)
+        front = all_patterns(head)
+        back = all_patterns(tail)
         if ends_open:
-            front, back = front[front[:, 0] == 1], back[back[:, -1] == 1]
+            front = front[front[:, 0] == 1]
+            back = back[back[:, -1] == 1]
         # as seen from the ends of the code, over as many chips as both have
         seen_front = front[:, :tail] @ (1 << np.arange(tail)[::-1])
         seen_back = back[:, ::-1] @ (1 << np.arange(tail)[::-1])
@@ -128,14 +136,18 @@ class Scanner:
         ]
         order = np.argsort(seen_back, kind="stable")
         order = order[keep[3][order]]
-        front, seen_front, back, seen_back = front[keep[0]], seen_front[keep[0]], back[order], seen_back[order]
+        front = front[keep[0]]
+        seen_front = seen_front[keep[0]]
+        back = back[order]
+        seen_back = seen_back[order]
         middle = ways[1][keep[1]]
         middle = middle[np.argsort(middle.sum(axis=1), kind="stable")]
         self.near_at = np.searchsorted(middle.sum(axis=1), np.arange(near + 2)).astype(np.int64)
         self.head = self._part(front, int(places[0]), tables.corner)
         self.near = self._part(middle, int(places[1]))
         self.tail = self._part(back, int(places[3]))
-        # of a pair of mirror images, the one whose tail does not come after its head; ties go both ways
+        # of a pair of mirror images, the one whose tail does not come after its head; ties go both
+        # ways
         self.tails = np.full(len(front), len(back), dtype=np.int64)
         if ends_open and mirrors:
             self.tails[:] = np.searchsorted(seen_back, seen_front, side="right")
@@ -167,19 +179,41 @@ class Scanner:
         """Scan from ``span[0]``, ``span[2]`` on, as :func:`exhaust.scan` does; returns the codes found."""
         tables = self.tables
         number = scan(
-            self.head, self.tail, self.near, self.tails, self.near_at, tables.first_cell, tables.cells, tables.grid,
-            self.inner_bits, self.inner_left, self.inner_count, tables.limits, tables.dense, tables.limit2,
-            span, found, counts, halt,
-        )  # fmt: skip
+            self.head,
+            self.tail,
+            self.near,
+            self.tails,
+            self.near_at,
+            tables.first_cell,
+            tables.cells,
+            tables.grid,
+            self.inner_bits,
+            self.inner_left,
+            self.inner_count,
+            tables.limits,
+            tables.dense,
+            tables.limit2,
+            span,
+            found,
+            counts,
+            halt,
+        )
         return found[:number].copy()
 
     def _part(self, patterns: Patterns, start: int, corner: ComplexArray | None = None) -> Part:
         tables = self.tables
-        sums = dot(patterns, tables.used[start : start + patterns.shape[1]]) - (0 if corner is None else corner)
-        fixed = np.rint(np.concatenate([sums.real, sums.imag], axis=1) / tables.unit).astype(np.int32)
+        sums = dot(patterns, tables.used[start : start + patterns.shape[1]]) - (
+            0 if corner is None else corner
+        )
+        fixed = np.rint(np.concatenate([sums.real, sums.imag], axis=1) / tables.unit).astype(
+            np.int32
+        )
         rises = np.diff(patterns, axis=1, prepend=0) == 1
         return Part(
-            _bits(patterns, start), fixed, patterns.sum(axis=1, dtype=np.int64), rises.sum(axis=1, dtype=np.int64)
+            _bits(patterns, start),
+            fixed,
+            patterns.sum(axis=1, dtype=np.int64),
+            rises.sum(axis=1, dtype=np.int64),
         )
 
 
@@ -198,10 +232,14 @@ def _order(basis: ComplexArray, limits: Limits, limit: float) -> NDArray[np.intp
     candidates = rng.permutation(size)[:_CANDIDATES]
     rank = rng.random((_SAMPLE, chips)).argsort(axis=1).argsort(axis=1)
     centre = np.clip(rng.binomial(chips, 0.5, size=(_SAMPLE, 1)), limits.fewest, limits.most)
-    sampled = np.abs((rank < centre).astype(np.complex64) @ basis[:, candidates].astype(np.complex64))
+    sampled = np.abs(
+        (rank < centre).astype(np.complex64) @ basis[:, candidates].astype(np.complex64)
+    )
     # a cell takes a part of the limit away
     below = np.ascontiguousarray((sampled < limit * (1 - 0.6 * _CELL)).T)
-    left, free, picked = np.ones(_SAMPLE, dtype=np.bool_), np.ones(candidates.size, dtype=np.bool_), []
+    left = np.ones(_SAMPLE, dtype=np.bool_)
+    free = np.ones(candidates.size, dtype=np.bool_)
+    picked = []
     for _ in range(min(3 * _FREQUENCIES, candidates.size)):
         discards = np.where(free, below[:, left].sum(axis=1), -1)
         if discards.max() == 0:

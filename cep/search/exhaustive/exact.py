@@ -1,14 +1,16 @@
 """Proven optimum by exhaustive search: a code is discarded at a frequency where its |H| is below the best minimum.
 
-On the unit circle a shift in time and the reversal change nothing, so the codes of n chips are those of every length
-up to n with both end chips open, one of each mirror pair, or both where the reversal may break the limit on the
-pulses' period. :mod:`.exhaust` discards nearly all of them, billions a second; the few that it leaves are judged here
-in float64, and the winner is certified over the continuum.
+On the unit circle a shift in time and the reversal change nothing, so the codes of n chips are
+those of every length up to n with both end chips open, one of each mirror pair, or both where the
+reversal may break the limit on the pulses' period. :mod:`.exhaust` discards nearly all of them,
+billions a second; the few that it leaves are judged here in float64, and the winner is certified
+over the continuum.
 
 References
 ----------
-arXiv 1910.13994 enumerates Newman polynomials (0/1 coefficients) up to degree 40 for a smallest modulus above 2 on the
-unit circle: the first has degree 38. There the degree counts; for a shutter the light does as well.
+arXiv 1910.13994 enumerates Newman polynomials (0/1 coefficients) up to degree 40 for a smallest
+modulus above 2 on the unit circle: the first has degree 38. There the degree counts; for a shutter
+the light does as well.
 """
 
 from __future__ import annotations
@@ -33,15 +35,15 @@ from cep.search.exhaustive.exhaust import BYTES, INNER, Limits, dot
 from cep.search.exhaustive.proof import ExactResult, LengthLog, ProofLog
 from cep.search.problem import SearchProblem
 
-__all__ = ["ExactResult", "LengthLog", "ProofLog", "climbed", "codes_to_count", "exact"]
-
-
 Progress = Callable[[float, ShutterCode], None]
 Codes = NDArray[np.uint64]
 _SLICE = 2**30  # codes between looks at Ctrl-C: a tenth of a second
 _SLICES = 128  # at least, of a long proof, so that a better code helps it
-_FIRST_ROUND = 16  # slices side by side, the next round twice as many: early ones find the better codes
-_TIE = 1e-9  # minima as close as this are equal: the brighter code wins, then the shorter, then the first bits
+_FIRST_ROUND = (
+    16  # slices side by side, the next round twice as many: early ones find the better codes
+)
+# minima as close as this are equal: the brighter code wins, then the shorter, then the first bits
+_TIE = 1e-9
 _GROWTH = 1.01  # of the limit, at which the scan's tables are made again
 _RESTARTS = 16
 _CLIMBED = 20  # chips below which no climb is needed
@@ -69,10 +71,11 @@ def exact(
     Parameters
     ----------
     problem : SearchProblem
-        Objective "min-mtf". Without scenarios the minimum is over the whole unit circle; with them it is the smallest
-        at their band samples, in every direction that counts.
+        Objective "min-mtf". Without scenarios the minimum is over the whole unit circle; with them
+        it is the smallest at their band samples, in every direction that counts.
     progress : callable, optional
-        Called repeatedly with the fraction done, 0..1, and the best code so far. It may raise KeyboardInterrupt.
+        Called repeatedly with the fraction done, 0..1, and the best code so far. It may raise
+        KeyboardInterrupt.
     threads : int, optional
         All cores when omitted. The result does not depend on it.
     resume : ProofLog, optional
@@ -81,20 +84,26 @@ def exact(
     Returns
     -------
     ExactResult
-        Of equal minima the brightest code is taken, then the shortest. Ctrl-C returns the best so far.
+        Of equal minima the brightest code is taken, then the shortest. Ctrl-C returns the best so
+        far.
 
     Raises
     ------
     ValueError
-        For another objective, too many chips, a motion that no code can serve, or another problem's log.
+        For another objective, too many chips, a motion that no code can serve, or another
+        problem's log.
     """
     began = time.monotonic()
     if [name for name, _ in problem.objective_mix] != ["min-mtf"] or problem.rule != "worst":
-        raise ValueError('objective: only the largest "min-mtf" in the worst scenario can be proven')
+        raise ValueError(
+            'objective: only the largest "min-mtf" in the worst scenario can be proven'
+        )
     if problem.chips > 8 * BYTES:
         raise ValueError(f"chips: at most {8 * BYTES} can be counted out, got {problem.chips}")
     if problem.response is not None and not problem.response.instant:
-        raise ValueError("response: a proof needs a shutter that opens at once, leave the response out")
+        raise ValueError(
+            "response: a proof needs a shutter that opens at once, leave the response out"
+        )
     proof = _Proof(problem, resume)
     try:
         proof.climb()
@@ -116,9 +125,14 @@ class _Proof:
         self.free = self.circle and problem.runs.fixed is None
         self.basis = _basis(problem)
         if np.abs(self.basis).sum(axis=0).min() < _DARK:
-            raise ValueError("scenarios: at some frequency no code passes anything, every minimum is 0")
+            raise ValueError(
+                "scenarios: at some frequency no code passes anything, every minimum is 0"
+            )
         self.limits = Limits.of(problem)
-        self.best, self.value, self.limit, self.ceiling = "", -1.0, 0.0, 0.0
+        self.best = ""
+        self.value = -1.0
+        self.limit = 0.0
+        self.ceiling = 0.0
         self.tables: Tables | None = None
         self.lock = Lock()
         n = problem.chips
@@ -126,7 +140,9 @@ class _Proof:
         self.logs = {length: LengthLog(length, codes) for length, codes in sizes.items()}
         if resume is not None:
             if (resume.chips, resume.limits, resume.domain) != (n, self._limits(), self._domain()):
-                raise ValueError(f"resume: the log is of another problem, of {resume.chips} chips on {resume.domain}")
+                raise ValueError(
+                    f"resume: the log is of another problem, of {resume.chips} chips on {resume.domain}"
+                )
             self.logs = {entry.length: entry for entry in resume.lengths}
             self.ceiling = resume.ceiling
             self.offer(_packed(resume.bits))
@@ -152,10 +168,15 @@ class _Proof:
         value = min(sampled, min_chip(ShutterCode(name))) if self.circle else sampled
         self.ceiling = max(self.ceiling, value)
         tie = _TIE * max(value, 1e-3)
-        if value > self.value + tie or (value > self.value - tie and _rank(name) > _rank(self.best)):
+        if value > self.value + tie or (
+            value > self.value - tie and _rank(name) > _rank(self.best)
+        ):
             if value > self.value + tie:
-                self.limit = max(self.limit, chip_minimum(ShutterCode(name)).lower if self.circle else value)
-            self.best, self.value = name, max(value, self.value)
+                self.limit = max(
+                    self.limit, chip_minimum(ShutterCode(name)).lower if self.circle else value
+                )
+            self.best = name
+            self.value = max(value, self.value)
 
     def climb(self) -> None:
         """Climb from random codes, for a good limit from the start; the outcome does not depend on it."""
@@ -164,13 +185,17 @@ class _Proof:
         rng = np.random.default_rng(0)
         some = self.basis[:, rng.permutation(self.basis.shape[1])[:256]]
         single = np.eye(self.problem.chips, dtype=np.int8)[[0, self.problem.chips // 2]]
-        starts = [*self.problem.random_codes(_RESTARTS, rng=rng), *single[self.problem.satisfied(single)]]
+        starts = [
+            *self.problem.random_codes(_RESTARTS, rng=rng),
+            *single[self.problem.satisfied(single)],
+        ]
         for code in starts:
             self.offer(_packed(_name(climbed(code, some, self.problem.satisfied))))
 
     def count(self, progress: Progress | None, threads: int) -> None:
         """Go through all codes, length by length."""
-        total, before = sum(entry.codes for entry in self.logs.values()), 0
+        total = sum(entry.codes for entry in self.logs.values())
+        before = 0
         for length, entry in list(self.logs.items()):
 
             def report(share: float, before: int = before, codes: int = entry.codes) -> None:
@@ -189,20 +214,28 @@ class _Proof:
         if self.free:
             codes = codes[((codes & np.uint64(1)) == 1) & ((codes >> np.uint64(length - 1)) == 1)]
         self.offer(codes)
-        self.logs[length] = replace(self.logs[length], judged=codes.size, left_by_samples=codes.size, complete=True)
+        self.logs[length] = replace(
+            self.logs[length], judged=codes.size, left_by_samples=codes.size, complete=True
+        )
 
     def _scan(self, length: int, threads: int, report: Callable[[float], None]) -> None:
         halt = np.zeros(1, dtype=np.bool_)
         spans = list(self._scanner(length).spans(min(_SLICE, max(2**16, 2**length // _SLICES))))
-        todo, size = [span for span in spans if span not in self.logs[length].done], _FIRST_ROUND
+        todo = [span for span in spans if span not in self.logs[length].done]
+        size = _FIRST_ROUND
         with ThreadPoolExecutor(threads) as pool:
             try:
                 while todo:
-                    # a round has one limit, so that what is discarded where does not depend on who is faster
-                    scanner, now, todo = self._scanner(length), todo[:size], todo[size:]
+                    # a round has one limit, so that what is discarded where does not depend on who
+                    # is faster
+                    scanner = self._scanner(length)
+                    now = todo[:size]
+                    todo = todo[size:]
                     running = {pool.submit(self._slice, scanner, span, halt): span for span in now}
                     for future in as_completed(running):
-                        self.logs[length] = self.logs[length].grown(running[future], future.result())
+                        self.logs[length] = self.logs[length].grown(
+                            running[future], future.result()
+                        )
                         report(len(self.logs[length].done) / len(spans))
                     size *= 2
             finally:
@@ -215,11 +248,18 @@ class _Proof:
         elif self.limit > _GROWTH * self.tables.limit:
             self.tables = self.tables.tightened(self.limit)
         return Scanner(
-            self.tables, length, ends_open=self.free, mirrors=self.problem.mirrors, fixed=self.problem.runs.fixed
+            self.tables,
+            length,
+            ends_open=self.free,
+            mirrors=self.problem.mirrors,
+            fixed=self.problem.runs.fixed,
         )
 
-    def _slice(self, scanner: Scanner, heads: tuple[int, int], halt: NDArray[np.bool_]) -> NDArray[np.int64]:
-        span, counts = np.array([*heads, 0], dtype=np.int64), np.zeros(4, dtype=np.int64)
+    def _slice(
+        self, scanner: Scanner, heads: tuple[int, int], halt: NDArray[np.bool_]
+    ) -> NDArray[np.int64]:
+        span = np.array([*heads, 0], dtype=np.int64)
+        counts = np.zeros(4, dtype=np.int64)
         room = scanner.buffer()
         while span[0] < span[1] and not halt[0]:
             found = scanner.run(span, room, counts, halt)
@@ -231,18 +271,24 @@ class _Proof:
         """Code, certified minimum and log."""
         if not self.best:
             raise KeyboardInterrupt
-        code, problem = ShutterCode(self.best), self.problem
+        code = ShutterCode(self.best)
+        problem = self.problem
         if self.circle:
             minimum = chip_minimum(code)
         else:
             found = [
-                mtf_minimum(one.path(reversed_path=turned), code, edges=one.edges) for one, turned in problem.ways()
+                mtf_minimum(one.path(reversed_path=turned), code, edges=one.edges)
+                for one, turned in problem.ways()
             ]
             worst = min(found, key=lambda one: one.upper)
             minimum = replace(worst, lower=min(one.lower for one in found))
         complete = all(entry.complete for entry in self.logs.values())
         # mean |P|^2 is the number of open chips; |H| is nowhere above the duty
-        parseval = np.sqrt(problem.open_limits[1]) if self.circle else problem.open_limits[1] / problem.chips
+        parseval = (
+            np.sqrt(problem.open_limits[1])
+            if self.circle
+            else problem.open_limits[1] / problem.chips
+        )
         log = ProofLog(
             problem.chips,
             self._limits(),
@@ -269,7 +315,10 @@ def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
     """Contribution of each chip at all frequencies, (n, Q)."""
     if not problem.scenarios:
         samples = circle_samples(problem.chips, oversampling=_OVERSAMPLING)
-        return np.asarray(np.exp(-2j * np.pi * np.arange(problem.chips)[:, None] * samples.fx), dtype=np.complex128)
+        return np.asarray(
+            np.exp(-2j * np.pi * np.arange(problem.chips)[:, None] * samples.fx),
+            dtype=np.complex128,
+        )
     rows = []
     for one, turned in problem.ways():
         path = one.path(reversed_path=turned)
@@ -295,7 +344,9 @@ _LEAST = 1e-6  # relative gain of a step
 
 
 def climbed(
-    code: Patterns, basis: NDArray[np.complex128], satisfied: Callable[[Patterns], NDArray[np.bool_]]
+    code: Patterns,
+    basis: NDArray[np.complex128],
+    satisfied: Callable[[Patterns], NDArray[np.bool_]],
 ) -> Patterns:
     """Flip the one or two chips that raise the smallest |H| most, for as long as any do.
 
@@ -319,4 +370,5 @@ def climbed(
         lowest = np.abs(dot(near, basis)).min(axis=1, initial=np.inf)
         if not len(near) or lowest.max() <= best + _LEAST * abs(best):
             return code
-        code, best = near[lowest.argmax()], float(lowest.max())
+        code = near[lowest.argmax()]
+        best = float(lowest.max())

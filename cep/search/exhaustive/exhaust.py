@@ -1,12 +1,14 @@
 """Compiled scan of the proven optimum: 1024 codes at a time, one bit each.
 
-A code is cut into far chips at both ends, near chips, and an inner block of ten. At a frequency the sum of all chips
-outside the block is a point of the plane; the plane is cut into square cells, and for every cell 1024 bits are kept:
-which of the 1024 inner patterns are not surely below the limit, wherever in the cell the point lies. One AND of 1024
-bits judges 1024 codes at one frequency, and a dozen and a half leave nothing of most blocks. The others are evaluated
-in float32 at all frequencies, with an allowance for rounding; the caller evaluates those that remain.
+A code is cut into far chips at both ends, near chips, and an inner block of ten. At a frequency
+the sum of all chips outside the block is a point of the plane; the plane is cut into square cells,
+and for every cell 1024 bits are kept: which of the 1024 inner patterns are not surely below the
+limit, wherever in the cell the point lies. One AND of 1024 bits judges 1024 codes at one
+frequency, and a dozen and a half leave nothing of most blocks. The others are evaluated in float32
+at all frequencies, with an allowance for rounding; the caller evaluates those that remain.
 
-Nothing is discarded without a frequency at which its |H| is below the limit: rounding costs speed, never the proof.
+Nothing is discarded without a frequency at which its |H| is below the limit: rounding costs speed,
+never the proof.
 """
 
 from __future__ import annotations
@@ -19,23 +21,6 @@ from numpy.typing import NDArray
 
 from cep.compiled import compiled
 from cep.search.problem import SearchProblem
-
-__all__ = [
-    "BYTES",
-    "INNER",
-    "SHIFT",
-    "Limits",
-    "Part",
-    "all_patterns",
-    "dot",
-    "fill_cells",
-    "free_runs",
-    "keeps_runs",
-    "possible",
-    "scan",
-    "sums_by_byte",
-]
-
 
 INNER = 10  # chips of a block: its 1024 bits are two vector registers
 BYTES = 6  # of a code: 48 chips at most
@@ -74,13 +59,20 @@ def all_patterns(chips: int) -> NDArray[np.int8]:
 def dot(patterns: NDArray[np.int8], basis: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Sum the chips' contributions, (R, Q); numpy multiplies mixed types without its fast routines."""
     chips, frequencies = basis.shape
-    parts = patterns.astype(np.float64) @ np.ascontiguousarray(basis).view(np.float64).reshape(chips, 2 * frequencies)
+    parts = patterns.astype(np.float64) @ np.ascontiguousarray(basis).view(np.float64).reshape(
+        chips, 2 * frequencies
+    )
     return parts.view(np.complex128).reshape(len(patterns), frequencies)
 
 
 @compiled
 def fill_cells(
-    inner: NDArray[np.float64], corner: NDArray[np.float64], step: float, slack: float, limit: float, grid: int
+    inner: NDArray[np.float64],
+    corner: NDArray[np.float64],
+    step: float,
+    slack: float,
+    limit: float,
+    grid: int,
 ) -> Bits:
     """Find the inner patterns that each cell leaves, (F * grid * grid * 16,) uint64.
 
@@ -89,7 +81,8 @@ def fill_cells(
     inner : (F, 2, 1024) float
         Sums of the inner patterns.
     corner : (F, 2) float
-        Lower left corner of each frequency's cells. The outermost cells stand for all beyond them and leave everything.
+        Lower left corner of each frequency's cells. The outermost cells stand for all beyond them
+        and leave everything.
     step : float
         Side of a cell.
     slack : float
@@ -97,10 +90,12 @@ def fill_cells(
     limit : float
         Smallest |H| of interest.
     """
-    frequencies, patterns = inner.shape[0], inner.shape[2]
+    frequencies = inner.shape[0]
+    patterns = inner.shape[2]
     words = patterns // 64
     cells = np.full(frequencies * grid * grid * words, ~np.uint64(0), np.uint64)
-    half, limit2 = step / 2 + slack, limit * limit
+    half = step / 2 + slack
+    limit2 = limit * limit
     for f in range(frequencies):
         for y in range(1, grid - 1):
             middle_y = corner[f, 1] + step * (y + 0.5)
@@ -113,7 +108,9 @@ def fill_cells(
                         # the farthest point of the cell decides
                         away_x = abs(inner[f, 0, word * 64 + bit] + middle_x) + half
                         away_y = abs(inner[f, 1, word * 64 + bit] + middle_y) + half
-                        left |= np.uint64(away_x * away_x + away_y * away_y >= limit2) << np.uint64(bit)
+                        left |= np.uint64(
+                            away_x * away_x + away_y * away_y >= limit2
+                        ) << np.uint64(bit)
                     cells[row * words + word] = left
     return cells
 
@@ -129,18 +126,28 @@ def sums_by_byte(basis: NDArray[np.complex128]) -> NDArray[np.float32]:
     chips, frequencies = basis.shape
     order = np.arange(-(-frequencies // LANES) * LANES)
     padded = np.zeros((8 * BYTES, order.size), np.complex128)
-    padded[:chips] = basis[:, np.where(order < frequencies, order, order - frequencies) % frequencies]
-    sums = np.stack([dot(all_patterns(8), padded[8 * byte : 8 * byte + 8]) for byte in range(BYTES)])
+    padded[:chips] = basis[
+        :, np.where(order < frequencies, order, order - frequencies) % frequencies
+    ]
+    sums = np.stack(
+        [dot(all_patterns(8), padded[8 * byte : 8 * byte + 8]) for byte in range(BYTES)]
+    )
     blocks = sums.reshape(BYTES, 256, -1, LANES).transpose(2, 0, 1, 3)
-    return np.ascontiguousarray(np.concatenate([blocks.real, blocks.imag], axis=-1), dtype=np.float32)
+    return np.ascontiguousarray(
+        np.concatenate([blocks.real, blocks.imag], axis=-1), dtype=np.float32
+    )
 
 
 @compiled
 def _reaches(code: np.uint64, dense: NDArray[np.float32], limit2: np.float32) -> bool:
     """Whether |H|^2 is not below the limit at any frequency."""
     mask = np.uint64(255)
-    b0, b1, b2 = code & mask, (code >> np.uint64(8)) & mask, (code >> np.uint64(16)) & mask
-    b3, b4, b5 = (code >> np.uint64(24)) & mask, (code >> np.uint64(32)) & mask, (code >> np.uint64(40)) & mask
+    b0 = code & mask
+    b1 = (code >> np.uint64(8)) & mask
+    b2 = (code >> np.uint64(16)) & mask
+    b3 = (code >> np.uint64(24)) & mask
+    b4 = (code >> np.uint64(32)) & mask
+    b5 = (code >> np.uint64(40)) & mask
     for block in range(dense.shape[0]):
         below = 0
         for q in range(LANES):
@@ -204,31 +211,41 @@ def scan(
     limit2 : float32
         Smallest |H|^2 of interest there, less rounding errors.
     span : (3,) int64
-        First head, end of heads, first tail of the first head. Its first and last are moved to where the scan stopped:
-        at the end, where ``found`` may not hold the next block, or at ``halt``.
+        First head, end of heads, first tail of the first head. Its first and last are moved to
+        where the scan stopped: at the end, where ``found`` may not hold the next block, or at
+        ``halt``.
     found : (M,) uint64
         Codes that reach the limit at every frequency.
     counts : (4,) int64
-        Raised by the number of codes within the limit on light, and of those that the cells left, that kept the run
-        limits, and that were found.
+        Raised by the number of codes within the limit on light, and of those that the cells left,
+        that kept the run limits, and that were found.
     halt : (1,) bool
         Set from another thread to stop.
     """
     rows = np.zeros(first_cell.size, np.uint32)
-    far, left = np.zeros(2 * first_cell.size, np.int32), np.zeros(inner_left.shape[1], np.uint64)
-    words, frequencies = left.size, first_cell.size
-    side, top, zero = np.int32(grid), np.int32(grid - 1), np.int32(0)
-    number, room = 0, found.size - near.bits.size * inner_bits.size
+    far = np.zeros(2 * first_cell.size, np.int32)
+    left = np.zeros(inner_left.shape[1], np.uint64)
+    words = left.size
+    frequencies = first_cell.size
+    side = np.int32(grid)
+    top = np.int32(grid - 1)
+    zero = np.int32(0)
+    number = 0
+    room = found.size - near.bits.size * inner_bits.size
     unlimited = free_runs(limits)
-    near_sums, near_opened, near_bits = near.sums, near.opened, near.bits
-    most_near, start = near_at.size - 2, span[2]
+    near_sums = near.sums
+    near_opened = near.opened
+    near_bits = near.bits
+    most_near = near_at.size - 2
+    start = span[2]
     for i in range(span[0], span[1]):
         for j in range(start, tails[i]):
             if number > room or halt[0]:
                 span[0], span[2] = i, j
                 return number
             opened = head.opened[i] + tail.opened[j]
-            low, high = max(limits.fewest - opened - INNER, 0), min(limits.most - opened, most_near)
+            low = max(limits.fewest - opened - INNER, 0)
+            high = min(limits.most - opened, most_near)
             # joined in the middle they may still be one pulse
             if low > high or head.pulses[i] + tail.pulses[j] - 1 > limits.max_pulses:
                 continue
@@ -241,18 +258,35 @@ def scan(
                 for f in range(frequencies):
                     x = (far[f] + near_sums[k, f]) >> SHIFT
                     y = (far[frequencies + f] + near_sums[k, frequencies + f]) >> SHIFT
-                    rows[f] = first_cell[f] + min(max(y, zero), top) * side + min(max(x, zero), top)
-                # plain loops over a length known only at run time: those become vector instructions
+                    rows[f] = (
+                        first_cell[f] + min(max(y, zero), top) * side + min(max(x, zero), top)
+                    )
+                # plain loops over a length known only at run time: those become vector
+                # instructions
                 some = np.uint64(1)
                 for word in range(words):
                     left[word] = inner_left[outside, word]
                 for at in range(0, rows.size, 8):
-                    a, b, c, d = rows[at] * words, rows[at + 1] * words, rows[at + 2] * words, rows[at + 3] * words
-                    e, f, g, h = rows[at + 4] * words, rows[at + 5] * words, rows[at + 6] * words, rows[at + 7] * words
+                    a = rows[at] * words
+                    b = rows[at + 1] * words
+                    c = rows[at + 2] * words
+                    d = rows[at + 3] * words
+                    e = rows[at + 4] * words
+                    f = rows[at + 5] * words
+                    g = rows[at + 6] * words
+                    h = rows[at + 7] * words
                     some = np.uint64(0)
                     for word in range(words):
-                        rest = left[word] & cells[a + word] & cells[b + word] & cells[c + word] & cells[d + word]
-                        rest &= cells[e + word] & cells[f + word] & cells[g + word] & cells[h + word]
+                        rest = (
+                            left[word]
+                            & cells[a + word]
+                            & cells[b + word]
+                            & cells[c + word]
+                            & cells[d + word]
+                        )
+                        rest &= (
+                            cells[e + word] & cells[f + word] & cells[g + word] & cells[h + word]
+                        )
                         left[word] = rest
                         some |= rest
                     if some == 0:
@@ -263,7 +297,12 @@ def scan(
                 for word in range(left.size):
                     rest = left[word]
                     while rest:
-                        code = outer | inner_bits[64 * word + _ones((rest & (~rest + np.uint64(1))) - np.uint64(1))]
+                        code = (
+                            outer
+                            | inner_bits[
+                                64 * word + _ones((rest & (~rest + np.uint64(1))) - np.uint64(1))
+                            ]
+                        )
                         rest &= rest - np.uint64(1)
                         counts[1] += 1
                         if not unlimited and not keeps_runs(code, limits):
@@ -327,7 +366,10 @@ def free_runs(limits: Limits) -> bool:
 @compiled
 def keeps_runs(code: np.uint64, limits: Limits) -> bool:
     """Whether every run limit holds; closed chips before the first and after the last pulse do not count."""
-    pulses, run, is_open, since = 0, limits.min_closed, False, 0
+    pulses = 0
+    run = limits.min_closed
+    is_open = False
+    since = 0
     while code:
         bit = (code & np.uint64(1)) != 0
         if bit != is_open:
@@ -337,29 +379,40 @@ def keeps_runs(code: np.uint64, limits: Limits) -> bool:
             elif pulses > 0 and (run < limits.min_closed or since < limits.min_period):
                 return False
             if bit:
-                pulses, since = pulses + 1, 0
-            is_open, run = bit, 0
+                pulses = pulses + 1
+                since = 0
+            is_open = bit
+            run = 0
         run += 1
         since += 1
         code >>= np.uint64(1)
     return pulses <= limits.max_pulses and limits.min_open <= run <= limits.max_open
 
 
-def possible(patterns: NDArray[np.int8], limits: Limits, ends: tuple[bool, bool]) -> NDArray[np.bool_]:
+def possible(
+    patterns: NDArray[np.int8], limits: Limits, ends: tuple[bool, bool]
+) -> NDArray[np.bool_]:
     """Which patterns may be part of a code that keeps the run limits; ``ends`` says whether the code ends there."""
-    if limits.min_open == limits.min_closed == limits.min_period == 1 and limits.max_open >= patterns.shape[1]:
+    if (
+        limits.min_open == limits.min_closed == limits.min_period == 1
+        and limits.max_open >= patterns.shape[1]
+    ):
         return np.ones(len(patterns), dtype=np.bool_)
     return np.array([_runs_fit(row.tolist(), limits, ends) for row in patterns], dtype=np.bool_)
 
 
 def _runs_fit(row: list[int], limits: Limits, ends: tuple[bool, bool]) -> bool:
     runs = [(bit, len(list(group))) for bit, group in groupby(row)]
-    place, began = 0, -limits.min_period
+    place = 0
+    began = -limits.min_period
     for index, (bit, length) in enumerate(runs):
-        starts_here, ends_here = index > 0 or (bit and ends[0]), index < len(runs) - 1 or (bit and ends[1])
+        starts_here = index > 0 or (bit and ends[0])
+        ends_here = index < len(runs) - 1 or (bit and ends[1])
         if starts_here and ends_here and length < (limits.min_open if bit else limits.min_closed):
             return False
-        if bit and (length > limits.max_open or (starts_here and place - began < limits.min_period)):
+        if bit and (
+            length > limits.max_open or (starts_here and place - began < limits.min_period)
+        ):
             return False
         if bit and starts_here:
             began = place

@@ -1,19 +1,21 @@
 """Compiled scan of a proof in blocks: codes are judged by their folded sums, whole families of codes at once.
 
-On the N = 4 q roots of unity a code may be rotated: chips that leave at one end come in at the other, and no |P|
-changes. There P splits, as in a fast Fourier transform. At every fourth root it depends on the sums g of chips a
-quarter apart, at the others of even order on the differences d of chips half folded, at the rest on the differences e
-of chips half a ring apart:
+On the N = 4 q roots of unity a code may be rotated: chips that leave at one end come in at the
+other, and no |P| changes. There P splits, as in a fast Fourier transform. At every fourth root it
+depends on the sums g of chips a quarter apart, at the others of even order on the differences d of
+chips half folded, at the rest on the differences e of chips half a ring apart:
 
     g[i] = a[i] + a[i + q] + a[i + 2 q] + a[i + 3 q]           0..4, q of them
     f[i] = a[i] + a[i + 2 q],  d[i] = f[i] - f[i + q]
     e[i] = a[i] - a[i + 2 q]
 
-One g below the limit discards up to 6^q codes, one f below it up to 2^(2 q). Of all g that are rotations or mirror
-images of each other one is taken. What is left at all N roots is turned to each of its N rotations and judged between
-the roots, where rotations differ, as codes of at most n <= N chips.
+One g below the limit discards up to 6^q codes, one f below it up to 2^(2 q). Of all g that are
+rotations or mirror images of each other one is taken. What is left at all N roots is turned to
+each of its N rotations and judged between the roots, where rotations differ, as codes of at most n
+<= N chips.
 
-Nothing is discarded without a frequency at which its |P| is below the limit, less an allowance for float32.
+Nothing is discarded without a frequency at which its |P| is below the limit, less an allowance for
+float32.
 """
 
 from __future__ import annotations
@@ -25,10 +27,17 @@ from numpy.typing import NDArray
 
 from cep.compiled import compiled, inlined
 
-__all__ = ["COUNTS", "LANES", "Folding", "codes_by_prefix", "folding", "scan_prefixes"]
-
 LANES = 16  # codes or frequencies side by side
-COUNTS = ("folds", "folds_left", "halves", "halves_left", "rings", "rings_left", "turns", "turns_left")
+COUNTS = (
+    "folds",
+    "folds_left",
+    "halves",
+    "halves_left",
+    "rings",
+    "rings_left",
+    "turns",
+    "turns_left",
+)
 """Counters of :func:`scan_prefixes`: sums g, sums f, codes up to rotation, and codes; judged, and left."""
 
 _PREFIX = 6  # sums by which blocks are cut
@@ -57,7 +66,8 @@ class Folding(NamedTuple):
     g_waves : (q, 2, F) float32
         Contribution of each sum at the roots that depend on g alone: real and imaginary parts.
     d_waves : (q, 2, F), e_waves : (2 q, 2, F) float32
-        Of each difference; F is a multiple of four and sixteen, the last frequencies repeat the first.
+        Of each difference; F is a multiple of four and sixteen, the last frequencies repeat the
+        first.
     between : (B, N, 2, 16) float32
         Of each chip at frequencies between the roots, sixteen at a time.
     limit2 : float32
@@ -84,21 +94,27 @@ def folding(chips: int, open_range: tuple[int, int], limit: float) -> Folding:
     def waves(places: int, order: int, turns: NDArray[np.int64], multiple: int) -> Floats:
         turns = np.resize(turns, -(-turns.size // multiple) * multiple)
         angle = -2 * np.pi * (np.outer(turns, np.arange(places)) % order) / order
-        return np.ascontiguousarray(np.stack([np.cos(angle), np.sin(angle)]).transpose(2, 0, 1), dtype=np.float32)
+        return np.ascontiguousarray(
+            np.stack([np.cos(angle), np.sin(angle)]).transpose(2, 0, 1), dtype=np.float32
+        )
 
     odd = np.arange(1, 4 * ring, 2)
     between = np.concatenate(
-        [waves(ring, order, odd[: order // 4], LANES) for order in (2 * ring, 4 * ring, 8 * ring)], axis=2
+        [waves(ring, order, odd[: order // 4], LANES) for order in (2 * ring, 4 * ring, 8 * ring)],
+        axis=2,
     )
     limit2 = max(limit - np.sqrt(2) * _ROUNDING, 0.0) ** 2
     return Folding(
-        quarter, chips, *open_range, min(_PREFIX, quarter - 1),
+        quarter,
+        chips,
+        *open_range,
+        min(_PREFIX, quarter - 1),
         waves(quarter, quarter, np.arange(1, quarter // 2 + 1), 1),
         waves(quarter, 2 * quarter, odd[odd <= quarter], 4),
         waves(2 * quarter, ring, odd[:quarter], LANES),
         np.ascontiguousarray(between.reshape(ring, 2, -1, LANES).transpose(2, 0, 1, 3)),
         np.float32(limit2 * (1 - 2.0**-20)),
-    )  # fmt: skip
+    )
 
 
 @compiled
@@ -108,7 +124,8 @@ def _images(packed: int, quarter: int) -> int:
     ``packed`` has three bits a sum, the first sum in the highest.
     """
     mask = (1 << (3 * quarter)) - 1
-    mirror, rest = 0, packed
+    mirror = 0
+    rest = packed
     for _ in range(quarter):
         mirror = (mirror << 3) | (rest & 7)
         rest >>= 3
@@ -150,7 +167,8 @@ def _codes_of(g: Counts, ways: Counts, fewest: int, most: int) -> int:
 
     ``ways`` has the number of four chips with each sum.
     """
-    opened, packed = 0, 0
+    opened = 0
+    packed = 0
     for i in range(g.size):
         opened += g[i]
         packed = (packed << 3) | g[i]
@@ -169,7 +187,8 @@ def codes_by_prefix(quarter: int, prefix: int, fewest: int, most: int) -> Counts
     """Count the codes, of N = 4 q chips each way round, that each prefix accounts for, (5^prefix,) int64."""
     total = np.zeros(5**prefix, np.int64)
     ways = np.array([1, 4, 6, 4, 1])
-    g, suffix = np.zeros(quarter, np.int64), quarter - prefix
+    g = np.zeros(quarter, np.int64)
+    suffix = quarter - prefix
     for p in range(total.size):
         if not _letters(p, prefix, g, 0):
             continue
@@ -180,10 +199,13 @@ def codes_by_prefix(quarter: int, prefix: int, fewest: int, most: int) -> Counts
 
 
 @inlined
-def _spread(low: Floats, number: Counts, places: Counts, until: int, waves: Floats, flat: Floats) -> int:
+def _spread(
+    low: Floats, number: Counts, places: Counts, until: int, waves: Floats, flat: Floats
+) -> int:
     """Sum all combinations of the first places' values, (F, 2, C); returns how many there are.
 
-    Place i takes ``number[i]`` values from ``low[i]`` on, two apart; the first place's change fastest.
+    Place i takes ``number[i]`` values from ``low[i]`` on, two apart; the first place's change
+    fastest.
     """
     count = 1
     for j in range(flat.shape[0]):
@@ -192,7 +214,8 @@ def _spread(low: Floats, number: Counts, places: Counts, until: int, waves: Floa
     for i in range(until):
         for j in range(flat.shape[0]):
             for part in range(2):
-                wave, known = waves[places[i], part, j], flat[j, part, :count]
+                wave = waves[places[i], part, j]
+                known = flat[j, part, :count]
                 for k in range(number[i] - 1, -1, -1):
                     new = flat[j, part, k * count : (k + 1) * count]
                     add = (low[i] + np.float32(2 * k)) * wave
@@ -216,7 +239,9 @@ def _spread_signs(places: Counts, within: int, waves: Floats, signs: Floats, tab
                 first -= waves[places[i], part, j]
             for q in range(LANES):
                 table[j, part, 0, q] = (
-                    (first + signs[0, q] * w1) + signs[1, q] * w2 + (signs[2, q] * w3 + signs[3, q] * w4)
+                    (first + signs[0, q] * w1)
+                    + signs[1, q] * w2
+                    + (signs[2, q] * w3 + signs[3, q] * w4)
                 )
             known = 1
             for i in range(5, within):
@@ -229,7 +254,15 @@ def _spread_signs(places: Counts, within: int, waves: Floats, signs: Floats, tab
 
 
 @inlined
-def _kept(outer: Floats, table: Floats, blocks: int, count: int, limit2: np.float32, keep: Floats, out: Counts) -> int:
+def _kept(
+    outer: Floats,
+    table: Floats,
+    blocks: int,
+    count: int,
+    limit2: np.float32,
+    keep: Floats,
+    out: Counts,
+) -> int:
     """Find the combinations that with the outer sums, (2, F), are nowhere below the limit; returns how many."""
     number = 0
     for block in range(blocks):
@@ -238,14 +271,27 @@ def _kept(outer: Floats, table: Floats, blocks: int, count: int, limit2: np.floa
             keep[q] = np.float32(1)
         for j in range(0, table.shape[0], 4):  # F is a multiple of four
             some = np.float32(0)
-            x0, y0, x1, y1 = outer[0, j], outer[1, j], outer[0, j + 1], outer[1, j + 1]
-            x2, y2, x3, y3 = outer[0, j + 2], outer[1, j + 2], outer[0, j + 3], outer[1, j + 3]
+            x0 = outer[0, j]
+            y0 = outer[1, j]
+            x1 = outer[0, j + 1]
+            y1 = outer[1, j + 1]
+            x2 = outer[0, j + 2]
+            y2 = outer[1, j + 2]
+            x3 = outer[0, j + 3]
+            y3 = outer[1, j + 3]
             for q in range(LANES):
-                a0, b0 = x0 + table[j, 0, block, q], y0 + table[j, 1, block, q]
-                a1, b1 = x1 + table[j + 1, 0, block, q], y1 + table[j + 1, 1, block, q]
-                a2, b2 = x2 + table[j + 2, 0, block, q], y2 + table[j + 2, 1, block, q]
-                a3, b3 = x3 + table[j + 3, 0, block, q], y3 + table[j + 3, 1, block, q]
-                low = min(min(a0 * a0 + b0 * b0, a1 * a1 + b1 * b1), min(a2 * a2 + b2 * b2, a3 * a3 + b3 * b3))
+                a0 = x0 + table[j, 0, block, q]
+                b0 = y0 + table[j, 1, block, q]
+                a1 = x1 + table[j + 1, 0, block, q]
+                b1 = y1 + table[j + 1, 1, block, q]
+                a2 = x2 + table[j + 2, 0, block, q]
+                b2 = y2 + table[j + 2, 1, block, q]
+                a3 = x3 + table[j + 3, 0, block, q]
+                b3 = y3 + table[j + 3, 1, block, q]
+                low = min(
+                    min(a0 * a0 + b0 * b0, a1 * a1 + b1 * b1),
+                    min(a2 * a2 + b2 * b2, a3 * a3 + b3 * b3),
+                )
                 left = keep[q] if low >= limit2 else np.float32(0)
                 keep[q] = left
                 some += left
@@ -269,7 +315,9 @@ def _turned(code: np.uint64, at: int, ring: int) -> np.uint64:
 
 
 @compiled
-def _reaches(code: np.uint64, ring: int, between: Floats, limit2: np.float32, sums: Floats) -> bool:
+def _reaches(
+    code: np.uint64, ring: int, between: Floats, limit2: np.float32, sums: Floats
+) -> bool:
     """Whether |P|^2 is not below the limit between the roots either."""
     for block in range(between.shape[0]):
         for q in range(LANES):
@@ -300,9 +348,12 @@ def _turns(
     counts: Counts,
 ) -> int:
     """Judge the codes that begin at each open chip of a ring; returns the number found so far, -1 for too many."""
-    ring, between, limit2 = 4 * fold.quarter, fold.between, fold.limit2
+    ring = 4 * fold.quarter
+    between = fold.between
+    limit2 = fold.limit2
     # a length known only at run time: such loops become vector instructions
-    lanes, opened = sums.shape[1], 0
+    lanes = sums.shape[1]
+    opened = 0
     for q in range(lanes):
         sums[0, q] = np.float32(0)
         sums[1, q] = np.float32(0)
@@ -347,21 +398,28 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
         Range of prefixes, read as numbers to the base 5.
     fold : Folding
     found : (M,) uint64
-        Codes that reach the limit at all 8 N samples of the circle, the first chip in the lowest bit.
+        Codes that reach the limit at all 8 N samples of the circle, the first chip in the lowest
+        bit.
     counts : (9,) int64
-        Raised by those of :data:`COUNTS`, and by the number of codes accounted for, each way round and closed chips at
-        either end included.
+        Raised by those of :data:`COUNTS`, and by the number of codes accounted for, each way round
+        and closed chips at either end included.
 
     Returns
     -------
     int
         -1 where ``found`` is too small.
     """
-    quarter, prefix, limit2 = fold.quarter, fold.prefix, fold.limit2
-    half, suffix = 2 * quarter, quarter - prefix
+    quarter = fold.quarter
+    prefix = fold.prefix
+    limit2 = fold.limit2
+    half = 2 * quarter
+    suffix = quarter - prefix
     ways = np.array([1, 4, 6, 4, 1])
-    g, f = np.zeros(quarter, np.int64), np.zeros(half, np.int64)
-    d_places, d_number, d_low = np.zeros(quarter, np.int64), np.zeros(quarter, np.int64), np.zeros(quarter, np.float32)
+    g = np.zeros(quarter, np.int64)
+    f = np.zeros(half, np.int64)
+    d_places = np.zeros(quarter, np.int64)
+    d_number = np.zeros(quarter, np.int64)
+    d_low = np.zeros(quarter, np.float32)
     e_places = np.zeros(half, np.int64)
     d_value = np.zeros(quarter, np.int64)
     blocks = 3 * _INNER // LANES
@@ -372,11 +430,17 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
     for q in range(LANES):
         for i in range(4):
             signs[i, q] = 2 * ((q >> i) & 1) - 1
-    d_outer, e_outer = np.zeros((2, LANES), np.float32), np.zeros((2, LANES), np.float32)
-    d_kept, e_kept = np.zeros(blocks * LANES, np.int64), np.zeros(1 << (_WITHIN - 1), np.int64)
-    keep, sums, more = np.zeros(LANES, np.float32), np.zeros((2, LANES), np.float32), np.zeros((2, LANES), np.float32)
+    d_outer = np.zeros((2, LANES), np.float32)
+    e_outer = np.zeros((2, LANES), np.float32)
+    d_kept = np.zeros(blocks * LANES, np.int64)
+    e_kept = np.zeros(1 << (_WITHIN - 1), np.int64)
+    keep = np.zeros(LANES, np.float32)
+    sums = np.zeros((2, LANES), np.float32)
+    more = np.zeros((2, LANES), np.float32)
     opened_at = np.zeros(4 * quarter, np.int64)
-    one, one_code, number = np.uint64(1), np.int64(1), 0
+    one = np.uint64(1)
+    one_code = np.int64(1)
+    number = 0
     for p in range(first, until):
         if not _letters(p, prefix, g, 0):
             continue
@@ -389,7 +453,8 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
             counts[8] += codes
             below = False
             for j in range(fold.g_waves.shape[2]):
-                x, y = np.float32(0), np.float32(0)
+                x = np.float32(0)
+                y = np.float32(0)
                 for i in range(quarter):
                     x += g[i] * fold.g_waves[i, 0, j]
                     y += g[i] * fold.g_waves[i, 1, j]
@@ -400,7 +465,8 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
                 continue
             counts[1] += 1
             # the differences d; the sign of one is free, as the ring may be turned by a quarter
-            d_count, fixed = 0, -1
+            d_count = 0
+            fixed = -1
             for i in range(quarter):
                 if 0 < g[i] < 4:
                     d_places[d_count] = i
@@ -414,7 +480,8 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
                 d_low[fixed], d_number[fixed] = 0.0, 2
             else:
                 d_low[fixed], d_number[fixed] = 1.0, 1
-            inner, size = 0, 1
+            inner = 0
+            size = 1
             while inner < d_count and size < _INNER:
                 size *= d_number[inner]
                 inner += 1
@@ -433,7 +500,9 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
                     for part in range(2):
                         for j in range(d_flat.shape[0]):
                             d_outer[part, j] += value * fold.d_waves[d_places[i], part, j]
-                d_left = _kept(d_outer, d_table, (d_size + LANES - 1) // LANES, d_size, limit2, keep, d_kept)
+                d_left = _kept(
+                    d_outer, d_table, (d_size + LANES - 1) // LANES, d_size, limit2, keep, d_kept
+                )
                 counts[3] += d_left
                 for index in range(d_left):
                     rest = d_kept[index]
@@ -444,8 +513,12 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
                         f[i], f[i + quarter] = g[i] // 2, g[i] // 2
                     for i in range(d_count):
                         at = d_places[i]
-                        f[at], f[at + quarter] = (g[at] + d_value[i]) // 2, (g[at] - d_value[i]) // 2
-                    e_count, base = 0, np.uint64(0)
+                        f[at], f[at + quarter] = (
+                            (g[at] + d_value[i]) // 2,
+                            (g[at] - d_value[i]) // 2,
+                        )
+                    e_count = 0
+                    base = np.uint64(0)
                     for i in range(half):
                         if f[i] == 2:
                             base |= (one << np.uint64(i)) | (one << np.uint64(i + half))
@@ -461,7 +534,8 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
                     for around in range(one_code << (e_count - within)):
                         e_outer[:] = np.float32(0)
                         for i in range(within, e_count):
-                            sign, at = np.float32(2 * ((around >> (i - within)) & 1) - 1), e_places[i]
+                            sign = np.float32(2 * ((around >> (i - within)) & 1) - 1)
+                            at = e_places[i]
                             for q in range(LANES):
                                 e_outer[0, q] += sign * fold.e_waves[at, 0, q]
                                 e_outer[1, q] += sign * fold.e_waves[at, 1, q]
@@ -469,11 +543,14 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
                         counts[5] += e_left
                         for each in range(e_left):
                             # the sign of the first is free, as the ring may be turned by a half
-                            bits, rest = base | (one << np.uint64(e_places[0])), e_kept[each] | (around << (within - 1))
+                            bits = base | (one << np.uint64(e_places[0]))
+                            rest = e_kept[each] | (around << (within - 1))
                             for i in range(1, e_count):
                                 bits |= one << np.uint64(e_places[i] + (0 if rest & 1 else half))
                                 rest >>= 1
-                            number = _turns(bits, fold, opened_at, sums, more, found, number, counts)
+                            number = _turns(
+                                bits, fold, opened_at, sums, more, found, number, counts
+                            )
                             if number < 0:
                                 return -1
     return number

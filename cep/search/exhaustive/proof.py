@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import Minimum
 
-__all__ = ["BlockLog", "BundledLog", "ExactResult", "LengthLog", "ProofLog"]
-
 
 @dataclass(frozen=True)
 class LengthLog:
@@ -25,11 +23,11 @@ class LengthLog:
     codes : int
         Codes of that length, each way round counted.
     judged : int
-        Codes within the limit on light that the scan took up: mirror images mostly once, and none that break a run
-        limit in their first, last or middle chips.
+        Codes within the limit on light that the scan took up: mirror images mostly once, and none
+        that break a run limit in their first, last or middle chips.
     left_by_tables, kept_runs, left_by_samples : int
-        Of these, how many the bit tables left, kept every run limit, and were not below the limit at any sample.
-        The last are judged one by one.
+        Of these, how many the bit tables left, kept every run limit, and were not below the limit
+        at any sample. The last are judged one by one.
     done : tuple of (int, int)
         Ranges of heads that are finished, where not all are.
     complete : bool
@@ -47,7 +45,10 @@ class LengthLog:
     def grown(self, span: tuple[int, int], counts: NDArray[np.int64]) -> LengthLog:
         """Log after another range of heads."""
         names = ("judged", "left_by_tables", "kept_runs", "left_by_samples")
-        sums = {name: getattr(self, name) + int(count) for name, count in zip(names, counts, strict=True)}
+        sums = {
+            name: getattr(self, name) + int(count)
+            for name, count in zip(names, counts, strict=True)
+        }
         return replace(self, done=(*self.done, span), **sums)
 
 
@@ -64,11 +65,13 @@ class ProofLog:
         Frequencies of the minimum.
     lengths : tuple of LengthLog
     margin : float
-        Relative rounding allowance: codes are discarded below (1 - margin) times the best code's certified minimum.
+        Relative rounding allowance: codes are discarded below (1 - margin) times the best code's
+        certified minimum.
     bits : str
         Best code.
     lower, upper : float
-        The largest minimum lies between them; ``upper`` is Parseval's bound until the proof is complete.
+        The largest minimum lies between them; ``upper`` is Parseval's bound until the proof is
+        complete.
     ceiling : float
         Largest value judged so far.
     versions : dict
@@ -116,14 +119,15 @@ class BlockLog:
     file : str
     blocks, finished : int
     codes, judged : int
-        Of the ring on which codes are folded, each way round and closed chips at either end included: all of them, and
-        those of finished blocks.
+        Of the ring on which codes are folded, each way round and closed chips at either end
+        included: all of them, and those of finished blocks.
     bound : float
         The highest under which a block was judged.
     bits : str
         Best code.
     lower, upper : float
-        The largest minimum lies between them; ``upper`` is Parseval's bound until the proof is complete.
+        The largest minimum lies between them; ``upper`` is Parseval's bound until the proof is
+        complete.
     cpu_s : float
         Processor time of the finished blocks.
     """

@@ -1,6 +1,7 @@
 """File of a proof in blocks: a header, then a line for each finished block, appended as they come.
 
-The file is both the state of an unfinished proof and the proof itself. Format: docs/proofs/README.md.
+The file is both the state of an unfinished proof and the proof itself. Format:
+docs/proofs/README.md.
 """
 
 from __future__ import annotations
@@ -16,8 +17,6 @@ from cep.search.exhaustive.block_proof import VERSION, BlockPlan
 from motdiff.files.outputs import naming
 from motdiff.files.schemas import fault, load_schema
 
-__all__ = ["FILE_NAME", "SCHEMA", "ProofFile"]
-
 SCHEMA = "cep.proof/1"
 FILE_NAME = "proof.jsonl"
 
@@ -26,7 +25,9 @@ class ProofFile:
     """Records of a proof on disk; opened by one run at a time, see :meth:`open`."""
 
     def __init__(self, path: Path, plan: BlockPlan, records: dict[int, dict[str, Any]]) -> None:
-        self.path, self.plan, self.records = path, plan, records
+        self.path = path
+        self.plan = plan
+        self.records = records
         self._number = {block.first: index for index, block in enumerate(plan.blocks)}
 
     @classmethod
@@ -34,14 +35,14 @@ class ProofFile:
     def open(cls, folder: Path | str, plan: BlockPlan) -> Iterator[ProofFile]:
         """Open the proof in a folder, made where it is missing, and hold it until the end.
 
-        A last line that was cut short, as by a lost power supply, is dropped: its block is judged again. The file is
-        written with its first block: a proof that judged none leaves nothing.
+        A last line that was cut short, as by a lost power supply, is dropped: its block is judged
+        again. The file is written with its first block: a proof that judged none leaves nothing.
 
         Raises
         ------
         ValueError
-            If the folder is a file, another run holds it, or the file is of another problem or version, or damaged; it
-            stays as it is.
+            If the folder is a file, another run holds it, or the file is of another problem or
+            version, or damaged; it stays as it is.
         OSError
             If it cannot be written.
         """
@@ -58,7 +59,9 @@ class ProofFile:
                 try:
                     proof._take(record)
                 except ValueError as error:
-                    raise ValueError(f"{path}: line {line}: {error}; give another --cache") from None
+                    raise ValueError(
+                        f"{path}: line {line}: {error}; give another --cache"
+                    ) from None
             if whole is not None:
                 with path.open("r+b") as stream:
                     stream.truncate(end)
@@ -83,23 +86,34 @@ class ProofFile:
         lines: list[Mapping[str, Any]] = [record]
         if not self.path.exists() or not self.path.stat().st_size:
             lines.insert(0, _header(self.plan))
-        with naming({}, self.path), self.path.open("ab") as stream:  # a full disk does not name the file
+        with (
+            naming({}, self.path),
+            self.path.open("ab") as stream,
+        ):  # a full disk does not name the file
             stream.write(b"".join(map(_line, lines)))
             stream.flush()
             os.fsync(stream.fileno())
 
     def _take(self, record: Mapping[str, Any]) -> None:
         """Add a record that is on disk, or will be."""
-        if (wrong := fault(dict(record), load_schema("cep.files", "proof")["$defs"]["record"])) is not None:
+        if (
+            wrong := fault(dict(record), load_schema("cep.files", "proof")["$defs"]["record"])
+        ) is not None:
             raise ValueError(wrong)
         index = self._number.get(record.get("first", -1), -1)
         if index < 0 or record.get("until") != self.plan.blocks[index].until:
-            raise ValueError(f"there is no block of prefixes {record.get('first')} to {record.get('until')}")
+            raise ValueError(
+                f"there is no block of prefixes {record.get('first')} to {record.get('until')}"
+            )
         if index in self.records:
-            raise ValueError(f"the block of prefixes {record['first']} to {record['until']} comes twice")
+            raise ValueError(
+                f"the block of prefixes {record['first']} to {record['until']} comes twice"
+            )
         block = self.plan.blocks[index]
         if record.get("codes") != block.codes:
-            raise ValueError(f"the block does not add up: {record.get('codes')} codes instead of {block.codes}")
+            raise ValueError(
+                f"the block does not add up: {record.get('codes')} codes instead of {block.codes}"
+            )
         if len(record["survivors"].split()) != len(record["minima"].split()):
             raise ValueError("the block does not add up: as many minima as survivors are needed")
         self.records[index] = dict(record)
@@ -126,12 +140,16 @@ def _read(path: Path, plan: BlockPlan) -> tuple[list[dict[str, Any]], int]:
             if not isinstance(lines[-1], dict):
                 raise ValueError
         except (ValueError, RecursionError):
-            raise ValueError(f"{path}: line {number} is damaged; give another --cache, or delete that line") from None
+            raise ValueError(
+                f"{path}: line {number} is damaged; give another --cache, or delete that line"
+            ) from None
     header = lines[0] if lines else {}
     if header.get("schema") != SCHEMA:
         raise ValueError(f"{path}: is no proof ({SCHEMA}); give another --cache")
     if header.get("version") != VERSION:
-        raise ValueError(f"{path}: a proof of version {header.get('version')}, not {VERSION}; give another --cache")
+        raise ValueError(
+            f"{path}: a proof of version {header.get('version')}, not {VERSION}; give another --cache"
+        )
     if {key: header.get(key) for key in plan.header()} != plan.header():
         stored = f"{header.get('chips')} chips, {header.get('fewest_open')} to {header.get('most_open')} open"
         asked = f"{plan.chips} chips, {plan.fewest} to {plan.most} open"
@@ -163,7 +181,9 @@ def _held(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise ValueError(f"{folder}: another run works on this proof; give another --cache, or wait") from None
+            raise ValueError(
+                f"{folder}: another run works on this proof; give another --cache, or wait"
+            ) from None
         yield
     finally:
         os.close(handle)

@@ -23,11 +23,12 @@ from cep.search.exhaustive.proof_file import ProofFile
 from cep.search.problem import SearchProblem
 from cep.search.recipe import search_code
 
-__all__ = ["best_of", "prove"]
-
-_TIE = 1e-8  # minima as close as this are equal: the brighter code wins, then the shorter, then the first bits
+# minima as close as this are equal: the brighter code wins, then the shorter, then the first bits
+_TIE = 1e-8
 _START_STEPS = 4_000_000  # moves of the annealing that sets the first bound
-_FIRST_ROUND = 4  # blocks of a cluster, the next round twice as many: early ones find the better codes
+_FIRST_ROUND = (
+    4  # blocks of a cluster, the next round twice as many: early ones find the better codes
+)
 
 
 def prove(
@@ -90,7 +91,9 @@ def best_of(plan: BlockPlan, records: Any) -> str:
     """Return the best survivor of some records, closed chips added behind it; empty where there is none."""
     found: dict[str, float] = {}
     for record in records:
-        found |= zip(record["survivors"].split(), map(float, record["minima"].split()), strict=True)
+        found |= zip(
+            record["survivors"].split(), map(float, record["minima"].split()), strict=True
+        )
     if not found:
         return ""
     least = max(found.values()) * (1 - _TIE)
@@ -100,7 +103,9 @@ def best_of(plan: BlockPlan, records: Any) -> str:
 
 def _first(problem: SearchProblem, threads: int | None) -> str:
     """Return a code to begin with, proven before or annealed; the outcome does not depend on it."""
-    found = search_code(problem, rng=np.random.default_rng(0), steps=_START_STEPS, time_s=math.inf, threads=threads)
+    found = search_code(
+        problem, rng=np.random.default_rng(0), steps=_START_STEPS, time_s=math.inf, threads=threads
+    )
     return core(found.code.bits).ljust(problem.chips, "0")
 
 
@@ -122,12 +127,15 @@ def _judge(
     with closing(stream) as finishing:
         for key, finished in finishing:
             if finished.failure:
-                raise RuntimeError(f"block {key}: {finished.failure}; finished blocks are kept, run again to go on")
+                raise RuntimeError(
+                    f"block {key}: {finished.failure}; finished blocks are kept, run again to go on"
+                )
             proof.keep(finished.figures)
             done += plan.blocks[int(key)].codes
             better = best_of(plan, proof.records.values()) or best
             if better != best:
-                best, bound = better, max(bound, certified(better.rstrip("0")))
+                best = better
+                bound = max(bound, certified(better.rstrip("0")))
             if progress is not None:
                 progress(done / plan.codes, ShutterCode(best))
 
@@ -143,14 +151,19 @@ def _in_rounds(tasks: Iterator[Task], dask: str) -> Generator[tuple[str, Finishe
 def _task(plan: BlockPlan, index: int, bound: float) -> Task:
     block = plan.blocks[index]
     given = {
-        "chips": plan.chips, "fewest": plan.fewest, "most": plan.most, "first": block.first, "until": block.until,
+        "chips": plan.chips,
+        "fewest": plan.fewest,
+        "most": plan.most,
+        "first": block.first,
+        "until": block.until,
         "bound": bound,
-    }  # fmt: skip
+    }
     return str(index), (judge_block, given)
 
 
 def _result(proof: ProofFile, best: str, seconds: float) -> ExactResult:
-    plan, code = proof.plan, ShutterCode(best)
+    plan = proof.plan
+    code = ShutterCode(best)
     minimum = chip_minimum(code)
     records = proof.records.values()
     complete = not proof.missing
@@ -158,9 +171,18 @@ def _result(proof: ProofFile, best: str, seconds: float) -> ExactResult:
     # a bound above the best code would have hidden the codes between
     proven = complete and bound <= minimum.upper
     log = BlockLog(
-        chips=plan.chips, limits={"fewest_open": plan.fewest, "most_open": plan.most}, domain="the unit circle",
-        file=str(proof.path), blocks=len(plan.blocks), finished=len(records), codes=plan.codes,
-        judged=sum(record["codes"] for record in records), bound=bound, bits=best, lower=minimum.lower,
-        upper=minimum.upper if proven else math.sqrt(plan.most), cpu_s=sum(record["seconds"] for record in records),
-    )  # fmt: skip
+        chips=plan.chips,
+        limits={"fewest_open": plan.fewest, "most_open": plan.most},
+        domain="the unit circle",
+        file=str(proof.path),
+        blocks=len(plan.blocks),
+        finished=len(records),
+        codes=plan.codes,
+        judged=sum(record["codes"] for record in records),
+        bound=bound,
+        bits=best,
+        lower=minimum.lower,
+        upper=minimum.upper if proven else math.sqrt(plan.most),
+        cpu_s=sum(record["seconds"] for record in records),
+    )
     return ExactResult(code, minimum, log, seconds, proven)

@@ -1,12 +1,11 @@
 # mypy: disable-error-code="import-not-found"
 """Shutter controller of protocol CXP1, knowing no hardware: what to play, and when it may be played.
 
-Written for MicroPython 1.9 and later (no f-strings, no `struct`): it also runs on boards of 16 kB, and in CPython.
+Written for MicroPython 1.9 and later (no f-strings, no `struct`): it also runs on boards of 16 kB,
+and in CPython.
 """
 
 from cxp_text import from_text, to_text
-
-__all__ = ["Player", "crc32"]
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -74,8 +73,9 @@ class Player:
     clock : Clock
         MicroPython's module `time`.
     owed_us : int
-        Value of the attribute before a reset. With a limit of the open fraction, a play that is cut short owes the
-        closed chips the limit counted on: nothing is armed before it would have ended.
+        Value of the attribute before a reset. With a limit of the open fraction, a play that is
+        cut short owes the closed chips the limit counted on: nothing is armed before it would have
+        ended.
     """
 
     def __init__(self, shutter: "Shutter", clock: "Clock", owed_us: int = 0) -> None:
@@ -93,7 +93,8 @@ class Player:
         self._now = clock.ticks_us()
         self._uptime_us = self._now
         self._line = bytearray()
-        # The longest request, LOAD, with a few bytes more: a code slightly too long is still refused in words.
+        # The longest request, LOAD, with a few bytes more: a code slightly too long is still
+        # refused in words.
         self._longest = 2 * (32 + shutter.max_chips // 8)
         self._last = ()  # type: tuple[int, ...]
         self._reply = b""
@@ -103,7 +104,9 @@ class Player:
         """Take received bytes and return the bytes to send, often none."""
         out = b""
         for byte in data:
-            if byte == 10 or byte == 13:  # a carriage return alone ends a line too: terminals send it
+            if (
+                byte == 10 or byte == 13
+            ):  # a carriage return alone ends a line too: terminals send it
                 if self._line:
                     out += self._answer(bytes(self._line))
                     self._line = bytearray()
@@ -144,7 +147,9 @@ class Player:
     def _close(self, state: int) -> None:
         begun = self.state != _ARMED or self.shutter.begun()
         self.shutter.close()
-        if state == _DONE or not (begun or self.shutter.begun()):  # a trigger may have come in between
+        if state == _DONE or not (
+            begun or self.shutter.begun()
+        ):  # a trigger may have come in between
             self.owed_us = 0
         self.state = state
 
@@ -209,7 +214,11 @@ class Player:
         s = self.shutter
         ticks = int.from_bytes(payload[:4], "little")
         code = payload[8:]
-        if not (s.min_ticks <= ticks <= s.max_ticks and 1 <= chips <= s.max_chips) or payload[4] or payload[5]:
+        if (
+            not (s.min_ticks <= ticks <= s.max_ticks and 1 <= chips <= s.max_chips)
+            or payload[4]
+            or payload[5]
+        ):
             return _OUT_OF_RANGE, b""
         opened, longest, padding = _census(code, chips)
         if not opened or padding:
@@ -226,19 +235,25 @@ class Player:
     def _arm(self, lease_ms: int) -> int:
         if not lease_ms:
             return _OUT_OF_RANGE
-        if self.state != _ARMED:  # a new lease must not disturb a trigger that comes this very moment
+        if (
+            self.state != _ARMED
+        ):  # a new lease must not disturb a trigger that comes this very moment
             if self.owed_us:
                 return _DUTY_LIMIT
             ticks, chips = self._timing()
             if self.shutter.max_duty < 1000:
-                self.owed_us = (ticks * chips * self.shutter.tick_ns + self.shutter.lead_ns) // 1000 + 1
+                self.owed_us = (
+                    ticks * chips * self.shutter.tick_ns + self.shutter.lead_ns
+                ) // 1000 + 1
             self.shutter.arm(ticks, chips, self._stored[8:])
             self.state = _ARMED
         self._lease_us = 1000 * lease_ms
         return _OK
 
     def _timing(self) -> "tuple[int, int]":
-        return int.from_bytes(self._stored[:4], "little"), int.from_bytes(self._stored[6:8], "little")
+        return int.from_bytes(self._stored[:4], "little"), int.from_bytes(
+            self._stored[6:8], "little"
+        )
 
     def _status(self) -> bytes:
         begun = 0

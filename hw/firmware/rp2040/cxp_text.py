@@ -1,7 +1,5 @@
 """CXP1's text framing for consoles: a colon, upper-case hexadecimal digits, a newline, and a CRC that guards them."""
 
-__all__ = ["crc16", "from_text", "to_text"]
-
 _DIGITS = b"0123456789ABCDEF"
 
 
@@ -9,7 +7,8 @@ def crc16(data: bytes) -> int:
     """CRC-16/CCITT-FALSE: polynomial 0x1021, initial value 0xFFFF, not reflected."""
     crc = 0xFFFF
     for byte in data:
-        # Eight steps of the shift register at once: what the top byte feeds back, and what that feeds back again.
+        # Eight steps of the shift register at once: what the top byte feeds back, and what that
+        # feeds back again.
         mixed = crc >> 8 ^ byte
         mixed ^= mixed >> 4
         crc = (crc << 8 ^ mixed << 12 ^ mixed << 5 ^ mixed) & 0xFFFF
@@ -37,7 +36,8 @@ def from_text(line: bytes) -> bytes:
         return b""
     frame = bytearray()
     for k in range(0, len(digits), 2):
-        high, low = _DIGITS.find(digits[k : k + 1]), _DIGITS.find(digits[k + 1 : k + 2])
+        high = _DIGITS.find(digits[k : k + 1])
+        low = _DIGITS.find(digits[k + 1 : k + 2])
         if high < 0 or low < 0:
             return b""
         frame.append(16 * high + low)

@@ -1,8 +1,6 @@
 # mypy: disable-error-code="import-not-found,attr-defined,no-untyped-call"
 """Shutter controller CXP1 on a board with an RP2040: what is wired where, and the console it is spoken to by."""
 
-__all__ = ["run"]
-
 SHUTTER_PIN = 15  # high is open; 10 kOhm to ground
 TRIGGER_PIN = 14  # a rising edge plays what is armed
 MAX_ON_US = 0  # longest opening the shutter stands, 0: any
@@ -33,7 +31,9 @@ def run() -> None:
         _serve(player, watchdog, registers)
     finally:
         shutter.close()
-        registers[_WATCHDOG_STOP] = _WATCHDOG_ENABLE  # there is no method for it, and the console must live on
+        registers[_WATCHDOG_STOP] = (
+            _WATCHDOG_ENABLE  # there is no method for it, and the console must live on
+        )
         micropython.kbd_intr(3)
 
 
@@ -55,7 +55,9 @@ def _serve(player, watchdog, registers):  # type: ignore[no-untyped-def]
             return
         before = byte
         reply = player.feed(byte)
-        _save(player, registers)  # a host that does not fetch the reply could hold it up until the reset
+        _save(
+            player, registers
+        )  # a host that does not fetch the reply could hold it up until the reset
         if reply:
             sys.stdout.buffer.write(reply)
 

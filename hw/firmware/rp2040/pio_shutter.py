@@ -2,11 +2,10 @@
 # ruff: noqa: F821  (the names of PIO instructions exist only while rp2.asm_pio runs the function)
 """Shutter played by a PIO state machine of an RP2040: every edge on its clock cycle, whatever the processor does.
 
-The whole code lies in the state machine before it is armed. When the last word is used up the state machine stalls, and
-what it stalls on is a closed chip behind the code: neither a crash nor a stopped host can hold the shutter open.
+The whole code lies in the state machine before it is armed. When the last word is used up the
+state machine stalls, and what it stalls on is a closed chip behind the code: neither a crash nor a
+stopped host can hold the shutter open.
 """
-
-__all__ = ["PioShutter", "reset_cause"]
 
 CLOCK_HZ = 125_000_000
 
@@ -15,7 +14,9 @@ _FDEBUG = 0x50200008  # PIO 0: sticky flags, among them TXSTALL of state machine
 _ADDR = 0x502000D4  # where state machine 0 is in its program
 _INSTR = 0x502000D8  # what is written here state machine 0 executes at once
 _IO_BANK = 0x40014000
-_INPUT_LOW, _INPUT_HIGH, _INPUT = 2 << 16, 3 << 16, 3 << 16  # GPIO control: what peripherals see of the pin
+_INPUT_LOW = 2 << 16  # GPIO control: what peripherals see of the pin
+_INPUT_HIGH = 3 << 16
+_INPUT = 3 << 16
 _REASON = 0x40058008  # watchdog: 1 its timer ran out, 2 software asked for the reset
 _CHIP_RESET = 0x40064008
 
@@ -41,19 +42,24 @@ class PioShutter:
 
     name = b"cxp-rp2040 1"
     flags = 2
-    max_chips = 287  # nine words of 32: one in the shift register, eight in the joined queue, less one closed chip
+    # nine words of 32: one in the shift register, eight in the joined queue, less one closed chip
+    max_chips = 287
     tick_ns = 8
     min_ticks = 125
     max_ticks = 0xFFFFFFFF
     lead_ns = 32  # two cycles of input synchronizer, one of `wait`, one of `out`
 
-    def __init__(self, shutter_pin: int, trigger_pin: int, *, max_on_us: int = 0, max_duty: int = 1000) -> None:
+    def __init__(
+        self, shutter_pin: int, trigger_pin: int, *, max_on_us: int = 0, max_duty: int = 1000
+    ) -> None:
         import machine
         import rp2
 
         self.max_on_ticks = max_on_us * 1000 // self.tick_ns
         if self.max_on_ticks > 0xFFFFFFFF:
-            raise ValueError("max_on_us must be at most 34359738: HELLO could not tell a longer one")
+            raise ValueError(
+                "max_on_us must be at most 34359738: HELLO could not tell a longer one"
+            )
         self.max_duty = max_duty
         self.reset_cause = reset_cause(machine.mem32)
         self._registers = machine.mem32
@@ -78,12 +84,14 @@ class PioShutter:
             Chips as bits, the first in the highest bit of the first byte.
         """
         self._init()
-        registers, machine = self._registers, self._machine
+        registers = self._registers
+        machine = self._machine
         machine.put(ticks - 3)  # a chip is `out`, `mov` and one more `jmp` than this number
         registers[_INSTR] = _PULL
         registers[_INSTR] = _MOV_ISR_OSR
         registers[_INSTR] = _OUT_NULL  # empties the shift register
-        # Filled up in front, so that the last word ends with just one closed chip and the end is seen at once.
+        # Filled up in front, so that the last word ends with just one closed chip and the end is
+        # seen at once.
         words = chips // 32 + 1
         bits = int.from_bytes(code, "big") >> 8 * len(code) - chips << 1
         machine.put(bits >> 32 * (words - 1))
@@ -97,7 +105,8 @@ class PioShutter:
 
     def start(self) -> None:
         """Make the rising edge inside the chip: one that comes from outside at the same moment does no harm."""
-        registers, control = self._registers, self._trigger_ctrl
+        registers = self._registers
+        control = self._trigger_ctrl
         normal = registers[control] & ~_INPUT
         registers[control] = normal | _INPUT_LOW
         registers[control] = normal | _INPUT_HIGH
@@ -122,7 +131,9 @@ class PioShutter:
 
     def _init(self) -> None:
         # Also empties the queue and closes the shutter.
-        self._machine.init(self._program, in_base=self._trigger, out_base=self._shutter, set_base=self._shutter)
+        self._machine.init(
+            self._program, in_base=self._trigger, out_base=self._shutter, set_base=self._shutter
+        )
         self._wait = self._registers[_ADDR]
 
 

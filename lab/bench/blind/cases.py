@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.files.images import read_image
 from lab.bench.blind.protocol import Protocol
@@ -17,10 +16,7 @@ from lab.evaluation.sets import Case, levin_photo
 from motdiff.crops import luminance
 from motdiff.simulate import border_px, photograph, visible
 from motdiff.trajectory import Trajectory
-
-__all__ = ["RealPhoto", "Shot", "check_real", "make_case", "real_pair", "real_photos", "shot_of"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -61,7 +57,11 @@ class Shot:
 
 
 def shot_of(
-    protocol: Protocol, label: str, motion: int, photons: float | None, generator: Mapping[str, Any] | None = None
+    protocol: Protocol,
+    label: str,
+    motion: int,
+    photons: float | None,
+    generator: Mapping[str, Any] | None = None,
 ) -> Shot:
     """Return the settings of photo ``label`` with a motion in a protocol; independent of other photos and motions."""
     name = tuple(label.encode())
@@ -103,7 +103,7 @@ def make_case(photo: Path, motion: Trajectory, shot: Shot) -> Case:
     return Case(blurred, psf, visible(scene, shot.psf_px, borders=shot.borders), motion)
 
 
-# -- real photos ------------------------------------------------------------------------------------------------------
+# -- real photos ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -128,15 +128,16 @@ class RealPhoto:
 def real_photos(folder: Path | str, count: int) -> tuple[RealPhoto, ...]:
     """List photos with real blur, at most ``count`` of them, evenly chosen; empty where the folder has another layout.
 
-    Levin's have sharp photos and kernels, RSBlur's sharp photos, Koehler's sharp frames; Koehler's photos as
-    distributed with PMP have neither.
+    Levin's have sharp photos and kernels, RSBlur's sharp photos, Koehler's sharp frames; Koehler's
+    photos as distributed with PMP have neither.
 
     Raises
     ------
     ValueError
         If there is no such folder, or only some photos have a sharp one.
     """
-    root, layout = Path(folder), layout_of(folder)
+    root = Path(folder)
+    layout = layout_of(folder)
     found = _LISTED[layout](root) if layout in _LISTED else []
     number = min(count, len(found))
     # from the first to the last: four of Levin's sixteen are then four scenes with four shakes
@@ -149,7 +150,8 @@ def check_real(photos: Sequence[RealPhoto], crop_px: int) -> None:
     Raises
     ------
     ValueError
-        If a file is no photo or too small, or a photo and its sharp one differ in size; the line names the file.
+        If a file is no photo or too small, or a photo and its sharp one differ in size; the line
+        names the file.
     """
     for photo in photos:
         if photo.blurred.suffix == ".mat":
@@ -179,7 +181,10 @@ def real_pair(
 
 def _levin(root: Path) -> list[RealPhoto]:
     paths = sorted(root.glob("*.mat"))
-    return [RealPhoto(path.stem.partition("_")[0], path.stem.partition("_")[2] or "1", path) for path in paths]
+    return [
+        RealPhoto(path.stem.partition("_")[0], path.stem.partition("_")[2] or "1", path)
+        for path in paths
+    ]
 
 
 def _koehler(root: Path) -> list[RealPhoto]:
@@ -195,7 +200,9 @@ def _rsblur(root: Path) -> list[RealPhoto]:
 def _check_sizes(blurred: Path, sharp: Path) -> None:
     shapes = [read_image(path).shape for path in (blurred, sharp)]
     if shapes[0] != shapes[1]:
-        raise ValueError(f"{blurred}: has the shape {shapes[0]}, its sharp photo {shapes[1]}; they must be pairs")
+        raise ValueError(
+            f"{blurred}: has the shape {shapes[0]}, its sharp photo {shapes[1]}; they must be pairs"
+        )
 
 
 _LISTED = {"levin": _levin, "koehler": _koehler, "rsblur": _rsblur}

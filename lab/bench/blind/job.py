@@ -18,8 +18,6 @@ from lab.bench.job import Job, Part, outcome_warnings, part_of_tables, spelled
 from lab.bench.tables import Table
 from motdiff.files.gyro_tables import read_gyro
 
-__all__ = ["blind_job", "speed_job"]
-
 
 def blind_job(
     output: Path,
@@ -44,7 +42,8 @@ def blind_job(
     protocol : str
         As of :meth:`lab.bench.blind.protocol.Protocol.load`.
     methods : sequence of str
-        Estimators; those of every table when empty, as of :func:`lab.bench.blind.methods.select_methods`.
+        Estimators; those of every table when empty, as of
+        :func:`lab.bench.blind.methods.select_methods`.
     gyro : Path, optional
         Recording of a gyroscope for the hand shake.
     quick : bool
@@ -60,9 +59,18 @@ def blind_job(
         If a file cannot be read.
     """
     return _job(
-        "blind", "Blind, {protocol}", output, engine, data=data, protocol=protocol, methods=methods, gyro=gyro,
-        quick=quick, force=force, laid_out=_blind_tables,
-    )  # fmt: skip
+        "blind",
+        "Blind, {protocol}",
+        output,
+        engine,
+        data=data,
+        protocol=protocol,
+        methods=methods,
+        gyro=gyro,
+        quick=quick,
+        force=force,
+        laid_out=_blind_tables,
+    )
 
 
 def speed_job(
@@ -81,9 +89,19 @@ def speed_job(
     Cells that run beside others take longer: the engine should have one worker and no cluster.
     """
     return _job(
-        "speed", "One estimate from a photo of {crop_px} px, {protocol}", output, engine, data=data, protocol=protocol,
-        methods=methods, gyro=gyro, quick=quick, force=force, laid_out=_speed_tables, narrowed=one_cell_each,
-    )  # fmt: skip
+        "speed",
+        "One estimate from a photo of {crop_px} px, {protocol}",
+        output,
+        engine,
+        data=data,
+        protocol=protocol,
+        methods=methods,
+        gyro=gyro,
+        quick=quick,
+        force=force,
+        laid_out=_speed_tables,
+        narrowed=one_cell_each,
+    )
 
 
 _LaidOut = Callable[[Plan, Outcome, str], Sequence[Table]]
@@ -98,10 +116,20 @@ def _speed_tables(plan: Plan, outcome: Outcome, title: str) -> Sequence[Table]:
 
 
 def _job(
-    name: Literal["blind", "speed"], title: str, output: Path, engine: Engine, *, data: Path | None, protocol: str,
-    methods: Sequence[str], gyro: Path | None, quick: bool, force: bool, laid_out: _LaidOut,
+    name: Literal["blind", "speed"],
+    title: str,
+    output: Path,
+    engine: Engine,
+    *,
+    data: Path | None,
+    protocol: str,
+    methods: Sequence[str],
+    gyro: Path | None,
+    quick: bool,
+    force: bool,
+    laid_out: _LaidOut,
     narrowed: Callable[[Plan], Plan] = lambda plan: plan,
-) -> Job:  # fmt: skip
+) -> Job:
     """Plan a table of estimators: :func:`blind_job`, with what its title and tables are and which cells it has."""
     claim_folder(output, outputs(name), force=force)
     names, whole = _plan(data, protocol, methods, gyro, quick)
@@ -115,14 +143,27 @@ def _job(
         tables = laid_out(plan, outcome, headed)
         last = [one for one in CEILINGS[-1:] if any(cell.name[0] == one for cell in plan.cells)]
         files = write_report(
-            output, name, tables, plan=plan, outcome=outcome, command=command, warnings=warnings,
-            pictured=(*names, *last) if name == "blind" else (), unmeasured={} if methods else UNUSUAL, force=force,
-        )  # fmt: skip
+            output,
+            name,
+            tables,
+            plan=plan,
+            outcome=outcome,
+            command=command,
+            warnings=warnings,
+            pictured=(*names, *last) if name == "blind" else (),
+            unmeasured={} if methods else UNUSUAL,
+            force=force,
+        )
         return part_of_tables(
-            headed, command, tables, files,
+            headed,
+            command,
+            tables,
+            files,
             failures={"/".join(cell): reason for cell, reason in outcome.failures.items()},
-            missing=outcome.missing, warnings=warnings, machines=outcome.machines,
-        )  # fmt: skip
+            missing=outcome.missing,
+            warnings=warnings,
+            machines=outcome.machines,
+        )
 
     return Job({"folder": output, "protocol": plan.protocol, "methods": names}, run)
 
@@ -132,7 +173,9 @@ def _plan(
 ) -> tuple[tuple[str, ...], Plan]:
     loaded = Protocol.load(protocol, quick=quick)
     if gyro is not None and loaded.motion.gyro == 0:
-        raise ValueError(f"gyro: the protocol {loaded.name} has no hand shake, it would change nothing")
+        raise ValueError(
+            f"gyro: the protocol {loaded.name} has no hand shake, it would change nothing"
+        )
     trace = None if gyro is None else read_gyro(gyro)
     names, warnings = select_methods(methods)
     plan = blind_plan(loaded, names, folder=data, trace=trace)
@@ -140,7 +183,12 @@ def _plan(
 
 
 def _command(
-    name: str, data: Path | None, protocol: str, methods: Sequence[str], gyro: Path | None, quick: bool
+    name: str,
+    data: Path | None,
+    protocol: str,
+    methods: Sequence[str],
+    gyro: Path | None,
+    quick: bool,
 ) -> str:
     given = {
         "--data": data and data.resolve().name,

@@ -13,8 +13,6 @@ from motdiff.files.plugins import is_reference
 from motdiff.weights import DEFAULT_WEIGHTS
 from motdiff.weights.correction import CORRECTION_WEIGHTS
 
-__all__ = ["OURS", "SMALL_BUDGETS", "UNUSUAL", "USUAL", "budget_warning", "label_of", "select_methods", "version_of"]
-
 USUAL = ("pmp", "motdiff", "network", "parametric", "psf-diffusion")
 """Estimators of every table."""
 UNUSUAL = {"selfdeblur": "takes hours a photo", "blinddps": "needs weights, named blinddps:FOLDER"}
@@ -76,19 +74,32 @@ def select_methods(names: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
     for name in names:
         own = split_weights(name)[1]
         if own is None and (path := _weights(name)) is not None and not path.is_file():
-            raise ValueError(f"methods: {name} has no weights in this package ({path.name} is missing)")
-        named_estimators([name])  # refuses an unknown one, and broken weights, before hours of work
+            raise ValueError(
+                f"methods: {name} has no weights in this package ({path.name} is missing)"
+            )
+        named_estimators(
+            [name]
+        )  # refuses an unknown one, and broken weights, before hours of work
     if names:
         return tuple(_found_from_anywhere(name) for name in names), []
-    left_out = {name: path for name in USUAL if (path := _weights(name)) is not None and not path.is_file()}
-    warnings = [f"{name} is left out: {path.name} is not in this package" for name, path in left_out.items()]
+    left_out = {
+        name: path for name in USUAL if (path := _weights(name)) is not None and not path.is_file()
+    }
+    warnings = [
+        f"{name} is left out: {path.name} is not in this package"
+        for name, path in left_out.items()
+    ]
     return tuple(name for name in USUAL if name not in left_out), warnings
 
 
 def budget_warning(methods: Iterable[str]) -> str | None:
     """Warning that trained baselines among ``methods`` had less training than MoTDiff; None where there is none."""
     names = {method.split(":")[0] for method in methods}
-    if not (small := [f"{name} {samples:,}" for name, samples in SMALL_BUDGETS.items() if name in names]):
+    if not (
+        small := [
+            f"{name} {samples:,}" for name, samples in SMALL_BUDGETS.items() if name in names
+        ]
+    ):
         return None
     return (
         f"smaller training budgets than MoTDiff's 209,600 samples drawn from 13,376 prepared ones: "
@@ -107,10 +118,11 @@ def version_of(method: str) -> str:
     Parameters
     ----------
     method : str
-        An estimator, a floor or a ceiling. Of one of the user's own, the module that it names counts, and what of ours
-        that module imports.
+        An estimator, a floor or a ceiling. Of one of the user's own, the module that it names
+        counts, and what of ours that module imports.
     """
-    followed, alone = ["lab.evaluation.measure"], list(_TAKING)
+    followed = ["lab.evaluation.measure"]
+    alone = list(_TAKING)
     if method in (*FLOORS, *CEILINGS):
         return source_version([*followed, "lab.evaluation.floors"], alone=alone)
     first = split_weights(method)[0].split(":")[0]

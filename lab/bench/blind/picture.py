@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.files.foreign_text import plot_text
 from cep.jobs.cells import Cell, Result
@@ -22,14 +21,12 @@ from motdiff.metrics import laid_on
 from motdiff.psf_frame import in_frame
 from motdiff.simulate import to_linear
 from motdiff.threads import one_thread
+from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Shown", "blind_figure", "shown"]
-
-FloatArray = NDArray[np.float64]
 
 _TILE_IN = (0.9, 1.7)  # between these all columns are as wide as a page
 _INSET = 0.34
@@ -86,7 +83,10 @@ def shown(results: Sequence[Result], *, methods: Sequence[str], most: int = 4) -
                 sharp,
                 blurred,
                 truth,
-                {method: psf_from_text(str(result.finished.figures["psf"])) for method, result in found.items()},
+                {
+                    method: psf_from_text(str(result.finished.figures["psf"]))
+                    for method, result in found.items()
+                },
                 {method: _score(result) for method, result in found.items()},
                 _gamma(cell),
             )
@@ -138,10 +138,16 @@ def _photos(cell: Cell) -> tuple[FloatArray | None, FloatArray, FloatArray | Non
     given = cell.arguments
     if cell.work in (measure_simulated, measure_levin):
         levins = cell.work is measure_levin
-        case = levin_photo(given["photo"]) if levins else make_case(given["photo"], given["motion"], given["shot"])
+        case = (
+            levin_photo(given["photo"])
+            if levins
+            else make_case(given["photo"], given["motion"], given["shot"])
+        )
         return case.sharp, case.photo, case.psf
     photo = RealPhoto("", "", given["blurred"], given["sharp"])
-    blurred, sharp = real_pair(photo, crop_px=given["crop_px"], gamma=given["gamma"], crop_seed=given["crop_seed"])
+    blurred, sharp = real_pair(
+        photo, crop_px=given["crop_px"], gamma=given["gamma"], crop_seed=given["crop_seed"]
+    )
     return sharp, blurred, None
 
 
@@ -158,7 +164,8 @@ def _light(image: FloatArray, gamma: str) -> FloatArray:
 
 def _score(result: Result) -> str:
     figures = result.finished.figures
-    mnc, psnr_db = figures.get("mnc_subpixel"), figures.get("psnr_db")
+    mnc = figures.get("mnc_subpixel")
+    psnr_db = figures.get("psnr_db")
     texts = [] if mnc is None else [f"MNC {mnc:.2f}"]
     return ", ".join(texts if psnr_db is None else [*texts, f"{psnr_db:.1f} dB"])
 

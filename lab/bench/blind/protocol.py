@@ -16,9 +16,6 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import border_px
 from motdiff.trajectory import Trajectory
 
-__all__ = ["NAMES", "Motions", "Protocol", "drawn_shakes", "paired_shakes", "synthetic_trace"]
-
-
 NAMES = ("paper", "ours", "card-walks", "card-gyro")
 """Protocols of the package."""
 
@@ -53,11 +50,15 @@ class Motions:
                 f"boracchi_foi and gyro: must be shares of 0 or more, one above 0, got {self.boracchi_foi}, {self.gyro}"
             )
         if not 1 <= self.max_length_px <= 1000:
-            raise ValueError(f"max_length_px: must lie within 1..1000 px, got {self.max_length_px}")
+            raise ValueError(
+                f"max_length_px: must lie within 1..1000 px, got {self.max_length_px}"
+            )
         for name in ("extent_px", "exposure_s"):
             low, high = getattr(self, name)
             if not 0 < low <= high < 1000:
-                raise ValueError(f"{name}: must be two numbers above 0, the smaller first, got {low}, {high}")
+                raise ValueError(
+                    f"{name}: must be two numbers above 0, the smaller first, got {low}, {high}"
+                )
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ class Protocol:
     name : str
     photos, motions : int
     pairs : {"all", "each"}
-        Every photo is taken with every motion, or motion i with photo i alone (the photos come again in turns).
+        Every photo is taken with every motion, or motion i with photo i alone (the photos come
+        again in turns).
     crop_px : int, px
         Side of the photos taken.
     psf_px : int, px
@@ -118,7 +120,9 @@ class Protocol:
             ("seed", 0, 2**31),
         ):
             if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name}: must lie within {low}..{high}, got {getattr(self, name)}")
+                raise ValueError(
+                    f"{name}: must lie within {low}..{high}, got {getattr(self, name)}"
+                )
         if self.pairs not in ("all", "each"):
             raise ValueError(f'pairs: must be "all" or "each", got {self.pairs!r}')
         if self.pairs == "each" and self.psf_px != PSF_PX:
@@ -130,15 +134,21 @@ class Protocol:
         if wrong := [level for level in self.light_photons if not 0 < level <= 1e9]:
             raise ValueError(f"light_photons: must lie within 0..1e9 and above 0, got {wrong[0]}")
         if len(set(self.light_photons)) < len(self.light_photons):
-            raise ValueError(f"light_photons: every level must come once, got {list(self.light_photons)}")
+            raise ValueError(
+                f"light_photons: every level must come once, got {list(self.light_photons)}"
+            )
         if not 0 <= self.read_noise_e <= 1e4:
-            raise ValueError(f"read_noise_e: must lie within 0..1e4 electrons, got {self.read_noise_e}")
+            raise ValueError(
+                f"read_noise_e: must lie within 0..1e4 electrons, got {self.read_noise_e}"
+            )
         if self.read_noise_e > 0 and not self.light_photons:
             raise ValueError("read_noise_e: needs light_photons, the electrons of full scale")
         if not 0 <= self.read_sigma <= 1:
             raise ValueError(f"read_sigma: must lie within 0..1, got {self.read_sigma}")
         if self.read_sigma > 0 and self.light_photons:
-            raise ValueError("read_sigma: not valid with light_photons, whose noise is read_noise_e")
+            raise ValueError(
+                "read_sigma: not valid with light_photons, whose noise is read_noise_e"
+            )
 
     @property
     def least_px(self) -> int:
@@ -163,14 +173,17 @@ class Protocol:
         Raises
         ------
         ValueError
-            If the name is not known, or the file is no protocol; the line names the file and the entry.
+            If the name is not known, or the file is no protocol; the line names the file and the
+            entry.
         OSError
             If the file cannot be read.
         """
         known = str(name_or_path) in NAMES
         path = _FOLDER / f"{name_or_path}.toml" if known else Path(name_or_path)
         if path.suffix != ".toml":
-            raise ValueError(f"protocol: must be {', '.join(NAMES)}, or a .toml file, got {str(name_or_path)!r}")
+            raise ValueError(
+                f"protocol: must be {', '.join(NAMES)}, or a .toml file, got {str(name_or_path)!r}"
+            )
         table = read_toml(path)
         try:
             return _read(path.stem, table, quick=quick)
@@ -214,7 +227,9 @@ def _typed(values: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any
             typed[key] = value
         elif kind == "float" and number:
             typed[key] = float(value)
-        elif numbers and (kind == "tuple[float, ...]" or (kind == "tuple[float, float]" and len(value) == 2)):
+        elif numbers and (
+            kind == "tuple[float, ...]" or (kind == "tuple[float, float]" and len(value) == 2)
+        ):
             typed[key] = tuple(float(item) for item in value)
         elif kind.startswith("Literal") and isinstance(value, str):
             typed[key] = value
@@ -224,12 +239,18 @@ def _typed(values: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any
 
 
 _TRIES = 100
-_PAIRS, _OTHER_PAIRS = 0x6576616C, 0x6D65616E  # streams, apart from those of a training run of the same seed
-_DURATION_S, _RATE_HZ, _RATE_RAD_S = 60.0, 200.0, 0.1
-_LOW_HZ, _FALL_HZ = 0.5, 4.0
+_PAIRS = 0x6576616C  # streams, apart from those of a training run of the same seed
+_OTHER_PAIRS = 0x6D65616E
+_DURATION_S = 60.0
+_RATE_HZ = 200.0
+_RATE_RAD_S = 0.1
+_LOW_HZ = 0.5
+_FALL_HZ = 4.0
 
 
-def drawn_shakes(protocol: Protocol, trace: GyroTrace | None = None, *, stream: int = 0) -> tuple[Trajectory, ...]:
+def drawn_shakes(
+    protocol: Protocol, trace: GyroTrace | None = None, *, stream: int = 0
+) -> tuple[Trajectory, ...]:
     """Draw the motions of a protocol; motion i depends on the protocol's seed and motions, and on i.
 
     Parameters
@@ -248,7 +269,8 @@ def drawn_shakes(protocol: Protocol, trace: GyroTrace | None = None, *, stream: 
     if trace is None and protocol.motion.gyro > 0:
         trace = synthetic_trace()
     return tuple(
-        _drawn(protocol, trace, np.random.default_rng([protocol.seed, stream, i])) for i in range(protocol.motions)
+        _drawn(protocol, trace, np.random.default_rng([protocol.seed, stream, i]))
+        for i in range(protocol.motions)
     )
 
 
@@ -257,8 +279,8 @@ def paired_shakes(
 ) -> tuple[tuple[Trajectory, Mapping[str, Any]], ...]:
     """Draw the motions of a protocol whose photos have one motion each, and the generator of each photo.
 
-    One generator draws a motion, then the crop and the noise of its photo. The figures of the weights' cards are of
-    such photos.
+    One generator draws a motion, then the crop and the noise of its photo. The figures of the
+    weights' cards are of such photos.
 
     Parameters
     ----------
@@ -317,10 +339,15 @@ def _drawn(protocol: Protocol, trace: GyroTrace | None, rng: np.random.Generator
     for _ in range(_TRIES):
         if trace is not None and rng.random() < share:
             motion = random_gyro_motion(
-                trace, rng, exposure_s=rng.uniform(*wanted.exposure_s), extent_px=rng.uniform(*wanted.extent_px)
+                trace,
+                rng,
+                exposure_s=rng.uniform(*wanted.exposure_s),
+                extent_px=rng.uniform(*wanted.extent_px),
             )
         else:
             motion = boracchi_foi(rng, max_length_px=wanted.max_length_px)
         if motion.frame_size() <= protocol.psf_px:
             return motion
-    raise ValueError(f"motion: {_TRIES} drawn motions did not fit psf_px = {protocol.psf_px} px, make them shorter")
+    raise ValueError(
+        f"motion: {_TRIES} drawn motions did not fit psf_px = {protocol.psf_px} px, make them shorter"
+    )

@@ -17,15 +17,20 @@ from lab.bench.blind.methods import OURS
 from lab.bench.blind.picture import blind_figure, shown
 from lab.bench.blind.run import Plan
 from lab.bench.blind.work import CEILINGS
-from lab.bench.table_io import means_in_words, report_files, tables_markdown, write_figure, write_report_files
+from lab.bench.table_io import (
+    means_in_words,
+    report_files,
+    tables_markdown,
+    write_figure,
+    write_report_files,
+)
 from lab.bench.tables import Column, Table, differences, tabulate
 from lab.evaluation.measure import RESTORATION
 
-__all__ = ["blind_tables", "cells_csv", "outputs", "speed_tables", "write_report"]
-
-
 _CELLS = "-cells.csv"
-_RESTORED = (f"PSNR and SSIM are those of the photo's luminance restored, up to shift, by {RESTORATION}.",)
+_RESTORED = (
+    f"PSNR and SSIM are those of the photo's luminance restored, up to shift, by {RESTORATION}.",
+)
 
 
 def outputs(name: str) -> tuple[str, ...]:
@@ -78,7 +83,9 @@ def write_report(
     """
     lines = shown(outcome.results, methods=pictured) if pictured else []
     with new_folder(folder, outputs(name), force=force) as made:
-        text = _introduction(name, plan, outcome, tables, command, warnings) + tables_markdown(tables)
+        text = _introduction(name, plan, outcome, tables, command, warnings) + tables_markdown(
+            tables
+        )
         absent = {**(unmeasured or {}), **_failed(outcome)}
         text += "".join(
             f"\n{markdown_text(method)} is not measured: {markdown_text(reason)}.\n"
@@ -88,14 +95,26 @@ def write_report(
             write_figure(blind_figure(lines, pictured), made, name)
             text += f"\n![photos, kernels and what each method restores]({name}.png)\n"
         names = write_report_files(
-            made, name, tables, text=text, cells=(_CELLS, cells_csv(outcome.figures, outcome.failures)),
-            command=command, seed=plan.protocol.seed, machines=outcome.machines, warnings=warnings,
-        )  # fmt: skip
+            made,
+            name,
+            tables,
+            text=text,
+            cells=(_CELLS, cells_csv(outcome.figures, outcome.failures)),
+            command=command,
+            seed=plan.protocol.seed,
+            machines=outcome.machines,
+            warnings=warnings,
+        )
     return {item: folder / item for item in names}
 
 
 def _introduction(
-    name: str, plan: Plan, outcome: Outcome, tables: Sequence[Table], command: str, warnings: Sequence[str]
+    name: str,
+    plan: Plan,
+    outcome: Outcome,
+    tables: Sequence[Table],
+    command: str,
+    warnings: Sequence[str],
 ) -> str:
     machines = "; ".join(_in_words(machine) for machine in outcome.machines)
     restored = any(column.figure == "psnr_db" for table in tables for column in table.columns)
@@ -116,7 +135,9 @@ def _introduction(
 
 def _counts(plan: Plan) -> str:
     """Count photos and motions; a folder may hold fewer than the protocol asks for."""
-    photos, motions, taken = (len({cell.name[place] for cell in plan.cells}) for place in (1, 2, slice(1, 3)))
+    photos, motions, taken = (
+        len({cell.name[place] for cell in plan.cells}) for place in (1, 2, slice(1, 3))
+    )
     if not any("motion" in cell.arguments for cell in plan.cells):
         return f"{_number(taken, 'photo')} with real blur, of {_number(photos, 'scene')}"
     if taken == photos * motions:
@@ -131,13 +152,19 @@ def _number(count: int, what: str) -> str:
 def _failed(outcome: Outcome) -> dict[str, str]:
     """Return a reason for each method without a single figure."""
     measured = {name[0] for name, own in outcome.figures.items() if own}
-    return {name[0]: reason for name, reason in outcome.failures.items() if name[0] not in measured}
+    return {
+        name[0]: reason for name, reason in outcome.failures.items() if name[0] not in measured
+    }
 
 
 def _in_words(machine: Mapping[str, Any]) -> str:
     versions = machine["versions"]
-    packages = ", ".join(f"{package} {versions[package]}" for package in ("numpy", "torch") if versions.get(package))
-    return f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}, {packages}"
+    packages = ", ".join(
+        f"{package} {versions[package]}" for package in ("numpy", "torch") if versions.get(package)
+    )
+    return (
+        f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}, {packages}"
+    )
 
 
 Figures = Mapping[tuple[str, ...], Mapping[str, Figure]]
@@ -180,22 +207,37 @@ def blind_tables(figures: Figures, lights: Sequence[str], *, title: str, seed: i
         limits = {name: own for name, own in here.items() if name[0] in CEILINGS}
         tables.append(_table(f"{title}, {light}", measured, (*_QUALITY, _COST[0]), seed))
         if limits:
-            plain = tuple(Column(column.figure, column.head, None, column.digits) for column in _QUALITY)
-            tables.append(_table(f"{title}, {light}: kernels that know the truth", limits, plain, seed))
-        if drawn := {name: own for name, own in measured.items() if own.get("covered") is not None}:
-            tables.append(_table(f"{title}, {light}: several draws of each photo", drawn, _DRAWS, seed))
+            plain = tuple(
+                Column(column.figure, column.head, None, column.digits) for column in _QUALITY
+            )
+            tables.append(
+                _table(f"{title}, {light}: kernels that know the truth", limits, plain, seed)
+            )
+        if drawn := {
+            name: own for name, own in measured.items() if own.get("covered") is not None
+        }:
+            tables.append(
+                _table(f"{title}, {light}: several draws of each photo", drawn, _DRAWS, seed)
+            )
         ours = next((name for name in OURS if any(cell[0] == name for cell in here)), None)
         if ours is not None and len({name[0] for name in measured}) > 1:
             plain = tuple(Column(c.figure, c.head, None, c.digits) for c in (*_QUALITY, _COST[0]))
             tables.append(
-                _table(f"{title}, {light}: {ours} less each, paired", differences(measured, ours), plain, seed)
+                _table(
+                    f"{title}, {light}: {ours} less each, paired",
+                    differences(measured, ours),
+                    plain,
+                    seed,
+                )
             )
     return tables
 
 
 def speed_tables(figures: Figures, *, title: str, seed: int) -> list[Table]:
     """Summarise the cost of an estimate per method."""
-    return [_table(title, figures, (*_COST, Column("mnc_subpixel", "sub-pixel MNC", None, 3)), seed)]
+    return [
+        _table(title, figures, (*_COST, Column("mnc_subpixel", "sub-pixel MNC", None, 3)), seed)
+    ]
 
 
 def cells_csv(figures: Figures, failures: Mapping[tuple[str, ...], str]) -> str:
@@ -204,13 +246,21 @@ def cells_csv(figures: Figures, failures: Mapping[tuple[str, ...], str]) -> str:
     rows = [("method", "photo", "motion", "light", *names, "failure")]
     for name, own in figures.items():
         values = (own.get(key) for key in names)
-        texts = ("" if value is None else f"{value:.6g}" for value in values if not isinstance(value, str))
+        texts = (
+            "" if value is None else f"{value:.6g}"
+            for value in values
+            if not isinstance(value, str)
+        )
         rows.append((*name, *texts, failures.get(name, "")))
     return csv_lines(rows)
 
 
 def _table(title: str, figures: Figures, columns: Sequence[Column], seed: int) -> Table:
     # leave out a column that no cell has, such as PSNR without a sharp photo
-    used = [column for column in columns if any(own.get(column.figure) is not None for own in figures.values())]
+    used = [
+        column
+        for column in columns
+        if any(own.get(column.figure) is not None for own in figures.values())
+    ]
     # every photo has the same motions: cluster by both
     return tabulate(title, figures, used, rng=np.random.default_rng(seed), row=0, cluster=(1, 2))

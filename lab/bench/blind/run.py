@@ -12,14 +12,21 @@ from lab.bench.blind.cases import RealPhoto, check_real, real_photos, shot_of
 from lab.bench.blind.methods import budget_warning, label_of, version_of
 from lab.bench.blind.protocol import Protocol, drawn_shakes, paired_shakes
 from lab.bench.blind.work import CEILINGS, FLOORS, measure_levin, measure_real, measure_simulated
-from lab.bench.datasets import BUNDLED_WARNING, Layout, bundled_photos, labels_of, layout_of, photo_folder, pick
+from lab.bench.datasets import (
+    BUNDLED_WARNING,
+    Layout,
+    bundled_photos,
+    labels_of,
+    layout_of,
+    photo_folder,
+    pick,
+)
 from lab.evaluation.floors import mean_psf
 from motdiff.gyro import GyroTrace
 from motdiff.trajectory import Trajectory
 
-__all__ = ["Plan", "blind_plan", "one_cell_each"]
-
-_OTHERS, _OTHER_STREAM = 200, 1
+_OTHERS = 200
+_OTHER_STREAM = 1
 _BLIND = ("delta", "gaussian")
 _REAL: dict[Layout, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
     "levin": ("Levin's real shakes", _BLIND, ("true-kernel",)),
@@ -51,15 +58,20 @@ class Plan:
 
 
 def blind_plan(
-    protocol: Protocol, methods: Sequence[str], *, folder: Path | None = None, trace: GyroTrace | None = None
+    protocol: Protocol,
+    methods: Sequence[str],
+    *,
+    folder: Path | None = None,
+    trace: GyroTrace | None = None,
 ) -> Plan:
     """List the cells of a blind table, ordered by photo and motion: an interrupted run has complete pairs.
 
     Parameters
     ----------
     protocol : Protocol
-        Of photos with real blur (see :func:`lab.bench.blind.cases.real_photos`) only ``real_photos``, ``crop_px``,
-        ``gamma`` and ``seed`` count: their motion and noise are given.
+        Of photos with real blur (see :func:`lab.bench.blind.cases.real_photos`) only
+        ``real_photos``, ``crop_px``, ``gamma`` and ``seed`` count: their motion and noise are
+        given.
     methods : sequence of str
         Estimators.
     folder : Path, optional
@@ -83,28 +95,43 @@ def blind_plan(
 def one_cell_each(plan: Plan) -> Plan:
     """Keep one cell per photo and estimator, each photo with another motion, at the first light level."""
     photos = list(dict.fromkeys(cell.name[1] for cell in plan.cells))
-    shakes = {photo: list(dict.fromkeys(c.name[2] for c in plan.cells if c.name[1] == photo)) for photo in photos}
-    wanted = {photo: shakes[photo][index % len(shakes[photo])] for index, photo in enumerate(photos)}
+    shakes = {
+        photo: list(dict.fromkeys(c.name[2] for c in plan.cells if c.name[1] == photo))
+        for photo in photos
+    }
+    wanted = {
+        photo: shakes[photo][index % len(shakes[photo])] for index, photo in enumerate(photos)
+    }
     kept = [
         cell
         for cell in plan.cells
         for method, photo, shake, light in (cell.name,)
-        if method not in (*FLOORS, *CEILINGS) and shake == wanted[photo] and light == plan.lights[0]
+        if method not in (*FLOORS, *CEILINGS)
+        and shake == wanted[photo]
+        and light == plan.lights[0]
     ]
     return replace(plan, cells=tuple(kept), lights=plan.lights[:1])
 
 
-def _of_real(protocol: Protocol, methods: Sequence[str], layout: Layout, photos: Sequence[RealPhoto]) -> Plan:
+def _of_real(
+    protocol: Protocol, methods: Sequence[str], layout: Layout, photos: Sequence[RealPhoto]
+) -> Plan:
     light, floors, ceilings = _REAL[layout]
     check_real(photos, protocol.crop_px)
     if layout != "levin" and photos[0].sharp is None:
         floors = ()  # without a sharp photo a kernel cannot be evaluated
     versions = {method: version_of(method) for method in (*floors, *methods, *ceilings)}
-    cells = [_real_cell(protocol, layout, photo, method, versions[method]) for photo in photos for method in versions]
+    cells = [
+        _real_cell(protocol, layout, photo, method, versions[method])
+        for photo in photos
+        for method in versions
+    ]
     return Plan(protocol, tuple(cells), (light,))
 
 
-def _of_sharp(protocol: Protocol, methods: Sequence[str], folder: Path | None, trace: GyroTrace | None) -> Plan:
+def _of_sharp(
+    protocol: Protocol, methods: Sequence[str], folder: Path | None, trace: GyroTrace | None
+) -> Plan:
     found = bundled_photos() if folder is None else photo_folder(folder)
     photos = pick(found, protocol.photos, least_px=protocol.least_px)
     listed = tuple(zip(labels_of(photos), photos, strict=True))
@@ -116,12 +143,17 @@ def _of_sharp(protocol: Protocol, methods: Sequence[str], folder: Path | None, t
         others = tuple(motion for motion, _ in paired_shakes(protocol, trace, others=_OTHERS))
     else:
         motions = drawn_shakes(protocol, trace)
-        taken = [(*item, index, motion, None) for index, motion in enumerate(motions) for item in listed]
+        taken = [
+            (*item, index, motion, None) for index, motion in enumerate(motions) for item in listed
+        ]
         others = drawn_shakes(replace(protocol, motions=_OTHERS), trace, stream=_OTHER_STREAM)
     mean = mean_psf([motion.psf(protocol.psf_px) for motion in others])
     versions = {method: version_of(method) for method in (*FLOORS, *methods, *CEILINGS)}
     noise = f"noise {protocol.read_sigma:g}" if protocol.read_sigma else "no noise"
-    lights = {level: noise if level is None else f"{level:g} photo-electrons" for level in protocol.levels}
+    lights = {
+        level: noise if level is None else f"{level:g} photo-electrons"
+        for level in protocol.levels
+    }
     cells = [
         Cell(
             (label_of(method), label, f"{index:04d}", lights[level]),
@@ -144,16 +176,24 @@ def _of_sharp(protocol: Protocol, methods: Sequence[str], folder: Path | None, t
     if any(photo.absolute().parent in carried for photo in photos):
         warnings.append(BUNDLED_WARNING)
     if len(photos) < protocol.photos:
-        warnings.append(f"{len(photos)} photos instead of the {protocol.photos} of the protocol: there are no more")
+        warnings.append(
+            f"{len(photos)} photos instead of the {protocol.photos} of the protocol: there are no more"
+        )
     if protocol.motion.gyro > 0 and trace is None:
-        warnings.append("the hand shake is made of noise: a recording of a gyroscope makes it real")
+        warnings.append(
+            "the hand shake is made of noise: a recording of a gyroscope makes it real"
+        )
     return Plan(protocol, tuple(cells), tuple(lights.values()), tuple(warnings))
 
 
-def _real_cell(protocol: Protocol, layout: Layout, photo: RealPhoto, method: str, version: str) -> Cell:
+def _real_cell(
+    protocol: Protocol, layout: Layout, photo: RealPhoto, method: str, version: str
+) -> Cell:
     name = (label_of(method), photo.scene, photo.shake, _REAL[layout][0])
     if layout == "levin":
-        return Cell(name, measure_levin, {"method": method, "photo": photo.blurred}, version=version)
+        return Cell(
+            name, measure_levin, {"method": method, "photo": photo.blurred}, version=version
+        )
     arguments = {
         "method": method,
         "blurred": photo.blurred,

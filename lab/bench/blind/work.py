@@ -17,7 +17,14 @@ from cep.jobs.cells import Figure
 from lab.bench.blind.cases import RealPhoto, Shot, make_case, real_pair
 from lab.bench.psf_text import psf_from_text, psf_to_text
 from lab.evaluation.floors import floors, path_kernel, quadratic_kernel
-from lab.evaluation.measure import DRAW_FIGURES, FIGURES, Measured, measure_estimator, measure_psf, restored
+from lab.evaluation.measure import (
+    DRAW_FIGURES,
+    FIGURES,
+    Measured,
+    measure_estimator,
+    measure_psf,
+    restored,
+)
 from lab.evaluation.methods import named_estimators
 from lab.evaluation.sets import Case, levin_photo
 from motdiff.crops import luminance
@@ -25,25 +32,15 @@ from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.metrics import psnr_ssim_up_to_shift
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
-
-__all__ = [
-    "CEILINGS",
-    "FLOORS",
-    "TimedEstimator",
-    "measure_levin",
-    "measure_real",
-    "measure_simulated",
-]
-
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 FLOORS = ("delta", "gaussian", "mean-kernel")
 """Kernels that know nothing of the photo; the last is the mean of other motions of the kind."""
 CEILINGS = ("best-quadratic", "true-path", "true-kernel")
 """Kernels that know all: what a quadratic path, a path without dwell, and the restoration can reach."""
 
-_FARTHEST_PX = 10.0  # a blind kernel may be shifted, and in real photos the position of the true one is unknown
+# a blind kernel may be shifted, and in real photos the position of the true one is unknown
+_FARTHEST_PX = 10.0
 
 
 def measure_simulated(
@@ -64,7 +61,8 @@ def measure_simulated(
 
     Returns
     -------
-    dict of :data:`lab.evaluation.measure.FIGURES`, ``wall_s``, ``memory_mib`` and ``psf`` as a text
+    dict of :data:`lab.evaluation.measure.FIGURES`, ``wall_s``, ``memory_mib`` and ``psf`` as a
+    text
 
     Raises
     ------
@@ -80,7 +78,13 @@ def measure_levin(*, method: str, photo: Path) -> dict[str, Figure]:
 
 
 def measure_real(
-    *, method: str, blurred: Path, sharp: Path | None, crop_px: int, gamma: str, crop_seed: tuple[int, ...]
+    *,
+    method: str,
+    blurred: Path,
+    sharp: Path | None,
+    crop_px: int,
+    gamma: str,
+    crop_seed: tuple[int, ...],
 ) -> dict[str, Figure]:
     """Estimate the motion in a real photo of unknown kernel, and restore it.
 
@@ -104,11 +108,18 @@ def measure_real(
     known = floors().get(method)
     case = Case(photo, floors()["delta"])
     with one_thread():
-        figures = _of_estimator(method, case, restore=False) if known is None else {"psf": psf_to_text(known)}
+        figures = (
+            _of_estimator(method, case, restore=False)
+            if known is None
+            else {"psf": psf_to_text(known)}
+        )
         # figures that need a true kernel
-        figures |= dict.fromkeys(("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim", *DRAW_FIGURES))
+        figures |= dict.fromkeys(
+            ("mnc", "mnc_subpixel", "path_mnc", "path_px", "psnr_db", "ssim", *DRAW_FIGURES)
+        )
         if target is not None:
-            image, grey = restored(luminance(photo), psf_from_text(str(figures["psf"]))), luminance(target)
+            image = restored(luminance(photo), psf_from_text(str(figures["psf"])))
+            grey = luminance(target)
             psnr_db, ssim = psnr_ssim_up_to_shift(image, grey, max_shift_px=_FARTHEST_PX)
             figures |= {"psnr_db": psnr_db, "ssim": ssim}
     return figures
@@ -157,7 +168,8 @@ def _figures(measured: Measured) -> dict[str, Figure]:
     return {**known, "psf": psf_to_text(measured.psf)}
 
 
-_CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
+_CLEAR = Path("/proc/self/clear_refs")
+_STATUS = Path("/proc/self/status")
 
 
 @dataclass

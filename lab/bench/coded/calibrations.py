@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.calibration.order_codes import gray_planes
 from cep.codes.sources import load_codes
@@ -22,19 +22,7 @@ from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.metrics import mnc_subpixel, timed_distance_px
 from motdiff.trajectory import Trajectory, slice_psfs
-
-__all__ = [
-    "CALIBRATIONS",
-    "POINT",
-    "calibration_photos",
-    "codes_of_set",
-    "motion_from_codes",
-    "motion_from_light",
-    "moved_psfs",
-    "set_of_codes",
-]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 CALIBRATIONS: Mapping[str, str] = {
     "one coded": "designed1",
@@ -46,7 +34,8 @@ POINT = "point"
 """Kind of path that is found from a point light."""
 
 _SHIFT_PX = 2.0  # of a photo, at most, on each axis
-_LIT, _DARK = 0.8, 0.01  # of full scale: the brightest point of a light's streak, and what is around it
+_LIT = 0.8  # of full scale: the brightest point of a light's streak, and what is around it
+_DARK = 0.01
 _AROUND_PX = 160
 _LIGHT_CODE = "raskar-52"  # its gaps are short: where a code is closed a trail shows nothing
 
@@ -57,9 +46,9 @@ def codes_of_set(name: str, chips: int) -> tuple[str, ...]:
     Parameters
     ----------
     name : str
-        Parts joined by ``+``: ``open``; ``grayN``, the N bit planes of a Gray code; ``designedN``, the set that
-        ``cep calibration-set`` designs for N photos; ``half``, the first half open; bits, a published code's name or a
-        file.
+        Parts joined by ``+``: ``open``; ``grayN``, the N bit planes of a Gray code; ``designedN``,
+        the set that ``cep calibration-set`` designs for N photos; ``half``, the first half open;
+        bits, a published code's name or a file.
     chips : int
         Of the codes that have no length of their own.
 
@@ -82,7 +71,10 @@ def codes_of_set(name: str, chips: int) -> tuple[str, ...]:
         elif kind == "designed" and count:
             from cep.calibration.calibration_set import calibration_set
 
-            sources += [code.bits for code in calibration_set(int(count), chips=chips, rng=_design_rng()).codes]
+            sources += [
+                code.bits
+                for code in calibration_set(int(count), chips=chips, rng=_design_rng()).codes
+            ]
         elif part == "half":
             sources.append("1" * (chips // 2) + "0" * (chips - chips // 2))
         else:
@@ -101,7 +93,9 @@ def set_of_codes(*, name: str, chips: int) -> dict[str, str]:
     return {"codes": " ".join(codes_of_set(name, chips))}
 
 
-def moved_psfs(paths: Sequence[Trajectory], codes: Sequence[str], shifts_px: ArrayLike) -> FloatArray:
+def moved_psfs(
+    paths: Sequence[Trajectory], codes: Sequence[str], shifts_px: ArrayLike
+) -> FloatArray:
     """Light-true PSFs of photos of one motion, each through its own code and moved by its own shift.
 
     Parameters
@@ -115,7 +109,8 @@ def moved_psfs(paths: Sequence[Trajectory], codes: Sequence[str], shifts_px: Arr
 
     Returns
     -------
-    (I, S, S) float, the smallest odd frame that holds them all, zero displacement at index ``S // 2``
+    (I, S, S) float, the smallest odd frame that holds them all, zero displacement at index ``S //
+    2``
     """
     shifts = np.asarray(shifts_px, dtype=np.float64)
     moved = [
@@ -131,9 +126,15 @@ def moved_psfs(paths: Sequence[Trajectory], codes: Sequence[str], shifts_px: Arr
 
 
 def calibration_photos(
-    scene: ArrayLike, path: Trajectory, codes: Sequence[str], *, camera: Camera, rng: np.random.Generator,
-    borders: str, light_true: bool,
-) -> list[FloatArray]:  # fmt: skip
+    scene: ArrayLike,
+    path: Trajectory,
+    codes: Sequence[str],
+    *,
+    camera: Camera,
+    rng: np.random.Generator,
+    borders: str,
+    light_true: bool,
+) -> list[FloatArray]:
     """Take photos of a motion through codes, each moved by up to 2 px of its own.
 
     Parameters
@@ -155,15 +156,26 @@ def calibration_photos(
     shifts_px = rng.uniform(-_SHIFT_PX, _SHIFT_PX, (len(codes), 2))
     psfs = moved_psfs([path] * len(codes), codes, shifts_px)
     taken = (
-        capture(scene, psf if light_true else psf / psf.sum(), camera=camera, rng=rng, borders=borders) for psf in psfs
+        capture(
+            scene, psf if light_true else psf / psf.sum(), camera=camera, rng=rng, borders=borders
+        )
+        for psf in psfs
     )
     return [np.clip(photo, 0, 1) for photo in taken]
 
 
 def motion_from_codes(
-    photo: Path, *, side_px: int, gamma: Literal["linear", "srgb"], motion: str, codes: str, borders: str,
-    light_true: bool, camera: Mapping[str, Any], seed: int,
-) -> dict[str, float | str]:  # fmt: skip
+    photo: Path,
+    *,
+    side_px: int,
+    gamma: Literal["linear", "srgb"],
+    motion: str,
+    codes: str,
+    borders: str,
+    light_true: bool,
+    camera: Mapping[str, Any],
+    seed: int,
+) -> dict[str, float | str]:
     """Calibrate by coded photos of the most textured part of a photo.
 
     Parameters
@@ -185,29 +197,38 @@ def motion_from_codes(
 
     Returns
     -------
-    dict with ``paths``, ``mnc`` (sub-pixel, of the best path's own PSF), ``error_px`` (rms distance at equal times,
-    after the best shift), ``confidence``, ``cpu_s``
+    dict with ``paths``, ``mnc`` (sub-pixel, of the best path's own PSF), ``error_px`` (rms
+    distance at equal times, after the best shift), ``confidence``, ``cpu_s``
     """
     from motdiff.estimators.coded.estimator import CodedEstimator
 
-    truth, bits = paths_from(motion)[0][0], codes.split()
+    truth = paths_from(motion)[0][0]
+    bits = codes.split()
     photos = calibration_photos(
-        _textured(photo, side_px, gamma), truth, bits, camera=Camera.from_dict(camera),
-        rng=np.random.default_rng([seed, 7]), borders=borders, light_true=light_true,
-    )  # fmt: skip
+        _textured(photo, side_px, gamma),
+        truth,
+        bits,
+        camera=Camera.from_dict(camera),
+        rng=np.random.default_rng([seed, 7]),
+        borders=borders,
+        light_true=light_true,
+    )
     started = time.process_time()
     estimate = CodedEstimator(bits, seed=seed).estimate_from(photos)
     return _figures(estimate, truth, time.process_time() - started)
 
 
-def motion_from_light(*, motion: str, camera: Mapping[str, Any], seed: int) -> dict[str, float | str]:
+def motion_from_light(
+    *, motion: str, camera: Mapping[str, Any], seed: int
+) -> dict[str, float | str]:
     """Calibrate by a point light's trail through Raskar's code; as :func:`motion_from_codes` otherwise.
 
     The light is as bright as it may be without saturating.
     """
     from motdiff.estimators.coded.trail_estimator import TrailEstimator
 
-    truth, rng = paths_from(motion)[0][0], np.random.default_rng([seed, 8])
+    truth = paths_from(motion)[0][0]
+    rng = np.random.default_rng([seed, 8])
     codes = codes_of_set(_LIGHT_CODE, 0)
     (psf,) = moved_psfs([truth], codes, rng.uniform(-_SHIFT_PX, _SHIFT_PX, (1, 2)))
     side_px = len(psf) + _AROUND_PX

@@ -18,8 +18,6 @@ from cep.search.recipe import search_code
 from cep.search.scenarios import Scenario, class_scenarios
 from motdiff.trajectory import Trajectory
 
-__all__ = ["DESIGNS", "USUAL_DESIGNS", "Design", "MotionPrior", "design_code", "design_of"]
-
 
 @dataclass(frozen=True)
 class Design:
@@ -30,13 +28,15 @@ class Design:
     label : str
         For people.
     path : str
-        Motion prior: "none"; "class", other motions of the protocol's kind; "length", the true one; "ours" or
-        "parametric", an estimate from an open photo; a kind of :mod:`lab.bench.coded.calibrations`, an estimate from
-        other photos; "parametric oracle", the best quadratic path for the truth; "true".
+        Motion prior: "none"; "class", other motions of the protocol's kind; "length", the true
+        one; "ours" or "parametric", an estimate from an open photo; a kind of
+        :mod:`lab.bench.coded.calibrations`, an estimate from other photos; "parametric oracle",
+        the best quadratic path for the truth; "true".
     compared : bool
         Whether a table has its differences from every other row.
     only_named : bool
-        Whether it is measured only where it is asked for: its calibrations take long, or few need it.
+        Whether it is measured only where it is asked for: its calibrations take long, or few need
+        it.
     """
 
     label: str
@@ -58,17 +58,27 @@ DESIGNS: dict[str, Design] = {
     "raskar-52": Design("Raskar-52, published", "none"),
     "dnf": Design("DNF (length known, direction ignored)", "length"),
     "dce": Design("DCE (one learned code)", "none"),
-    "class-snapshot": Design("snapshot, best for such motions (no calibration)", "class", only_named=True),
+    "class-snapshot": Design(
+        "snapshot, best for such motions (no calibration)", "class", only_named=True
+    ),
     "class": Design("class code (mean over such motions, no calibration)", "class", compared=True),
     "parametric": Design("parametric (estimated quadratic path)", "parametric"),
     "parametric-oracle": Design("parametric oracle (best quadratic path)", "parametric oracle"),
     "one-way": Design("ours, one way (as the paper)", "ours"),
     "posterior": Design("ours, both ways, all alternatives", "ours"),
     "both-ways": Design("ours, both ways", "ours", compared=True),
-    "calibrated-1": Design("ours, calibrated by one coded photo", "one coded", compared=True, only_named=True),
-    "calibrated-2": Design("ours, calibrated by open + one coded", "open + one", compared=True, only_named=True),
-    "calibrated-4": Design("ours, calibrated by open + three coded", "open + three", compared=True, only_named=True),
-    "calibrated-point": Design("ours, calibrated by a point light", "point", compared=True, only_named=True),
+    "calibrated-1": Design(
+        "ours, calibrated by one coded photo", "one coded", compared=True, only_named=True
+    ),
+    "calibrated-2": Design(
+        "ours, calibrated by open + one coded", "open + one", compared=True, only_named=True
+    ),
+    "calibrated-4": Design(
+        "ours, calibrated by open + three coded", "open + three", compared=True, only_named=True
+    ),
+    "calibrated-point": Design(
+        "ours, calibrated by a point light", "point", compared=True, only_named=True
+    ),
     "oracle": Design("oracle (true path)", "true"),
 }
 """Rows of the table, in its order."""
@@ -94,9 +104,16 @@ class MotionPrior:
 
 
 def design_code(
-    design: str, prior: MotionPrior, *, chips: int, open_range: tuple[int, int], objective: str, camera: Camera,
-    steps: int, rng: np.random.Generator,
-) -> ShutterCode:  # fmt: skip
+    design: str,
+    prior: MotionPrior,
+    *,
+    chips: int,
+    open_range: tuple[int, int],
+    objective: str,
+    camera: Camera,
+    steps: int,
+    rng: np.random.Generator,
+) -> ShutterCode:
     """Choose a code.
 
     Parameters
@@ -106,7 +123,8 @@ def design_code(
     prior : MotionPrior
     chips : int
     open_range : (int, int)
-        Fewest and most open chips; snapshots and strobes need not keep it, published codes have their own.
+        Fewest and most open chips; snapshots and strobes need not keep it, published codes have
+        their own.
     objective : str
     camera : Camera
         Camera of the objective.
@@ -125,14 +143,20 @@ def design_code(
         return DCE_CODE
     if design == "dnf":
         assert prior.length_px is not None
-        return _searched(dnf_problem(prior.length_px, chips, open_range=open_range), steps=steps, rng=rng)
+        return _searched(
+            dnf_problem(prior.length_px, chips, open_range=open_range), steps=steps, rng=rng
+        )
     if design == "raskar-52":
         return published(design).code
     if design not in DESIGNS:
         raise ValueError(f"design: must be one of {', '.join(DESIGNS)}, got {design!r}")
-    problem = _problem(design, prior, chips=chips, open_range=open_range, objective=objective, camera=camera)
+    problem = _problem(
+        design, prior, chips=chips, open_range=open_range, objective=objective, camera=camera
+    )
     if design in ("snapshot", "class-snapshot", "strobe"):
-        best = (best_strobe if design == "strobe" else best_snapshot)(Objective(problem, oversampling=8))
+        best = (best_strobe if design == "strobe" else best_snapshot)(
+            Objective(problem, oversampling=8)
+        )
         if best is None:
             raise ValueError(f"chips: a strobe needs at least 3, got {chips}")
         return best
@@ -142,14 +166,23 @@ def design_code(
 
 
 def _searched(problem: SearchProblem, *, steps: int, rng: np.random.Generator) -> ShutterCode:
-    found = search_code(problem, rng=rng, steps=steps, time_s=math.inf, threads=1)  # other cells run beside
+    found = search_code(
+        problem, rng=rng, steps=steps, time_s=math.inf, threads=1
+    )  # other cells run beside
     if found.stopped == "interrupted":
-        raise KeyboardInterrupt  # an interrupted search had a smaller budget than the others, and cells are cached
+        # an interrupted search had a smaller budget than the others, and cells are cached
+        raise KeyboardInterrupt
     return found.code
 
 
 def _problem(
-    design: str, prior: MotionPrior, *, chips: int, open_range: tuple[int, int], objective: str, camera: Camera
+    design: str,
+    prior: MotionPrior,
+    *,
+    chips: int,
+    open_range: tuple[int, int],
+    objective: str,
+    camera: Camera,
 ) -> SearchProblem:
     kept = len(prior.paths) if design == "posterior" else 1
     one_way = design == "one-way" or DESIGNS[design].path == "class"

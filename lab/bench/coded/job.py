@@ -18,8 +18,6 @@ from lab.bench.coded.tables import coded_tables
 from lab.bench.job import Job, Part, part_of_tables, spelled
 from lab.bench.own_codes import load_own_codes, spelled_own_codes
 
-__all__ = ["cep_job"]
-
 
 def cep_job(
     output: Path,
@@ -58,8 +56,8 @@ def cep_job(
     Raises
     ------
     ValueError
-        If a file is in the way, an option is not valid, or the folder holds no usable photo. Names of designs are
-        checked when the job runs.
+        If a file is in the way, an option is not valid, or the folder holds no usable photo. Names
+        of designs are checked when the job runs.
     OSError
         If a file cannot be read.
     """
@@ -68,36 +66,61 @@ def cep_job(
     chosen = chosen.quick if quick else chosen
     names = list(designs) or list(USUAL_DESIGNS)
     own = load_own_codes(codes)
-    photos, scenes, warnings = _photos(data, chosen, calibrates=any(design_of(n).path in CALIBRATIONS for n in names))
+    photos, scenes, warnings = _photos(
+        data, chosen, calibrates=any(design_of(n).path in CALIBRATIONS for n in names)
+    )
     given = {
-        "--data": data and data.resolve().name, "--protocol": Path(protocol).name,
-        "--set": " --set ".join(map(quote, changes)), "--designs": ",".join(designs),
+        "--data": data and data.resolve().name,
+        "--protocol": Path(protocol).name,
+        "--set": " --set ".join(map(quote, changes)),
+        "--designs": ",".join(designs),
         "": spelled_own_codes(codes, own),
-    }  # fmt: skip
+    }
     command = spelled("cep", given, quick=quick)
 
     def run(progress: Callable[[float, str], None]) -> Part:
         measured = measure_coded(
-            chosen, photos, cache=engine.cache, designs=names, codes=own, calibrated_on=scenes, workers=engine.workers,
-            dask=engine.dask, progress=progress,
-        )  # fmt: skip
+            chosen,
+            photos,
+            cache=engine.cache,
+            designs=names,
+            codes=own,
+            calibrated_on=scenes,
+            workers=engine.workers,
+            dask=engine.dask,
+            progress=progress,
+        )
         all_warnings = [*warnings, *measured.warnings]
         if measured.failures:
             name, reason = next(iter(measured.failures.items()))
-            all_warnings.append(f"{len(measured.failures)} cells failed, the first: {name}: {reason}")
+            all_warnings.append(
+                f"{len(measured.failures)} cells failed, the first: {name}: {reason}"
+            )
         if measured.missing:
-            all_warnings.append("stopped early: cells are left out; the same command with --force goes on")
+            all_warnings.append(
+                "stopped early: cells are left out; the same command with --force goes on"
+            )
         tables = coded_tables(measured)
-        files = write_coded_report(output, tables, measured, command=command, warnings=all_warnings, force=force)
+        files = write_coded_report(
+            output, tables, measured, command=command, warnings=all_warnings, force=force
+        )
         return part_of_tables(
-            f"Coded exposure, {chosen.name}", command, tables, files, failures=measured.failures,
-            missing=measured.missing, warnings=all_warnings, machines=measured.machines,
-        )  # fmt: skip
+            f"Coded exposure, {chosen.name}",
+            command,
+            tables,
+            files,
+            failures=measured.failures,
+            missing=measured.missing,
+            warnings=all_warnings,
+            machines=measured.machines,
+        )
 
     about = {
-        "folder": output, "protocol": chosen.name, "designs": names,
+        "folder": output,
+        "protocol": chosen.name,
+        "designs": names,
         "codes": {name: one.bits for name, one in own.items()},
-    }  # fmt: skip
+    }
     return Job(about, run)
 
 
@@ -111,16 +134,22 @@ def _photos(
     if data is None:
         warnings.append(datasets.BUNDLED_WARNING)
     if len(picked) < protocol.photos:
-        warnings.append(f"{len(picked)} photos are large enough, the protocol asks for {protocol.photos}")
+        warnings.append(
+            f"{len(picked)} photos are large enough, the protocol asks for {protocol.photos}"
+        )
     scenes: tuple[Path, ...] = ()
     if calibrates:
         scenes = _others(paths, picked, protocol)
         if not scenes:
-            warnings.append("no other photos are large enough to calibrate on: calibrations show those restored")
+            warnings.append(
+                "no other photos are large enough to calibrate on: calibrations show those restored"
+            )
     return dict(zip(datasets.labels_of(picked), picked, strict=True)), scenes, warnings
 
 
-def _others(paths: Sequence[Path], picked: Sequence[Path], protocol: CodedProtocol) -> tuple[Path, ...]:
+def _others(
+    paths: Sequence[Path], picked: Sequence[Path], protocol: CodedProtocol
+) -> tuple[Path, ...]:
     rest = [path for path in paths if path not in picked]
     try:
         return datasets.pick(rest, protocol.motions, least_px=scene_px(protocol))

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.files.foreign_text import plot_text
 from cep.optics.code import ShutterCode
@@ -17,25 +16,27 @@ from lab.bench.coded.protocol import paths_from
 from lab.bench.coded.stages import pictures_of
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import to_linear
+from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["coded_figure"]
 
-FloatArray = NDArray[np.float64]
-
-_TILE_IN, _MARGIN_IN = (1.0, 1.9), 0.4  # between these all columns are as wide as a page
+_TILE_IN = (1.0, 1.9)  # between these all columns are as wide as a page
+_MARGIN_IN = 0.4
 _INSET = 0.3
 
 
-def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str, str], *, linear: bool) -> Figure:
+def coded_figure(
+    pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str, str], *, linear: bool
+) -> Figure:
     """Draw one photo and motion: the sharp photo with the motion's PSF, then a column per design.
 
     Parameters
     ----------
-    pictured : mapping from design to the arguments of :func:`lab.bench.coded.stages.pictures_of`, at least one
+    pictured : mapping from design to the arguments of :func:`lab.bench.coded.stages.pictures_of`,
+    at least one
     scores : mapping from design to the caption below its restored photo
     linear : bool
         Whether the photo is light, or code values, which are shown unchanged.
@@ -50,11 +51,16 @@ def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str,
         empty.set_axis_off()
     for column, name in enumerate(names, 1):
         arguments = pictured[name]
-        taken, code = pictures_of(**arguments), ShutterCode(arguments["bits"])
+        taken = pictures_of(**arguments)
+        code = ShutterCode(arguments["bits"])
         motion = paths_from(arguments["motion"])[0][0]
         if column == 1:  # every design has the same photo and motion
             _show(axes[0, 0], taken.target, linear=linear)
-            axes[0, 0].set_title(in_lines("photo, and PSF without a code", tile_in, size_pt), fontsize=size_pt, pad=14)
+            axes[0, 0].set_title(
+                in_lines("photo, and PSF without a code", tile_in, size_pt),
+                fontsize=size_pt,
+                pad=14,
+            )
             show_inset(axes[0, 0], motion.psf(PSF_PX), share=_INSET, cmap="inferno")
         light_true = taken.photo / max(code.duty, 1e-3) if arguments["light_true"] else taken.photo
         _show(axes[0, column], light_true, linear=linear)
@@ -63,7 +69,14 @@ def coded_figure(pictured: Mapping[str, Mapping[str, Any]], scores: Mapping[str,
             in_lines(plot_text(design_of(name).label), tile_in, size_pt), fontsize=size_pt, pad=14
         )
         strip = axes[0, column].inset_axes([0, 1.02, 1, 0.05])
-        strip.imshow(code.array[None, :], cmap="gray", aspect="auto", vmin=0, vmax=1, interpolation="nearest")
+        strip.imshow(
+            code.array[None, :],
+            cmap="gray",
+            aspect="auto",
+            vmin=0,
+            vmax=1,
+            interpolation="nearest",
+        )
         strip.set_xticks([])
         strip.set_yticks([])
         show_inset(axes[0, column], taken.psf, share=_INSET, cmap="inferno")

@@ -19,18 +19,23 @@ from motdiff.motions import boracchi_foi, quadratic, random_straight
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
-__all__ = ["PROTOCOLS", "CodedProtocol", "class_motions", "coded_protocol", "drawn_motions", "paths_from", "paths_to"]
-
-
 PROTOCOLS = ("paper", "ours")
 """Built in."""
 
 _MOST_PHOTONS = 1e9
 _WHOLE = {  # least and most; the comparison leaves out 32 px at each border
-    "photos": (1, 10_000), "motions": (1, 10_000), "crop_px": (80, 4096), "chips": (3, 4096), "bits": (1, 16),
-    "steps": (1, 10**12), "border_rounds": (0, 1000), "seed": (0, 2**31),
-    "quick_photos": (1, 10_000), "quick_motions": (1, 10_000), "quick_steps": (1, 10**12),
-}  # fmt: skip
+    "photos": (1, 10_000),
+    "motions": (1, 10_000),
+    "crop_px": (80, 4096),
+    "chips": (3, 4096),
+    "bits": (1, 16),
+    "steps": (1, 10**12),
+    "border_rounds": (0, 1000),
+    "seed": (0, 2**31),
+    "quick_photos": (1, 10_000),
+    "quick_motions": (1, 10_000),
+    "quick_steps": (1, 10**12),
+}
 _ALLOWED = {
     "borders": ("real", "symmetric"),
     "shakes": ("boracchi-foi", "mixed"),
@@ -60,24 +65,25 @@ class CodedProtocol:
     objective : str
         Of the search; see :mod:`cep.search.objective`.
     photons : tuple of float
-        Photo-electrons at full scale of each light level, for which codes are searched anew. Empty: no noise but the
-        quantisation, and each photo has the light of the open shutter: coding costs none.
+        Photo-electrons at full scale of each light level, for which codes are searched anew.
+        Empty: no noise but the quantisation, and each photo has the light of the open shutter:
+        coding costs none.
     calibration_photons : float
-        Light of the uncoded photo that motions are estimated from; without light levels it is as free of noise as the
-        others.
+        Light of the uncoded photo that motions are estimated from; without light levels it is as
+        free of noise as the others.
     bits : int
         Of the quantisation.
     read_noise_e : float
     restoration : str
-        One of :data:`cep.restoration.methods.METHODS`, or ``module:name`` of a function of the user's own that takes
-        (photo, psf).
+        One of :data:`cep.restoration.methods.METHODS`, or ``module:name`` of a function of the
+        user's own that takes (photo, psf).
     border_rounds : int
-        Rounds in which the restoration extends the photo beyond its borders. A blur of 60 px needs dozens. A
-        restoration of the user's own is not told.
+        Rounds in which the restoration extends the photo beyond its borders. A blur of 60 px needs
+        dozens. A restoration of the user's own is not told.
     restored_by : {"psf", "path", "estimate", "blind"}
-        Input of the restoration: the true coded PSF; the true path, of unknown direction; the path that the code
-        was designed for, tried in both directions; or the kernel that PMP finds in the restored photo itself, as of a
-        motion that never repeats.
+        Input of the restoration: the true coded PSF; the true path, of unknown direction; the path
+        that the code was designed for, tried in both directions; or the kernel that PMP finds in
+        the restored photo itself, as of a motion that never repeats.
     steps : int
         Moves of every search.
     seed : int
@@ -113,10 +119,14 @@ class CodedProtocol:
         for name, (least, most) in _WHOLE.items():
             value = getattr(self, name)
             if type(value) is not int or not least <= value <= most:
-                raise ValueError(f"{name}: must be a whole number within {least}..{most}, got {value!r}")
+                raise ValueError(
+                    f"{name}: must be a whole number within {least}..{most}, got {value!r}"
+                )
         for name, allowed in _ALLOWED.items():
             if getattr(self, name) not in allowed:
-                raise ValueError(f"{name}: must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
+                raise ValueError(
+                    f"{name}: must be one of {', '.join(allowed)}, got {getattr(self, name)!r}"
+                )
         for name in ("name", "restoration"):
             if not (isinstance(text := getattr(self, name), str) and text):
                 raise ValueError(f"{name}: must be a text that is not empty, got {text!r}")
@@ -126,18 +136,29 @@ class CodedProtocol:
             raise ValueError(f"restoration: {one_line(error).removeprefix('method: ')}") from None
         pair = self.open_range
         if not (_are(pair, int) and len(pair) == 2 and 1 <= pair[0] <= pair[1] <= self.chips):
-            raise ValueError(f"open_range: must be two numbers of chips within 1..{self.chips} in order, got {pair!r}")
+            raise ValueError(
+                f"open_range: must be two numbers of chips within 1..{self.chips} in order, got {pair!r}"
+            )
         for name in ("photons", "quick_photons"):
             levels = getattr(self, name)
-            if not (_are(levels, int, float) and all(0 < level <= _MOST_PHOTONS for level in levels)):
-                raise ValueError(f"{name}: must be a list of light levels above 0, up to 1e9, got {levels!r}")
+            if not (
+                _are(levels, int, float) and all(0 < level <= _MOST_PHOTONS for level in levels)
+            ):
+                raise ValueError(
+                    f"{name}: must be a list of light levels above 0, up to 1e9, got {levels!r}"
+                )
             if len(set(levels)) < len(levels):
                 raise ValueError(f"{name}: every level must come once, got {levels!r}")
             object.__setattr__(self, name, tuple(float(level) for level in levels))
-        for name, least_e, most_e in (("calibration_photons", 1e-3, _MOST_PHOTONS), ("read_noise_e", 0.0, 1e4)):
+        for name, least_e, most_e in (
+            ("calibration_photons", 1e-3, _MOST_PHOTONS),
+            ("read_noise_e", 0.0, 1e4),
+        ):
             value = getattr(self, name)
             if not (_are([value], int, float) and least_e <= value <= most_e):
-                raise ValueError(f"{name}: must be a number within {least_e:g}..{most_e:g}, got {value!r}")
+                raise ValueError(
+                    f"{name}: must be a number within {least_e:g}..{most_e:g}, got {value!r}"
+                )
         object.__setattr__(self, "open_range", tuple(self.open_range))
 
     @property
@@ -165,9 +186,15 @@ class CodedProtocol:
         """Camera at a light level."""
         if photons is None:
             return Camera(photons_full_scale=_MOST_PHOTONS, read_noise_e=0.0, bits=self.bits)
-        # a raw file's pedestal of 6 sigma: without it, clipped read noise would brighten the darkest photos
+        # a raw file's pedestal of 6 sigma: without it, clipped read noise would brighten the
+        # darkest photos
         pedestal = min(0.5, 6 * self.read_noise_e / photons)
-        return Camera(photons_full_scale=photons, read_noise_e=self.read_noise_e, bits=self.bits, black_level=pedestal)
+        return Camera(
+            photons_full_scale=photons,
+            read_noise_e=self.read_noise_e,
+            bits=self.bits,
+            black_level=pedestal,
+        )
 
 
 def coded_protocol(name: str, changes: Sequence[str] = ()) -> CodedProtocol:
@@ -177,7 +204,8 @@ def coded_protocol(name: str, changes: Sequence[str] = ()) -> CodedProtocol:
     ----------
     name : str
     changes : sequence of str
-        Fields with other values, each as in a protocol's file: ``motions=20``, ``photons=[10000]``.
+        Fields with other values, each as in a protocol's file: ``motions=20``,
+        ``photons=[10000]``.
 
     Raises
     ------
@@ -192,16 +220,22 @@ def coded_protocol(name: str, changes: Sequence[str] = ()) -> CodedProtocol:
     if name.endswith(".toml"):
         path = Path(name)
         if not path.exists():
-            raise ValueError(f"{name}: no such file; built-in protocols are {', '.join(PROTOCOLS)}")
+            raise ValueError(
+                f"{name}: no such file; built-in protocols are {', '.join(PROTOCOLS)}"
+            )
     elif name in PROTOCOLS:
         path = Path(__file__).parent / f"{name}.toml"
     else:
-        raise ValueError(f"protocol: must be one of {', '.join(PROTOCOLS)} or a .toml file, got {name[:40]!r}")
+        raise ValueError(
+            f"protocol: must be one of {', '.join(PROTOCOLS)} or a .toml file, got {name[:40]!r}"
+        )
     table = read_toml(path)
     known = {field.name for field in fields(CodedProtocol)}
     for what, names in (("unknown", set(table) - known), ("missing", known - set(table))):
         if names:
-            raise ValueError(f"{name}: field {min(names)[:40]!r} is {what}; the fields are {', '.join(sorted(known))}")
+            raise ValueError(
+                f"{name}: field {min(names)[:40]!r} is {what}; the fields are {', '.join(sorted(known))}"
+            )
     for change in changes:
         table |= _change(change, known)
     try:
@@ -214,13 +248,17 @@ def _change(text: str, known: Collection[str]) -> dict[str, Any]:
     """Read a field and its value from a line of TOML; a bare word is a text."""
     field, _, value = (part.strip() for part in text.partition("="))
     if field not in known:
-        raise ValueError(f"set: must be FIELD=VALUE with one of {', '.join(sorted(known))}, got {text[:40]!r}")
+        raise ValueError(
+            f"set: must be FIELD=VALUE with one of {', '.join(sorted(known))}, got {text[:40]!r}"
+        )
     try:
         read = {} if "\n" in value else tomllib.loads(f"{field} = {value}")
     except tomllib.TOMLDecodeError:
         read = {field: value} if value and set(value).isdisjoint("\"'[]{}=") else {}
     if not read:
-        raise ValueError(f"set: {field} needs a number, a text or a list as [1, 2], got {value[:40]!r}")
+        raise ValueError(
+            f"set: {field} needs a number, a text or a list as [1, 2], got {value[:40]!r}"
+        )
     return read
 
 
@@ -232,7 +270,12 @@ def _are(values: object, *kinds: type) -> bool:
 def paths_to(paths: Sequence[Trajectory], weights: Sequence[float]) -> str:
     """Write weighted paths as one line of text, for a table's cell."""
     rows = [
-        {"t": path.t.tolist(), "xy": path.xy.tolist(), "direction": path.direction, "weight": float(weight)}
+        {
+            "t": path.t.tolist(),
+            "xy": path.xy.tolist(),
+            "direction": path.direction,
+            "weight": float(weight),
+        }
         for path, weight in zip(paths, weights, strict=True)
     ]
     return json.dumps(rows)
@@ -241,7 +284,9 @@ def paths_to(paths: Sequence[Trajectory], weights: Sequence[float]) -> str:
 def paths_from(text: str) -> tuple[tuple[Trajectory, ...], tuple[float, ...]]:
     """Read a text of :func:`paths_to`: paths and weights."""
     rows = json.loads(text)
-    paths = tuple(Trajectory(np.array(row["t"]), np.array(row["xy"]), row["direction"]) for row in rows)
+    paths = tuple(
+        Trajectory(np.array(row["t"]), np.array(row["xy"]), row["direction"]) for row in rows
+    )
     return paths, tuple(float(row["weight"]) for row in rows)
 
 

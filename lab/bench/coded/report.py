@@ -15,15 +15,20 @@ from lab.bench.coded.picture import coded_figure
 from lab.bench.coded.protocol import CodedProtocol
 from lab.bench.coded.run import ESTIMATORS, CodedTable
 from lab.bench.coded.tables import harmed, shots_csv
-from lab.bench.table_io import means_in_words, report_files, tables_markdown, write_figure, write_report_files
+from lab.bench.table_io import (
+    means_in_words,
+    report_files,
+    tables_markdown,
+    write_figure,
+    write_report_files,
+)
 from lab.bench.tables import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["OUTPUTS", "write_coded_report"]
-
-_NAME, _PHOTOS = "cep", "-photos.csv"
+_NAME = "cep"
+_PHOTOS = "-photos.csv"
 OUTPUTS = report_files(_NAME, _PHOTOS)
 """Files of the table."""
 
@@ -72,9 +77,16 @@ def write_coded_report(
             write_figure(_figure(measured), made, _NAME)
             text += "\n![photo, coded photo with code and PSF, restored photo, MTF](cep.png)\n"
         names = write_report_files(
-            made, _NAME, tables, text=text, cells=(_PHOTOS, shots_csv(measured)),
-            command=command, seed=measured.protocol.seed, machines=measured.machines, warnings=warnings,
-        )  # fmt: skip
+            made,
+            _NAME,
+            tables,
+            text=text,
+            cells=(_PHOTOS, shots_csv(measured)),
+            command=command,
+            seed=measured.protocol.seed,
+            machines=measured.machines,
+            warnings=warnings,
+        )
     return {name: folder / name for name in names}
 
 
@@ -83,7 +95,8 @@ def _figure(measured: CodedTable) -> Figure:
     taken = dict.fromkeys(shot.photons for shot in measured.shots)
     level = min(taken, key=lambda one: abs((one or 0) - measured.protocol.calibration_photons))
     at = [shot for shot in measured.shots if shot.photons == level]
-    photo, motion = at[0].photo, at[0].motion
+    photo = at[0].photo
+    motion = at[0].motion
     shown = {shot.design: shot for shot in at if (shot.photo, shot.motion) == (photo, motion)}
     wanted = (*_PICTURED, *(name for name in shown if name not in DESIGNS))
     picked = {name: shown[name] for name in wanted if name in shown} or shown
@@ -109,7 +122,9 @@ def _found(measured: CodedTable) -> list[str]:
             by_kind.setdefault(kind, {})["" if "error_px" in figures else photo, index] = figures
     lines = []
     for kind, found in by_kind.items():
-        mncs, cpu_s = ([float(one[name] or 0) for one in found.values()] for name in ("mnc", "cpu_s"))
+        mncs, cpu_s = (
+            [float(one[name] or 0) for one in found.values()] for name in ("mnc", "cpu_s")
+        )
         line = f"{len(found)} of mean MNC {mean(mncs):.3f}, {median(cpu_s):.1f} CPU-s each in the median"
         if kind in ESTIMATORS:
             lines.append(f"\nPaths estimated from an open photo by {ESTIMATORS[kind]}: {line}.")
@@ -121,7 +136,11 @@ def _found(measured: CodedTable) -> list[str]:
                 f"{median(errors_px):.2f} px in the median."
             )
     for name in dict.fromkeys(shot.design for shot in measured.shots):
-        if mncs := [float(mnc) for shot in measured.shots if shot.design == name and (mnc := shot.figures.get(_MNC))]:
+        if mncs := [
+            float(mnc)
+            for shot in measured.shots
+            if shot.design == name and (mnc := shot.figures.get(_MNC))
+        ]:
             lines.append(
                 f"\nKernels found in the photos themselves, {markdown_text(name)}: {len(mncs)} of mean MNC "
                 f"{mean(mncs):.3f}."
@@ -132,12 +151,16 @@ def _found(measured: CodedTable) -> list[str]:
     return lines
 
 
-def _introduction(measured: CodedTable, tables: Sequence[Table], command: str, warnings: Sequence[str]) -> str:
+def _introduction(
+    measured: CodedTable, tables: Sequence[Table], command: str, warnings: Sequence[str]
+) -> str:
     protocol = measured.protocol
     photos = len({shot.photo for shot in measured.shots})
     own = list(dict.fromkeys(shot.design for shot in measured.shots if shot.design not in DESIGNS))
     counts = {name: harmed(measured, name) for name in ("both-ways", "one-way", *own)}
-    machines = "; ".join(f"{m['processor']}, {m['cores']} cores, Python {m['python']}" for m in measured.machines)
+    machines = "; ".join(
+        f"{m['processor']}, {m['cores']} cores, Python {m['python']}" for m in measured.machines
+    )
     head = [
         "# The coded-exposure table",
         "",

@@ -14,9 +14,21 @@ from cep.jobs.cells import Cell, Figure
 from cep.jobs.engine import Outcome, run_cells
 from cep.jobs.fingerprint import source_version
 from cep.optics.code import ShutterCode
-from lab.bench.coded.calibrations import CALIBRATIONS, POINT, motion_from_codes, motion_from_light, set_of_codes
+from lab.bench.coded.calibrations import (
+    CALIBRATIONS,
+    POINT,
+    motion_from_codes,
+    motion_from_light,
+    set_of_codes,
+)
 from lab.bench.coded.designs import DESIGNS, USUAL_DESIGNS, MotionPrior, design_of
-from lab.bench.coded.protocol import CodedProtocol, class_motions, drawn_motions, paths_from, paths_to
+from lab.bench.coded.protocol import (
+    CodedProtocol,
+    class_motions,
+    drawn_motions,
+    paths_from,
+    paths_to,
+)
 from lab.bench.coded.stages import choose_code, kernel_of, motion_of, photo_of
 from lab.bench.datasets import Cut
 from lab.weights import PATH_WEIGHTS
@@ -26,30 +38,16 @@ from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
 from motdiff.weights import MOTDIFF_FILES
 
-__all__ = [
-    "ESTIMATORS",
-    "CodedTable",
-    "Estimates",
-    "Shot",
-    "assumed_path",
-    "check_names",
-    "code_version",
-    "kernel_version",
-    "kinds_needed",
-    "measure_coded",
-    "motion_prior",
-    "motion_version",
-    "photo_version",
-    "scene_px",
-]
-
-
 Say = Callable[[float, str], None]
 
 _NAME = re.compile(r"[\w.+-]+")
 _STAGES = {  # of the progress
-    "set": (0.0, 0.01), "motion": (0.01, 0.25), "code": (0.25, 0.6), "kernel": (0.6, 0.65), "photo": (0.65, 1.0)
-}  # fmt: skip
+    "set": (0.0, 0.01),
+    "motion": (0.01, 0.25),
+    "code": (0.25, 0.6),
+    "kernel": (0.6, 0.65),
+    "photo": (0.65, 1.0),
+}
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,8 @@ class Shot:
     motion : int
     photons : float or None
     figures : mapping
-        Of :func:`lab.bench.coded.stages.take_photo`, and ``kernel_mnc`` where the kernel was found in the photo.
+        Of :func:`lab.bench.coded.stages.take_photo`, and ``kernel_mnc`` where the kernel was found
+        in the photo.
     bits : str
     arguments : mapping
         Arguments of :func:`lab.bench.coded.stages.photo_of`.
@@ -88,7 +87,8 @@ class CodedTable:
     shots : tuple of Shot
         In order of design, light, photo and motion; without the failed ones.
     estimates : mapping from (kind, photo, motion) to figures
-        Of :func:`lab.bench.coded.stages.estimate_motion`, or of :mod:`lab.bench.coded.calibrations`.
+        Of :func:`lab.bench.coded.stages.estimate_motion`, or of
+        :mod:`lab.bench.coded.calibrations`.
     failures : mapping from a cell's label to its reason
     missing : int
         Cells not reached, after Ctrl-C.
@@ -127,10 +127,11 @@ def measure_coded(
     cache : folder of finished cells
     designs : sequence of names of :data:`lab.bench.coded.designs.DESIGNS`
     codes : mapping from a name to a code, optional
-        Codes of the user's own, which follow the designs; :func:`check_names` says what names they may have.
+        Codes of the user's own, which follow the designs; :func:`check_names` says what names they
+        may have.
     calibrated_on : sequence of Path
-        Photos whose most textured parts are shown by coded calibration photos: one for each motion in turn, for
-        all sharp photos alike. The sharp ones themselves when empty.
+        Photos whose most textured parts are shown by coded calibration photos: one for each motion
+        in turn, for all sharp photos alike. The sharp ones themselves when empty.
     workers, dask
         As :func:`cep.jobs.engine.run_cells` takes them.
     progress : callable
@@ -168,7 +169,9 @@ def measure_coded(
         for work, arguments in [
             _from_open_photo(protocol, kind, photo, photos[photo], index, motions[index])
             if kind in ESTIMATORS
-            else _from_other_photos(protocol, scenes[index % len(scenes)], sets.get(kind), index, motions[index])
+            else _from_other_photos(
+                protocol, scenes[index % len(scenes)], sets.get(kind), index, motions[index]
+            )
         ]
     ]
     found = stages.run("motion", cells)
@@ -194,17 +197,23 @@ def measure_coded(
             ("code", design, photo, str(index), str(level)),
             choose_code,
             {
-                "prior": prior, "design": design, "chips": protocol.chips, "open_range": protocol.open_range,
+                "prior": prior,
+                "design": design,
+                "chips": protocol.chips,
+                "open_range": protocol.open_range,
                 "objective": protocol.objective,
-                "camera": protocol.camera(_designed_for(design, protocol.objective, level)).to_dict(),
-                "steps": protocol.steps, "seed": protocol.seed + (index if prior is not known else 0),
+                "camera": protocol.camera(
+                    _designed_for(design, protocol.objective, level)
+                ).to_dict(),
+                "steps": protocol.steps,
+                "seed": protocol.seed + (index if prior is not known else 0),
             },
             version=versions[design],
         )
         for (design, photo, index), prior in priors.items()
         if prior is not None
         for level in protocol.levels
-    ]  # fmt: skip
+    ]
     chosen = {name: str(figures["bits"]) for name, figures in stages.run("code", cells).items()}
     chosen |= {
         ("code", name, photo, str(index), str(level)): code.bits
@@ -237,7 +246,12 @@ def measure_coded(
     if protocol.restored_by == "blind":
         version = kernel_version()
         cells = [
-            Cell(("kernel", design, photo, str(index), str(level)), kernel_of, arguments, version=version)
+            Cell(
+                ("kernel", design, photo, str(index), str(level)),
+                kernel_of,
+                arguments,
+                version=version,
+            )
             for (design, photo, index, level), arguments in exposures.items()
         ]
         kernels = stages.run("kernel", cells)
@@ -248,7 +262,8 @@ def measure_coded(
         for (design, photo, index, level), arguments in exposures.items()
         for name in [(design, photo, str(index), str(level))]
         if protocol.restored_by != "blind" or ("kernel", *name) in kernels
-        if (assumed := assumed_path(protocol, design, truths[index], estimates, photo, index)) != ""
+        if (assumed := assumed_path(protocol, design, truths[index], estimates, photo, index))
+        != ""
         for how in [
             {
                 "assumed": assumed,
@@ -261,7 +276,15 @@ def measure_coded(
     taken = stages.run("photo", cells)
     levels = {str(level): level for level in protocol.levels}
     restored = tuple(
-        Shot(design, photo, int(index), levels[level], {**figures, **of_kernel}, cell.arguments["bits"], cell.arguments)
+        Shot(
+            design,
+            photo,
+            int(index),
+            levels[level],
+            {**figures, **of_kernel},
+            cell.arguments["bits"],
+            cell.arguments,
+        )
         for cell in cells
         for _, design, photo, index, level in [cell.name]
         if (figures := taken.get(cell.name))
@@ -269,22 +292,36 @@ def measure_coded(
         for of_kernel in [{"kernel_mnc": found["mnc"]} if found else {}]
     )
     return CodedTable(
-        protocol, restored, estimates, stages.failures, stages.missing, tuple(stages.warnings), stages.machines
+        protocol,
+        restored,
+        estimates,
+        stages.failures,
+        stages.missing,
+        tuple(stages.warnings),
+        stages.machines,
     )
 
 
 _Task = tuple[Callable[..., Mapping[str, Figure]], Mapping[str, Any]]
 
 
-def _from_open_photo(protocol: CodedProtocol, kind: str, name: str, photo: Path, index: int, motion: str) -> _Task:
+def _from_open_photo(
+    protocol: CodedProtocol, kind: str, name: str, photo: Path, index: int, motion: str
+) -> _Task:
     return motion_of, {
-        "photo": photo, "cut": _cut(protocol, name), "motion": motion, "method": ESTIMATORS[kind],
-        "borders": protocol.borders, "camera": protocol.calibration_camera.to_dict(),
+        "photo": photo,
+        "cut": _cut(protocol, name),
+        "motion": motion,
+        "method": ESTIMATORS[kind],
+        "borders": protocol.borders,
+        "camera": protocol.calibration_camera.to_dict(),
         "seed": _seed(protocol, name, index),
-    }  # fmt: skip
+    }
 
 
-def _from_other_photos(protocol: CodedProtocol, scene: Path, codes: str | None, index: int, motion: str) -> _Task:
+def _from_other_photos(
+    protocol: CodedProtocol, scene: Path, codes: str | None, index: int, motion: str
+) -> _Task:
     """Calibrate by other photos than an open one of the scene: the same work for every photo, done once a motion."""
     common = {
         "motion": motion,
@@ -294,16 +331,25 @@ def _from_other_photos(protocol: CodedProtocol, scene: Path, codes: str | None, 
     if codes is None:
         return motion_from_light, common
     return motion_from_codes, common | {
-        "photo": scene, "side_px": scene_px(protocol), "gamma": _gamma(protocol), "codes": codes,
-        "borders": protocol.borders, "light_true": bool(protocol.photons),
-    }  # fmt: skip
+        "photo": scene,
+        "side_px": scene_px(protocol),
+        "gamma": _gamma(protocol),
+        "codes": codes,
+        "borders": protocol.borders,
+        "light_true": bool(protocol.photons),
+    }
 
 
 def _sets(protocol: CodedProtocol, kinds: Sequence[str], stages: _Stages) -> Mapping[str, str]:
     """Codes of each kind of calibration by coded photos; a kind whose set failed is left out."""
     version = source_version(["cep.calibration.calibration_set"], alone=[_CALIBRATIONS])
     cells = [
-        Cell(("set", kind), set_of_codes, {"name": CALIBRATIONS[kind], "chips": protocol.chips}, version=version)
+        Cell(
+            ("set", kind),
+            set_of_codes,
+            {"name": CALIBRATIONS[kind], "chips": protocol.chips},
+            version=version,
+        )
         for kind in kinds
         if kind in CALIBRATIONS
     ]
@@ -314,20 +360,30 @@ class _Stages:
     """Runs the stages one after the other and collects their failures and warnings."""
 
     def __init__(self, cache: Path, workers: int, dask: str | None, progress: Say) -> None:
-        self._cache, self._workers, self._dask, self._progress = cache, workers, dask, progress
+        self._cache = cache
+        self._workers = workers
+        self._dask = dask
+        self._progress = progress
         self.failures: dict[str, str] = {}
         self.missing = 0
         self.warnings: list[str] = []
         self.machines: list[Mapping[str, Any]] = []
 
-    def run(self, stage: str, cells: Sequence[Cell]) -> dict[tuple[str, ...], Mapping[str, Figure]]:
+    def run(
+        self, stage: str, cells: Sequence[Cell]
+    ) -> dict[tuple[str, ...], Mapping[str, Figure]]:
         if self.missing:
             return {}  # interrupted before
         low, high = _STAGES[stage]
         outcome: Outcome = run_cells(
-            cells, cache=self._cache, workers=self._workers, dask=self._dask,
-            progress=lambda fraction, note: self._progress(low + (high - low) * fraction, f"{stage}s: {note}"),
-        )  # fmt: skip
+            cells,
+            cache=self._cache,
+            workers=self._workers,
+            dask=self._dask,
+            progress=lambda fraction, note: self._progress(
+                low + (high - low) * fraction, f"{stage}s: {note}"
+            ),
+        )
         self.failures |= {"/".join(name): reason for name, reason in outcome.failures.items()}
         self.missing += outcome.missing
         self.warnings += [warning for warning in outcome.warnings if warning not in self.warnings]
@@ -341,11 +397,14 @@ def check_names(codes: Iterable[str]) -> None:
     Raises
     ------
     ValueError
-        If a name is empty, has other characters than letters, digits and ``. _ + -``, or is a design's.
+        If a name is empty, has other characters than letters, digits and ``. _ + -``, or is a
+        design's.
     """
     for name in codes:
         if not _NAME.fullmatch(name):
-            raise ValueError(f"code: a name must be of letters, digits and . _ + -, got {name[:40]!r}")
+            raise ValueError(
+                f"code: a name must be of letters, digits and . _ + -, got {name[:40]!r}"
+            )
         if name in DESIGNS:
             raise ValueError(f"code: {name} is the name of a built-in design, take another")
 
@@ -364,13 +423,16 @@ def _gamma(protocol: CodedProtocol) -> Literal["srgb", "linear"]:
 
 
 def _designed_for(design: str, objective: str, level: float | None) -> float | None:
-    # only a Wiener filter's error depends on the light, and only along a path: otherwise one cell serves all levels
+    # only a Wiener filter's error depends on the light, and only along a path: otherwise one cell
+    # serves all levels
     return level if objective == "mse" and DESIGNS[design].path not in ("none", "length") else None
 
 
 def _seed(protocol: CodedProtocol, photo: str, index: int) -> int:
     # By the photo's name, not its number: adding photos changes no seed.
-    return int(np.random.SeedSequence([protocol.seed, index, *photo.encode()]).generate_state(1)[0])
+    return int(
+        np.random.SeedSequence([protocol.seed, index, *photo.encode()]).generate_state(1)[0]
+    )
 
 
 ESTIMATORS = {"ours": "motdiff", "parametric": "parametric"}
@@ -388,7 +450,9 @@ def kinds_needed(protocol: CodedProtocol, designs: Sequence[str]) -> list[str]:
     return [kind for kind in (*ESTIMATORS, *CALIBRATIONS, POINT) if kind in wanted]
 
 
-def motion_prior(design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int) -> MotionPrior | None:
+def motion_prior(
+    design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int
+) -> MotionPrior | None:
     """Motion prior of a design for one motion; None where its estimate failed."""
     path = DESIGNS[design].path
     if path == "none":
@@ -404,7 +468,12 @@ def motion_prior(design: str, truth: Trajectory, estimates: Estimates, photo: st
 
 
 def assumed_path(
-    protocol: CodedProtocol, design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int
+    protocol: CodedProtocol,
+    design: str,
+    truth: Trajectory,
+    estimates: Estimates,
+    photo: str,
+    index: int,
 ) -> str | None:
     """Path given to the restoration; None when it has the true PSF or a kernel, empty when the estimate failed."""
     if protocol.restored_by in ("psf", "blind") or design_of(design).path == "true":
@@ -431,9 +500,14 @@ _HERE = "lab.bench.coded"
 _PATHS = f"{_HERE}.protocol"
 _CALIBRATIONS = f"{_HERE}.calibrations"
 _EXPOSED = (
-    _PATHS, f"{_HERE}.stages", "lab.bench.datasets", "lab.bench.psf_text", "cep.files.images", "motdiff.files.decoding",
+    _PATHS,
+    f"{_HERE}.stages",
+    "lab.bench.datasets",
+    "lab.bench.psf_text",
+    "cep.files.images",
+    "motdiff.files.decoding",
     "motdiff.crops",
-)  # fmt: skip
+)
 """From the file to the photo."""
 _ESTIMATED: dict[str, tuple[str, tuple[Path, ...]]] = {
     "motdiff": ("motdiff.estimators.motdiff", MOTDIFF_FILES),
@@ -459,7 +533,9 @@ def motion_version(kind: str) -> str:
     shared = ["motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
     if kind in ESTIMATORS:
         module, weights = _ESTIMATED[ESTIMATORS[kind]]
-        return source_version([module, *shared], alone=[*_EXPOSED, "lab.evaluation.methods"], files=weights)
+        return source_version(
+            [module, *shared], alone=[*_EXPOSED, "lab.evaluation.methods"], files=weights
+        )
     module = f"motdiff.estimators.coded.{'trail_estimator' if kind == POINT else 'estimator'}"
     return source_version([module, *shared], alone=[*_EXPOSED, _CALIBRATIONS])
 
@@ -472,13 +548,16 @@ def kernel_version() -> str:
 
 def code_version(design: str) -> str:
     """Cache version of the codes: fingerprint of a design of :data:`lab.bench.coded.designs.DESIGNS`."""
-    return source_version(_CHOSEN.get(design, _SEARCHED), alone=[_PATHS, f"{_HERE}.designs", f"{_HERE}.stages"])
+    return source_version(
+        _CHOSEN.get(design, _SEARCHED), alone=[_PATHS, f"{_HERE}.designs", f"{_HERE}.stages"]
+    )
 
 
 def photo_version(restoration: str) -> str:
     """Cache version of the photos: fingerprint of capture, restoration and comparison.
 
-    Of a restoration of the user's own, the module that it names counts, and what of ours that module imports.
+    Of a restoration of the user's own, the module that it names counts, and what of ours that
+    module imports.
     """
     used = ["cep.restoration", "cep.proofs.measure", "motdiff.metrics", "motdiff.simulate"]
     used += [restoration.partition(":")[0]] if is_reference(restoration) else []

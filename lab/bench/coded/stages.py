@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from cep.optics.camera import Camera
@@ -31,30 +31,26 @@ from motdiff.psf_frame import PSF_PX, moved
 from motdiff.simulate import visible
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = [
-    "Taken",
-    "choose_code",
-    "estimate_motion",
-    "find_kernel",
-    "kernel_of",
-    "motion_of",
-    "photo_of",
-    "photographed",
-    "pictures_of",
-    "take_photo",
-]
-
-
-FloatArray = NDArray[np.float64]
 _ZERO = 1e-9
 _CROP_PX = 32  # left out of every comparison: restored borders lean on a guess
 
 
 def take_photo(
-    scene: ArrayLike, motion: str, assumed: str | None, *, kernel: str | None = None, bits: str, borders: str,
-    light_true: bool, restoration: str, border_rounds: int, camera: Mapping[str, Any], seed: int,
-) -> dict[str, float]:  # fmt: skip
+    scene: ArrayLike,
+    motion: str,
+    assumed: str | None,
+    *,
+    kernel: str | None = None,
+    bits: str,
+    borders: str,
+    light_true: bool,
+    restoration: str,
+    border_rounds: int,
+    camera: Mapping[str, Any],
+    seed: int,
+) -> dict[str, float]:
     """Take the coded photo along the true motion, restore it, and compare it with the scene.
 
     Parameters
@@ -63,7 +59,8 @@ def take_photo(
     motion : str
         True path.
     assumed : str or None
-        Path given to the restoration, of unknown direction unless stated otherwise; None: the true PSF is given.
+        Path given to the restoration, of unknown direction unless stated otherwise; None: the true
+        PSF is given.
     kernel : str, optional
         Kernel given to the restoration instead, as of :func:`find_kernel`.
     bits : str
@@ -71,7 +68,8 @@ def take_photo(
     light_true : bool
         Whether the photo has the code's light, or as much as with an open shutter.
     restoration : str
-        The Wiener filter has the camera's noise; a function of the user's own has the photo and the PSF alone.
+        The Wiener filter has the camera's noise; a function of the user's own has the photo and
+        the PSF alone.
     border_rounds : int
         Rounds of reblurring outside the photo's borders.
     camera : mapping
@@ -79,14 +77,23 @@ def take_photo(
 
     Returns
     -------
-    dict with ``psnr_db`` and ``ssim`` (linear light, up to shift), ``noise_gain_db`` and ``reversed_noise_gain_db``
-    (along the true motion and against it, at the light that the photo has; infinite on a straight, even motion whose
-    MTF has a zero), and ``min_mtf`` (light-true)
+    dict with ``psnr_db`` and ``ssim`` (linear light, up to shift), ``noise_gain_db`` and
+    ``reversed_noise_gain_db`` (along the true motion and against it, at the light that the photo
+    has; infinite on a straight, even motion whose MTF has a zero), and ``min_mtf`` (light-true)
     """
     taken = photographed(
-        scene, motion, assumed, kernel=kernel, bits=bits, borders=borders, light_true=light_true,
-        restoration=restoration, border_rounds=border_rounds, camera=camera, seed=seed,
-    )  # fmt: skip
+        scene,
+        motion,
+        assumed,
+        kernel=kernel,
+        bits=bits,
+        borders=borders,
+        light_true=light_true,
+        restoration=restoration,
+        border_rounds=border_rounds,
+        camera=camera,
+        seed=seed,
+    )
     along, against = _both_ways(motion, bits)
     code = ShutterCode(bits)
     lent_db = 0.0 if light_true else 20 * math.log10(code.duty)
@@ -100,16 +107,24 @@ def take_photo(
     }
 
 
-@lru_cache(maxsize=4096)  # every photo is taken with the same motions, and most codes do not depend on the photo
+@lru_cache(
+    maxsize=4096
+)  # every photo is taken with the same motions, and most codes do not depend on the photo
 def _both_ways(motion: str, bits: str) -> tuple[CodeMetrics, CodeMetrics]:
     """Measure a code along a motion and against it."""
-    path, code = paths_from(motion)[0][0], ShutterCode(bits)
+    path = paths_from(motion)[0][0]
+    code = ShutterCode(bits)
     return measure(path, code, budget=0), measure(path.reversed(), code, budget=0)
 
 
 def _gain_db(metrics: CodeMetrics) -> float:
-    # on a line of zeros, as an open shutter has on straight motion, samples near it would give any figure
-    return math.inf if metrics.min_chip is not None and metrics.min_mtf < _ZERO else metrics.noise_gain_db
+    # on a line of zeros, as an open shutter has on straight motion, samples near it would give any
+    # figure
+    return (
+        math.inf
+        if metrics.min_chip is not None and metrics.min_mtf < _ZERO
+        else metrics.noise_gain_db
+    )
 
 
 @dataclass(frozen=True)
@@ -123,11 +138,22 @@ class Taken:
 
 
 def photographed(
-    scene: ArrayLike, motion: str, assumed: str | None, *, kernel: str | None = None, bits: str, borders: str,
-    light_true: bool, restoration: str, border_rounds: int, camera: Mapping[str, Any], seed: int,
-) -> Taken:  # fmt: skip
+    scene: ArrayLike,
+    motion: str,
+    assumed: str | None,
+    *,
+    kernel: str | None = None,
+    bits: str,
+    borders: str,
+    light_true: bool,
+    restoration: str,
+    border_rounds: int,
+    camera: Mapping[str, Any],
+    seed: int,
+) -> Taken:
     """Take and restore the photo of :func:`take_photo`, whose parameters these are."""
-    truth, code = paths_from(motion)[0][0], ShutterCode(bits)
+    truth = paths_from(motion)[0][0]
+    code = ShutterCode(bits)
     psf = coded_psf(truth, code, PSF_PX)
     scale = 1.0 if light_true else 1 / code.duty
     shown = np.asarray(scene, dtype=np.float64)
@@ -137,9 +163,14 @@ def photographed(
     if kernel is not None:
         used = scale * code.duty * laid_on(psf, psf_from_text(kernel))
     else:
-        found = psf if assumed is None else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
-        # A photo does not determine the position of its scene: on a straight path a short exposure at the end has the
-        # PSF of one at the start, displaced. Restored with either, the scene has the same quality at another position.
+        found = (
+            psf
+            if assumed is None
+            else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
+        )
+        # A photo does not determine the position of its scene: on a straight path a short exposure
+        # at the end has the PSF of one at the start, displaced. Restored with either, the scene
+        # has the same quality at another position.
         away_px = _displacement_px(found, psf)
         whole_px = np.round(away_px).astype(int)
         used = scale * moved(found, down_px=whole_px[0], right_px=whole_px[1])
@@ -154,29 +185,47 @@ def photographed(
     return Taken(photo, psf, restored, visible(shown, PSF_PX, borders=borders))
 
 
-def _photo_through(scene: FloatArray, psf: FloatArray, *, borders: str, camera: Camera, seed: int) -> FloatArray:
-    return capture(scene, psf, camera=camera, rng=np.random.default_rng([seed, 3]), borders=borders)
+def _photo_through(
+    scene: FloatArray, psf: FloatArray, *, borders: str, camera: Camera, seed: int
+) -> FloatArray:
+    return capture(
+        scene, psf, camera=camera, rng=np.random.default_rng([seed, 3]), borders=borders
+    )
 
 
 def find_kernel(
-    scene: ArrayLike, motion: str, *, bits: str, borders: str, light_true: bool, camera: Mapping[str, Any], seed: int
+    scene: ArrayLike,
+    motion: str,
+    *,
+    bits: str,
+    borders: str,
+    light_true: bool,
+    camera: Mapping[str, Any],
+    seed: int,
 ) -> dict[str, float | str]:
     """Find the kernel in the photo of :func:`take_photo`, whose parameters these are, as ``cep deblur`` does.
 
     Returns
     -------
-    dict with ``psf`` of sum 1 (:func:`lab.bench.psf_text.psf_to_text`), ``mnc`` (sub-pixel), ``confidence``, ``cpu_s``
+    dict with ``psf`` of sum 1 (:func:`lab.bench.psf_text.psf_to_text`), ``mnc`` (sub-pixel),
+    ``confidence``, ``cpu_s``
     """
-    truth, code = paths_from(motion)[0][0], ShutterCode(bits)
+    truth = paths_from(motion)[0][0]
+    code = ShutterCode(bits)
     psf = coded_psf(truth, code, PSF_PX)
     scale = 1.0 if light_true else 1 / code.duty
     photo = _photo_through(
-        np.asarray(scene, dtype=np.float64), scale * psf, borders=borders,
-        camera=Camera.from_dict(camera), seed=seed,
-    )  # fmt: skip
+        np.asarray(scene, dtype=np.float64),
+        scale * psf,
+        borders=borders,
+        camera=Camera.from_dict(camera),
+        seed=seed,
+    )
     started = time.process_time()
     with one_thread():
-        found = find_psf(photo, code if light_true else None)  # None: as much light as an open shutter has
+        found = find_psf(
+            photo, code if light_true else None
+        )  # None: as much light as an open shutter has
     return {
         "psf": psf_to_text(found.psf),
         "mnc": mnc_subpixel(found.psf, psf),
@@ -187,7 +236,9 @@ def find_kernel(
 
 def _displacement_px(psf: FloatArray, other: FloatArray) -> FloatArray:
     """Displacement of the centroid of ``other`` from that of ``psf``, (2,): down and right."""
-    of_one, of_other = (np.array(ndimage.center_of_mass(one)) - np.array(one.shape) // 2 for one in (psf, other))
+    of_one, of_other = (
+        np.array(ndimage.center_of_mass(one)) - np.array(one.shape) // 2 for one in (psf, other)
+    )
     return np.asarray(of_other - of_one, dtype=np.float64)
 
 
@@ -198,20 +249,39 @@ def _assumed_psf(photo: FloatArray, path: Trajectory, code: ShutterCode) -> Floa
 
 
 def choose_code(
-    prior: MotionPrior, *, design: str, chips: int, open_range: tuple[int, int], objective: str,
-    camera: Mapping[str, Any], steps: int, seed: int,
-) -> dict[str, float | str]:  # fmt: skip
+    prior: MotionPrior,
+    *,
+    design: str,
+    chips: int,
+    open_range: tuple[int, int],
+    objective: str,
+    camera: Mapping[str, Any],
+    steps: int,
+    seed: int,
+) -> dict[str, float | str]:
     """Choose the code of a design (:mod:`lab.bench.coded.designs`); returns ``bits`` and ``cpu_s``."""
     started = time.process_time()
     code = design_code(
-        design, prior, chips=chips, open_range=open_range, objective=objective, camera=Camera.from_dict(camera),
-        steps=steps, rng=np.random.default_rng([seed, 2]),
-    )  # fmt: skip
+        design,
+        prior,
+        chips=chips,
+        open_range=open_range,
+        objective=objective,
+        camera=Camera.from_dict(camera),
+        steps=steps,
+        rng=np.random.default_rng([seed, 2]),
+    )
     return {"bits": code.bits, "duty": code.duty, "cpu_s": time.process_time() - started}
 
 
 def estimate_motion(
-    scene: ArrayLike, motion: str, *, method: str, borders: str, camera: Mapping[str, Any], seed: int
+    scene: ArrayLike,
+    motion: str,
+    *,
+    method: str,
+    borders: str,
+    camera: Mapping[str, Any],
+    seed: int,
 ) -> dict[str, float | str]:
     """Take the calibration photo, shutter open, and estimate the motion from it.
 
@@ -236,7 +306,9 @@ def estimate_motion(
 
     truth = paths_from(motion)[0][0]
     rng = np.random.default_rng([seed, 1])
-    photo = capture(scene, truth.psf(PSF_PX), camera=Camera.from_dict(camera), rng=rng, borders=borders)
+    photo = capture(
+        scene, truth.psf(PSF_PX), camera=Camera.from_dict(camera), rng=rng, borders=borders
+    )
     estimator = named_estimators([method])[method]
     started = time.process_time()
     result = estimator.estimate(np.clip(photo, 0, 1))

@@ -13,10 +13,11 @@ from lab.bench.coded.designs import design_of
 from lab.bench.coded.run import CodedTable, Shot
 from lab.bench.tables import Column, Table, differences, tabulate
 
-__all__ = ["beyond_comparison", "coded_tables", "harmed", "shots_csv"]
-
 Name = tuple[str, ...]
-_QUALITY = (Column("psnr_db", "PSNR, dB", better="high"), Column("ssim", "SSIM", better="high", digits=3))
+_QUALITY = (
+    Column("psnr_db", "PSNR, dB", better="high"),
+    Column("ssim", "SSIM", better="high", digits=3),
+)
 _PLAIN = tuple(Column(column.figure, column.head, digits=column.digits) for column in _QUALITY)
 _GAIN = (  # infinite where an open shutter meets a straight motion
     Column("noise_gain_db", "noise gain, dB, median", middle="median"),
@@ -34,7 +35,9 @@ def coded_tables(measured: CodedTable) -> list[Table]:
     tables = []
     for level in measured.protocol.levels:
         shots = [shot for shot in measured.shots if shot.photons == level]
-        designs = list(dict.fromkeys(shot.design for shot in shots))  # after Ctrl-C not the same at every level
+        designs = list(
+            dict.fromkeys(shot.design for shot in shots)
+        )  # after Ctrl-C not the same at every level
         if not shots:
             continue
         figures = _figures(shots)
@@ -47,11 +50,19 @@ def coded_tables(measured: CodedTable) -> list[Table]:
             tables.append(_table(title, rivals, _QUALITY, measured))
         if limits:
             tables.append(_table(f"{title}: rows beyond comparison", limits, _PLAIN, measured))
-        for label in (design_of(name).label for name in designs if design_of(name).compared and len(designs) > 1):
+        for label in (
+            design_of(name).label
+            for name in designs
+            if design_of(name).compared and len(designs) > 1
+        ):
             less = differences(figures, label)
             tables.append(_table(f"{label} less each other row{light}", less, _PLAIN, measured))
         gains = (*_GAIN, _ZEROS) if any(own["zero"] for own in figures.values()) else _GAIN
-        tables.append(_table(f"Noise gain of the codes along the true motion{light}", figures, gains, measured))
+        tables.append(
+            _table(
+                f"Noise gain of the codes along the true motion{light}", figures, gains, measured
+            )
+        )
     return tables
 
 
@@ -72,7 +83,10 @@ def harmed(measured: CodedTable, design: str) -> tuple[int, int]:
     (int, int)
         Harmed, and compared.
     """
-    worse = {(shot.design, shot.photo, shot.motion, shot.photons): _worse(shot.figures) for shot in measured.shots}
+    worse = {
+        (shot.design, shot.photo, shot.motion, shot.photons): _worse(shot.figures)
+        for shot in measured.shots
+    }
     pairs = [
         (gain, worse["open", photo, motion, level])
         for (name, photo, motion, level), gain in worse.items()
@@ -112,11 +126,16 @@ def _figures(shots: Sequence[Shot]) -> dict[Name, Mapping[str, Figure]]:
 
 
 def _table(
-    title: str, figures: Mapping[Name, Mapping[str, Figure]], columns: Sequence[Column], measured: CodedTable
+    title: str,
+    figures: Mapping[Name, Mapping[str, Figure]],
+    columns: Sequence[Column],
+    measured: CodedTable,
 ) -> Table:
     rng = np.random.default_rng([measured.protocol.seed, 4])
     # every photo is taken with the same motions: cluster by both
-    return tabulate(title, figures, columns, rng=rng, row=0, cluster=(1, 2), counted={"motions": 2})
+    return tabulate(
+        title, figures, columns, rng=rng, row=0, cluster=(1, 2), counted={"motions": 2}
+    )
 
 
 def _worse(figures: Mapping[str, Figure]) -> float:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["SelfDeblurConfig"]
-
 
 @dataclass(frozen=True)
 class SelfDeblurConfig:
@@ -14,7 +12,8 @@ class SelfDeblurConfig:
     Attributes
     ----------
     kernel_px : int, px
-        Odd side of the kernel's frame. Blur may fill it; a frame much larger than the blur costs accuracy.
+        Odd side of the kernel's frame. Blur may fill it; a frame much larger than the blur costs
+        accuracy.
     iterations : int
         Updates of both generators.
     structure_from : int
@@ -24,7 +23,8 @@ class SelfDeblurConfig:
     image_rate, kernel_rate : float
         Adam's rates of the two generators.
     input_noise : float
-        Standard deviation of the noise that is added anew at each iteration to the image generator's input.
+        Standard deviation of the noise that is added anew at each iteration to the image
+        generator's input.
     levels, channels, skip_channels, input_channels : int
         Of the image generator.
     kernel_inputs, kernel_hidden : int
@@ -57,8 +57,14 @@ class SelfDeblurConfig:
         if self.kernel_px < 3 or self.kernel_px % 2 == 0:
             raise ValueError(f"kernel_px: must be odd and at least 3, got {self.kernel_px}")
         sizes = (
-            "iterations", "levels", "channels", "skip_channels", "input_channels", "kernel_inputs", "kernel_hidden",
-        )  # fmt: skip
+            "iterations",
+            "levels",
+            "channels",
+            "skip_channels",
+            "input_channels",
+            "kernel_inputs",
+            "kernel_hidden",
+        )
         for name in sizes:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}: must be at least 1, got {getattr(self, name)}")

@@ -18,11 +18,11 @@ from motdiff.crops import best_crops, textured_luminance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.from_kernel import estimate_from_kernel
 
-__all__ = ["SelfDeblurEstimator"]
-
 _LEAST_PX = 32
 _SAVED_EVERY_S = 60.0
-_FITTING = tuple(Path(__file__).with_name(f"{name}.py") for name in ("config", "estimator", "fit", "generators"))
+_FITTING = tuple(
+    Path(__file__).with_name(f"{name}.py") for name in ("config", "estimator", "fit", "generators")
+)
 
 
 class SelfDeblurEstimator:
@@ -35,8 +35,9 @@ class SelfDeblurEstimator:
     config : SelfDeblurConfig, optional
         The published recipe when omitted.
     checkpoints : path, optional
-        Folder, made where it is missing, that keeps the state of each unfinished photo; the same photo goes on from
-        there, exactly. A finished photo leaves nothing (in between, up to 80 MB). Not resumable when omitted.
+        Folder, made where it is missing, that keeps the state of each unfinished photo; the same
+        photo goes on from there, exactly. A finished photo leaves nothing (in between, up to 80
+        MB). Not resumable when omitted.
     saved_every_s : float, seconds
         Least time between two checkpoints.
     device : str
@@ -60,28 +61,33 @@ class SelfDeblurEstimator:
     ) -> None:
         self._config = SelfDeblurConfig() if config is None else config
         self._checkpoints = None if checkpoints is None else Path(checkpoints)
-        self._saved_every_s, self._device, self._progress = saved_every_s, device, progress
+        self._saved_every_s = saved_every_s
+        self._device = device
+        self._progress = progress
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Fit the kernel of ``photo``, (H, W) or (H, W, 3), linear light 0..1; of a large one, of its best crop.
 
-        Its centroid lies at index 32, to whole pixels. The fit is not scored: ``confidence`` is 0. Processor time
-        before a resumed checkpoint is ``details["earlier_cpu_s"]``.
+        Its centroid lies at index 32, to whole pixels. The fit is not scored: ``confidence`` is 0.
+        Processor time before a resumed checkpoint is ``details["earlier_cpu_s"]``.
 
         Raises
         ------
         ValueError
-            If the photo is smaller than 32 x 32 px, not finite, or without texture, or a checkpoint is spoilt.
+            If the photo is smaller than 32 x 32 px, not finite, or without texture, or a
+            checkpoint is spoilt.
         OSError
             If a checkpoint cannot be written.
         """
-        began_s, earlier_s = time.process_time(), 0.0
+        began_s = time.process_time()
+        earlier_s = 0.0
         window = best_crops(textured_luminance(photo, least_px=_LEAST_PX), count=1)[0]
         fit = JointFit(torch.from_numpy(window.astype(np.float32)).to(self._device), self._config)
         folder = self._folder(window)
         if folder is not None:
             earlier_s = fit.resume(folder) or 0.0
-        saved_s, loss = time.monotonic(), None
+        saved_s = time.monotonic()
+        loss = None
         while fit.iteration < self._config.iterations:
             loss = fit.advance()
             if folder is not None and time.monotonic() - saved_s >= self._saved_every_s:

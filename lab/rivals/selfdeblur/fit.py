@@ -14,12 +14,12 @@ from lab.rivals.selfdeblur.generators import ImageGenerator, KernelGenerator
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from motdiff.training.simulation import blurred
 
-__all__ = ["JointFit", "structural_similarity"]
-
 _INPUT_SCALE = 0.1
 _MOMENTS = ("exp_avg", "exp_avg_sq")
-_SSIM_WINDOW_PX, _SSIM_SIGMA_PX = 11, 1.5
-_C1, _C2 = 0.01**2, 0.03**2
+_SSIM_WINDOW_PX = 11
+_SSIM_SIGMA_PX = 1.5
+_C1 = 0.01**2
+_C2 = 0.03**2
 
 
 class JointFit:
@@ -37,14 +37,21 @@ class JointFit:
     """
 
     def __init__(self, photo: Tensor, config: SelfDeblurConfig) -> None:
-        self._photo, self._config, self.iteration = photo, config, 0
-        # light reaches the photo from half a kernel beyond each border: the sharp photo is larger by the kernel less 1
+        self._photo = photo
+        self._config = config
+        self.iteration = 0
+        # light reaches the photo from half a kernel beyond each border: the sharp photo is larger
+        # by the kernel less 1
         self._shape = [side + config.kernel_px - 1 for side in photo.shape]
         step = 2**config.levels
         canvas = [max(2 * step, -(-side // step) * step) for side in self._shape]
         self._generator = torch.Generator().manual_seed(config.seed)
-        self._noise = _INPUT_SCALE * torch.rand(1, config.input_channels, *canvas, generator=self._generator)
-        self._kernel_noise = _INPUT_SCALE * torch.rand(config.kernel_inputs, generator=self._generator)
+        self._noise = _INPUT_SCALE * torch.rand(
+            1, config.input_channels, *canvas, generator=self._generator
+        )
+        self._kernel_noise = _INPUT_SCALE * torch.rand(
+            config.kernel_inputs, generator=self._generator
+        )
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             networks = {"image": ImageGenerator(config), "kernel": KernelGenerator(config)}
@@ -52,7 +59,10 @@ class JointFit:
         self._networks = nn.ModuleDict(networks).to(photo.device)
         self._rates = {"image": config.image_rate, "kernel": config.kernel_rate}
         self._adam = torch.optim.Adam(
-            [{"params": self._networks[name].parameters(), "lr": rate} for name, rate in self._rates.items()]
+            [
+                {"params": self._networks[name].parameters(), "lr": rate}
+                for name, rate in self._rates.items()
+            ]
         )
 
     def advance(self) -> float:
@@ -61,8 +71,12 @@ class JointFit:
         for group, rate in zip(self._adam.param_groups, self._rates.values(), strict=True):
             group["lr"] = rate * config.decay(self.iteration)
         jitter = torch.randn(self._noise.shape, generator=self._generator)
-        made = self._networks["image"]((self._noise + config.input_noise * jitter).to(self._photo.device))[0, 0]
-        again = blurred(made[: self._shape[0], : self._shape[1]], self._networks["kernel"](self._kernel_noise))
+        made = self._networks["image"](
+            (self._noise + config.input_noise * jitter).to(self._photo.device)
+        )[0, 0]
+        again = blurred(
+            made[: self._shape[0], : self._shape[1]], self._networks["kernel"](self._kernel_noise)
+        )
         if self.iteration < config.structure_from:
             loss = functional.mse_loss(again, self._photo)
         else:
@@ -109,17 +123,27 @@ class JointFit:
         tensors = checkpoint.tensors
         try:
             self._networks.load_state_dict(
-                {name[len("model.") :]: tensor for name, tensor in tensors.items() if name.startswith("model.")}
+                {
+                    name[len("model.") :]: tensor
+                    for name, tensor in tensors.items()
+                    if name.startswith("model.")
+                }
             )
             for name, parameter in self._networks.named_parameters():
                 if f"adam.exp_avg.{name}" in tensors:  # not before the first update
                     moments = {
-                        key: torch.empty_like(parameter).copy_(tensors[f"adam.{key}.{name}"]) for key in _MOMENTS
+                        key: torch.empty_like(parameter).copy_(tensors[f"adam.{key}.{name}"])
+                        for key in _MOMENTS
                     }
-                    self._adam.state[parameter] = {"step": torch.tensor(float(checkpoint.step)), **moments}
+                    self._adam.state[parameter] = {
+                        "step": torch.tensor(float(checkpoint.step)),
+                        **moments,
+                    }
             self._generator.set_state(tensors["generator"].cpu())
         except (RuntimeError, KeyError) as error:
-            raise ValueError(f"{folder}: its checkpoint belongs to generators of other sizes; remove it") from error
+            raise ValueError(
+                f"{folder}: its checkpoint belongs to generators of other sizes; remove it"
+            ) from error
         self.iteration = checkpoint.step
         return checkpoint.seconds
 
@@ -135,7 +159,9 @@ def structural_similarity(a: Tensor, b: Tensor) -> Tensor:
     window = torch.exp(-at.square() / (2 * _SSIM_SIGMA_PX**2))
     window = window / window.sum()
     maps = torch.stack([a, b, a * a, b * b, a * b])[:, None]
-    maps = functional.conv2d(functional.conv2d(maps, window.view(1, 1, 1, -1)), window.view(1, 1, -1, 1))
+    maps = functional.conv2d(
+        functional.conv2d(maps, window.view(1, 1, 1, -1)), window.view(1, 1, -1, 1)
+    )
     mean_a, mean_b, square_a, square_b, product = maps[:, 0]
     variance = (square_a - mean_a.square()) + (square_b - mean_b.square())
     covariance = product - mean_a * mean_b

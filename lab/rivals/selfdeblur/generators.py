@@ -8,8 +8,6 @@ from torch.nn import functional
 
 from lab.rivals.selfdeblur.config import SelfDeblurConfig
 
-__all__ = ["ImageGenerator", "KernelGenerator"]
-
 _SLOPE = 0.2
 _FIRST_NON_LOCAL = 2  # level
 
@@ -17,7 +15,8 @@ _FIRST_NON_LOCAL = 2  # level
 class ImageGenerator(nn.Module):
     """Encoder-decoder with narrow skips: from noise to a photo within 0..1.
 
-    Such a network fits a sharp photo sooner than noise, or than a photo blurred with the kernel's inverse.
+    Such a network fits a sharp photo sooner than noise, or than a photo blurred with the kernel's
+    inverse.
 
     Parameters
     ----------
@@ -31,7 +30,8 @@ class ImageGenerator(nn.Module):
     def __init__(self, config: SelfDeblurConfig) -> None:
         super().__init__()
         entering = [config.input_channels, *[config.channels] * (config.levels - 1)]
-        wide, narrow = config.channels, config.skip_channels
+        wide = config.channels
+        narrow = config.skip_channels
         self.skips = nn.ModuleList(_block(channels, narrow, 1) for channels in entering)
         self.downs = nn.ModuleList(
             nn.Sequential(
@@ -42,7 +42,10 @@ class ImageGenerator(nn.Module):
             for level, channels in enumerate(entering)
         )
         self.ups = nn.ModuleList(
-            nn.Sequential(_norm(narrow + wide), _block(narrow + wide, wide, 3), _block(wide, wide, 1)) for _ in entering
+            nn.Sequential(
+                _norm(narrow + wide), _block(narrow + wide, wide, 3), _block(wide, wide, 1)
+            )
+            for _ in entering
         )
         self.output = nn.Conv2d(wide, 1, 1)
 
@@ -110,9 +113,13 @@ class _NonLocal(nn.Module):
 
 
 def _block(entering: int, leaving: int, size: int, *, stride: int = 1) -> nn.Sequential:
-    convolution = nn.Conv2d(entering, leaving, size, stride=stride, padding=size // 2, padding_mode="reflect")
+    convolution = nn.Conv2d(
+        entering, leaving, size, stride=stride, padding=size // 2, padding_mode="reflect"
+    )
     return nn.Sequential(convolution, _norm(leaving), nn.LeakyReLU(_SLOPE))
 
 
 def _norm(channels: int) -> nn.InstanceNorm2d:
-    return nn.InstanceNorm2d(channels, affine=True)  # what batch norm is in training, where the batch is one photo
+    return nn.InstanceNorm2d(
+        channels, affine=True
+    )  # what batch norm is in training, where the batch is one photo

@@ -28,21 +28,43 @@ def run(arguments: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    prepare = commands.add_parser("prepare", help="simulate photos and search their kernels; about 3 s a photo")
-    prepare.add_argument("config", type=Path, help="TOML file of a run of MoTDiff (photos, motions, photography)")
-    prepare.add_argument("-o", "--out", type=Path, required=True, help="folder of the shards; existing ones are kept")
-    prepare.add_argument("--shards", default="0:10", metavar="FIRST:LAST[:STEP]", help="16 photos each")
-    prepare.add_argument("--held-out", action="store_true", help="of the photos held out for validation")
-    prepare.add_argument("--weights", type=Path, help="correct the kernels with these: samples of the second pass")
+    prepare = commands.add_parser(
+        "prepare", help="simulate photos and search their kernels; about 3 s a photo"
+    )
+    prepare.add_argument(
+        "config", type=Path, help="TOML file of a run of MoTDiff (photos, motions, photography)"
+    )
+    prepare.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        required=True,
+        help="folder of the shards; existing ones are kept",
+    )
+    prepare.add_argument(
+        "--shards", default="0:10", metavar="FIRST:LAST[:STEP]", help="16 photos each"
+    )
+    prepare.add_argument(
+        "--held-out", action="store_true", help="of the photos held out for validation"
+    )
+    prepare.add_argument(
+        "--weights", type=Path, help="correct the kernels with these: samples of the second pass"
+    )
     prepare.set_defaults(command=_prepare)
-    train = commands.add_parser("train", help="train the correction; Ctrl-C keeps the weights of the last two minutes")
+    train = commands.add_parser(
+        "train", help="train the correction; Ctrl-C keeps the weights of the last two minutes"
+    )
     train.add_argument("kernels", type=Path, nargs="+", help="folders of prepared kernels")
     train.add_argument("-o", "--out", type=Path, required=True, help=".safetensors file")
     train.add_argument("--steps", type=int, default=5000)
     train.add_argument("--seed", type=int, default=0)
     train.set_defaults(command=_train)
-    evaluate = commands.add_parser("evaluate", help="print the MNC of kernels before and after their correction")
-    evaluate.add_argument("kernels", type=Path, help="folder of prepared kernels of photos that no training has seen")
+    evaluate = commands.add_parser(
+        "evaluate", help="print the MNC of kernels before and after their correction"
+    )
+    evaluate.add_argument(
+        "kernels", type=Path, help="folder of prepared kernels of photos that no training has seen"
+    )
     evaluate.add_argument("--weights", type=Path, help="the shipped ones when omitted")
     evaluate.set_defaults(command=_evaluate)
     return run_command(parser, arguments)
@@ -67,7 +89,9 @@ def _prepare(given: argparse.Namespace) -> None:
         shards=shards,
         seed=source.seed,
         network=None if given.weights is None else load_correction(given.weights),
-        on_shard=lambda shard: print(f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True),
+        on_shard=lambda shard: print(
+            f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True
+        ),
     )
 
 
@@ -77,7 +101,10 @@ def _train(given: argparse.Namespace) -> None:
 
     settings = Settings(steps=given.steps, seed=given.seed)
     train(
-        read_kernels(*given.kernels), given.out, settings=settings, report=partial(print, file=sys.stderr, flush=True)
+        read_kernels(*given.kernels),
+        given.out,
+        settings=settings,
+        report=partial(print, file=sys.stderr, flush=True),
     )
 
 

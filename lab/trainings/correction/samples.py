@@ -26,8 +26,6 @@ from motdiff.training.samples import Samples, registration, shifted
 from motdiff.training.shards import load_shards, write_shards
 from motdiff.training.simulation import Photography
 
-__all__ = ["SHARD_PHOTOS", "Kernels", "alike", "prepare", "read_kernels", "searched"]
-
 SHARD_PHOTOS = 16
 _NAME = "kernels"
 LEAST_ALIKE = 0.4
@@ -65,10 +63,12 @@ def alike(kernels: Tensor, truth: Tensor) -> Tensor:
 def searched(samples: Samples, *, network: CorrectionNetwork | None = None) -> Kernels:
     """Search the kernels of simulated photos as ``cep calibrate`` does, and lay the true ones on them.
 
-    Lost ones are left out. The two others of each are the next ones in the order of the search's starts. With a
-    ``network`` the kernels are those that it has corrected: samples of a second pass.
+    Lost ones are left out. The two others of each are the next ones in the order of the search's
+    starts. With a ``network`` the kernels are those that it has corrected: samples of a second
+    pass.
     """
-    maps, truth = [], []
+    maps = []
+    truth = []
     with torch.no_grad(), one_thread_a_call():
         for photo, dwell in zip(samples.photos.mean(dim=1), samples.dwell, strict=True):
             grey = photo.double().numpy()
@@ -115,7 +115,13 @@ def prepare(
 
     def made(shard: int) -> dict[str, NDArray[np.generic]]:
         samples = simulated_shard(
-            shard, SHARD_PHOTOS, scenes=scenes, mix=mix, photography=photography, physics=False, seed=seed
+            shard,
+            SHARD_PHOTOS,
+            scenes=scenes,
+            mix=mix,
+            photography=photography,
+            physics=False,
+            seed=seed,
         )
         kernels = searched(samples, network=network)
         return {"maps": kernels.maps.numpy(), "truth": kernels.truth.numpy()}
@@ -133,9 +139,13 @@ def read_kernels(*folders: Path | str) -> Kernels:
     """
     missing = "kernels_*.npz; write them with: python -m lab.trainings.correction prepare"
     parts = [load_shards(folder, name=_NAME, load=_kernels, missing=missing) for folder in folders]
-    maps, truth = (torch.cat([getattr(part, name) for part in chain(*parts)]) for name in ("maps", "truth"))
+    maps, truth = (
+        torch.cat([getattr(part, name) for part in chain(*parts)]) for name in ("maps", "truth")
+    )
     if not len(maps):
-        raise ValueError(f"{', '.join(map(str, folders))}: every kernel was lost; prepare more shards")
+        raise ValueError(
+            f"{', '.join(map(str, folders))}: every kernel was lost; prepare more shards"
+        )
     return Kernels(maps, truth)
 
 

@@ -16,8 +16,6 @@ from motdiff.network.correction import CorrectionNetwork, corrected
 from motdiff.network.symmetry import SYMMETRIES, mirrored
 from motdiff.weights.correction import write_correction
 
-__all__ = ["Settings", "Trainer", "corrected_mnc", "train"]
-
 _WARM_UP_STEPS = 50
 _LONGEST_GRADIENT = 1.0
 _AVERAGED = 0.997  # share of the old weights in the running average, once there are enough of them
@@ -49,13 +47,18 @@ class Trainer:
     """
 
     def __init__(self, kernels: Kernels, settings: Settings) -> None:
-        self.settings, self._kernels = settings, kernels
+        self.settings = settings
+        self._kernels = kernels
         with torch.random.fork_rng():
             torch.manual_seed(settings.seed)
             self.network = CorrectionNetwork()
-        self._adam = torch.optim.AdamW(self.network.parameters(), lr=settings.rate, weight_decay=_DECAY)
+        self._adam = torch.optim.AdamW(
+            self.network.parameters(), lr=settings.rate, weight_decay=_DECAY
+        )
         self._generator = torch.Generator().manual_seed(settings.seed)
-        self.average: dict[str, Tensor] = {name: value.clone() for name, value in self.network.state_dict().items()}
+        self.average: dict[str, Tensor] = {
+            name: value.clone() for name, value in self.network.state_dict().items()
+        }
         self.step = 0
 
     def update(self) -> float:
@@ -72,7 +75,9 @@ class Trainer:
         maps, truth = self._batch()
         loss = (1 - alike(self.network(maps), truth)).mean()
         if not loss.isfinite():
-            raise FloatingPointError(f"loss: is {float(loss.detach())} at step {self.step}; train with a smaller rate")
+            raise FloatingPointError(
+                f"loss: is {float(loss.detach())} at step {self.step}; train with a smaller rate"
+            )
         self._adam.zero_grad()
         torch.autograd.backward(loss)
         nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_GRADIENT)
@@ -85,9 +90,14 @@ class Trainer:
 
     def _batch(self) -> tuple[Tensor, Tensor]:
         """Draw maps (B, 11, 64, 64) and true PSFs (B, 64, 64) at random, all turned or mirrored the same way."""
-        index = torch.randint(len(self._kernels), (self.settings.batch,), generator=self._generator)
-        symmetry, swapped = (int(torch.randint(n, (1,), generator=self._generator)) for n in (SYMMETRIES, 2))
-        maps, truth = self._kernels.maps[index].float(), self._kernels.truth[index].float()
+        index = torch.randint(
+            len(self._kernels), (self.settings.batch,), generator=self._generator
+        )
+        symmetry, swapped = (
+            int(torch.randint(n, (1,), generator=self._generator)) for n in (SYMMETRIES, 2)
+        )
+        maps = self._kernels.maps[index].float()
+        truth = self._kernels.truth[index].float()
         if swapped:  # the two other kernels have no order
             maps = maps[:, [0, 2, 1, *range(3, maps.shape[1])]]
         return mirrored(maps, symmetry, pitch=1), mirrored(truth[:, None], symmetry, pitch=1)[:, 0]
@@ -124,8 +134,12 @@ def train(
         now = clock()
         if now - saved >= save_s or trainer.step == settings.steps:
             about = {"kernels": len(kernels), "steps": trainer.step, "seconds": round(now - began)}
-            write_correction(trainer.average, target, about={**about, "settings": asdict(settings)})
-            report(f"{trainer.step} of {settings.steps} updates, {now - began:.0f} s, loss {loss:.4f}")
+            write_correction(
+                trainer.average, target, about={**about, "settings": asdict(settings)}
+            )
+            report(
+                f"{trainer.step} of {settings.steps} updates, {now - began:.0f} s, loss {loss:.4f}"
+            )
             saved = now
 
 
@@ -133,8 +147,12 @@ def corrected_mnc(kernels: Kernels, network: CorrectionNetwork) -> tuple[float, 
     """Mean MNC of the kernels before and after their correction."""
     pairs = []
     with torch.no_grad():
-        for maps, truth in zip(torch.split(kernels.maps, 1), torch.split(kernels.truth, 1), strict=True):
+        for maps, truth in zip(
+            torch.split(kernels.maps, 1), torch.split(kernels.truth, 1), strict=True
+        ):
             found = corrected(network, maps.float())
-            pairs.append(torch.cat([alike(each, truth.float()) for each in (maps[:, 0].float(), found)]))
+            pairs.append(
+                torch.cat([alike(each, truth.float()) for each in (maps[:, 0].float(), found)])
+            )
     before, after = torch.stack(pairs).mean(dim=0).tolist()
     return before, after

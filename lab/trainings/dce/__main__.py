@@ -21,26 +21,44 @@ _EXAMPLES = """the shipped weights:
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code (:func:`lab.trainings.command_line.run_command`)."""
     parser = argparse.ArgumentParser(
-        prog="python -m lab.trainings.dce", epilog=_EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m lab.trainings.dce",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     train = commands.add_parser("train", help="train code and network, or go on training")
     train.add_argument("photos", type=Path, help="folder of sharp photos")
-    train.add_argument("-o", "--out", type=Path, required=True, help="folder of the run: checkpoint and log.csv")
-    train.add_argument("--gyro", type=Path, help="gyroscope recording: adds real hand shake to the motions")
-    train.add_argument("--start", metavar="BITS", help="code to begin with; DCE's of 32 chips when omitted")
+    train.add_argument(
+        "-o", "--out", type=Path, required=True, help="folder of the run: checkpoint and log.csv"
+    )
+    train.add_argument(
+        "--gyro", type=Path, help="gyroscope recording: adds real hand shake to the motions"
+    )
+    train.add_argument(
+        "--start", metavar="BITS", help="code to begin with; DCE's of 32 chips when omitted"
+    )
     train.add_argument("--steps", type=int, default=5000, help="updates of 4 samples")
-    train.add_argument("--minutes", type=float, default=float("inf"), help="end this piece after so many minutes")
+    train.add_argument(
+        "--minutes", type=float, default=float("inf"), help="end this piece after so many minutes"
+    )
     train.add_argument("--seed", type=int, default=0)
     train.set_defaults(command=_train)
     export = commands.add_parser("export", help="write a run's code and network as one small file")
     export.add_argument("run", type=Path, help="folder of the run")
     export.add_argument("-o", "--out", type=Path, required=True, help=".safetensors file")
-    export.add_argument("--notes", type=Path, help="JSON file: what else the header should say (data, figures)")
+    export.add_argument(
+        "--notes", type=Path, help="JSON file: what else the header should say (data, figures)"
+    )
     export.set_defaults(command=_export)
-    evaluate = commands.add_parser("evaluate", help="measure the learned code and the network; prints JSON lines")
-    evaluate.add_argument("photos", type=Path, help="folder of sharp photos that no training has seen")
-    evaluate.add_argument("--gyro", type=Path, help="gyroscope recording: adds real hand shake to the motions")
+    evaluate = commands.add_parser(
+        "evaluate", help="measure the learned code and the network; prints JSON lines"
+    )
+    evaluate.add_argument(
+        "photos", type=Path, help="folder of sharp photos that no training has seen"
+    )
+    evaluate.add_argument(
+        "--gyro", type=Path, help="gyroscope recording: adds real hand shake to the motions"
+    )
     evaluate.add_argument("--weights", type=Path, help="the shipped ones when omitted")
     evaluate.add_argument("--count", type=int, default=32)
     evaluate.add_argument("--sigma", type=float, default=0.01, help="noise, full scale 1")
@@ -57,7 +75,8 @@ def _train(given: argparse.Namespace) -> None:
 
     settings = Settings(start=given.start or START, seed=given.seed)
     photos = load_photos(given.photos, least_px=settings.crop_px + PSF_PX - 1)
-    mix, chips = motion_mix(given.gyro), len(settings.start)
+    mix = motion_mix(given.gyro)
+    chips = len(settings.start)
     samples = Samples(photos, mix, chips=chips, crop_px=settings.crop_px, seed=settings.seed)
     train(Trainer(settings), samples, given.out, steps=given.steps, minutes=given.minutes)
 

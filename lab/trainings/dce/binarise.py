@@ -10,16 +10,15 @@ from torch import Tensor
 
 from cep.optics.code import ShutterCode
 
-__all__ = ["binarise", "code_of", "weights_of"]
-
 _THRESHOLD = 0.5
 
 
 def binarise(weights: Tensor) -> Tensor:
     """Open the chips whose weight is above one half; if none is, the one of the largest weight.
 
-    Backward, the gradient by a weight is the gradient by its chip as if that could be open in part. Weights outside
-    0..1 have none; training keeps them within, or those far outside could never come back.
+    Backward, the gradient by a weight is the gradient by its chip as if that could be open in
+    part. Weights outside 0..1 have none; training keeps them within, or those far outside could
+    never come back.
 
     Parameters
     ----------

@@ -5,20 +5,19 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-__all__ = ["coded_photos"]
-
 
 def coded_photos(scenes: Tensor, chip_psfs: Tensor, chips: Tensor) -> Tensor:
     """Take light-true photos with real borders: the mean over all chips' frames, the closed ones dark.
 
-    A frame is the scene shifted along the path, averaged over the time of its chip, so that blurring with the chip's
-    PSF is the same as adding up shifted scenes.
+    A frame is the scene shifted along the path, averaged over the time of its chip, so that
+    blurring with the chip's PSF is the same as adding up shifted scenes.
 
     Parameters
     ----------
     scenes : (B, 1, H + S - 1, W + S - 1) float, linear light
     chip_psfs : (B, n, S, S) float
-        Each chip's share of the PSF (:func:`cep.optics.exposure.chip_psfs`); those of a sample sum to 1.
+        Each chip's share of the PSF (:func:`cep.optics.exposure.chip_psfs`); those of a sample sum
+        to 1.
     chips : (n,) float, 0..1
         How far each chip is open.
 
@@ -31,5 +30,7 @@ def coded_photos(scenes: Tensor, chip_psfs: Tensor, chips: Tensor) -> Tensor:
     rows, columns = psfs.shape[2:]
     size = scenes.shape[2:]
     # circular wrap-around stays within the rows and columns that are cut away
-    blurred: Tensor = torch.fft.irfft2(torch.fft.rfft2(scenes) * torch.fft.rfft2(psfs, s=size), s=size)
+    blurred: Tensor = torch.fft.irfft2(
+        torch.fft.rfft2(scenes) * torch.fft.rfft2(psfs, s=size), s=size
+    )
     return blurred[..., rows - 1 :, columns - 1 :]

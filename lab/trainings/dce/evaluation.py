@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
@@ -19,12 +18,11 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import photograph, to_linear, visible
 from motdiff.training.motion_bank import MotionMix, draw_motion
 from motdiff.training.photos import load_photos
+from motdiff.types import FloatArray
 
-__all__ = ["EvaluationRow", "evaluate", "scenes_of"]
-
-FloatArray = NDArray[np.float64]
 _BORDER_PX = PSF_PX // 2  # left out of the PSNR: a deconvolution guesses there
-_LEAST_PX, _MOST_PX = 3 * PSF_PX - 1, 5 * PSF_PX - 1  # at least a PSF is left inside the borders
+_LEAST_PX = 3 * PSF_PX - 1  # at least a PSF is left inside the borders
+_MOST_PX = 5 * PSF_PX - 1
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,9 @@ def scenes_of(photos: Path) -> list[FloatArray]:
     found = []
     for photo in load_photos(photos, least_px=_LEAST_PX):
         green = photo[1].numpy() / 255
-        rows, columns = (slice(max(0, (n - _MOST_PX) // 2), (n + _MOST_PX) // 2) for n in green.shape)
+        rows, columns = (
+            slice(max(0, (n - _MOST_PX) // 2), (n + _MOST_PX) // 2) for n in green.shape
+        )
         found.append(to_linear(green[rows, columns]))
     return found
 
@@ -89,15 +89,22 @@ def evaluate(
     Raises
     ------
     ValueError
-        If there is no scene, one is smaller than 191 x 191 px, ``count`` is below 1, or the file is not one of ours.
+        If there is no scene, one is smaller than 191 x 191 px, ``count`` is below 1, or the file
+        is not one of ours.
     """
     if count < 1:
         raise ValueError(f"count: must be at least 1, got {count}")
     smallest = min((min(scene.shape) for scene in scenes), default=0)
     if smallest < _LEAST_PX:
-        raise ValueError(f"scenes: must be at least {_LEAST_PX} x {_LEAST_PX} px, got a side of {smallest} px")
+        raise ValueError(
+            f"scenes: must be at least {_LEAST_PX} x {_LEAST_PX} px, got a side of {smallest} px"
+        )
     card = read_card(weights)
-    codes = {"learned": card.code, "start": card.start, "open shutter": ShutterCode("1" * card.code.chips)}
+    codes = {
+        "learned": card.code,
+        "start": card.start,
+        "open shutter": ShutterCode("1" * card.code.chips),
+    }
     trace = read_gyro(mix.gyro_trace) if mix.gyro > 0 else None
     found: dict[str, list[tuple[float, float, float]]] = {name: [] for name in codes}
     for number in range(count):
@@ -107,10 +114,18 @@ def evaluate(
         for name, code in codes.items():
             psf = coded_psf(motion, code, PSF_PX)
             rng = np.random.default_rng([seed, number, 1])  # the same draw for every code
-            photo = photograph(scene, psf, rng=rng, read_sigma=sigma, record=np.asarray)  # not clipped, as in training
+            photo = photograph(
+                scene, psf, rng=rng, read_sigma=sigma, record=np.asarray
+            )  # not clipped, as in training
             by_wiener = wiener(photo, psf, noise_variance=sigma**2)
             by_network = restore(photo, code=code, path=weights)
-            found[name].append((_psnr(photo / code.duty, sharp), _psnr(by_network, sharp), _psnr(by_wiener, sharp)))
+            found[name].append(
+                (
+                    _psnr(photo / code.duty, sharp),
+                    _psnr(by_network, sharp),
+                    _psnr(by_wiener, sharp),
+                )
+            )
     return tuple(_row(name, codes[name], np.array(figures)) for name, figures in found.items())
 
 

@@ -6,10 +6,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-__all__ = ["charbonnier", "edge_loss", "restoration_loss", "spectral_loss"]
-
 _EPSILON = 1e-3
-_EDGE_WEIGHT, _SPECTRAL_WEIGHT = 0.05, 0.01
+_EDGE_WEIGHT = 0.05
+_SPECTRAL_WEIGHT = 0.01
 _BINOMIAL = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
 
 
@@ -47,5 +46,9 @@ def _fine(image: Tensor) -> Tensor:
     line = torch.tensor(_BINOMIAL, dtype=image.dtype)
     channels = image.shape[1]
     padded = functional.pad(image, (2, 2, 2, 2), mode="replicate")
-    smooth = functional.conv2d(padded, line.view(1, 1, 1, 5).repeat(channels, 1, 1, 1), groups=channels)
-    return image - functional.conv2d(smooth, line.view(1, 1, 5, 1).repeat(channels, 1, 1, 1), groups=channels)
+    smooth = functional.conv2d(
+        padded, line.view(1, 1, 1, 5).repeat(channels, 1, 1, 1), groups=channels
+    )
+    return image - functional.conv2d(
+        smooth, line.view(1, 1, 5, 1).repeat(channels, 1, 1, 1), groups=channels
+    )

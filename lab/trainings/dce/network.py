@@ -9,8 +9,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-__all__ = ["WIDTHS", "RestorationNetwork"]
-
 WIDTHS = (24, 48, 72, 96)
 _SHUFFLE = 2  # the finest features are at half the resolution: four times as quick
 
@@ -34,7 +32,9 @@ class RestorationNetwork(nn.Module):
         self.stem = nn.Conv2d(_SHUFFLE**2, widths[0], 3, padding=1)
         self.encoders = nn.ModuleList([nn.Sequential(_Block(w), _Block(w)) for w in widths])
         steps = list(itertools.pairwise(widths))
-        self.downs = nn.ModuleList([nn.Conv2d(fine, coarse, 2, stride=2) for fine, coarse in steps])
+        self.downs = nn.ModuleList(
+            [nn.Conv2d(fine, coarse, 2, stride=2) for fine, coarse in steps]
+        )
         self.ups = nn.ModuleList([nn.Conv2d(coarse, 4 * fine, 1) for fine, coarse in steps])
         self.decoders = nn.ModuleList([nn.Sequential(_Block(w), _Block(w)) for w in widths[:-1]])
         self.head = nn.Conv2d(widths[0], _SHUFFLE**2, 3, padding=1)
@@ -47,7 +47,8 @@ class RestorationNetwork(nn.Module):
         Parameters
         ----------
         photos : (B, 1, H, W) float, linear light
-            At the scale of the full open exposure: a coded photo over its code's duty. Any H and W.
+            At the scale of the full open exposure: a coded photo over its code's duty. Any H and
+            W.
 
         Returns
         -------

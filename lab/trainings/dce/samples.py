@@ -17,8 +17,6 @@ from motdiff.simulate import to_linear, valid_window
 from motdiff.training.motion_bank import MotionMix, draw_motion
 from motdiff.training.photos import crops
 
-__all__ = ["SIGMA_MAX", "Batch", "Samples", "motion_mix"]
-
 SIGMA_MAX = 0.02
 """Largest standard deviation of the noise, full scale 1."""
 
@@ -49,7 +47,8 @@ def motion_mix(gyro: Path | None) -> MotionMix:
     Parameters
     ----------
     gyro : path, optional
-        A gyroscope recording (:func:`motdiff.gyro.read_gyro`); without one there is no hand shake among them.
+        A gyroscope recording (:func:`motdiff.gyro.read_gyro`); without one there is no hand shake
+        among them.
     """
     shake = {} if gyro is None else {"gyro": 0.25, "gyro_trace": str(gyro)}
     return MotionMix(boracchi_foi=0.25, boracchi_foi_short=0.25, straight=0.25, **shake)  # type: ignore[arg-type]
@@ -69,8 +68,14 @@ class Samples:
     seed : int
     """
 
-    def __init__(self, photos: Sequence[Tensor], mix: MotionMix, *, chips: int, crop_px: int, seed: int) -> None:
-        self._photos, self._mix, self._chips, self._crop_px, self._seed = photos, mix, chips, crop_px, seed
+    def __init__(
+        self, photos: Sequence[Tensor], mix: MotionMix, *, chips: int, crop_px: int, seed: int
+    ) -> None:
+        self._photos = photos
+        self._mix = mix
+        self._chips = chips
+        self._crop_px = crop_px
+        self._seed = seed
         self._trace = read_gyro(mix.gyro_trace) if mix.gyro > 0 else None
 
     def batch(self, step: int, size: int) -> Batch:
@@ -80,7 +85,9 @@ class Samples:
         side = self._crop_px + PSF_PX - 1
         display = crops(self._photos, count=size, size=side, generator=generator)
         channel = torch.from_numpy(rng.integers(3, size=size))
-        scenes = torch.from_numpy(to_linear(display[torch.arange(size), channel, None].numpy())).float()
+        scenes = torch.from_numpy(
+            to_linear(display[torch.arange(size), channel, None].numpy())
+        ).float()
         motions = [draw_motion(self._mix, rng, self._trace) for _ in range(size)]
         psfs = np.stack([chip_psfs(motion, self._chips, PSF_PX) for motion in motions])
         rows, columns = valid_window((side, side), (PSF_PX, PSF_PX))

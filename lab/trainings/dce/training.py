@@ -20,12 +20,11 @@ from lab.trainings.dce.network import RestorationNetwork
 from lab.trainings.dce.samples import Batch, Samples
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 
-__all__ = ["START", "Settings", "Trainer", "photos_of", "train"]
-
 START = published("merl-32-t64").code.bits
 """The code that DCE starts from."""
 
-_LEARNED_FROM, _LEARNED_TO = 0.25, 0.75
+_LEARNED_FROM = 0.25
+_LEARNED_TO = 0.75
 _LAST_RATE = 0.02  # of the first, at the end of the cosine
 _LONGEST_GRADIENT = 1.0
 _LOG_STEPS = 10
@@ -82,16 +81,19 @@ class Trainer:
             torch.manual_seed(settings.seed)
             self.network = RestorationNetwork()
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.weights = nn.Parameter(weights_of(ShutterCode(settings.start), margin=settings.margin))
+        self.weights = nn.Parameter(
+            weights_of(ShutterCode(settings.start), margin=settings.margin)
+        )
         self._adam = torch.optim.Adam(self.network.parameters(), lr=settings.rate)
         self._code_adam = torch.optim.Adam([self.weights], lr=settings.code_rate)
-        self.step, self.seconds = 0, 0.0
+        self.step = 0
+        self.seconds = 0.0
 
     def update(self, batch: Batch, *, progress: float) -> float:
         """Make one update at a share ``progress`` of the run, 0..1; returns the loss.
 
-        The code is learned in the middle half of the run. Before, the untrained network gives no useful gradient;
-        after, the network is trained for the final code.
+        The code is learned in the middle half of the run. Before, the untrained network gives no
+        useful gradient; after, the network is trained for the final code.
 
         Raises
         ------
@@ -102,9 +104,13 @@ class Trainer:
         for group in self._adam.param_groups:
             group["lr"] = self.settings.rate * (_LAST_RATE + (1 - _LAST_RATE) * cosine)
         learns = _LEARNED_FROM <= progress < _LEARNED_TO
-        loss = restoration_loss(self.network(photos_of(batch, binarise(self.weights))), batch.sharp)
+        loss = restoration_loss(
+            self.network(photos_of(batch, binarise(self.weights))), batch.sharp
+        )
         if not loss.isfinite():
-            raise FloatingPointError(f"loss: is {float(loss.detach())} at step {self.step}; train with a smaller rate")
+            raise FloatingPointError(
+                f"loss: is {float(loss.detach())} at step {self.step}; train with a smaller rate"
+            )
         self._adam.zero_grad()
         self._code_adam.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -129,7 +135,9 @@ class Trainer:
         for kind, adam in (("adam", self._adam), ("code_adam", self._code_adam)):
             for number, state in adam.state_dict()["state"].items():
                 tensors |= {f"{kind}.{number}.{name}": value for name, value in state.items()}
-        write_checkpoint(folder, Checkpoint(self.step, tensors, asdict(self.settings), self.seconds))
+        write_checkpoint(
+            folder, Checkpoint(self.step, tensors, asdict(self.settings), self.seconds)
+        )
 
     def resume(self, folder: Path) -> None:
         """Go on from a checkpoint, if there is one.
@@ -144,7 +152,9 @@ class Trainer:
             return
         if (settings := asdict(self.settings)) != found.config:
             name = next(name for name in settings if settings[name] != found.config.get(name))
-            raise ValueError(f"{name}: the run in {folder} has {found.config.get(name)!r}, got {settings[name]!r}")
+            raise ValueError(
+                f"{name}: the run in {folder} has {found.config.get(name)!r}, got {settings[name]!r}"
+            )
         self.network.load_state_dict(found.part("model."))
         with torch.no_grad():
             self.weights.copy_(found.tensors["code"])
@@ -153,8 +163,11 @@ class Trainer:
             for name, value in found.part(kind).items():
                 number, entry = name.split(".", 1)
                 state.setdefault(int(number), {})[entry] = value
-            adam.load_state_dict({"state": state, "param_groups": adam.state_dict()["param_groups"]})
-        self.step, self.seconds = found.step, found.seconds
+            adam.load_state_dict(
+                {"state": state, "param_groups": adam.state_dict()["param_groups"]}
+            )
+        self.step = found.step
+        self.seconds = found.seconds
 
 
 def photos_of(batch: Batch, chips: Tensor) -> Tensor:
@@ -163,7 +176,13 @@ def photos_of(batch: Batch, chips: Tensor) -> Tensor:
 
 
 def train(
-    trainer: Trainer, samples: Samples, folder: Path, *, steps: int, minutes: float = math.inf, save_s: float = 60.0
+    trainer: Trainer,
+    samples: Samples,
+    folder: Path,
+    *,
+    steps: int,
+    minutes: float = math.inf,
+    save_s: float = 60.0,
 ) -> None:
     """Train, or go on training, until ``steps`` updates are done or ``minutes`` are over.
 
@@ -174,7 +193,8 @@ def train(
     folder : path
         ``checkpoint`` and ``log.csv`` go there.
     steps : int
-        Updates of the whole run; they set the pace at which the step size falls and when the code is learned.
+        Updates of the whole run; they set the pace at which the step size falls and when the code
+        is learned.
     minutes : float
         Length of this piece.
     save_s : float
@@ -190,10 +210,13 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     trainer.resume(folder / "checkpoint")
     began = saved = now = time.monotonic()
-    smooth, before = math.nan, trainer.seconds
+    smooth = math.nan
+    before = trainer.seconds
     while trainer.step < steps and now - began < 60 * minutes:
         progress = trainer.step / steps
-        loss = trainer.update(samples.batch(trainer.step, trainer.settings.batch), progress=progress)
+        loss = trainer.update(
+            samples.batch(trainer.step, trainer.settings.batch), progress=progress
+        )
         smooth = loss if math.isnan(smooth) else _SMOOTH * smooth + (1 - _SMOOTH) * loss
         now = time.monotonic()
         trainer.seconds = before + now - began
@@ -213,5 +236,12 @@ def _log(path: Path, trainer: Trainer, loss: float) -> None:
         writer = csv.writer(file)
         if new:
             writer.writerow(_FIELDS)
-        row = (trainer.step, f"{trainer.seconds:.0f}", f"{loss:.5f}", code.open_chips, flips, code.bits)
+        row = (
+            trainer.step,
+            f"{trainer.seconds:.0f}",
+            f"{loss:.5f}",
+            code.open_chips,
+            flips,
+            code.bits,
+        )
         writer.writerow(row)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cep.optics.code import ShutterCode
 from cep.restoration.spectral import channels_first, channels_last
@@ -17,11 +17,9 @@ from lab.trainings.dce.network import RestorationNetwork
 from motdiff import weights_io
 from motdiff.files.inputs import one_line
 from motdiff.training.checkpoint import read_checkpoint
+from motdiff.types import FloatArray
 from motdiff.weights_io import filled, write_with_card
 
-__all__ = ["SCHEMA", "WEIGHTS", "Card", "export_weights", "load_network", "read_card", "restore"]
-
-FloatArray = NDArray[np.float64]
 SCHEMA = "cep.dce/1"
 WEIGHTS = Path(__file__).with_name("dce.safetensors")
 """The weights in this folder; their code is :data:`cep.codes.published.DCE_CODE`."""
@@ -62,7 +60,8 @@ def read_card(path: Path | str = WEIGHTS) -> Card:
     """
     card = weights_io.read_card(path, SCHEMA)
     try:
-        code, start = ShutterCode(card["bits"]), ShutterCode(card["settings"]["start"])
+        code = ShutterCode(card["bits"])
+        start = ShutterCode(card["settings"]["start"])
         return Card(code, start, int(card["steps"]), float(card["seconds"]), dict(card["notes"]))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: its header is not whole: {one_line(error)}") from error
@@ -80,7 +79,9 @@ def load_network(path: Path | str = WEIGHTS) -> RestorationNetwork:
     return filled(RestorationNetwork(), path, schema=SCHEMA)
 
 
-def restore(photo: ArrayLike, *, code: ShutterCode | None = None, path: Path = WEIGHTS) -> FloatArray:
+def restore(
+    photo: ArrayLike, *, code: ShutterCode | None = None, path: Path = WEIGHTS
+) -> FloatArray:
     """Restore a coded photo with the network alone; the motion is no input.
 
     Parameters
@@ -95,8 +96,8 @@ def restore(photo: ArrayLike, *, code: ShutterCode | None = None, path: Path = W
     Returns
     -------
     float ndarray like ``photo``
-        At the scale of the full open exposure, not clipped. Each channel is restored by itself, in about 1.2 s and
-        120 MiB per megapixel on one core.
+        At the scale of the full open exposure, not clipped. Each channel is restored by itself, in
+        about 1.2 s and 120 MiB per megapixel on one core.
 
     Raises
     ------
@@ -106,11 +107,16 @@ def restore(photo: ArrayLike, *, code: ShutterCode | None = None, path: Path = W
     channels = channels_first(photo) / (code or read_card(path).code).duty
     network = load_network(path)
     with torch.inference_mode():
-        restored = [network(torch.from_numpy(channel[None, None]).float())[0, 0].numpy() for channel in channels]
+        restored = [
+            network(torch.from_numpy(channel[None, None]).float())[0, 0].numpy()
+            for channel in channels
+        ]
     return channels_last(np.stack(restored).astype(np.float64))
 
 
-def export_weights(checkpoint: Path | str, target: Path | str, *, notes: Mapping[str, object] | None = None) -> int:
+def export_weights(
+    checkpoint: Path | str, target: Path | str, *, notes: Mapping[str, object] | None = None
+) -> int:
     """Write a run's network as float16, and its code, as one .safetensors file; returns its size in bytes.
 
     Parameters
@@ -135,4 +141,6 @@ def export_weights(checkpoint: Path | str, target: Path | str, *, notes: Mapping
         "seconds": round(found.seconds),
         "notes": dict(notes or {}),
     }
-    return write_with_card(found.part("model."), target, schema=SCHEMA, card=card, source=checkpoint)
+    return write_with_card(
+        found.part("model."), target, schema=SCHEMA, card=card, source=checkpoint
+    )

@@ -23,14 +23,20 @@ def run(arguments: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    train = commands.add_parser("train", help="train the denoiser; Ctrl-C keeps the weights of the last minute")
+    train = commands.add_parser(
+        "train", help="train the denoiser; Ctrl-C keeps the weights of the last minute"
+    )
     train.add_argument("photos", type=Path, help="folder of sharp photos")
     train.add_argument("-o", "--out", type=Path, required=True, help=".safetensors file")
     train.add_argument("--minutes", type=float, default=21.0, help="length of the run")
     train.add_argument("--seed", type=int, default=0)
     train.set_defaults(command=_train)
-    evaluate = commands.add_parser("evaluate", help="print the PSNR of noisy and denoised photos, linear light")
-    evaluate.add_argument("photos", type=Path, help="folder of sharp photos that no training has seen")
+    evaluate = commands.add_parser(
+        "evaluate", help="print the PSNR of noisy and denoised photos, linear light"
+    )
+    evaluate.add_argument(
+        "photos", type=Path, help="folder of sharp photos that no training has seen"
+    )
     evaluate.add_argument("--weights", type=Path, help="the shipped ones when omitted")
     evaluate.set_defaults(command=_evaluate)
     return run_command(parser, arguments)
@@ -42,7 +48,13 @@ def _train(given: argparse.Namespace) -> None:
 
     settings = Settings(seed=given.seed)
     photos = load_photos(given.photos, least_px=settings.crop_px)
-    train(photos, given.out, minutes=given.minutes, settings=settings, report=lambda line: print(line, file=sys.stderr))
+    train(
+        photos,
+        given.out,
+        minutes=given.minutes,
+        settings=settings,
+        report=lambda line: print(line, file=sys.stderr),
+    )
 
 
 def _evaluate(given: argparse.Namespace) -> None:

@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from torch import Tensor
 
 from motdiff.crops import luminance
 from motdiff.metrics import psnr
 from motdiff.simulate import to_linear
-
-__all__ = ["denoising_gains"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 
 def denoising_gains(
@@ -40,6 +36,11 @@ def denoising_gains(
         rng = np.random.default_rng(seed)
         noisy = [scene + sigma * rng.standard_normal(scene.shape) for scene in scenes]
         before = np.mean([psnr(image, scene) for image, scene in zip(noisy, scenes, strict=True)])
-        after = np.mean([psnr(denoise(image, sigma), scene) for image, scene in zip(noisy, scenes, strict=True)])
+        after = np.mean(
+            [
+                psnr(denoise(image, sigma), scene)
+                for image, scene in zip(noisy, scenes, strict=True)
+            ]
+        )
         rows.append((sigma, float(before), float(after)))
     return tuple(rows)

@@ -12,13 +12,12 @@ from torch import Tensor
 
 from motdiff.training.photos import crops
 
-__all__ = ["SIGMAS", "Batch", "draw"]
-
 SIGMAS = (1e-3, 0.3)
 """Least and largest standard deviation of the noise, full scale 1; log-evenly spread between."""
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
-_DECODED = 0.7  # share of the samples that are decoded to light; the others are code values, read as light
+# share of the samples that are decoded to light; the others are code values, read as light
+_DECODED = 0.7
 _DISPLAY_GAMMA = 2.2
 _LEAST_GAIN = 0.3
 
@@ -35,8 +34,8 @@ class Batch:
 def draw(photos: Sequence[Tensor], step: int, *, count: int, side_px: int, seed: int) -> Batch:
     """Draw the samples of an update; they depend on the seed and the step alone.
 
-    The noise is white in linear light, where the splitting has it. A sample is a photo's luminance or one of its
-    colour channels, at any exposure from 0.3 to 1.
+    The noise is white in linear light, where the splitting has it. A sample is a photo's luminance
+    or one of its colour channels, at any exposure from 0.3 to 1.
 
     Parameters
     ----------
@@ -55,7 +54,9 @@ def draw(photos: Sequence[Tensor], step: int, *, count: int, side_px: int, seed:
     generator = torch.Generator().manual_seed(int(rng.integers(2**62)))
     display = crops(photos, count=count, size=side_px, generator=generator)
     by_eye = rng.random((count, 1)) < 0.5
-    mix = torch.from_numpy(np.where(by_eye, [_LUMINANCE], np.eye(3)[rng.integers(3, size=count)])).float()
+    mix = torch.from_numpy(
+        np.where(by_eye, [_LUMINANCE], np.eye(3)[rng.integers(3, size=count)])
+    ).float()
     grey = (display * mix[:, :, None, None]).sum(dim=1, keepdim=True)
     power = _column(np.where(rng.random(count) < _DECODED, _DISPLAY_GAMMA, 1.0))
     gain = _column(rng.uniform(_LEAST_GAIN, 1.0, count))

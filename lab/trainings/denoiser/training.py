@@ -15,8 +15,6 @@ from cep.restoration.denoiser.network import DenoisingNetwork
 from cep.restoration.denoiser.weights import write_weights
 from lab.trainings.denoiser.samples import Batch, draw
 
-__all__ = ["Settings", "Trainer", "train"]
-
 _WARM_UP_STEPS = 100
 _LAST_RATE = 0.01  # of the first, at the end of the cosine
 _LONGEST_GRADIENT = 0.5
@@ -48,13 +46,16 @@ class Trainer:
             self.network = DenoisingNetwork()
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._adam = torch.optim.Adam(self.network.parameters(), lr=settings.rate)
-        self.average: dict[str, Tensor] = {name: value.clone() for name, value in self.network.state_dict().items()}
+        self.average: dict[str, Tensor] = {
+            name: value.clone() for name, value in self.network.state_dict().items()
+        }
         self.step = 0
 
     def update(self, batch: Batch, *, progress: float) -> float:
         """Make one update at a share ``progress`` of the run, 0..1; returns the loss.
 
-        The loss is the mean error over the square root of the noise level: all levels have about the same weight.
+        The loss is the mean error over the square root of the noise level: all levels have about
+        the same weight.
 
         Raises
         ------
@@ -62,13 +63,17 @@ class Trainer:
             If the loss is not finite.
         """
         cosine = 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
-        rate = min(1.0, (self.step + 1) / _WARM_UP_STEPS) * (_LAST_RATE + (1 - _LAST_RATE) * cosine)
+        rate = min(1.0, (self.step + 1) / _WARM_UP_STEPS) * (
+            _LAST_RATE + (1 - _LAST_RATE) * cosine
+        )
         for group in self._adam.param_groups:
             group["lr"] = self.settings.rate * rate
         error = (self.network(batch.noisy, batch.sigma) - batch.clean).abs().mean(dim=(1, 2, 3))
         loss = (error / batch.sigma.sqrt()).mean()
         if not loss.isfinite():
-            raise FloatingPointError(f"loss: is {float(loss.detach())} at step {self.step}; train with a smaller rate")
+            raise FloatingPointError(
+                f"loss: is {float(loss.detach())} at step {self.step}; train with a smaller rate"
+            )
         self._adam.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_GRADIENT)
@@ -81,10 +86,15 @@ class Trainer:
 
 
 def train(
-    photos: Sequence[Tensor], target: Path | str, *, minutes: float, settings: Settings = Settings(),
-    save_s: float = 60.0, clock: Callable[[], float] = time.monotonic,
+    photos: Sequence[Tensor],
+    target: Path | str,
+    *,
+    minutes: float,
+    settings: Settings = Settings(),
+    save_s: float = 60.0,
+    clock: Callable[[], float] = time.monotonic,
     report: Callable[[str], None] = lambda _line: None,
-) -> int:  # fmt: skip
+) -> int:
     """Train for so many minutes; returns the number of updates.
 
     Parameters
@@ -112,11 +122,21 @@ def train(
     trainer = Trainer(settings)
     began = saved = now = clock()
     while now - began < 60 * minutes:
-        batch = draw(photos, trainer.step, count=settings.batch, side_px=settings.crop_px, seed=settings.seed)
+        batch = draw(
+            photos,
+            trainer.step,
+            count=settings.batch,
+            side_px=settings.crop_px,
+            seed=settings.seed,
+        )
         loss = trainer.update(batch, progress=(now - began) / (60 * minutes))
         now = clock()
         if now - saved >= save_s or now - began >= 60 * minutes:
-            about = {"steps": trainer.step, "seconds": round(now - began), "settings": asdict(settings)}
+            about = {
+                "steps": trainer.step,
+                "seconds": round(now - began),
+                "settings": asdict(settings),
+            }
             write_weights(trainer.average, target, about=about)
             report(f"{trainer.step} updates, {now - began:.0f} s, loss {loss:.4f}")
             saved = now

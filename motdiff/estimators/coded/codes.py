@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-__all__ = ["check_codes"]
-
 
 def check_codes(codes: Sequence[str], *, photos: int | None = None) -> None:
     """Refuse codes from which no order in time can be told.
@@ -20,14 +18,16 @@ def check_codes(codes: Sequence[str], *, photos: int | None = None) -> None:
     Raises
     ------
     ValueError
-        If the numbers of photos and codes differ, a code has no open chip, the codes' numbers of chips differ, or each
-        of them is its own mirror image.
+        If the numbers of photos and codes differ, a code has no open chip, the codes' numbers of
+        chips differ, or each of them is its own mirror image.
     """
     if photos is not None and photos != len(codes):
         raise ValueError(f"code: needs one for each photo, got {len(codes)} for {photos} photos")
     for i, code in enumerate(codes, 1):
         if not code or set(code) - set("01") or "1" not in code:
-            raise ValueError(f"code {i}: needs bits with at least one open chip, got {code[:40]!r}")
+            raise ValueError(
+                f"code {i}: needs bits with at least one open chip, got {code[:40]!r}"
+            )
         if len(code) != len(codes[0]):
             raise ValueError(
                 f"code {i}: has {len(code)} chips, the first one {len(codes[0])}; one motion is divided in one way"

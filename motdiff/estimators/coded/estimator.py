@@ -16,15 +16,18 @@ from motdiff.estimators.coded.search import find_paths
 from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
 
-__all__ = ["CodedEstimator"]
-
-_KERNEL_SHARE, _FIT_SHARE = 0.45, 0.55  # of the time
-# on simulated walks: how often the path is right, by number of photos; and the ratio of true to computed error
-# (docs/decisions/motion-estimation.md)
-_SHARE_RIGHT, _ERROR_RATIO = (0.05, 0.75, 0.67, 0.88), 2.8
-_TWO_VAGUE, _TWO_ALONE = 0.3, 0.2  # two photos whose path is known less exactly; whose searches end apart
+_KERNEL_SHARE = 0.45  # of the time
+_FIT_SHARE = 0.55
+# on simulated walks: how often the path is right, by number of photos; and the ratio of true to
+# computed error (docs/decisions/motion-estimation.md)
+_SHARE_RIGHT = (0.05, 0.75, 0.67, 0.88)
+_ERROR_RATIO = 2.8
+_TWO_VAGUE = 0.3  # two photos whose path is known less exactly; whose searches end apart
+_TWO_ALONE = 0.2
 _VAGUE_PX = 0.25
-_KERNELS_ALONE = 0.3  # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
+_KERNELS_ALONE = (
+    0.3  # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
+)
 _ALMOST_EQUAL = 1e-3
 _LEAST_EXTENTS = 5.0  # of a path, in units of its expected error
 
@@ -32,22 +35,25 @@ _LEAST_EXTENTS = 5.0  # of a path, in units of its expected error
 class CodedEstimator:
     """Find the motion that explains photos taken through known codes, with its order and direction in time.
 
-    The kernel of each photo is searched on its own. Paths decoded from them, orders of the traced path and random
-    walks are fitted to the kernels, crossed with each other, and fitted to the photos themselves where these show one
-    scene: what one photo shows through the PSF of another must be what the other shows through its own. Two photos,
-    and more whose best path leaves more than noise, are searched without the kernels too, until two searches agree.
+    The kernel of each photo is searched on its own. Paths decoded from them, orders of the traced
+    path and random walks are fitted to the kernels, crossed with each other, and fitted to the
+    photos themselves where these show one scene: what one photo shows through the PSF of another
+    must be what the other shows through its own. Two photos, and more whose best path leaves more
+    than noise, are searched without the kernels too, until two searches agree.
 
-    ``confidence`` is the probability that the order is right: the share of simulated motions of which it was, with as
-    many photos through codes as ``cep calibration-set`` designs them. ``details`` hold it as ``order_confidence``, the
-    expected error ``path_uncertainty_px`` (rms over time), ``deviation_px`` at evenly spaced times and
-    ``searches_agreeing``. ``weights`` are relative among the paths found.
+    ``confidence`` is the probability that the order is right: the share of simulated motions of
+    which it was, with as many photos through codes as ``cep calibration-set`` designs them.
+    ``details`` hold it as ``order_confidence``, the expected error ``path_uncertainty_px`` (rms
+    over time), ``deviation_px`` at evenly spaced times and ``searches_agreeing``. ``weights`` are
+    relative among the paths found.
 
     Parameters
     ----------
     codes : sequence of str
         Bits of each photo's code, in the order of the photos; "1" throughout for an open shutter.
     kernels : Estimator, optional
-        What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when omitted.
+        What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when
+        omitted.
     seed : int
         Of the random starts.
     progress : callable, optional
@@ -70,7 +76,10 @@ class CodedEstimator:
         progress: Callable[[float], None] | None = None,
     ) -> None:
         check_codes(codes)
-        self._codes, self._kernels, self._seed, self._tell = tuple(codes), kernels, seed, progress
+        self._codes = tuple(codes)
+        self._kernels = kernels
+        self._seed = seed
+        self._tell = progress
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Estimate the motion from one coded photo, (H, W) or (H, W, 3) float, linear light 0..1."""
@@ -82,22 +91,27 @@ class CodedEstimator:
         Parameters
         ----------
         photos : sequence of I (H, W) or (H, W, 3) array_like, linear light 0..1
-            Of one size where they show one scene; shifts of a few px and other brightness are found.
+            Of one size where they show one scene; shifts of a few px and other brightness are
+            found.
 
         Returns
         -------
-        MotionEstimate with ``direction`` known; other explanations follow with their weights. Where the photos show no
-        motion blur, a path of 0 px, with ``motion_blur`` False in its ``details`` and a warning.
+        MotionEstimate with ``direction`` known; other explanations follow with their weights.
+        Where the photos show no motion blur, a path of 0 px, with ``motion_blur`` False in its
+        ``details`` and a warning.
 
         Raises
         ------
         ValueError
-            If the numbers of photos and codes differ, the sizes differ, or a photo cannot be searched.
+            If the numbers of photos and codes differ, the sizes differ, or a photo cannot be
+            searched.
         """
         with one_thread_a_call():
             progress = Progress(self._tell)
             progress.expect(1.0)
-            exposures = exposures_of(photos, self._codes, kernels=self._kernels, progress=progress, cost=_KERNEL_SHARE)
+            exposures = exposures_of(
+                photos, self._codes, kernels=self._kernels, progress=progress, cost=_KERNEL_SHARE
+            )
             if exposures.still is not None:
                 progress.finish()
                 return _at_rest(exposures.still, photos=len(photos))
@@ -112,16 +126,25 @@ def _at_rest(still: MotionEstimate, *, photos: int) -> MotionEstimate:
     """Estimate of photos without motion blur: no path, of which no order or error could be stated."""
     details = {**still.details, "order_confidence": None, "path_uncertainty_px": None}
     warnings = still.warnings if photos == 1 else ("The photos show no motion blur",)
-    return replace(still, method=CodedEstimator.method, warnings=warnings, psf_warnings=warnings, details=details)
+    return replace(
+        still,
+        method=CodedEstimator.method,
+        warnings=warnings,
+        psf_warnings=warnings,
+        details=details,
+    )
 
 
 def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> MotionEstimate:
-    best, photos = paths[0], len(exposures.codes)
+    best = paths[0]
+    photos = len(exposures.codes)
     together = bool(np.isfinite(best.misfit))
     warnings = []
     if photos > 1 and not together:
         why = "are too small beside their blur" if exposures.photos else "show different scenes"
-        warnings.append(f"the photos {why}: the path is fitted to their kernels alone, and less exact")
+        warnings.append(
+            f"the photos {why}: the path is fitted to their kernels alone, and less exact"
+        )
     probability = _order_probability(best, photos if together else max(1, photos - 1), times=times)
     deviation_px = _ERROR_RATIO * exposures.shrunk * best.deviation_px
     error_px = float(np.sqrt((deviation_px**2).mean()))
@@ -151,8 +174,9 @@ def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> 
 def _order_probability(best: FoundPath, photos: int, *, times: int) -> float:
     """Probability that a path is the true one to within 1 px: as often as with so many photos of one scene.
 
-    It is low where their kernels alone were fitted. It falls with what the path leaves unexplained; of two photos also
-    where no other search ended at that path, or its expected error is large, as on scenes of little texture.
+    It is low where their kernels alone were fitted. It falls with what the path leaves
+    unexplained; of two photos also where no other search ended at that path, or its expected error
+    is large, as on scenes of little texture.
     """
     share = _SHARE_RIGHT[min(photos, len(_SHARE_RIGHT)) - 1]
     if not np.isfinite(best.misfit):

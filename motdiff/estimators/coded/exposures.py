@@ -8,7 +8,7 @@ from statistics import median_low
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from motdiff.crops import LEAST_PX, pick_crops, textured_luminance
@@ -16,15 +16,13 @@ from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.misfit import SceneSpectra, scene_spectra
 from motdiff.progress import Progress
-
-__all__ = ["Exposures", "exposures_of"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _SAME_SCENE = 0.8  # correlation of what two photos show beyond their blur
 _BLUR_PX = 12.0
 _TRUSTED = 0.5  # confidence in a kernel
-_BLIND_WEIGHT, _LEAST_TRUST = 300.0, 0.15  # a blind kernel's error: about a tenth of its square
+_BLIND_WEIGHT = 300.0  # a blind kernel's error: about a tenth of its square
+_LEAST_TRUST = 0.15
 _SIDE_STEP_PX = 6  # photos are cut to sides that the three grids divide
 _LARGEST_SIDE_PX = 252
 _LEAST_INSIDE_PX = 96  # of a photo without its borders
@@ -40,7 +38,8 @@ class Exposures:
     kernels : tuple of I (S, S) float
         Found in each photo alone.
     weights : (I,) float
-        Inverse of the relative squared error expected of each kernel, times the values that it is spread over.
+        Inverse of the relative squared error expected of each kernel, times the values that it is
+        spread over.
     gains : (I,) float
         Brightness of each photo against the first, beyond what the codes explain.
     photos : tuple of I (H, W) float, or empty
@@ -50,7 +49,8 @@ class Exposures:
     confidences : tuple of I float
         Of the kernels.
     still : MotionEstimate or None
-        That of a photo without motion blur, where all photos are such, or one that saw the whole motion.
+        That of a photo without motion blur, where all photos are such, or one that saw the whole
+        motion.
     """
 
     codes: tuple[str, ...]
@@ -66,12 +66,19 @@ class Exposures:
         """Spectra of the photos on three grids, coarse to fine; none where the scene is not shared or too small."""
         if len(self.photos) < 2:
             return []
-        y, x = (np.concatenate(axis) for axis in zip(*(np.nonzero(k) for k in self.kernels), strict=True))
+        y, x = (
+            np.concatenate(axis)
+            for axis in zip(*(np.nonzero(k) for k in self.kernels), strict=True)
+        )
         margin_px = int(np.ceil(0.5 * max(np.ptp(y), np.ptp(x)))) + 10
-        side = min(_LARGEST_SIDE_PX, *(n // _SIDE_STEP_PX * _SIDE_STEP_PX for n in self.photos[0].shape))
+        side = min(
+            _LARGEST_SIDE_PX, *(n // _SIDE_STEP_PX * _SIDE_STEP_PX for n in self.photos[0].shape)
+        )
         if side - 2 * margin_px < _LEAST_INSIDE_PX:
             return []
-        top, left = pick_crops(self.photos[0], size=side, count=1)[0]  # where the scene has texture
+        top, left = pick_crops(self.photos[0], size=side, count=1)[
+            0
+        ]  # where the scene has texture
         cut = [photo[top : top + side, left : left + side] for photo in self.photos]
         return scene_spectra(cut, grids=[side // part for part in (6, 3, 2)], margin_px=margin_px)
 
@@ -103,16 +110,26 @@ def exposures_of(
     """
     check_codes(codes, photos=len(photos))
     told = progress or Progress()
-    greys = [_grey(photo, f"photo {i}" if len(photos) > 1 else "photo") for i, photo in enumerate(photos, 1)]
+    greys = [
+        _grey(photo, f"photo {i}" if len(photos) > 1 else "photo")
+        for i, photo in enumerate(photos, 1)
+    ]
     for i, grey in enumerate(greys[1:], 2):
         if grey.shape != greys[0].shape:
             (h, w), (h0, w0) = grey.shape, greys[0].shape
-            raise ValueError(f"photo {i}: has {w} x {h} px, the first one {w0} x {h0}; give photos of one size")
+            raise ValueError(
+                f"photo {i}: has {w} x {h} px, the first one {w0} x {h0}; give photos of one size"
+            )
     found = _kernels_of(greys, kernels, told, cost)
-    shrunk = median_low(_shrunk(one) for one in found)  # one motion: a kernel much larger than the others is wrong
+    shrunk = median_low(
+        _shrunk(one) for one in found
+    )  # one motion: a kernel much larger than the others is wrong
     if shrunk > 1:  # the blur outgrew the search
         size = (greys[0].shape[1] // shrunk, greys[0].shape[0] // shrunk)
-        greys = [np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float64) for grey in greys]
+        greys = [
+            np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float64)
+            for grey in greys
+        ]
         told.expect_more(cost)
         found = _kernels_of(greys, kernels, told, cost)
     light = [code.count("1") for code in codes]
@@ -164,5 +181,10 @@ def _shrunk(estimate: MotionEstimate) -> int:
 
 def _are_one_scene(photos: Sequence[FloatArray]) -> bool:
     """Whether all photos show the scene of the first, as far as their blur lets one see."""
-    seen = [ndimage.gaussian_filter(photo, _BLUR_PX) - ndimage.gaussian_filter(photo, 4 * _BLUR_PX) for photo in photos]
-    return all(np.corrcoef(seen[0].ravel(), other.ravel())[0, 1] > _SAME_SCENE for other in seen[1:])
+    seen = [
+        ndimage.gaussian_filter(photo, _BLUR_PX) - ndimage.gaussian_filter(photo, 4 * _BLUR_PX)
+        for photo in photos
+    ]
+    return all(
+        np.corrcoef(seen[0].ravel(), other.ravel())[0, 1] > _SAME_SCENE for other in seen[1:]
+    )

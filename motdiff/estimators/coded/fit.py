@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from motdiff.estimators.coded.exposures import Exposures
@@ -22,15 +21,17 @@ from motdiff.estimators.coded.misfit import (
 )
 from motdiff.estimators.coded.otfs import CodedOtfs
 from motdiff.psf_frame import centroid_px
-
-__all__ = ["KNOTS", "PhotoFit"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 KNOTS = 53
 """Of a path that is fitted finely."""
-_PATH_ERRORS_PX = (1.0, 0.3, 0.04)  # allowed on the three grids; at last, what straight pieces between knots leave
-_LOOSE, _STIFF = 0.3, 30.0  # roughness beside kernels, beside photos: second differences of 0.2 px
+_PATH_ERRORS_PX = (
+    1.0,
+    0.3,
+    0.04,
+)  # allowed on the three grids; at last, what straight pieces between knots leave
+_LOOSE = 0.3  # roughness beside kernels, beside photos: second differences of 0.2 px
+_STIFF = 30.0
 _SATURATION = 60.0
 
 
@@ -52,13 +53,18 @@ class PhotoFit:
         Beside kernels and coarse grids, and beside the photos.
     """
 
-    def __init__(self, exposures: Exposures, spectra: Sequence[SceneSpectra], *, knots: int = KNOTS) -> None:
-        self.exposures, self.knots = exposures, knots
+    def __init__(
+        self, exposures: Exposures, spectra: Sequence[SceneSpectra], *, knots: int = KNOTS
+    ) -> None:
+        self.exposures = exposures
+        self.knots = knots
         self.unknowns = Unknowns(knots, len(exposures.codes))
-        self.loose, self.stiff = Roughness(self.unknowns, _LOOSE), Roughness(self.unknowns, _STIFF)
+        self.loose = Roughness(self.unknowns, _LOOSE)
+        self.stiff = Roughness(self.unknowns, _STIFF)
         self._otfs = CodedOtfs(exposures.codes, knots)
         self._centroids = torch.tensor(
-            np.array([centroid_px(kernel)[::-1] for kernel in exposures.kernels]), dtype=torch.float32
+            np.array([centroid_px(kernel)[::-1] for kernel in exposures.kernels]),
+            dtype=torch.float32,
         )
         self.scenes = [
             SceneTerm(self.unknowns, self._otfs, one, path_error_px=error_px)
@@ -68,9 +74,13 @@ class PhotoFit:
     def kernels(self, sigma_px: float, *, saturated: bool = False) -> KernelTerm:
         """Term of the photos' kernels through a Gaussian; saturated, a kernel that is wrong costs little."""
         return KernelTerm(
-            self.unknowns, self._otfs, self.exposures.kernels,
-            sigma_px=sigma_px, weights=self.exposures.weights, saturation=_SATURATION if saturated else None,
-        )  # fmt: skip
+            self.unknowns,
+            self._otfs,
+            self.exposures.kernels,
+            sigma_px=sigma_px,
+            weights=self.exposures.weights,
+            saturation=_SATURATION if saturated else None,
+        )
 
     def pack(self, paths: FloatArray) -> Tensor:
         """Candidates of paths (B, K, 2), centred, with the kernels' shifts that lay centroid on centroid."""
@@ -85,7 +95,11 @@ class PhotoFit:
 
     def misfit(self, x: Tensor) -> float:
         """Misfit of the photos by a candidate (1, N), as a multiple of the noise; NaN without a scene."""
-        return float(self.scenes[-1].cost(x)) / self.scenes[-1].values if self.scenes else float("nan")
+        return (
+            float(self.scenes[-1].cost(x)) / self.scenes[-1].values
+            if self.scenes
+            else float("nan")
+        )
 
     def paths(self, x: Tensor) -> FloatArray:
         """Paths (B, K, 2) of candidates."""
@@ -95,6 +109,8 @@ class PhotoFit:
         """Best candidates, none near a better one."""
         return distinct(self.unknowns, x, costs, keep=keep)
 
-    def best(self, terms: Sequence[Term], x: Tensor, *, steps: int, keep: int) -> tuple[Tensor, Tensor]:
+    def best(
+        self, terms: Sequence[Term], x: Tensor, *, steps: int, keep: int
+    ) -> tuple[Tensor, Tensor]:
         """Candidates after some steps of descent, the best of them."""
         return self.distinct(*descend(terms, x, steps=steps), keep=keep)

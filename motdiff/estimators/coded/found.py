@@ -7,27 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.misfit import Term, Unknowns
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
-
-__all__ = [
-    "UNEXPLAINED",
-    "FoundPath",
-    "apart_px",
-    "distinct",
-    "expected_deviation_px",
-    "explained_share",
-    "merged",
-    "motion_of_paths",
-    "unexplained_warnings",
-]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 UNEXPLAINED = 1.25
 """Misfit above which a path does not explain the photos."""
@@ -46,7 +33,8 @@ class FoundPath:
     cost : float
         Its sum of squares.
     misfit : float
-        Of the photos, as a multiple of what noise alone leaves; NaN where only kernels are compared.
+        Of the photos, as a multiple of what noise alone leaves; NaN where only kernels are
+        compared.
     deviation_px : (K,) float
         Standard deviation of each knot, as the fit's curvature and misfit give it.
     """
@@ -98,24 +86,38 @@ def merged(
 
     Returns
     -------
-    Best distinct candidates, their costs, and how many searches ended within ``same_px`` of the best
+    Best distinct candidates, their costs, and how many searches ended within ``same_px`` of the
+    best
     """
-    x, costs = distinct(unknowns, *(torch.cat(parts) for parts in zip(*ends, strict=True)), keep=keep)
+    x, costs = distinct(
+        unknowns, *(torch.cat(parts) for parts in zip(*ends, strict=True)), keep=keep
+    )
     return x, costs, sum(apart_px(unknowns, x[0], best[0]) < same_px for best, _ in ends)
 
 
-def expected_deviation_px(unknowns: Unknowns, terms: Sequence[Term], candidate: Tensor) -> FloatArray:
+def expected_deviation_px(
+    unknowns: Unknowns, terms: Sequence[Term], candidate: Tensor
+) -> FloatArray:
     """Return the standard deviation (K,) of each knot of a candidate (1, N), by the curvature of the terms."""
-    knots, size = unknowns.knots, unknowns.size
-    matrix, slope = torch.zeros(1, size, size), torch.zeros(1, size)
+    knots = unknowns.knots
+    size = unknowns.size
+    matrix = torch.zeros(1, size, size)
+    slope = torch.zeros(1, size)
     for term in terms:
         term.add_normal(candidate, matrix, slope)
     curvature = matrix[0].double()
-    scale = curvature.diagonal().clamp(min=1e-12).sqrt()  # light and px differ by orders of magnitude
+    scale = (
+        curvature.diagonal().clamp(min=1e-12).sqrt()
+    )  # light and px differ by orders of magnitude
     scaled = curvature / scale[:, None] / scale + 1e-9 * torch.eye(size)
     covariance = (torch.linalg.inv(scaled) / scale[:, None] / scale)[: 2 * knots, : 2 * knots]
-    centring = torch.eye(knots).double() - 1 / knots  # the place of the whole path is of no account
-    variances = [(centring @ covariance[axis::2, axis::2] @ centring).diagonal().clamp(min=0) for axis in (0, 1)]
+    centring = (
+        torch.eye(knots).double() - 1 / knots
+    )  # the place of the whole path is of no account
+    variances = [
+        (centring @ covariance[axis::2, axis::2] @ centring).diagonal().clamp(min=0)
+        for axis in (0, 1)
+    ]
     return np.asarray((variances[0] + variances[1]).sqrt().numpy(), dtype=np.float64)
 
 
@@ -148,13 +150,18 @@ def motion_of_paths(
     details : mapping
         Beside ``order_confidence``, ``path_uncertainty_px``, ``deviation_px`` and ``misfit``.
     """
-    best, others = paths[0], paths[1:_MOST_PATHS]
+    best = paths[0]
+    others = paths[1:_MOST_PATHS]
     weights = np.ones(1)
     if others:
         share = np.asarray(shares, dtype=np.float64)[: len(others)]
-        rest = np.minimum((1 - probability) * share / share.sum(), probability)  # the best one stays the likeliest
+        rest = np.minimum(
+            (1 - probability) * share / share.sum(), probability
+        )  # the best one stays the likeliest
         weights = np.array([probability, *rest]) / (probability + rest.sum())
-    trajectories = tuple(Trajectory.from_samples(scale * path.path, direction="known") for path in (best, *others))
+    trajectories = tuple(
+        Trajectory.from_samples(scale * path.path, direction="known") for path in (best, *others)
+    )
     doubt = (
         f"the order in time is uncertain (confidence {probability:.2f}): take more photos of this motion through "
         "other codes, as cep calibration-set designs them"
@@ -165,7 +172,11 @@ def motion_of_paths(
         weights=tuple(weights.tolist()),
         psf=trajectories[0].psf(trajectories[0].frame_size(PSF_PX)),
         confidence=probability,
-        warnings=(*([doubt] if probability < 0.5 else []), *unexplained_warnings(best.misfit), *warnings),
+        warnings=(
+            *([doubt] if probability < 0.5 else []),
+            *unexplained_warnings(best.misfit),
+            *warnings,
+        ),
         details={
             "order_confidence": probability,
             "path_uncertainty_px": float(np.sqrt((deviation_px**2).mean())),

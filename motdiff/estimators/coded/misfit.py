@@ -17,10 +17,7 @@ from torch import Tensor
 
 from motdiff.estimators.coded.otfs import CodedOtfs
 from motdiff.threads import side_by_side
-
-__all__ = ["KernelTerm", "Roughness", "SceneSpectra", "SceneTerm", "Term", "Unknowns", "descend", "scene_spectra"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -30,8 +27,9 @@ class Unknowns:
     Attributes
     ----------
     knots, exposures : int
-        K and I. A vector holds the path's knots (K, 2) px; of every photo but the first its shift (2) px and the
-        logarithm of its gain against the first; of every photo's own kernel its shift (2) px.
+        K and I. A vector holds the path's knots (K, 2) px; of every photo but the first its shift
+        (2) px and the logarithm of its gain against the first; of every photo's own kernel its
+        shift (2) px.
     """
 
     knots: int
@@ -57,7 +55,9 @@ class Unknowns:
     def pack(self, paths: Tensor, gains: Tensor, kernel_shifts: Tensor) -> Tensor:
         """Vectors of paths (B, K, 2), gains (B, I) with 1 first, kernels' shifts (B, I, 2); photos are not shifted."""
         still = torch.zeros(len(paths), 2 * (self.exposures - 1))
-        return torch.cat([paths.flatten(1), still, gains[:, 1:].log(), kernel_shifts.flatten(1)], 1)
+        return torch.cat(
+            [paths.flatten(1), still, gains[:, 1:].log(), kernel_shifts.flatten(1)], 1
+        )
 
     def paths(self, x: Tensor) -> Tensor:
         """Paths (B, K, 2), px."""
@@ -70,7 +70,9 @@ class Unknowns:
 
     def gains(self, x: Tensor) -> Tensor:
         """Gains of the photos (B, I)."""
-        return torch.cat([torch.zeros(len(x), 1), x[:, self.gain(1) : self.kernel_shift(0)]], 1).exp()
+        return torch.cat(
+            [torch.zeros(len(x), 1), x[:, self.gain(1) : self.kernel_shift(0)]], 1
+        ).exp()
 
     def kernel_shifts(self, x: Tensor) -> Tensor:
         """Shifts of the photos' kernels (B, I, 2), px."""
@@ -103,7 +105,8 @@ class Roughness:
 
     def add_normal(self, x: Tensor, matrix: Tensor, slope: Tensor) -> None:
         """See :class:`Term`."""
-        paths, end = self._unknowns.paths(x), 2 * self._unknowns.knots
+        paths = self._unknowns.paths(x)
+        end = 2 * self._unknowns.knots
         for axis in (0, 1):
             matrix[:, axis:end:2, axis:end:2] += self._matrix
             slope[:, axis:end:2] += paths[..., axis] @ self._matrix
@@ -143,25 +146,33 @@ class KernelTerm:
         self._wanted = torch.tensor(spectra * scale, dtype=torch.complex64)
         self._scale = torch.tensor(scale * hat, dtype=torch.float32)
         self._f = torch.tensor(f, dtype=torch.float32)
-        self._unknowns, self._otfs, self._saturation = unknowns, otfs, saturation
+        self._unknowns = unknowns
+        self._otfs = otfs
+        self._saturation = saturation
 
     def cost(self, x: Tensor) -> Tensor:
         """See :class:`Term`."""
         otfs = self._otfs.otfs(self._unknowns.paths(x), self._unknowns.kernel_shifts(x), self._f)
         squares = (otfs * self._scale - self._wanted).abs().square().sum(2)
-        return (squares if self._saturation is None else squares / (1 + squares / self._saturation)).sum(1)
+        return (
+            squares if self._saturation is None else squares / (1 + squares / self._saturation)
+        ).sum(1)
 
     def add_normal(self, x: Tensor, matrix: Tensor, slope: Tensor) -> None:
         """See :class:`Term`."""
-        un, end, phase = self._unknowns, 2 * self._unknowns.knots, 2 * pi * self._f
+        un = self._unknowns
+        end = 2 * self._unknowns.knots
+        phase = 2 * pi * self._f
         otfs, slopes = self._otfs.with_slopes(un.paths(x), un.kernel_shifts(x), self._f)
         scale = self._scale.expand(len(x), -1, -1)
         residual = otfs * scale - self._wanted
         if self._saturation is not None:
             share = 1 / (1 + residual.abs().square().sum(2, keepdim=True) / self._saturation)
-            scale, residual = scale * share, residual * share
+            scale = scale * share
+            residual = residual * share
         jacobian = torch.zeros(*residual.shape, end + 2 * un.exposures, dtype=torch.complex64)
-        slopes, drift = slopes * scale[..., None], -1j * otfs * scale
+        slopes = slopes * scale[..., None]
+        drift = -1j * otfs * scale
         for axis in (0, 1):
             jacobian[..., axis:end:2] = slopes * phase[:, axis, None]
             for photo in range(un.exposures):
@@ -204,9 +215,13 @@ class SceneSpectra:
 
     def windowed(self, spectra: Tensor) -> Tensor:
         """Spectra (..., F) of images multiplied by the window."""
-        whole = torch.zeros(*spectra.shape[:-1], self.grid * (self.grid // 2 + 1), dtype=torch.complex64)
+        whole = torch.zeros(
+            *spectra.shape[:-1], self.grid * (self.grid // 2 + 1), dtype=torch.complex64
+        )
         whole[..., self.kept] = spectra
-        spectra_within: Tensor = torch.fft.rfft2(self.window * self.to_image(whole)).flatten(-2)[..., self.kept]
+        spectra_within: Tensor = torch.fft.rfft2(self.window * self.to_image(whole)).flatten(-2)[
+            ..., self.kept
+        ]
         return spectra_within
 
     def to_image(self, whole: Tensor) -> Tensor:
@@ -216,7 +231,9 @@ class SceneSpectra:
         return images
 
 
-def scene_spectra(photos: Sequence[FloatArray], *, grids: Sequence[int], margin_px: int) -> list[SceneSpectra]:
+def scene_spectra(
+    photos: Sequence[FloatArray], *, grids: Sequence[int], margin_px: int
+) -> list[SceneSpectra]:
     """Spectra of photos (N, N) of one scene, on each of several grids that divide N.
 
     Parameters
@@ -229,14 +246,18 @@ def scene_spectra(photos: Sequence[FloatArray], *, grids: Sequence[int], margin_
     side = len(photos[0])
     fine = np.stack([photo - ndimage.gaussian_filter(photo, _SLOW_PX) for photo in photos])
     window = _window(side, side, margin_px)
-    spectra, own = fft.rfft2(fine), np.abs(fft.rfft2(window * fine)) ** 2
-    beyond = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None]) > _ONLY_NOISE_CY_PX
+    spectra = fft.rfft2(fine)
+    own = np.abs(fft.rfft2(window * fine)) ** 2
+    beyond = (
+        np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None]) > _ONLY_NOISE_CY_PX
+    )
     noise = max(float(own[:, beyond].mean()), _LEAST_NOISE**2 * float((window**2).sum()))
     whole = np.concatenate([own[..., :0:-1], own], axis=-1).mean(axis=0)
     power = ndimage.gaussian_filter(whole, 4)[:, side // 2 :]
 
     def on(grid: int) -> SceneSpectra:
-        fy, fx = (np.fft.fftfreq(grid) * grid / side)[:, None], (np.fft.rfftfreq(grid) * grid / side)[None]
+        fy = (np.fft.fftfreq(grid) * grid / side)[:, None]
+        fx = (np.fft.rfftfreq(grid) * grid / side)[None]
         radius = np.hypot(fy, fx)
         kept = (radius < 0.48 * grid / side) & (radius > 1 / 64) & ~((fx == 0) & (fy < 0))
         rows, columns = np.nonzero(kept)
@@ -260,10 +281,10 @@ def scene_spectra(photos: Sequence[FloatArray], *, grids: Sequence[int], margin_
 class SceneTerm:
     """Misfit of photos of one scene, the scene eliminated: what photo i shows through OTF j is what j shows through i.
 
-    With equal noise in all photos, the least squares over all scenes leave ``sum over pairs |B_i H_j - B_j H_i|^2``
-    over ``sum |H|^2`` at each frequency (Lagrange's identity): a sum of squares of as many values as there are photos
-    less one, which the noise alone makes 1 each. Products are taken of whole photos and windowed after, so that
-    nothing from beyond the borders counts.
+    With equal noise in all photos, the least squares over all scenes leave ``sum over pairs |B_i
+    H_j - B_j H_i|^2`` over ``sum |H|^2`` at each frequency (Lagrange's identity): a sum of squares
+    of as many values as there are photos less one, which the noise alone makes 1 each. Products
+    are taken of whole photos and windowed after, so that nothing from beyond the borders counts.
 
     Parameters
     ----------
@@ -275,12 +296,16 @@ class SceneTerm:
 
     References
     ----------
-    Harikumar and Bresler, "Perfect blind restoration of images blurred by multiple filters", IEEE TIP 8(2), 1999
-    (the products of pairs).
+    Harikumar and Bresler, "Perfect blind restoration of images blurred by multiple filters", IEEE
+    TIP 8(2), 1999 (the products of pairs).
     """
 
-    def __init__(self, unknowns: Unknowns, otfs: CodedOtfs, spectra: SceneSpectra, *, path_error_px: float) -> None:
-        self._unknowns, self._otfs, self.spectra = unknowns, otfs, spectra
+    def __init__(
+        self, unknowns: Unknowns, otfs: CodedOtfs, spectra: SceneSpectra, *, path_error_px: float
+    ) -> None:
+        self._unknowns = unknowns
+        self._otfs = otfs
+        self.spectra = spectra
         self._open = torch.tensor(otfs.open_share, dtype=torch.float32)
         self._pairs = list(combinations(range(unknowns.exposures), 2))
         wrong_phase = (2 * pi * path_error_px * spectra.f.norm(dim=1)).clamp(max=1)
@@ -290,12 +315,15 @@ class SceneTerm:
 
     def cost(self, x: Tensor) -> Tensor:
         """See :class:`Term`."""
-        un, photos = self._unknowns, self.spectra.photos
+        un = self._unknowns
+        photos = self.spectra.photos
         parts = []
         for part in torch.split(x, 8):
             otfs = self._otfs.otfs(un.paths(part), un.shifts(part), self.spectra.f)
             seen = otfs * (un.gains(part) * self._open)[..., None]
-            products = torch.stack([photos[a] * seen[:, b] - photos[b] * seen[:, a] for a, b in self._pairs], 1)
+            products = torch.stack(
+                [photos[a] * seen[:, b] - photos[b] * seen[:, a] for a, b in self._pairs], 1
+            )
             squares = self.spectra.windowed(products).abs().square().sum(1)
             parts.append((squares / (self._light(seen) * self._variance)).sum(1))
         return torch.cat(parts)
@@ -310,11 +338,14 @@ class SceneTerm:
 
     def _rows(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Jacobian (parameters, values) and residual (values,) of one candidate (1, N)."""
-        un, photos, end = self._unknowns, self.spectra.photos, 2 * self._unknowns.knots
+        un = self._unknowns
+        photos = self.spectra.photos
+        end = 2 * self._unknowns.knots
         phase = 2 * pi * self.spectra.f
         otfs, slopes = self._otfs.with_slopes(un.paths(x), un.shifts(x), self.spectra.f)
         light = (un.gains(x) * self._open)[0, :, None]
-        seen, slopes = otfs[0] * light, slopes[0] * light[..., None]
+        seen = otfs[0] * light
+        slopes = slopes[0] * light[..., None]
         total = self._light(seen[None])[0]
         rows = torch.zeros(un.kernel_shift(0), len(self._pairs), len(phase), dtype=torch.complex64)
         brighter = torch.zeros(len(rows), len(phase))  # relative change of the total
@@ -335,24 +366,30 @@ class SceneTerm:
         products = torch.stack([photos[a] * seen[b] - photos[b] * seen[a] for a, b in self._pairs])
         residual = self.spectra.windowed(products)
         weight = (total * self._variance).rsqrt()
-        for part, grows in zip(torch.split(rows, _ROWS_AT_ONCE), torch.split(brighter, _ROWS_AT_ONCE), strict=True):
+        for part, grows in zip(
+            torch.split(rows, _ROWS_AT_ONCE), torch.split(brighter, _ROWS_AT_ONCE), strict=True
+        ):
             # the weight, too, depends on the path: without this the noise would pull it off
             part.copy_((self.spectra.windowed(part) - 0.5 * residual * grows[:, None]) * weight)
         return torch.view_as_real(rows).flatten(1), torch.view_as_real(residual * weight).flatten()
 
     def registered(self, x: Tensor) -> Tensor:
         """Candidates with the photos' shifts found by correlation."""
-        un, spectra = self._unknowns, self.spectra
+        un = self._unknowns
+        spectra = self.spectra
         still = x.clone()
         still[:, un.shift(1) : un.gain(1)] = 0
         otfs = self._otfs.otfs(un.paths(still), un.shifts(still), spectra.f)
         for photo in range(1, un.exposures):
             same = spectra.photos[photo] * otfs[:, 0] * (spectra.photos[0] * otfs[:, photo]).conj()
-            whole = torch.zeros(len(x), spectra.grid * (spectra.grid // 2 + 1), dtype=torch.complex64)
+            whole = torch.zeros(
+                len(x), spectra.grid * (spectra.grid // 2 + 1), dtype=torch.complex64
+            )
             whole[:, spectra.kept] = same / ((otfs[:, 0] * otfs[:, photo]).abs() + _LEAST_PRODUCT)
             for row, image in zip(still, spectra.to_image(whole).numpy(), strict=True):
                 dy, dx = _peak(image)
-                at, step_px = un.shift(photo), spectra.side_px / spectra.grid
+                at = un.shift(photo)
+                step_px = spectra.side_px / spectra.grid
                 row[at], row[at + 1] = dx * step_px, dy * step_px
         return still
 
@@ -361,7 +398,9 @@ class SceneTerm:
         return seen.abs().square().sum(1) + _LEAST_LIGHT
 
 
-def descend(terms: Sequence[Term], x: Tensor, *, steps: int, tolerance: float = 1e-3) -> tuple[Tensor, Tensor]:
+def descend(
+    terms: Sequence[Term], x: Tensor, *, steps: int, tolerance: float = 1e-3
+) -> tuple[Tensor, Tensor]:
     """Lower the sum of the terms from each candidate, by damped Gauss-Newton steps that never raise it.
 
     Parameters
@@ -381,12 +420,16 @@ def descend(terms: Sequence[Term], x: Tensor, *, steps: int, tolerance: float = 
     ----------
     Levenberg, 1944; Marquardt, 1963.
     """
-    halves = torch.split(x, max(1, -(-len(x) // 2)))  # two however many cores: results depend on the machine least
+    halves = torch.split(
+        x, max(1, -(-len(x) // 2))
+    )  # two however many cores: results depend on the machine least
     found = side_by_side([partial(_descend, terms, half, steps, tolerance) for half in halves])
     return torch.cat([vectors for vectors, _ in found]), torch.cat([costs for _, costs in found])
 
 
-def _descend(terms: Sequence[Term], x: Tensor, steps: int, tolerance: float) -> tuple[Tensor, Tensor]:
+def _descend(
+    terms: Sequence[Term], x: Tensor, steps: int, tolerance: float
+) -> tuple[Tensor, Tensor]:
     x, size = x.clone(), x.shape[1]
     damping = torch.full((len(x),), 1e-2)
     costs = _cost(terms, x)
@@ -394,7 +437,8 @@ def _descend(terms: Sequence[Term], x: Tensor, steps: int, tolerance: float) -> 
     for _ in range(steps):
         moves = []
         for part in torch.split(active, _CANDIDATES_AT_ONCE):
-            matrix, slope = torch.zeros(len(part), size, size), torch.zeros(len(part), size)
+            matrix = torch.zeros(len(part), size, size)
+            slope = torch.zeros(len(part), size)
             for term in terms:
                 term.add_normal(x[part], matrix, slope)
             diagonal = torch.diagonal(matrix, dim1=1, dim2=2)
@@ -408,7 +452,9 @@ def _descend(terms: Sequence[Term], x: Tensor, steps: int, tolerance: float) -> 
         lower = reached < costs[active]
         fallen = (costs[active] - reached) / costs[active]
         x[active[lower]], costs[active[lower]] = tried[lower], reached[lower]
-        damping[active] = torch.where(lower, 0.2 * damping[active], 5 * damping[active]).clamp(min=1e-7)
+        damping[active] = torch.where(lower, 0.2 * damping[active], 5 * damping[active]).clamp(
+            min=1e-7
+        )
         active = active[~((lower & (fallen < tolerance)) | (damping[active] > _HOPELESS_DAMPING))]
         if not len(active):
             break
@@ -420,10 +466,14 @@ def _cost(terms: Sequence[Term], x: Tensor) -> Tensor:
 
 
 _SLOW_PX = 8.0  # slower differences of light (lamps, vignetting) are taken away
-_ONLY_NOISE_CY_PX = 0.5  # beyond it, in the corners of the spectrum, a blurred photo has nothing but noise
-_LEAST_LIGHT, _LEAST_PRODUCT = 1e-4, 0.02  # squared and simple: of OTFs at frequencies that no photo holds
+_ONLY_NOISE_CY_PX = (
+    0.5  # beyond it, in the corners of the spectrum, a blurred photo has nothing but noise
+)
+_LEAST_LIGHT = 1e-4  # squared and simple: of OTFs at frequencies that no photo holds
+_LEAST_PRODUCT = 0.02
 _LEAST_NOISE = 1e-3  # of full scale: 8 bits round by that, and files that were smoothed show less
-_ROWS_AT_ONCE, _CANDIDATES_AT_ONCE = 16, 24  # what fits the cache
+_ROWS_AT_ONCE = 16  # what fits the cache
+_CANDIDATES_AT_ONCE = 24
 _HOPELESS_DAMPING = 1e2
 
 

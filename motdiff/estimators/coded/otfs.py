@@ -7,12 +7,9 @@ from math import pi
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-__all__ = ["CodedOtfs"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _SMALL = 1e-2  # half phases below this are expanded: sin(h) / h loses digits there
 
@@ -20,8 +17,9 @@ _SMALL = 1e-2  # half phases below this are expanded: sin(h) / h loses digits th
 class CodedOtfs:
     """Exact OTFs, normalised to 1 at zero frequency, of paths that are straight between knots evenly spaced in time.
 
-    A straight, uniform piece from a to b that lasts dt has the OTF ``dt exp(-pi i f.(a + b)) sinc(f.(b - a))``, as in
-    :class:`motdiff.trajectory.Trajectory`; an exposure sums those of its open pieces.
+    A straight, uniform piece from a to b that lasts dt has the OTF ``dt exp(-pi i f.(a + b))
+    sinc(f.(b - a))``, as in :class:`motdiff.trajectory.Trajectory`; an exposure sums those of its
+    open pieces.
 
     Parameters
     ----------
@@ -34,8 +32,12 @@ class CodedOtfs:
         at = np.linspace(0, 1, knots)
         edges = [np.linspace(0, 1, len(code) + 1) for code in codes]
         cuts = np.unique(np.round(np.concatenate([at, *edges]), 12))
-        middle, lasting = 0.5 * (cuts[1:] + cuts[:-1]), np.diff(cuts)
-        is_open = [np.array(list(code), dtype=np.float64)[(middle * len(code)).astype(np.intp)] for code in codes]
+        middle = 0.5 * (cuts[1:] + cuts[:-1])
+        lasting = np.diff(cuts)
+        is_open = [
+            np.array(list(code), dtype=np.float64)[(middle * len(code)).astype(np.intp)]
+            for code in codes
+        ]
         light = np.stack(is_open) * lasting
         self.open_share: FloatArray = light.sum(axis=1)
         """(I,) open fraction of each code."""
@@ -45,7 +47,9 @@ class CodedOtfs:
         mix = np.zeros((cuts.size, knots))
         mix[np.arange(cuts.size), before] = 1 - share
         mix[np.arange(cuts.size), before + 1] += share
-        self._aligned = mix.shape[0] == knots  # codes whose chips begin at the knots need no mixing
+        self._aligned = (
+            mix.shape[0] == knots
+        )  # codes whose chips begin at the knots need no mixing
         self._mix = torch.tensor(mix, dtype=torch.float32)
         self._light = torch.tensor(light / self.open_share[:, None], dtype=torch.float32)
 
@@ -68,17 +72,23 @@ class CodedOtfs:
         )
         return still * _phases(shifts, frequencies)
 
-    def with_slopes(self, paths: Tensor, shifts: Tensor, frequencies: Tensor) -> tuple[Tensor, Tensor]:
+    def with_slopes(
+        self, paths: Tensor, shifts: Tensor, frequencies: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """OTFs, and their derivatives (B, I, F, K), complex, with respect to ``2 pi f.p`` of each knot's position p."""
         mean, fade, slope = self._pieces(paths, frequencies)
-        cos, sin = torch.cos(mean), torch.sin(mean)
+        cos = torch.cos(mean)
+        sin = torch.sin(mean)
         moved = _phases(shifts, frequencies)
-        otf = torch.einsum("is,bsf->bif", self._light.to(torch.complex64), torch.complex(fade * cos, -fade * sin))
+        otf = torch.einsum(
+            "is,bsf->bif", self._light.to(torch.complex64), torch.complex(fade * cos, -fade * sin)
+        )
         # d/dphase at the piece's start and end: -i/2 T -+ slope/2 exp(-i mean)
         middle = torch.complex(-0.5 * fade * sin, -0.5 * fade * cos)
         spread = torch.complex(0.5 * slope * cos, -0.5 * slope * sin)
         pieces = (
-            self._light[None, :, None] * torch.stack([middle - spread, middle + spread]).transpose(2, 3)[:, :, None]
+            self._light[None, :, None]
+            * torch.stack([middle - spread, middle + spread]).transpose(2, 3)[:, :, None]
         )
         at_cuts = torch.zeros(*pieces.shape[1:-1], pieces.shape[-1] + 1, dtype=torch.complex64)
         at_cuts[..., :-1] += pieces[0]
@@ -92,7 +102,8 @@ class CodedOtfs:
     def _pieces(self, paths: Tensor, frequencies: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Mean phase of each piece, its sinc, and the sinc's derivative, each (B, S, F)."""
         phase = 2 * pi * (self._at_cuts(paths) @ frequencies.T)
-        mean, half = 0.5 * (phase[:, 1:] + phase[:, :-1]), 0.5 * (phase[:, 1:] - phase[:, :-1])
+        mean = 0.5 * (phase[:, 1:] + phase[:, :-1])
+        half = 0.5 * (phase[:, 1:] - phase[:, :-1])
         small = half.abs() < _SMALL
         safe = torch.where(small, torch.ones_like(half), half)
         fade = torch.where(small, 1 - half**2 / 6, torch.sin(safe) / safe)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from motdiff.estimators.base import Estimator
@@ -19,10 +19,7 @@ from motdiff.estimators.coded.misfit import Term, Unknowns, descend
 from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
 from motdiff.trajectory import Trajectory
-
-__all__ = ["NOISE_GAIN", "PathRefiner", "RefinedPath"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 NOISE_GAIN = 4.0 * KNOTS
 """What noise alone gains in the sum of squares: twice the coordinates of the knots."""
@@ -48,7 +45,8 @@ class RefinedPath:
     cost : float
         Sum of squares, that of the deviation from the given path included.
     given_misfit, misfit : float
-        Of the photos, before and after, as a multiple of what noise alone leaves; NaN where only kernels are compared.
+        Of the photos, before and after, as a multiple of what noise alone leaves; NaN where only
+        kernels are compared.
     values : int
         How many values that misfit is the mean of.
     deviation_px : float
@@ -67,9 +65,9 @@ class RefinedPath:
 class PathRefiner:
     """Fit paths that are known roughly to photos of that motion, each taken through a known code.
 
-    Each path may deviate from what is given by an error that is smooth in time and of the size ``deviation_px``. It is
-    fitted to the kernels of the photos, each found in its photo alone, and to the photos themselves where two or more
-    show one scene.
+    Each path may deviate from what is given by an error that is smooth in time and of the size
+    ``deviation_px``. It is fitted to the kernels of the photos, each found in its photo alone, and
+    to the photos themselves where two or more show one scene.
 
     Parameters
     ----------
@@ -78,7 +76,8 @@ class PathRefiner:
     deviation_px : float
         Expected error of the given path, rms over time.
     kernels : Estimator, optional
-        What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when omitted.
+        What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when
+        omitted.
     progress : callable, optional
         Called with the finished share 0..1.
 
@@ -99,10 +98,14 @@ class PathRefiner:
         check_codes(codes)
         if not (np.isfinite(deviation_px) and deviation_px > 0):
             raise ValueError(f"deviation_px: must be above 0, got {deviation_px:g}")
-        self._codes, self._kernels, self._tell = tuple(codes), kernels, progress
+        self._codes = tuple(codes)
+        self._kernels = kernels
+        self._tell = progress
         self._deviation_px = deviation_px
 
-    def refine(self, paths: Sequence[Trajectory], photos: Sequence[ArrayLike]) -> list[RefinedPath]:
+    def refine(
+        self, paths: Sequence[Trajectory], photos: Sequence[ArrayLike]
+    ) -> list[RefinedPath]:
         """Refine a path, given in one or several orders in time.
 
         Parameters
@@ -113,8 +116,8 @@ class PathRefiner:
         Returns
         -------
         list of RefinedPath
-            Of the orders that explain the photos best, each from descents with half, once and twice the given
-            deviation; best first.
+            Of the orders that explain the photos best, each from descents with half, once and
+            twice the given deviation; best first.
 
         Raises
         ------
@@ -129,10 +132,15 @@ class PathRefiner:
             progress.finish()
             return found
 
-    def _refined(self, paths: Sequence[Trajectory], exposures: Exposures, progress: Progress) -> list[RefinedPath]:
-        fit, factor = _RefiningFit(exposures), exposures.shrunk
+    def _refined(
+        self, paths: Sequence[Trajectory], exposures: Exposures, progress: Progress
+    ) -> list[RefinedPath]:
+        fit = _RefiningFit(exposures)
+        factor = exposures.shrunk
         given = [path.scaled(1 / factor) for path in paths]
-        progress.expect(_NEAREST_COST * (len(given) > 1) + min(len(given), _ORDERS_KEPT) * len(_STEERED))
+        progress.expect(
+            _NEAREST_COST * (len(given) > 1) + min(len(given), _ORDERS_KEPT) * len(_STEERED)
+        )
         near = given
         if len(given) > 1:
             near = fit.nearest(given)
@@ -159,7 +167,9 @@ class _RefiningFit(PhotoFit):
         _, costs = descend(terms, x, steps=4)
         return [paths[i] for i in torch.argsort(costs)[:_ORDERS_KEPT].tolist()]
 
-    def refined(self, path: Trajectory, deviation_px: float, *, factor: int) -> Iterator[RefinedPath]:
+    def refined(
+        self, path: Trajectory, deviation_px: float, *, factor: int
+    ) -> Iterator[RefinedPath]:
         """Descend from a path with half, once and twice its deviation."""
         start = _knots(path)
         prior = _PathPrior(self.unknowns, start, deviation_px)
@@ -188,7 +198,9 @@ class _RefiningFit(PhotoFit):
 
     def _misfit_of_given(self, x: Tensor) -> float:
         """Misfit of the photos along a path that stays as it is; shifts and gains are fitted."""
-        still = _PathPrior(self.unknowns, self.unknowns.paths(x)[0].numpy(), _FIXED_PX, rough_px=_FIXED_PX)
+        still = _PathPrior(
+            self.unknowns, self.unknowns.paths(x)[0].numpy(), _FIXED_PX, rough_px=_FIXED_PX
+        )
         for term in self.scenes:
             x, _ = descend([term, still], x, steps=4)
         return self.misfit(x)
@@ -197,7 +209,13 @@ class _RefiningFit(PhotoFit):
 class _PathPrior:
     """Deviation from a path as a Gaussian process in time: smooth, of an expected size, and of any shift."""
 
-    def __init__(self, unknowns: Unknowns, path: FloatArray, deviation_px: float, rough_px: float = _ROUGH_PX) -> None:
+    def __init__(
+        self,
+        unknowns: Unknowns,
+        path: FloatArray,
+        deviation_px: float,
+        rough_px: float = _ROUGH_PX,
+    ) -> None:
         t = np.linspace(0, 1, unknowns.knots)
         covariance = 0.5 * deviation_px**2 * np.exp(-0.5 * ((t[:, None] - t) / _SMOOTH_OVER) ** 2)
         covariance += rough_px**2 * np.eye(len(t)) + _ANYWHERE_PX**2
@@ -212,7 +230,8 @@ class _PathPrior:
 
     def add_normal(self, x: Tensor, matrix: Tensor, slope: Tensor) -> None:
         """See :class:`motdiff.estimators.coded.misfit.Term`."""
-        away, end = self._unknowns.paths(x) - self._path, 2 * self._unknowns.knots
+        away = self._unknowns.paths(x) - self._path
+        end = 2 * self._unknowns.knots
         for axis in (0, 1):
             matrix[:, axis:end:2, axis:end:2] += self._matrix
             slope[:, axis:end:2] += away[..., axis] @ self._matrix

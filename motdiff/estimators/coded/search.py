@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from motdiff.estimators.coded.exposures import Exposures
@@ -17,23 +16,30 @@ from motdiff.estimators.coded.starts import bridged, crossed, decoded_paths, loo
 from motdiff.motions import boracchi_foi
 from motdiff.progress import Progress
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
-__all__ = ["find_paths"]
-
-FloatArray = NDArray[np.float64]
-
-_DECODED, _ORDERS, _WALKS = 64, 48, 48
-_POPULATION, _KEPT, _PARENTS = 8, 10, 4
-_ROUNDS, _STILL = 6, 2
+_DECODED = 64
+_ORDERS = 48
+_WALKS = 48
+_POPULATION = 8
+_KEPT = 10
+_PARENTS = 4
+_ROUNDS = 6
+_STILL = 2
 _IMPROVED = 0.98
 
 # the search beside the photos alone
 _DOUBTFUL = 1.0  # misfit; right paths have 0.6 to 0.97 on simulated walks
 _FEW_PHOTOS = 2  # their kernels mislead too often to be all that a search begins from
 _FEW_KNOTS = 27  # half as many unknowns make a step twice as cheap
-_LONE_WALKS, _USUAL_PX = 96, 50.0
-_MOST_SEARCHES, _SAME_PX = 4, 1.0
-_WIDE_ROUNDS, _WIDE_STILL, _CHILDREN, _KEPT_OF_WIDE = 20, 4, 32, 6
+_LONE_WALKS = 96
+_USUAL_PX = 50.0
+_MOST_SEARCHES = 4
+_SAME_PX = 1.0
+_WIDE_ROUNDS = 20
+_WIDE_STILL = 4
+_CHILDREN = 32
+_KEPT_OF_WIDE = 6
 _PATIENT = 0.995
 
 
@@ -46,8 +52,8 @@ def find_paths(
 ) -> tuple[list[FoundPath], int]:
     """Find the paths that explain the photos best.
 
-    Where the best one leaves more than noise, some kernel may be wrong: the search goes on from random walks and
-    without the kernels. With two photos that is done at once.
+    Where the best one leaves more than noise, some kernel may be wrong: the search goes on from
+    random walks and without the kernels. With two photos that is done at once.
 
     Parameters
     ----------
@@ -67,18 +73,29 @@ def find_paths(
     search = _Search(exposures, spectra, rng, spend=lambda share: told.spend(share * cost))
     x = search.from_kernels()
     if spectra and len(exposures.codes) == _FEW_PHOTOS:
-        return _found_widely(search, spectra, known=search.paths(x), most=_MOST_SEARCHES, spend=search.spend)
-    found, times = search.run(x), 1
-    for most in (1, _MOST_SEARCHES):  # what one search finds and three photos bear out needs no other
+        return _found_widely(
+            search, spectra, known=search.paths(x), most=_MOST_SEARCHES, spend=search.spend
+        )
+    found = search.run(x)
+    times = 1
+    for most in (
+        1,
+        _MOST_SEARCHES,
+    ):  # what one search finds and three photos bear out needs no other
         if not found[0].misfit > _DOUBTFUL:
             break
         told.expect_more(2 * cost)
         known = np.stack([path.path for path in found])
         other, again = _found_widely(
-            search, spectra, known=known, most=most, spend=lambda share: told.spend(2 * share * cost)
+            search,
+            spectra,
+            known=known,
+            most=most,
+            spend=lambda share: told.spend(2 * share * cost),
         )
         if other[0].misfit < found[0].misfit:
-            found, times = other, again
+            found = other
+            times = again
     return found, times
 
 
@@ -86,11 +103,17 @@ class _Search(PhotoFit):
     """A search that the photos' kernels lead."""
 
     def __init__(
-        self, exposures: Exposures, spectra: Sequence[SceneSpectra], rng: np.random.Generator, *,
+        self,
+        exposures: Exposures,
+        spectra: Sequence[SceneSpectra],
+        rng: np.random.Generator,
+        *,
         spend: Callable[[float], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(exposures, spectra)
-        self.rng, self.spend, self.length_px = rng, spend, _USUAL_PX
+        self.rng = rng
+        self.spend = spend
+        self.length_px = _USUAL_PX
         self.coarse_kernels = {sigma_px: self.kernels(sigma_px) for sigma_px in (4.0, 2.5, 1.5)}
         self.sharpest = self.kernels(1.0, saturated=True)
 
@@ -139,9 +162,14 @@ class _Search(PhotoFit):
 
     def _decoded(self, count: int, shifts: FloatArray | None = None) -> FloatArray:
         return decoded_paths(
-            self.exposures.kernels, self.exposures.codes, knots=KNOTS, count=count, length_px=self.length_px,
-            rng=self.rng, shifts=shifts,
-        )  # fmt: skip
+            self.exposures.kernels,
+            self.exposures.codes,
+            knots=KNOTS,
+            count=count,
+            length_px=self.length_px,
+            rng=self.rng,
+            shifts=shifts,
+        )
 
     def _evolved(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> tuple[Tensor, Tensor]:
         """Cross the best candidates with each other and with decoded paths, and reverse their loops, while it helps."""
@@ -152,7 +180,9 @@ class _Search(PhotoFit):
             new, _ = self.best([self.coarse_kernels[1.5], self.loose], new, steps=4, keep=_KEPT)
             new, reached = descend(terms, self.registered(new), steps=5)
             before = float(costs.min())
-            x, costs = self.distinct(torch.cat([x, new]), torch.cat([costs, reached]), keep=_POPULATION)
+            x, costs = self.distinct(
+                torch.cat([x, new]), torch.cat([costs, reached]), keep=_POPULATION
+            )
             still = 0 if float(costs[0]) < _IMPROVED * before else still + 1
             self.spend(0.5 / _ROUNDS)
             if still == _STILL:
@@ -169,7 +199,11 @@ class _Search(PhotoFit):
             if i < 2:
                 others += list(self._decoded(12, shifts[i].numpy().astype(np.float64)))
             children += loop_reversals(path, most=4 if i < 2 else 2, rng=self.rng)
-            children += [child for other in others if (child := crossed(path, other, rng=self.rng)) is not None]
+            children += [
+                child
+                for other in others
+                if (child := crossed(path, other, rng=self.rng)) is not None
+            ]
         return children
 
     def _described(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> list[FoundPath]:
@@ -177,29 +211,47 @@ class _Search(PhotoFit):
         for one, path, cost in zip(x, self.paths(x), costs.tolist(), strict=True):
             misfit = self.misfit(one[None])
             unexplained = max(1.0, misfit) if self.scenes else 1.0
-            deviation_px = np.sqrt(0.5 * unexplained) * expected_deviation_px(self.unknowns, terms, one[None])
+            deviation_px = np.sqrt(0.5 * unexplained) * expected_deviation_px(
+                self.unknowns, terms, one[None]
+            )
             found.append(FoundPath(path, cost, misfit, deviation_px))
         return found
 
 
 def _found_widely(
-    search: _Search, spectra: Sequence[SceneSpectra], *, known: FloatArray, most: int, spend: Callable[[float], None]
+    search: _Search,
+    spectra: Sequence[SceneSpectra],
+    *,
+    known: FloatArray,
+    most: int,
+    spend: Callable[[float], None],
 ) -> tuple[list[FoundPath], int]:
     """Paths of the search beside the photos alone, best first, and how many of its searches ended at the best."""
-    wide, times = _widely_searched(search.exposures, spectra, search.rng, known=known, most=most, spend=spend)
+    wide, times = _widely_searched(
+        search.exposures, spectra, search.rng, known=known, most=most, spend=spend
+    )
     found = search.finished(wide)
     apart = found[0].path - wide[0]
     moved_px = np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean())
-    return found, times if moved_px < _SAME_PX else 1  # in the finest details another path may be the best
+    return (
+        found,
+        times if moved_px < _SAME_PX else 1,
+    )  # in the finest details another path may be the best
 
 
 def _widely_searched(
-    exposures: Exposures, spectra: Sequence[SceneSpectra], rng: np.random.Generator, *,
-    known: FloatArray, most: int, spend: Callable[[float], None],
-) -> tuple[FloatArray, int]:  # fmt: skip
+    exposures: Exposures,
+    spectra: Sequence[SceneSpectra],
+    rng: np.random.Generator,
+    *,
+    known: FloatArray,
+    most: int,
+    spend: Callable[[float], None],
+) -> tuple[FloatArray, int]:
     """Search beside the photos alone, from known paths (N, K, 2) and random walks.
 
-    Searches are repeated, the later ones from walks alone, until two of them end at one path, ``most`` times at most.
+    Searches are repeated, the later ones from walks alone, until two of them end at one path,
+    ``most`` times at most.
 
     Returns
     -------
@@ -224,18 +276,23 @@ def _wide_search(
 ) -> tuple[Tensor, Tensor]:
     """Candidates and their costs, best first, from known paths (N, K, 2), of few knots, and as many walks as usual.
 
-    Stretches of the best paths are drawn anew between their ends, turned, or taken from each other; on the middle
-    grid, where the photos still allow an error of 0.3 px, but few wrong orders.
+    Stretches of the best paths are drawn anew between their ends, turned, or taken from each
+    other; on the middle grid, where the photos still allow an error of 0.3 px, but few wrong
+    orders.
     """
     coarse: list[Term] = [fit.scenes[0], fit.loose]
     middle: list[Term] = [fit.scenes[1], fit.stiff]
-    x = fit.registered(fit.pack(np.concatenate([known, _usual_walks(rng, fit.knots, _LONE_WALKS)])))
+    x = fit.registered(
+        fit.pack(np.concatenate([known, _usual_walks(rng, fit.knots, _LONE_WALKS)]))
+    )
     x, _ = fit.best(coarse, x, steps=4, keep=32)
     x, costs = fit.best(middle, x, steps=4, keep=12)
     spend(0.2)
     still = 0
     for done in range(_WIDE_ROUNDS):
-        new = fit.registered(fit.pack(_children_of(fit.paths(x), _usual_walks(rng, fit.knots, _CHILDREN), rng=rng)))
+        new = fit.registered(
+            fit.pack(_children_of(fit.paths(x), _usual_walks(rng, fit.knots, _CHILDREN), rng=rng))
+        )
         new, _ = fit.best(coarse, new, steps=2, keep=20)
         new, _ = fit.best(middle, new, steps=2, keep=8)
         new, reached = descend(middle, new, steps=4)
@@ -253,8 +310,11 @@ def _children_of(paths: FloatArray, walks: FloatArray, *, rng: np.random.Generat
     """As many changed paths as there are walks, of the paths (N, K, 2) that come first most often."""
     chance = np.exp(-0.3 * np.arange(len(paths)))
     children = []
-    for parent, walk in zip(rng.choice(len(paths), len(walks), p=chance / chance.sum()), walks, strict=True):
-        path, kind = paths[parent], rng.random()
+    for parent, walk in zip(
+        rng.choice(len(paths), len(walks), p=chance / chance.sum()), walks, strict=True
+    ):
+        path = paths[parent]
+        kind = rng.random()
         child = None
         if kind < 0.25:
             child = loop_reversals(path, most=1, rng=rng)[0]
@@ -276,4 +336,6 @@ def _usual_walks(rng: np.random.Generator, knots: int, count: int) -> FloatArray
 def _walks(rng: np.random.Generator, knots: int, lengths_px: FloatArray) -> FloatArray:
     """Random walks (B, K, 2) of such lengths."""
     at = np.linspace(0, 1, knots)
-    return np.stack([boracchi_foi(rng, max_length_px=length_px).at(at) for length_px in lengths_px])
+    return np.stack(
+        [boracchi_foi(rng, max_length_px=length_px).at(at) for length_px in lengths_px]
+    )

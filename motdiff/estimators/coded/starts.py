@@ -6,16 +6,12 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from motdiff.metrics import register_shift
 from motdiff.psf_frame import in_frame
 from motdiff.trajectory import Trajectory
-
-__all__ = ["bridged", "crossed", "decoded_paths", "loop_reversals", "orders"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _PASS_PX = 1.5  # strands nearer than this meet
 _LOOP_PX = 4.0  # less path between two meetings is no loop
@@ -39,9 +35,9 @@ def decoded_paths(
 ) -> FloatArray:
     """Draw paths whose every moment lies where the kernels have light at the codes' bits of that moment.
 
-    The share of a point's light that an exposure holds tells whether its shutter was open when the path passed there.
-    A hidden Markov model over the points of the first kernel with steps of about the mean speed draws whole paths
-    (forward filtering, backward sampling).
+    The share of a point's light that an exposure holds tells whether its shutter was open when the
+    path passed there. A hidden Markov model over the points of the first kernel with steps of
+    about the mean speed draws whole paths (forward filtering, backward sampling).
 
     Parameters
     ----------
@@ -53,7 +49,8 @@ def decoded_paths(
         Length of the path, as far as it is known.
     rng : numpy Generator
     shifts : (I, 2) float, optional
-        Where each kernel lies against the path, (x, y) px; they are laid on the first one when omitted.
+        Where each kernel lies against the path, (x, y) px; they are laid on the first one when
+        omitted.
 
     Returns
     -------
@@ -67,7 +64,11 @@ def decoded_paths(
     ]
     laid = [soft[0]]
     for i, kernel in enumerate(soft[1:], 1):
-        move = register_shift(soft[0], kernel)[::-1] if shifts is None else (shifts[0] - shifts[i])[::-1]
+        move = (
+            register_shift(soft[0], kernel)[::-1]
+            if shifts is None
+            else (shifts[0] - shifts[i])[::-1]
+        )
         laid.append(np.maximum(ndimage.shift(kernel, move, order=1), 0))
     lit = soft[0] > _FAINT * soft[0].max()
     rows, columns = np.nonzero(lit)
@@ -100,7 +101,9 @@ def decoded_paths(
         state = drawn[-1]
     smooth = ndimage.gaussian_filter1d(points[np.array(drawn[::-1])], 1.5, axis=0, mode="nearest")
     at = np.linspace(0, 1, knots)
-    return np.stack([[np.interp(at, when, smooth[:, i, axis]) for axis in (0, 1)] for i in range(count)]).swapaxes(1, 2)
+    return np.stack(
+        [[np.interp(at, when, smooth[:, i, axis]) for axis in (0, 1)] for i in range(count)]
+    ).swapaxes(1, 2)
 
 
 def orders(path: Trajectory, *, knots: int, most: int) -> FloatArray:
@@ -113,8 +116,14 @@ def orders(path: Trajectory, *, knots: int, most: int) -> FloatArray:
     """
     fine = path.at(np.linspace(0, 1, 20 * (knots - 1) + 1))
     loops = _meetings(fine, path)
-    subsets = itertools.chain.from_iterable(itertools.combinations(loops, n) for n in range(len(loops) + 1))
-    chosen = (subset for subset in subsets if not any(_overlap(*pair) for pair in itertools.combinations(subset, 2)))
+    subsets = itertools.chain.from_iterable(
+        itertools.combinations(loops, n) for n in range(len(loops) + 1)
+    )
+    chosen = (
+        subset
+        for subset in subsets
+        if not any(_overlap(*pair) for pair in itertools.combinations(subset, 2))
+    )
     found = []
     for subset in itertools.islice(chosen, max(1, most // 2)):
         order = fine
@@ -151,7 +160,8 @@ def crossed(path: FloatArray, other: FloatArray, *, rng: np.random.Generator) ->
     if not stretches:
         return None
     start, stop = stretches[rng.integers(len(stretches))]
-    gap_start, gap_stop = path[start] - other[start], path[stop] - other[stop]
+    gap_start = path[start] - other[start]
+    gap_stop = path[stop] - other[stop]
     if start == 0:  # an end of the path may lie elsewhere
         gap_start = gap_stop
     elif stop == last:
@@ -173,7 +183,8 @@ def bridged(path: FloatArray, walk: FloatArray, *, rng: np.random.Generator) -> 
     knots = len(path)
     length = int(knots * rng.uniform(0.15, 0.6))
     middle = int(rng.integers(knots))
-    start, stop = max(0, middle - length // 2), min(knots - 1, middle + length - length // 2)
+    start = max(0, middle - length // 2)
+    stop = min(knots - 1, middle + length - length // 2)
     new = path[start : stop + 1][::-1] if rng.random() < 0.25 else walk[start : stop + 1]
     gaps = [path[start] - new[0], path[stop] - new[-1]]
     if start == 0:  # an end of the path may lie elsewhere

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from motdiff import crops
@@ -19,20 +19,19 @@ from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX
 from motdiff.threads import one_thread_a_call
 from motdiff.trajectory import Trajectory
-
-__all__ = ["TrailEstimator"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _GAP_PX = 12  # a trail's parts lie no further apart: closed chips
 _MARGIN_PX = 7
 _MOST_PX = 160
-_LIT_SIGMA, _FOUND_SIGMA = 4.0, 12.0
+_LIT_SIGMA = 4.0
+_FOUND_SIGMA = 12.0
 _LEAST_NOISE = 1 / 255 / np.sqrt(12)  # 8 bits round by that
 _MODEL_ERROR = 0.02  # of a pixel's light: the spot is no Gaussian, the pixels differ
 _MOST_CLIPPED = 0.2
 # on simulated motions: docs/decisions/motion-estimation.md
-_AGREED, _ALONE = 0.95, 0.3
+_AGREED = 0.95
+_ALONE = 0.3
 _FOLDED = 0.6  # one photo of a path that meets itself, where two searches agree
 _ERROR_RATIO = 1.5
 
@@ -40,13 +39,14 @@ _ERROR_RATIO = 1.5
 class TrailEstimator:
     """Find the motion that drew a small light's trail through a known code, with its order and direction in time.
 
-    The light, on a darker background and apart from others, is a Gaussian spot whose width is found. Each chip carries
-    the same light, so one path must explain every pixel of the trail. Paths are searched from random walks, coarse to
-    fine, until two searches end at one path.
+    The light, on a darker background and apart from others, is a Gaussian spot whose width is
+    found. Each chip carries the same light, so one path must explain every pixel of the trail.
+    Paths are searched from random walks, coarse to fine, until two searches end at one path.
 
-    ``confidence`` is the probability that the order is right: the share of simulated motions of which it was, where two
-    searches agreed or none did, less on one photo of a path that meets itself, and less what other paths found explain
-    as well. ``details`` are as those of :class:`motdiff.estimators.coded.estimator.CodedEstimator`.
+    ``confidence`` is the probability that the order is right: the share of simulated motions of
+    which it was, where two searches agreed or none did, less on one photo of a path that meets
+    itself, and less what other paths found explain as well. ``details`` are as those of
+    :class:`motdiff.estimators.coded.estimator.CodedEstimator`.
 
     Parameters
     ----------
@@ -64,14 +64,23 @@ class TrailEstimator:
 
     References
     ----------
-    Howie et al., "Submillisecond fireball timing using de Bruijn timecodes", Meteoritics & Planetary Science 52, 2017.
+    Howie et al., "Submillisecond fireball timing using de Bruijn timecodes", Meteoritics &
+    Planetary Science 52, 2017.
     """
 
     method = "point"
 
-    def __init__(self, codes: Sequence[str], *, seed: int = 0, progress: Callable[[float], None] | None = None) -> None:
+    def __init__(
+        self,
+        codes: Sequence[str],
+        *,
+        seed: int = 0,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
         check_codes(codes)
-        self._codes, self._seed, self._tell = tuple(codes), seed, progress
+        self._codes = tuple(codes)
+        self._seed = seed
+        self._tell = progress
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Estimate the motion from one coded photo, (H, W) or (H, W, 3) float, linear light 0..1."""
@@ -92,7 +101,8 @@ class TrailEstimator:
         Raises
         ------
         ValueError
-            If the numbers of photos and codes differ, or a photo shows no light, or one that is cut off or saturated.
+            If the numbers of photos and codes differ, or a photo shows no light, or one that is
+            cut off or saturated.
         """
         check_codes(self._codes, photos=len(photos))
         with one_thread_a_call():
@@ -104,13 +114,17 @@ class TrailEstimator:
                 try:
                     cut.append(_trail(photos[i]))
                 except ValueError as error:
-                    raise ValueError(f"photo {i + 1}: {error}" if len(photos) > 1 else f"photo: {error}") from None
+                    raise ValueError(
+                        f"photo {i + 1}: {error}" if len(photos) > 1 else f"photo: {error}"
+                    ) from None
             trails = Trails(
                 codes=tuple(self._codes[i] for i in order),
                 images=tuple(image for image, _ in cut),
                 sigmas=tuple(sigma for _, sigma in cut),
             )
-            found, times = find_trail_paths(trails, rng=np.random.default_rng(self._seed), progress=progress)
+            found, times = find_trail_paths(
+                trails, rng=np.random.default_rng(self._seed), progress=progress
+            )
             estimate = _described(found, times, photos=len(photos))
             progress.finish()
             return estimate
@@ -127,14 +141,18 @@ def _trail(photo: ArrayLike) -> tuple[FloatArray, FloatArray]:
     labels, count = ndimage.label(joined)
     if not count or above[lit].max() < _FOUND_SIGMA * noise:
         raise ValueError("shows no light above its background")
-    brightest = 1 + int(np.argmax(ndimage.sum_labels(np.where(lit, above, 0), labels, np.arange(1, count + 1))))
+    brightest = 1 + int(
+        np.argmax(ndimage.sum_labels(np.where(lit, above, 0), labels, np.arange(1, count + 1)))
+    )
     own = lit & (labels == brightest)
     rows, columns = (np.flatnonzero(own.any(axis=axis)) for axis in (1, 0))
     height, width = light.shape
     if rows[0] == 0 or columns[0] == 0 or rows[-1] == height - 1 or columns[-1] == width - 1:
         raise ValueError("the light's trail is cut off by the border")
     if max(np.ptp(rows), np.ptp(columns)) > _MOST_PX:
-        raise ValueError(f"the light's trail is longer than {_MOST_PX} px; give the photo at a smaller size")
+        raise ValueError(
+            f"the light's trail is longer than {_MOST_PX} px; give the photo at a smaller size"
+        )
     clipped = crops.clipped_mask(photo)
     if clipped[own].mean() > _MOST_CLIPPED:
         raise ValueError("the light is saturated on its trail; expose less or dim the light")
@@ -153,7 +171,9 @@ def _described(found: Sequence[FoundPath], times: int, *, photos: int) -> Motion
     best = found[0]
     folded = len(orders(Trajectory.from_samples(best.path), knots=len(best.path), most=4)) > 2
     agreed = _FOLDED if folded and photos == 1 else _AGREED
-    excess = np.array([0.5 * (other.cost - best.cost) / max(1.0, best.misfit) for other in found[1:]])
+    excess = np.array(
+        [0.5 * (other.cost - best.cost) / max(1.0, best.misfit) for other in found[1:]]
+    )
     likely = np.exp(-np.minimum(excess, 700))
     share = (agreed if times > 1 else _ALONE) * explained_share(best.misfit)
     return motion_of_paths(

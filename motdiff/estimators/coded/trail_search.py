@@ -7,35 +7,55 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy import ndimage, optimize
 from torch import Tensor
 
-from motdiff.estimators.coded.found import UNEXPLAINED, FoundPath, apart_px, distinct, expected_deviation_px, merged
+from motdiff.estimators.coded.found import (
+    UNEXPLAINED,
+    FoundPath,
+    apart_px,
+    distinct,
+    expected_deviation_px,
+    merged,
+)
 from motdiff.estimators.coded.misfit import Roughness, Term, descend
 from motdiff.estimators.coded.starts import bridged, crossed, loop_reversals, orders
 from motdiff.estimators.coded.trail_term import TrailTerm, TrailUnknowns
 from motdiff.motions import boracchi_foi
 from motdiff.progress import Progress
-
-__all__ = ["Trails", "find_trail_paths", "run_by_light"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _LEAST_PIECES = 52
 _ROUGHNESS = 10.0  # second differences of 0.3 px at 53 knots
-_COARSE = ((4.0, 0.06), (2.5, 0.04), (1.5, 0.02), (1.0, 0.007))  # blur, px, and the error allowed, of the brightest
-_STARTS, _KEPT = 160, (80, 40, 20)
-_POPULATION, _PARENTS, _NEWCOMERS = 12, 6, 8
-_ROUNDS, _STILL, _IMPROVED = 40, 6, 0.98
+_COARSE = (
+    (4.0, 0.06),
+    (2.5, 0.04),
+    (1.5, 0.02),
+    (1.0, 0.007),
+)  # blur, px, and the error allowed, of the brightest
+_STARTS = 160
+_KEPT = (80, 40, 20)
+_POPULATION = 12
+_PARENTS = 6
+_NEWCOMERS = 8
+_ROUNDS = 40
+_STILL = 6
+_IMPROVED = 0.98
 _REROUTED = 5
 _SEARCHES = 5
-_FOUND, _SAME_PX = 4, 0.3
+_FOUND = 4
+_SAME_PX = 0.3
 _WALK_PX = (20.0, 90.0)
 _LONGEST_PX = 160.0
-_TRACE_BLURS_PX, _FAINT, _TRACED_POINTS, _ORDERS = (0.7, 1.2, 2.0), 0.04, 161, 24
-_PIECE_PX, _MOST_PIECES, _EVEN = 0.5, 140, 0.05  # of a traced path whose light is measured; how even it is
-_SLIP, _SLIP_SPAN = 0.03, 0.15  # of time, where a path is run earlier or later
+_TRACE_BLURS_PX = (0.7, 1.2, 2.0)
+_FAINT = 0.04
+_TRACED_POINTS = 161
+_ORDERS = 24
+_PIECE_PX = 0.5  # of a traced path whose light is measured; how even it is
+_MOST_PIECES = 140
+_EVEN = 0.05
+_SLIP = 0.03  # of time, where a path is run earlier or later
+_SLIP_SPAN = 0.15
 
 
 @dataclass(frozen=True)
@@ -57,12 +77,16 @@ class Trails:
 
 
 def find_trail_paths(
-    trails: Trails, *, rng: np.random.Generator, progress: Progress | None = None, cost: float = 1.0
+    trails: Trails,
+    *,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
+    cost: float = 1.0,
 ) -> tuple[list[FoundPath], int]:
     """Find the paths that explain the trails best.
 
-    Searches, the later ones from random walks alone, are repeated until two of them end at one path that explains
-    the trails, which is then no chance.
+    Searches, the later ones from random walks alone, are repeated until two of them end at one
+    path that explains the trails, which is then no chance.
 
     Parameters
     ----------
@@ -89,11 +113,15 @@ def find_trail_paths(
     else:
         x, costs = search.evolved(x)  # what one of them lacks, another may have
         told.spend(cost / (_SEARCHES + 1))
-        times = max(1, sum(apart_px(search.unknowns, x[0], best[0]) < _SAME_PX for best, _ in ends))
+        times = max(
+            1, sum(apart_px(search.unknowns, x[0], best[0]) < _SAME_PX for best, _ in ends)
+        )
     return search.described(x[:_FOUND], costs[:_FOUND]), times
 
 
-def run_by_light(path: FloatArray, image: FloatArray, is_open: FloatArray, *, width_px: float) -> FloatArray:
+def run_by_light(
+    path: FloatArray, image: FloatArray, is_open: FloatArray, *, width_px: float
+) -> FloatArray:
     """Time a path by the light of its trail: each open moment carries as much.
 
     Parameters
@@ -135,28 +163,40 @@ def _along(path: FloatArray, arc: FloatArray, where: FloatArray) -> FloatArray:
 
 class _TrailSearch:
     def __init__(self, trails: Trails, rng: np.random.Generator) -> None:
-        self.trails, self.rng = trails, rng
+        self.trails = trails
+        self.rng = rng
         chips = len(trails.codes[0])
         self.unknowns = TrailUnknowns(chips * -(-_LEAST_PIECES // chips) + 1, len(trails.codes))
         self.rough = Roughness(self.unknowns, _ROUGHNESS)
         peak = [float(image.max()) for image in trails.images]
         self.coarse = [
             self._term(
-                [np.maximum(sigma, share * top) for sigma, top in zip(trails.sigmas, peak, strict=True)], blur_px
+                [
+                    np.maximum(sigma, share * top)
+                    for sigma, top in zip(trails.sigmas, peak, strict=True)
+                ],
+                blur_px,
             )
             for blur_px, share in _COARSE
         ]
         self.fine = self._term(trails.sigmas, 0.0)
         self.is_open = [
-            np.repeat([bit == "1" for bit in code], (self.unknowns.knots - 1) // chips).astype(np.float64)
+            np.repeat([bit == "1" for bit in code], (self.unknowns.knots - 1) // chips).astype(
+                np.float64
+            )
             for code in trails.codes
         ]
-        self.light = [image.sum() / part.mean() for image, part in zip(trails.images, self.is_open, strict=True)]
+        self.light = [
+            image.sum() / part.mean()
+            for image, part in zip(trails.images, self.is_open, strict=True)
+        ]
         self.moments = [_moments(image) for image in trails.images]
         self.spot_px = min(_spot_px(image) for image in trails.images)
 
     def _term(self, sigmas: Sequence[FloatArray], blur_px: float) -> TrailTerm:
-        return TrailTerm(self.unknowns, self.trails.codes, self.trails.images, sigmas, blur_px=blur_px)
+        return TrailTerm(
+            self.unknowns, self.trails.codes, self.trails.images, sigmas, blur_px=blur_px
+        )
 
     def misfit(self, x: Tensor) -> float:
         """Misfit of a candidate (1, N), as a multiple of what noise leaves; how rough the path is counts as well.
@@ -181,10 +221,14 @@ class _TrailSearch:
         for _ in range(_ROUNDS):
             new = self._pack(np.stack(self._children(x)))
             new, _ = descend([self.coarse[1], self.rough], new, steps=2)
-            new, _ = self.distinct(*descend([self.coarse[2], self.rough], new, steps=4), keep=2 * _POPULATION)
+            new, _ = self.distinct(
+                *descend([self.coarse[2], self.rough], new, steps=4), keep=2 * _POPULATION
+            )
             new, reached = descend(best, new, steps=5)
             before = float(costs[0])
-            x, costs = self.distinct(torch.cat([x, new]), torch.cat([costs, reached]), keep=_POPULATION)
+            x, costs = self.distinct(
+                torch.cat([x, new]), torch.cat([costs, reached]), keep=_POPULATION
+            )
             still = 0 if float(costs[0]) < _IMPROVED * before else still + 1
             if still == _STILL:
                 break
@@ -220,10 +264,14 @@ class _TrailSearch:
         shape = axes @ np.diag(np.sqrt(np.maximum(values, 0.05)))
         at = np.linspace(0, 1, self.unknowns.knots)
         while True:
-            walk = boracchi_foi(self.rng, max_length_px=self.rng.uniform(*_WALK_PX), samples=500).at(at)
+            walk = boracchi_foi(
+                self.rng, max_length_px=self.rng.uniform(*_WALK_PX), samples=500
+            ).at(at)
             middle = 0.5 * (walk[1:] + walk[:-1])
             mean = np.average(middle, axis=0, weights=self.is_open[0])
-            own = np.linalg.cholesky(np.cov((middle - mean).T, aweights=self.is_open[0]) + 1e-3 * np.eye(2))
+            own = np.linalg.cholesky(
+                np.cov((middle - mean).T, aweights=self.is_open[0]) + 1e-3 * np.eye(2)
+            )
             turn, _ = np.linalg.qr(self.rng.standard_normal((2, 2)))
             path = (shape @ turn @ np.linalg.solve(own, (walk - mean).T)).T + centre
             if np.linalg.norm(np.diff(path, axis=0), axis=1).sum() < _LONGEST_PX:
@@ -232,10 +280,13 @@ class _TrailSearch:
     def _pack(self, paths: FloatArray) -> Tensor:
         """Candidates of paths (B, K, 2), moved so that each trail has the centroid of its photo."""
         middle = 0.5 * (paths[:, 1:] + paths[:, :-1])
-        shifts = np.stack([
-            centre - np.einsum("bsd,s->bd", middle, part / part.sum())
-            for (centre, _), part in zip(self.moments, self.is_open, strict=True)
-        ], axis=1)  # fmt: skip
+        shifts = np.stack(
+            [
+                centre - np.einsum("bsd,s->bd", middle, part / part.sum())
+                for (centre, _), part in zip(self.moments, self.is_open, strict=True)
+            ],
+            axis=1,
+        )
         paths = paths + shifts[:, :1]
         count = len(paths)
         return self.unknowns.pack_trails(
@@ -251,7 +302,11 @@ class _TrailSearch:
         for i, path in enumerate(paths[:_PARENTS]):
             children += loop_reversals(path, most=5, rng=self.rng)
             others = [paths[j] for j in range(len(paths)) if j != i]
-            children += [child for other in others if (child := crossed(path, other, rng=self.rng)) is not None]
+            children += [
+                child
+                for other in others
+                if (child := crossed(path, other, rng=self.rng)) is not None
+            ]
             children += [self._slipped(path), path[::-1]]
             children += [bridged(path, self._walk(), rng=self.rng) for _ in range(_REROUTED)]
         return children
@@ -283,7 +338,9 @@ def _moments(image: FloatArray) -> tuple[FloatArray, FloatArray]:
     weight = np.maximum(image, 0)
     weight = np.where(weight > 0.05 * weight.max(), weight, 0)
     rows, columns = np.indices(image.shape)
-    at = np.stack([columns - image.shape[1] // 2, rows - image.shape[0] // 2], axis=-1).reshape(-1, 2)
+    at = np.stack([columns - image.shape[1] // 2, rows - image.shape[0] // 2], axis=-1).reshape(
+        -1, 2
+    )
     flat = weight.ravel() / weight.sum()
     centre = flat @ at
     apart = at - centre
@@ -294,9 +351,13 @@ def _spot_px(image: FloatArray) -> float:
     """Estimate the standard deviation of the light's spot, px, from how sharp the ridges of its trail are."""
     blur_px = 0.7
     soft = ndimage.gaussian_filter(image, blur_px)
-    xx, yy, xy = (ndimage.gaussian_filter(image, blur_px, order=order) for order in ((0, 2), (2, 0), (1, 1)))
+    xx, yy, xy = (
+        ndimage.gaussian_filter(image, blur_px, order=order) for order in ((0, 2), (2, 0), (1, 1))
+    )
     sharpest = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
-    ridge = ((soft == ndimage.maximum_filter(soft, 3)) | (soft > 0.5 * soft.max())) & (soft > 0.25 * soft.max())
+    ridge = ((soft == ndimage.maximum_filter(soft, 3)) | (soft > 0.5 * soft.max())) & (
+        soft > 0.25 * soft.max()
+    )
     ridge &= sharpest < 0
     width2 = float(np.percentile(-soft[ridge] / sharpest[ridge], 20)) if ridge.any() else 1.0
     return float(np.sqrt(np.clip(width2 - blur_px**2 - 1 / 12, 0.3**2, 3.0**2)))

@@ -8,15 +8,11 @@ from math import pi, sqrt
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
 from motdiff.estimators.coded.misfit import Unknowns
-
-__all__ = ["TrailTerm", "TrailUnknowns"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _LEAST_SPOT_PX = 0.15
 _STEP = 1.5  # of the pixels compared, in blurs
@@ -30,9 +26,9 @@ class TrailUnknowns(Unknowns):
     Attributes
     ----------
     knots, exposures : int
-        K and I. A vector holds the path's knots (K, 2) px; of every photo but the first its shift (2) px; of every
-        photo the logarithm of the light that the whole exposure would have, and an offset; the logarithm of the
-        spot's standard deviation, px.
+        K and I. A vector holds the path's knots (K, 2) px; of every photo but the first its shift
+        (2) px; of every photo the logarithm of the light that the whole exposure would have, and
+        an offset; the logarithm of the spot's standard deviation, px.
     """
 
     @property
@@ -56,7 +52,13 @@ class TrailUnknowns(Unknowns):
     def pack_trails(self, paths: Tensor, shifts: Tensor, light: Tensor, spot_px: Tensor) -> Tensor:
         """Vectors of paths (B, K, 2), shifts (B, I, 2), light (B, I) and spots (B,); the offsets are 0."""
         return torch.cat(
-            [paths.flatten(1), shifts[:, 1:].flatten(1), light.log(), torch.zeros_like(light), spot_px.log()[:, None]],
+            [
+                paths.flatten(1),
+                shifts[:, 1:].flatten(1),
+                light.log(),
+                torch.zeros_like(light),
+                spot_px.log()[:, None],
+            ],
             1,
         )
 
@@ -77,8 +79,9 @@ class TrailUnknowns(Unknowns):
 class TrailTerm:
     """Difference between the trails of a path through codes and the photos of them, in units of their noise.
 
-    The light is a Gaussian spot, seen by square pixels. The path is straight between knots, which divide each chip
-    evenly, and its light is summed at Gauss-Legendre points: exact as long as a piece is no longer than some spots.
+    The light is a Gaussian spot, seen by square pixels. The path is straight between knots, which
+    divide each chip evenly, and its light is summed at Gauss-Legendre points: exact as long as a
+    piece is no longer than some spots.
 
     Parameters
     ----------
@@ -106,15 +109,23 @@ class TrailTerm:
         points: int = 3,
     ) -> None:
         pieces = unknowns.knots - 1
-        self._unknowns, self._blur2 = unknowns, blur_px**2
+        self._unknowns = unknowns
+        self._blur2 = blur_px**2
         step = max(1, round(_STEP * blur_px))
         points = 2 if blur_px > 1 else points
-        self._open = [torch.tensor(np.flatnonzero(np.repeat([bit == "1" for bit in code], pieces // len(code))))
-                      for code in codes]  # fmt: skip
+        self._open = [
+            torch.tensor(
+                np.flatnonzero(np.repeat([bit == "1" for bit in code], pieces // len(code)))
+            )
+            for code in codes
+        ]
         node, weight = np.polynomial.legendre.leggauss(points)
         self._share = torch.tensor(0.5 + 0.5 * node, dtype=torch.float32)
         self._weight = torch.tensor(0.5 * weight / pieces, dtype=torch.float32)
-        self._photos, self._certain, self._rows, self._columns = [], [], [], []
+        self._photos = []
+        self._certain = []
+        self._rows = []
+        self._columns = []
         for photo, sigma in zip(photos, sigmas, strict=True):
             soft = ndimage.gaussian_filter(photo, blur_px, mode="constant") if blur_px else photo
             rows, columns = (np.arange((n // 2) % step, n, step) for n in photo.shape)
@@ -141,12 +152,19 @@ class TrailTerm:
         found = []
         for photo in range(self._unknowns.exposures):
             down, across = self._responses(x, photo)[:2]
-            found.append(self._residual(x, photo, torch.einsum("bsqh,q,bsqw->bhw", down, self._weight, across)))
+            found.append(
+                self._residual(
+                    x, photo, torch.einsum("bsqh,q,bsqw->bhw", down, self._weight, across)
+                )
+            )
         return found
 
     def add_normal(self, x: Tensor, matrix: Tensor, slope: Tensor) -> None:
         """See :class:`motdiff.estimators.coded.misfit.Term`."""
-        most = max(len(rows) * len(columns) for rows, columns in zip(self._rows, self._columns, strict=True))
+        most = max(
+            len(rows) * len(columns)
+            for rows, columns in zip(self._rows, self._columns, strict=True)
+        )
         at_once = max(1, _AT_ONCE // (most * self._unknowns.size))
         for start in range(0, len(x), at_once):
             part = slice(start, start + at_once)
@@ -157,20 +175,28 @@ class TrailTerm:
 
     def _normal_rows(self, x: Tensor, photo: int) -> tuple[Tensor, Tensor]:
         """Jacobian (B, N, pixels) and residual (B, pixels) of one photo."""
-        un, end = self._unknowns, 2 * self._unknowns.knots
+        un = self._unknowns
+        end = 2 * self._unknowns.knots
         down, across, down_slope, across_slope, wider = self._responses(x, photo)
-        is_open, light = self._open[photo], un.light(x)[:, photo]
+        is_open = self._open[photo]
+        light = un.light(x)[:, photo]
         shape = torch.einsum("bsqh,q,bsqw->bhw", down, self._weight, across)
         rows = torch.zeros(len(x), un.size, *shape.shape[1:])
-        for axis, (vertical, horizontal) in enumerate([(down, across_slope), (down_slope, across)]):
+        for axis, (vertical, horizontal) in enumerate(
+            [(down, across_slope), (down_slope, across)]
+        ):
             for late, share in ((0, 1 - self._share), (1, self._share)):
                 weighted = (vertical * (self._weight * share)[:, None]).transpose(2, 3)
-                rows[:, axis + 2 * late : end - 2 + axis + 2 * late : 2].index_add_(1, is_open, weighted @ horizontal)
+                rows[:, axis + 2 * late : end - 2 + axis + 2 * late : 2].index_add_(
+                    1, is_open, weighted @ horizontal
+                )
         if photo:
             for axis in (0, 1):
                 rows[:, un.shift(photo) + axis] = rows[:, axis:end:2].sum(1)
         for vertical, horizontal in ((down, wider[1]), (wider[0], across)):
-            rows[:, un.spot] += torch.einsum("bsqh,q,bsqw->bhw", vertical, self._weight, horizontal)
+            rows[:, un.spot] += torch.einsum(
+                "bsqh,q,bsqw->bhw", vertical, self._weight, horizontal
+            )
         rows[:, un.gain(photo)] = shape
         rows *= light[:, None, None, None]
         rows[:, un.offset(photo)] = 1.0
@@ -178,30 +204,35 @@ class TrailTerm:
         return rows.flatten(2), self._residual(x, photo, shape).flatten(1)
 
     def _residual(self, x: Tensor, photo: int, shape: Tensor) -> Tensor:
-        light, offset = self._unknowns.light(x)[:, photo], x[:, self._unknowns.offset(photo)]
+        light = self._unknowns.light(x)[:, photo]
+        offset = x[:, self._unknowns.offset(photo)]
         drawn = light[:, None, None] * shape + offset[:, None, None]
         return (drawn - self._photos[photo]) * self._certain[photo]
 
-    def _responses(self, x: Tensor, photo: int) -> tuple[Tensor, Tensor, Tensor, Tensor, tuple[Tensor, Tensor]]:
+    def _responses(
+        self, x: Tensor, photo: int
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, tuple[Tensor, Tensor]]:
         """Responses of rows (B, S, Q, H) and columns (B, S, Q, W), their slopes in position and in log spot width."""
         un = self._unknowns
         paths = un.paths(x) + un.shifts(x)[:, photo, None]
-        start, stop = paths[:, self._open[photo]], paths[:, self._open[photo] + 1]
+        start = paths[:, self._open[photo]]
+        stop = paths[:, self._open[photo] + 1]
         at = start[:, :, None] + self._share[:, None] * (stop - start)[:, :, None]
         spot2 = un.spot_px(x).clamp(min=_LEAST_SPOT_PX).square()
         width = (spot2 + self._blur2).sqrt()[:, None, None, None]
         grows = (spot2 / (spot2 + self._blur2))[:, None, None, None]  # d log width / d log spot
         respond = _blurred_response if self._blur2 else _response
         (across, across_slope, across_wider), (down, down_slope, down_wider) = (
-            respond(pixels - at[..., axis, None], width) for axis, pixels in ((0, self._columns[photo]),
-                                                                              (1, self._rows[photo]))
-        )  # fmt: skip
+            respond(pixels - at[..., axis, None], width)
+            for axis, pixels in ((0, self._columns[photo]), (1, self._rows[photo]))
+        )
         return down, across, down_slope, across_slope, (down_wider * grows, across_wider * grows)
 
 
 def _response(apart: Tensor, width: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Response of a pixel to a Gaussian spot at a distance, and its slopes in the spot's place and log width."""
-    high, low = (apart + 0.5) / width, (apart - 0.5) / width
+    high = (apart + 0.5) / width
+    low = (apart - 0.5) / width
     dense_high, dense_low = (torch.exp(-0.5 * z.square()) / sqrt(2 * pi) for z in (high, low))
     within = 0.5 * (torch.erf(high / sqrt(2)) - torch.erf(low / sqrt(2)))
     return within, (dense_low - dense_high) / width, dense_low * low - dense_high * high

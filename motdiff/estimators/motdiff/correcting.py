@@ -16,10 +16,7 @@ from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix
 from motdiff.network.correction import CorrectionNetwork, corrected, correction_maps
 from motdiff.psf_frame import PSF_PX, in_frame
 from motdiff.threads import side_by_side
-
-__all__ = ["corrected_choice", "corrected_kernel"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 _PASSES = 2  # what the photo tells of a corrected kernel is more
 
@@ -29,8 +26,9 @@ def corrected_choice(
 ) -> FoundKernels:
     """Correct the best kernel and the likeliest different ones, and choose among these by the photo alone.
 
-    Their probabilities, none above that of the best before, are handed out in the order of their scores. Kernels that
-    are the same as one of these before the correction are superseded: their probability is 0.
+    Their probabilities, none above that of the best before, are handed out in the order of their
+    scores. Kernels that are the same as one of these before the correction are superseded: their
+    probability is 0.
 
     Parameters
     ----------
@@ -46,9 +44,12 @@ def corrected_choice(
 
     Returns
     -------
-    FoundKernels with the same kernels in the same places, some of them corrected, in frames of 63 px.
+    FoundKernels with the same kernels in the same places, some of them corrected, in frames of 63
+    px.
     """
-    judge, kernels, probabilities = Judge(crops), list(found.kernels), found.probabilities.copy()
+    judge = Judge(crops)
+    kernels = list(found.kernels)
+    probabilities = found.probabilities.copy()
     likely = [int(i) for i in np.argsort(-probabilities) if i >= skip]
     alike = mnc_matrix(kernels)
     chosen = distinct(alike, [found.best], likely, most=most)
@@ -94,7 +95,8 @@ def corrected_kernel(
     """
     light = torch.from_numpy(crops.astype(np.float32))
     framed = torch.from_numpy(np.stack([_framed(each) for each in (kernel, *others)]))
-    found, instead = framed[:1], framed[[1, -1]][None]
+    found = framed[:1]
+    instead = framed[[1, -1]][None]
     with torch.inference_mode():
         for _ in range(_PASSES):
             found = corrected(network, correction_maps(light, found, instead, sigma=sigma))

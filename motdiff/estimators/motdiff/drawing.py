@@ -6,7 +6,6 @@ from functools import partial
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
@@ -17,10 +16,7 @@ from motdiff.network.physics_maps import QUICK_STARTS, display_photo, physics_ma
 from motdiff.network.sampling import sample_paths
 from motdiff.network.symmetry import SYMMETRIES, inverse_symmetry, mirrored
 from motdiff.threads import side_by_side
-
-__all__ = ["draw_psfs", "quick_search"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 
 def draw_psfs(
@@ -43,7 +39,8 @@ def draw_psfs(
     classical : (Q, 64, 64) float
         Classical kernels for the physics maps; unused by a network without them.
     count : int
-        Number of draws, spread over the eight symmetries of the square: a network's errors differ between them.
+        Number of draws, spread over the eight symmetries of the square: a network's errors differ
+        between them.
     steps : int
         Steps of each draw.
     generator : torch.Generator
@@ -93,7 +90,13 @@ def _drawn(
         None if physics is None else mirrored(physics, symmetry, pitch=1),
     )
     paths = sample_paths(
-        network, condition, count=count, schedule=cosine_schedule(), steps=steps, generator=generator, method=method
+        network,
+        condition,
+        count=count,
+        schedule=cosine_schedule(),
+        steps=steps,
+        generator=generator,
+        method=method,
     )
     return mirrored(paths.psfs(), inverse_symmetry(symmetry), pitch=1)[0]
 

@@ -8,10 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from motdiff.estimators.base import FoundKernels
-from motdiff.estimators.kernel_score import Judge, candidate_probabilities, distinct, noise_sigma, shared_sigma
+from motdiff.estimators.kernel_score import (
+    Judge,
+    candidate_probabilities,
+    distinct,
+    noise_sigma,
+    shared_sigma,
+)
 from motdiff.estimators.motdiff.correcting import corrected_choice
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import BlindEstimator
@@ -22,30 +27,33 @@ from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
 from motdiff.network.sampling import DOUBT
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.threads import side_by_side
+from motdiff.types import FloatArray
 from motdiff.weights import load_network
 from motdiff.weights.correction import load_correction
-
-__all__ = ["MotDiffEstimator"]
-
-FloatArray = NDArray[np.float64]
 
 _ODD_PX = PSF_PX - 1
 _REFINED = 3
 # processor time of the stages, in starts of the classical search
-_DRAW_COST, _JUDGE_COST, _REFINE_COST, _SINGLE_COST, _CORRECT_COST, _TRACE_COST = 0.4, 0.2, 0.45, 0.35, 0.6, 0.25
-# of the search's starts, those that stand for the shortened ones the network was trained with; the first two agreeing,
-# the larger one stands for the one not run as well
-_TOLD_OF_ALL, _TOLD_OF_TWO = (2, 0, 1), (1, 0, 1)
+_DRAW_COST = 0.4
+_JUDGE_COST = 0.2
+_REFINE_COST = 0.45
+_SINGLE_COST = 0.35
+_CORRECT_COST = 0.6
+_TRACE_COST = 0.25
+# of the search's starts, those that stand for the shortened ones the network was trained with; the
+# first two agreeing, the larger one stands for the one not run as well
+_TOLD_OF_ALL = (2, 0, 1)
+_TOLD_OF_TWO = (1, 0, 1)
 
 
 class MotDiffEstimator(BlindEstimator):
     """Blind estimator with the conditional diffusion model MoTDiff.
 
-    Classical searches give kernels. The network, conditioned on up to three of them, samples several motions. All are
-    scored on the photo (:mod:`motdiff.estimators.kernel_score`), and the most likely ones are refined at full
-    resolution. A second network corrects the best and up to two of the likeliest different ones
-    (:mod:`motdiff.network.correction`), and the same score of the photo alone chooses. The result may come from a
-    classical kernel or from the draws.
+    Classical searches give kernels. The network, conditioned on up to three of them, samples
+    several motions. All are scored on the photo (:mod:`motdiff.estimators.kernel_score`), and the
+    most likely ones are refined at full resolution. A second network corrects the best and up to
+    two of the likeliest different ones (:mod:`motdiff.network.correction`), and the same score of
+    the photo alone chooses. The result may come from a classical kernel or from the draws.
 
     Parameters
     ----------
@@ -54,10 +62,12 @@ class MotDiffEstimator(BlindEstimator):
     samples : int
         Motions drawn.
     steps : int
-        Denoising steps of each. With one, a draw is the network's mean guess from the photo turned or mirrored its
-        way: draws are alike (MNC 0.98), and those beyond the eighth add next to nothing (0.99).
+        Denoising steps of each. With one, a draw is the network's mean guess from the photo turned
+        or mirrored its way: draws are alike (MNC 0.98), and those beyond the eighth add next to
+        nothing (0.99).
     refine : bool
-        Whether the likeliest kernels, drawn or searched, are refined on the photo at the end, and corrected.
+        Whether the likeliest kernels, drawn or searched, are refined on the photo at the end, and
+        corrected.
     seed : int
         Of the draws.
     crops : int
@@ -67,8 +77,9 @@ class MotDiffEstimator(BlindEstimator):
 
     References
     ----------
-    Choi et al., "MoTDiff: High-resolution motion trajectory estimation from a single blurred image using diffusion
-    models", arXiv 2510.26173. Physics maps, judgement, refinement and correction are ours.
+    Choi et al., "MoTDiff: High-resolution motion trajectory estimation from a single blurred image
+    using diffusion models", arXiv 2510.26173. Physics maps, judgement, refinement and correction
+    are ours.
     """
 
     method = "motdiff"
@@ -91,13 +102,17 @@ class MotDiffEstimator(BlindEstimator):
             if value < 1:
                 raise ValueError(f"{name}: must be at least 1, got {value}")
         self._network = load_network() if weights is None else load_network(weights)
-        self._samples, self._steps, self._refine = samples, steps, refine
+        self._samples = samples
+        self._steps = steps
+        self._refine = refine
         self._correction = load_correction() if refine else None
         self._seed = seed
 
     def search(self, crops: FloatArray) -> FoundKernels:
         """Sample, score and refine kernels of the crops (C, H, W)."""
-        after = _JUDGE_COST + _REFINE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0) + _TRACE_COST
+        after = (
+            _JUDGE_COST + _REFINE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0) + _TRACE_COST
+        )
         after += _CORRECT_COST if self._refine else 0.0
         self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
         judge = Judge(crops)
@@ -111,21 +126,28 @@ class MotDiffEstimator(BlindEstimator):
             generator=torch.Generator().manual_seed(self._seed),
         )
         self._progress.spend(_DRAW_COST)
-        kernels = _in_odd_frames(np.concatenate([drawn, classical, drawn.mean(axis=0, keepdims=True)]))
+        kernels = _in_odd_frames(
+            np.concatenate([drawn, classical, drawn.mean(axis=0, keepdims=True)])
+        )
         mean = len(kernels) - 1
         groups = {"samples": len(drawn), "classical": len(classical)}
-        evidence, alike = judge.evidence(kernels), mnc_matrix(kernels)
+        evidence = judge.evidence(kernels)
+        alike = mnc_matrix(kernels)
         believed = candidate_probabilities(evidence, alike, **groups)
         self._progress.spend(_JUDGE_COST)
         best = int(np.argmax(believed))
         if self._refine:
             likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
             chosen = distinct(alike, [likeliest, mean], np.argsort(-believed), most=_REFINED)
-            sharpened = side_by_side([partial(refined, crops, kernels[i], judge.sigma) for i in chosen])
+            sharpened = side_by_side(
+                [partial(refined, crops, kernels[i], judge.sigma) for i in chosen]
+            )
             kernels += sharpened
             evidence = np.vstack([evidence, judge.evidence(sharpened)])
             believed = candidate_probabilities(evidence, mnc_matrix(kernels), **groups)
-            best = mean + 1 + int(np.argmax(believed[mean + 1 :]))  # refined ones are better than what they come from
+            best = (
+                mean + 1 + int(np.argmax(believed[mean + 1 :]))
+            )  # refined ones are better than what they come from
         self._progress.spend(_REFINE_COST)
         origins = ["sample"] * len(drawn) + ["classical"] * len(classical) + ["mean of samples"]
         if self._refine:
@@ -141,7 +163,8 @@ class MotDiffEstimator(BlindEstimator):
         """Run one quick search on each crop alone."""
         cost = _SINGLE_COST / len(crops)
         return side_by_side(
-            [partial(_searched_alone, crop) for crop in crops], tell=lambda _finished: self._progress.spend(cost)
+            [partial(_searched_alone, crop) for crop in crops],
+            tell=lambda _finished: self._progress.spend(cost),
         )
 
     def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
@@ -152,7 +175,9 @@ class MotDiffEstimator(BlindEstimator):
         """Correct the best kernel and the likeliest different ones, and choose anew."""
         if self._correction is None:
             return found
-        better = corrected_choice(self._correction, crops, found, most=_REFINED, skip=self._samples)  # skip the draws
+        better = corrected_choice(
+            self._correction, crops, found, most=_REFINED, skip=self._samples
+        )  # skip the draws
         self._progress.spend(_CORRECT_COST)
         return better
 
@@ -171,7 +196,9 @@ def _in_odd_frames(psfs: FloatArray) -> list[FloatArray]:
 
 def _searched_alone(crop: FloatArray) -> FloatArray:
     light = torch.from_numpy(crop.astype(np.float32))[None, None]
-    kernel = quick_kernels(light, sigma=noise_sigma(crop), starts=QUICK_STARTS[:1], fine_weights=())
+    kernel = quick_kernels(
+        light, sigma=noise_sigma(crop), starts=QUICK_STARTS[:1], fine_weights=()
+    )
     return np.asarray(kernel[0, 0].double().numpy(), dtype=np.float64)
 
 

@@ -11,9 +11,12 @@ from torch import Tensor
 
 from motdiff.estimators.pmp.grids import downsampled, fast_size, periodic_extension, resized_kernel
 from motdiff.estimators.pmp.kernel import centred, fit_kernel, without_faint_light, without_specks
-from motdiff.estimators.pmp.latent import Coupling, l0_pmp_latent, salient_gradients, start_threshold
-
-__all__ = ["PmpSettings", "estimate_kernels", "fine_latent", "refine_kernel"]
+from motdiff.estimators.pmp.latent import (
+    Coupling,
+    l0_pmp_latent,
+    salient_gradients,
+    start_threshold,
+)
 
 _RATIO = math.sqrt(0.5)
 _COARSEST_PX = 5
@@ -22,15 +25,21 @@ _SMOOTHNESS_FLOOR = 4.0
 _SMOOTHNESS_PER_VARIANCE = 1.6e5
 _FINE_SMOOTHNESS = 0.3
 _FINE_SPARSITY = 0.5
-_FINE_KEEP_SHARE = 0.01  # all gradients separate fainter parts from noise than salient edges, with 0.05
+_FINE_KEEP_SHARE = (
+    0.01  # all gradients separate fainter parts from noise than salient edges, with 0.05
+)
 _FINE_GRADIENT_FLOOR = 2e-4
 _FINE_GRADIENT_PER_VARIANCE = 2.5
 _COUPLING = Coupling(start=16.0, end=100.0, growth=1.5)
 _FINE_COUPLING = Coupling(end=100.0)  # slower growth, as in the search, loses 0.02 on real photos
-_ROUNDS, _FINE_ROUNDS = (6, 15), (25, 50)  # descent steps of the search's kernels and of the refinement's
+_ROUNDS = (6, 15)  # descent steps of the search's kernels and of the refinement's
+_FINE_ROUNDS = (25, 50)
 _REFINEMENTS = 3
-_ALTERNATION_PX = 2e4  # what an alternation costs whatever the size of the photo, as px of a larger one
-_SHRUNK_NOISE = 0.45  # share of the noise assumed in a shrunk photo: 0.4 and less remains, but assuming that loses 0.01
+_ALTERNATION_PX = (
+    2e4  # what an alternation costs whatever the size of the photo, as px of a larger one
+)
+# share of the noise assumed in a shrunk photo: 0.4 and less remains, but assuming that loses 0.01
+_SHRUNK_NOISE = 0.45
 
 
 @dataclass(frozen=True)
@@ -50,13 +59,14 @@ class PmpSettings:
     patch_share : float
         Side of the minimal-pixel patches as a share of the photo's mean side.
     coupling : Coupling
-        Of the half-quadratic splitting, but for the refinement's. Fast growth loses kernels; a late end only takes
-        time.
+        Of the half-quadratic splitting, but for the refinement's. Fast growth loses kernels; a
+        late end only takes time.
     keep_share : float
         Values below this share of the peak are dropped at full size, before the refinement.
     fine_weights : tuple of float
-        Weights of the gradient count of as many closing alternations at each scale, which look at all gradients:
-        salient edges alone lead away even from the truth. With any, :func:`refine_kernel` closes the full size.
+        Weights of the gradient count of as many closing alternations at each scale, which look at
+        all gradients: salient edges alone lead away even from the truth. With any,
+        :func:`refine_kernel` closes the full size.
     sigma : float
         Standard deviation of the photo's noise.
     """
@@ -107,20 +117,23 @@ def estimate_kernels(
 
     References
     ----------
-    Wen et al., "A simple local minimal intensity prior and an improved algorithm for blind image deblurring",
-    IEEE TCSVT 2021, algorithm 3.
+    Wen et al., "A simple local minimal intensity prior and an improved algorithm for blind image
+    deblurring", IEEE TCSVT 2021, algorithm 3.
     """
     chosen = settings or PmpSettings()
     scales = max(math.floor(math.log(_COARSEST_PX / size) / math.log(_RATIO)), 0) + 1
     patch_px = max(2, math.floor(chosen.patch_share * 0.5 * (photos.shape[-1] + photos.shape[-2])))
-    intensity, gradient = chosen.intensity_weight, chosen.gradient_weight
-    kernel, threshold = photos.new_zeros(0), photos.new_zeros(0)
+    intensity = chosen.intensity_weight
+    gradient = chosen.gradient_weight
+    kernel = photos.new_zeros(0)
+    threshold = photos.new_zeros(0)
     batch, crops = photos.shape[:2]
     flat = photos.flatten(0, 1)
     costs = [_ALTERNATION_PX + flat.numel() * _RATIO ** (2 * scale) for scale in range(scales)]
     rounds = [chosen.last_iterations + (_REFINEMENTS if chosen.fine_weights else 0)]
     rounds += [chosen.iterations + len(chosen.fine_weights)] * (scales - 1)
-    done, total = 0.0, float(sum(cost * count for cost, count in zip(costs, rounds, strict=True)))
+    done = 0.0
+    total = float(sum(cost * count for cost, count in zip(costs, rounds, strict=True)))
     for scale in reversed(range(scales)):
         side = _odd(math.ceil(size * _RATIO**scale))
         blurred = downsampled(flat, _RATIO**scale)
@@ -130,8 +143,12 @@ def estimate_kernels(
         else:
             kernel = resized_kernel(kernel, 1 / _RATIO, side)
         height, width = blurred.shape[-2:]
-        wrapped = periodic_extension(blurred, (fast_size(height + side - 1), fast_size(width + side - 1)))
-        blurred_gradients = _by_photo(salient_gradients(blurred, torch.zeros_like(threshold)), batch)
+        wrapped = periodic_extension(
+            blurred, (fast_size(height + side - 1), fast_size(width + side - 1))
+        )
+        blurred_gradients = _by_photo(
+            salient_gradients(blurred, torch.zeros_like(threshold)), batch
+        )
         for _ in range(chosen.iterations if scale else chosen.last_iterations):
             latent = l0_pmp_latent(
                 wrapped,
@@ -180,9 +197,9 @@ def estimate_kernels(
 def refine_kernel(photos: Tensor, kernel: Tensor, *, sigma: float) -> Tensor:
     """Fit the kernel three times more at full size, to all gradients of a latent photo with fine detail.
 
-    The search keeps only strong edges, for robustness; with the kernel found, the other gradients determine its faint
-    parts better. Measured on 24 simulated photos: MNC + 0.015 and restored PSNR + 0.1 dB up to
-    sigma 0.01, nothing at 0.02.
+    The search keeps only strong edges, for robustness; with the kernel found, the other gradients
+    determine its faint parts better. Measured on 24 simulated photos: MNC + 0.015 and restored
+    PSNR + 0.1 dB up to sigma 0.01, nothing at 0.02.
 
     Parameters
     ----------
@@ -260,11 +277,14 @@ def _fitted_to_all(
 ) -> Tensor:
     """Alternate photo and kernel (B, k, k) once, without minimal pixels and with all gradients.
 
-    ``wrapped`` (B * C, H', W') is the photo made periodic, ``blurred`` its gradients, (B, C, H - 1, W - 1).
+    ``wrapped`` (B * C, H', W') is the photo made periodic, ``blurred`` its gradients, (B, C, H -
+    1, W - 1).
     """
     batch, crops, rows, columns = blurred[0].shape
     repeated = kernel.repeat_interleave(crops, dim=0)
-    latent = fine_latent(wrapped, repeated, sigma=sigma, gradient_weight=gradient_weight, coupling=coupling)
+    latent = fine_latent(
+        wrapped, repeated, sigma=sigma, gradient_weight=gradient_weight, coupling=coupling
+    )
     latent = latent[:, : rows + 1, : columns + 1]
     fitted = fit_kernel(
         _by_photo(salient_gradients(latent, latent.new_zeros(batch * crops)), batch),

@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from motdiff.crops import LEAST_PX
 from motdiff.estimators.base import FoundKernels
@@ -18,10 +17,7 @@ from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_k
 from motdiff.metrics import mnc_subpixel
 from motdiff.progress import Progress
 from motdiff.threads import side_by_side
-
-__all__ = ["STARTS", "PmpEstimator", "Start", "planned", "refined"]
-
-FloatArray = NDArray[np.float64]
+from motdiff.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -33,7 +29,8 @@ class Start:
     size : int
         Odd side of the kernel frame, px.
     quarter_turns : int
-        The photo is turned by so many right angles, and the kernel turned back: another path to the optimum.
+        The photo is turned by so many right angles, and the kernel turned back: another path to
+        the optimum.
     sparsity : float
         Weight of the kernel's sum: low where a strong one would shrink a long path to a dot.
     gradient_weight : float
@@ -57,15 +54,19 @@ STARTS = (
 _AGREED_MNC = 0.93  # of two searches, unrefined: docs/decisions/motion-estimation.md
 _DISAGREE = 0.4  # share of photos with more starts than two
 # processor time of the other stages, in starts
-_RANK_COST, _REFINE_COST, _SINGLE_COST, _TRACE_COST = 0.05, 0.15, 1.4, 0.25
+_RANK_COST = 0.05
+_REFINE_COST = 0.15
+_SINGLE_COST = 1.4
+_TRACE_COST = 0.25
 
 
 class PmpEstimator(BlindEstimator):
     """Blind estimator with the patch-wise minimal pixels prior.
 
-    The starts run on the same crops, which share one kernel: the first two, and the others only where these found
-    different ones; the ranking of :mod:`motdiff.estimators.kernel_score` chooses. ``confidence`` is the probability
-    that the chosen kernel has a sub-pixel MNC of 0.7 or more, fitted on simulated photos.
+    The starts run on the same crops, which share one kernel: the first two, and the others only
+    where these found different ones; the ranking of :mod:`motdiff.estimators.kernel_score`
+    chooses. ``confidence`` is the probability that the chosen kernel has a sub-pixel MNC of 0.7 or
+    more, fitted on simulated photos.
 
     Parameters
     ----------
@@ -96,17 +97,22 @@ class PmpEstimator(BlindEstimator):
         super().__init__(crops=crops, progress=progress)
         if not starts:
             raise ValueError("starts: need at least one")
-        self._starts, self._device = starts, device
+        self._starts = starts
+        self._device = device
         self.largest_px = max(start.size for start in starts)
 
     def search(self, crops: FloatArray) -> FoundKernels:
         """Run the starts on the crops (C, H, W) and refine the best once more."""
         single = _SINGLE_COST if len(crops) > 1 else 0.0
-        self._progress.expect(planned(len(self._starts)) + _RANK_COST + _REFINE_COST + single + _TRACE_COST)
+        self._progress.expect(
+            planned(len(self._starts)) + _RANK_COST + _REFINE_COST + single + _TRACE_COST
+        )
         kernels = self.kernels(crops, progress=self._progress)
         ranking = rank_kernels(crops, kernels)
         self._progress.spend(_RANK_COST)
-        kernels[ranking.best] = refined(crops, kernels[ranking.best], shared_sigma(crops), device=self._device)
+        kernels[ranking.best] = refined(
+            crops, kernels[ranking.best], shared_sigma(crops), device=self._device
+        )
         self._progress.spend(_REFINE_COST)
         details: dict[str, object] = {"starts": len(kernels), "agreement": ranking.agreement}
         return FoundKernels(tuple(kernels), ranking.probabilities, ranking.best, details)
@@ -131,7 +137,12 @@ class PmpEstimator(BlindEstimator):
         cost = _SINGLE_COST / len(crops)
         return side_by_side(
             [
-                partial(self._run, crop[None], self._starts[found.best], tell=self._progress.piece(cost))
+                partial(
+                    self._run,
+                    crop[None],
+                    self._starts[found.best],
+                    tell=self._progress.piece(cost),
+                )
                 for crop in crops
             ]
         )
@@ -140,11 +151,15 @@ class PmpEstimator(BlindEstimator):
         """Fit a kernel (k, k) to the crops (C, H, W) once more."""
         return refined(crops, kernel, shared_sigma(crops), device=self._device)
 
-    def _run(self, crops: FloatArray, start: Start, *, tell: Callable[[float], None]) -> FloatArray:
+    def _run(
+        self, crops: FloatArray, start: Start, *, tell: Callable[[float], None]
+    ) -> FloatArray:
         turned = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
         batch = torch.from_numpy(np.ascontiguousarray(turned))[None].to(self._device)
         settings = PmpSettings.for_noise(shared_sigma(crops))
-        settings = replace(settings, sparsity=start.sparsity, gradient_weight=start.gradient_weight)
+        settings = replace(
+            settings, sparsity=start.sparsity, gradient_weight=start.gradient_weight
+        )
         size = min(start.size, (min(crops.shape[1:]) // 2) * 2 - 1)
         kernel = estimate_kernels(batch, size=size, settings=settings, tell=tell)[0].cpu().numpy()
         return np.ascontiguousarray(np.rot90(kernel, -start.quarter_turns), dtype=np.float64)
@@ -155,7 +170,9 @@ def planned(starts: int) -> float:
     return min(starts, 2) + _DISAGREE * max(starts - 2, 0)
 
 
-def refined(crops: FloatArray, kernel: FloatArray, sigma: float, *, device: str = "cpu") -> FloatArray:
+def refined(
+    crops: FloatArray, kernel: FloatArray, sigma: float, *, device: str = "cpu"
+) -> FloatArray:
     """Refine a kernel (k, k) on the crops (C, H, W): :func:`motdiff.estimators.pmp.blind.refine_kernel`.
 
     Parameters

@@ -8,8 +8,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-__all__ = ["downsampled", "fast_size", "gradient_power", "periodic_extension", "psf_to_otf", "resized_kernel"]
-
 
 def fast_size(size: int) -> int:
     """Smallest even length >= ``size`` whose only prime factors are 2, 3 and 5: quick Fourier transforms."""
@@ -28,7 +26,9 @@ def gradient_power(height: int, width: int, like: Tensor) -> Tensor:
     """Half-plane power response (H, W // 2 + 1) of the two periodic first differences together."""
     fy = torch.arange(height, device=like.device, dtype=like.dtype) / height
     fx = torch.arange(width // 2 + 1, device=like.device, dtype=like.dtype) / width
-    power: Tensor = 4 * (torch.sin(torch.pi * fy).square()[:, None] + torch.sin(torch.pi * fx).square()[None, :])
+    power: Tensor = 4 * (
+        torch.sin(torch.pi * fy).square()[:, None] + torch.sin(torch.pi * fx).square()[None, :]
+    )
     return power
 
 
@@ -58,7 +58,9 @@ def downsampled(photo: Tensor, factor: float) -> Tensor:
 def resized_kernel(kernel: Tensor, factor: float, size: int) -> Tensor:
     """Enlarge kernels (B, k, k) by ``factor`` into a frame of ``size`` px with the same centre; sum 1."""
     offset = kernel.shape[-1] // 2 - (size // 2) / factor
-    grown = _sampled(kernel[:, None], size, size, 1 / factor, offset, offset, "bicubic")[:, 0].clamp(min=0)
+    grown = _sampled(kernel[:, None], size, size, 1 / factor, offset, offset, "bicubic")[
+        :, 0
+    ].clamp(min=0)
     return grown / grown.sum(dim=(1, 2), keepdim=True).clamp(min=1e-12)
 
 
@@ -67,12 +69,14 @@ def periodic_extension(photo: Tensor, shape: tuple[int, int]) -> Tensor:
 
     References
     ----------
-    Liu and Jia, "Reducing boundary artifacts in image deconvolution", ICIP 2008 (here with first-order smoothness).
+    Liu and Jia, "Reducing boundary artifacts in image deconvolution", ICIP 2008 (here with
+    first-order smoothness).
     """
     batch, height, width = photo.shape
     out = photo.new_zeros(batch, *shape)
     out[:, :height, :width] = photo
-    below, beside = shape[0] - height, shape[1] - width
+    below = shape[0] - height
+    beside = shape[1] - width
     if below > 0:
         out[:, height:, :width] = _joining_strip(photo[:, -1, :], photo[:, 0, :], below)
     if beside > 0:
@@ -89,7 +93,9 @@ def periodic_extension(photo: Tensor, shape: tuple[int, int]) -> Tensor:
 def _joining_strip(first: Tensor, last: Tensor, thickness: int) -> Tensor:
     """Harmonic strip (B, thickness, W) between two edges (B, W), its short sides linear."""
     frame = first.new_zeros(first.shape[0], thickness + 2, first.shape[1])
-    ramp = torch.linspace(0, 1, thickness + 2, device=first.device, dtype=first.dtype)[None, :, None]
+    ramp = torch.linspace(0, 1, thickness + 2, device=first.device, dtype=first.dtype)[
+        None, :, None
+    ]
     frame[:] = first[:, None, :] * (1 - ramp) + last[:, None, :] * ramp
     frame[:, 1:-1, 1:-1] = _harmonic(frame)
     return frame[:, 1:-1, :]
@@ -97,7 +103,8 @@ def _joining_strip(first: Tensor, last: Tensor, thickness: int) -> Tensor:
 
 def _harmonic(frame: Tensor) -> Tensor:
     """Interior (B, m, n) of the harmonic function with the border values of ``frame`` (B, m + 2, n + 2)."""
-    rows, columns = frame.shape[1] - 2, frame.shape[2] - 2
+    rows = frame.shape[1] - 2
+    columns = frame.shape[2] - 2
     source = frame.new_zeros(frame.shape[0], rows, columns)
     source[:, 0, :] += frame[:, 0, 1:-1]
     source[:, -1, :] += frame[:, -1, 1:-1]
@@ -116,7 +123,9 @@ def _sine_basis(size: int, like: Tensor) -> tuple[Tensor, Tensor]:
     return basis, 2 - 2 * torch.cos(angle * index)
 
 
-def _sampled(stack: Tensor, rows: int, columns: int, pitch: float, row0: float, column0: float, mode: str) -> Tensor:
+def _sampled(
+    stack: Tensor, rows: int, columns: int, pitch: float, row0: float, column0: float, mode: str
+) -> Tensor:
     """Sample (B, 1, H, W) at ``start + pitch i`` in pixel indices, zero outside."""
     height, width = stack.shape[-2:]
     y = row0 + pitch * torch.arange(rows, device=stack.device, dtype=stack.dtype)

@@ -10,8 +10,6 @@ from torch.nn import functional
 
 from motdiff.estimators.pmp.grids import fast_size, gradient_power
 
-__all__ = ["centred", "fit_kernel", "without_faint_light", "without_specks"]
-
 _SPECK_MASS = 0.1
 _SPARSITY_CAP = 0.3
 
@@ -30,9 +28,10 @@ def fit_kernel(
     r"""Kernel (B, size, size) that turns latent gradients into blurred ones: a sparse non-negative least squares.
 
     Minimises ``|L k - b|^2 + ridge |k|^2 + smoothness |grad k|^2 + 2 s sum(k)`` over ``k >= 0`` by accelerated
-    projected gradients. ``s = sparsity * sigma * |L|`` scales with the noise that reaches the normal equations:
-    ``sigma`` is the rms residual of a first fit and ``|L|^2`` the energy of the latent gradients. The normal
-    equations are Toeplitz in the kernel, so they run on a frame of twice the kernel's size instead of the photo's.
+    projected gradients. ``s = sparsity * sigma * |L|`` scales with the noise that reaches the
+    normal equations: ``sigma`` is the rms residual of a first fit and ``|L|^2`` the energy of the
+    latent gradients. The normal equations are Toeplitz in the kernel, so they run on a frame of
+    twice the kernel's size instead of the photo's.
 
     Parameters
     ----------
@@ -51,8 +50,9 @@ def fit_kernel(
 
     References
     ----------
-    Cho and Lee, "Fast motion deblurring", SIGGRAPH Asia 2009, section 4 (least squares on gradients); Beck and
-    Teboulle, SIAM J. Imaging Sciences 2009 (the descent). Non-negativity and the noise-scaled sparsity are ours.
+    Cho and Lee, "Fast motion deblurring", SIGGRAPH Asia 2009, section 4 (least squares on
+    gradients); Beck and Teboulle, SIAM J. Imaging Sciences 2009 (the descent). Non-negativity and
+    the noise-scaled sparsity are ours.
     """
     _, crops, height, width = latent[0].shape
     frame = (fast_size(height + size), fast_size(width + size))
@@ -67,7 +67,9 @@ def fit_kernel(
     transfer = data + smoothness * gradient_power(small, small, right) + ridge
 
     def applied(response: Tensor, x: Tensor) -> Tensor:
-        product: Tensor = torch.fft.irfft2(response * torch.fft.rfft2(x, s=(small, small)), s=(small, small))
+        product: Tensor = torch.fft.irfft2(
+            response * torch.fft.rfft2(x, s=(small, small)), s=(small, small)
+        )
         return product[:, :size, :size]
 
     latent_energy = lags[:, size - 1, size - 1].clamp(min=1e-12)
@@ -76,14 +78,18 @@ def fit_kernel(
     step = 1 / transfer.amax(dim=(1, 2), keepdim=True)
     kernel = torch.full_like(right, 1 / size**2)
     for steps in rounds:
-        level = torch.minimum(sparsity * (variance * latent_energy).sqrt(), _SPARSITY_CAP * right.amax(dim=(1, 2)))
+        level = torch.minimum(
+            sparsity * (variance * latent_energy).sqrt(), _SPARSITY_CAP * right.amax(dim=(1, 2))
+        )
         target = right - level[:, None, None].clamp(min=0)
-        ahead, momentum = kernel, 1.0
+        ahead = kernel
+        momentum = 1.0
         for _ in range(steps):
             descended = (ahead - (applied(transfer, ahead) - target).mul_(step)).clamp_(min=0)
             following = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
             ahead = (descended - kernel).mul_((momentum - 1) / following).add_(descended)
-            kernel, momentum = descended, following
+            kernel = descended
+            momentum = following
         misfit = blurred_energy - (kernel * (2 * right - applied(data, kernel))).sum(dim=(1, 2))
         variance = misfit.clamp(min=0) / (2 * crops * height * width)
     return without_faint_light(kernel, below=keep_share)
@@ -99,7 +105,9 @@ def without_specks(kernel: Tensor) -> Tensor:
     """Kernels (B, k, k) without connected parts (8 neighbours) that hold less than a tenth of the light; sum 1."""
     batch, rows, columns = kernel.shape
     lit = kernel > 0
-    label = torch.arange(1, rows * columns + 1, device=kernel.device, dtype=torch.float32).view(1, 1, rows, columns)
+    label = torch.arange(1, rows * columns + 1, device=kernel.device, dtype=torch.float32).view(
+        1, 1, rows, columns
+    )
     label = label.expand(batch, 1, rows, columns) * lit[:, None]
     while True:  # spread the largest label through each part; its length in px bounds the rounds
         spread = functional.max_pool2d(label, 3, 1, 1) * lit[:, None]
@@ -107,7 +115,9 @@ def without_specks(kernel: Tensor) -> Tensor:
             break
         label = spread
     index = label.view(batch, -1).long()
-    mass = kernel.new_zeros(batch, rows * columns + 1).scatter_add(1, index, kernel.reshape(batch, -1))
+    mass = kernel.new_zeros(batch, rows * columns + 1).scatter_add(
+        1, index, kernel.reshape(batch, -1)
+    )
     mine = mass.gather(1, index).view(batch, rows, columns)
     largest = mass[:, 1:].amax(dim=1)[:, None, None].clamp(max=_SPECK_MASS)
     return _normalised(torch.where(mine >= largest, kernel, torch.zeros_like(kernel)))
@@ -121,8 +131,11 @@ def centred(kernel: Tensor) -> Tensor:
     x = torch.arange(columns, device=kernel.device)
     down = torch.round((kernel.sum(dim=2) * y).sum(dim=1) / total).long() - rows // 2
     right = torch.round((kernel.sum(dim=1) * x).sum(dim=1) / total).long() - columns // 2
-    row, column = y[None, :] + down[:, None], x[None, :] + right[:, None]
-    inside = ((row >= 0) & (row < rows))[:, :, None] & ((column >= 0) & (column < columns))[:, None, :]
+    row = y[None, :] + down[:, None]
+    column = x[None, :] + right[:, None]
+    inside = ((row >= 0) & (row < rows))[:, :, None] & ((column >= 0) & (column < columns))[
+        :, None, :
+    ]
     row_index = row.clamp(0, rows - 1)[:, :, None].expand(batch, rows, columns)
     column_index = column.clamp(0, columns - 1)[:, None, :].expand(batch, rows, columns)
     return _normalised(kernel.gather(1, row_index).gather(2, column_index) * inside)

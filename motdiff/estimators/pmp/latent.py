@@ -11,8 +11,6 @@ from torch.nn import functional
 
 from motdiff.estimators.pmp.grids import gradient_power, psf_to_otf
 
-__all__ = ["Coupling", "l0_pmp_latent", "salient_gradients", "start_threshold"]
-
 _INTENSITY_CAP = 0.1
 
 
@@ -23,7 +21,8 @@ class Coupling:
     Attributes
     ----------
     start : float
-        First coupling, in gradient weights: squared gradients below ``1 / start`` are dropped at first.
+        First coupling, in gradient weights: squared gradients below ``1 / start`` are dropped at
+        first.
     end : float
         Where it ends.
     growth : float
@@ -54,8 +53,8 @@ def l0_pmp_latent(
 ) -> Tensor:
     """Restore a latent photo that has few gradients and whose darkest pixel in each patch is near zero.
 
-    Half-quadratic splitting: the gradients are hard-thresholded, the minimal pixels shrunk, and the photo solved for
-    in the Fourier domain, with a growing coupling.
+    Half-quadratic splitting: the gradients are hard-thresholded, the minimal pixels shrunk, and
+    the photo solved for in the Fourier domain, with a growing coupling.
 
     Parameters
     ----------
@@ -75,8 +74,9 @@ def l0_pmp_latent(
 
     References
     ----------
-    Wen et al., "A simple local minimal intensity prior and an improved algorithm for blind image deblurring",
-    IEEE TCSVT 2021, algorithm 2; Xu et al., "Unnatural L0 sparse representation", CVPR 2013.
+    Wen et al., "A simple local minimal intensity prior and an improved algorithm for blind image
+    deblurring", IEEE TCSVT 2021, algorithm 2; Xu et al., "Unnatural L0 sparse representation",
+    CVPR 2013.
     """
     height, width = blurred.shape[-2:]
     otf = psf_to_otf(kernel, (height, width))
@@ -89,7 +89,9 @@ def l0_pmp_latent(
             photo = _shrink_minimal_pixels(photo, intensity_weight, patch_px, soft=coarse)
         spectrum = torch.fft.rfft2(_salient_divergence(photo, gradient_weight / alpha))
         torch.add(data, spectrum, alpha=alpha, out=spectrum)
-        spectrum *= torch.add(power, laplacian, alpha=alpha).reciprocal_()  # a division takes four times as long
+        spectrum *= torch.add(
+            power, laplacian, alpha=alpha
+        ).reciprocal_()  # a division takes four times as long
         photo = torch.fft.irfft2(spectrum, s=(height, width))
     return photo
 
@@ -142,7 +144,8 @@ def _salient_divergence(photo: Tensor, threshold: float) -> Tensor:
 
     In place and without truth values, which take torch longer than the arithmetic.
     """
-    gx, gy = torch.empty_like(photo), torch.empty_like(photo)
+    gx = torch.empty_like(photo)
+    gy = torch.empty_like(photo)
     torch.sub(photo[..., 1:], photo[..., :-1], out=gx[..., :-1])
     torch.sub(photo[..., 0], photo[..., -1], out=gx[..., -1])
     torch.sub(photo[..., 1:, :], photo[..., :-1, :], out=gy[..., :-1, :])
@@ -166,7 +169,9 @@ def _forward_gradients(photo: Tensor) -> tuple[Tensor, Tensor]:
 
 def _shrink_minimal_pixels(photo: Tensor, weight: float, patch_px: int, *, soft: bool) -> Tensor:
     """Shrink the darkest pixel of every patch: softly, or to zero where it is below an adaptive threshold."""
-    negative, index = functional.max_pool2d(-photo[:, None], patch_px, ceil_mode=True, return_indices=True)
+    negative, index = functional.max_pool2d(
+        -photo[:, None], patch_px, ceil_mode=True, return_indices=True
+    )
     value = -negative[:, 0]
     if soft:
         shrunk = torch.sign(value) * (value - weight).clamp(min=0)

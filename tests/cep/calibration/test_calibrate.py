@@ -9,7 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cep.calibration.calibrate import CALIBRATION_FILES, METHODS, estimate_motion, make_estimator, write_calibration
+from cep.calibration.calibrate import (
+    CALIBRATION_FILES,
+    METHODS,
+    estimate_motion,
+    make_estimator,
+    write_calibration,
+)
 from cep.files.files import read_psf
 from cep.files.images import read_image, write_image
 from cep.optics.code import ShutterCode
@@ -47,9 +53,13 @@ def small_weights(tmp_path, monkeypatch):
         decoder_widths=(8, 4),
         time_width=16,
     )
-    Trainer(TrainingConfig(DataConfig(photos="photos"), network=network)).save(tmp_path / "checkpoint")
+    Trainer(TrainingConfig(DataConfig(photos="photos"), network=network)).save(
+        tmp_path / "checkpoint"
+    )
     export_weights(tmp_path / "checkpoint", tmp_path / "tiny.safetensors")
-    monkeypatch.setattr(estimator, "load_network", lambda: load_network(tmp_path / "tiny.safetensors"))
+    monkeypatch.setattr(
+        estimator, "load_network", lambda: load_network(tmp_path / "tiny.safetensors")
+    )
 
 
 @pytest.fixture
@@ -66,7 +76,11 @@ def made(monkeypatch):
 
 
 def test_each_method_makes_its_estimator(small_weights):
-    needs = {"reference": {"sharp": np.eye(40)}, "gyro": GYRO, "coded": {"codes": [ShutterCode("1011")]}}
+    needs = {
+        "reference": {"sharp": np.eye(40)},
+        "gyro": GYRO,
+        "coded": {"codes": [ShutterCode("1011")]},
+    }
     for method in METHODS:
         name = type(make_estimator(method, **needs.get(method, {}))).__name__
         assert name.lower() == f"{method}estimator"
@@ -81,8 +95,16 @@ def test_a_light_through_codes_has_an_estimator_of_its_own():
     ("photos", "options", "words"),
     [
         ([0, 1], {"method": "motdiff"}, r"^codes: not valid with method='motdiff'"),
-        (np.array([0, 1]), {}, r"^photo: give the photos of several codes as a list or tuple, not as one array"),
-        ([0, 1], {"codes": [ShutterCode("1101", 2000), ShutterCode("1111", 1000)]}, r"^code 2: its chips last 1000 ns"),
+        (
+            np.array([0, 1]),
+            {},
+            r"^photo: give the photos of several codes as a list or tuple, not as one array",
+        ),
+        (
+            [0, 1],
+            {"codes": [ShutterCode("1101", 2000), ShutterCode("1111", 1000)]},
+            r"^code 2: its chips last 1000 ns",
+        ),
     ],
 )
 def test_photos_and_codes_that_do_not_belong_together_are_refused(photos, options, words):
@@ -94,7 +116,9 @@ def test_photos_and_codes_that_do_not_belong_together_are_refused(photos, option
 
 def test_a_photo_given_twice_through_two_codes_is_refused():
     photo = np.random.default_rng(0).random((70, 80))
-    with pytest.raises(ValueError, match=r"^photo 2: is the same as photo 1; give each photo once"):
+    with pytest.raises(
+        ValueError, match=r"^photo 2: is the same as photo 1; give each photo once"
+    ):
         estimate_motion([photo, photo.copy()], codes=[ShutterCode("1101"), ShutterCode("1111")])
 
 
@@ -113,7 +137,9 @@ def test_the_share_told_begins_before_torch_is_loaded_and_goes_on_with_the_estim
         "told = []; make_estimator(sys.argv[1], progress=lambda share, _what: told.append(('torch' in sys.modules, "
         "f'motdiff.estimators.{sys.argv[1]}' in sys.modules, share))); print(json.dumps(told))"
     )
-    ran = subprocess.run([sys.executable, "-c", script, method], capture_output=True, text=True, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", script, method], capture_output=True, text=True, check=True
+    )
     loaded = [(torch, estimator) for torch, estimator, _ in json.loads(ran.stdout)]
     shares = [share for *_, share in json.loads(ran.stdout)]
     assert loaded == [(False, False), (True, False), (True, True)]
@@ -134,18 +160,28 @@ def test_calibration_is_blind_unless_told_otherwise(made):
 def test_a_steady_turn_gives_a_straight_path():
     found = estimate_motion(np.random.default_rng(0).random((50, 60)), method="gyro", **GYRO)
     assert found.trajectories[0].direction == "known"
-    assert found.trajectories[0].length_px == pytest.approx(500 * 0.1 * np.hypot(0.1, 0.2), rel=1e-3)
+    assert found.trajectories[0].length_px == pytest.approx(
+        500 * 0.1 * np.hypot(0.1, 0.2), rel=1e-3
+    )
 
 
 @pytest.mark.parametrize(
     ("method", "options", "message"),
     [
-        ("magic", {}, "method: must be one of motdiff, pmp, reference, point, gyro, coded, or module:name, got .mag"),
+        (
+            "magic",
+            {},
+            "method: must be one of motdiff, pmp, reference, point, gyro, coded, or module:name, got .mag",
+        ),
         ("reference", {}, "sharp: needed with method='reference'"),
         ("gyro", GYRO | {"focal_px": None}, "focal_px: needed with method='gyro'"),
         ("pmp", {"sharp": np.eye(40)}, "sharp: not valid with method='pmp'"),
         ("pmp", {"samples": 8}, "^samples: not valid with method='pmp'$"),
-        ("reference", {"sharp": np.eye(40), "samples": 8}, "^samples: not valid with method='reference'$"),
+        (
+            "reference",
+            {"sharp": np.eye(40), "samples": 8},
+            "^samples: not valid with method='reference'$",
+        ),
         ("point", {"samples": 8}, "^samples: not valid with method='point'$"),
         ("gyro", GYRO | {"samples": 8}, "^samples: not valid with method='gyro'$"),
         ("motdiff", {"sharp": np.eye(40)}, "^sharp: not valid with method='motdiff'$"),
@@ -168,7 +204,11 @@ def test_the_files_hold_the_estimate(tmp_path):
     found = estimate(BENT, BENT.scaled(1.2))
     photo = np.random.default_rng(0).random((80, 90, 3))
     written = write_calibration(tmp_path / "m", found, photo, source={"image": "a.png", "seed": 4})
-    assert set(written) == set(CALIBRATION_FILES) == {item.name for item in (tmp_path / "m").iterdir()}
+    assert (
+        set(written)
+        == set(CALIBRATION_FILES)
+        == {item.name for item in (tmp_path / "m").iterdir()}
+    )
     stored = read_motion(written["trajectory.json"])
     np.testing.assert_allclose(stored.trajectory.xy, BENT.xy)
     assert stored.weight == 0.5
@@ -179,8 +219,13 @@ def test_the_files_hold_the_estimate(tmp_path):
 
 
 def test_a_path_too_large_for_the_map_has_none(tmp_path):
-    written = write_calibration(tmp_path / "m", estimate(Trajectory.straight(100.0)), np.zeros((60, 60)))
-    assert set(written) == set(CALIBRATION_FILES) - {"map.png", "sharpened.png"}  # no restoration was better
+    written = write_calibration(
+        tmp_path / "m", estimate(Trajectory.straight(100.0)), np.zeros((60, 60))
+    )
+    assert set(written) == set(CALIBRATION_FILES) - {
+        "map.png",
+        "sharpened.png",
+    }  # no restoration was better
 
 
 def test_nothing_is_replaced_or_half_written(tmp_path):
@@ -189,7 +234,9 @@ def test_nothing_is_replaced_or_half_written(tmp_path):
     with pytest.raises(ValueError, match="use --force"):
         write_calibration(tmp_path / "m", estimate(BENT.scaled(2)), np.zeros((60, 60)))
     with pytest.raises(TypeError, match="shape"):  # fails on the last file, the preview
-        write_calibration(tmp_path / "m", estimate(BENT.scaled(2)), np.zeros((60, 60, 7)), force=True)
+        write_calibration(
+            tmp_path / "m", estimate(BENT.scaled(2)), np.zeros((60, 60, 7)), force=True
+        )
     assert (tmp_path / "m/trajectory.json").read_text() == before
     assert [item.name for item in tmp_path.iterdir()] == ["m"]
 
@@ -234,7 +281,9 @@ def test_a_photo_without_texture_is_refused_before_the_network_is_loaded(cep, wo
 
 
 @pytest.mark.parametrize(("method", "least_px"), [("motdiff", 64), ("pmp", 48)])
-def test_a_photo_that_is_too_small_is_refused_before_anything_slow_is_loaded(workplace, method, least_px):
+def test_a_photo_that_is_too_small_is_refused_before_anything_slow_is_loaded(
+    workplace, method, least_px
+):
     write_image("small.png", np.random.default_rng(0).random((30, 35)))
     script = (
         "import sys; from cep.commands.main import main; code = main(sys.argv[1:]); "
@@ -242,13 +291,17 @@ def test_a_photo_that_is_too_small_is_refused_before_anything_slow_is_loaded(wor
     )
     command = [sys.executable, "-c", script, "calibrate", "small.png", "--method", method]
     ran = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert ran.stderr == f"cep: small.png: needs at least {least_px} x {least_px} px, got 35 x 30\n"
+    assert (
+        ran.stderr == f"cep: small.png: needs at least {least_px} x {least_px} px, got 35 x 30\n"
+    )
     assert ran.stdout == "2\n"
     assert not Path("small_motion").exists()
 
 
 def test_the_command_runs_a_network(cep, workplace, small_weights, monkeypatch):
-    monkeypatch.setattr("motdiff.estimators.multiscale.simplest_trajectory", lambda psf: BENT)  # noise is long to trace
+    monkeypatch.setattr(
+        "motdiff.estimators.multiscale.simplest_trajectory", lambda psf: BENT
+    )  # noise is long to trace
     found = cep.succeeds("calibrate", "blurred.png", "--samples", "1", "-o", "motion")
     assert found["method"] == "motdiff"
     assert found["details"]["samples"] == 1

@@ -24,7 +24,16 @@ from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
 MOTIONS = {"a.png": BENT, "b.tif": Trajectory.straight(9.0), "c[1].x.PNG": BENT.scaled(0.7)}
-REFERENCE = ("calibrate", "shots", "--method", "reference", "--sharp", "sharp.png", "--workers", "1")
+REFERENCE = (
+    "calibrate",
+    "shots",
+    "--method",
+    "reference",
+    "--sharp",
+    "sharp.png",
+    "--workers",
+    "1",
+)
 
 WRITTEN = set(CALIBRATION_FILES) - {"sharpened.png"}
 """Files of these photos, of which no restoration is better."""
@@ -49,7 +58,8 @@ def guesses(monkeypatch):
     """Stand in for the estimator: always the same motion; ``stops`` at a photo as Ctrl-C does."""
 
     class Guess:
-        calls, stops = 0, 0
+        calls = 0
+        stops = 0
 
         def __init__(self, _sharp):
             pass
@@ -58,7 +68,9 @@ def guesses(monkeypatch):
             Guess.calls += 1
             if Guess.calls == Guess.stops:
                 raise KeyboardInterrupt
-            return MotionEstimate("guess", (BENT,), (1.0,), BENT.psf(64), 0.4, ("a guess",), {"figure": 1.5})
+            return MotionEstimate(
+                "guess", (BENT,), (1.0,), BENT.psf(64), 0.4, ("a guess",), {"figure": 1.5}
+            )
 
     monkeypatch.setattr("motdiff.estimators.reference.ReferenceEstimator", Guess)
     return Guess
@@ -81,23 +93,35 @@ def test_each_photo_gets_the_files_of_the_single_command(cep, tmp_path, monkeypa
     found = cep.succeeds("calibrate", "lamps", "--method", "point", "--workers", "2")
     assert list(found["photos"]) == list(MOTIONS)
     assert (found["failures"], found["missing"]) == ({}, 0)
-    assert sorted(path.name for path in Path("lamps_motion").iterdir()) == ["a", "b", "c[1].x", "cells", "motions.csv"]
+    assert sorted(path.name for path in Path("lamps_motion").iterdir()) == [
+        "a",
+        "b",
+        "c[1].x",
+        "cells",
+        "motions.csv",
+    ]
     rows = rows_of(found["summary"])
     assert [row["photo"] for row in rows] == list(MOTIONS)
     for row, (name, motion) in zip(rows, MOTIONS.items(), strict=True):
         one = found["photos"][name]
         assert mnc_subpixel(read_psf(one["psf"]), motion.psf(64)) > 0.95
         assert float(row["length_px"]) == one["length_px"]
-        single = cep.succeeds("calibrate", f"lamps/{name}", "--method", "point", "-o", "single", "--force")
+        single = cep.succeeds(
+            "calibrate", f"lamps/{name}", "--method", "point", "-o", "single", "--force"
+        )
         same = set(single) - {"trajectory", "psf", "seconds", "files"}
         assert {key: one[key] for key in same} == {key: single[key] for key in same}
         for file in WRITTEN - {"psf.mat"}:  # whose header has the time of day
-            assert (Path("lamps_motion") / Path(name).stem / file).read_bytes() == Path("single", file).read_bytes()
+            assert (Path("lamps_motion") / Path(name).stem / file).read_bytes() == Path(
+                "single", file
+            ).read_bytes()
 
 
 def test_the_current_folder_has_a_name_too(cep, shots, guesses, monkeypatch):
     monkeypatch.chdir("shots")
-    cep.succeeds("calibrate", ".", "--method", "reference", "--sharp", "../sharp.png", "--workers", "1")
+    cep.succeeds(
+        "calibrate", ".", "--method", "reference", "--sharp", "../sharp.png", "--workers", "1"
+    )
     assert Path("../shots_motion/a/trajectory.json").is_file()
 
 
@@ -115,8 +139,14 @@ def test_photos_that_fail_are_told_by_name_and_the_others_kept(cep, shots, guess
         "flat.png": "the photo is the same all over: motion shows only where the scene has texture",
         "gone.jpg": "No such file or directory",
     }
-    assert [line for line in cep.json["warnings"] if "broken" in line] == [f"broken.png: {failures['broken.png']}"]
-    assert {row["photo"]: row["failure"] for row in rows_of("shots_motion/motions.csv") if row["failure"]} == failures
+    assert [line for line in cep.json["warnings"] if "broken" in line] == [
+        f"broken.png: {failures['broken.png']}"
+    ]
+    assert {
+        row["photo"]: row["failure"]
+        for row in rows_of("shots_motion/motions.csv")
+        if row["failure"]
+    } == failures
     assert not Path("shots_motion/broken").exists()
     assert not Path("shots_motion/flat").exists()
     # mended, they alone are estimated
@@ -128,7 +158,9 @@ def test_photos_that_fail_are_told_by_name_and_the_others_kept(cep, shots, guess
     assert guesses.calls == calls  # a photo of the same content as another is estimated already
 
 
-def test_a_photo_that_is_too_small_fails_before_an_estimator_is_made(cep, shots, guesses, monkeypatch):
+def test_a_photo_that_is_too_small_fails_before_an_estimator_is_made(
+    cep, shots, guesses, monkeypatch
+):
     made = []
 
     def make(progress):
@@ -218,10 +250,18 @@ def test_stopped_it_writes_what_is_finished_and_goes_on(cep, shots, guesses):
     guesses.stops = 2
     cep(*REFERENCE, "--json")
     assert cep.code == INTERRUPTED
-    assert (list(cep.json["photos"]), cep.json["missing"], cep.json["failures"]) == (["a.png"], 2, {})
+    assert (list(cep.json["photos"]), cep.json["missing"], cep.json["failures"]) == (
+        ["a.png"],
+        2,
+        {},
+    )
     assert any("--force goes on" in line for line in cep.json["warnings"])
     assert Path("shots_motion/a/trajectory.json").is_file()
-    assert [row["failure"] for row in rows_of("shots_motion/motions.csv")] == ["", "left out", "left out"]
+    assert [row["failure"] for row in rows_of("shots_motion/motions.csv")] == [
+        "",
+        "left out",
+        "left out",
+    ]
     assert "use --force" in cep.refuses(*REFERENCE)
     assert len(cep.succeeds(*REFERENCE, "--force")["photos"]) == 3
     assert guesses.calls == 4  # one before, the one that was stopped, and the two left
@@ -233,10 +273,13 @@ def test_stopped_it_writes_what_is_finished_and_goes_on(cep, shots, guesses):
 
 def test_each_photo_is_written_before_the_next_one_is_begun(cep, shots, guesses, monkeypatch):
     """Whatever ends the command then, what is finished is there: a crash and a full disk as well as Ctrl-C."""
-    real, seen = guesses.estimate, []
+    real = guesses.estimate
+    seen = []
 
     def estimate(self, photo):
-        seen.append(sorted(path.parent.name for path in Path("shots_motion").glob("*/preview.png")))
+        seen.append(
+            sorted(path.parent.name for path in Path("shots_motion").glob("*/preview.png"))
+        )
         return real(self, photo)
 
     monkeypatch.setattr(guesses, "estimate", estimate)
@@ -247,11 +290,14 @@ def test_each_photo_is_written_before_the_next_one_is_begun(cep, shots, guesses,
 
 
 @pytest.mark.parametrize("stopped_at", [1, 2])
-def test_stopped_while_processes_work_it_keeps_what_came_and_tells(cep, shots, monkeypatch, stopped_at):
+def test_stopped_while_processes_work_it_keeps_what_came_and_tells(
+    cep, shots, monkeypatch, stopped_at
+):
     """Ctrl-C in the midst of writing: that photo is finished, the others of the pool are left out."""
     from cep.calibration import calibrate_folder
 
-    real, begun = calibrate_folder.write_calibration, []
+    real = calibrate_folder.write_calibration
+    begun = []
 
     def interrupted(folder, *arguments, **options):
         begun.append(Path(folder).name)
@@ -263,7 +309,11 @@ def test_stopped_while_processes_work_it_keeps_what_came_and_tells(cep, shots, m
     cep(*REFERENCE[:-1], "2", "--json")
     assert cep.code == INTERRUPTED
     done = {Path(name).stem for name in cep.json["photos"]}
-    assert done == {*begun} == {path.parent.name for path in Path("shots_motion").glob("*/preview.png")}
+    assert (
+        done
+        == {*begun}
+        == {path.parent.name for path in Path("shots_motion").glob("*/preview.png")}
+    )
     assert (len(done), cep.json["missing"]) == (stopped_at, 3 - stopped_at)
     assert sorted(row["failure"] for row in rows_of("shots_motion/motions.csv")) == (
         [""] * stopped_at + ["left out"] * (3 - stopped_at)
@@ -289,12 +339,19 @@ def test_an_estimate_comes_back_to_the_last_bit(shots, tmp_path, guesses):
     from cep.jobs.cells import Cell
 
     cell = Cell(
-        ("a",), estimate_photo, {"photo": Path("shots/a.png"), "method": "reference", "sharp": Path("sharp.png")}
+        ("a",),
+        estimate_photo,
+        {"photo": Path("shots/a.png"), "method": "reference", "sharp": Path("sharp.png")},
     )
     for _ in range(2):  # made, and found on disk
         (result,) = run_cells([cell], cache=tmp_path / "cells").results
         found, warnings = estimate_from_figures(result.finished.figures)
-        assert (found.method, found.weights, found.confidence, found.details) == ("guess", (1.0,), 0.4, {"figure": 1.5})
+        assert (found.method, found.weights, found.confidence, found.details) == (
+            "guess",
+            (1.0,),
+            0.4,
+            {"figure": 1.5},
+        )
         np.testing.assert_array_equal(found.trajectories[0].xy, BENT.xy)
         np.testing.assert_array_equal(found.trajectories[0].t, BENT.t)
         np.testing.assert_array_equal(found.psf, BENT.psf(64))
@@ -316,12 +373,16 @@ def test_sharp_photos_may_be_one_each_by_name(cep, shots, guesses):
         Path(f"sharp/{stem}.png").write_bytes(Path("sharp.png").read_bytes())
     pairs = sharp_of(photos_in("shots"), Path("sharp"))
     assert {blurred.name: sharp.name for blurred, sharp in pairs.items()} == {
-        "a.png": "a.png", "b.tif": "b.png", "c[1].x.PNG": "c[1].x.png",
-    }  # fmt: skip
+        "a.png": "a.png",
+        "b.tif": "b.png",
+        "c[1].x.PNG": "c[1].x.png",
+    }
     arguments = ["sharp" if part == "sharp.png" else part for part in REFERENCE]
     assert len(cep.succeeds(*arguments)["photos"]) == 3
     Path("sharp/b.png").unlink()
-    assert "sharp: holds no sharp photo named b, for shots/b.tif" in cep.refuses(*arguments, "--force")
+    assert "sharp: holds no sharp photo named b, for shots/b.tif" in cep.refuses(
+        *arguments, "--force"
+    )
 
 
 def test_a_sharp_photo_among_the_blurred_is_not_one_of_them(cep, shots, guesses):
@@ -376,10 +437,14 @@ def test_refusals(cep, shots, guesses, options, prepared, message):
 
 def test_a_gyroscope_is_for_one_photo(cep, shots):
     options = ("--gyro", "gyro.csv", "--focal", "1000", "--start", "0", "--exposure", "0.1")
-    assert "--start is the opening of one photo" in cep.refuses("calibrate", "shots", "--method", "gyro", *options)
+    assert "--start is the opening of one photo" in cep.refuses(
+        "calibrate", "shots", "--method", "gyro", *options
+    )
 
 
-@pytest.mark.parametrize("option", [("--workers", "2"), ("--dask", "tcp://127.0.0.1:9"), ("--cache", "cells")])
+@pytest.mark.parametrize(
+    "option", [("--workers", "2"), ("--dask", "tcp://127.0.0.1:9"), ("--cache", "cells")]
+)
 def test_the_options_of_a_folder_are_for_a_folder(cep, shots, option):
     assert f"{option[0]}: is for a folder" in cep.refuses("calibrate", "blurred.png", *option)
 
@@ -388,21 +453,32 @@ def test_motions_are_found_as_they_were_written(cep, shots, guesses):
     cep.succeeds(*REFERENCE)
     motions = motions_in("shots_motion")
     assert list(motions) == [Path(name).stem for name in MOTIONS]
-    assert all(json.loads(path.read_text())["schema"] == "cep.trajectory/1" for path in motions.values())
+    assert all(
+        json.loads(path.read_text())["schema"] == "cep.trajectory/1" for path in motions.values()
+    )
 
 
 def test_from_python_it_gives_what_the_command_prints(cep, shots, guesses):
     told = []
     made = calibrate_folder(
-        Path("shots"), method="reference", sharp=Path("sharp.png"), workers=1,
+        Path("shots"),
+        method="reference",
+        sharp=Path("sharp.png"),
+        workers=1,
         progress=lambda fraction, note: told.append((fraction, note)),
-    )  # fmt: skip
-    assert (made.folder, made.summary, made.missing) == (Path("shots_motion"), Path("shots_motion/motions.csv"), 0)
+    )
+    assert (made.folder, made.summary, made.missing) == (
+        Path("shots_motion"),
+        Path("shots_motion/motions.csv"),
+        0,
+    )
     assert (told[0], told[-1][0]) == ((0.0, "0 of 3 photos"), 1.0)
     printed = cep.succeeds(*REFERENCE, "--force")  # found on disk
     assert guesses.calls == 3
     assert list(made.found) == list(printed["photos"]) == [row["photo"] for row in made.rows]
-    assert [one["length_px"] for one in made.found.values()] == [one["length_px"] for one in printed["photos"].values()]
+    assert [one["length_px"] for one in made.found.values()] == [
+        one["length_px"] for one in printed["photos"].values()
+    ]
     assert made.warnings == printed["warnings"]
     with pytest.raises(ValueError, match=r"motions\.csv: exists already"):
         calibrate_folder(Path("shots"), method="reference", sharp=Path("sharp.png"))

@@ -17,11 +17,15 @@ from motdiff.estimators.coded.codes import check_codes
 
 @pytest.fixture(scope="module")
 def pair():
-    return calibration_set(2, chips=12, chip_ns=500_000, device="flc", rng=np.random.default_rng(0))
+    return calibration_set(
+        2, chips=12, chip_ns=500_000, device="flc", rng=np.random.default_rng(0)
+    )
 
 
 def test_the_same_seed_designs_the_same_set(pair):
-    again = calibration_set(2, chips=12, chip_ns=500_000, device="flc", rng=np.random.default_rng(0))
+    again = calibration_set(
+        2, chips=12, chip_ns=500_000, device="flc", rng=np.random.default_rng(0)
+    )
     assert again == pair
     assert pair.sources == ("open", "code_2.json")
     assert pair.codes[1].bits != pair.codes[1].bits[::-1]
@@ -34,17 +38,23 @@ def test_figures_are_of_walks_that_the_design_did_not_see(pair):
     assert 0 < found.worst_tenth < found.median
     assert 0 < found.conditioning < 1
     assert f"In {found.resolved} of 64 simulated walks" in pair.summary
-    assert pair.summary.startswith("Take 2 photos of the motion, P1 with the shutter open, P2 through code_2.json. ")
+    assert pair.summary.startswith(
+        "Take 2 photos of the motion, P1 with the shutter open, P2 through code_2.json. "
+    )
 
 
 @pytest.mark.parametrize(
-    ("device", "photos", "chip_ns"), [("mechanical-fast", 3, 1_000_000), ("led-strobe", 2, 3_000_000)]
+    ("device", "photos", "chip_ns"),
+    [("mechanical-fast", 3, 1_000_000), ("led-strobe", 2, 3_000_000)],
 )
 def test_the_device_can_play_every_code(device, photos, chip_ns):
-    found = calibration_set(photos, chips=24, chip_ns=chip_ns, device=device, rng=np.random.default_rng(1))
+    found = calibration_set(
+        photos, chips=24, chip_ns=chip_ns, device=device, rng=np.random.default_rng(1)
+    )
     for code in found.codes:
         assert load_profile(device).check(Program.from_bits(code.bits, chip_ns=chip_ns)) == ()
-    # flashes of a strobe last 33 ms at most, 24 chips of 3 ms last 72 ms: no photo can be open throughout
+    # flashes of a strobe last 33 ms at most, 24 chips of 3 ms last 72 ms: no photo can be open
+    # throughout
     assert (found.sources[0] == "open") == (device != "led-strobe")
 
 
@@ -52,7 +62,9 @@ def test_files_are_those_that_the_command_reads(pair, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     files = pair.save("a set", file_format="json")
     assert sorted(file.name for file in files) == sorted(set_files(2, "json"))
-    assert sorted(item.name for item in (tmp_path / "a set").iterdir()) == sorted(set_files(2, "json"))
+    assert sorted(item.name for item in (tmp_path / "a set").iterdir()) == sorted(
+        set_files(2, "json")
+    )
     stored = json.loads((tmp_path / "a set" / "set.json").read_text())
     words = shlex.split(stored["command"])
     assert words[:4] == ["cep", "calibrate", "P1", "P2"]
@@ -62,7 +74,9 @@ def test_files_are_those_that_the_command_reads(pair, tmp_path, monkeypatch):
     assert [one["bits"] for one in stored["photos"]] == [code.bits for code in pair.codes]
     for i, code in enumerate(pair.codes, 1):
         assert read_code(f"a set/code_{i}.json").code == code
-        program = EXPORTERS["json"].parse_back((tmp_path / "a set" / f"code_{i}.program.json").read_text())
+        program = EXPORTERS["json"].parse_back(
+            (tmp_path / "a set" / f"code_{i}.program.json").read_text()
+        )
         assert program.bits == code.bits
 
 
@@ -75,7 +89,10 @@ def test_files_are_those_that_the_command_reads(pair, tmp_path, monkeypatch):
         ({"chips": 513}, "chips: must be 4 to 512, got 513"),
         ({"device": "mechanical"}, "chips: mechanical opens for at least 30 ms"),
         ({"device": "nothing"}, "device profile 'nothing' is unknown"),
-        ({"device": "lc-dual-frequency", "chip_ns": 100_000}, "lc-dual-frequency takes 500000 ns to open or close"),
+        (
+            {"device": "lc-dual-frequency", "chip_ns": 100_000},
+            "lc-dual-frequency takes 500000 ns to open or close",
+        ),
     ],
 )
 def test_what_cannot_be_designed_is_refused(options, line):

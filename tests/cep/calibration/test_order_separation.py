@@ -15,7 +15,9 @@ HALF = [0, 0, 0, 0, 1, 1, 1, 1]
 def band_limited_psf(path, code, grid_px=120):
     """Spectrum of the light let through, its frequencies above the band removed."""
     fy, fx = np.meshgrid(np.fft.fftfreq(grid_px), np.fft.fftfreq(grid_px), indexing="ij")
-    slices = Trajectory.from_samples(path).slice_otfs(np.linspace(0, 1, CHIPS + 1), fx.ravel(), fy.ravel())
+    slices = Trajectory.from_samples(path).slice_otfs(
+        np.linspace(0, 1, CHIPS + 1), fx.ravel(), fy.ravel()
+    )
     spectrum = (np.asarray(code, dtype=float) @ slices).reshape(grid_px, grid_px)
     return spectrum * (np.hypot(fx, fy) <= BAND_CY_PX * (1 + 1e-9))
 
@@ -61,4 +63,6 @@ def test_conditioning_is_the_smallest_mtf_in_the_band():
     measure = OrderSeparation([np.stack([BEND, BEND[::-1]])], chips=CHIPS)
     spectra = [abs(band_limited_psf(BEND, code)) / np.mean(code) for code in (HALF, [1] * CHIPS)]
     rms = np.sqrt((spectra[0] ** 2 + spectra[1] ** 2) / 2)
-    assert measure.conditioning([HALF, [1] * CHIPS]) == pytest.approx([rms[rms > 0].min()], rel=1e-4)
+    assert measure.conditioning([HALF, [1] * CHIPS]) == pytest.approx(
+        [rms[rms > 0].min()], rel=1e-4
+    )

@@ -29,13 +29,21 @@ def rough(path, error_px):
 
 
 def refined(photos, path, **options):
-    return refine_motion(photos, CODES[: len(photos)], path, kernels=ReferenceEstimator(SCENE), **options)
+    return refine_motion(
+        photos, CODES[: len(photos)], path, kernels=ReferenceEstimator(SCENE), **options
+    )
 
 
-@pytest.mark.parametrize("photos", [1, pytest.param(2, marks=pytest.mark.slow(reason="fits to two photos"))])
+@pytest.mark.parametrize(
+    "photos", [1, pytest.param(2, marks=pytest.mark.slow(reason="fits to two photos"))]
+)
 def test_a_rough_path_is_refined(photos):
     shares = []
-    found = refined(photos_along(PATH)[:photos], rough(PATH, 1.0), progress=lambda share, _what: shares.append(share))
+    found = refined(
+        photos_along(PATH)[:photos],
+        rough(PATH, 1.0),
+        progress=lambda share, _what: shares.append(share),
+    )
     assert found.kept == "refined"
     assert found.confidence is None if photos == 2 else found.confidence > 0.8
     assert timed_distance_px(found.trajectory, PATH) < 0.4
@@ -47,7 +55,9 @@ def test_a_rough_path_is_refined(photos):
     assert shares[-1] == 1
 
 
-@pytest.mark.parametrize("photos", [1, pytest.param(2, marks=pytest.mark.slow(reason="fits to two photos"))])
+@pytest.mark.parametrize(
+    "photos", [1, pytest.param(2, marks=pytest.mark.slow(reason="fits to two photos"))]
+)
 def test_the_true_path_is_kept(photos):
     found = refined(photos_along(PATH)[:photos], PATH)
     assert (found.kept, found.moved_px) == ("given", 0.0)
@@ -97,7 +107,8 @@ def test_of_photos_of_different_scenes_the_coded_one_tells_the_order_that_a_refi
     codes = (ShutterCode("1" * CODES[0].chips), CODES[0])
     rng = np.random.default_rng(1)
     photos = [
-        capture(scene, PATH, code, camera=CAMERA, rng=rng) for scene, code in zip((SCENE, other), codes, strict=True)
+        capture(scene, PATH, code, camera=CAMERA, rng=rng)
+        for scene, code in zip((SCENE, other), codes, strict=True)
     ]
     backwards = Trajectory(PATH.t, PATH.xy).reversed()
     found = refine_motion(photos, codes, backwards, kernels=OfScenes(SCENE, other))

@@ -18,7 +18,10 @@ SINGLE = r"^\| (52) \| (26) \| (\d\.\d{6}) \| (\d+) \| `([01]+)` \|"
 def rows():
     """Return most chips, minimum, open chips, length and bits of each row with any number of open chips."""
     found = re.findall(ROW, TABLE, re.MULTILINE)
-    return [(int(n), float(least), int(opened), int(length), bits) for n, least, opened, length, bits in found]
+    return [
+        (int(n), float(least), int(opened), int(length), bits)
+        for n, least, opened, length, bits in found
+    ]
 
 
 def by_open_chips():
@@ -42,10 +45,14 @@ def test_each_code_is_proven_for_the_chips_of_its_last_row():
     assert all((entry.fewest_open, entry.most_open) == (1, entry.chips) for entry in free)
     chips, _, codes = by_open_chips()
     fixed = {entry.bits: (entry.chips, entry.most_open) for entry in OPTIMA if entry not in free}
-    assert fixed == {bits: (chips, opened) for opened, bits in codes.items()} | {OPTIMA[-1].bits: (52, 26)}
+    assert fixed == {bits: (chips, opened) for opened, bits in codes.items()} | {
+        OPTIMA[-1].bits: (52, 26)
+    }
 
 
-@pytest.mark.parametrize("entry", OPTIMA, ids=lambda entry: f"{entry.chips}-{entry.bits.count('1')}")
+@pytest.mark.parametrize(
+    "entry", OPTIMA, ids=lambda entry: f"{entry.chips}-{entry.bits.count('1')}"
+)
 def test_its_proof_is_a_page_or_a_file_of_the_documentation(entry):
     text = (ROOT / entry.proof).read_text()
     assert entry.bits in text

@@ -80,7 +80,9 @@ def test_false_claims_by_merl():
     """0.088 and 0.119 of DC were claimed, on grids of 62 and 64 points; the truth is 0 and 0.0235."""
     for name, (points, claimed) in CLAIMS.items():
         code = PUBLISHED[name]
-        assert np.abs(np.fft.fft(code.array, points)).min() / code.open_chips == pytest.approx(claimed, abs=1e-3)
+        assert np.abs(np.fft.fft(code.array, points)).min() / code.open_chips == pytest.approx(
+            claimed, abs=1e-3
+        )
     for name, truth, told in (("merl-31-t62", 0.0, "0.0000"), ("merl-32-t64", 0.0235, "0.0235")):
         found = chip_minimum(PUBLISHED[name])
         assert found.upper / PUBLISHED[name].open_chips == pytest.approx(truth, abs=5e-5)
@@ -91,7 +93,10 @@ def test_false_claims_by_merl():
 
 LEAGUE = [
     [cell.strip() for cell in line.strip("|\n").split("|")]
-    for line in (Path(__file__).resolve().parents[3] / "docs" / "league.md").read_text().replace("\\|", "").splitlines()
+    for line in (Path(__file__).resolve().parents[3] / "docs" / "league.md")
+    .read_text()
+    .replace("\\|", "")
+    .splitlines()
     if line.startswith("| ") and not line.startswith(("| code", "| ---"))
 ]
 
@@ -140,7 +145,12 @@ def test_legendre_spectrum_is_flat_on_its_own_grid_only(prime):
 
 
 def test_lookup():
-    assert {entry.name for entry in for_chips(31)} == {"merl-31-t62", "merl-31-t93", "m-sequence-31", "legendre-31"}
+    assert {entry.name for entry in for_chips(31)} == {
+        "merl-31-t62",
+        "merl-31-t93",
+        "m-sequence-31",
+        "legendre-31",
+    }
     assert for_chips(33) == ()
     assert best_for(33) is None
     best = best_for(64)

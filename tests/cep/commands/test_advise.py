@@ -12,11 +12,24 @@ from cep.optics.code import ShutterCode
 from cep.search.chip_count import COUNTS
 
 ALONG = ("--linear", "12", "--chips", "12")
-FIELDS = {"verdict", "choice", "gains_db", "equal_light_gains_db", "crossover", "levels", "chips", "exposure_s", "plot"}
+FIELDS = {
+    "verdict",
+    "choice",
+    "gains_db",
+    "equal_light_gains_db",
+    "crossover",
+    "levels",
+    "chips",
+    "exposure_s",
+    "plot",
+}
 
 
 def test_the_answer_comes_first(cep, workplace):
-    assert cep("advise", *ALONG, "--photons", "3000", "--read-noise", "2", "-o", "quiet.png").code == 0
+    assert (
+        cep("advise", *ALONG, "--photons", "3000", "--read-noise", "2", "-o", "quiet.png").code
+        == 0
+    )
     assert cep.out.startswith("Coding does not pay here: expose 1/")
     assert cep("advise", *ALONG, "--read-noise", "50", "-o", "noisy.png").code == 0
     assert cep.out.startswith("Code this exposure: ")
@@ -36,7 +49,9 @@ def test_a_figure_is_drawn_where_it_is_asked_for_alone(cep, workplace):
 
 
 def test_json_holds_what_is_said(cep, workplace):
-    found = cep.succeeds("advise", *ALONG, "--read-noise", "50", "--exposure", "1/50", "-o", "advice.png")
+    found = cep.succeeds(
+        "advise", *ALONG, "--read-noise", "50", "--exposure", "1/50", "-o", "advice.png"
+    )
     assert set(found) >= FIELDS
     assert found["choice"] == "code"
     assert {one["photons"]: one["choice"] for one in found["levels"]}[10_000] == "code"
@@ -53,7 +68,11 @@ def test_a_stated_error_of_the_path_counts(cep, workplace):
     given = ("--chips", "8", "--read-noise", "50", "--force", "-o", "advice.png")
     exact, vague, told = (
         cep.succeeds("advise", "--trajectory", name, *given, *more)
-        for name, more in (("trajectory.json", ()), ("vague.json", ()), ("trajectory.json", ("--path-error", "0.7")))
+        for name, more in (
+            ("trajectory.json", ()),
+            ("vague.json", ()),
+            ("trajectory.json", ("--path-error", "0.7")),
+        )
     )
     assert (exact["path_error_px"], vague["path_error_px"]) == (0.0, 0.7)
     assert vague["gains_db"] == told["gains_db"] != exact["gains_db"]
@@ -82,7 +101,9 @@ def test_the_chip_time_of_a_code_file_counts(cep, workplace):
     assert found[100_000] > found[4_000_000] + 1
     assert cep("advise", *given, "--code", "own.json", "--exposure", "48ms").code == 0
     line = cep.refuses("advise", *given, "--code", "own.json", "--exposure", "20ms")
-    assert line.startswith("cep: --exposure: 20 ms contradicts the file of --code, whose 12 chips of 4 ms take 48 ms")
+    assert line.startswith(
+        "cep: --exposure: 20 ms contradicts the file of --code, whose 12 chips of 4 ms take 48 ms"
+    )
     write_code("other.json", StoredCode(ShutterCode("110100101011", 100_000)))
     line = cep.refuses("advise", *given, "--code", "own.json", "--code", "other.json")
     assert line.startswith("cep: --code: the files state chips of")
@@ -93,7 +114,9 @@ def test_chips_are_chosen_where_none_are_given(cep, workplace):
     others = {int(count) for count in found["other_chips_db"]}
     assert found["chips"] in COUNTS
     assert others | {found["chips"]} <= set(COUNTS)
-    searched = cep.succeeds("optimize", "--linear", "12", "--read-noise", "50", "--steps", "2000", "-o", "new.json")
+    searched = cep.succeeds(
+        "optimize", "--linear", "12", "--read-noise", "50", "--steps", "2000", "-o", "new.json"
+    )
     assert searched["chips"] == found["chips"]
     assert "other_chips_db" in searched
 
@@ -109,9 +132,13 @@ def test_an_exposure_sets_the_chip_time_of_a_code(cep, workplace):
 
 @pytest.mark.parametrize("text", ["0", "-1", "1/0", "x", "", "inf", "nan", "1/x", "10 m"])
 def test_a_wrong_exposure_is_refused(cep, workplace, text):
-    assert cep.refuses("advise", *ALONG, "--exposure", text).startswith("cep: --exposure: must be a time above 0")
+    assert cep.refuses("advise", *ALONG, "--exposure", text).startswith(
+        "cep: --exposure: must be a time above 0"
+    )
 
 
-@pytest.mark.parametrize(("text", "seconds"), [("1/30", 1 / 30), ("20ms", 0.02), ("500us", 5e-4), ("2 s", 2), ("3", 3)])
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("1/30", 1 / 30), ("20ms", 0.02), ("500us", 5e-4), ("2 s", 2), ("3", 3)]
+)
 def test_exposures_are_read(text, seconds):
     assert exposure_seconds(text) == pytest.approx(seconds)

@@ -18,15 +18,24 @@ from motdiff.files.trajectories import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory
 
 GOOD = {
-    "schema": "cep.trajectory/1", "units": "px", "direction": "unknown",
-    "t": [0.0, 0.5, 1.0], "x": [-5.0, 0.0, 5.0], "y": [0.0, 0.0, 0.0],
-    "weight": 1.0, "alternatives": [], "source": {},
-}  # fmt: skip
+    "schema": "cep.trajectory/1",
+    "units": "px",
+    "direction": "unknown",
+    "t": [0.0, 0.5, 1.0],
+    "x": [-5.0, 0.0, 5.0],
+    "y": [0.0, 0.0, 0.0],
+    "weight": 1.0,
+    "alternatives": [],
+    "source": {},
+}
 
 
 def everything(folder):
     """Names and contents of all files, so that any change shows."""
-    return {str(item): item.read_bytes() if item.is_file() else None for item in sorted(Path(folder).rglob("*"))}
+    return {
+        str(item): item.read_bytes() if item.is_file() else None
+        for item in sorted(Path(folder).rglob("*"))
+    }
 
 
 @pytest.fixture
@@ -42,7 +51,7 @@ def refused(cep, workplace):
     return run
 
 
-# -- photos ---------------------------------------------------------------------------------------------------------
+# -- photos ---------------------------------------------------------------------------------------
 
 
 def _missing(path):
@@ -157,8 +166,12 @@ def test_good_photos_of_unusual_kinds_are_taken(cep, workplace):
         "grey.png": rng.integers(0, 256, (64, 64)).astype(np.uint8),
     }.items():
         cv2.imwrite(name, image)
-        found = cep.succeeds("deblur", name, "--trajectory", "trajectory.json", "--method", "inverse")
-        assert any("transparency" in warning for warning in found["warnings"]) == (name == "glass.png")
+        found = cep.succeeds(
+            "deblur", name, "--trajectory", "trajectory.json", "--method", "inverse"
+        )
+        assert any("transparency" in warning for warning in found["warnings"]) == (
+            name == "glass.png"
+        )
         written = cv2.imread(found["image"], cv2.IMREAD_UNCHANGED)
         assert written.dtype == image.dtype
         assert written.ndim == min(image.ndim, 3)
@@ -170,13 +183,15 @@ def test_forty_megapixels_by_gyroscope(cep, workplace):
     large[1000:1100, 1000:1100] = 200
     cv2.imwrite("large.png", large, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     t = np.arange(0, 1, 0.01)
-    Path("g.csv").write_text("\n".join(["t_s,wx,wy,wz", *(f"{s:.2f},0.05,{0.1 * s:.4f},0" for s in t)]))
+    Path("g.csv").write_text(
+        "\n".join(["t_s,wx,wy,wz", *(f"{s:.2f},0.05,{0.1 * s:.4f},0" for s in t)])
+    )
     options = ["--gyro", "g.csv", "--focal", "800", "--start", "0.2", "--exposure", "0.2"]
     found = cep.succeeds("calibrate", "large.png", "--method", "gyro", *options)
     assert found["length_px"] > 1
 
 
-# -- trajectories ---------------------------------------------------------------------------------------------------
+# -- trajectories ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -203,13 +218,17 @@ def test_forty_megapixels_by_gyroscope(cep, workplace):
 def test_bad_trajectories(refused, workplace, command, change, message):
     Path("trajectory.json").write_text(json.dumps(GOOD | change))
     first = {"audit": "1011", "simulate": "sharp.png", "deblur": "blurred.png"}.get(command)
-    line = refused(*filter(None, [command, first]), "--trajectory", "trajectory.json", "-o", "out.png")
+    line = refused(
+        *filter(None, [command, first]), "--trajectory", "trajectory.json", "-o", "out.png"
+    )
     assert "trajectory.json" in line
     assert message in line
 
 
 def test_motions_wider_than_the_photo_or_any_frame(refused, workplace):
-    Path("wide.json").write_text(json.dumps(GOOD | {"x": [-2000.0, 0.0, 2000.0], "y": [0.0, 3.0, 0.0]}))
+    Path("wide.json").write_text(
+        json.dumps(GOOD | {"x": [-2000.0, 0.0, 2000.0], "y": [0.0, 3.0, 0.0]})
+    )
     np.save("wide.npy", np.full((301, 301), 1e-5))
     for option, name in (("--trajectory", "wide.json"), ("--psf", "wide.npy")):
         line = refused("deblur", "blurred.png", option, name)
@@ -229,13 +248,17 @@ def dense(noise_px):
 def test_a_dense_path_is_searched_as_quickly_as_any(cep, workplace, monkeypatch):
     """Shown by what the search is given: no test asserts a wall time."""
     seen = []
-    monkeypatch.setattr("cep.search.optimize.search", lambda problem, *_, **__: seen.append(problem) or 1 / 0)
+    monkeypatch.setattr(
+        "cep.search.optimize.search", lambda problem, *_, **__: seen.append(problem) or 1 / 0
+    )
     dense(0.0)
     cep("optimize", "--trajectory", "dense.json", "--chips", "8", "-o", "new.json")
     assert seen[0].scenarios[0].trajectory.t.size < 2000
 
 
-@pytest.mark.parametrize("command", ["optimize --chips 8", "pareto --chips 8", "audit 11010011", "mtf"])
+@pytest.mark.parametrize(
+    "command", ["optimize --chips 8", "pareto --chips 8", "audit 11010011", "mtf"]
+)
 def test_noise_between_samples_is_refused_at_once(refused, workplace, command):
     dense(0.01)
     line = refused(*command.split(), "--trajectory", "dense.json")
@@ -268,9 +291,15 @@ def test_no_trajectory_or_two_of_them(refused, workplace):
         assert "--linear" in refused("mtf", "--linear", length)
 
 
-# -- codes ----------------------------------------------------------------------------------------------------------
+# -- codes ----------------------------------------------------------------------------------------
 
-BAD_CODES = {"10201": "only 0 and 1", "1 0 1": "only 0 and 1", "0000": "closed", "": "empty", "hello": "is no code"}
+BAD_CODES = {
+    "10201": "only 0 and 1",
+    "1 0 1": "only 0 and 1",
+    "0000": "closed",
+    "": "empty",
+    "hello": "is no code",
+}
 
 
 @pytest.mark.parametrize(("bits", "message"), BAD_CODES.items())
@@ -348,10 +377,19 @@ def test_searches_that_cannot_be(refused, options):
     refused("optimize", "--linear", "10", "--chips", "10", *options, "-o", "new.json")
 
 
-# -- outputs --------------------------------------------------------------------------------------------------------
+# -- outputs --------------------------------------------------------------------------------------
 
 WRITERS = {
-    "calibrate": ["calibrate", "blurred.png", "--method", "reference", "--sharp", "sharp.png", "-o", "OUT"],
+    "calibrate": [
+        "calibrate",
+        "blurred.png",
+        "--method",
+        "reference",
+        "--sharp",
+        "sharp.png",
+        "-o",
+        "OUT",
+    ],
     "optimize": ["optimize", "--linear", "8", "--chips", "8", "--steps", "100", "-o", "OUT"],
     "audit": ["audit", "1011", "-o", "OUT"],
     "mtf": ["mtf", "--linear", "8", "-o", "OUT"],
@@ -381,7 +419,10 @@ def test_existing_outputs_are_kept(refused, cep, workplace, command):
     assert "out.png" in line
     assert "--force" in line
     if command in ("calibrate", "optimize", "audit", "mtf", "simulate", "deblur", "export"):
-        assert cep(*(part.replace("OUT", "out.png") for part in WRITERS[command]), "--force").code == 0
+        assert (
+            cep(*(part.replace("OUT", "out.png") for part in WRITERS[command]), "--force").code
+            == 0
+        )
         kept = taken / "trajectory.json" if taken.is_dir() else taken
         assert kept.read_bytes() != b"precious"
 
@@ -405,7 +446,9 @@ def test_existing_outputs_are_kept(refused, cep, workplace, command):
     ],
     ids=lambda part: part if isinstance(part, str) else " ".join(part),
 )
-def test_wrong_options_are_told_before_outputs_in_the_way(refused, workplace, command, options, named):
+def test_wrong_options_are_told_before_outputs_in_the_way(
+    refused, workplace, command, options, named
+):
     put_in_the_way(command)
     line = refused(*(part.replace("OUT", "out.png") for part in WRITERS[command]), *options)
     assert named in line
@@ -416,8 +459,12 @@ def test_wrong_options_are_told_before_outputs_in_the_way(refused, workplace, co
 def test_unwritable_folders(refused, workplace, monkeypatch, command):
     real = os.access
     # root may write everywhere: the answer of the operating system is replaced, for writing only
-    monkeypatch.setattr(os, "access", lambda path, mode, **how: not mode & os.W_OK and real(path, mode, **how))
-    assert "cannot be written to" in refused(*(part.replace("OUT", "out.png") for part in WRITERS[command]))
+    monkeypatch.setattr(
+        os, "access", lambda path, mode, **how: not mode & os.W_OK and real(path, mode, **how)
+    )
+    assert "cannot be written to" in refused(
+        *(part.replace("OUT", "out.png") for part in WRITERS[command])
+    )
 
 
 @pytest.mark.parametrize("command", WRITERS)
@@ -427,7 +474,9 @@ def test_a_file_where_a_folder_should_be(refused, workplace, command):
 
 
 def test_missing_folders_are_named(refused, workplace):
-    assert "no folder nowhere" in refused("export", "1011", "--format", "csv", "-o", "nowhere/out.csv")
+    assert "no folder nowhere" in refused(
+        "export", "1011", "--format", "csv", "-o", "nowhere/out.csv"
+    )
 
 
 @pytest.mark.parametrize(
@@ -444,7 +493,7 @@ def test_unknown_kinds_of_output(refused, workplace, arguments):
     assert "are written as .png" in refused(*arguments)  # another name is what helps, not --force
 
 
-# -- the rest -------------------------------------------------------------------------------------------------------
+# -- the rest -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -455,13 +504,30 @@ def test_unknown_kinds_of_output(refused, workplace, arguments):
         ["calibrate", "blurred.png", "--method", "gyro", "--focal", "1000"],
         ["calibrate", "blurred.png", "--method", "point", "--sharp", "sharp.png"],
         ["calibrate", "blurred.png", "--gamma", "7"],
-        ["calibrate", "blurred.png", "--method=gyro", "--gyro=blurred.png", "--focal=1", "--start=0", "--exposure=1"],
+        [
+            "calibrate",
+            "blurred.png",
+            "--method=gyro",
+            "--gyro=blurred.png",
+            "--focal=1",
+            "--start=0",
+            "--exposure=1",
+        ],
         ["calibrate", ".", "--method", "gyro"],
         ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--psf", "psf.npy"],
         ["deblur", "blurred.png", "--psf", "psf.npy", "--code", "1011"],
         ["deblur", "blurred.png", "--psf", "psf.npy"],
         ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--method", "magic"],
-        ["deblur", "blurred.png", "--trajectory", "trajectory.json", "--method", "tv", "--photons", "100"],
+        [
+            "deblur",
+            "blurred.png",
+            "--trajectory",
+            "trajectory.json",
+            "--method",
+            "tv",
+            "--photons",
+            "100",
+        ],
         ["simulate", "sharp.png", "--linear", "5000"],
         ["export", "1011", "--format", "morse"],
         ["export", "1011", "--format", "csv", "--device", "nothing"],
@@ -469,12 +535,12 @@ def test_unknown_kinds_of_output(refused, workplace, arguments):
         ["upload", "1011", "--port", "blurred.png"],
     ],
     ids=lambda arguments: " ".join(arguments[:4]),
-)  # fmt: skip
+)
 def test_other_wrong_options(refused, arguments):
     refused(*arguments)
 
 
-# -- what is no file to read ----------------------------------------------------------------------------------------
+# -- what is no file to read ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -484,8 +550,20 @@ def test_other_wrong_options(refused, arguments):
         ["calibrate", "PIPE.mat"],
         ["calibrate", "PIPE.dng"],
         ["calibrate", "blurred.png", "--method", "reference", "--sharp", "PIPE.png"],
-        ["calibrate", "blurred.png", "--method", "gyro", "--gyro", "PIPE.csv", "--focal", "800", "--start", "0",
-         "--exposure", "1"],
+        [
+            "calibrate",
+            "blurred.png",
+            "--method",
+            "gyro",
+            "--gyro",
+            "PIPE.csv",
+            "--focal",
+            "800",
+            "--start",
+            "0",
+            "--exposure",
+            "1",
+        ],
         ["demo", "--photo", "PIPE.png"],
         ["deblur", "PIPE.png", "--trajectory", "trajectory.json"],
         ["deblur", "blurred.png", "--trajectory", "PIPE.json"],
@@ -504,7 +582,7 @@ def test_other_wrong_options(refused, arguments):
         ["bench", "blind", "--protocol", "ours", "--gyro", "PIPE.txt", "-o", "bench"],
     ],
     ids=" ".join,
-)  # fmt: skip
+)
 def test_a_pipe_is_no_input(refused, workplace, arguments):
     name = next(part for part in arguments if part.startswith("PIPE"))
     with empty_pipe(name):
@@ -517,7 +595,10 @@ def test_a_small_file_of_a_very_large_photo(refused, workplace):
     """It takes gigabytes once it is decoded."""
     row = zlib.compress(b"\0" + b"\xff" * 3750)
     parts = (b"IHDR" + struct.pack(">2I5B", 30_000, 30_000, 1, 0, 0, 0, 0), b"IDAT" + row, b"IEND")
-    chunks = (struct.pack(">I", len(part) - 4) + part + struct.pack(">I", zlib.crc32(part)) for part in parts)
+    chunks = (
+        struct.pack(">I", len(part) - 4) + part + struct.pack(">I", zlib.crc32(part))
+        for part in parts
+    )
     Path("white.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
     for arguments in (
         ["calibrate", "white.png"],
@@ -554,11 +635,13 @@ def test_damaged_raw_files(refused, workplace):
     assert "a.dng" in refused("simulate", "a.dng", "--linear", "9")
 
 
-# -- light ----------------------------------------------------------------------------------------------------------
+# -- light ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("frames", ["1", "2"])
-def test_light_that_cannot_be_judged_is_refused_before_a_code_is_written(refused, workplace, frames):
+def test_light_that_cannot_be_judged_is_refused_before_a_code_is_written(
+    refused, workplace, frames
+):
     (workplace / "bright.toml").write_text("photons_full_scale = 1e8")
     (workplace / "full.toml").write_text("photons_full_scale = 1e6\nfull_well_e = 1000.0")
     asked = (
@@ -575,9 +658,13 @@ def test_light_that_cannot_be_judged_is_refused_before_a_code_is_written(refused
         "new.json",
         "--camera",
     )
-    assert "--camera: the light level must lie within 1..1e7 photo-electrons" in refused(*asked, "bright.toml")
+    assert "--camera: the light level must lie within 1..1e7 photo-electrons" in refused(
+        *asked, "bright.toml"
+    )
     assert "this camera is full at 1,000 electrons" in refused(*asked, "full.toml")
-    assert "--linear: must be a length above 0 and up to 4096 px" in refused("advise", "--linear", "1e9")
+    assert "--linear: must be a length above 0 and up to 4096 px" in refused(
+        "advise", "--linear", "1e9"
+    )
 
 
 def path_of(length_px, *, turns=0):
@@ -585,10 +672,14 @@ def path_of(length_px, *, turns=0):
     t = np.linspace(0, 1, 2 if turns == 0 else 2 * turns + 1)
     x = length_px * (t - 0.5) if turns == 0 else np.arange(t.size) % 2 * (length_px / (2 * turns))
     y = 3 * t**2 if turns else 0 * t
-    return json.dumps({"schema": "cep.trajectory/1", "t": t.tolist(), "x": x.tolist(), "y": y.tolist()})
+    return json.dumps(
+        {"schema": "cep.trajectory/1", "t": t.tolist(), "x": x.tolist(), "y": y.tolist()}
+    )
 
 
-@pytest.mark.parametrize("path", [path_of(4100), path_of(200_000), path_of(20_000, turns=1250)], ids=len)
+@pytest.mark.parametrize(
+    "path", [path_of(4100), path_of(200_000), path_of(20_000, turns=1250)], ids=len
+)
 @pytest.mark.parametrize(
     "command",
     [
@@ -611,4 +702,6 @@ def test_a_path_too_long_is_refused_before_any_work(refused, command, path):
     assert "long.json: trajectory: the path is " in line
     assert "at most 4096 px can be handled" in line
     if command[0] != "refine":
-        assert "--linear: must be a length above 0 and up to 4096 px" in refused(*command, "--linear", "4097")
+        assert "--linear: must be a length above 0 and up to 4096 px" in refused(
+            *command, "--linear", "4097"
+        )

@@ -28,12 +28,17 @@ def photos(tmp_path, monkeypatch):
 
 @pytest.mark.slow(reason="two blind searches and a fit")
 def test_path_comes_with_its_order_in_time(cep, photos):
-    found = cep.succeeds("calibrate", "open.png", "coded.png", "--code", "open", "--code", CODES[1], "-o", "motion")
+    found = cep.succeeds(
+        "calibrate", "open.png", "coded.png", "--code", "open", "--code", CODES[1], "-o", "motion"
+    )
     assert found["direction"] == "known"
     assert 0 < found["order_confidence"] < 1
     motion = read_motion(found["trajectory"])
     times = np.linspace(0, 1, 101)
-    apart = [path.at(times) - PATH.at(times) for path in (motion.trajectory, motion.trajectory.reversed())]
+    apart = [
+        path.at(times) - PATH.at(times)
+        for path in (motion.trajectory, motion.trajectory.reversed())
+    ]
     forward, backward = (np.sqrt(((d - d.mean(axis=0)) ** 2).sum(axis=1).mean()) for d in apart)
     assert forward < 1 < backward
     assert motion.source["codes"] == list(CODES)
@@ -42,13 +47,20 @@ def test_path_comes_with_its_order_in_time(cep, photos):
 @pytest.mark.slow(reason="two searches")
 def test_a_small_light_s_trail_has_its_order_in_time(cep, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code, angle = "1011011101011110110101110011", np.linspace(0, 2, 100)
+    code = "1011011101011110110101110011"
+    angle = np.linspace(0, 2, 100)
     arc = Trajectory.from_samples(15 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
     chips = arc.slice_psfs(np.linspace(0, 1, len(code) + 1), 65)
     trail = ndimage.gaussian_filter(chips[np.array(list(code)) == "1"].sum(axis=0), 0.6)
-    light = 0.03 + 0.8 * trail / trail.max() + 0.003 * np.random.default_rng(0).standard_normal(trail.shape)
+    light = (
+        0.03
+        + 0.8 * trail / trail.max()
+        + 0.003 * np.random.default_rng(0).standard_normal(trail.shape)
+    )
     write_image("light.png", np.clip(light, 0, 1), bits=16)
-    found = cep.succeeds("calibrate", "light.png", "--method", "point", "--code", code, "-o", "motion")
+    found = cep.succeeds(
+        "calibrate", "light.png", "--method", "point", "--code", code, "-o", "motion"
+    )
     assert (found["method"], found["direction"]) == ("point", "known")
     assert 0 < found["order_confidence"] < 1
     assert 0 < found["path_uncertainty_px"] < 1
@@ -64,20 +76,32 @@ def test_a_small_light_s_trail_has_its_order_in_time(cep, tmp_path, monkeypatch)
     [
         (["open.png", "coded.png", "--code", "open"], ["--code", "1 for 2 photos"]),
         (["open.png", "coded.png", "--code", "open", "--code", "open"], ["order cannot be known"]),
-        (["open.png", "coded.png", "--code", "1101", "--code", CODES[1]], ["--code 2", "16 chips", "4"]),
+        (
+            ["open.png", "coded.png", "--code", "1101", "--code", CODES[1]],
+            ["--code 2", "16 chips", "4"],
+        ),
         (["open.png", "coded.png", "--code", "open", "--code", "0" * 16], ["open"]),
         (["open.png", "coded.png", "--code", "open", "--code", "nothing"], ["nothing", "no code"]),
-        (["open.png", "small.png", "--code", "open", "--code", CODES[1]], ["cep: small.png: ", "px"]),
+        (
+            ["open.png", "small.png", "--code", "open", "--code", CODES[1]],
+            ["cep: small.png: ", "px"],
+        ),
         (["open.png", "missing.png", "--code", "open", "--code", CODES[1]], ["missing.png"]),
         (["coded.png", "--code", CODES[1], "--method", "pmp"], ["code", "pmp"]),
         (["coded.png", "--code", CODES[1], "--method", "motdiff"], ["code", "motdiff"]),
-        (["open.png", "coded.png", "--code", "slow.json", "--code", "fast.json"], ["--code 2", "500000", "250000"]),
+        (
+            ["open.png", "coded.png", "--code", "slow.json", "--code", "fast.json"],
+            ["--code 2", "500000", "250000"],
+        ),
         (["coded.png", "--method", "coded"], ["code", "needed"]),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(cep, photos, arguments, words):
     write_image("small.png", np.random.default_rng(0).random((100, 90)))
-    for name, code, chip_ns in (("slow.json", CODES[0], 500_000), ("fast.json", CODES[1], 250_000)):
+    for name, code, chip_ns in (
+        ("slow.json", CODES[0], 500_000),
+        ("fast.json", CODES[1], 250_000),
+    ):
         write_code(name, StoredCode(ShutterCode(code, chip_ns)))
     before = sorted(photos.rglob("*"))
     line = cep.refuses("calibrate", *arguments)

@@ -18,15 +18,21 @@ class Together:
     """An estimator of photos of one motion, with what is told of them."""
 
     def __init__(self, **figures):
-        self.figures, self.seen = figures, []
+        self.figures = figures
+        self.seen = []
 
     def estimate_from(self, photos):
         self.seen.append(photos)
         details = {
-            "photos": len(photos), "seen_in": len(photos), "repeatability": [0.9] * len(photos),
-            "repeatability_px": [0.2] * len(photos), "left_out": [],
-        }  # fmt: skip
-        return MotionEstimate("pmp", (PATH,), (1.0,), PATH.psf(64), 0.9, details=details | self.figures)
+            "photos": len(photos),
+            "seen_in": len(photos),
+            "repeatability": [0.9] * len(photos),
+            "repeatability_px": [0.2] * len(photos),
+            "left_out": [],
+        }
+        return MotionEstimate(
+            "pmp", (PATH,), (1.0,), PATH.psf(64), 0.9, details=details | self.figures
+        )
 
     def estimate(self, photo):
         raise AssertionError("several photos are estimated together")
@@ -81,7 +87,9 @@ def test_the_answer_comes_first(cep, shots, search, figures, said):
 def test_a_photo_left_out_is_not_the_one_shown(shots, search):
     photos = [front_door.read_image(shot) for shot in shots]
     search.figures = {"left_out": [1]}
-    np.testing.assert_array_equal(front_door.estimate_motion(photos, method="pmp").photo, photos[1])
+    np.testing.assert_array_equal(
+        front_door.estimate_motion(photos, method="pmp").photo, photos[1]
+    )
 
 
 @pytest.mark.parametrize("several", [list, tuple])
@@ -107,13 +115,19 @@ def test_nested_numbers_are_one_photo(shots):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["run1.png", "run2.png", "run1.png"], ["run1.png: is the same as photo 1; give each photo once"]),
+        (
+            ["run1.png", "run2.png", "run1.png"],
+            ["run1.png: is the same as photo 1; give each photo once"],
+        ),
         (["run1.png", "copy.png"], ["copy.png: is the same as photo 1"]),
         (["run1.png", "small.png"], ["small.png: needs at least"]),
         (["run1.png", "grey.png"], ["grey.png: the photo is the same all over"]),
         (["run1.png", "missing.png"], ["missing.png"]),
         (["run1.png", "."], ["IMAGE", "one folder alone"]),
-        (["run1.png", "run2.png", "--method", "point"], ["--method: point takes one photo", "motdiff or pmp"]),
+        (
+            ["run1.png", "run2.png", "--method", "point"],
+            ["--method: point takes one photo", "motdiff or pmp"],
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(cep, shots, arguments, words):

@@ -12,7 +12,9 @@ def workplace(tmp_path, monkeypatch):
 
 
 def test_it_writes_the_codes_and_how_to_use_them(cep):
-    found = cep.succeeds("calibration-set", "--photos", 2, "--chips", 8, "--device", "flc", "-o", "set")
+    found = cep.succeeds(
+        "calibration-set", "--photos", 2, "--chips", 8, "--device", "flc", "-o", "set"
+    )
     assert sorted(found["files"]) == sorted(f"set/{item.name}" for item in Path("set").iterdir())
     stored = json.loads(Path("set/set.json").read_text())
     assert stored["schema"] == "cep.calibration-set/1"
@@ -25,7 +27,10 @@ def test_it_writes_the_codes_and_how_to_use_them(cep):
 
 
 def test_people_read_first_what_the_set_resolves(cep):
-    assert cep("calibration-set", "--photos", 1, "--chips", 8, "--format", "rp2", "-o", "set").code == 0
+    assert (
+        cep("calibration-set", "--photos", 1, "--chips", 8, "--format", "rp2", "-o", "set").code
+        == 0
+    )
     assert cep.out.startswith("Take 1 photo of the motion, P1 through code_1.json. ")
     assert "then: cep calibrate P1 --code set/code_1.json -o motion" in cep.out
     assert Path("set/code_1_rp2.py").is_file()
@@ -34,7 +39,9 @@ def test_people_read_first_what_the_set_resolves(cep):
 def test_existing_files_are_kept(cep):
     Path("set").mkdir()
     Path("set/set.json").write_text("precious")
-    assert "set/set.json: exists already" in cep.refuses("calibration-set", "--chips", 8, "-o", "set")
+    assert "set/set.json: exists already" in cep.refuses(
+        "calibration-set", "--chips", 8, "-o", "set"
+    )
     assert Path("set/set.json").read_text() == "precious"
 
 
@@ -44,8 +51,14 @@ def test_existing_files_are_kept(cep):
         (["--photos", "0"], "--photos"),
         (["--chips", "3"], "--chips"),
         (["--chips", "600"], "--chips: must be 4 to 512, got 600"),
-        (["--chips", "12", "--device", "mechanical"], "--chips: mechanical opens for at least 30 ms"),
-        (["--chips", "12", "--device", "flc", "--chip-ns", "1000"], "--chip-ns: flc takes 50000 ns"),
+        (
+            ["--chips", "12", "--device", "mechanical"],
+            "--chips: mechanical opens for at least 30 ms",
+        ),
+        (
+            ["--chips", "12", "--device", "flc", "--chip-ns", "1000"],
+            "--chip-ns: flc takes 50000 ns",
+        ),
         (["--format", "morse"], "--format"),
     ],
 )

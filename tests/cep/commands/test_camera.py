@@ -11,12 +11,16 @@ from fuzz_readers import dng
 from cep.files.images import read_mosaic, write_image
 from cep.optics.camera import Camera, camera_names
 
-GAIN, READ_E, BLACK = 2.5, 8.0, 64
+GAIN = 2.5
+READ_E = 8.0
+BLACK = 64
 
 
 def frame(electrons, rng, *, top=4095, side=160):
     light = electrons * np.linspace(0.9, 1.1, side)
-    values = (rng.poisson(light, (side, side)) + rng.normal(0, READ_E, (side, side))) / GAIN + BLACK
+    values = (
+        rng.poisson(light, (side, side)) + rng.normal(0, READ_E, (side, side))
+    ) / GAIN + BLACK
     return np.clip(np.rint(values), 0, top).astype(np.uint16)
 
 
@@ -42,7 +46,10 @@ def test_known_cameras_are_listed(cep):
 
 
 def test_a_camera_is_shown_with_its_source(cep, tmp_path):
-    assert cep.succeeds("camera", "show", "sony-imx250")["camera"] == Camera.load("sony-imx250").to_dict()
+    assert (
+        cep.succeeds("camera", "show", "sony-imx250")["camera"]
+        == Camera.load("sony-imx250").to_dict()
+    )
     assert "EMVA 1288" in cep("camera", "show", "sony-imx250").out
     Camera(bits=9, source="[bold] by hand").to_file(tmp_path / "mine.json")
     assert "[bold] by hand" in cep("camera", "show", tmp_path / "mine.json").out
@@ -51,10 +58,14 @@ def test_a_camera_is_shown_with_its_source(cep, tmp_path):
 
 
 def test_a_profile_serves_wherever_a_camera_is_asked_for(cep, workplace):
-    taken = cep.succeeds("simulate", "sharp.png", "--linear", "9", "--camera", "sony-imx250", "--photons", "500")
+    taken = cep.succeeds(
+        "simulate", "sharp.png", "--linear", "9", "--camera", "sony-imx250", "--photons", "500"
+    )
     assert taken["camera"]["gain_e_per_dn"] == Camera.load("sony-imx250").gain_e_per_dn
     assert taken["camera"]["photons_full_scale"] == 500
-    assert "--camera: 'imx250'" in cep.refuses("simulate", "sharp.png", "--linear", "9", "--camera", "imx250")
+    assert "--camera: 'imx250'" in cep.refuses(
+        "simulate", "sharp.png", "--linear", "9", "--camera", "imx250"
+    )
     assert "--photons: must lie within 1..1e7" in cep.refuses("audit", "1011", "--photons", "1e8")
 
 
@@ -75,12 +86,20 @@ def test_a_camera_is_measured(cep, frames):
 
 def test_the_same_camera_in_8_bit_and_shifted_files(cep, frames):
     for name in Path().glob("*.png"):
-        cv2.imwrite(str(name.with_suffix(".tif")), cv2.imread(str(name), cv2.IMREAD_UNCHANGED) << 4)
+        cv2.imwrite(
+            str(name.with_suffix(".tif")), cv2.imread(str(name), cv2.IMREAD_UNCHANGED) << 4
+        )
     plain = cep.succeeds("camera", "estimate", *frames, *DARK)
     shifted = cep.succeeds(
-        "camera", "estimate", *(name.replace("png", "tif") for name in frames), "--dark", "darka.tif", "darkb.tif",
-        "-o", "b.json",
-    )  # fmt: skip
+        "camera",
+        "estimate",
+        *(name.replace("png", "tif") for name in frames),
+        "--dark",
+        "darka.tif",
+        "darkb.tif",
+        "-o",
+        "b.json",
+    )
     assert shifted["gain_e_per_dn"] == pytest.approx(plain["gain_e_per_dn"])
     assert shifted["read_noise_e"] == pytest.approx(plain["read_noise_e"])
     assert json.loads(Path("b.json").read_text())["bits"] == 12
@@ -96,7 +115,9 @@ def test_a_raw_files_own_values_are_measured(cep, frames):
     mosaic = read_mosaic("flata.dng")
     assert mosaic.green.size == 300 * 300 / 4
     assert (mosaic.black_dn, mosaic.white_dn) == (0.0, 65535)
-    found = cep.succeeds("camera", "estimate", "flata.dng", "flatb.dng", "--dark", "darka.dng", "darkb.dng")
+    found = cep.succeeds(
+        "camera", "estimate", "flata.dng", "flatb.dng", "--dark", "darka.dng", "darkb.dng"
+    )
     assert found["gain_e_per_dn"] == pytest.approx(GAIN, rel=0.03)
     assert found["read_noise_e"] == pytest.approx(READ_E, rel=0.05)
     assert found["black_dn"] == pytest.approx(BLACK, abs=0.1)
@@ -132,11 +153,19 @@ def test_bad_frames_are_one_line(cep, frames):
     assert "FLAT: must be two frames of each level of light, got 1" in refused("lowa.png")
     assert "got 3" in refused("lowa.png", "lowb.png", "mida.png")
     assert "saturated throughout" in refused("overa.png", "overb.png", *DARK)
-    assert "lowa.png and lowa.png: its frames are the same" in refused("lowa.png", "lowa.png", *DARK)
-    assert "lowa.png and lowb.png: its mean" in refused("lowa.png", "lowb.png", "--dark", "mida.png", "midb.png")
-    assert "lowa.png and higha.png: its frames differ in light" in refused("lowa.png", "higha.png", *DARK)
+    assert "lowa.png and lowa.png: its frames are the same" in refused(
+        "lowa.png", "lowa.png", *DARK
+    )
+    assert "lowa.png and lowb.png: its mean" in refused(
+        "lowa.png", "lowb.png", "--dark", "mida.png", "midb.png"
+    )
+    assert "lowa.png and higha.png: its frames differ in light" in refused(
+        "lowa.png", "higha.png", *DARK
+    )
     assert "--gamma: must be" in refused("lowa.png", "lowb.png", "--gamma", "2.2")
-    assert "--black and --dark: give one of them" in refused("lowa.png", "lowb.png", *DARK, "--black", "3")
+    assert "--black and --dark: give one of them" in refused(
+        "lowa.png", "lowb.png", *DARK, "--black", "3"
+    )
     assert "'--black'" in refused("lowa.png", "lowb.png", "--black", "nan")
     assert "--black: must be" in refused("lowa.png", "lowb.png", "--black", "inf")
     assert "missing.png" in refused("lowa.png", "missing.png", *DARK)
@@ -171,9 +200,13 @@ def test_outputs_are_not_replaced_unasked(cep, frames):
 
 
 def test_the_curve_goes_where_it_is_wanted(cep, frames):
-    found = cep.succeeds("camera", "estimate", *frames, *DARK, "-o", "mine.toml", "--plot", "curve.svg")
+    found = cep.succeeds(
+        "camera", "estimate", *frames, *DARK, "-o", "mine.toml", "--plot", "curve.svg"
+    )
     assert found["image"] == "curve.svg"
     assert "<text" in Path("curve.svg").read_text(encoding="utf-8")
     assert not Path("mine.png").exists()
-    line = cep.refuses("camera", "estimate", *frames, *DARK, "-o", "other.toml", "--plot", "curve.gif")
+    line = cep.refuses(
+        "camera", "estimate", *frames, *DARK, "-o", "other.toml", "--plot", "curve.gif"
+    )
     assert line == "cep: --plot: curve.gif: figures are written as .png, .pdf or .svg\n"

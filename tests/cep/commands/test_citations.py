@@ -22,7 +22,9 @@ def test_every_name_of_a_command_can_be_cited():
         found = cite([name])
         assert (SOFTWARE in found.works) == (name in found.unpublished), name
         assert found.works, name
-    assert cite([f"{ESTIMATORS[0]}@weights.safetensors", "selfdeblur:20"]).works.keys() >= {"ren2020"}
+    assert cite([f"{ESTIMATORS[0]}@weights.safetensors", "selfdeblur:20"]).works.keys() >= {
+        "ren2020"
+    }
 
 
 def test_no_name_has_a_work_that_is_not_in_the_file():
@@ -51,7 +53,11 @@ def test_a_key_is_a_name():
     assert list(cite([SOFTWARE]).works) == [SOFTWARE]
 
 
-@pytest.mark.parametrize(("name", "near"), [("raskar52", "raskar-52"), ("PMP", "pmp"), ("Raskar2006", "raskar2006")])
+@pytest.mark.parametrize(
+    ("name", "near"), [("raskar52", "raskar-52"), ("PMP", "pmp"), ("Raskar2006", "raskar2006")]
+)
 def test_an_unknown_name_has_suggestions(name, near):
-    with pytest.raises(ValueError, match=rf"^methods: no method.* is called '{name}'; did you mean .*\b{near}\b"):
+    with pytest.raises(
+        ValueError, match=rf"^methods: no method.* is called '{name}'; did you mean .*\b{near}\b"
+    ):
         cite([name])

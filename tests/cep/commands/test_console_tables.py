@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from cep.jobs.folders import FolderResults
 from cep.commands.console import Table, finish, table
 from cep.commands.jobs import finish_folder
 from cep.files.tables import Bold
+from cep.jobs.folders import FolderResults
 from lab.bench.blind.report import blind_tables
 from lab.bench.codes import CODE_HEAD
 from lab.commands.tables import show_tables
@@ -48,7 +48,9 @@ def check(made):
 
 
 NAMES = st.lists(
-    st.lists(st.text("abcdefgh", min_size=1, max_size=20), min_size=1, max_size=5).map(" ".join), min_size=1, max_size=4
+    st.lists(st.text("abcdefgh", min_size=1, max_size=20), min_size=1, max_size=5).map(" ".join),
+    min_size=1,
+    max_size=4,
 )
 
 
@@ -59,7 +61,9 @@ def test_names_are_whole_whatever_the_figures_take(names, columns, digits, width
     made = table("", heads, [(name, *figures) for name in names], kept=kept)
     text = rendered(made, width)
     page, _, note = text.partition("left out")
-    assert re.sub(r"[^a-h]", "", page) == "".join(names).replace(" ", "")  # line by line, nothing cut, nothing mixed
+    assert re.sub(r"[^a-h]", "", page) == "".join(names).replace(
+        " ", ""
+    )  # line by line, nothing cut, nothing mixed
     shown = max(line.count("1" * digits) for line in page.splitlines())
     assert note.count("Y") == columns - shown
     for line in page.splitlines():
@@ -82,7 +86,8 @@ def test_columns_are_not_left_out_where_wrapped_heads_fit():
 @pytest.fixture
 def shown(cep, monkeypatch):
     """Run a command and return the tables that it prints."""
-    made, real = [], Console.print
+    made = []
+    real = Console.print
 
     def collecting(self, *objects, **options):
         made.extend(one for one in objects if isinstance(one, Table))
@@ -118,7 +123,14 @@ def test_every_commands_tables_at_every_width(shown, workplace, command, tables)
 
 def test_the_tables_of_the_benchmarks_at_every_width(monkeypatch):
     rng = np.random.default_rng(0)
-    methods = ("pmp", "motdiff", "network", "psf-diffusion", "true path, uniform speed", "network:ddpm:1000")
+    methods = (
+        "pmp",
+        "motdiff",
+        "network",
+        "psf-diffusion",
+        "true path, uniform speed",
+        "network:ddpm:1000",
+    )
     names = ("mnc", "mnc_subpixel", "path_mnc", "psnr_db", "ssim", "cpu_s")
     figures = {
         (method, photo, motion, "bright"): {name: 10 * rng.random() for name in names}
@@ -137,12 +149,17 @@ def test_the_tables_of_the_benchmarks_at_every_width(monkeypatch):
 
 def test_the_table_of_a_folder_says_what_failed_at_every_width(capsys, monkeypatch):
     heads = {"photo": "photo", **{f"figure{index}": f"figure {index}, px" for index in range(9)}}
-    row = {"photo": "DSC01234567890123456789.ARW", **{f"figure{index}": 1.25 for index in range(9)}}
+    row = {
+        "photo": "DSC01234567890123456789.ARW",
+        **{f"figure{index}": 1.25 for index in range(9)},
+    }
     found = FolderResults(Path(), Path("motions.csv"), {}, [{**row, "failure": "is gone"}], 0, [])
     for width in WIDTHS:
         monkeypatch.setenv("COLUMNS", str(width))
         with pytest.raises(typer.Exit):
-            finish_folder({"summary": "motions.csv"}, heads, found, title="", noun="photos", as_json=False)
+            finish_folder(
+                {"summary": "motions.csv"}, heads, found, title="", noun="photos", as_json=False
+            )
         out = capsys.readouterr().out
         assert " failed" in out
         assert "DSC0123456789012" in out

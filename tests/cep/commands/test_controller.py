@@ -23,7 +23,7 @@ from emulators.cxp_controller import (
     TRIG,
     CxpController,
     Faults,
-)  # fmt: skip
+)
 from emulators.tools import require_simavr
 
 from hw.drivers.cxp import Controller
@@ -186,7 +186,9 @@ def test_the_clock_is_measured(cep):
 
 
 def test_a_measured_clock_stretches_the_chips(cep, controller):
-    found = cep.succeeds("upload", RASKAR, "--chip-ns", "200000", "--port", controller.port, "--clock-ppm", "-2021")
+    found = cep.succeeds(
+        "upload", RASKAR, "--chip-ns", "200000", "--port", controller.port, "--clock-ppm", "-2021"
+    )
     assert (found["trust"], found["clock_ppm"]) == ("A", -2021)
     assert controller.ticks == pytest.approx(400 * (1 - 2021e-6), abs=1e-4)
 
@@ -194,15 +196,27 @@ def test_a_measured_clock_stretches_the_chips(cep, controller):
 def test_a_watcher_sees_what_others_do_and_disturbs_nothing(cep, controller):
     cep.succeeds("upload", RASKAR, "--chip-ns", "30000000", "--port", controller.port, "--arm")
     controller.state, controller.play_start = 3, time.monotonic()  # as an external trigger does
-    seen = cep.succeeds("hw", "monitor", "--port", controller.port, "--seconds", "2.5", "--every", "0.01")
+    seen = cep.succeeds(
+        "hw", "monitor", "--port", controller.port, "--seconds", "2.5", "--every", "0.01"
+    )
     assert [change["state"] for change in seen["changes"]] == ["play", "done"]
     assert controller.runs == 1
 
 
 def test_watching_ends_at_ctrl_c_with_what_was_seen(controller):
-    command = [sys.executable, "-c", "from cep.commands.main import run; run()", "hw", "monitor", "--json"]
+    command = [
+        sys.executable,
+        "-c",
+        "from cep.commands.main import run; run()",
+        "hw",
+        "monitor",
+        "--json",
+    ]
     with child(
-        [*command, "--port", controller.port], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ
+        [*command, "--port", controller.port],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=os.environ,
     ) as watcher:
         deadline = time.monotonic() + 60
         while len(controller.ops) < 3 and time.monotonic() < deadline:
@@ -222,12 +236,15 @@ def test_watching_for_no_time_is_refused(cep, controller):
 
 def test_ctrl_c_on_a_terminal_ends_an_emulation_with_all_that_its_pins_did(tmp_path):
     require_simavr()
-    link, vcd = tmp_path / "uno", tmp_path / "played.vcd"
+    link = tmp_path / "uno"
+    vcd = tmp_path / "played.vcd"
     cep = [sys.executable, "-c", "from cep.commands.main import run; run()"]
     with child(
         [*cep, "hw", "emulate", "uno", "--link", str(link), "--vcd", str(vcd), "--json"],
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True,
-    ) as emulator:  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    ) as emulator:
         deadline = time.monotonic() + 60
         while not link.is_symlink() and time.monotonic() < deadline:
             time.sleep(0.02)
@@ -235,7 +252,9 @@ def test_ctrl_c_on_a_terminal_ends_an_emulation_with_all_that_its_pins_did(tmp_p
             controller.upload(Program.from_bits(RASKAR, chip_ns=200_000), arm=True)
             controller.trigger()
             controller.wait(timeout_s=30)
-        os.killpg(emulator.pid, signal.SIGINT)  # as the terminal does: all processes that it started get it
+        os.killpg(
+            emulator.pid, signal.SIGINT
+        )  # as the terminal does: all processes that it started get it
         out, _ = emulator.communicate(timeout=60)
     assert emulator.returncode == 0
     assert json.loads(out)["edges"] == len(read_capture(vcd).trace("shutter").edges) == 26
@@ -244,12 +263,16 @@ def test_ctrl_c_on_a_terminal_ends_an_emulation_with_all_that_its_pins_did(tmp_p
 
 @pytest.mark.parametrize("command", ["info", "arm", "trigger", "abort", "calibrate", "monitor"])
 def test_ports_that_are_none_of_ours(cep, command, tmp_path):
-    assert "there is no such port" in cep.refuses("hw", command, "--port", str(tmp_path / "ttyNONE"))
+    assert "there is no such port" in cep.refuses(
+        "hw", command, "--port", str(tmp_path / "ttyNONE")
+    )
 
 
 def test_what_is_no_serial_port_at_all(cep, tmp_path):
     (tmp_path / "code.json").write_text("{}")
-    assert "it is no serial port" in cep.refuses("hw", "info", "--port", str(tmp_path / "code.json"))
+    assert "it is no serial port" in cep.refuses(
+        "hw", "info", "--port", str(tmp_path / "code.json")
+    )
     assert "it is a folder" in cep.refuses("hw", "info", "--port", str(tmp_path))
 
 
@@ -285,10 +308,16 @@ def test_controllers_are_found_by_asking(cep, controller, ports):
     with CxpController(Faults(silent=True)) as mute:
         ports((controller.port, "USB UART", "A1"), (mute.port, "printer", None))
         plain = cep.succeeds("hw", "list")["ports"]
-        assert [(row["port"], row["controller"]) for row in plain] == [(controller.port, None), (mute.port, None)]
+        assert [(row["port"], row["controller"]) for row in plain] == [
+            (controller.port, None),
+            (mute.port, None),
+        ]
         assert controller.ops == []
         asked = cep.succeeds("hw", "list", "--ask")["ports"]
-        assert [(row["firmware"], row["controller"]) for row in asked] == [("cxp-avr 1", True), (None, False)]
+        assert [(row["firmware"], row["controller"]) for row in asked] == [
+            ("cxp-avr 1", True),
+            (None, False),
+        ]
         assert "is silent" in asked[1]["answer"]
         assert cep.succeeds("hw", "info", "--port", "auto")["state"] == "idle"
 
@@ -311,9 +340,18 @@ def test_none_or_several_controllers_are_not_guessed(cep, controller, ports):
 
 @pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_being_ended_while_playing_closes_the_shutter(controller, ending):
-    command = [sys.executable, "-c", "from cep.commands.main import run; run()", "upload", "1" * 100, "--play"]
+    command = [
+        sys.executable,
+        "-c",
+        "from cep.commands.main import run; run()",
+        "upload",
+        "1" * 100,
+        "--play",
+    ]
     with child(
-        [*command, "--chip-ns", "30000000", "--port", controller.port], stderr=subprocess.PIPE, env=os.environ
+        [*command, "--chip-ns", "30000000", "--port", controller.port],
+        stderr=subprocess.PIPE,
+        env=os.environ,
     ) as playing:
         deadline = time.monotonic() + 60
         while not controller.plays and time.monotonic() < deadline:

@@ -11,7 +11,9 @@ from emulators.tools import require_simavr
 
 PARAMETER = re.compile(r"\b[a-z]+_[a-z_]+\b")
 TOO_LONG = str(2**63)
-needs_terminals = pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="no pseudo-terminals on this system")
+needs_terminals = pytest.mark.skipif(
+    not hasattr(signal, "SIGALRM"), reason="no pseudo-terminals on this system"
+)
 
 
 def names_the_option(cep, option, *arguments):
@@ -30,15 +32,27 @@ def names_the_option(cep, option, *arguments):
         ("--port", ("hw", "info", "--port", "")),
         ("--port", ("hw", "load", "101", "--port", " ")),
         ("--port", ("hw", "verify", "101", "--port", "")),
-        *(("--port", ("upload", "101", "--port", "", "--driver", driver)) for driver in ("cxp", "pulse-pal", "scpi")),
-        *(("--clock-ppm", ("upload", "101", "--port", "x", "--clock-ppm", ppm)) for ppm in ("1e9", "-1e6", "nan")),
+        *(
+            ("--port", ("upload", "101", "--port", "", "--driver", driver))
+            for driver in ("cxp", "pulse-pal", "scpi")
+        ),
+        *(
+            ("--clock-ppm", ("upload", "101", "--port", "x", "--clock-ppm", ppm))
+            for ppm in ("1e9", "-1e6", "nan")
+        ),
         ("--clock-ppm", ("hw", "load", "101", "--port", "x", "--clock-ppm", "inf")),
         ("--clock-ppm", ("hw", "verify", "101", "--port", "x", "--clock-ppm", "1e9")),
         ("--clock-ppm", ("hw", "emulate", "uno", "--clock-ppm", "1e9")),
         ("--firmware", ("hw", "emulate", "uno", "--firmware", "nowhere.hex")),
         ("--lease-ms", ("hw", "arm", "--port", "x", "--lease-ms", "0")),
-        *(("--seconds", ("hw", "calibrate", "--port", "x", "--seconds", wrong)) for wrong in ("0", "nan", "4000")),
-        *(("--every", ("hw", "monitor", "--port", "x", "--every", wrong)) for wrong in ("0", "nan", "inf")),
+        *(
+            ("--seconds", ("hw", "calibrate", "--port", "x", "--seconds", wrong))
+            for wrong in ("0", "nan", "4000")
+        ),
+        *(
+            ("--every", ("hw", "monitor", "--port", "x", "--every", wrong))
+            for wrong in ("0", "nan", "inf")
+        ),
         ("--wait", ("hw", "trigger", "--port", "x", "--wait", "nan")),
     ],
 )
@@ -48,7 +62,9 @@ def test_a_wrong_value_is_said_of_the_option(cep, workplace, option, arguments):
 
 @needs_terminals
 @pytest.mark.parametrize("command", [("upload",), ("hw", "load"), ("hw", "verify")])
-@pytest.mark.parametrize(("chip_ns", "words"), [("1000", "50 us|50000"), ("100001", "500 ns"), (TOO_LONG, "2\\^63")])
+@pytest.mark.parametrize(
+    ("chip_ns", "words"), [("1000", "50 us|50000"), ("100001", "500 ns"), (TOO_LONG, "2\\^63")]
+)
 def test_a_chip_that_the_controller_cannot_play_is_named_in_words(cep, command, chip_ns, words):
     with CxpController() as device:
         line = cep.refuses(*command, "101", "--port", device.port, "--chip-ns", chip_ns)
@@ -57,7 +73,9 @@ def test_a_chip_that_the_controller_cannot_play_is_named_in_words(cep, command, 
 
 
 def test_a_chip_time_of_a_file_is_said_of_the_file(cep, workplace):
-    Path("slow.json").write_text(json.dumps({"schema": "cep.code/1", "bits": "101", "chip_ns": 2**63}))
+    Path("slow.json").write_text(
+        json.dumps({"schema": "cep.code/1", "bits": "101", "chip_ns": 2**63})
+    )
     line = cep.refuses("export", "slow.json", "--format", "csv")
     assert "slow.json" in line
     assert "--chip-ns" not in line
@@ -72,24 +90,50 @@ def test_a_firmware_that_is_none_is_named(cep, workplace):
 
 def test_options_that_a_check_of_the_controller_has_no_use_for_are_refused(cep, workplace):
     for option, value in [
-        ("--signal", "D0"), ("--trigger", "D1"), ("--linear", "9"), ("--trajectory", "t.json"), ("-o", "x.json"),
-    ]:  # fmt: skip
+        ("--signal", "D0"),
+        ("--trigger", "D1"),
+        ("--linear", "9"),
+        ("--trajectory", "t.json"),
+        ("-o", "x.json"),
+    ]:
         assert option in cep.refuses("hw", "verify", "code.json", "--port", "x", option, value)
-    assert "--clock-ppm" in cep.refuses("hw", "verify", "code.json", "--capture", "x.vcd", "--clock-ppm", "5")
+    assert "--clock-ppm" in cep.refuses(
+        "hw", "verify", "code.json", "--capture", "x.vcd", "--clock-ppm", "5"
+    )
 
 
 def test_no_output_replaces_what_is_read_even_by_force(cep, workplace):
     cep.succeeds("export", "code.json", "--format", "vcd", "-o", "played.vcd")
     Path("fw.hex").write_text("these are notes")
     before = {path.name: path.read_bytes() for path in Path().iterdir()}
-    verify = ("hw", "verify", "code.json", "--capture", "played.vcd", "--signal", "shutter", "--force")
+    verify = (
+        "hw",
+        "verify",
+        "code.json",
+        "--capture",
+        "played.vcd",
+        "--signal",
+        "shutter",
+        "--force",
+    )
     for arguments in (
         ("export", "code.json", "--format", "csv", "-o", "code.json", "--force"),
         ("upload", "code.json", "--port", "/dev/none", "-o", "code.json", "--force"),
         (*verify, "-o", "code.json"),
         (*verify, "-o", "played.vcd"),
         (*verify, "--trajectory", "trajectory.json", "-o", "trajectory.json"),
-        ("hw", "emulate", "uno", "--seconds", "0.1", "--firmware", "fw.hex", "--vcd", "fw.hex", "--force"),
+        (
+            "hw",
+            "emulate",
+            "uno",
+            "--seconds",
+            "0.1",
+            "--firmware",
+            "fw.hex",
+            "--vcd",
+            "fw.hex",
+            "--force",
+        ),
     ):
         assert "is what is read" in cep.refuses(*arguments)
     assert {path.name: path.read_bytes() for path in Path().iterdir()} == before
@@ -97,18 +141,28 @@ def test_no_output_replaces_what_is_read_even_by_force(cep, workplace):
 
 def test_a_code_of_many_bits_is_no_file_name(cep, workplace):
     bits = "110" * 200
-    assert "no such port" in cep.refuses("upload", bits, "--port", "/dev/none", "-o", "report.json")
-    assert "none.vcd" in cep.refuses("hw", "verify", bits, "--capture", "none.vcd", "-o", "seen.json")
+    assert "no such port" in cep.refuses(
+        "upload", bits, "--port", "/dev/none", "-o", "report.json"
+    )
+    assert "none.vcd" in cep.refuses(
+        "hw", "verify", bits, "--capture", "none.vcd", "-o", "seen.json"
+    )
 
 
 @pytest.mark.parametrize("output", ["nowhere/out.x", "there.x", "folder"])
-def test_outputs_are_checked_before_any_device_or_compiler_is_touched(cep, workplace, monkeypatch, output):
+def test_outputs_are_checked_before_any_device_or_compiler_is_touched(
+    cep, workplace, monkeypatch, output
+):
     def touched(*_, **__):
         pytest.fail("the work began before the output was checked")
 
     Path("there.x").touch()
     Path("folder").mkdir()
-    for name in ("hw.cxp.link.open_port", "hw.emulation.uno.build_board", "hw.recordings.capture.parse_vcd"):
+    for name in (
+        "hw.cxp.link.open_port",
+        "hw.emulation.uno.build_board",
+        "hw.recordings.capture.parse_vcd",
+    ):
         monkeypatch.setattr(name, touched)
     Path("played.vcd").write_text("$")
     for arguments in (

@@ -46,7 +46,18 @@ COMMANDS = (
 )
 SHUTTER = tuple(
     f"hw {name}"
-    for name in ("list", "info", "load", "arm", "trigger", "abort", "calibrate", "monitor", "verify", "emulate")
+    for name in (
+        "list",
+        "info",
+        "load",
+        "arm",
+        "trigger",
+        "abort",
+        "calibrate",
+        "monitor",
+        "verify",
+        "emulate",
+    )
 )
 """Talks with a device: nothing is drawn at random, and no file is written but those that an option names."""
 CAMERAS = ("camera list", "camera show")
@@ -57,7 +68,7 @@ GROUPED = (*CAMERAS, "camera estimate", *SHUTTER, *BENCHES, "bench codes")
 METRICS = {"min_mtf", "min_chip", "noise_gain_db", "mse_db", "flatness_var", "dnf_db"}
 
 
-# -- the program itself ---------------------------------------------------------------------------------------------
+# -- the program itself ---------------------------------------------------------------------------
 
 
 def test_help_loads_nothing_heavy():
@@ -99,9 +110,17 @@ def completions(*words):
         "atexit.register(lambda: print('heavy:', {'torch', 'numpy', 'matplotlib'} & set(sys.modules)))\n"
         "run()"
     )
-    asked = {"_CEP_COMPLETE": "complete_bash", "COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
+    asked = {
+        "_CEP_COMPLETE": "complete_bash",
+        "COMP_WORDS": " ".join(words),
+        "COMP_CWORD": str(len(words) - 1),
+    }
     done = subprocess.run(
-        [sys.executable, "-c", code], check=True, capture_output=True, text=True, env={**os.environ, **asked}
+        [sys.executable, "-c", code],
+        check=True,
+        capture_output=True,
+        text=True,
+        env={**os.environ, **asked},
     )
     *found, heavy = done.stdout.split("\n")[:-1]
     assert heavy == "heavy: set()"
@@ -133,7 +152,9 @@ def test_every_command_has_help_with_an_example_and_the_common_options(cep, comm
     cep(*command.split(), "--help")
     assert cep.code == 0
     page = " ".join(cep.out.replace("Examples:", "Example:").split())
-    output = "--extract" if command == "studio" else "--output"  # the studio writes a folder only when asked to
+    output = (
+        "--extract" if command == "studio" else "--output"
+    )  # the studio writes a folder only when asked to
     for text in ("--json", "--force", output, "Example: cep " + command):
         assert text in page
     draws_nothing = ("refine", "camera estimate", "cite")
@@ -214,7 +235,7 @@ def test_progress_goes_to_stderr_of_a_terminal_only(capsys, monkeypatch):
     assert "work" in err
 
 
-# -- codes ----------------------------------------------------------------------------------------------------------
+# -- codes ----------------------------------------------------------------------------------------
 
 
 def test_codes_by_bits_file_and_name(workplace):
@@ -232,9 +253,15 @@ def test_bits_are_no_file_name_however_many_there_are(cep, workplace, chips):
     assert written["chips"] == chips
     assert EXPORTERS["csv"].parse_back(Path(f"{chips}.csv").read_text()).bits == bits
     # refused for their number, after they were read
-    for command in (["audit", bits], ["mtf", "--code", bits], ["simulate", "sharp.png", "--code", bits]):
+    for command in (
+        ["audit", bits],
+        ["mtf", "--code", bits],
+        ["simulate", "sharp.png", "--code", bits],
+    ):
         assert f"{chips} " in cep.refuses(*command, "--linear", "5")
-    assert f"{chips} " in cep.refuses("deblur", "blurred.png", "--trajectory", "trajectory.json", "--code", bits)
+    assert f"{chips} " in cep.refuses(
+        "deblur", "blurred.png", "--trajectory", "trajectory.json", "--code", bits
+    )
 
 
 @pytest.mark.parametrize("source", ["x" * 300, "raskar-53", "10" * 200 + "2"])
@@ -256,21 +283,50 @@ def test_a_file_named_in_bits_is_not_read(cep, workplace):
 
 
 def test_optimize(cep, workplace):
-    arguments = ("optimize", "--trajectory", "trajectory.json", "--chips", "12", "--duty", "0.4:0.7", "--steps", "3000")
+    arguments = (
+        "optimize",
+        "--trajectory",
+        "trajectory.json",
+        "--chips",
+        "12",
+        "--duty",
+        "0.4:0.7",
+        "--steps",
+        "3000",
+    )
     found = cep.succeeds(*arguments, "--seed", "3", "--chip-ns", "500000", "-o", "new.json")
-    needed = {"bits", "chips", "open", "duty", "certificate", "bound", "gap", "seconds", "baselines"} | METRICS
+    needed = {
+        "bits",
+        "chips",
+        "open",
+        "duty",
+        "certificate",
+        "bound",
+        "gap",
+        "seconds",
+        "baselines",
+    } | METRICS
     assert needed <= set(found)
     stored = read_code("new.json")
     assert stored.code == ShutterCode(found["bits"], 500_000)
     assert 0.4 <= found["duty"] <= 0.7
-    names = {"open shutter", "best snapshot", "best strobe", "length-only code", "random code, median"}
+    names = {
+        "open shutter",
+        "best snapshot",
+        "best strobe",
+        "length-only code",
+        "random code, median",
+    }
     kept = {name for name, row in found["baselines"].items() if row["within_limits"]}
     assert names <= set(found["baselines"])
     assert kept >= {"length-only code", "random code, median"}
     for name, row in found["baselines"].items():
         assert row["within_limits"] == (5 <= row["open"] <= 8)
         assert name not in kept or found["mse_db"] <= row["mse_db"] + 1e-3
-    assert (found["bound"], found["gap"]) == (None, None)  # of the smallest MTF, which was not the objective
+    assert (found["bound"], found["gap"]) == (
+        None,
+        None,
+    )  # of the smallest MTF, which was not the objective
     # the worse of both directions, since the file does not know which
     motion = read_motion("trajectory.json").trajectory
     both = [measure(path, stored.code).mse_db for path in (motion, motion.reversed())]
@@ -311,14 +367,28 @@ def test_optimize_along_a_line_has_a_bound(cep, workplace):
 
 def test_optimize_along_a_curve_has_a_bound_of_its_minimum(cep, workplace):
     found = cep.succeeds(
-        "optimize", "--trajectory", "trajectory.json", "--chips", "8", "--objective", "min-mtf", "--open", "4",
-        "--steps", "1000", "-o", "new.json",
-    )  # fmt: skip
+        "optimize",
+        "--trajectory",
+        "trajectory.json",
+        "--chips",
+        "8",
+        "--objective",
+        "min-mtf",
+        "--open",
+        "4",
+        "--steps",
+        "1000",
+        "-o",
+        "new.json",
+    )
     assert found["min_chip"] is None
     codes = [ShutterCode(f"{bits:08b}") for bits in range(2**8) if bits.bit_count() == 4]
     motion = read_motion("trajectory.json").trajectory
     line = np.linspace(-0.5, 0.5, 33)
-    best = max(float(np.abs(coded_otf(motion, code, *np.meshgrid(line, line))).min()) for code in codes[::5])
+    best = max(
+        float(np.abs(coded_otf(motion, code, *np.meshgrid(line, line))).min())
+        for code in codes[::5]
+    )
     assert max(best, found["min_mtf"]) <= found["bound"] <= 0.5
     assert found["gap"] == pytest.approx(1 - found["min_mtf"] / found["bound"])
 
@@ -380,14 +450,18 @@ def test_optimize_interrupted_keeps_the_best(cep, workplace, monkeypatch):
 
     real = module.anneal
     monkeypatch.setattr(module, "anneal", interrupted_soon)
-    found = cep.succeeds("optimize", "--linear", "20", "--chips", "16", "--steps", "100000", "-o", "new.json")
+    found = cep.succeeds(
+        "optimize", "--linear", "20", "--chips", "16", "--steps", "100000", "-o", "new.json"
+    )
     assert found["interrupted"]
     assert found["stopped"] == "interrupted"
     assert found["warnings"]
     assert read_code("new.json").code.bits == found["bits"]
 
 
-def test_an_interrupt_while_the_number_of_chips_is_chosen_keeps_the_best(cep, workplace, monkeypatch):
+def test_an_interrupt_while_the_number_of_chips_is_chosen_keeps_the_best(
+    cep, workplace, monkeypatch
+):
     from cep.search import ways as module
 
     def interrupted_soon(problem, **options):
@@ -417,7 +491,12 @@ def test_a_second_interrupt_does_not_lose_the_code(cep, workplace, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("cep.search.optimize.compare", interrupted)
-    assert cep("optimize", "--linear", "20", "--chips", "16", "--steps", "1000", "-o", "new.json").code == 130
+    assert (
+        cep(
+            "optimize", "--linear", "20", "--chips", "16", "--steps", "1000", "-o", "new.json"
+        ).code
+        == 130
+    )
     assert cep.err == "cep: interrupted\n"
     stored = read_code("new.json")
     assert stored.code.chips == stored.problem["chips"] == 16
@@ -443,10 +522,22 @@ run()
 def test_a_real_interrupt_of_a_long_search(workplace):
     limits = ["--chips", "12", "--steps", "1000000000", "--time", "600"]
     with child(
-        [sys.executable, "-c", _LOUD, "optimize", "--linear", "20", *limits, "-o", "new.json", "--json"],
+        [
+            sys.executable,
+            "-c",
+            _LOUD,
+            "optimize",
+            "--linear",
+            "20",
+            *limits,
+            "-o",
+            "new.json",
+            "--json",
+        ],
         env=os.environ | {"PYTHONPATH": str(Path(console.__file__).parents[2])},
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    ) as process:  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
         assert process.stderr.readline() == "searching\n"
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=120)
@@ -468,14 +559,18 @@ def test_audit_finds_a_hidden_zero(cep, workplace):
 
 
 def test_audit_along_a_trajectory(cep, workplace):
-    found = cep.succeeds("audit", "code.json", "--trajectory", "trajectory.json", "--flips", "1", "-o", "audit.json")
+    found = cep.succeeds(
+        "audit", "code.json", "--trajectory", "trajectory.json", "--flips", "1", "-o", "audit.json"
+    )
     assert found["certificate"]["lower"] <= found["certificate"]["upper"]
     assert found["min_chip"] is None
     assert json.loads(Path("audit.json").read_text()) == found
 
 
 def test_mtf(cep, workplace):
-    found = cep.succeeds("mtf", "--trajectory", "trajectory.json", "--code", "code.json", "--code", "1011")
+    found = cep.succeeds(
+        "mtf", "--trajectory", "trajectory.json", "--code", "code.json", "--code", "1011"
+    )
     assert Path("mtf.png").read_bytes().startswith(b"\x89PNG")
     assert set(found["curves"]) == {"open shutter", "code", "1011"}
     curve = found["curves"]["1011"]
@@ -483,30 +578,50 @@ def test_mtf(cep, workplace):
     assert set(curve) >= METRICS
 
 
-# -- photos ---------------------------------------------------------------------------------------------------------
+# -- photos ---------------------------------------------------------------------------------------
 
 
 def test_simulate_then_deblur(cep, workplace):
     taken = cep.succeeds(
-        "simulate", "sharp.png", "--trajectory", "trajectory.json", "--code", "code.json", "--photons", "1e6",
-        "--read-noise", "1", "-o", "coded.png",
-    )  # fmt: skip
+        "simulate",
+        "sharp.png",
+        "--trajectory",
+        "trajectory.json",
+        "--code",
+        "code.json",
+        "--photons",
+        "1e6",
+        "--read-noise",
+        "1",
+        "-o",
+        "coded.png",
+    )
     assert {"image", "psf"} <= set(taken)
-    motion, code = read_motion("trajectory.json").trajectory, read_code("code.json").code
-    np.testing.assert_array_equal(read_psf(taken["psf"]), coded_psf(motion, code).astype(np.float32))
+    motion = read_motion("trajectory.json").trajectory
+    code = read_code("code.json").code
+    np.testing.assert_array_equal(
+        read_psf(taken["psf"]), coded_psf(motion, code).astype(np.float32)
+    )
     coded = read_photo("coded.png")
     assert coded.bits == 16
     sharp = read_photo("sharp.png").pixels
     assert coded.pixels.mean() == pytest.approx(code.duty * sharp.mean(), rel=0.02)
 
-    restored = cep.succeeds("deblur", "coded.png", "--trajectory", "trajectory.json", "--code", "code.json")
+    restored = cep.succeeds(
+        "deblur", "coded.png", "--trajectory", "trajectory.json", "--code", "code.json"
+    )
     assert {"image", "direction", "residual", "seconds"} <= set(restored)
     assert restored["direction"] == "forward"
     margin = (sharp.shape[0] - coded.pixels.shape[0]) // 2
-    middle = sharp[margin : margin + coded.pixels.shape[0], margin : margin + coded.pixels.shape[1]]
+    middle = sharp[
+        margin : margin + coded.pixels.shape[0], margin : margin + coded.pixels.shape[1]
+    ]
     sharpened = read_photo(restored["image"])
     assert sharpened.bits == 16
-    assert psnr_up_to_shift(sharpened.pixels, middle) > psnr_up_to_shift(coded.pixels / code.duty, middle) + 3
+    assert (
+        psnr_up_to_shift(sharpened.pixels, middle)
+        > psnr_up_to_shift(coded.pixels / code.duty, middle) + 3
+    )
 
 
 def test_deblur_finds_the_reversed_direction(cep, workplace):
@@ -514,8 +629,12 @@ def test_deblur_finds_the_reversed_direction(cep, workplace):
     backwards = stored.trajectory.reversed()
     write_motion("backwards.json", type(stored)(backwards))
     options = ("--code", "code.json", "--photons", "1e6")
-    cep.succeeds("simulate", "sharp.png", "--trajectory", "backwards.json", *options, "-o", "coded.png")
-    restored = cep.succeeds("deblur", "coded.png", "--trajectory", "trajectory.json", "--code", "code.json")
+    cep.succeeds(
+        "simulate", "sharp.png", "--trajectory", "backwards.json", *options, "-o", "coded.png"
+    )
+    restored = cep.succeeds(
+        "deblur", "coded.png", "--trajectory", "trajectory.json", "--code", "code.json"
+    )
     assert restored["direction"] == "reverse"
     assert 0.5 < restored["direction_confidence"] <= 1
 
@@ -525,9 +644,14 @@ def test_deblur_with_a_psf_and_without_a_code(cep, workplace):
 
     write_psf(".", read_motion("trajectory.json").trajectory.psf())
     for method in ("wiener", "inverse", "tv", "l0", "pnp"):
-        found = cep.succeeds("deblur", "blurred.png", "--psf", "psf.npy", "--method", method, "-o", f"{method}.png")
+        found = cep.succeeds(
+            "deblur", "blurred.png", "--psf", "psf.npy", "--method", method, "-o", f"{method}.png"
+        )
         assert found["residual"] < 0.05
-    assert cep.succeeds("deblur", "blurred.png", "--trajectory", "trajectory.json")["direction"] == "unknown"
+    assert (
+        cep.succeeds("deblur", "blurred.png", "--trajectory", "trajectory.json")["direction"]
+        == "unknown"
+    )
 
 
 def test_simulation_repeats_with_its_seed(cep, workplace):
@@ -537,10 +661,29 @@ def test_simulation_repeats_with_its_seed(cep, workplace):
 
 
 def test_calibrate_with_a_sharp_photo(cep, workplace):
-    found = cep.succeeds("calibrate", "blurred.png", "--method", "reference", "--sharp", "sharp.png", "-o", "motion")
-    fields = {"method", "trajectory", "psf", "length_px", "extent_px", "confidence", "seconds", "warnings"}
+    found = cep.succeeds(
+        "calibrate", "blurred.png", "--method", "reference", "--sharp", "sharp.png", "-o", "motion"
+    )
+    fields = {
+        "method",
+        "trajectory",
+        "psf",
+        "length_px",
+        "extent_px",
+        "confidence",
+        "seconds",
+        "warnings",
+    }
     assert fields <= set(found)
-    names = {"trajectory.json", "psf.npy", "psf.mat", "psf.png", "map.png", "preview.png", "sharpened.png"}
+    names = {
+        "trajectory.json",
+        "psf.npy",
+        "psf.mat",
+        "psf.png",
+        "map.png",
+        "preview.png",
+        "sharpened.png",
+    }
     assert {item.name for item in Path("motion").iterdir()} == names
     truth = read_motion("trajectory.json").trajectory
     stored = read_motion(found["trajectory"])
@@ -551,19 +694,33 @@ def test_calibrate_with_a_sharp_photo(cep, workplace):
 
 def test_files_of_levins_data_set_as_photos_and_psfs(cep, workplace):
     """There y is x convolved with f turned by 180 degrees, here along a path that does not look the same turned."""
-    sharp, blurred = read_image("sharp.png"), read_image("blurred.png")
+    sharp = read_image("sharp.png")
+    blurred = read_image("blurred.png")
     truth = read_motion("trajectory.json").trajectory.psf(25)
     margin = (sharp.shape[0] - blurred.shape[0]) // 2
     inner = sharp[margin:-margin, margin:-margin]
     savemat("im01_ker01.mat", {"x": inner, "y": blurred, "f": truth[::-1, ::-1]})
-    found = cep.succeeds("calibrate", "im01_ker01.mat", "--method", "reference", "--sharp", "im01_ker01.mat")
+    found = cep.succeeds(
+        "calibrate", "im01_ker01.mat", "--method", "reference", "--sharp", "im01_ker01.mat"
+    )
     assert Path("im01_ker01_motion/trajectory.json").exists()
     assert any('"y" was taken as linear light' in line for line in found["warnings"])
     assert mnc_subpixel(read_psf(found["psf"]), truth) > 0.95
     assert mnc_subpixel(read_psf(found["psf"]), truth[::-1, ::-1]) < 0.9
-    found = cep.succeeds("deblur", "im01_ker01.mat", "--psf", "im01_ker01.mat", "--method", "tv", "-o", "restored.png")
+    found = cep.succeeds(
+        "deblur",
+        "im01_ker01.mat",
+        "--psf",
+        "im01_ker01.mat",
+        "--method",
+        "tv",
+        "-o",
+        "restored.png",
+    )
     assert found["residual"] < 0.02
-    gain_db = psnr_up_to_shift(read_image("restored.png"), inner) - psnr_up_to_shift(blurred, inner)
+    gain_db = psnr_up_to_shift(read_image("restored.png"), inner) - psnr_up_to_shift(
+        blurred, inner
+    )
     assert gain_db > 3
 
 
@@ -572,14 +729,35 @@ def test_calibrate_from_a_gyroscope(cep, workplace):
     rows = [f"{s:.3f},{0.05 * np.sin(9 * s):.6f},{0.08 * np.cos(7 * s):.6f},0" for s in t]
     Path("gyro.csv").write_text("\n".join(["t_s,wx,wy,wz", *rows]))
     found = cep.succeeds(
-        "calibrate", "blurred.png", "--method", "gyro", "--gyro", "gyro.csv", "--focal", "1000", "--exposure", "0.2",
-        "--start", "0.3",
-    )  # fmt: skip
+        "calibrate",
+        "blurred.png",
+        "--method",
+        "gyro",
+        "--gyro",
+        "gyro.csv",
+        "--focal",
+        "1000",
+        "--exposure",
+        "0.2",
+        "--start",
+        "0.3",
+    )
     assert found["direction"] == "known"
     assert Path("blurred_motion/trajectory.json").exists()
 
 
-GYRO = ("calibrate", "blurred.png", "--method", "gyro", "--gyro", "gyro.csv", "--focal", "1000", "--exposure", "0.2")
+GYRO = (
+    "calibrate",
+    "blurred.png",
+    "--method",
+    "gyro",
+    "--gyro",
+    "gyro.csv",
+    "--focal",
+    "1000",
+    "--exposure",
+    "0.2",
+)
 
 
 def test_a_recording_in_degrees(cep, workplace):
@@ -588,7 +766,9 @@ def test_a_recording_in_degrees(cep, workplace):
     rates = np.stack([0.5 * np.sin(9 * t), 0.8 * np.cos(7 * t), 0 * t], axis=1)
 
     def write(rates, head):
-        np.savetxt("gyro.csv", np.column_stack([rates, 1.6e9 + t]), "%.9f", ",", header=head, comments="")
+        np.savetxt(
+            "gyro.csv", np.column_stack([rates, 1.6e9 + t]), "%.9f", ",", header=head, comments=""
+        )
 
     start = ("--start", "1600000000.3")
     write(rates, "wx,wy,wz,t_s")
@@ -596,13 +776,19 @@ def test_a_recording_in_degrees(cep, workplace):
     write(np.degrees(rates), "wx,wy,wz,t_s")
     assert re.match(r"cep: --gyro-unit: .*deg/s", cep.refuses(*GYRO, *start, "-o", "none"))
     assert not Path("none").exists()
-    assert cep.succeeds(*GYRO, *start, "--gyro-unit", "deg", "-o", "a")["length_px"] == pytest.approx(truth, rel=1e-6)
+    assert cep.succeeds(*GYRO, *start, "--gyro-unit", "deg", "-o", "a")[
+        "length_px"
+    ] == pytest.approx(truth, rel=1e-6)
     write(np.degrees(rates), "gx_dps,gy_dps,gz_dps,t_s")
     assert cep.succeeds(*GYRO, *start, "-o", "b")["length_px"] == pytest.approx(truth, rel=1e-6)
     assert "--gyro-unit" in cep.refuses(*GYRO, *start, "--gyro-unit", "rad", "-o", "none")
-    assert "--gyro-unit: must be rad or deg" in cep.refuses(*GYRO, *start, "--gyro-unit", "rpm", "-o", "none")
+    assert "--gyro-unit: must be rad or deg" in cep.refuses(
+        *GYRO, *start, "--gyro-unit", "rpm", "-o", "none"
+    )
     line = cep.refuses(*GYRO, "--start", "1600000000.9", "-o", "none")
-    assert line.startswith("cep: --start: the exposure 1600000000.9000..1600000001.1000 s must lie within")
+    assert line.startswith(
+        "cep: --start: the exposure 1600000000.9000..1600000001.1000 s must lie within"
+    )
     assert "--gyro-unit" in cep.refuses("calibrate", "blurred.png", "--gyro-unit", "deg")
 
 
@@ -615,7 +801,7 @@ def test_calibrate_from_a_point_of_light(cep, workplace):
     assert found["length_px"] == pytest.approx(motion.length_px, rel=0.15)
 
 
-# -- shutters -------------------------------------------------------------------------------------------------------
+# -- shutters -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", sorted(EXPORTERS))
@@ -631,7 +817,9 @@ def test_export_reads_back(cep, workplace, name):
 def test_export_never_replaces_its_code(cep, workplace):
     before = Path("code.json").read_bytes()
     assert cep.succeeds("export", "code.json", "--format", "json")["file"] == "code.program.json"
-    assert "is what is read" in cep.refuses("export", "code.json", "--format", "json", "-o", "code.json", "--force")
+    assert "is what is read" in cep.refuses(
+        "export", "code.json", "--format", "json", "-o", "code.json", "--force"
+    )
     assert Path("code.json").read_bytes() == before
 
 
@@ -664,7 +852,17 @@ def test_what_rounding_leaves_of_a_zero_is_told_as_zero(cep, workplace):
     write_motion("back.json", StoredMotion(path, source={"method": "test"}))
     found = cep.succeeds("mtf", "--trajectory", "back.json")["curves"]["open shutter"]
     assert 0 < found["min_mtf"] < 1e-12  # JSON keeps it
-    searched = ["optimize", "--trajectory", "back.json", "--chips", "10", "--open", "5", "--steps", "500"]
+    searched = [
+        "optimize",
+        "--trajectory",
+        "back.json",
+        "--chips",
+        "10",
+        "--open",
+        "5",
+        "--steps",
+        "500",
+    ]
     for arguments in (
         ["mtf", "--trajectory", "back.json", "-o", "again.png"],
         ["audit", "1100110011", "--trajectory", "back.json", "--flips", "0"],
@@ -673,5 +871,7 @@ def test_what_rounding_leaves_of_a_zero_is_told_as_zero(cep, workplace):
         cep(*arguments)
         assert cep.code == 0, cep.err
         # but what is proven is told as it is proven: an upper bound of 1e-13 is no zero
-        told = [line for line in cep.out.splitlines() if not line.startswith(("smallest", "certified"))]
+        told = [
+            line for line in cep.out.splitlines() if not line.startswith(("smallest", "certified"))
+        ]
         assert not re.search(r"\de-1\d", "\n".join(told)), cep.out

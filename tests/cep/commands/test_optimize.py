@@ -23,7 +23,9 @@ from motdiff.trajectory import Trajectory
 
 
 def test_exact_proves_the_best_and_audit_confirms_it(cep, workplace):
-    found = cep.succeeds("optimize", "--linear", "13", "--chips", "13", "--method", "exact", "-o", "best.json")
+    found = cep.succeeds(
+        "optimize", "--linear", "13", "--chips", "13", "--method", "exact", "-o", "best.json"
+    )
     assert found["proven"]
     assert found["bits"] == "1111100110101"  # the Barker-13 code: docs/optima.md
     assert found["min_chip"] == pytest.approx(1.362373, abs=1e-5)
@@ -35,11 +37,28 @@ def test_exact_proves_the_best_and_audit_confirms_it(cep, workplace):
     assert audited["verified"]["holds"]
 
 
-@pytest.mark.parametrize(("length_px", "direction"), [("13", "forward"), ("5.5", "unknown"), ("40", "unknown")])
+@pytest.mark.parametrize(
+    ("length_px", "direction"), [("13", "forward"), ("5.5", "unknown"), ("40", "unknown")]
+)
 def test_what_is_proven_already_is_returned_with_its_proof(cep, workplace, length_px, direction):
-    asked = ("optimize", "--linear", length_px, "--chips", "13", "--objective", "min-mtf", "--direction", direction)
+    asked = (
+        "optimize",
+        "--linear",
+        length_px,
+        "--chips",
+        "13",
+        "--objective",
+        "min-mtf",
+        "--direction",
+        direction,
+    )
     found = cep.succeeds(*asked, "--time", "2", "-o", "best.json")
-    assert (found["bits"], found["open"], found["stopped"], found["steps"]) == ("1111100110101", 9, "proven", 0)
+    assert (found["bits"], found["open"], found["stopped"], found["steps"]) == (
+        "1111100110101",
+        9,
+        "proven",
+        0,
+    )
     assert (found["proven"], found["proof"], found["warnings"]) == (True, "docs/optima.md", [])
     assert found["bound"] == pytest.approx(1.362373, abs=1e-5)
     assert found["gap"] == pytest.approx(0, abs=1e-5)
@@ -55,20 +74,50 @@ def test_what_is_proven_already_is_returned_with_its_proof(cep, workplace, lengt
 
 def test_a_bound_of_zero_has_no_gap(cep, workplace):
     # P(-1) = 0 with both of two chips open
-    asked = ("--linear", "4", "--chips", "2", "--open", "2", "--objective", "min-mtf", "--steps", "100")
+    asked = (
+        "--linear",
+        "4",
+        "--chips",
+        "2",
+        "--open",
+        "2",
+        "--objective",
+        "min-mtf",
+        "--steps",
+        "100",
+    )
     found = cep.succeeds("optimize", *asked, "-o", "two.json")
-    assert (found["bits"], found["min_chip"], found["bound"], found["gap"]) == ("11", 0.0, 0.0, 0.0)
+    assert (found["bits"], found["min_chip"], found["bound"], found["gap"]) == (
+        "11",
+        0.0,
+        0.0,
+        0.0,
+    )
 
 
 def test_a_proof_says_over_which_frequencies(cep, workplace):
-    options = ("optimize", "--linear", "12", "--chips", "10", "--method", "exact", "--force", "-o", "new.json")
+    options = (
+        "optimize",
+        "--linear",
+        "12",
+        "--chips",
+        "10",
+        "--method",
+        "exact",
+        "--force",
+        "-o",
+        "new.json",
+    )
     assert "better on the unit circle" in cep(*options).out
-    # along several motions only the samples are counted out: the continuum may rank the codes otherwise
+    # along several motions only the samples are counted out: the continuum may rank the codes
+    # otherwise
     assert "band samples" in cep(*options, "--speed", "0.9:1.1").out
 
 
 def test_a_forged_certificate_is_found_out(cep, workplace):
-    cep.succeeds("optimize", "--linear", "13", "--chips", "13", "--steps", "2000", "-o", "new.json")
+    cep.succeeds(
+        "optimize", "--linear", "13", "--chips", "13", "--steps", "2000", "-o", "new.json"
+    )
     document = json.loads(Path("new.json").read_text())
     document["certificate"]["lower"] *= 1.01
     document["certificate"]["upper"] *= 1.01
@@ -78,11 +127,22 @@ def test_a_forged_certificate_is_found_out(cep, workplace):
 
 
 def test_a_certificate_of_one_way_does_not_cover_both(cep, workplace):
-    options = ("--trajectory", "trajectory.json", "--chips", "8", "--steps", "500", "--direction", "forward")
+    options = (
+        "--trajectory",
+        "trajectory.json",
+        "--chips",
+        "8",
+        "--steps",
+        "500",
+        "--direction",
+        "forward",
+    )
     cep.succeeds("optimize", *options, "-o", "new.json")
     audited = cep.succeeds("audit", "new.json", "--trajectory", "trajectory.json")
     assert audited["verified"]["holds"]
-    assert any("does not cover this motion, forward and backward" in line for line in audited["warnings"])
+    assert any(
+        "does not cover this motion, forward and backward" in line for line in audited["warnings"]
+    )
 
 
 def test_forced_chips_are_kept(cep, workplace):
@@ -93,9 +153,22 @@ def test_forced_chips_are_kept(cep, workplace):
 
 
 def test_other_speeds_and_clocks_count(cep, workplace):
-    options = ("optimize", "--linear", "12", "--chips", "12", "--objective", "noise", "--steps", "3000", "--force")
+    options = (
+        "optimize",
+        "--linear",
+        "12",
+        "--chips",
+        "12",
+        "--objective",
+        "noise",
+        "--steps",
+        "3000",
+        "--force",
+    )
     plain = cep.succeeds(*options, "-o", "plain.json")
-    wider = cep.succeeds(*options, "--speed", "0.8:1.2", "--drift", "0.02", "--jitter", "0.05", "-o", "wider.json")
+    wider = cep.succeeds(
+        *options, "--speed", "0.8:1.2", "--drift", "0.02", "--jitter", "0.05", "-o", "wider.json"
+    )
     # its figures are the worst over all of them
     assert wider["noise_gain_db"] > plain["noise_gain_db"]
     assert any("on time" in warning for warning in wider["warnings"])
@@ -104,7 +177,18 @@ def test_other_speeds_and_clocks_count(cep, workplace):
 
 
 def test_a_slow_shutter_is_designed_for(cep, workplace):
-    options = ("optimize", "--linear", "20", "--chips", "16", "--objective", "noise", "--steps", "3000", "--force")
+    options = (
+        "optimize",
+        "--linear",
+        "20",
+        "--chips",
+        "16",
+        "--objective",
+        "noise",
+        "--steps",
+        "3000",
+        "--force",
+    )
     quick = cep.succeeds(*options, "--device", "flc", "--chip-ns", "1000000", "-o", "quick.json")
     slow = cep.succeeds(*options, "--device", "flc", "--chip-ns", "50000", "-o", "slow.json")
     assert slow["noise_gain_db"] > quick["noise_gain_db"]
@@ -115,21 +199,41 @@ def test_only_what_a_strobe_can_play_is_proposed(cep, workplace):
     Path("strobe.toml").write_text(
         'schema = "hw.device/1"\nname = "strobe"\nmax_on_ns = 2500000\nmax_rate_hz = 300.0\nmax_duty = 0.5\n'
     )
-    options = ("optimize", "--linear", "16", "--chips", "16", "--device", "strobe.toml", "--force", "-o", "new.json")
-    for method in (("--steps", "3000"), ("--method", "exact"), ("--frames", "2", "--steps", "3000")):
+    options = (
+        "optimize",
+        "--linear",
+        "16",
+        "--chips",
+        "16",
+        "--device",
+        "strobe.toml",
+        "--force",
+        "-o",
+        "new.json",
+    )
+    for method in (
+        ("--steps", "3000"),
+        ("--method", "exact"),
+        ("--frames", "2", "--steps", "3000"),
+    ):
         found = cep.succeeds(*options, *method)
         stored = read_code(found["file"] if "file" in found else found["files"][0])
-        assert {name: stored.problem[name] for name in ("max_open", "min_period", "open_range")} == {
-            "max_open": 2, "min_period": 4, "open_range": [1, 8],
-        }  # fmt: skip
+        assert {
+            name: stored.problem[name] for name in ("max_open", "min_period", "open_range")
+        } == {
+            "max_open": 2,
+            "min_period": 4,
+            "open_range": [1, 8],
+        }
         for bits in [found["bits"]] if isinstance(found["bits"], str) else found["bits"]:
             program = Program.from_bits(bits, chip_ns=1_000_000)
             assert load_profile("strobe.toml").check(program) == ()
     # the stricter one of device and wish counts
     found = cep.succeeds(*options, "--steps", "3000", "--max-open", "1", "--min-period", "3")
     assert {name: read_code("new.json").problem[name] for name in ("max_open", "min_period")} == {
-        "max_open": 1, "min_period": 4,
-    }  # fmt: skip
+        "max_open": 1,
+        "min_period": 4,
+    }
     assert set(found["bits"].split("0")) <= {"", "1"}
 
 
@@ -150,7 +254,10 @@ def test_only_what_a_strobe_can_play_is_proposed(cep, workplace):
         (("--objective", "noise:1,noise:2"), "twice"),
         (("--method", "exact", "--steps", "9"), "--steps"),
         (("--rule", "median"), "rule"),
-        (("--min-closed", "9", "--open", "8", "--max-pulses", "1", "--fixed", "1?????0????1"), "conflict"),
+        (
+            ("--min-closed", "9", "--open", "8", "--max-pulses", "1", "--fixed", "1?????0????1"),
+            "conflict",
+        ),
         (
             ("--max-open", "2", "--min-open", "3"),
             "--min-open 3 and --max-open 2 conflict: no code of 12 chips keeps both",
@@ -161,7 +268,10 @@ def test_only_what_a_strobe_can_play_is_proposed(cep, workplace):
             ("--min-period", "7", "--max-open", "2", "--open", "5"),
             "--open 5..5, --max-open 2 and --min-period 7 conflict",
         ),
-        (("--device", "dark.toml"), "--chip-ns: dark opens for 10 ns at most, a chip must not last longer"),
+        (
+            ("--device", "dark.toml"),
+            "--chip-ns: dark opens for 10 ns at most, a chip must not last longer",
+        ),
     ],
 )
 def test_bad_wishes_are_one_line(cep, workplace, options, message):
@@ -172,7 +282,18 @@ def test_bad_wishes_are_one_line(cep, workplace, options, message):
 
 
 def test_a_mix_is_searched(cep, workplace):
-    options = ("optimize", "--linear", "12", "--chips", "12", "--open", "6", "--steps", "30000", "--force")
+    options = (
+        "optimize",
+        "--linear",
+        "12",
+        "--chips",
+        "12",
+        "--open",
+        "6",
+        "--steps",
+        "30000",
+        "--force",
+    )
     both = cep.succeeds(*options, "--objective", "min-mtf:0.5,noise:1", "-o", "both.json")
     assert (both["bound"], both["gap"]) == (None, None)
     noise = cep.succeeds(*options, "--objective", "noise", "-o", "noise.json")
@@ -181,7 +302,9 @@ def test_a_mix_is_searched(cep, workplace):
 
 
 def test_nothing_to_choose_takes_no_time(cep, workplace):
-    found = cep.succeeds("optimize", "--linear", "6", "--chips", "6", "--open", "6", "-o", "all.json")
+    found = cep.succeeds(
+        "optimize", "--linear", "6", "--chips", "6", "--open", "6", "-o", "all.json"
+    )
     assert (found["bits"], found["steps"], found["stopped"]) == ("111111", 0, "complete")
     cep("optimize", "--linear", "6", "--chips", "6", "--open", "6", "--time", "60", "--force")
     assert "no other code keeps the limits" in cep.out
@@ -191,9 +314,20 @@ def test_starts_from_the_relaxation(cep, workplace):
     """One move leaves the search no better than its starts: those drawn from the relaxation win over the others."""
     x = 9 * np.linspace(0, 1, 12) ** 2
     write_motion("faster.json", StoredMotion(Trajectory.from_samples(np.stack([x, 0.5 * x], 1))))
-    options = ("optimize", "--trajectory", "faster.json", "--direction", "forward", "--chips", "40", "--open", "20")
+    options = (
+        "optimize",
+        "--trajectory",
+        "faster.json",
+        "--direction",
+        "forward",
+        "--chips",
+        "40",
+        "--open",
+        "20",
+    )
     options += ("--objective", "min-mtf", "--steps", "1", "--seed", "1", "--force")
-    plain, started = cep.succeeds(*options), cep.succeeds(*options, "--bound", "sdp")
+    plain = cep.succeeds(*options)
+    started = cep.succeeds(*options, "--bound", "sdp")
     assert started["objective"] < plain["objective"] - 0.1
     assert started["min_mtf"] <= started["bound"]
 
@@ -203,13 +337,32 @@ def test_starts_from_the_relaxation(cep, workplace):
     [
         ("straight", "noise"),
         ("curved", "min-mtf"),
-        pytest.param("curved", "noise", marks=pytest.mark.slow(reason="relaxes a mean over all samples of the band")),
+        pytest.param(
+            "curved",
+            "noise",
+            marks=pytest.mark.slow(reason="relaxes a mean over all samples of the band"),
+        ),
     ],
 )
 def test_a_relaxation_bounds_more_tightly(cep, workplace, motion, objective):
-    along = {"straight": ("--linear", "10"), "curved": ("--trajectory", "trajectory.json", "--direction", "forward")}
-    options = ("optimize", *along[motion], "--chips", "8", "--open", "4", "--steps", "500", "--objective", objective)
-    quick, tight = cep.succeeds(*options, "--force"), cep.succeeds(*options, "--force", "--bound", "sdp")
+    along = {
+        "straight": ("--linear", "10"),
+        "curved": ("--trajectory", "trajectory.json", "--direction", "forward"),
+    }
+    options = (
+        "optimize",
+        *along[motion],
+        "--chips",
+        "8",
+        "--open",
+        "4",
+        "--steps",
+        "500",
+        "--objective",
+        objective,
+    )
+    quick = cep.succeeds(*options, "--force")
+    tight = cep.succeeds(*options, "--force", "--bound", "sdp")
     if objective == "noise":  # dB: no code has less than the bound
         assert quick["bound"] + 0.1 < tight["bound"] <= tight["noise_gain_db"]
     else:
@@ -236,10 +389,12 @@ def test_a_comparison_that_the_time_ended_is_told(cep, workplace, monkeypatch):
     assert cep.err == f"cep: warning: {warning}\n"
 
 
-# -- what ends a search -----------------------------------------------------------------------------------------------
+# -- what ends a search ---------------------------------------------------------------------------
 
 QUICK = ("optimize", "--linear", "12", "--chips", "12", "--force")
-STANDARD = standard_moves(SearchProblem.along(Trajectory.straight(12.0), chips=12, objective="mse"))
+STANDARD = standard_moves(
+    SearchProblem.along(Trajectory.straight(12.0), chips=12, objective="mse")
+)
 
 
 @pytest.fixture
@@ -321,7 +476,8 @@ def test_the_front_says_what_ended_it(cep, workplace):
 
 
 def test_the_fronts_time_rules_unless_moves_are_given(cep, workplace, monkeypatch):
-    seen, real = [], pareto.pareto_front
+    seen = []
+    real = pareto.pareto_front
 
     def hasty(problem, *, steps, time_s, **options):
         seen.append((steps, time_s))
@@ -333,7 +489,7 @@ def test_the_fronts_time_rules_unless_moves_are_given(cep, workplace, monkeypatc
     assert seen == [(None, 60.0), (None, 7.0), (90, math.inf), (90, 7.0)]
 
 
-# -- one code for a class of motions ----------------------------------------------------------------------------------
+# -- one code for a class of motions --------------------------------------------------------------
 
 SMALL = ("--chips", "8", "--open", "4", "--steps", "300")
 
@@ -346,7 +502,9 @@ def test_one_code_for_all_motions_of_a_folder(cep, workplace):
     found = cep.succeeds("optimize", "--all", "shots", *SMALL, "-o", "all.json")
     assert (found["motions"], found["other_motions"], found["others_db"]) == (2, 0, None)
     assert read_code("all.json").code.bits == found["bits"]
-    assert all(row["behind_db"] >= -1e-6 for row in found["baselines"].values() if row["within_limits"])
+    assert all(
+        row["behind_db"] >= -1e-6 for row in found["baselines"].values() if row["within_limits"]
+    )
     assert any("2 motions are few" in line for line in found["warnings"])
     told = cep("optimize", "--all", "shots", *SMALL, "-o", "told.json").out
     first, second, *_ = told.splitlines()
@@ -363,11 +521,18 @@ def test_one_code_for_walks_and_for_shakes_of_a_recording(cep, workplace):
     t = np.linspace(0, 2, 400)
     rows = np.column_stack([t, np.sin(9 * t), np.cos(7 * t), 0 * t])
     np.savetxt("gyro.csv", rows, delimiter=",", header="t [s],x [rad/s],y [rad/s],z [rad/s]")
-    shaken = cep.succeeds("optimize", "--class", "gyro.csv", "--chip-ns", "10000000", *options, "-o", "gyro.json")
+    shaken = cep.succeeds(
+        "optimize", "--class", "gyro.csv", "--chip-ns", "10000000", *options, "-o", "gyro.json"
+    )
     assert read_code("gyro.json").problem["class"]["kind"] == "gyro.csv"
     assert shaken["chip_ns"] == 10_000_000
-    line = cep.refuses("optimize", "--class", "gyro.csv", "--chip-ns", "1000000000", *options, "-o", "long.json")
-    assert "gyro.csv: 8.0 s does not fit the trace of 2 s; the exposure is --chips times --chip-ns" in line
+    line = cep.refuses(
+        "optimize", "--class", "gyro.csv", "--chip-ns", "1000000000", *options, "-o", "long.json"
+    )
+    assert (
+        "gyro.csv: 8.0 s does not fit the trace of 2 s; the exposure is --chips times --chip-ns"
+        in line
+    )
 
 
 @pytest.mark.parametrize(
@@ -380,14 +545,26 @@ def test_one_code_for_walks_and_for_shakes_of_a_recording(cep, workplace):
             "--class: not valid with --all, which searches one code for many motions",
         ),
         (("--all", "empty", "--motions", "5"), "--motions: needs --class"),
-        (("--class", "walks", "--trajectory", "trajectory.json"), "--trajectory: not valid with --class"),
+        (
+            ("--class", "walks", "--trajectory", "trajectory.json"),
+            "--trajectory: not valid with --class",
+        ),
         (("--class", "walks", "--linear", "30"), "--linear: not valid with --class"),
         (("--class", "walks", "--direction", "forward"), "--direction: not valid with --class"),
         (("--class", "walks", "--speed", "0.9:1.1"), "--speed: not valid with --class"),
-        (("--class", "walks", "--method", "exact"), "--method: a code for a class of motions needs anneal"),
+        (
+            ("--class", "walks", "--method", "exact"),
+            "--method: a code for a class of motions needs anneal",
+        ),
         (("--class", "walks", "--length", "0"), "--length: must lie within 1..1000 px, got 0"),
-        (("--class", "walks", "--objective", "min-mtf"), "--objective: a class is searched by noise or mse alone"),
-        (("--class", "wals"), "--class: must be walks or a gyro recording, and there is no file wals"),
+        (
+            ("--class", "walks", "--objective", "min-mtf"),
+            "--objective: a class is searched by noise or mse alone",
+        ),
+        (
+            ("--class", "wals"),
+            "--class: must be walks or a gyro recording, and there is no file wals",
+        ),
         (("--class", "trajectory.json"), "trajectory.json: "),
         (("--linear", "30", "--length", "20"), "--length: needs --class"),
     ],
@@ -408,7 +585,17 @@ def test_a_full_disk_loses_no_code_and_names_the_file(cep, workplace, monkeypatc
         disk.setattr(Path, "write_text", full)
         told = cep.fails(*asked, "-o", "best.json")
         two = cep.fails(
-            "optimize", "--linear", "14", "--chips", "6", "--frames", "2", "--steps", "200", "-o", "two.json"
+            "optimize",
+            "--linear",
+            "14",
+            "--chips",
+            "6",
+            "--frames",
+            "2",
+            "--steps",
+            "200",
+            "-o",
+            "two.json",
         )
     assert told == "cep: best.json: No space left on device; found: 11111001101010\n"
     assert re.search(r"two_1.json: No space left on device; found: [01]{6}, [01]{6}\n$", two)
@@ -420,7 +607,19 @@ def test_a_full_disk_loses_no_code_and_names_the_file(cep, workplace, monkeypatc
 
 
 def test_a_proof_in_blocks_is_kept_continued_and_audited(cep, workplace):
-    asked = ("optimize", "--linear", "14", "--chips", "14", "--method", "exact", "--workers", "1", "--cache", "kept")
+    asked = (
+        "optimize",
+        "--linear",
+        "14",
+        "--chips",
+        "14",
+        "--method",
+        "exact",
+        "--workers",
+        "1",
+        "--cache",
+        "kept",
+    )
     found = cep.succeeds(*asked, "-o", "best.json")
     assert found["proven"]
     assert found["bits"] == "11111001101010"
@@ -429,10 +628,28 @@ def test_a_proof_in_blocks_is_kept_continued_and_audited(cep, workplace):
     assert Path("kept/proof.jsonl").read_text() == lines
     audited = cep.succeeds("audit", "kept/proof.jsonl", "--blocks", "20")
     assert (audited["holds"], audited["bits"]) == (True, "1111100110101")
-    other = ("optimize", "--linear", "15", "--chips", "15", "--method", "exact", "--cache", "kept", "-o", "other.json")
+    other = (
+        "optimize",
+        "--linear",
+        "15",
+        "--chips",
+        "15",
+        "--method",
+        "exact",
+        "--cache",
+        "kept",
+        "-o",
+        "other.json",
+    )
     assert "a proof for 14 chips" in cep.refuses(*other)
     Path("kept/proof.jsonl").write_text("".join(line for line in lines.splitlines(True)[:-1]))
-    assert "the proof does not hold: the block of prefixes" in cep.refuses("audit", "kept/proof.jsonl")
-    assert "--linear: not valid with a proof" in cep.refuses("audit", "kept/proof.jsonl", "--linear", "5")
-    assert "--workers: a proof in blocks needs --cache" in cep.refuses(*asked[:-2], "-o", "new.json")
+    assert "the proof does not hold: the block of prefixes" in cep.refuses(
+        "audit", "kept/proof.jsonl"
+    )
+    assert "--linear: not valid with a proof" in cep.refuses(
+        "audit", "kept/proof.jsonl", "--linear", "5"
+    )
+    assert "--workers: a proof in blocks needs --cache" in cep.refuses(
+        *asked[:-2], "-o", "new.json"
+    )
     assert not Path("other.json").exists()

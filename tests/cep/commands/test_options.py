@@ -14,7 +14,18 @@ from cep.commands.commands import in_options
 from cep.commands.main import app
 from lab.commands import bench
 
-GYRO = ["--method", "gyro", "--gyro", "gyro.csv", "--focal", "900", "--start", "0.1", "--exposure", "0.05"]
+GYRO = [
+    "--method",
+    "gyro",
+    "--gyro",
+    "gyro.csv",
+    "--focal",
+    "900",
+    "--start",
+    "0.1",
+    "--exposure",
+    "0.05",
+]
 FINE = {
     "calibrate": ["blurred.png", *GYRO],
     "calibration-set": ["--photos", "2", "--chips", "8"],
@@ -55,9 +66,16 @@ def declared(function):
     """Each option's long name with its Python type; arguments are left out."""
     hints = typing.get_type_hints(function, include_extras=True)
     for name in inspect.signature(function).parameters:
-        kind, *about = typing.get_args(hints[name]) if typing.get_origin(hints[name]) is typing.Annotated else (None,)
+        kind, *about = (
+            typing.get_args(hints[name])
+            if typing.get_origin(hints[name]) is typing.Annotated
+            else (None,)
+        )
         if about and isinstance(about[0], typer.models.OptionInfo):
-            names = (about[0].default, *about[0].param_decls)  # in an Annotated the first name stands for the default
+            names = (
+                about[0].default,
+                *about[0].param_decls,
+            )  # in an Annotated the first name stands for the default
             yield max(names, key=len), kind
 
 
@@ -85,12 +103,14 @@ def refused(cep, workplace):
     return run
 
 
-# -- a wrong value --------------------------------------------------------------------------------------------------
+# -- a wrong value --------------------------------------------------------------------------------
 
 
 def test_all_commands_are_walked():
     assert {name for name in functions() if not name.startswith("hw ")} - {"upload"} == set(FINE)
-    assert {"--steps", "--photons", "--focal", "--drift", "--flips", "--workers"} <= {name for _, name, _ in numeric()}
+    assert {"--steps", "--photons", "--focal", "--drift", "--flips", "--workers"} <= {
+        name for _, name, _ in numeric()
+    }
 
 
 @pytest.mark.parametrize(("command", "option", "kind"), list(numeric()))
@@ -109,16 +129,28 @@ def test_an_exposure_is_the_same_text_in_every_command(refused, command):
     assert {"advise", "calibrate", "demo", "optimize"} == set(EXPOSED)
     for value in ("1/0", "-0.05", "soon", "20 minutes"):
         line = refused(command, "--exposure", value)
-        assert line.strip() == f"cep: --exposure: must be a time above 0 as 1/30, 0.02, 20ms or 500us, got {value!r}"
+        assert (
+            line.strip()
+            == f"cep: --exposure: must be a time above 0 as 1/30, 0.02, 20ms or 500us, got {value!r}"
+        )
 
 
 @pytest.mark.parametrize(
     ("command", "given", "option"),
     [
-        *(("optimize", ["--open", value], "--open") for value in ("0", "9:3", "1:13", "x", "nan", "")),
-        *(("optimize", ["--duty", value], "--duty") for value in ("2:3", "nan:nan", "0.9:0.1", "x", "0.301:0.302")),
+        *(
+            ("optimize", ["--open", value], "--open")
+            for value in ("0", "9:3", "1:13", "x", "nan", "")
+        ),
+        *(
+            ("optimize", ["--duty", value], "--duty")
+            for value in ("2:3", "nan:nan", "0.9:0.1", "x", "0.301:0.302")
+        ),
         *(("optimize", ["--speed", value], "--speed") for value in ("0:1", "nan", "2:1", "x")),
-        *(("optimize", ["--objective", value], "--objective") for value in ("min-mtf:nan", "noise:0", "x", ",")),
+        *(
+            ("optimize", ["--objective", value], "--objective")
+            for value in ("min-mtf:nan", "noise:0", "x", ",")
+        ),
         *(("optimize", ["--fixed", value], "--fixed") for value in ("2", "1" * 13, "0" * 12)),
         ("optimize", ["--rule", "x"], "--rule"),
         ("optimize", ["--direction", "x"], "--direction"),
@@ -128,9 +160,17 @@ def test_an_exposure_is_the_same_text_in_every_command(refused, command):
         ("optimize", ["--min-open", "13"], "--min-open"),
         ("optimize", ["--min-open", "5", "--open", "2:4"], "--min-open"),
         ("optimize", ["--min-open", "5", "--open", "2:4"], "--open"),
-        ("optimize", ["--min-open", "5", "--max-open", "4"], "--min-open 5 and --max-open 4 conflict"),
+        (
+            "optimize",
+            ["--min-open", "5", "--max-open", "4"],
+            "--min-open 5 and --max-open 4 conflict",
+        ),
         ("pareto", ["--min-period", "7", "--open", "9", "--max-open", "3"], "--min-period 7"),
-        ("optimize", ["--frames", "2", "--method", "exact", "--steps", "1"], "--steps: not valid with --method exact"),
+        (
+            "optimize",
+            ["--frames", "2", "--method", "exact", "--steps", "1"],
+            "--steps: not valid with --method exact",
+        ),
         ("optimize", ["--device", "flc", "--chip-ns", "7"], "--chip-ns"),
         ("pareto", ["--open", "13"], "--open"),
         ("pareto", ["--duty", "nan:1"], "--duty"),
@@ -166,7 +206,9 @@ def test_a_bad_value_is_refused_by_the_options_name(refused, command, given, opt
 
 def test_a_wrong_code_given_as_an_argument_is_named(cep, workplace):
     assert cep.refuses("audit", "10112").startswith("cep: CODE: only 0 and 1")
-    assert cep.refuses("export", "0000", "--format", "csv").startswith("cep: CODE: all chips are closed")
+    assert cep.refuses("export", "0000", "--format", "csv").startswith(
+        "cep: CODE: all chips are closed"
+    )
 
 
 def test_what_is_wrong_in_a_file_keeps_the_files_name_and_field(cep, workplace):
@@ -183,12 +225,20 @@ def param(name, *opts, kind="option", metavar=None):
     ("message", "given", "translated"),
     [
         ("exposure_s: must be above 0, got -1", (), "--exposure: must be above 0, got -1"),
-        ("start_s and exposure_s: need a recording", (), "--start and --exposure: need a recording"),
+        (
+            "start_s and exposure_s: need a recording",
+            (),
+            "--start and --exposure: need a recording",
+        ),
         ("open_range: fewest 9 is above most 3", (), "--open: fewest 9 is above most 3"),
         ("open_range: fewest 9 is above most 3", ("duty",), "--duty: fewest 9 is above most 3"),
         ("min_open: conflicts with 3 (open_range)", (), "--min-open: conflicts with 3 (--open)"),
         ("sharp: not valid with method='pmp'", (), "--sharp: not valid with --method pmp"),
-        ("method: must be one of min_open, got 'min_open'", (), "--method: must be one of --min-open, got 'min_open'"),
+        (
+            "method: must be one of min_open, got 'min_open'",
+            (),
+            "--method: must be one of --min-open, got 'min_open'",
+        ),
         ("bits: only 0 and 1", (), "CODE: only 0 and 1"),
         ("fixed (1 open): no code", (), "fixed (1 open): no code"),
         ("method (1 open): no code", (), "--method (1 open): no code"),
@@ -202,24 +252,34 @@ def param(name, *opts, kind="option", metavar=None):
         ("scene: is empty", (), "scene: is empty"),
         ("scene: needs size=3", (), "scene: needs size=3"),
         ("my_photo.png: is empty", (), "my_photo.png: is empty"),
-        ("camera.json: exposure_s: must be a number", (), "camera.json: exposure_s: must be a number"),
+        (
+            "camera.json: exposure_s: must be a number",
+            (),
+            "camera.json: exposure_s: must be a number",
+        ),
         ("--open: must lie within 1..9 (min_open)", (), "--open: must lie within 1..9 (min_open)"),
         ("the photo is black", (), "the photo is black"),
     ],
 )
 def test_parameters_are_translated_into_options(message, given, translated):
     params = [
-        param("code", "code", kind="argument", metavar="CODE"), param("exposure", "--exposure"),
+        param("code", "code", kind="argument", metavar="CODE"),
+        param("exposure", "--exposure"),
         param("start", "--start"),
-        param("open_chips", "--open", "-k"), param("duty", "--duty"), param("min_open", "--min-open"),
-        param("method", "--method"), param("sharp", "--sharp"),
-    ]  # fmt: skip
+        param("open_chips", "--open", "-k"),
+        param("duty", "--duty"),
+        param("min_open", "--min-open"),
+        param("method", "--method"),
+        param("sharp", "--sharp"),
+    ]
     source = {name: SimpleNamespace(name="COMMANDLINE") for name in given}
-    context = SimpleNamespace(command=SimpleNamespace(params=params), get_parameter_source=source.get)
+    context = SimpleNamespace(
+        command=SimpleNamespace(params=params), get_parameter_source=source.get
+    )
     assert in_options(message, context) == translated
 
 
-# -- help pages -----------------------------------------------------------------------------------------------------
+# -- help pages -----------------------------------------------------------------------------------
 
 
 @pytest.fixture(params=[60, 80, 120])
@@ -248,7 +308,8 @@ def test_a_long_page_is_in_panels_and_the_common_options_come_last(cep, monkeypa
     monkeypatch.setenv("COLUMNS", "80")
     cep(command, "--help")
     panels = re.split(r"^╭─ (.*?) ─*╮$", cep.out, flags=re.MULTILINE)[1:]
-    titles, bodies = panels[::2], panels[1::2]
+    titles = panels[::2]
+    bodies = panels[1::2]
     assert titles[-1] == "Common options"
     assert "--help" in bodies[-1]
     assert max(len(re.findall(r"^│ \*? *-", body, flags=re.MULTILINE)) for body in bodies) <= 10
@@ -260,4 +321,7 @@ def test_an_example_can_be_copied_as_it_stands(cep, monkeypatch):
     examples = cep.out.split("Examples:")[1].replace("\\\n", " ")
     lines = [" ".join(line.split()) for line in examples.splitlines() if line.strip()]
     assert all(line.startswith("cep optimize ") for line in lines)
-    assert "cep optimize --trajectory motion/trajectory.json --chips 40 --duty 0.4:0.6 -o code.json" in lines
+    assert (
+        "cep optimize --trajectory motion/trajectory.json --chips 40 --duty 0.4:0.6 -o code.json"
+        in lines
+    )

@@ -13,17 +13,46 @@ from motdiff.files.trajectories import read_motion
 
 FILES = {
     "optimize": ("optimize", "--linear", "8", "--chips", "8", "-o", "OUT.json"),
-    "optimize --frames": ("optimize", "--linear", "8", "--chips", "8", "--frames", "2", "-o", "OUT.json"),
+    "optimize --frames": (
+        "optimize",
+        "--linear",
+        "8",
+        "--chips",
+        "8",
+        "--frames",
+        "2",
+        "-o",
+        "OUT.json",
+    ),
     "pareto": ("pareto", "--linear", "8", "--chips", "8", "-o", "OUT.json", "--plot", "free.png"),
     "pareto --plot": ("pareto", "--chips", "8", "-o", "free.json", "--plot", "OUT.png"),
     "audit": ("audit", "1011", "-o", "OUT.json"),
     "mtf": ("mtf", "--linear", "8", "-o", "OUT.png"),
     "simulate": ("simulate", "sharp.png", "--linear", "8", "-o", "OUT.png"),
     "deblur": ("deblur", "blurred.png", "--trajectory", "trajectory.json", "-o", "OUT.png"),
-    "refine": ("refine", "blurred.png", "--code", "1101", "--trajectory", "trajectory.json", "-o", "OUT.json"),
+    "refine": (
+        "refine",
+        "blurred.png",
+        "--code",
+        "1101",
+        "--trajectory",
+        "trajectory.json",
+        "-o",
+        "OUT.json",
+    ),
     "export": ("export", "1011", "--format", "csv", "-o", "OUT.csv"),
     "upload": ("upload", "1011", "--port", "loop://", "-o", "OUT.json"),
-    "hw verify": ("hw", "verify", "1011", "--vcd", "played.vcd", "--linear", "8", "-o", "OUT.json"),
+    "hw verify": (
+        "hw",
+        "verify",
+        "1011",
+        "--vcd",
+        "played.vcd",
+        "--linear",
+        "8",
+        "-o",
+        "OUT.json",
+    ),
     "hw emulate": ("hw", "emulate", "uno", "--vcd", "OUT.vcd"),
 }
 """Commands that write a file, or files beside it."""
@@ -33,9 +62,18 @@ BESIDE = {"optimize --frames": "OUT_2.json", "simulate": "OUT_psf.mat", "hw veri
 FOLDERS = {
     "calibrate": (("calibrate", "blurred.png", "-o", "OUT"), "psf.mat"),
     "calibrate FOLDER": (("calibrate", "shots", "--method", "pmp", "-o", "OUT"), "motions.csv"),
-    "calibrate FOLDER, a photo": (("calibrate", "shots", "--method", "pmp", "-o", "OUT"), "blurred/psf.mat"),
-    "optimize --each": (("optimize", "--each", "motions", "--chips", "8", "-o", "OUT"), "codes.csv"),
-    "optimize --each, a motion": (("optimize", "--each", "motions", "--chips", "8", "-o", "OUT"), "one/code.json"),
+    "calibrate FOLDER, a photo": (
+        ("calibrate", "shots", "--method", "pmp", "-o", "OUT"),
+        "blurred/psf.mat",
+    ),
+    "optimize --each": (
+        ("optimize", "--each", "motions", "--chips", "8", "-o", "OUT"),
+        "codes.csv",
+    ),
+    "optimize --each, a motion": (
+        ("optimize", "--each", "motions", "--chips", "8", "-o", "OUT"),
+        "one/code.json",
+    ),
     "demo": (("demo", "-o", "OUT"), DEMO_FILES[-1]),
     "bench": (("bench", "--quick", "-o", "OUT"), "README.md"),
     "bench, its last table": (("bench", "--quick", "-o", "OUT"), "cep-ours/cep.csv"),
@@ -47,16 +85,31 @@ FOLDERS = {
 """Commands that write a folder, which is made when it is missing, and a file in it."""
 
 WORK = (
-    "cep.files.images.decode", "cep.calibration.calibrate.make_estimator", "cep.search.optimize.search",
-    "cep.search.frames.search_code", "lab.fronts.run.pareto_front", "cep.proofs.audit.certify",
+    "cep.files.images.decode",
+    "cep.calibration.calibrate.make_estimator",
+    "cep.search.optimize.search",
+    "cep.search.frames.search_code",
+    "lab.fronts.run.pareto_front",
+    "cep.proofs.audit.certify",
     "cep.plots.mtf_curves.mtf_curve",
-    "cep.restoration.restore", "cep.jobs.engine.run_cells", "lab.bench.coded.job.measure_coded",
-    "hw.drivers.finding.open_controller", "cep.shutter.playback.read_capture", "hw.emulation.uno.EmulatedUno",
-    "hw.export.csv_edges.export", "cep.report.demo_chain.run_chain", "cep.report.demo_scene.bundled_scene",
-)  # fmt: skip
+    "cep.restoration.restore",
+    "cep.jobs.engine.run_cells",
+    "lab.bench.coded.job.measure_coded",
+    "hw.drivers.finding.open_controller",
+    "cep.shutter.playback.read_capture",
+    "hw.emulation.uno.EmulatedUno",
+    "hw.export.csv_edges.export",
+    "cep.report.demo_chain.run_chain",
+    "cep.report.demo_scene.bundled_scene",
+)
 
 
-BINDING = ("lab.bench.blind.run.", "lab.bench.codes.", "cep.calibration.calibrate_folder.", "cep.search.optimize.")
+BINDING = (
+    "lab.bench.blind.run.",
+    "lab.bench.codes.",
+    "cep.calibration.calibrate_folder.",
+    "cep.search.optimize.",
+)
 """Modules that bind some of these names when they are imported, which must not be while they are replaced."""
 
 
@@ -86,7 +139,10 @@ def put(arguments, place):
 
 
 def everything(folder):
-    return {str(item): item.read_bytes() if item.is_file() else None for item in sorted(Path(folder).rglob("*"))}
+    return {
+        str(item): item.read_bytes() if item.is_file() else None
+        for item in sorted(Path(folder).rglob("*"))
+    }
 
 
 @pytest.fixture
@@ -141,5 +197,7 @@ def test_a_refusal_loads_nothing_heavy(workplace):
         "assert code == 2 and not heavy, heavy"
     )
     arguments = put(FILES["deblur"], "file/out")
-    done = subprocess.run([sys.executable, "-c", code, *arguments], check=False, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], check=False, capture_output=True, text=True
+    )
     assert (done.returncode, done.stderr.count("\n")) == (0, 1), done.stderr

@@ -55,9 +55,15 @@ print(json.dumps({"code": code, "shown": shown, "last": Terminal.text}))
     [
         (("calibrate", "small.png"), "estimating the motion (motdiff)"),
         (("calibrate", "small"), "estimating the motion (motdiff)"),
-        (("deblur", "blurred.png", "--trajectory", "trajectory.json", "-o", "out.txt"), "restoring"),
+        (
+            ("deblur", "blurred.png", "--trajectory", "trajectory.json", "-o", "out.txt"),
+            "restoring",
+        ),
         (("deblur", "blurred.png", "--code", "1101", "-o", "out.txt"), "restoring"),
-        (("refine", "small.png", "--code", "1101", "--trajectory", "nowhere.json"), "refining the motion"),
+        (
+            ("refine", "small.png", "--code", "1101", "--trajectory", "nowhere.json"),
+            "refining the motion",
+        ),
         (("demo", "--photo", "small.png"), "starting"),
         (("optimize", "--linear", "12", "--chips", "12", "--open", "13"), "searching"),
         (("optimize", "--each", "nowhere"), "searching"),
@@ -71,7 +77,9 @@ def test_something_is_shown_before_anything_slow_is_loaded(workplace, arguments,
     """On a terminal, in a fresh interpreter; each command fails soon, and what it showed is gone then."""
     write_image("small.png", np.random.default_rng(0).random((30, 30)))
     (workplace / "small").mkdir()
-    ran = subprocess.run([sys.executable, "-c", FIRST, *arguments], capture_output=True, text=True, check=True)
+    ran = subprocess.run(
+        [sys.executable, "-c", FIRST, *arguments], capture_output=True, text=True, check=True
+    )
     found = json.loads(ran.stdout)
     assert found["code"] == 2
     assert found["shown"]
@@ -140,7 +148,13 @@ GYRO = ("--gyro", "gyro.csv", "--focal", "500", "--start", "0.2", "--exposure", 
 
 @pytest.mark.parametrize(
     ("method", "more"),
-    [("motdiff", ()), ("pmp", ()), ("reference", ("--sharp", "sharp.png")), ("point", ()), ("gyro", GYRO)],
+    [
+        ("motdiff", ()),
+        ("pmp", ()),
+        ("reference", ("--sharp", "sharp.png")),
+        ("point", ()),
+        ("gyro", GYRO),
+    ],
 )
 def test_the_share_of_a_calibration_rises_to_one(cep, workplace, told, quick_blind, method, more):
     light = np.zeros((120, 120))
@@ -161,7 +175,16 @@ def test_the_share_of_a_calibration_rises_to_one(cep, workplace, told, quick_bli
         ("--linear", "12", "--chips", "12", "--steps", "3000"),
         ("--linear", "12", "--chips", "12", "--method", "exact"),
         ("--linear", "12", "--chips", "12", "--frames", "2", "--steps", "3000"),
-        ("--linear", "12", "--chips", "3", "--fixed", "101", "--steps", "3000"),  # no other code: nothing to search
+        (
+            "--linear",
+            "12",
+            "--chips",
+            "3",
+            "--fixed",
+            "101",
+            "--steps",
+            "3000",
+        ),  # no other code: nothing to search
     ],
 )
 def test_the_share_of_a_search_rises_to_one(cep, workplace, told, options):
@@ -184,7 +207,8 @@ class Terminal(io.StringIO):
 
     def __init__(self, name, log):
         super().__init__()
-        self.name, self.log = name, log
+        self.name = name
+        self.log = log
 
     def isatty(self):
         return True
@@ -195,7 +219,9 @@ class Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize("options", [(), ("--linear", "7"), ("--json",)])
-def test_the_answer_goes_to_stdout_after_the_bar_is_gone(workplace, monkeypatch, quick_blind, options):
+def test_the_answer_goes_to_stdout_after_the_bar_is_gone(
+    workplace, monkeypatch, quick_blind, options
+):
     """On one terminal of 80 columns, where the answer would follow the bar on its line."""
     write_image("photo.png", blur_valid(np.random.default_rng(0).random((120, 120)), BENT.psf(16)))
     log = []
@@ -220,16 +246,26 @@ def split_at_stdout(log):
 
 def calls_in(tree):
     """Names of the functions that code calls itself: not those that it passes on."""
-    return {node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
+    return {
+        node.func.id
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    }
 
 
-@pytest.mark.parametrize("file", sorted(Path(cep.commands.__file__).parent.glob("*.py")), ids=lambda file: file.stem)
+@pytest.mark.parametrize(
+    "file", sorted(Path(cep.commands.__file__).parent.glob("*.py")), ids=lambda file: file.stem
+)
 def test_no_command_prints_while_its_bar_is_shown(file):
     tree = ast.parse(file.read_text(encoding="utf-8"))
-    functions = {node.name: calls_in(node) for node in tree.body if isinstance(node, ast.FunctionDef)}
+    functions = {
+        node.name: calls_in(node) for node in tree.body if isinstance(node, ast.FunctionDef)
+    }
     printing = {"finish", "finish_folder", "complain", "warn"}
     while more := {name for name, calls in functions.items() if calls & printing} - printing:
         printing |= more
     for node in ast.walk(tree):
-        if isinstance(node, ast.With) and "progress" in {name for item in node.items for name in calls_in(item)}:
+        if isinstance(node, ast.With) and "progress" in {
+            name for item in node.items for name in calls_in(item)
+        }:
             assert not set().union(*map(calls_in, node.body)) & printing, f"line {node.lineno}"

@@ -26,7 +26,10 @@ def photos(tmp_path, monkeypatch):
     scene = 0.1 + 0.8 * np.kron(rng.random((30, 30)), np.ones((8, 8)))
     for name, code in zip(("one.png", "two.png"), CODES, strict=True):
         write_image(name, capture(scene, PATH, ShutterCode(code), rng=rng), bits=16)
-    write_motion("trajectory.json", StoredMotion(PATH, source={"method": "test", "path_uncertainty_px": 0.5}))
+    write_motion(
+        "trajectory.json",
+        StoredMotion(PATH, source={"method": "test", "path_uncertainty_px": 0.5}),
+    )
     return tmp_path
 
 
@@ -36,9 +39,21 @@ def test_refine_writes_a_trajectory_that_says_how_sure_it_is(cep, photos):
     times = np.linspace(0, 1, 101)
     wave = np.stack([np.sin(2 * np.pi * times), np.cos(2 * np.pi * times)], axis=1)  # 1 px rms
     rough = Trajectory.from_samples(PATH.at(times) + wave, t=times)
-    write_motion("rough.json", StoredMotion(rough, source={"method": "test", "path_uncertainty_px": 1.0}))
-    found = cep.succeeds("refine", "one.png", "two.png", *codes, "--trajectory", "rough.json", "-o", "better.json")
-    assert {"trajectory", "kept", "confidence", "path_uncertainty_px", "direction", "seconds", "warnings"} <= set(found)
+    write_motion(
+        "rough.json", StoredMotion(rough, source={"method": "test", "path_uncertainty_px": 1.0})
+    )
+    found = cep.succeeds(
+        "refine", "one.png", "two.png", *codes, "--trajectory", "rough.json", "-o", "better.json"
+    )
+    assert {
+        "trajectory",
+        "kept",
+        "confidence",
+        "path_uncertainty_px",
+        "direction",
+        "seconds",
+        "warnings",
+    } <= set(found)
     stored = read_motion("better.json")
     assert stored.source["codes"] == list(CODES)
     assert stored.source["path_uncertainty_px"] == found["path_uncertainty_px"] < 1.0
@@ -60,7 +75,10 @@ def test_deblur_without_a_trajectory_says_first_what_was_restored(cep, photos):
     [
         (["one.png"], ["--trajectory", "needed"]),
         (["one.png", "--trajectory", "trajectory.json"], ["--code", "needed"]),
-        (["one.png", "two.png", "--code", CODES[0], "--trajectory", "trajectory.json"], ["--code", "1 for 2 photos"]),
+        (
+            ["one.png", "two.png", "--code", CODES[0], "--trajectory", "trajectory.json"],
+            ["--code", "1 for 2 photos"],
+        ),
         (["one.png", "--code", CODES[0], "--trajectory", "missing.json"], ["missing.json"]),
         (["missing.png", "--code", CODES[0], "--trajectory", "trajectory.json"], ["missing.png"]),
         (
@@ -68,27 +86,68 @@ def test_deblur_without_a_trajectory_says_first_what_was_restored(cep, photos):
             ["cep: flat.png: the photo is the same all over"],
         ),
         (
-            ["one.png", "flat.png", "--code", CODES[0], "--code", CODES[1], "--trajectory", "trajectory.json"],
+            [
+                "one.png",
+                "flat.png",
+                "--code",
+                CODES[0],
+                "--code",
+                CODES[1],
+                "--trajectory",
+                "trajectory.json",
+            ],
             ["cep: flat.png: the photo is the same all over"],
         ),
         (
-            ["one.png", "two.png", "--code", "code.json", "--code", "slow.json", "--trajectory", "trajectory.json"],
+            [
+                "one.png",
+                "two.png",
+                "--code",
+                "code.json",
+                "--code",
+                "slow.json",
+                "--trajectory",
+                "trajectory.json",
+            ],
             ["code 2: its chips last 500000 ns"],
         ),
         (
-            ["one.png", "--code", "slow.json", "--trajectory", "trajectory.json", "--force", "-o", "slow.json"],
+            [
+                "one.png",
+                "--code",
+                "slow.json",
+                "--trajectory",
+                "trajectory.json",
+                "--force",
+                "-o",
+                "slow.json",
+            ],
             ["slow.json: is what is read"],
         ),
         (
-            ["one.png", "--code", CODES[0], "--trajectory", "trajectory.json", "--uncertainty", "0"],
+            [
+                "one.png",
+                "--code",
+                CODES[0],
+                "--trajectory",
+                "trajectory.json",
+                "--uncertainty",
+                "0",
+            ],
             ["--uncertainty: must be above 0"],
         ),
-        (["one.png", "--code", "open", "--trajectory", "trajectory.json"], ["order cannot be known"]),
+        (
+            ["one.png", "--code", "open", "--trajectory", "trajectory.json"],
+            ["order cannot be known"],
+        ),
         (
             ["one.png", "--code", CODES[0], "--trajectory", "trajectory.json", "-o", "one.png"],
             ["one.png", "is what is"],
         ),
-        (["one.png", "--code", CODES[0], "--trajectory", "odd.json"], ["odd.json", "path_uncertainty_px"]),
+        (
+            ["one.png", "--code", CODES[0], "--trajectory", "odd.json"],
+            ["odd.json", "path_uncertainty_px"],
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(cep, photos, arguments, words):
@@ -104,7 +163,9 @@ def test_bad_input_is_one_line_and_writes_nothing(cep, photos, arguments, words)
     assert sorted(photos.rglob("*")) == before
 
 
-@pytest.mark.parametrize(("photo", "words"), [("small.png", "at least 48 x 48 px"), ("flat.png", "the same all over")])
+@pytest.mark.parametrize(
+    ("photo", "words"), [("small.png", "at least 48 x 48 px"), ("flat.png", "the same all over")]
+)
 def test_a_photo_that_shows_no_motion_is_refused_before_the_search(cep, photos, photo, words):
     write_image("small.png", np.random.default_rng(0).random((40, 60)))
     write_image("flat.png", np.full((80, 80), 0.4))

@@ -33,7 +33,11 @@ def test_the_same_bytes(cep, workplace, monkeypatch, name):
         arguments = COMMANDS[name].replace("OUT", str(cores)).split()
         cep.succeeds(*arguments)
     first, second = (
-        {item.relative_to(cores): item.read_bytes() for item in Path(cores).rglob("*") if item.is_file()}
+        {
+            item.relative_to(cores): item.read_bytes()
+            for item in Path(cores).rglob("*")
+            if item.is_file()
+        }
         for cores in ("1", "3")
     )
     assert first.keys() == second.keys() != set()

@@ -15,9 +15,13 @@ from cep.studio.state import read_setting
 from cep.studio.views import Views
 
 SETTING = {
-    "motion": {"kind": "example", "name": "shake"}, "bits": "1101000111010110", "exposure": "20ms",
-    "camera": "video-8bit", "photons": 2000, "open": [6, 10],
-}  # fmt: skip
+    "motion": {"kind": "example", "name": "shake"},
+    "bits": "1101000111010110",
+    "exposure": "20ms",
+    "camera": "video-8bit",
+    "photons": 2000,
+    "open": [6, 10],
+}
 
 
 @pytest.fixture
@@ -86,7 +90,9 @@ def extracted(cep, saved, **changes):
     cep("studio", saved, "--extract", "design")
     design = saved.parent / "design"
     if cep.code == 0:
-        files = [str(Path("design") / name) for name in ("trajectory.json", "code.json", "commands.sh")]
+        files = [
+            str(Path("design") / name) for name in ("trajectory.json", "code.json", "commands.sh")
+        ]
         assert [line.strip() for line in cep.out.splitlines()][-3:] == files
         return (design / "commands.sh").read_text().splitlines()
     assert cep.code == 2
@@ -96,7 +102,9 @@ def extracted(cep, saved, **changes):
 
 
 def test_the_commands_are_made_from_the_state_and_not_copied(cep, saved):
-    lines = extracted(cep, saved, commands=[HOSTILE, "rm -rf ~"], state__junk=HOSTILE, extra=HOSTILE)
+    lines = extracted(
+        cep, saved, commands=[HOSTILE, "rm -rf ~"], state__junk=HOSTILE, extra=HOSTILE
+    )
     assert lines[0].startswith(FIRST_LINE)
     assert all(shlex.split(line)[0] == "cep" for line in lines)
     assert "touch" not in "".join(lines)
@@ -104,11 +112,23 @@ def test_the_commands_are_made_from_the_state_and_not_copied(cep, saved):
 
 
 @pytest.mark.parametrize(
-    "value", [HOSTILE, "20\nms", "20ms\n", "20ms; touch ran", "--force", "\x1b[2J", 7, 10**400, [HOSTILE]]
+    "value",
+    [HOSTILE, "20\nms", "20ms\n", "20ms; touch ran", "--force", "\x1b[2J", 7, 10**400, [HOSTILE]],
 )
 @pytest.mark.parametrize(
     "field",
-    ["camera", "device", "exposure", "bits", "photons", "read_noise", "path_error", "min_open", "max_pulses", "open"],
+    [
+        "camera",
+        "device",
+        "exposure",
+        "bits",
+        "photons",
+        "read_noise",
+        "path_error",
+        "min_open",
+        "max_pulses",
+        "open",
+    ],
 )
 def test_a_state_with_a_hostile_field_is_refused_by_its_name(cep, saved, field, value):
     if field in ("photons", "read_noise") and value == 7:
@@ -145,7 +165,7 @@ def test_a_state_with_a_hostile_field_is_refused_by_its_name(cep, saved, field, 
         ("code__problem", {"device": {"name": HOSTILE}}, "code.problem.device"),
         ("commands", [{}], "commands"),
     ],
-)  # fmt: skip
+)
 def test_a_part_that_is_not_what_the_state_says_is_refused(cep, saved, field, value, named):
     assert named in extracted(cep, saved, **{field: value})
 
@@ -154,7 +174,11 @@ def test_what_is_extracted_besides_is_made_from_the_state_too(cep, saved):
     measured = json.loads(saved.read_text())["code"]["metrics"]["min_mtf"]
     extracted(cep, saved, code__metrics={"min_mtf": 0.75}, trajectory__source={"method": HOSTILE})
     design = saved.parent / "design"
-    assert json.loads((design / "code.json").read_text())["metrics"]["min_mtf"] == pytest.approx(measured) != 0.75
+    assert (
+        json.loads((design / "code.json").read_text())["metrics"]["min_mtf"]
+        == pytest.approx(measured)
+        != 0.75
+    )
     assert "touch" not in (design / "trajectory.json").read_text()
 
 
@@ -170,7 +194,9 @@ def test_the_shutter_of_the_state_goes_with_the_code(cep, saved):
 def test_a_page_is_not_begun_with_a_malformed_state(cep, saved):
     document = json.loads(saved.read_text())
     saved.write_text(json.dumps({**document, "state": {**document["state"], "photons": "many"}}))
-    assert "state.photons: must be a number within 1 to" in cep.refuses("studio", saved, "--no-browser")
+    assert "state.photons: must be a number within 1 to" in cep.refuses(
+        "studio", saved, "--no-browser"
+    )
 
 
 def test_the_browser_is_led_by_a_private_file_and_its_command_line_has_no_key(cep, monkeypatch):
@@ -179,7 +205,13 @@ def test_the_browser_is_led_by_a_private_file_and_its_command_line_has_no_key(ce
     def serve_one_visit(server, sockets):
         (address,) = opened
         page = Path(unquote(urlsplit(address).path))
-        opened.append((stat.S_IMODE(page.stat().st_mode), stat.S_IMODE(page.parent.stat().st_mode), page.read_text()))
+        opened.append(
+            (
+                stat.S_IMODE(page.stat().st_mode),
+                stat.S_IMODE(page.parent.stat().st_mode),
+                page.read_text(),
+            )
+        )
         (keys,) = (made.kwargs["keys"] for made in server.config.app.user_middleware)
         assert keys.spend(keys.token)
         opened.append((keys, page.exists()))
@@ -210,9 +242,14 @@ def test_the_saved_commands_reproduce_what_the_page_showed(cep, saved, monkeypat
     for line in lines:
         command, *arguments = shlex.split(line)[1:]
         results[command] = cep.succeeds(command, *arguments)
-    picture, verdict = Views().picture(read_setting(SETTING)), Views().verdict(read_setting(SETTING))
-    assert results["audit"]["min_mtf_lower"] == pytest.approx(picture["figures"]["min_mtf_lower"], rel=1e-3)
-    assert results["audit"]["noise_gain_db"] == pytest.approx(picture["figures"]["noise_gain_db"], abs=1e-3)
+    picture = Views().picture(read_setting(SETTING))
+    verdict = Views().verdict(read_setting(SETTING))
+    assert results["audit"]["min_mtf_lower"] == pytest.approx(
+        picture["figures"]["min_mtf_lower"], rel=1e-3
+    )
+    assert results["audit"]["noise_gain_db"] == pytest.approx(
+        picture["figures"]["noise_gain_db"], abs=1e-3
+    )
     (own,) = results["advise"]["codes"]
     assert own["psnr_db"] == pytest.approx(verdict["psnr_db"], abs=1e-6)
     assert own["psnr_db"] == pytest.approx(picture["figures"]["psnr_db"], abs=0.02)

@@ -12,7 +12,9 @@ from cep.optics.code import ShutterCode
 
 def test_the_comparison_of_a_search_is_written_as_latex(cep, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    found = cep.succeeds("optimize", "--linear", "12", "--chips", "12", "--steps", "2000", "--table", "compared.tex")
+    found = cep.succeeds(
+        "optimize", "--linear", "12", "--chips", "12", "--steps", "2000", "--table", "compared.tex"
+    )
     ((caption, _, head, rows),) = read_tables(Path("compared.tex").read_text(encoding="utf-8"))
     assert caption.startswith("compared on this motion")
     assert head[:2] == ["code", "open"]
@@ -49,7 +51,9 @@ def test_every_table_of_a_page_is_written(cep, tmp_path, monkeypatch, command, h
 
 def _elsewhere(command):
     """Another output, so that only the table is in the way."""
-    return {"mtf": ("-o", "b.png"), "advise": ("-o", "b.png"), "pareto": ("-o", "b.json")}.get(command[0], ())
+    return {"mtf": ("-o", "b.png"), "advise": ("-o", "b.png"), "pareto": ("-o", "b.json")}.get(
+        command[0], ()
+    )
 
 
 def test_brackets_in_the_names_of_files_stay(cep, tmp_path, monkeypatch):

@@ -25,7 +25,9 @@ def controller():
 
 
 def test_a_code_is_loaded_read_back_and_armed(cep, workplace, controller):
-    found = cep.succeeds("upload", "code.json", "--port", controller.port, "--arm", "-o", "upload.json")
+    found = cep.succeeds(
+        "upload", "code.json", "--port", controller.port, "--arm", "-o", "upload.json"
+    )
     assert {"runs", "edges", "duration_ns", "checks", "trust"} <= set(found)
     assert found["trust"] == "A"
     assert found["armed"]
@@ -42,7 +44,9 @@ def test_what_the_controller_cannot_play_is_refused(cep, workplace, controller):
     line = cep.refuses("upload", "1101", "--port", controller.port, "--chip-ns", "1001")
     assert "tick" in line
     assert line.endswith("; search a code that can with --device cxp-avr\n")
-    assert cep.refuses("hw", "load", "1101", "--port", controller.port, "--chip-ns", "1001").endswith("cxp-avr\n")
+    assert cep.refuses(
+        "hw", "load", "1101", "--port", controller.port, "--chip-ns", "1001"
+    ).endswith("cxp-avr\n")
     line = cep.refuses("upload", "10" * 600, "--port", controller.port, "--chip-ns", "1000000")
     assert "too long" in line
 
@@ -57,7 +61,9 @@ def test_a_devices_limits_are_checked_before_the_port_is_opened(cep, workplace):
 @pytest.fixture
 def strict(workplace):
     """A code that was searched for a light that may be on for 2 ms and 3 parts of 10; its profile is gone."""
-    profile = DeviceProfile(name="strict", max_on_ns=2_000_000, max_duty=0.3, max_chip_ns=5_000_000)
+    profile = DeviceProfile(
+        name="strict", max_on_ns=2_000_000, max_duty=0.3, max_chip_ns=5_000_000
+    )
     about = {"device": profile.to_dict()}
     write_code("strict.json", StoredCode(ShutterCode("1100000000", 1_000_000), problem=about))
 
@@ -76,7 +82,9 @@ HARMFUL = ["--chip-ns", "4000000"]
     ],
     ids=lambda command: " ".join(command[:3]),
 )
-def test_the_limits_of_the_shutter_a_code_was_searched_for_are_kept(cep, workplace, strict, command):
+def test_the_limits_of_the_shutter_a_code_was_searched_for_are_kept(
+    cep, workplace, strict, command
+):
     words = list(command)
     at = 1 + (words[0] == "hw")
     line = cep.refuses(*words[:at], "strict.json", *HARMFUL, *words[at:])
@@ -89,15 +97,35 @@ def test_the_limits_of_the_shutter_a_code_was_searched_for_are_kept(cep, workpla
 def test_another_shutter_is_named_by_an_option(cep, workplace, strict, controller):
     found = cep.succeeds("export", "strict.json", "--format", "arduino", "-o", "sketch.ino")
     assert found["checks"]["device"] == "strict"
-    assert cep.succeeds("upload", "strict.json", "--port", controller.port)["checks"]["device"] == "strict"
-    generic = cep.succeeds("upload", "strict.json", *HARMFUL, "--port", controller.port, "--device", "generic")
+    assert (
+        cep.succeeds("upload", "strict.json", "--port", controller.port)["checks"]["device"]
+        == "strict"
+    )
+    generic = cep.succeeds(
+        "upload", "strict.json", *HARMFUL, "--port", controller.port, "--device", "generic"
+    )
     assert generic["checks"]["device"] == "generic"
-    assert cep.succeeds("hw", "verify", "strict.json", *HARMFUL, "--port", controller.port)["read_back"]
+    assert cep.succeeds("hw", "verify", "strict.json", *HARMFUL, "--port", controller.port)[
+        "read_back"
+    ]
 
 
 def test_the_shutter_travels_with_a_code_through_a_search_and_a_recording(cep, workplace):
-    Path("strict.toml").write_text('schema = "hw.device/1"\nname = "strict"\nmax_on_ns = 2000000\nclosed_level = 1\n')
-    search = ("--linear", "8", "--chips", "8", "--open", "3", "--method", "exact", "--device", "strict.toml")
+    Path("strict.toml").write_text(
+        'schema = "hw.device/1"\nname = "strict"\nmax_on_ns = 2000000\nclosed_level = 1\n'
+    )
+    search = (
+        "--linear",
+        "8",
+        "--chips",
+        "8",
+        "--open",
+        "3",
+        "--method",
+        "exact",
+        "--device",
+        "strict.toml",
+    )
     cep.succeeds("optimize", *search, "-o", "searched.json")
     Path("strict.toml").unlink()
     cep.succeeds("export", "searched.json", "--format", "vcd", "-o", "played.vcd")
@@ -119,7 +147,12 @@ def test_the_shutter_travels_with_a_code_through_a_search_and_a_recording(cep, w
     ],
 )
 def test_a_shutter_in_a_code_file_that_is_a_name_or_no_profile(cep, workplace, device, words):
-    document = {"schema": "cep.code/1", "bits": "1100", "chip_ns": 40_000_000, "problem": {"device": device}}
+    document = {
+        "schema": "cep.code/1",
+        "bits": "1100",
+        "chip_ns": 40_000_000,
+        "problem": {"device": device},
+    }
     Path("odd.json").write_text(json.dumps(document))
     line = cep.refuses("export", "odd.json", "--format", "csv", "-o", "out.csv")
     assert words in line
@@ -130,9 +163,15 @@ def test_a_shutter_in_a_code_file_that_is_a_name_or_no_profile(cep, workplace, d
 
 @pytest.mark.parametrize(
     ("file_format", "meant_ns", "chip_ns"),
-    [("arduino", 641_026, 641_000), ("arduino", 49_990, 50_000), ("rp2", 641_026, 641_024), ("dmd", 641_026, 641_000),
-     ("pulsepal", 10_049_000, 10_050_000), ("csv", 641_026, 641_026)],
-)  # fmt: skip
+    [
+        ("arduino", 641_026, 641_000),
+        ("arduino", 49_990, 50_000),
+        ("rp2", 641_026, 641_024),
+        ("dmd", 641_026, 641_000),
+        ("pulsepal", 10_049_000, 10_050_000),
+        ("csv", 641_026, 641_026),
+    ],
+)
 def test_an_export_rounds_the_chip_to_the_ticks_of_its_device_and_says_so(
     cep, workplace, file_format, meant_ns, chip_ns
 ):
@@ -141,7 +180,10 @@ def test_an_export_rounds_the_chip_to_the_ticks_of_its_device_and_says_so(
     assert (found["chip_ns"], found["duration_ns"]) == (chip_ns, 4 * chip_ns)
     assert EXPORTERS[file_format].parse_back(Path("out").read_text()) == Program("1101", chip_ns)
     assert len(found["warnings"]) == (chip_ns != meant_ns)
-    assert all(f"out: its chips last {chip_ns} ns instead of {meant_ns} ns" in line for line in found["warnings"])
+    assert all(
+        f"out: its chips last {chip_ns} ns instead of {meant_ns} ns" in line
+        for line in found["warnings"]
+    )
 
 
 def test_a_chip_that_rounding_would_change_by_more_than_half_a_percent_is_refused(cep, workplace):
@@ -152,7 +194,9 @@ def test_a_chip_that_rounding_would_change_by_more_than_half_a_percent_is_refuse
 def test_what_is_rounded_keeps_the_limits_of_its_shutter(cep, workplace):
     Path("sharp.toml").write_text('schema = "hw.device/1"\nname = "sharp"\nmax_on_ns = 1282600\n')
     chips = ("110", "--format", "arduino", "--device", "sharp.toml", "-o", "out.ino", "--chip-ns")
-    assert "longest opening is 1.283 ms" in cep.refuses("export", *chips, 641_300)  # 641.5 us, rounded
+    assert "longest opening is 1.283 ms" in cep.refuses(
+        "export", *chips, 641_300
+    )  # 641.5 us, rounded
     assert cep.succeeds("export", *chips, 641_200)["chip_ns"] == 641_000
     Path("out.ino").unlink()
     assert cep.succeeds("export", *chips[:4], "cxp-avr", *chips[5:], 641_026)["chip_ns"] == 641_000
@@ -168,7 +212,16 @@ def test_a_pulse_pal_plays_the_code(cep, workplace):
     from emulators.pulse_pal import PulsePal
 
     with PulsePal() as device:
-        arguments = ("upload", "1101", "--chip-ns", "200000", "--port", device.port, "--driver", "pulse-pal")
+        arguments = (
+            "upload",
+            "1101",
+            "--chip-ns",
+            "200000",
+            "--port",
+            device.port,
+            "--driver",
+            "pulse-pal",
+        )
         found = cep.succeeds(*arguments, "--play")
         assert (found["trust"], found["read_back"], found["played"]) == ("B", False, True)
         assert cep.succeeds(*arguments, "--arm")["lease_ms"] is None
@@ -179,7 +232,16 @@ def test_a_waveform_generator_plays_the_code_and_is_not_left_armed(cep, workplac
     from emulators.awg import Awg
 
     with Awg() as device:
-        arguments = ("upload", "1101", "--chip-ns", "200000", "--port", device.resource, "--driver", "scpi")
+        arguments = (
+            "upload",
+            "1101",
+            "--chip-ns",
+            "200000",
+            "--port",
+            device.resource,
+            "--driver",
+            "scpi",
+        )
         found = cep.succeeds(*arguments, "--play")
         assert (found["trust"], found["played"], found["armed"]) == ("B", True, False)
         assert (len(device.plays), device.output) == (1, False)
@@ -187,18 +249,25 @@ def test_a_waveform_generator_plays_the_code_and_is_not_left_armed(cep, workplac
         assert device.output
 
 
-def test_a_report_that_cannot_be_written_leaves_nothing_armed(cep, workplace, controller, monkeypatch):
+def test_a_report_that_cannot_be_written_leaves_nothing_armed(
+    cep, workplace, controller, monkeypatch
+):
     def full(path, text):
         assert controller.state == ARMED
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
     monkeypatch.setattr("cep.files.outputs.write_text", full)
-    assert cep("upload", "code.json", "--port", controller.port, "--arm", "-o", "upload.json").code == 1
+    assert (
+        cep("upload", "code.json", "--port", controller.port, "--arm", "-o", "upload.json").code
+        == 1
+    )
     assert cep.err == "cep: upload.json: No space left on device\n"
     assert controller.state == LOADED
 
 
-def test_ctrl_c_that_the_controller_does_not_acknowledge_is_told(cep, workplace, controller, monkeypatch):
+def test_ctrl_c_that_the_controller_does_not_acknowledge_is_told(
+    cep, workplace, controller, monkeypatch
+):
     def interrupted(*_, **__):
         error = KeyboardInterrupt()
         error.add_note("ttyX did not confirm ABORT: the shutter may still be open")
@@ -207,14 +276,23 @@ def test_ctrl_c_that_the_controller_does_not_acknowledge_is_told(cep, workplace,
     monkeypatch.setattr("hw.drivers.cxp.Controller.upload", interrupted)
     assert cep("upload", "code.json", "--port", controller.port).code == 130
     assert cep.err.splitlines() == [
-        "cep: warning: ttyX did not confirm ABORT: the shutter may still be open", "cep: interrupted",
-    ]  # fmt: skip
+        "cep: warning: ttyX did not confirm ABORT: the shutter may still be open",
+        "cep: interrupted",
+    ]
 
 
 def test_drivers_and_their_options(cep, workplace):
-    assert "must be one of cxp, pulse-pal, scpi" in cep.refuses("upload", "101", "--port", "x", "--driver", "arduino")
-    assert "only cxp does" in cep.refuses("upload", "101", "--port", "x", "--driver", "pulse-pal", "--clock-ppm", "3")
+    assert "must be one of cxp, pulse-pal, scpi" in cep.refuses(
+        "upload", "101", "--port", "x", "--driver", "arduino"
+    )
+    assert "only cxp does" in cep.refuses(
+        "upload", "101", "--port", "x", "--driver", "pulse-pal", "--clock-ppm", "3"
+    )
     assert "give one of them" in cep.refuses("upload", "101", "--port", "x", "--arm", "--play")
-    assert "there is no such port" in cep.refuses("upload", "101", "--port", "/dev/none", "--driver", "pulse-pal")
+    assert "there is no such port" in cep.refuses(
+        "upload", "101", "--port", "/dev/none", "--driver", "pulse-pal"
+    )
     pytest.importorskip("pyvisa_py")
-    assert "cep: " in cep.refuses("upload", "101", "--port", "TCPIP::127.0.0.1::1::SOCKET", "--driver", "scpi")
+    assert "cep: " in cep.refuses(
+        "upload", "101", "--port", "TCPIP::127.0.0.1::1::SOCKET", "--driver", "scpi"
+    )

@@ -11,7 +11,16 @@ from hypothesis.extra.numpy import arrays
 from scipy.io import loadmat, savemat
 from scipy.signal import convolve2d
 
-from cep.files.files import StoredCode, json_text, load_psf, plain, read_code, read_psf, write_code, write_psf
+from cep.files.files import (
+    StoredCode,
+    json_text,
+    load_psf,
+    plain,
+    read_code,
+    read_psf,
+    write_code,
+    write_psf,
+)
 from cep.files.images import read_image, write_image
 from cep.optics.code import ShutterCode
 from lab.evaluation.sets import levin_photo
@@ -19,7 +28,9 @@ from motdiff.files.trajectories import read_motion
 from motdiff.trajectory import Trajectory
 
 
-@given(st.text("01", min_size=1, max_size=80).filter(lambda bits: "1" in bits), st.integers(1, 10**12))
+@given(
+    st.text("01", min_size=1, max_size=80).filter(lambda bits: "1" in bits), st.integers(1, 10**12)
+)
 def test_a_code_survives_its_file(tmp_path_factory, bits, chip_ns):
     path = tmp_path_factory.mktemp("code") / "code.json"
     stored = StoredCode(ShutterCode(bits, chip_ns), {"min_mtf": 0.1}, {"seed": 3}, {"lower": 0.09})
@@ -49,7 +60,9 @@ def test_a_code_survives_its_file(tmp_path_factory, bits, chip_ns):
 def test_a_wrong_code_file_is_refused_in_one_line(tmp_path, change, message):
     document = {"schema": "cep.code/1", "bits": "1011", "chip_ns": 1000, **change}
     path = tmp_path / "code.json"
-    path.write_text(json.dumps({key: value for key, value in document.items() if value is not ...}))
+    path.write_text(
+        json.dumps({key: value for key, value in document.items() if value is not ...})
+    )
     with pytest.raises(ValueError, match=message) as caught:
         read_code(path)
     assert str(caught.value).startswith(str(path))
@@ -58,7 +71,9 @@ def test_a_wrong_code_file_is_refused_in_one_line(tmp_path, change, message):
 
 def test_a_byte_order_mark_as_windows_editors_write_is_no_harm(tmp_path):
     path = tmp_path / "code.json"
-    path.write_text(json.dumps({"schema": "cep.code/1", "bits": "1011", "chip_ns": 1000}), encoding="utf-8-sig")
+    path.write_text(
+        json.dumps({"schema": "cep.code/1", "bits": "1011", "chip_ns": 1000}), encoding="utf-8-sig"
+    )
     assert read_code(path).code == ShutterCode("1011", 1000)
 
 
@@ -70,7 +85,13 @@ def test_what_is_not_a_json_object_is_refused(tmp_path, text):
 
 
 def test_json_is_strict():
-    value = {"a": float("nan"), "b": [np.inf, -np.inf, 1.5], "c": np.arange(3), "d": np.float32(0.5), 1: (True, None)}
+    value = {
+        "a": float("nan"),
+        "b": [np.inf, -np.inf, 1.5],
+        "c": np.arange(3),
+        "d": np.float32(0.5),
+        1: (True, None),
+    }
     assert json.loads(json_text(value)) == {
         "a": None,
         "b": [None, None, 1.5],
@@ -79,11 +100,18 @@ def test_json_is_strict():
         "1": [True, None],
     }
     assert plain(StoredCode(ShutterCode("1"))) == {
-        "code": {"bits": "1", "chip_ns": 1_000_000}, "metrics": {}, "problem": {}, "certificate": {},
-    }  # fmt: skip
+        "code": {"bits": "1", "chip_ns": 1_000_000},
+        "metrics": {},
+        "problem": {},
+        "certificate": {},
+    }
 
 
-@given(arrays(np.float64, (5, 5), elements=st.floats(0, 1, width=32)).filter(lambda psf: psf.sum() > 0.01))
+@given(
+    arrays(np.float64, (5, 5), elements=st.floats(0, 1, width=32)).filter(
+        lambda psf: psf.sum() > 0.01
+    )
+)
 def test_a_psf_survives_its_files(tmp_path_factory, psf):
     folder = tmp_path_factory.mktemp("psf")
     npy, mat, png = write_psf(folder, psf)
@@ -105,7 +133,8 @@ def test_a_psf_survives_mat(tmp_path):
 def test_the_kernel_of_levins_files_is_turned(tmp_path):
     """There y is x convolved with f turned by 180 degrees; with what is read it is x convolved with the PSF."""
     rng = np.random.default_rng(0)
-    sharp, kernel = rng.random((40, 40)), rng.random((5, 5))
+    sharp = rng.random((40, 40))
+    kernel = rng.random((5, 5))
     blurred = convolve2d(sharp, kernel[::-1, ::-1] / kernel.sum(), mode="valid")
     savemat(tmp_path / "im01_ker01.mat", {"x": sharp[2:-2, 2:-2], "y": blurred, "f": kernel})
     psf = read_psf(tmp_path / "im01_ker01.mat")
@@ -130,7 +159,9 @@ def test_the_kernel_of_levins_files_is_turned(tmp_path):
 def test_a_damaged_header_of_numpys_format(tmp_path, header):
     path = tmp_path / "psf.npy"
     padded = header.ljust(117) + b"\n"
-    path.write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(padded)) + padded + bytes(8 * 15))
+    path.write_bytes(
+        b"\x93NUMPY\x01\x00" + struct.pack("<H", len(padded)) + padded + bytes(8 * 15)
+    )
     with pytest.raises(ValueError, match=r"psf\.npy: not a NumPy array file") as caught:
         read_psf(path)
     assert "\n" not in str(caught.value)
@@ -207,7 +238,9 @@ def test_a_restored_photo_moves_as_the_warning_of_its_psf_says(cep, workplace):
     for name, x, y in (("centred", 0, 0), ("off", 4, -2)):
         np.save(f"{name}.npy", np.roll(psf, (y, x), axis=(0, 1)))
         found = cep.succeeds("deblur", "blurred.png", "--psf", f"{name}.npy", "-o", f"{name}.png")
-        assert [("(-4.0, +2.0) px" in warning) for warning in found["warnings"]] == [True] * (name == "off")
+        assert [("(-4.0, +2.0) px" in warning) for warning in found["warnings"]] == [True] * (
+            name == "off"
+        )
         photos[name] = read_image(f"{name}.png")
     inner = (slice(40, -40), slice(40, -40))
     moved = np.roll(photos["centred"], (2, -4), axis=(0, 1))

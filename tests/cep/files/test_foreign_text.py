@@ -18,7 +18,14 @@ from hypothesis import strategies as st
 from cep.commands.console import complain, page, progress
 from cep.commands.console import table as console_table
 from cep.files.files import StoredCode, json_text, write_code
-from cep.files.foreign_text import csv_text, in_code_span, latex_text, markdown_text, plot_text, terminal_line
+from cep.files.foreign_text import (
+    csv_text,
+    in_code_span,
+    latex_text,
+    markdown_text,
+    plot_text,
+    terminal_line,
+)
 from cep.files.tables import Bold, Sheet, latex, markdown, write_sheets
 from cep.optics.code import ShutterCode
 from cep.plots import psf_figure, save
@@ -27,10 +34,31 @@ from cep.report.result_page import Report, Section, html
 from motdiff.files.inputs import printable
 
 HOSTILE = (
-    "[/bold][red]x", "[/]", ":smile:", "\x1b[2J\x1b]0;owned\x07", "\x9b31m", "a\nb\r\nc", "\u202egnp.exe", "$x^2$",
-    "a$b", r"$\frac{$", "=1+1", "@SUM(A1)", "+1+cmd|' /C calc'!A0", "-1+1", "\t=1", "<script>alert(1)</script>",
-    "a|b", "![x](http://y)", r"\input{/etc/passwd}", "100 % & #1 _ ^ ~", "`rm`", "_hidden", "\udcff.png", "写真",
-)  # fmt: skip
+    "[/bold][red]x",
+    "[/]",
+    ":smile:",
+    "\x1b[2J\x1b]0;owned\x07",
+    "\x9b31m",
+    "a\nb\r\nc",
+    "\u202egnp.exe",
+    "$x^2$",
+    "a$b",
+    r"$\frac{$",
+    "=1+1",
+    "@SUM(A1)",
+    "+1+cmd|' /C calc'!A0",
+    "-1+1",
+    "\t=1",
+    "<script>alert(1)</script>",
+    "a|b",
+    "![x](http://y)",
+    r"\input{/etc/passwd}",
+    "100 % & #1 _ ^ ~",
+    "`rm`",
+    "_hidden",
+    "\udcff.png",
+    "写真",
+)
 
 
 @pytest.fixture
@@ -87,7 +115,10 @@ def test_no_cell_of_a_spreadsheet_is_a_formula(text):
 
 
 def test_numbers_stay_numbers(tmp_path):
-    write_sheets([Sheet("", ("name", "a", "b"), [("=x", -0.25, "-1.5"), ("-", None, "+3e-07")])], tmp_path / "t.csv")
+    write_sheets(
+        [Sheet("", ("name", "a", "b"), [("=x", -0.25, "-1.5"), ("-", None, "+3e-07")])],
+        tmp_path / "t.csv",
+    )
     with open(tmp_path / "t.csv", newline="") as stream:
         assert list(csv.reader(stream))[1:] == [["'=x", "-0.25", "-1.5"], ["'-", "", "+3e-07"]]
 
@@ -96,7 +127,9 @@ def test_numbers_stay_numbers(tmp_path):
 def test_markdown_and_latex_keep_their_lines(tmp_path, name):
     sheet = Sheet(name, ("a", name), [(name, Bold(name)), ("second", 1)])
     text = markdown([sheet])
-    rows = [re.split(r"(?<!\\)(?:\\\\)*\|", line) for line in text.splitlines() if line.startswith("|")]
+    rows = [
+        re.split(r"(?<!\\)(?:\\\\)*\|", line) for line in text.splitlines() if line.startswith("|")
+    ]
     assert [len(row) for row in rows] == [4, 4, 4, 4]
     assert not re.search(r"(?<!\\)(\\\\)*(<|!\[|`|\$)", text.replace("\\`", ""))
     typeset = latex([sheet])
@@ -134,7 +167,11 @@ def test_a_page_has_no_element_of_a_name(name):
 
     def tags(text):
         parser = Tags()
-        made = html(Report(text, text, sections=(Section(text, (text,), warnings=(text,), commands=(text,)),)))
+        made = html(
+            Report(
+                text, text, sections=(Section(text, (text,), warnings=(text,), commands=(text,)),)
+            )
+        )
         made.encode("utf-8")
         parser.feed(made)
         return parser.tags, made
@@ -153,20 +190,34 @@ def test_json_has_the_name_itself():
             assert json.loads(text) == {name: name}
 
 
-# -- commands ---------------------------------------------------------------------------------------------------------
+# -- commands -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stem", ["[bold]", "a\n=b", "$x", "\x1b[31m", "_x", "\udcff", "=1", "\u202ex"], ids=ascii)
+@pytest.mark.parametrize(
+    "stem", ["[bold]", "a\n=b", "$x", "\x1b[31m", "_x", "\udcff", "=1", "\u202ex"], ids=ascii
+)
 def test_files_of_any_name_are_read_and_written(cep, tmp_path, monkeypatch, stem):
     monkeypatch.chdir(tmp_path)
-    code, picture = f"{stem}.json", f"{stem}.svg"
+    code = f"{stem}.json"
+    picture = f"{stem}.svg"
     write_code(code, StoredCode(ShutterCode("1011")))
     for suffix in (".md", ".csv", ".tex"):
         found = cep.succeeds(
-            "mtf", "--linear", "9", "--code", code, "-o", picture, "--table", f"{stem}{suffix}", "--force"
+            "mtf",
+            "--linear",
+            "9",
+            "--code",
+            code,
+            "-o",
+            picture,
+            "--table",
+            f"{stem}{suffix}",
+            "--force",
         )
         assert found["image"] == picture
-        assert cep("mtf", "--linear", "9", "--code", code, "-o", picture, "--force").code == 0, cep.err
+        assert cep("mtf", "--linear", "9", "--code", code, "-o", picture, "--force").code == 0, (
+            cep.err
+        )
         assert cep.out.replace("\n", "").isprintable()
     ElementTree.parse(os.fsencode(picture))
     line = cep.refuses("audit", f"{stem}.txt.json")
@@ -174,10 +225,14 @@ def test_files_of_any_name_are_read_and_written(cep, tmp_path, monkeypatch, stem
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "ascii", "cp850", "cp932", "utf-8"])
-@pytest.mark.parametrize("arguments", ["camera list", "cite --help", "camera list --json", "--help"])
+@pytest.mark.parametrize(
+    "arguments", ["camera list", "cite --help", "camera list --json", "--help"]
+)
 def test_an_output_that_is_not_utf_8(encoding, arguments):
     run = [sys.executable, "-c", "from cep.commands.main import run; run()", *arguments.split()]
-    done = subprocess.run(run, env={**os.environ, "PYTHONIOENCODING": encoding}, capture_output=True, check=False)
+    done = subprocess.run(
+        run, env={**os.environ, "PYTHONIOENCODING": encoding}, capture_output=True, check=False
+    )
     assert (done.returncode, done.stderr) == (0, b"")
     text = done.stdout.decode(encoding)
     if "--json" in arguments:
@@ -188,11 +243,22 @@ def test_an_output_that_is_not_utf_8(encoding, arguments):
 
 def test_a_plain_locale(tmp_path):
     """Files of any name, as the system's encoding is ASCII."""
-    Path(tmp_path, "größe.json").write_text(json_text({"schema": "cep.code/1", "bits": "1011", "chip_ns": 1000}))
+    Path(tmp_path, "größe.json").write_text(
+        json_text({"schema": "cep.code/1", "bits": "1011", "chip_ns": 1000})
+    )
     environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    command = [sys.executable, "-c", "from cep.commands.main import run; run()", "mtf", "--linear", "9"]
+    command = [
+        sys.executable,
+        "-c",
+        "from cep.commands.main import run; run()",
+        "mtf",
+        "--linear",
+        "9",
+    ]
     arguments = ["--code", "größe.json", "-o", "größe.png", "--table", "größe.md"]
-    done = subprocess.run([*command, *arguments], env=environment, cwd=tmp_path, capture_output=True, check=False)
+    done = subprocess.run(
+        [*command, *arguments], env=environment, cwd=tmp_path, capture_output=True, check=False
+    )
     assert (done.returncode, done.stderr) == (0, b"")
     assert Path(tmp_path, "größe.png").is_file()
     assert Path(tmp_path, "größe.md").is_file()

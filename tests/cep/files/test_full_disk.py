@@ -11,16 +11,20 @@ import pytest
 from full_disk import failing_rename, full_disk
 
 from cep.files.files import read_code
-from cep.files.outputs import new_files, new_folder, write_text
+from cep.files.outputs import new_folder
 from cep.plots.canvas import new_figure
 from cep.search.problem import SearchProblem
 from lab.fronts import pareto
+from motdiff.files.outputs import new_files, write_text
 from motdiff.files.trajectories import read_motion
 
 
 def contents(folder):
     """Every file and folder below ``folder``, hidden ones too."""
-    return {str(item): item.read_bytes() if item.is_file() else None for item in sorted(Path(folder).rglob("*"))}
+    return {
+        str(item): item.read_bytes() if item.is_file() else None
+        for item in sorted(Path(folder).rglob("*"))
+    }
 
 
 def relative(folder):
@@ -51,10 +55,14 @@ def write_deep_folder(folder):
     write_folder(folder / "deep" / "down")
 
 
-@pytest.mark.parametrize("old", [(), ("b.txt",), ("a.txt", "b.txt", "c.txt"), ("gone.txt",), ("a.txt", "gone.txt")])
+@pytest.mark.parametrize(
+    "old", [(), ("b.txt",), ("a.txt", "b.txt", "c.txt"), ("gone.txt",), ("a.txt", "gone.txt")]
+)
 @pytest.mark.parametrize("write", [write_set, write_folder, write_deep_folder])
 @pytest.mark.parametrize(
-    "fault", [full_disk, failing_rename, partial(failing_rename, links=False)], ids=["disk", "rename", "no links"]
+    "fault",
+    [full_disk, failing_rename, partial(failing_rename, links=False)],
+    ids=["disk", "rename", "no links"],
 )
 def test_all_files_or_none(tmp_path, monkeypatch, write, old, fault):
     option = "writes" if fault is full_disk else "number"
@@ -121,7 +129,10 @@ def test_what_cannot_be_restored_is_kept_and_named(tmp_path, monkeypatch):
         write_set(tmp_path)
     (note,) = caught.value.__notes__
     assert note.startswith(f"the earlier {tmp_path / 'a.txt'} is kept as ")
-    assert Path(note.removeprefix(f"the earlier {tmp_path / 'a.txt'} is kept as ")).read_text() == "old a.txt"
+    assert (
+        Path(note.removeprefix(f"the earlier {tmp_path / 'a.txt'} is kept as ")).read_text()
+        == "old a.txt"
+    )
     assert (tmp_path / "b.txt").read_text() == "old b.txt"
 
 
@@ -130,7 +141,9 @@ def test_what_another_process_wrote_meanwhile_is_not_replaced(tmp_path, monkeypa
     """Only the step that renames can tell: a check before it leaves a moment between."""
 
     def write(name, text, *others):
-        with new_files([tmp_path / name, *(tmp_path / one for one in others)], force=False) as made:
+        with new_files(
+            [tmp_path / name, *(tmp_path / one for one in others)], force=False
+        ) as made:
             for temporary in made.values():
                 write_text(temporary, text)
             for one in others or (name,):  # the other process is faster
@@ -143,7 +156,9 @@ def test_what_another_process_wrote_meanwhile_is_not_replaced(tmp_path, monkeypa
 
     with failing_rename(monkeypatch, links=links):
         for others in ((), ("b.txt",), ("b.txt", "c.txt")):
-            with pytest.raises(ValueError, match=r"\.txt: exists already, use --force to replace it"):
+            with pytest.raises(
+                ValueError, match=r"\.txt: exists already, use --force to replace it"
+            ):
                 write("a.txt", "ours", *others)
             assert relative(tmp_path) == dict.fromkeys(others or ("a.txt",), b"theirs")
             for name in others or ("a.txt",):
@@ -160,7 +175,9 @@ def test_a_disk_that_is_full_only_when_it_is_flushed(tmp_path, monkeypatch):
     """As over a network: writing succeeds, and the files are not there."""
     (tmp_path / "a.txt").write_text("old")
     before = contents(tmp_path)
-    monkeypatch.setattr(os, "fsync", lambda _file: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    monkeypatch.setattr(
+        os, "fsync", lambda _file: (_ for _ in ()).throw(OSError(28, "No space left on device"))
+    )
     error = error_of(write_set, tmp_path)
     assert error.filename == str(tmp_path / "a.txt")
     assert contents(tmp_path) == before
@@ -168,35 +185,102 @@ def test_a_disk_that_is_full_only_when_it_is_flushed(tmp_path, monkeypatch):
 
 def test_two_names_of_one_file_are_refused(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "real")
-    with pytest.raises(ValueError, match="the same file"), new_files([tmp_path / "real", tmp_path / "link"]):
+    with (
+        pytest.raises(ValueError, match="the same file"),
+        new_files([tmp_path / "real", tmp_path / "link"]),
+    ):
         pass
     assert [item.name for item in tmp_path.iterdir()] == ["link"]
 
 
-# -- commands ---------------------------------------------------------------------------------------------------------
+# -- commands -------------------------------------------------------------------------------------
 
 COMMANDS = {
     "optimize": (
-        "optimize", "--linear", "8", "--chips", "8", "--steps", "5", "-o", "out/code.json", "--table", "out/table.md",
+        "optimize",
+        "--linear",
+        "8",
+        "--chips",
+        "8",
+        "--steps",
+        "5",
+        "-o",
+        "out/code.json",
+        "--table",
+        "out/table.md",
     ),
     "mtf": ("mtf", "--linear", "8", "-o", "out/mtf.svg", "--table", "out/mtf.csv"),
-    "simulate": ("simulate", "sharp.png", "--trajectory", "trajectory.json", "-o", "out/photo.png"),
-    "pareto": ("pareto", "--chips", "8", "--steps", "50", "-o", "out/front.json", "--plot", "figures/front.png"),
-    "frames": ("optimize", "--linear", "8", "--chips", "8", "--frames", "3", "--steps", "5", "-o", "out/code.json"),
+    "simulate": (
+        "simulate",
+        "sharp.png",
+        "--trajectory",
+        "trajectory.json",
+        "-o",
+        "out/photo.png",
+    ),
+    "pareto": (
+        "pareto",
+        "--chips",
+        "8",
+        "--steps",
+        "50",
+        "-o",
+        "out/front.json",
+        "--plot",
+        "figures/front.png",
+    ),
+    "frames": (
+        "optimize",
+        "--linear",
+        "8",
+        "--chips",
+        "8",
+        "--frames",
+        "3",
+        "--steps",
+        "5",
+        "-o",
+        "out/code.json",
+    ),
     "hw verify": (
-        "hw", "verify", "110100100011", "--chip-ns", "200000", "--vcd", "played.vcd", "--signal", "shutter",
-        "--linear", "20", "-o", "out/seen.json",
+        "hw",
+        "verify",
+        "110100100011",
+        "--chip-ns",
+        "200000",
+        "--vcd",
+        "played.vcd",
+        "--signal",
+        "shutter",
+        "--linear",
+        "20",
+        "-o",
+        "out/seen.json",
     ),
     "calibrate": (
-        "calibrate", "blurred.png", "--method", "gyro", "--gyro", "gyro.csv", "--focal", "2000", "--start", "0.1",
-        "--exposure", "0.1", "-o", "out",
+        "calibrate",
+        "blurred.png",
+        "--method",
+        "gyro",
+        "--gyro",
+        "gyro.csv",
+        "--focal",
+        "2000",
+        "--start",
+        "0.1",
+        "--exposure",
+        "0.1",
+        "-o",
+        "out",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.fixture
 def ready(cep, workplace):
-    cep.succeeds("export", "110100100011", "--chip-ns", "200000", "--format", "vcd", "-o", "played.vcd")
+    cep.succeeds(
+        "export", "110100100011", "--chip-ns", "200000", "--format", "vcd", "-o", "played.vcd"
+    )
     t = np.linspace(0, 0.3, 200)
     rows = np.column_stack([t, 0.05 * np.sin(40 * t), 0.05 * np.cos(30 * t), 0 * t])
     np.savetxt("gyro.csv", rows, delimiter=",", header="t_s,wx,wy,wz", comments="")
@@ -211,7 +295,11 @@ def test_a_command_leaves_all_its_files_or_none(cep, ready, monkeypatch, name):
             for item in Path(folder).iterdir():
                 item.unlink()
 
-    front = cache(partial(pareto.pareto_front, SearchProblem(chips=8), rng=np.random.default_rng(0), steps=50))
+    front = cache(
+        partial(
+            pareto.pareto_front, SearchProblem(chips=8), rng=np.random.default_rng(0), steps=50
+        )
+    )
     # a search takes a second each time
     monkeypatch.setattr("lab.fronts.run.pareto_front", lambda *_arguments, **_options: front())
     for figure in ("lab.fronts.run.pareto_figure", "cep.calibration.calibrate.trajectory_figure"):
@@ -235,7 +323,9 @@ def test_a_command_leaves_all_its_files_or_none(cep, ready, monkeypatch, name):
         assert cep.code in (0, 1)
         assert cep.code == 0 or (cep.err.startswith("cep: ") and cep.err.count("\n") == 1), cep.err
         after = contents(".")
-        changed = {path for path in after.keys() | before.keys() if after.get(path) != before.get(path)}
+        changed = {
+            path for path in after.keys() | before.keys() if after.get(path) != before.get(path)
+        }
         expected = {str(output) for output in outputs} if cep.code == 0 else set()
         assert changed in (set(), expected), (fault, options)
         failed += cep.code
@@ -247,7 +337,7 @@ FOUND = {
     "calibration-set": ("calibration-set", "--photos", "2", "--chips", "4", "-o", "set"),
     "calibrate": (*COMMANDS["calibrate"][:-1], "motion"),
     "optimize": ("optimize", "--linear", "8", "--chips", "8", "--steps", "5", "-o", "best.json"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", FOUND)
@@ -298,7 +388,20 @@ def test_a_comparison_that_ends_early_loses_no_code(cep, workplace, monkeypatch,
 
     for place in ("cep.search.optimize.compare", "cep.search.frames.joint_figures"):
         monkeypatch.setattr(place, ended)
-    cep("optimize", "--linear", "8", "--chips", "8", "--steps", "5", *options, "-o", "best.json", "--table", "t.md")
+    cep(
+        "optimize",
+        "--linear",
+        "8",
+        "--chips",
+        "8",
+        "--steps",
+        "5",
+        *options,
+        "-o",
+        "best.json",
+        "--table",
+        "t.md",
+    )
     files = sorted(str(path) for path in Path().glob("best*.json"))
     if isinstance(error, KeyboardInterrupt):
         assert cep.code == 130
@@ -320,6 +423,8 @@ def test_a_real_limit_on_file_sizes(ready):
     Path("out").mkdir()
     arguments = COMMANDS["hw verify"]
     before = contents(".")
-    done = subprocess.run([sys.executable, "-c", code, *arguments], check=False, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], check=False, capture_output=True, text=True
+    )
     assert (done.returncode, done.stderr) == (1, "cep: out/seen_psf.npy: File too large\n")
     assert contents(".") == before

@@ -33,7 +33,9 @@ def test_what_is_written_is_read_back(tmp_path, ramp, suffix, bits, step, gamma)
     assert photo.bits == bits
     assert photo.warnings == ()
     # half a step of the file, as light: the curves' steepest slopes are 2.275 (sRGB) and 2.2
-    assert np.abs(photo.pixels - ramp).max() <= 0.5 * step * (1 if gamma == "linear" else 2.3) + 1e-12
+    assert (
+        np.abs(photo.pixels - ramp).max() <= 0.5 * step * (1 if gamma == "linear" else 2.3) + 1e-12
+    )
 
 
 def test_float_tiff_is_linear_light_whatever_is_asked(tmp_path, ramp):
@@ -122,7 +124,10 @@ def test_a_flipped_bit_in_a_png_is_found(tmp_path):
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.binary(max_size=80), st.sampled_from([b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*"]))
+@given(
+    st.binary(max_size=80),
+    st.sampled_from([b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*"]),
+)
 def test_garbage_never_crashes(tmp_path_factory, tail, head):
     path = tmp_path_factory.mktemp("garbage") / "a.png"
     path.write_bytes(head + tail)
@@ -142,7 +147,9 @@ def test_other_broken_files(tmp_path):
     assert read_photo(tmp_path / "dot.png", min_side_px=1).pixels.shape == (1, 1)
 
 
-@pytest.mark.parametrize(("value", "message"), [(np.nan, "NaN"), (np.inf, "infinite"), (1.5, "scale them to 0..1")])
+@pytest.mark.parametrize(
+    ("value", "message"), [(np.nan, "NaN"), (np.inf, "infinite"), (1.5, "scale them to 0..1")]
+)
 def test_float_tiff_with_impossible_light(tmp_path, value, message):
     image = np.full((32, 32), 0.5, np.float32)
     image[4, 5] = value
@@ -181,7 +188,9 @@ def test_a_damaged_raw_file_is_refused_in_one_line_and_in_silence(tmp_path, capf
     data = dng(np.random.default_rng(0).integers(0, 65535, (64, 64)).astype(np.uint16))
     path = tmp_path / "a.dng"
     path.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(ValueError, match=r"a\.dng: not a RAW file that LibRaw can read \([A-Za-z/ ]+\)$"):
+    with pytest.raises(
+        ValueError, match=r"a\.dng: not a RAW file that LibRaw can read \([A-Za-z/ ]+\)$"
+    ):
         read_image(path)
     assert capfd.readouterr() == ("", "")
 
@@ -210,13 +219,18 @@ def test_webp(tmp_path, ramp):
 
 def test_a_photo_in_a_mat_file_is_linear_light(tmp_path, ramp):
     grey = ramp[:, :, 0]
-    savemat(tmp_path / "a.mat", {"x": ramp, "y": grey, "f": np.ones((3, 3)), "z": (255 * grey).astype(np.uint8)})
+    savemat(
+        tmp_path / "a.mat",
+        {"x": ramp, "y": grey, "f": np.ones((3, 3)), "z": (255 * grey).astype(np.uint8)},
+    )
     photo = read_photo(tmp_path / "a.mat", gamma="srgb")
     np.testing.assert_array_equal(photo.pixels, grey)
     assert len(photo.warnings) == 1
     assert '"y" was taken as linear light' in photo.warnings[0]
     np.testing.assert_array_equal(read_image(tmp_path / "a.mat", variable="x"), ramp)
-    np.testing.assert_allclose(read_image(tmp_path / "a.mat", variable="z"), np.floor(255 * grey) / 255)
+    np.testing.assert_allclose(
+        read_image(tmp_path / "a.mat", variable="z"), np.floor(255 * grey) / 255
+    )
     with pytest.raises(ValueError, match="3 x 3 px is too small"):
         read_image(tmp_path / "a.mat", variable="f")
 
@@ -300,7 +314,9 @@ def test_the_part_with_most_detail_is_read_as_the_whole_photo_is(tmp_path, suffi
     assert part.pixels.shape == (100, 100, 3)
     places = [(row, column) for row in range(201) for column in range(301)]
     assert any(
-        np.array_equal(part.pixels, whole.pixels[r : r + 100, c : c + 100]) for r, c in places if r > 150 and c > 200
+        np.array_equal(part.pixels, whole.pixels[r : r + 100, c : c + 100])
+        for r, c in places
+        if r > 150 and c > 200
     )
     assert np.var(part.pixels) > 0.9 * max(
         np.var(whole.pixels[160:260, 230:330]), np.var(whole.pixels[200:300, 260:360])

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from cep.commands.console import BAD_INPUT, FAILURE, explain
-from cep.files.outputs import claim, new_file, new_folder, write_text
+from cep.files.outputs import claim, new_folder
+from motdiff.files.outputs import new_file, write_text
 
 
 def test_existing_files_are_refused_unless_forced(tmp_path):
@@ -22,7 +23,8 @@ def test_existing_files_are_refused_unless_forced(tmp_path):
 
 
 def test_what_is_read_is_never_replaced(tmp_path):
-    source, link = tmp_path / "code.json", tmp_path / "link.json"
+    source = tmp_path / "code.json"
+    link = tmp_path / "link.json"
     source.write_text("{}")
     link.symlink_to(source)
     for target in (source, link, tmp_path / "." / "code.json"):
@@ -47,7 +49,10 @@ def test_a_folder_without_write_permission(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda _path, mode: not mode & os.W_OK)
     with pytest.raises(ValueError, match="cannot be written to"):
         claim([tmp_path / "a.png"])
-    with pytest.raises(ValueError, match="cannot be written to"), new_folder(tmp_path / "out", ["a"]):
+    with (
+        pytest.raises(ValueError, match="cannot be written to"),
+        new_folder(tmp_path / "out", ["a"]),
+    ):
         pass
 
 
@@ -120,10 +125,16 @@ def test_a_full_disk_names_the_output(tmp_path, monkeypatch, capsys):
     assert caught.value.filename == str(tmp_path / "a.txt")
     assert explain(caught.value) == FAILURE
     assert capsys.readouterr().err == f"cep: {tmp_path / 'a.txt'}: No space left on device\n"
-    with pytest.raises(OSError, match="No space left") as caught, new_folder(tmp_path / "out", ["a"]) as made:
+    with (
+        pytest.raises(OSError, match="No space left") as caught,
+        new_folder(tmp_path / "out", ["a"]) as made,
+    ):
         write_text(made / "a", "text")
     assert caught.value.filename == str(tmp_path / "out" / "a")
-    with pytest.raises(OSError, match="No space left") as caught, new_folder(tmp_path / "out", ["a"]):
+    with (
+        pytest.raises(OSError, match="No space left") as caught,
+        new_folder(tmp_path / "out", ["a"]),
+    ):
         full()
     assert caught.value.filename == str(tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
@@ -175,7 +186,10 @@ def test_a_folder_keeps_nothing_of_an_earlier_run(tmp_path):
         (tmp_path / name).write_text("old")
     with new_folder(tmp_path, ["a", "b"], force=True) as made:
         (made / "a").write_text("new")
-    assert {item.name: item.read_text() for item in tmp_path.iterdir()} == {"a": "new", "mine": "old"}
+    assert {item.name: item.read_text() for item in tmp_path.iterdir()} == {
+        "a": "new",
+        "mine": "old",
+    }
 
 
 @pytest.mark.parametrize("name", ["mtf.pdf", "mtf.png", "mtf.svg"])

@@ -9,22 +9,40 @@ from cep_tables import read_tables
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cep.files.tables import Bold, Sheet, cell_text, check_table_name, latex, markdown, write_sheets
+from cep.files.tables import (
+    Bold,
+    Sheet,
+    cell_text,
+    check_table_name,
+    latex,
+    markdown,
+    write_sheets,
+)
 
 NASTY = r"""R&D 50% $x_1 #2 {a} ~b ^c \d |P| <1> "q" – ± × ² µ ≤ ≥ → …"""
-SHEET = Sheet("What a_code costs, 5 %", ("code", "MTF", "remark"), [
-    ("raskar-52", 0.05090123456789, NASTY),
-    (Bold("ours"), 1234.56789, None),
-    ("third", 7, Bold("2.0", " (1.5..2.5)")),
-])  # fmt: skip
+SHEET = Sheet(
+    "What a_code costs, 5 %",
+    ("code", "MTF", "remark"),
+    [
+        ("raskar-52", 0.05090123456789, NASTY),
+        (Bold("ours"), 1234.56789, None),
+        ("third", 7, Bold("2.0", " (1.5..2.5)")),
+    ],
+)
 
 
 def test_latex_is_read_back():
     (found,) = read_tables(latex([SHEET]))
     assert found == (
-        SHEET.title, "lrl", ["code", "MTF", "remark"],
-        [["raskar-52", "0.0509", NASTY], ["*ours*", "1234.6", "–"], ["third", "7", "*2.0* (1.5..2.5)"]],
-    )  # fmt: skip
+        SHEET.title,
+        "lrl",
+        ["code", "MTF", "remark"],
+        [
+            ["raskar-52", "0.0509", NASTY],
+            ["*ours*", "1234.6", "–"],
+            ["third", "7", "*2.0* (1.5..2.5)"],
+        ],
+    )
 
 
 TEXTS = st.text(st.sampled_from('ab 0.1&%$#_{}~^\\|<>"–±×²µ≤≥→…'), min_size=1, max_size=12).filter(
@@ -66,9 +84,13 @@ def test_markdown_keeps_bars_within_cells(tmp_path):
     lines = (tmp_path / "one.md").read_text(encoding="utf-8").splitlines()
     assert lines[0].replace("\\", "") == f"**{SHEET.title}**"
     rows = [
-        [re.sub(r"\\([\\`*_\[\]<|~$&#])", r"\1", cell.strip()) for cell in re.split(r"(?<!\\)(?:\\\\)*\|", line)[1:-1]]
-        for line in lines if line.startswith("|")
-    ]  # fmt: skip
+        [
+            re.sub(r"\\([\\`*_\[\]<|~$&#])", r"\1", cell.strip())
+            for cell in re.split(r"(?<!\\)(?:\\\\)*\|", line)[1:-1]
+        ]
+        for line in lines
+        if line.startswith("|")
+    ]
     assert rows[0] == list(SHEET.columns)
     assert rows[1] == ["---", "---:", "---:"]
     assert rows[2] == ["raskar-52", "0.0509", NASTY]
@@ -77,7 +99,13 @@ def test_markdown_keeps_bars_within_cells(tmp_path):
 
 
 def test_cells_are_written_for_people():
-    assert [cell_text(value) for value in (None, 0.123456, 12345.67, 3, "x")] == ["–", "0.1235", "12345.7", "3", "x"]
+    assert [cell_text(value) for value in (None, 0.123456, 12345.67, 3, "x")] == [
+        "–",
+        "0.1235",
+        "12345.7",
+        "3",
+        "x",
+    ]
 
 
 @pytest.mark.parametrize("name", ["table.txt", "table", "table.xlsx"])

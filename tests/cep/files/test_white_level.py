@@ -23,13 +23,16 @@ def codes(bits, *, light=0.9, top=None, shift=0, spread=False, seed=0):
 
 @pytest.mark.parametrize("bits", [8, 10, 12])
 def test_few_bits_at_the_lower_end_of_16_are_brought_to_full_scale(tmp_path, bits):
-    low, high = codes(bits), codes(bits, shift=16 - bits)
+    low = codes(bits)
+    high = codes(bits, shift=16 - bits)
     photos = {}
     for name, image in {"low": low, "high": high}.items():
         tifffile.imwrite(tmp_path / f"{name}.tif", image)
         photos[name] = read_photo(tmp_path / f"{name}.tif", gamma="srgb")
     # the two scales of white differ by less than a code value
-    np.testing.assert_allclose(photos["low"].pixels, photos["high"].pixels, rtol=3 * 2.0**-bits, atol=2.0**-bits)
+    np.testing.assert_allclose(
+        photos["low"].pixels, photos["high"].pixels, rtol=3 * 2.0**-bits, atol=2.0**-bits
+    )
     assert photos["high"].warnings == ()
     assert len(photos["low"].warnings) == 1
     assert f"taken as {bits}-bit values, white at {2**bits - 1}" in photos["low"].warnings[0]
@@ -52,7 +55,9 @@ def test_a_quarter_of_full_scale_is_not_rescaled_but_told():
     [
         codes(12, shift=4),
         codes(12, spread=True),
-        codes(12, spread=True, light=0.05),  # dark, but with the gaps of 12 bits over the range of 16
+        codes(
+            12, spread=True, light=0.05
+        ),  # dark, but with the gaps of 12 bits over the range of 16
         codes(16),
         codes(16, light=0.4),
         codes(8).astype(np.uint8),
@@ -60,7 +65,17 @@ def test_a_quarter_of_full_scale_is_not_rescaled_but_told():
         np.zeros((SIDE, SIDE), np.uint16),
         (codes(16) > 9000).astype(np.uint16),  # a mask
     ],
-    ids=["shifted", "spread", "dark and spread", "16 bits", "dim", "8 bits", "dim 8 bits", "black", "mask"],
+    ids=[
+        "shifted",
+        "spread",
+        "dark and spread",
+        "16 bits",
+        "dim",
+        "8 bits",
+        "dim 8 bits",
+        "black",
+        "mask",
+    ],
 )
 def test_what_fills_its_range_or_tells_nothing_is_left_alone(frame):
     found = white_level(frame)
@@ -74,7 +89,9 @@ def test_a_camera_that_saturates_below_its_last_code_is_full_there(options, colo
     found = white_level(frame if colours == 1 else np.dstack([frame] * 3))
     assert found.code == frame.max()
     share = (frame == frame.max()).mean()
-    assert found.assumption.startswith(f"{share:.1%} of its values are at its largest, {frame.max()}")
+    assert found.assumption.startswith(
+        f"{share:.1%} of its values are at its largest, {frame.max()}"
+    )
 
 
 def test_pixels_that_are_full_at_slightly_different_codes_are_saturated():

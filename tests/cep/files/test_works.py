@@ -21,7 +21,9 @@ REQUIRED = {
 
 def test_every_entry_is_read_once_with_all_its_fields():
     assert len(works()) == len(re.findall(r"^@", SOURCE, re.MULTILINE)) > 60
-    assert sum(len(entry.fields) for entry in works().values()) == len(re.findall(r"^  \w+ = ", SOURCE, re.MULTILINE))
+    assert sum(len(entry.fields) for entry in works().values()) == len(
+        re.findall(r"^  \w+ = ", SOURCE, re.MULTILINE)
+    )
 
 
 @pytest.mark.parametrize("entry", works().values(), ids=lambda entry: entry.key)

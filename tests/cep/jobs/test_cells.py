@@ -71,12 +71,48 @@ def test_fingerprints_agree_where_the_arguments_do(one, other):
 
 
 DIFFERENT = [
-    None, True, 1, 1.0, "1", b"1", 0.0, -0.0, math.nan, math.inf, [1], (1,), [[1]], [], (), {}, {"a": 1}, {"a": [1]},
-    ["ab", "c"], ["a", "bc"], ["abc"], Kind.ONE, Kind.UNO, Pair(1, 2), Couple(1, 2), Pair(2, 1), Pair(1, Pair(2, None)),
-    np.zeros(4), np.zeros((2, 2)), np.zeros((4, 1)), np.zeros(4, np.float32), np.zeros(4, ">f8"), np.zeros(8, np.int32),
-    np.array([0.0, -0.0, 0.0, 0.0]), np.float64(1.0), np.float32(1.0), np.array("1"), ShutterCode("1101"),
-    ShutterCode("1101", 2), Trajectory.from_samples([[0, 0], [5, 0]]), Trajectory.from_samples([[0, 0], [5, 1]]),
-]  # fmt: skip
+    None,
+    True,
+    1,
+    1.0,
+    "1",
+    b"1",
+    0.0,
+    -0.0,
+    math.nan,
+    math.inf,
+    [1],
+    (1,),
+    [[1]],
+    [],
+    (),
+    {},
+    {"a": 1},
+    {"a": [1]},
+    ["ab", "c"],
+    ["a", "bc"],
+    ["abc"],
+    Kind.ONE,
+    Kind.UNO,
+    Pair(1, 2),
+    Couple(1, 2),
+    Pair(2, 1),
+    Pair(1, Pair(2, None)),
+    np.zeros(4),
+    np.zeros((2, 2)),
+    np.zeros((4, 1)),
+    np.zeros(4, np.float32),
+    np.zeros(4, ">f8"),
+    np.zeros(8, np.int32),
+    np.array([0.0, -0.0, 0.0, 0.0]),
+    np.float64(1.0),
+    np.float32(1.0),
+    np.array("1"),
+    ShutterCode("1101"),
+    ShutterCode("1101", 2),
+    Trajectory.from_samples([[0, 0], [5, 0]]),
+    Trajectory.from_samples([[0, 0], [5, 1]]),
+]
 
 
 def test_different_arguments_have_different_fingerprints():
@@ -90,7 +126,12 @@ def test_different_arguments_have_different_fingerprints():
 def test_the_same_content_has_the_same_fingerprint():
     pixels = np.arange(12.0).reshape(3, 4)
     turned = np.asfortranarray(pixels)
-    assert fingerprint(pixels) == fingerprint(turned) == fingerprint(pixels[::-1][::-1]) == fingerprint(pixels.copy())
+    assert (
+        fingerprint(pixels)
+        == fingerprint(turned)
+        == fingerprint(pixels[::-1][::-1])
+        == fingerprint(pixels.copy())
+    )
     assert fingerprint({"a": 1, "b": 2}) == fingerprint({"b": 2, "a": 1})
     assert fingerprint(Camera()) == fingerprint(replace(Camera()))
     assert fingerprint(name=("one",)) == fingerprint(name=("another", "name"))
@@ -112,7 +153,8 @@ def test_a_file_counts_by_what_is_in_it(tmp_path, monkeypatch):
     for name, content in (("a.png", b"12"), ("b.png", b"12"), ("c.png", b"21")):
         Path(name).write_bytes(content)
     one, moved, other = (
-        Cell((name,), bench_work.size_of, {"file": Path(name)}) for name in ("a.png", "b.png", "c.png")
+        Cell((name,), bench_work.size_of, {"file": Path(name)})
+        for name in ("a.png", "b.png", "c.png")
     )
     first, second, third = fingerprints([one, moved, other])
     assert first == second != third
@@ -135,7 +177,10 @@ def test_another_file_of_that_name_is_not_worked_on(tmp_path):
     assert worked(cell.work, given).figures == {"bytes": 2}
     path.write_bytes(b"123")
     done = worked(cell.work, pickle.loads(pickle.dumps(given)))
-    assert (done.figures, done.failure) == ({}, f"{path}: another file than the one that the benchmark began with")
+    assert (done.figures, done.failure) == (
+        {},
+        f"{path}: another file than the one that the benchmark began with",
+    )
     path.unlink()
     assert "FileNotFoundError" in worked(cell.work, given).failure
 
@@ -171,7 +216,16 @@ def nested():
 
 
 @pytest.mark.parametrize(
-    "work", [lambda: {}, nested(), partial(bench_work.square, value=1), Methods.work, math.sqrt, Methods, np.sum]
+    "work",
+    [
+        lambda: {},
+        nested(),
+        partial(bench_work.square, value=1),
+        Methods.work,
+        math.sqrt,
+        Methods,
+        np.sum,
+    ],
 )
 def test_work_must_be_found_by_name(work):
     with pytest.raises(ValueError, match=r"work: must be a function at the top .* for one"):
@@ -214,9 +268,21 @@ def test_figures_are_plain():
     [
         (bench_work.fails, {"value": 3}, "value: must be even, got 3"),
         (bench_work.fails, {"value": 0}, "ZeroDivisionError"),
-        (bench_work.fails, {}, "TypeError: fails() missing 1 required keyword-only argument: 'value'"),
-        (bench_work.returns, {"what": "nothing"}, "the work must return a mapping of figures, got NoneType"),
-        (bench_work.returns, {"what": "list"}, "figure 'a': must be a number, a text or None, got list"),
+        (
+            bench_work.fails,
+            {},
+            "TypeError: fails() missing 1 required keyword-only argument: 'value'",
+        ),
+        (
+            bench_work.returns,
+            {"what": "nothing"},
+            "the work must return a mapping of figures, got NoneType",
+        ),
+        (
+            bench_work.returns,
+            {"what": "list"},
+            "figure 'a': must be a number, a text or None, got list",
+        ),
     ],
 )
 def test_what_is_raised_becomes_a_line(work, arguments, reason):

@@ -34,7 +34,11 @@ def cluster(tmp_path, monkeypatch):
 def cells(log, slow_s=0.15):
     """Cells with arrays of 320 kB: joblib would leave such on one worker, and lose them with it."""
     return [
-        Cell((str(n),), bench_work.total, {"pixels": np.full((200, 200), float(n)), "log": str(log), "slow_s": slow_s})
+        Cell(
+            (str(n),),
+            bench_work.total,
+            {"pixels": np.full((200, 200), float(n)), "log": str(log), "slow_s": slow_s},
+        )
         for n in range(COUNT)
     ]
 
@@ -44,7 +48,8 @@ def events(log):
 
 
 def test_a_worker_killed_in_a_cell_loses_and_doubles_nothing(cluster, tmp_path):
-    log, cache = tmp_path / "log", tmp_path / "cache"
+    log = tmp_path / "log"
+    cache = tmp_path / "cache"
     workers = {process.pid for process in cluster.add_workers(2)}
     kill_one, killed = killing_one(log, from_share=0.25)
     outcome = run_cells(cells(log), cache=cache, dask=cluster.address, progress=kill_one)
@@ -67,7 +72,8 @@ def test_a_worker_killed_in_a_cell_loses_and_doubles_nothing(cluster, tmp_path):
 
 
 def test_a_lost_scheduler_leaves_what_is_finished(cluster, tmp_path, capfd):
-    log, cache = tmp_path / "log", tmp_path / "cache"
+    log = tmp_path / "log"
+    cache = tmp_path / "cache"
     cluster.add_workers(1)
 
     def kill_scheduler(fraction, _note):
@@ -81,7 +87,9 @@ def test_a_lost_scheduler_leaves_what_is_finished(cluster, tmp_path, capfd):
     assert "\n" not in str(caught.value)
     finished = len(list(cache.iterdir()))
     assert 0.2 * COUNT <= finished < COUNT
-    assert str(os.getpid()) not in {pid for _, pid, _ in events(log)}  # even one worker is the cluster
+    assert str(os.getpid()) not in {
+        pid for _, pid, _ in events(log)
+    }  # even one worker is the cluster
     outcome = run_cells(cells(log, slow_s=0.15), cache=cache)
     assert sum(result.cached for result in outcome.results) == finished
     assert outcome.figures == {(str(n),): {"total": 4e4 * n} for n in range(COUNT)}
@@ -115,7 +123,9 @@ def listening(reply):
     return f"tcp://127.0.0.1:{server.getsockname()[1]}", stop
 
 
-@pytest.mark.parametrize("reply", [b"", b"HTTP/1.1 400 Bad Request\r\n" * 20], ids=["silent", "web server"])
+@pytest.mark.parametrize(
+    "reply", [b"", b"HTTP/1.1 400 Bad Request\r\n" * 20], ids=["silent", "web server"]
+)
 def test_who_listens_may_be_no_scheduler(tmp_path, reply, capfd):
     address, stop = listening(reply)
     try:
@@ -128,7 +138,9 @@ def test_who_listens_may_be_no_scheduler(tmp_path, reply, capfd):
     assert not (tmp_path / "log").exists()
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "http://127.0.0.1:8786", "tcp://127.0.0.1:port"])
+@pytest.mark.parametrize(
+    "address", ["tcp://127.0.0.1:9", "nonsense", "http://127.0.0.1:8786", "tcp://127.0.0.1:port"]
+)
 def test_a_dead_address_is_one_line(tmp_path, address, capfd):
     with pytest.raises(ValueError, match=f"dask: no scheduler answers at {address}") as caught:
         run_cells(cells(tmp_path / "log"), cache=tmp_path / "out" / "cells", dask=address)
@@ -139,20 +151,29 @@ def test_a_dead_address_is_one_line(tmp_path, address, capfd):
 
 def test_a_scheduler_without_workers(cluster, tmp_path, monkeypatch):
     monkeypatch.setattr("cep.jobs.executors._WORKERS_S", 0.3)
-    with pytest.raises(ValueError, match=f"dask: the scheduler at {cluster.address} has no workers"):
+    with pytest.raises(
+        ValueError, match=f"dask: the scheduler at {cluster.address} has no workers"
+    ):
         run_cells(cells(tmp_path / "log"), cache=tmp_path / "cache", dask=cluster.address)
 
 
 def test_workers_without_the_program_are_told(cluster, tmp_path):
-    cluster._environment = {**os.environ, "PYTHONPATH": str(ROOT)}  # without the folder of the tests
+    cluster._environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+    }  # without the folder of the tests
     cluster.add_workers(1)
-    with pytest.raises(ValueError, match=f"the workers at {cluster.address} lack this program .*bench_work"):
+    with pytest.raises(
+        ValueError, match=f"the workers at {cluster.address} lack this program .*bench_work"
+    ):
         run_cells(cells(tmp_path / "log"), cache=tmp_path / "cache", dask=cluster.address)
 
 
 def copied(folder):
     for package in ("cep", "motdiff", "hw"):
-        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__")
+        )
     return folder
 
 
@@ -173,10 +194,14 @@ def a_module_less(root):
 def as_before_workers_were_asked(root):
     for name in ("fingerprint", "executors"):
         path = root / f"cep/jobs/{name}.py"
-        path.write_text(path.read_text(encoding="utf-8").replace("all_sources", "_nothing"), encoding="utf-8")
+        path.write_text(
+            path.read_text(encoding="utf-8").replace("all_sources", "_nothing"), encoding="utf-8"
+        )
 
 
-@pytest.mark.parametrize("change", [other_code, other_weights, a_module_less, as_before_workers_were_asked])
+@pytest.mark.parametrize(
+    "change", [other_code, other_weights, a_module_less, as_before_workers_were_asked]
+)
 def test_a_worker_with_other_sources_is_named_before_anything_runs(cluster, tmp_path, change):
     from distributed import Client  # not everybody has it
 
@@ -188,8 +213,11 @@ def test_a_worker_with_other_sources_is_named_before_anything_runs(cluster, tmp_
         client.wait_for_workers(2, timeout=60)
         homes = client.run(lambda: find_spec("cep").origin)
     (odd,) = [worker for worker, home in homes.items() if Path(home).is_relative_to(copy)]
-    log, cache = tmp_path / "log", tmp_path / "out" / "cells"
-    with pytest.raises(ValueError, match=f"dask: the worker at {odd} has another state of this program") as caught:
+    log = tmp_path / "log"
+    cache = tmp_path / "out" / "cells"
+    with pytest.raises(
+        ValueError, match=f"dask: the worker at {odd} has another state of this program"
+    ) as caught:
         run_cells(cells(log), cache=cache, dask=cluster.address)
     assert "(1 of 2 workers): install there what is installed here" in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -200,14 +228,17 @@ def test_a_worker_with_other_sources_is_named_before_anything_runs(cluster, tmp_
 
 def test_equal_sources_in_another_place_are_the_same(cluster, tmp_path):
     cluster.add_workers(1, root=copied(tmp_path / "copy"))
-    outcome = run_cells(cells(tmp_path / "log", slow_s=0.0), cache=tmp_path / "cache", dask=cluster.address)
+    outcome = run_cells(
+        cells(tmp_path / "log", slow_s=0.0), cache=tmp_path / "cache", dask=cluster.address
+    )
     assert (len(outcome.figures), outcome.failures) == (COUNT, {})
 
 
 def test_a_worker_with_other_sources_that_joins_later_makes_nothing(cluster, tmp_path):
     copy = copied(tmp_path / "copy")
     other_code(copy)
-    log, cache = tmp_path / "log", tmp_path / "cache"
+    log = tmp_path / "log"
+    cache = tmp_path / "cache"
     (first,) = cluster.add_workers(1)
     later = []
 
@@ -216,7 +247,9 @@ def test_a_worker_with_other_sources_that_joins_later_makes_nothing(cluster, tmp
             first.kill()  # before it has made the rest
             later.extend(cluster.add_workers(1, root=copy))
 
-    with pytest.raises(RuntimeError, match=r"worker at tcp://.* has another state of this program") as caught:
+    with pytest.raises(
+        RuntimeError, match=r"worker at tcp://.* has another state of this program"
+    ) as caught:
         run_cells(cells(log, slow_s=0.5), cache=cache, dask=cluster.address, progress=replace_it)
     assert "run again to go on" in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -34,7 +34,10 @@ def cache(tmp_path):
 
 
 def squares(values, log, version="1"):
-    return [Cell((f"of {value}",), bench_work.square, {"value": value, "log": str(log)}, version) for value in values]
+    return [
+        Cell((f"of {value}",), bench_work.square, {"value": value, "log": str(log)}, version)
+        for value in values
+    ]
 
 
 def of(work, count, **arguments):
@@ -47,16 +50,25 @@ def said(log):
 
 def test_results_come_in_the_order_of_the_cells(cache, log):
     notes = []
-    outcome = run_cells(squares([3, 1, 2], log), cache=cache, progress=lambda *note: notes.append(note))
+    outcome = run_cells(
+        squares([3, 1, 2], log), cache=cache, progress=lambda *note: notes.append(note)
+    )
     assert [result.cell.name for result in outcome.results] == [("of 3",), ("of 1",), ("of 2",)]
     assert list(outcome.figures.values()) == [
         {"square": n * n, "parity": p} for n, p in ((3, "odd"), (1, "odd"), (2, "even"))
     ]
     assert (outcome.missing, outcome.warnings, outcome.failures) == (0, (), {})
-    assert [fraction for fraction, _ in notes] == [0, pytest.approx(1 / 3), pytest.approx(2 / 3), 1]
+    assert [fraction for fraction, _ in notes] == [
+        0,
+        pytest.approx(1 / 3),
+        pytest.approx(2 / 3),
+        1,
+    ]
     assert notes[0][1] == "0 of 3 cells"
     assert all(
-        note.startswith(f"{n} of 3 cells, about ") and note.endswith(" left") for n, (_, note) in enumerate(notes) if n
+        note.startswith(f"{n} of 3 cells, about ") and note.endswith(" left")
+        for n, (_, note) in enumerate(notes)
+        if n
     )
 
 
@@ -84,14 +96,20 @@ def test_each_result_is_told_when_it_is_there_known_ones_first(cache, log, worke
     twin = Cell(("twin",), bench_work.square, {"value": 3, "log": str(log)})
     run_cells([*squares([1, 2, 3], log), twin], cache=cache, workers=workers, finished=tell)
     assert told[0] == ("of 2", True, 4, 1)
-    assert {name: figure for name, _, figure, _ in told} == {"of 1": 1, "of 2": 4, "of 3": 9, "twin": 9}
+    assert {name: figure for name, _, figure, _ in told} == {
+        "of 1": 1,
+        "of 2": 4,
+        "of 3": 9,
+        "twin": 9,
+    }
     kept = {name: count for name, _, _, count in told}
     assert kept["of 3"] == kept["twin"]
     assert sorted(kept.values()) in ([1, 2, 2, 3], [1, 2, 3, 3])
 
 
 def test_cells_of_the_same_content_run_once(cache, log):
-    first, second = squares([5], log)[0], Cell(("another",), bench_work.square, {"value": 5, "log": str(log)})
+    first = squares([5], log)[0]
+    second = Cell(("another",), bench_work.square, {"value": 5, "log": str(log)})
     outcome = run_cells([first, second], cache=cache)
     assert said(log) == ["square 5"]
     assert [figures["square"] for figures in outcome.figures.values()] == [25, 25]
@@ -107,7 +125,9 @@ def test_figures_come_back_as_they_were(cache):
     assert np.isnan(second.figures["nan",]["a"])
     assert second.figures["inf",]["a"] == -np.inf
     for path in cache.iterdir():
-        json.loads(path.read_text(), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+        json.loads(
+            path.read_text(), parse_constant=lambda name: pytest.fail(f"{name} is not JSON")
+        )
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -115,8 +135,10 @@ def test_one_that_fails_is_told_and_tried_again(cache, workers):
     for _ in range(2):
         outcome = run_cells(of(bench_work.fails, 5), cache=cache, workers=workers)
         assert outcome.failures == {
-            ("0",): "ZeroDivisionError", ("1",): "value: must be even, got 1", ("3",): "value: must be even, got 3",
-        }  # fmt: skip
+            ("0",): "ZeroDivisionError",
+            ("1",): "value: must be even, got 1",
+            ("3",): "value: must be even, got 3",
+        }
         assert list(outcome.figures.values()) == [{}, {}, {"value": 2}, {}, {"value": 4}]
         assert outcome.missing == 0
     assert len(list(cache.iterdir())) == 2
@@ -142,7 +164,10 @@ def test_a_key_press_stops_processes_quietly(cache, log):
         "print(len(outcome.results), outcome.missing)"
     )
     with child(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
     ) as running:
         deadline = time.monotonic() + 120
         while not cache.is_dir() or not list(cache.glob("[!.]*.json")):
@@ -183,7 +208,11 @@ def test_a_full_disk_leaves_what_is_finished(cache, log, monkeypatch, capsys):
 
 def test_a_process_that_is_started_anew_is_no_news(monkeypatch):
     def renewed(tasks, _call, **_options):
-        warnings.warn("A worker stopped while some jobs were given to the executor. (loky)", UserWarning, stacklevel=1)
+        warnings.warn(
+            "A worker stopped while some jobs were given to the executor. (loky)",
+            UserWarning,
+            stacklevel=1,
+        )
         yield from ((key, bench_work.square) for key in list(tasks))
 
     monkeypatch.setattr("cep.jobs.executors._spread", renewed)
@@ -213,8 +242,11 @@ def test_what_is_raised_leaves_no_empty_folder_and_removes_no_other(tmp_path):
 
     (tmp_path / "own").mkdir()
     for stop, cache in (
-        (at_once, "a/b/cells"), (at_once, "own/cells"), (at_once, "own"), (at_the_end, "kept/cells"),
-    ):  # fmt: skip
+        (at_once, "a/b/cells"),
+        (at_once, "own/cells"),
+        (at_once, "own"),
+        (at_the_end, "kept/cells"),
+    ):
         with pytest.raises(RuntimeError, match="stop"):
             run_cells(of(bench_work.fails, 3), cache=tmp_path / cache, progress=stop)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["kept", "own"]
@@ -255,8 +287,14 @@ def test_no_changed_digit_gets_through(cache, log):
         (lambda _text: "[1]", "damaged"),
         (lambda _text: "\x00\xff", "damaged"),
         (lambda text: text.replace('"even"', '"odd"'), "damaged"),
-        (lambda text: text.replace('"engine": 1', '"engine": 2'), "of another version of the engine"),
-        (lambda text: text.replace("cep.bench-cell/1", "cep.bench-cell/0"), "of another version of the engine"),
+        (
+            lambda text: text.replace('"engine": 1', '"engine": 2'),
+            "of another version of the engine",
+        ),
+        (
+            lambda text: text.replace("cep.bench-cell/1", "cep.bench-cell/0"),
+            "of another version of the engine",
+        ),
     ],
 )
 def test_what_cannot_be_trusted_is_made_again(cache, log, spoil, reason):
@@ -267,7 +305,10 @@ def test_what_cannot_be_trusted_is_made_again(cache, log, spoil, reason):
     outcome = run_cells(squares([2, 4, 3], log), cache=cache)
     assert outcome.warnings == (f"{cache}: 2 finished cells {reason}: made again",)
     assert [result.cached for result in outcome.results] == [False, False, True]
-    assert list(outcome.figures.values())[:2] == [{"square": 4, "parity": "even"}, {"square": 16, "parity": "even"}]
+    assert list(outcome.figures.values())[:2] == [
+        {"square": 4, "parity": "even"},
+        {"square": 16, "parity": "even"},
+    ]
     assert run_cells(squares([2, 4, 3], log), cache=cache).warnings == ()
 
 
@@ -282,7 +323,10 @@ def test_a_file_under_another_name_is_not_believed(cache, log):
 
 def test_processes_give_the_same(cache, log, tmp_path):
     cells = [
-        Cell((str(n),), bench_work.total, {"pixels": np.full((300, 300), float(n)), "log": str(log)}) for n in range(6)
+        Cell(
+            (str(n),), bench_work.total, {"pixels": np.full((300, 300), float(n)), "log": str(log)}
+        )
+        for n in range(6)
     ]
     together = run_cells(cells, cache=cache, workers=2)
     alone = run_cells(cells, cache=tmp_path / "alone")
@@ -294,14 +338,22 @@ def test_processes_give_the_same(cache, log, tmp_path):
 
 def test_processes_have_one_inner_thread(cache):
     cells = [Cell((str(seed),), bench_work.inner_threads, {"seed": seed}) for seed in range(2)]
-    assert list(run_cells(cells, cache=cache, workers=2).figures.values()) == [{"threads": "1"}] * 2
+    assert (
+        list(run_cells(cells, cache=cache, workers=2).figures.values()) == [{"threads": "1"}] * 2
+    )
 
 
 def test_one_that_kills_its_process_fails_alone(cache):
     outcome = run_cells(of(bench_work.kills_its_process, 10, at=3), cache=cache, workers=2)
     assert list(outcome.failures) == [("3",)]
     assert "its process died" in outcome.failures["3",]
-    assert [figures.get("value") for figures in outcome.figures.values()] == [0, 1, 2, None, *range(4, 10)]
+    assert [figures.get("value") for figures in outcome.figures.values()] == [
+        0,
+        1,
+        2,
+        None,
+        *range(4, 10),
+    ]
     assert len(list(cache.iterdir())) == 9
 
 
@@ -312,7 +364,11 @@ def test_machines_of_cached_cells_are_told(cache, log):
 
     cells = squares([1, 2, 3], log)
     elsewhere = {"processor": "another"}
-    Cache(cache).keep(fingerprints(cells)[1], cells[1], Finished({"square": 4, "parity": "even"}, "", 1.5, elsewhere))
+    Cache(cache).keep(
+        fingerprints(cells)[1],
+        cells[1],
+        Finished({"square": 4, "parity": "even"}, "", 1.5, elsewhere),
+    )
     outcome = run_cells(cells, cache=cache)
     assert len(outcome.machines) == 2
     assert outcome.machines[1] == elsewhere
@@ -321,7 +377,8 @@ def test_machines_of_cached_cells_are_told(cache, log):
 
 
 @pytest.mark.parametrize(
-    ("options", "message"), [({"workers": 0}, "workers: must be at least 1"), ({"cache": "file"}, "file: is a file")]
+    ("options", "message"),
+    [({"workers": 0}, "workers: must be at least 1"), ({"cache": "file"}, "file: is a file")],
 )
 def test_refusals(tmp_path, monkeypatch, options, message):
     monkeypatch.chdir(tmp_path)

@@ -21,7 +21,8 @@ def test_mean_and_variance_of_many_pixels(light, response):
     camera = Camera(photons_full_scale=2000.0, read_noise_e=10.0, bits=10, response=response)
     pixels = camera.expose(np.full(40_000, light), rng=np.random.default_rng(1))
     variance = float(camera.noise_variance(light))
-    # standard errors: sqrt(v / n) of the mean, v sqrt(2 / n) of the variance; 5 of them, plus 1/4 % for the curve
+    # standard errors: sqrt(v / n) of the mean, v sqrt(2 / n) of the variance; 5 of them, plus 1/4
+    # % for the curve
     assert abs(pixels.mean() - light) < 5 * math.sqrt(variance / pixels.size) + 0.0025 * light
     assert abs(pixels.var() / variance - 1) < 5 * math.sqrt(2 / pixels.size) + 0.01
 
@@ -30,7 +31,9 @@ def test_shot_noise_is_mean_over_gain_and_adds_to_read_noise():
     camera = Camera(photons_full_scale=500.0, read_noise_e=7.0, bits=16)
     step = 1 / (2**16 - 1)
     np.testing.assert_allclose(
-        camera.noise_variance([0.0, 0.5, 1.0]), [49 / 500**2 + step**2 / 12 + s / 500 for s in (0, 0.5, 1)], rtol=1e-12
+        camera.noise_variance([0.0, 0.5, 1.0]),
+        [49 / 500**2 + step**2 / 12 + s / 500 for s in (0, 0.5, 1)],
+        rtol=1e-12,
     )
 
 
@@ -52,7 +55,9 @@ def test_black_level_keeps_dark_photos_unbiased():
     with_pedestal = Camera(100.0, 5.0, black_level=0.3).expose(dark, rng=np.random.default_rng(0))
     without = Camera(100.0, 5.0).expose(dark, rng=np.random.default_rng(0))
     assert abs(with_pedestal.mean()) < 5 * 0.05 / math.sqrt(dark.size)
-    assert without.mean() == pytest.approx(0.05 / math.sqrt(2 * math.pi), rel=0.05)  # half a Gaussian
+    assert without.mean() == pytest.approx(
+        0.05 / math.sqrt(2 * math.pi), rel=0.05
+    )  # half a Gaussian
     assert with_pedestal.min() < 0 <= without.min()
 
 
@@ -75,25 +80,41 @@ def test_capture_is_darker_by_the_duty_and_shows_the_visible_part():
 
 def test_capture_of_a_flat_colour_scene_has_no_border_effect():
     scene = np.ones((70, 72, 3)) * np.array([0.1, 0.5, 0.8])
-    photo = capture(scene, 0.5 * Trajectory.straight(12.0).psf(33), camera=SILENT, rng=np.random.default_rng(0))
+    photo = capture(
+        scene, 0.5 * Trajectory.straight(12.0).psf(33), camera=SILENT, rng=np.random.default_rng(0)
+    )
     assert photo.shape == (38, 40, 3)
     np.testing.assert_allclose(photo, np.broadcast_to([0.05, 0.25, 0.4], photo.shape), atol=3e-4)
 
 
 def test_bright_scene_clips_at_full_scale():
-    photo = capture(np.full((9, 9), 3.0), np.ones((1, 1)), camera=Camera(), rng=np.random.default_rng(0))
+    photo = capture(
+        np.full((9, 9), 3.0), np.ones((1, 1)), camera=Camera(), rng=np.random.default_rng(0)
+    )
     assert (photo == 1.0).all()
 
 
 def test_same_seed_same_photo():
     scene = np.random.default_rng(0).random((40, 40))
-    first, second = (capture(scene, np.ones((1, 1)), camera=Camera(), rng=np.random.default_rng(7)) for _ in range(2))
+    first, second = (
+        capture(scene, np.ones((1, 1)), camera=Camera(), rng=np.random.default_rng(7))
+        for _ in range(2)
+    )
     np.testing.assert_array_equal(first, second)
 
 
 @pytest.mark.parametrize("name", ["camera.json", "camera.toml"])
 def test_file_round_trip(tmp_path, name):
-    camera = Camera(1234.5, 0.5, 10, "srgb", name="b", source='"x" \\ é', full_well_e=9.5, least_exposure_s=1e-6)
+    camera = Camera(
+        1234.5,
+        0.5,
+        10,
+        "srgb",
+        name="b",
+        source='"x" \\ é',
+        full_well_e=9.5,
+        least_exposure_s=1e-6,
+    )
     camera.to_file(tmp_path / name)
     assert Camera.from_file(tmp_path / name) == camera
     assert [p.name for p in tmp_path.iterdir()] == [name]
@@ -120,7 +141,11 @@ def test_a_byte_order_mark_as_windows_editors_write_is_no_harm(tmp_path, name, t
         ("c.json", json.dumps({"schema": "cep.camera/9"}), f'wanted schema "{SCHEMA}"'),
         ("c.json", json.dumps({"iso": 100}), "unknown field 'iso'"),
         ("c.json", json.dumps({"bits": 8.5}), "bits: must be a whole number"),
-        ("c.json", json.dumps({"photons_full_scale": "many"}), "photons_full_scale: must be a number"),
+        (
+            "c.json",
+            json.dumps({"photons_full_scale": "many"}),
+            "photons_full_scale: must be a number",
+        ),
         ("c.json", '{"read_noise_e": NaN}', "read_noise_e: must be a finite number of 0 or more"),
         ("c.json", f'{{"read_noise_e": {"9" * 5000}}}', "not a JSON file"),
         ("c.json", f'{{"read_noise_e": {"9" * 400}}}', "read_noise_e: must be a number below"),
@@ -168,7 +193,7 @@ def test_bad_camera(fields):
         Camera(**fields)
 
 
-# -- light levels ---------------------------------------------------------------------------------------------------
+# -- light levels ---------------------------------------------------------------------------------
 
 
 def test_a_fixed_gain_gives_steps_of_the_same_electrons_at_every_level():
@@ -182,7 +207,9 @@ def test_a_fixed_gain_gives_steps_of_the_same_electrons_at_every_level():
 
 def test_without_a_gain_the_code_range_follows_the_light_as_it_always_did():
     camera = Camera(photons_full_scale=8000.0, bits=3, full_well_e=9000.0)
-    np.testing.assert_array_equal(camera.at(50).quantise([0.2, 0.5]), Camera(bits=3).quantise([0.2, 0.5]))
+    np.testing.assert_array_equal(
+        camera.at(50).quantise([0.2, 0.5]), Camera(bits=3).quantise([0.2, 0.5])
+    )
 
 
 @given(st.floats(0, 1), st.floats(0.3, 3000))
@@ -201,7 +228,9 @@ def test_dark_current_adds_its_shot_noise_once():
 
 
 def test_a_pedestal_of_code_values_keeps_dim_exposures_unbiased():
-    camera = Camera(photons_full_scale=10_000.0, read_noise_e=5.0, gain_e_per_dn=2.5, black_level=0.01)
+    camera = Camera(
+        photons_full_scale=10_000.0, read_noise_e=5.0, gain_e_per_dn=2.5, black_level=0.01
+    )
     dim = camera.at(200)
     assert dim.black_level * 200 == pytest.approx(100.0)  # electrons
     dark = dim.expose(np.zeros(40_000), rng=np.random.default_rng(0))
@@ -209,7 +238,9 @@ def test_a_pedestal_of_code_values_keeps_dim_exposures_unbiased():
 
 
 def test_simulated_noise_of_a_fixed_gain_is_the_one_that_is_computed():
-    camera = Camera(photons_full_scale=5500.0, read_noise_e=10.0, bits=8, gain_e_per_dn=21.6, black_level=0.1).at(300)
+    camera = Camera(
+        photons_full_scale=5500.0, read_noise_e=10.0, bits=8, gain_e_per_dn=21.6, black_level=0.1
+    ).at(300)
     pixels = camera.expose(np.full(100_000, 0.5), rng=np.random.default_rng(2))
     assert pixels.var() == pytest.approx(float(camera.noise_variance(0.5)), rel=0.03)
 
@@ -225,12 +256,16 @@ def test_saturation_is_the_smaller_of_well_and_code_range():
 def test_the_pedestal_takes_from_the_code_range_and_not_from_the_well():
     camera = Camera(photons_full_scale=900.0, gain_e_per_dn=1.0, bits=10, black_level=0.1)
     assert camera.saturation_e == pytest.approx(1023 - 90)
-    assert camera.at(300).saturation_e == pytest.approx(1023 - 90)  # so many code values, whatever the light
+    assert camera.at(300).saturation_e == pytest.approx(
+        1023 - 90
+    )  # so many code values, whatever the light
     assert replace(camera, full_well_e=920.0).saturation_e == 920.0
     assert Camera(full_well_e=900.0, black_level=0.1).saturation_e == 900.0
 
 
-@pytest.mark.parametrize("photons", [0, 0.99, -5, 1.01e7, float("nan"), float("inf"), True, "many"])
+@pytest.mark.parametrize(
+    "photons", [0, 0.99, -5, 1.01e7, float("nan"), float("inf"), True, "many"]
+)
 def test_a_level_out_of_range_is_refused(photons):
     with pytest.raises(ValueError, match=r"^photons: must .*got"):
         Camera().at(photons)
@@ -242,7 +277,7 @@ def test_an_exposure_out_of_range_is_refused(exposure_s):
         Camera(dark_current_e_s=1.0).at(100, exposure_s=exposure_s)
 
 
-# -- profiles -------------------------------------------------------------------------------------------------------
+# -- profiles -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", camera_names())
@@ -250,11 +285,15 @@ def test_every_profile_is_a_camera_that_can_exist(name):
     camera = Camera.load(name)
     assert camera.name == name
     assert camera.kind
-    assert "typical of its kind" in camera.source or any(mark in camera.source for mark in (".com", ".net", "manual"))
+    assert "typical of its kind" in camera.source or any(
+        mark in camera.source for mark in (".com", ".net", "manual")
+    )
     assert camera.read_noise_e < camera.photons_full_scale / 10
     assert camera.photons_full_scale <= camera.saturation_e
     assert 0.95 * camera.full_well_e < camera.saturation_e
-    if camera.gain_e_per_dn is not None:  # the steps are no coarser than twice the noise, nor absurdly fine
+    if (
+        camera.gain_e_per_dn is not None
+    ):  # the steps are no coarser than twice the noise, nor absurdly fine
         assert camera.read_noise_e / 20 < camera.gain_e_per_dn < 2.5 * camera.read_noise_e
         assert camera.black_level * camera.photons_full_scale > 2 * camera.read_noise_e
     assert 0 <= camera.dark_current_e_s < 1e4
@@ -265,8 +304,20 @@ def test_every_profile_is_a_camera_that_can_exist(name):
 def test_profiles_are_of_a_dozen_kinds():
     kinds = [Camera.load(name).kind for name in camera_names()]
     assert len(kinds) >= 12
-    for kind in ("machine-vision CMOS", "phone", "full-frame", "sCMOS", "interline CCD", "slow-scan", "InGaAs", "EMCCD",
-                 "thermal", "8-bit video", "sent as 8 bit", "high-speed"):  # fmt: skip
+    for kind in (
+        "machine-vision CMOS",
+        "phone",
+        "full-frame",
+        "sCMOS",
+        "interline CCD",
+        "slow-scan",
+        "InGaAs",
+        "EMCCD",
+        "thermal",
+        "8-bit video",
+        "sent as 8 bit",
+        "high-speed",
+    ):
         assert any(kind in one for one in kinds), kind
 
 
@@ -288,8 +339,13 @@ def test_an_unknown_name_is_answered_with_the_nearest(name, near):
 def test_a_camera_without_a_profiles_figures_has_the_document_it_always_had():
     assert Camera(name="a").to_dict() == {**Camera().to_dict(), "name": "a"}
     assert set(Camera().to_dict()) == {
-        "schema", "photons_full_scale", "read_noise_e", "bits", "response", "black_level"
-    }  # fmt: skip
+        "schema",
+        "photons_full_scale",
+        "read_noise_e",
+        "bits",
+        "response",
+        "black_level",
+    }
 
 
 @pytest.mark.parametrize(

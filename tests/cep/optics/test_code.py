@@ -70,7 +70,9 @@ def test_sequences_and_arrays_spell_a_code(chips):
         assert hash(code) == hash(ShutterCode("1011"))
         assert type(code.bits) is str
     timed = ShutterCode(chips, 250_000)
-    assert timed == pickle.loads(pickle.dumps(timed)) == replace(ShutterCode("1011"), chip_ns=250_000)
+    assert (
+        timed == pickle.loads(pickle.dumps(timed)) == replace(ShutterCode("1011"), chip_ns=250_000)
+    )
     assert replace(timed, bits=[0, 1]) == ShutterCode("01", 250_000)
 
 

@@ -39,7 +39,9 @@ def test_straight_motion_is_chip_sinc_times_polynomial(code, length, angle):
 @given(walks, st.integers(1, 20))
 @settings(max_examples=30)
 def test_open_shutter_is_the_trajectory(path, chips):
-    assert np.abs(coded_otf(path, ShutterCode("1" * chips), FX, FY) - path.otf(FX, FY)).max() < 1e-12
+    assert (
+        np.abs(coded_otf(path, ShutterCode("1" * chips), FX, FY) - path.otf(FX, FY)).max() < 1e-12
+    )
     assert np.abs(coded_psf(path, ShutterCode("1" * chips)) - path.psf()).max() < 1e-12
 
 
@@ -65,13 +67,17 @@ def test_reversed_path_with_reversed_code_is_the_same_photo(path, code):
 
 
 def test_psf_and_otf_agree_through_the_fft():
-    path, code, size = walk(3), ShutterCode("1101001"), 64
+    path = walk(3)
+    code = ShutterCode("1101001")
+    size = 64
     frequency = np.fft.fftfreq(size)
     fx, fy = np.meshgrid(frequency, frequency)
     from_psf = np.fft.fft2(np.fft.ifftshift(coded_psf(path, code, size)))
     # sampling folds the spectrum: compare with the sum over its copies
     copies = sum(
-        coded_otf(path, code, fx + i, fy + j) * bilinear_otf(fx + i, fy + j) for i in range(-5, 6) for j in range(-5, 6)
+        coded_otf(path, code, fx + i, fy + j) * bilinear_otf(fx + i, fy + j)
+        for i in range(-5, 6)
+        for j in range(-5, 6)
     )
     assert np.abs(from_psf - copies).max() < 1e-3
 

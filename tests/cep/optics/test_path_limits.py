@@ -19,7 +19,9 @@ def wave(samples, *, width_px):
 def test_straight_motions_of_thousands_of_px_are_measured(length_px):
     path = Trajectory.straight(length_px, angle_rad=0.3)
     check_frame(path)
-    assert cep.audit(CODE, path, flips=0).metrics.min_mtf == pytest.approx(0, abs=1e-9)  # a chip's own zero
+    assert cep.audit(CODE, path, flips=0).metrics.min_mtf == pytest.approx(
+        0, abs=1e-9
+    )  # a chip's own zero
 
 
 def test_an_accelerated_straight_motion_may_be_as_long():
@@ -33,7 +35,10 @@ def test_an_accelerated_straight_motion_may_be_as_long():
         (Trajectory.straight(LONGEST_PX + 1), "is 4097 px long, at most 4096 px can be handled"),
         (Trajectory.straight(200_000), "is 200000 px long, at most 4096 px can be handled"),
         (wave(20, width_px=LARGEST_FRAME_PX + 9), "needs a PSF of .* px around its zero"),
-        (wave(MOST_SAMPLES + 1, width_px=30), "has 20001 samples, at most 20000 of such a path can be measured"),
+        (
+            wave(MOST_SAMPLES + 1, width_px=30),
+            "has 20001 samples, at most 20000 of such a path can be measured",
+        ),
         (wave(900, width_px=900), "has 900 samples, at most .* of such a path can be measured"),
     ],
 )

@@ -16,15 +16,23 @@ class Sensor:
     """Frames of a sensor with uneven light, pixels of unequal response, and a dark pattern, all of which are fixed."""
 
     def __init__(self, gain, read, black, bits, *, well=math.inf, side=256, seed=0):
-        self.gain, self.read, self.black, self.bits, self.well = gain, read, black, bits, well
+        self.gain = gain
+        self.read = read
+        self.black = black
+        self.bits = bits
+        self.well = well
         self.rng = np.random.default_rng(seed)
         rows, columns = np.mgrid[:side, :side] / side
-        self.light = (0.9 + 0.1 * rows + 0.1 * columns) * (1 + 0.01 * self.rng.standard_normal((side, side)))
+        self.light = (0.9 + 0.1 * rows + 0.1 * columns) * (
+            1 + 0.01 * self.rng.standard_normal((side, side))
+        )
         self.pattern = black + 0.5 * self.rng.standard_normal((side, side))
 
     def frame(self, electrons):
         collected = np.minimum(self.rng.poisson(electrons * self.light), self.well)
-        values = (collected + self.rng.normal(0, self.read, self.light.shape)) / self.gain + self.pattern
+        values = (
+            collected + self.rng.normal(0, self.read, self.light.shape)
+        ) / self.gain + self.pattern
         return np.clip(np.rint(values), 0, 2**self.bits - 1).astype(np.uint16)
 
     def pair(self, electrons):
@@ -32,7 +40,9 @@ class Sensor:
 
     def measured(self, levels_e=LEVELS_E, *, dark=True, **options):
         flats = [self.pair(level) for level in levels_e]
-        return photon_transfer(flats, codes=CodeRange(self.bits), dark=self.pair(0) if dark else None, **options)
+        return photon_transfer(
+            flats, codes=CodeRange(self.bits), dark=self.pair(0) if dark else None, **options
+        )
 
 
 SENSORS = {
@@ -46,7 +56,9 @@ SENSORS = {
 @pytest.mark.parametrize("name", SENSORS)
 def test_gain_within_2_and_read_noise_within_5_percent(name):
     sensor = SENSORS[name]
-    found = sensor.measured([level for level in LEVELS_E if level * 1.2 < sensor.gain * 2**sensor.bits * 0.9])
+    found = sensor.measured(
+        [level for level in LEVELS_E if level * 1.2 < sensor.gain * 2**sensor.bits * 0.9]
+    )
     assert found.gain_e_per_dn == pytest.approx(sensor.gain, rel=0.02)
     assert found.read_noise_e == pytest.approx(sensor.read, rel=0.05)
     assert found.black_dn == pytest.approx(sensor.black, abs=0.05)
@@ -60,7 +72,8 @@ def test_frames_of_a_pair_need_not_be_equally_bright(percent):
     sensor = Sensor(2.6, 2.4, 40, 14, side=300, seed=4)
     sensor.light **= 4  # of a lens that is darker in the corners
     flats = [
-        FramePair.of(sensor.frame(level), sensor.frame(level * (1 + percent / 100))) for level in (1000, 5000, 15_000)
+        FramePair.of(sensor.frame(level), sensor.frame(level * (1 + percent / 100)))
+        for level in (1000, 5000, 15_000)
     ]
     found = photon_transfer(flats, codes=CodeRange(14), dark=sensor.pair(0))
     assert found.gain_e_per_dn == pytest.approx(2.6, abs=4 * found.gain_error)
@@ -84,7 +97,10 @@ def test_light_that_flickers_within_a_frame_is_warned_of():
 
 
 def test_the_errors_are_those_that_repeats_show():
-    found = [Sensor(2.6, 5.0, 60, 12, side=96, seed=seed).measured((500, 2000, 6000)) for seed in range(40)]
+    found = [
+        Sensor(2.6, 5.0, 60, 12, side=96, seed=seed).measured((500, 2000, 6000))
+        for seed in range(40)
+    ]
     gains = np.array([one.gain_e_per_dn for one in found])
     noises = np.array([one.read_noise_e for one in found])
     # the spread of 40 draws has a standard error of 11 %
@@ -106,7 +122,9 @@ def test_the_end_of_the_codes_ends_the_curve():
     found = sensor.measured((500, 2000, 5000, 7600, 20_000))
     assert found.full_well_is == "code range"
     assert found.full_well_e == pytest.approx(2.0 * (4095 - 100), rel=0.02)
-    assert found.points[-1].use == found.points[-2].use == "saturated"  # the fourth is clipped where the light is most
+    assert (
+        found.points[-1].use == found.points[-2].use == "saturated"
+    )  # the fourth is clipped where the light is most
 
 
 def test_one_bright_pair_and_a_dark_one_are_enough():
@@ -124,13 +142,17 @@ def test_without_dark_frames_the_black_level_must_be_known():
     assert known.dark_variance_dn2 is None
     with pytest.raises(ValueError, match="black is not code value 0"):
         Sensor(2.6, 3.0, 40, 12).measured((1000, 3000, 9000), dark=False)
-    assert any("dark" in line for line in Sensor(2.6, 12.0, 0.0, 12).measured((1000, 5000), dark=False).warnings)
+    assert any(
+        "dark" in line
+        for line in Sensor(2.6, 12.0, 0.0, 12).measured((1000, 5000), dark=False).warnings
+    )
 
 
 def test_the_camera_has_the_noise_of_the_frames():
     sensor = Sensor(2.6, 6.0, 40, 12)
     camera = sensor.measured((500, 2000, 6000, 20_000)).camera(name="mine")
-    first, second = sensor.frame(4000), sensor.frame(4000)
+    first = sensor.frame(4000)
+    second = sensor.frame(4000)
     light = (first.mean() - 40) * 2.6 / camera.photons_full_scale
     seen = (second - first.astype(float)).var() / 2 * (2.6 / camera.photons_full_scale) ** 2
     assert float(camera.noise_variance(light)) == pytest.approx(seen, rel=0.03)
@@ -157,7 +179,7 @@ def test_codes_on_the_srgb_curve():
     assert (camera.response, camera.gain_e_per_dn) == ("srgb", None)
 
 
-# -- code values in files ---------------------------------------------------------------------------------------------
+# -- code values in files -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bits", [8, 10, 12, 14])
@@ -174,7 +196,10 @@ def test_the_bits_of_a_camera_are_found_in_16_bit_files(bits, kept):
     found = find_code_range([FramePair.of(held, held)], file_bits=16)
     assert found.bits == bits
     np.testing.assert_allclose(held / found.spacing, codes, atol=0.51)
-    assert find_code_range([FramePair.of(held, held)], file_bits=16, bits=bits).spacing == found.spacing
+    assert (
+        find_code_range([FramePair.of(held, held)], file_bits=16, bits=bits).spacing
+        == found.spacing
+    )
 
 
 def test_stated_bits_and_bits_that_cannot_be():
@@ -187,7 +212,7 @@ def test_stated_bits_and_bits_that_cannot_be():
         find_code_range([FramePair.of(held >> 8, held >> 8)], file_bits=8, bits=12)
 
 
-# -- frames that show no camera ---------------------------------------------------------------------------------------
+# -- frames that show no camera -------------------------------------------------------------------
 
 
 def refused(said, flats, **options):
@@ -198,7 +223,8 @@ def refused(said, flats, **options):
 
 def test_frames_without_a_curve_are_refused():
     sensor = Sensor(2.6, 6.0, 40, 12, side=64)
-    dark, flat = sensor.pair(0), sensor.pair(3000)
+    dark = sensor.pair(0)
+    flat = sensor.pair(3000)
     same = sensor.frame(3000)
     refused("pair 2: its frames are the same", [flat, FramePair.of(same, same)], dark=dark)
     refused("saturated throughout", [sensor.pair(40_000), sensor.pair(90_000)], dark=dark)
@@ -207,8 +233,14 @@ def test_frames_without_a_curve_are_refused():
     unequal = FramePair.of(sensor.frame(1000), sensor.frame(2000))
     refused("pair 2: its frames differ in light by 6.%", [flat, unequal], dark=dark)
     refused("one level of light", [flat, sensor.pair(3000)])
-    refused("dark: .* at code value 0; raise", [flat], dark=Sensor(2.6, 6.0, 0, 12, side=64).pair(0))
-    refused("dark: its frames are the same", [flat], dark=FramePair.of(np.full_like(same, 40), np.full_like(same, 40)))
+    refused(
+        "dark: .* at code value 0; raise", [flat], dark=Sensor(2.6, 6.0, 0, 12, side=64).pair(0)
+    )
+    refused(
+        "dark: its frames are the same",
+        [flat],
+        dark=FramePair.of(np.full_like(same, 40), np.full_like(same, 40)),
+    )
     with pytest.raises(ValueError, match="differ in size, 64 x 64 and 32 x 64 px"):
         FramePair.of(same, same[:, :32])
 
@@ -220,7 +252,9 @@ def test_noise_that_does_not_grow_with_the_light_is_no_sensors():
         return np.rint(level + rng.normal(0, 3, (128, 128))).astype(np.uint16)
 
     flats = [FramePair.of(frame(level), frame(level)) for level in (500, 1500, 3000)]
-    refused("does not grow with the light|hardly grows", flats, dark=FramePair.of(frame(40), frame(40)))
+    refused(
+        "does not grow with the light|hardly grows", flats, dark=FramePair.of(frame(40), frame(40))
+    )
 
 
 def test_a_bent_response_is_warned_of():
@@ -236,6 +270,8 @@ def test_a_bent_response_is_warned_of():
 
 
 def test_a_measured_camera_loads_again(tmp_path):
-    camera = Sensor(2.6, 6.0, 40, 12).measured((500, 3000, 20_000)).camera(name="mine", source="frames")
+    camera = (
+        Sensor(2.6, 6.0, 40, 12).measured((500, 3000, 20_000)).camera(name="mine", source="frames")
+    )
     camera.to_file(tmp_path / "mine.toml")
     assert Camera.load(tmp_path / "mine.toml") == camera

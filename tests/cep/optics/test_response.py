@@ -34,10 +34,17 @@ walks = st.integers(0, 10_000).map(walk)
 shares = st.sampled_from([0.0, 0.25, 0.5])
 shutters = st.builds(
     lambda rise, fall, delay, bias: ShutterResponse(
-        chip_ns=1000, rise_ns=1000 * rise, fall_ns=1000 * fall, on_delay_ns=1000 * delay, on_bias_ns=1000 * bias
+        chip_ns=1000,
+        rise_ns=1000 * rise,
+        fall_ns=1000 * fall,
+        on_delay_ns=1000 * delay,
+        on_bias_ns=1000 * bias,
     ),
-    shares, st.floats(0, 0.5), shares, shares,
-)  # fmt: skip
+    shares,
+    st.floats(0, 0.5),
+    shares,
+    shares,
+)
 
 
 @st.composite
@@ -52,7 +59,8 @@ def test_chips_opened_one_by_one_add_up_to_the_code(path, code, shutter, data):
     edges = data.draw(st.none() | some_edges(code.chips))
     order = data.draw(st.permutations(range(code.chips)))
     rows = chip_rows(path, code.chips, FX, FY, response=shutter, edges=edges)
-    state, otf = np.zeros(code.chips + 2, dtype=int), np.zeros(FX.size, dtype=complex)
+    state = np.zeros(code.chips + 2, dtype=int)
+    otf = np.zeros(FX.size, dtype=complex)
     for chip in order:
         otf = otf + rows[chip, state[chip], state[chip + 2]]
         state[chip + 1] = 1
@@ -71,14 +79,17 @@ def test_light_counts_transitions(path, code, shutter):
     assert light == pytest.approx((code.open_chips + code.pulses * gain / 1000) / code.chips)
     assert shutter.open_time(code.array[None]) == pytest.approx([light])
     assert open_path(path, code, response=shutter).dt.sum() == pytest.approx(light)
-    assert coded_psf(path, code, 3 * path.frame_size(), response=shutter).sum() == pytest.approx(light)
+    assert coded_psf(path, code, 3 * path.frame_size(), response=shutter).sum() == pytest.approx(
+        light
+    )
 
 
 @given(codes, st.floats(5, 60), st.floats(0, 1))
 @settings(max_examples=40, deadline=None)
 def test_equal_ramps_on_a_straight_motion_are_one_more_box(code, length, share):
     shutter = ShutterResponse(chip_ns=1e6, rise_ns=share * 1e6, fall_ns=share * 1e6)
-    path, f = Trajectory.straight(length), np.linspace(0, 0.5, 50)
+    path = Trajectory.straight(length)
+    f = np.linspace(0, 0.5, 50)
     ramp_px = share * length / code.chips
     instant = np.abs(coded_otf(path, code, f, 0.0))
     slow = np.abs(coded_otf(path, code, f, 0.0, response=shutter))
@@ -90,9 +101,15 @@ def test_equal_ramps_on_a_straight_motion_are_one_more_box(code, length, share):
 @settings(max_examples=20, deadline=None)
 def test_delay_with_equal_bias_only_shifts_a_straight_motion(code, length, share):
     shutter = ShutterResponse(chip_ns=1e6, on_delay_ns=share * 1e6, on_bias_ns=share * 1e6)
-    path, f = Trajectory.straight(length), np.linspace(-0.5, 0.5, 50)
+    path = Trajectory.straight(length)
+    f = np.linspace(-0.5, 0.5, 50)
     shift = np.exp(-2j * np.pi * f * share * length / code.chips)
-    assert np.abs(coded_otf(path, code, f, 0.0, response=shutter) - shift * coded_otf(path, code, f, 0.0)).max() < 1e-11
+    assert (
+        np.abs(
+            coded_otf(path, code, f, 0.0, response=shutter) - shift * coded_otf(path, code, f, 0.0)
+        ).max()
+        < 1e-11
+    )
 
 
 @given(walks, codes, st.integers(0, 3), st.integers(0, 4))
@@ -103,12 +120,21 @@ def test_delay_and_bias_move_the_ends_of_every_pulse(path, code, delay, bias):
     shutter = ShutterResponse(chip_ns=400, on_delay_ns=100 * delay, on_bias_ns=100 * bias)
     fine = finer(code.bits[:-1], 4, before=delay, after=bias)
     assert fine.chips == 4 * code.chips
-    assert np.abs(coded_otf(path, code, FX, FY, response=shutter) - coded_otf(path, fine, FX, FY)).max() < 1e-12
-    assert np.abs(coded_psf(path, code, 128, response=shutter) - coded_psf(path, fine, 128)).max() < 1e-12
+    assert (
+        np.abs(
+            coded_otf(path, code, FX, FY, response=shutter) - coded_otf(path, fine, FX, FY)
+        ).max()
+        < 1e-12
+    )
+    assert (
+        np.abs(coded_psf(path, code, 128, response=shutter) - coded_psf(path, fine, 128)).max()
+        < 1e-12
+    )
 
 
 def test_ramps_are_stairs_as_fine_as_they_say():
-    path, code = walk(5), ShutterCode("0110")
+    path = walk(5)
+    code = ShutterCode("0110")
     shutter = ShutterResponse(chip_ns=10, rise_ns=10, fall_ns=5)
     nodes, shares = np.polynomial.legendre.leggauss(12)
     cuts = np.union1d(path.t, np.linspace(0, 1, 4001))  # the quadrature of the straight ramps
@@ -127,7 +153,11 @@ def test_an_instant_shutter_on_time_is_none_at_all(path, code):
     assert instant.instant
     edges = np.linspace(0, 1, code.chips + 1)
     plain = coded_otf(path, code, FX, FY)
-    for options in ({"response": instant}, {"edges": edges}, {"response": instant, "edges": edges}):
+    for options in (
+        {"response": instant},
+        {"edges": edges},
+        {"response": instant, "edges": edges},
+    ):
         assert np.abs(coded_otf(path, code, FX, FY, **options) - plain).max() < 1e-12
         rows = chip_rows(path, code.chips, FX, FY, **options)
         assert np.abs(rows - chip_basis(path, code.chips, FX, FY)[:, None, None]).max() < 1e-12
@@ -137,7 +167,8 @@ def test_an_instant_shutter_on_time_is_none_at_all(path, code):
 
 
 def test_the_tail_of_the_last_chip_follows_the_motion_on():
-    path, code = Trajectory.straight(12.0), ShutterCode("0001")
+    path = Trajectory.straight(12.0)
+    code = ShutterCode("0001")
     late = ShutterResponse(chip_ns=8, on_delay_ns=7, on_bias_ns=8)
     seen = open_path(path, code, response=late)
     assert seen.a[0] == pytest.approx([6 - 3 / 8, 0])
@@ -158,8 +189,14 @@ def test_frequencies_of_any_shape():
         ({"chip_ns": 0}, "chip_ns: must be above 0"),
         ({"rise_ns": -1}, "rise_ns: must be a time of at least 0 ns, got -1"),
         ({"fall_ns": np.inf}, "fall_ns: must be a time"),
-        ({"rise_ns": 60, "on_delay_ns": 50}, r"on_delay_ns \+ rise_ns: 110 ns is longer than a chip of 100 ns"),
-        ({"fall_ns": 60, "on_bias_ns": 50}, r"on_bias_ns \+ fall_ns: .*chips of at least 110 ns would do"),
+        (
+            {"rise_ns": 60, "on_delay_ns": 50},
+            r"on_delay_ns \+ rise_ns: 110 ns is longer than a chip of 100 ns",
+        ),
+        (
+            {"fall_ns": 60, "on_bias_ns": 50},
+            r"on_bias_ns \+ fall_ns: .*chips of at least 110 ns would do",
+        ),
         ({"on_delay_ns": 100}, "leaves nothing of a chip"),
     ],
 )
@@ -174,7 +211,9 @@ def test_slow_shutters_need_long_chips():
     assert shutter.at(50).chip_ns == 50
     with pytest.raises(ValueError, match="longer than a chip of 30 ns"):
         shutter.at(30)
-    with pytest.raises(ValueError, match="takes 40 ns, but the shortest chip of these edges lasts 30 ns"):
+    with pytest.raises(
+        ValueError, match="takes 40 ns, but the shortest chip of these edges lasts 30 ns"
+    ):
         open_path(walk(0), ShutterCode("11"), response=shutter, edges=[0, 0.15, 1])
     for edges, words in [
         ([0, 1], "2 chips need 3 edges"),
@@ -188,7 +227,8 @@ def test_slow_shutters_need_long_chips():
 
 def test_long_codes_gather_no_rounding_errors():
     # every piece of every ramp is alike here: 8192 rotations in a row would lose four digits
-    path, f = Trajectory.straight(512.3), np.linspace(0, 0.5, 40)
+    path = Trajectory.straight(512.3)
+    f = np.linspace(0, 0.5, 40)
     whole = ShutterResponse(chip_ns=1, rise_ns=1, fall_ns=1)
     basis = chip_parts(path, 512, f, 0.0, response=whole)[0]
     assert 512 * np.abs(basis - chip_basis(path, 512, f, 0.0)).max() < 1e-11

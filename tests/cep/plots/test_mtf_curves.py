@@ -17,7 +17,9 @@ def test_the_open_shutter_comes_first_and_every_row_has_its_curve_and_figures(tm
     found = compare_mtfs(PATH, CODES, figures={"light": lambda _path, code: code.duty})
     assert list(found.rows) == [OPEN, "ours", "theirs"]
     for row in found.rows.values():
-        assert row.mtf == pytest.approx(mtf(PATH, row.code, row.freq_cy_px, np.zeros_like(row.freq_cy_px)))
+        assert row.mtf == pytest.approx(
+            mtf(PATH, row.code, row.freq_cy_px, np.zeros_like(row.freq_cy_px))
+        )
         assert row.metrics == measure_worst(PATH, row.code or ShutterCode("1"))
         light = (row.code or ShutterCode("1")).duty
         assert row.figures == {"light": (light, light)}  # the direction is unknown

@@ -50,7 +50,11 @@ def test_a_path_is_drawn_as_the_photo_lies():
     path = figure.axes[1]
     assert path.get_ylim()[0] > path.get_ylim()[1]
     assert path.get_xlim()[0] < path.get_xlim()[1]
-    ends = {drawn.get_label(): drawn.get_offsets()[0] for drawn in path.collections if drawn.get_label() in NAMES}
+    ends = {
+        drawn.get_label(): drawn.get_offsets()[0]
+        for drawn in path.collections
+        if drawn.get_label() in NAMES
+    }
     np.testing.assert_allclose(ends["start"], BENT.xy[0])
     np.testing.assert_allclose(ends["end"], BENT.xy[-1])
     assert [text.get_text() for text in path.get_legend().get_texts()] == ["start", "end"]
@@ -64,12 +68,19 @@ def test_an_unknown_direction_has_no_start():
 
 def closed():
     angle = np.linspace(0, 2 * np.pi, 80)
-    return Trajectory.from_samples(8 * np.stack([np.cos(angle), np.sin(2 * angle) / 2], 1), direction="known")
+    return Trajectory.from_samples(
+        8 * np.stack([np.cos(angle), np.sin(2 * angle) / 2], 1), direction="known"
+    )
 
 
 @pytest.mark.parametrize(
     "path",
-    [Trajectory.straight(20.0), Trajectory.straight(0.0), closed(), boracchi_foi(np.random.default_rng(8))],
+    [
+        Trajectory.straight(20.0),
+        Trajectory.straight(0.0),
+        closed(),
+        boracchi_foi(np.random.default_rng(8)),
+    ],
     ids=["straight", "still", "closed", "tangle"],
 )
 def test_the_names_of_both_ends_can_be_read_wherever_the_ends_are(path):
@@ -112,7 +123,9 @@ def test_the_map_of_a_code_is_its_mtf():
     shown = figure.axes[1].images[0].get_array()
     line = np.linspace(-0.5, 0.5, 17)
     fx, fy = np.meshgrid(line, line)
-    np.testing.assert_allclose(shown, 20 * np.log10(np.maximum(np.abs(BENT.otf(fx, fy)), 1e-6)), atol=1e-6)
+    np.testing.assert_allclose(
+        shown, 20 * np.log10(np.maximum(np.abs(BENT.otf(fx, fy)), 1e-6)), atol=1e-6
+    )
 
 
 def test_strips_show_the_bits():
@@ -127,7 +140,8 @@ def test_before_and_after_share_one_detail():
     busy = np.full((200, 220), 0.5)
     busy[120:160, 60:100] = rng.random((40, 40))
     figure = before_after({"a": np.zeros((200, 220)), "b": busy}, zoom_px=40)
-    top, bottom = figure.axes[1], figure.axes[3]
+    top = figure.axes[1]
+    bottom = figure.axes[3]
     assert bottom.images[0].get_array().shape[:2] == (40, 40)
     assert np.std(bottom.images[0].get_array()) > 0.1
     corner = top.patches[0].get_xy()
@@ -139,7 +153,9 @@ def test_another_photo_may_choose_the_detail():
     rng = np.random.default_rng(0)
     busy = np.full((200, 220), 0.5)
     busy[120:160, 60:100] = rng.random((40, 40))
-    figure = before_after({"a": np.zeros((200, 220)), "b": np.zeros((200, 220))}, zoom_px=40, detail_of=busy)
+    figure = before_after(
+        {"a": np.zeros((200, 220)), "b": np.zeros((200, 220))}, zoom_px=40, detail_of=busy
+    )
     corner = figure.axes[1].patches[0].get_xy()
     assert abs(corner[0] - 60) <= 10
     assert abs(corner[1] - 120) <= 10

@@ -25,7 +25,9 @@ CODE = ShutterCode("1101")
 
 
 def mtfs(count):
-    return lambda: mtf_figure(PATH, dict.fromkeys((f"code {index}" for index in range(count)), CODE), grid=9)
+    return lambda: mtf_figure(
+        PATH, dict.fromkeys((f"code {index}" for index in range(count)), CODE), grid=9
+    )
 
 
 def advised():
@@ -35,7 +37,9 @@ def advised():
 
 def front():
     return pareto_figure(
-        pareto_front(SearchProblem(chips=8, open_range=(3, 5)), rng=np.random.default_rng(0), steps=500)
+        pareto_front(
+            SearchProblem(chips=8, open_range=(3, 5)), rng=np.random.default_rng(0), steps=500
+        )
     )
 
 
@@ -47,29 +51,48 @@ def curve():
         return np.clip(np.rint(values), 0, 4095).astype(np.uint16)
 
     pairs = [FramePair.of(frame(level), frame(level)) for level in (500, 2000, 5000)]
-    return photon_transfer_figure(photon_transfer(pairs, codes=CodeRange(12), dark=FramePair.of(frame(0), frame(0))))
+    return photon_transfer_figure(
+        photon_transfer(pairs, codes=CodeRange(12), dark=FramePair.of(frame(0), frame(0)))
+    )
 
 
 def blind(methods):
-    psf, photo = PATH.psf(33), np.full((40, 40), 0.5)
+    psf = PATH.psf(33)
+    photo = np.full((40, 40), 0.5)
     names = [f"method-{index}" for index in range(methods)]
-    line = Shown(photo, photo, psf, dict.fromkeys(names, psf), dict.fromkeys(names, "MNC 0.82, 27.5 dB"), "srgb")
+    line = Shown(
+        photo,
+        photo,
+        psf,
+        dict.fromkeys(names, psf),
+        dict.fromkeys(names, "MNC 0.82, 27.5 dB"),
+        "srgb",
+    )
     return lambda: blind_figure([line], names)
 
 
 FIGURES = {
-    "mtf of 1": mtfs(1), "mtf of 3": mtfs(3), "mtf of 7": mtfs(7), "advice": advised, "front": front, "camera": curve,
-    "strips": lambda: code_strips({"a": CODE, "b": CODE}), "blind of 2": blind(2), "blind of 6": blind(6),
+    "mtf of 1": mtfs(1),
+    "mtf of 3": mtfs(3),
+    "mtf of 7": mtfs(7),
+    "advice": advised,
+    "front": front,
+    "camera": curve,
+    "strips": lambda: code_strips({"a": CODE, "b": CODE}),
+    "blind of 2": blind(2),
+    "blind of 6": blind(6),
     "blind of 9": blind(9),
     "path": lambda: trajectory_figure(np.full((40, 60), 0.2), PATH),
-}  # fmt: skip
+}
 
 
 def texts(figure):
     from matplotlib.text import Text
 
     figure.draw_without_rendering()
-    return [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
+    return [
+        text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()
+    ]
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -90,9 +113,16 @@ def test_texts_lie_within_the_figure_and_titles_apart(name):
         box = axes.title.get_window_extent()
         assert figure.bbox.x0 - 1 <= box.x0
         assert box.x1 <= figure.bbox.x1 + 1
-    shown = [one for axes in figure.axes for one in (axes.title, axes.xaxis.label) if one.get_text() and axes.axison]
+    shown = [
+        one
+        for axes in figure.axes
+        for one in (axes.title, axes.xaxis.label)
+        if one.get_text() and axes.axison
+    ]
     boxes = [one.get_window_extent() for one in shown]
-    assert not any(one.overlaps(other) for place, one in enumerate(boxes) for other in boxes[:place])
+    assert not any(
+        one.overlaps(other) for place, one in enumerate(boxes) for other in boxes[:place]
+    )
 
 
 def test_svg_has_its_words_as_text(tmp_path):

@@ -15,7 +15,13 @@ from cep.files.files import StoredCode, write_code
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
-from cep.proofs.audit import audit, better_neighbours, grid_claims, null_threshold, zeros_by_direction
+from cep.proofs.audit import (
+    audit,
+    better_neighbours,
+    grid_claims,
+    null_threshold,
+    zeros_by_direction,
+)
 from cep.proofs.certify.certificate import certify
 from cep.proofs.certify.minimum import min_chip
 from motdiff.trajectory import Trajectory
@@ -94,7 +100,9 @@ def test_neighbours_on_a_curve_against_brute_force():
     here = certify(ShutterCode(bits), path).upper
     every = [flipped(bits, places) for places in combinations(range(6), 2)]
     best = max((certify(ShutterCode(b), path).upper, b) for b in every if "1" in b)
-    (found,) = (n for n in better_neighbours(ShutterCode(bits), path, flips=2) if len(n.flips) == 2)
+    (found,) = (
+        n for n in better_neighbours(ShutterCode(bits), path, flips=2) if len(n.flips) == 2
+    )
     assert best[0] > here
     assert found.minimum == pytest.approx(best[0], rel=1e-3)
 
@@ -108,14 +116,18 @@ def test_grids_are_called_what_they_are(name, points):
     for claim in claims.values():
         assert claim.minimum == pytest.approx(np.abs(np.fft.fft(code.array, claim.points)).min())
     if points in claims:
-        expected = {"merl-31-t62": "hides the zero", "merl-50-t850": "honest"}.get(name, "overstates")
+        expected = {"merl-31-t62": "hides the zero", "merl-50-t850": "honest"}.get(
+            name, "overstates"
+        )
         assert claims[points].verdict == expected
     assert grid_claims(ShutterCode("1" * 16), None, 0.0)[0].verdict == "honest"
 
 
 def test_grids_along_a_path():
     # the open shutter's zeros at multiples of 1/32 lie on these grids; those of 31 px lie between
-    assert {c.verdict for c in grid_claims(ShutterCode("1"), Trajectory.straight(32.0), 0.0)} == {"honest"}
+    assert {c.verdict for c in grid_claims(ShutterCode("1"), Trajectory.straight(32.0), 0.0)} == {
+        "honest"
+    }
     bent = Trajectory.from_samples([[0, 0], [14, 3], [31, 5]])
     truth = certify(ShutterCode("1101"), bent)
     assert truth.upper == 0
@@ -135,7 +147,9 @@ def test_zeros_are_listed_by_direction():
 
 def test_the_command_tells_zeros_grids_and_no_verdict(cep):
     found = cep.succeeds("audit", "merl-31-t62", "--flips", "1")
-    assert [(zero["at"], zero["method"]) for zero in found["zeros"]] == [([1 / 6], "root of unity of order 6")]
+    assert [(zero["at"], zero["method"]) for zero in found["zeros"]] == [
+        ([1 / 6], "root of unity of order 6")
+    ]
     assert found["zeros_complete"]
     assert {grid["verdict"] for grid in found["grids"]} == {"hides the zero"}
     assert found["verified"] is None
@@ -155,14 +169,19 @@ def test_a_proven_zero_within_the_band_leaves_no_inverse(cep):
     assert beyond.zeros["both"].found
     assert not beyond.no_inverse
     assert not audit(PUBLISHED["raskar-52"], flips=0).no_inverse
-    assert not audit(ShutterCode("1101"), BENT, flips=0).no_inverse  # a curved path's are single points
+    assert not audit(
+        ShutterCode("1101"), BENT, flips=0
+    ).no_inverse  # a curved path's are single points
     assert cep.succeeds("audit", "merl-31-t62", "--flips", "0")["noise_gain_db"] is None
     assert re.search(r"noise_gain_db +infinite", cep("audit", "merl-31-t62", "--flips", "0").out)
 
 
 def test_the_command_judges_a_stored_code_with_the_camera_of_its_search(cep, tmp_path):
     path = tmp_path / "code.json"
-    write_code(path, StoredCode(PUBLISHED["raskar-52"], problem={"camera": Camera(read_noise_e=100).to_dict()}))
+    write_code(
+        path,
+        StoredCode(PUBLISHED["raskar-52"], problem={"camera": Camera(read_noise_e=100).to_dict()}),
+    )
     asked = ("audit", path, "--linear", "52", "--flips", "0")
     assert cep.succeeds(*asked)["choice"] == "code"
     assert cep.succeeds(*asked, "--read-noise", "2")["choice"] == "snapshot"

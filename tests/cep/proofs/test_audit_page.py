@@ -21,7 +21,8 @@ PAGE = Path(__file__).resolve().parents[3] / "docs" / "audit.html"
 @pytest.fixture(scope="module")
 def page(browser):
     """The page; at the end check that it asked for nothing and raised no error."""
-    asked, errors = [], []
+    asked = []
+    errors = []
     opened = browser.new_page(viewport={"width": 1200, "height": 800})
     opened.on("request", lambda request: asked.append(request.url))
     opened.on("pageerror", lambda error: errors.append(str(error)))
@@ -71,7 +72,8 @@ def test_the_page_agrees_with_the_library_on_200_codes(page):
         irrational += any(order == 0 for _, order in ours)
         without += not ours
         true = chip_minimum(code)
-        lower, upper = shown["minimum"]["lower"], shown["minimum"]["upper"]
+        lower = shown["minimum"]["lower"]
+        upper = shown["minimum"]["upper"]
         assert lower <= true.upper, bits
         assert true.lower <= upper, bits
         assert upper - lower <= 2e-6 * upper, bits
@@ -83,14 +85,18 @@ def test_the_page_agrees_with_the_library_on_200_codes(page):
             (claim["points"], claim["verdict"]) for claim in shown["grids"]
         ], bits
         np.testing.assert_allclose(
-            [claim["minimum"] for claim in shown["grids"]], [claim.minimum for claim in claims], atol=1e-9
+            [claim["minimum"] for claim in shown["grids"]],
+            [claim.minimum for claim in claims],
+            atol=1e-9,
         )
         assert shown["sentence"].startswith("Do not use this code") == shown["null"]
     assert min(rooted, irrational, without) >= 15
 
 
 def test_the_published_codes_are_those_of_the_registry():
-    listed = json.loads(re.search(r'id="published">(.*?)</script>', PAGE.read_text(encoding="utf-8"), re.DOTALL)[1])
+    listed = json.loads(
+        re.search(r'id="published">(.*?)</script>', PAGE.read_text(encoding="utf-8"), re.DOTALL)[1]
+    )
     assert [(one["name"], one["bits"], one["source"]) for one in listed] == [
         (name, published(name).code.bits, published(name).source) for name in names()
     ]
@@ -130,7 +136,9 @@ def test_codes_are_read_from_every_notation(page, text, bits):
 )
 def test_bad_input_is_one_line_beside_the_field(page, text, says):
     page.fill("#code", text)
-    page.wait_for_function("says => document.querySelector('#error').textContent.includes(says)", arg=says)
+    page.wait_for_function(
+        "says => document.querySelector('#error').textContent.includes(says)", arg=says
+    )
     assert page.get_attribute("#code", "aria-invalid") == "true"
     page.fill("#code", "1101")
     page.wait_for_function("document.querySelector('#error').textContent === ''")
@@ -141,10 +149,14 @@ def test_the_address_is_the_state(page):
     assert "proven zero at 1/6" in page.text_content("#sentence")
     assert page.url.endswith("#" + published("merl-31-t62").code.bits)
     page.evaluate("location.hash = '1101'")
-    page.wait_for_function("document.querySelector('#sentence').textContent.includes('3 of 4 chips')")
+    page.wait_for_function(
+        "document.querySelector('#sentence').textContent.includes('3 of 4 chips')"
+    )
     assert page.input_value("#code") == "1101"
     page.evaluate("location.hash = 'merl-31-t62'")
-    page.wait_for_function("document.querySelector('#sentence').textContent.includes('proven zero at 1/6')")
+    page.wait_for_function(
+        "document.querySelector('#sentence').textContent.includes('proven zero at 1/6')"
+    )
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

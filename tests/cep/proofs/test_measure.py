@@ -23,14 +23,17 @@ codes = st.text("01", min_size=1, max_size=24).filter(lambda bits: "1" in bits).
 
 def arc(length_px=8.0):
     angle = np.linspace(0, 2.0, 60) ** 1.3
-    return Trajectory.from_samples(length_px / 2.5 * np.stack([np.cos(angle), np.sin(2 * angle) / 2], 1))
+    return Trajectory.from_samples(
+        length_px / 2.5 * np.stack([np.cos(angle), np.sin(2 * angle) / 2], 1)
+    )
 
 
 @given(codes)
 @settings(max_examples=60, deadline=None)  # the first one loads the machine code
 def test_min_chip_lies_below_a_dense_grid_and_within_its_bounds(code):
     dense = np.abs(np.fft.rfft(code.array, 4096 * code.chips)).min()
-    found, bounds = min_chip(code), chip_minimum(code)
+    found = min_chip(code)
+    bounds = chip_minimum(code)
     # between grid points |P| falls by no more than its slope allows
     slope = 2 * np.pi * np.arange(code.chips) @ code.array
     assert dense - slope / (8192 * code.chips) <= found + 1e-12
@@ -70,7 +73,8 @@ def test_straight_minimum_against_dense_evaluation(angle, length):
 
 
 def test_curved_minimum_against_dense_evaluation():
-    path, code = arc(1.5), ShutterCode("1101")
+    path = arc(1.5)
+    code = ShutterCode("1101")
     fx, fy = np.meshgrid(np.linspace(-0.5, 0.5, 401), np.linspace(0, 0.5, 201))
     dense = np.abs(coded_otf(path, code, fx, fy)).min()
     found = mtf_minimum(path, code)
@@ -95,18 +99,23 @@ def test_band_is_an_fft_grid():
     assert fx[0, 5] == fy[5, 0] == 0.125
 
 
-@pytest.mark.parametrize("path", [Trajectory.straight(20, angle_rad=0.3), Trajectory.straight(9), arc()])
+@pytest.mark.parametrize(
+    "path", [Trajectory.straight(20, angle_rad=0.3), Trajectory.straight(9), arc()]
+)
 def test_samples_integrate_over_the_band(path):
     samples = band_samples(path)
     assert samples.weight.sum() == pytest.approx(1)
-    # mean of |f|^2 over the square is 1/6; of an even function of the motion's frequency by brute force
+    # mean of |f|^2 over the square is 1/6; of an even function of the motion's frequency by brute
+    # force
     mean_radius2 = samples.weight @ (samples.radius2 * samples.radius2_weight).sum(axis=1)
     assert mean_radius2 == pytest.approx(1 / 6, rel=2e-3)
     grid = (np.arange(1000) + 0.5) / 1000 - 0.5
     direction = straight_axis(path)
     if direction is not None:
         along = np.add.outer(grid * direction[1], grid * direction[0])
-        measured = samples.weight @ np.cos(20 * (samples.fx * direction[0] + samples.fy * direction[1]))
+        measured = samples.weight @ np.cos(
+            20 * (samples.fx * direction[0] + samples.fy * direction[1])
+        )
         assert measured == pytest.approx(np.cos(20 * along).mean(), abs=1e-5)
 
 
@@ -114,8 +123,11 @@ def test_samples_integrate_over_the_band(path):
 def test_a_very_long_motion_is_sampled_within_memory_and_still_resolved(length_px):
     samples = band_samples(Trajectory.straight(length_px))
     assert samples.fx.size <= max(2**18, 8 * 0.5 * length_px) + 1
-    assert samples.weight @ (samples.radius2 * samples.radius2_weight).sum(axis=1) == pytest.approx(1 / 6, rel=2e-3)
-    # a box's |H|^2: its integral over the line is 1 / length, of which next to nothing lies beyond the band
+    assert samples.weight @ (samples.radius2 * samples.radius2_weight).sum(
+        axis=1
+    ) == pytest.approx(1 / 6, rel=2e-3)
+    # a box's |H|^2: its integral over the line is 1 / length, of which next to nothing lies beyond
+    # the band
     power = samples.weight @ np.sinc(length_px * samples.fx) ** 2
     assert power == pytest.approx(1 / length_px, rel=1e-4)
 
@@ -137,7 +149,9 @@ def test_a_path_within_rounding_of_a_point_is_one(scale):
         path = Trajectory.from_samples(scale * np.array(shape, dtype=float))
         assert straight_axis(path) == pytest.approx([1.0, 0.0])
         assert uniform_length_px(path) is None
-        assert asdict(measure(path, ShutterCode("1"))) == pytest.approx(asdict(measure(point, ShutterCode("1"))))
+        assert asdict(measure(path, ShutterCode("1"))) == pytest.approx(
+            asdict(measure(point, ShutterCode("1")))
+        )
 
 
 def test_noise_gain_of_a_straight_motion_in_closed_form():
@@ -181,7 +195,8 @@ def test_noise_gains_are_told_up_to_100_db():
 
 def test_reversed_path_and_code_measure_alike():
     path = arc()
-    there, back = measure(path, RASKAR, budget=0), measure(path.reversed(), RASKAR.reversed(), budget=0)
+    there = measure(path, RASKAR, budget=0)
+    back = measure(path.reversed(), RASKAR.reversed(), budget=0)
     for name in ("flatness_var", "noise_gain_db", "dnf_db", "mse_db"):
         assert getattr(there, name) == pytest.approx(getattr(back, name), rel=1e-9)
     other = measure(path.reversed(), RASKAR, budget=0)
@@ -192,16 +207,22 @@ def test_reversed_path_and_code_measure_alike():
 
 def test_scene_spectrum_integrates_to_its_variance():
     samples = circle_samples(400)
-    variance, _ = integrate.dblquad(lambda y, x: 4 / float(inverse_scene(_at(x, y))[0, 0]), 0, 0.5, 0, 0.5, epsrel=1e-4)
+    variance, _ = integrate.dblquad(
+        lambda y, x: 4 / float(inverse_scene(_at(x, y))[0, 0]), 0, 0.5, 0, 0.5, epsrel=1e-4
+    )
     assert variance == pytest.approx(SCENE_STD**2, rel=1e-3)
     # a lens cap: nothing is restored, the whole variance is the error
-    assert wiener_mse(np.zeros(samples.fx.size), samples, 1.0) == pytest.approx(SCENE_STD**2, rel=0.05)
+    assert wiener_mse(np.zeros(samples.fx.size), samples, 1.0) == pytest.approx(
+        SCENE_STD**2, rel=0.05
+    )
 
 
 def _at(x, y):
     from cep.optics.band import BandSamples
 
-    return BandSamples(np.array([x]), np.array([y]), np.ones(1), np.array([[x * x + y * y]]), np.ones((1, 1)))
+    return BandSamples(
+        np.array([x]), np.array([y]), np.ones(1), np.array([[x * x + y * y]]), np.ones((1, 1))
+    )
 
 
 def test_wiener_error_of_a_still_bright_photo_is_the_noise():
@@ -214,22 +235,28 @@ def test_wiener_error_of_a_still_bright_photo_is_the_noise():
 
 def test_more_light_never_hurts_the_wiener_error():
     path = Trajectory.straight(20.0)
-    errors = [measure(path, RASKAR, camera=Camera(photons_full_scale=p)).mse_db for p in (100, 1000, 10_000)]
+    errors = [
+        measure(path, RASKAR, camera=Camera(photons_full_scale=p)).mse_db
+        for p in (100, 1000, 10_000)
+    ]
     assert errors[0] > errors[1] > errors[2]
 
 
 def test_straight_wiener_error_agrees_with_the_plane():
     """The one-axis quadrature against a plain two-dimensional midpoint rule."""
-    path, camera = Trajectory.straight(12.0, angle_rad=0.5), Camera(photons_full_scale=2000)
+    path = Trajectory.straight(12.0, angle_rad=0.5)
+    camera = Camera(photons_full_scale=2000)
     code = ShutterCode("1101001")
     grid = (np.arange(800) + 0.5) / 800 - 0.5
     fx, fy = np.meshgrid(grid, grid)
     power = np.abs(coded_otf(path, code, fx, fy)) ** 2
-    prior = inverse_scene(_at(0.0, 0.0))[0, 0] + (inverse_scene(_at(1.0, 0.0)) - inverse_scene(_at(0.0, 0.0)))[0, 0] * (
-        fx**2 + fy**2
-    )
+    prior = inverse_scene(_at(0.0, 0.0))[0, 0] + (
+        inverse_scene(_at(1.0, 0.0)) - inverse_scene(_at(0.0, 0.0))
+    )[0, 0] * (fx**2 + fy**2)
     plane = np.mean(1 / (power / noise_variance(camera, code.duty) + prior))
-    assert measure(path, code, camera=camera).mse_db == pytest.approx(10 * np.log10(plane), abs=0.02)
+    assert measure(path, code, camera=camera).mse_db == pytest.approx(
+        10 * np.log10(plane), abs=0.02
+    )
 
 
 def test_chip_noise_of_one_chip_is_nought():

@@ -28,7 +28,8 @@ from motdiff.metrics import timed_distance_px
 from motdiff.trajectory import Trajectory
 
 LEVELS = (1000.0,)
-CODED, PLAIN = Camera.load(STANDARD_CAMERA), Camera.load(CONTRAST)
+CODED = Camera.load(STANDARD_CAMERA)
+PLAIN = Camera.load(CONTRAST)
 OF_A_CODE = {"code.json", "coded.png", "restored_coded.png", "code_strip.png"}
 
 
@@ -64,7 +65,11 @@ def calibrated():
     known = replace(scene.motion, direction="known")
     alone = seen_once(scene)
     estimate = replace(
-        alone, method="coded", trajectories=(known,), weights=(1.0,), details={"path_uncertainty_px": 0.2}
+        alone,
+        method="coded",
+        trajectories=(known,),
+        weights=(1.0,),
+        details={"path_uncertainty_px": 0.2},
     )
     codes = tuple(ShutterCode(bits) for bits in ("1111", "0110"))
     found = FoundMotion(estimate, codes, (scene.photo, 0.5 * scene.photo), alone=alone)
@@ -81,7 +86,10 @@ class Page(HTMLParser):
 
     def __init__(self, page):
         super().__init__()
-        self.text, self.commands, self.images, self.inside = "", "", [], []
+        self.text = ""
+        self.commands = ""
+        self.images = []
+        self.inside = []
         self.feed(page)
 
     def handle_starttag(self, tag, attrs):
@@ -102,13 +110,15 @@ class Page(HTMLParser):
 
 
 def test_the_bundled_scene_repeats_and_moves():
-    first, second = (bundled_scene(CODED, rng=np.random.default_rng(3), side_px=200) for _ in range(2))
+    first, second = (
+        bundled_scene(CODED, rng=np.random.default_rng(3), side_px=200) for _ in range(2)
+    )
     np.testing.assert_array_equal(first.photo, second.photo)
     assert 20 < first.motion.length_px < 30
     assert first.photo.shape[0] < first.sharp.shape[0] == 200
 
 
-# -- the chain --------------------------------------------------------------------------------------------------------
+# -- the chain ------------------------------------------------------------------------------------
 
 
 def test_where_coding_pays_the_photos_show_it(coded):
@@ -156,7 +166,9 @@ def test_a_set_of_photos_tells_the_order(tmp_path):
     """The bundled motion is found from photos through codes, to a fraction of a pixel at equal times."""
     scene = small_scene(CODED)
     told = []
-    found = find_motion(scene, CODED, exposure_s=0.03, tell=lambda share, _what: told.append(share))
+    found = find_motion(
+        scene, CODED, exposure_s=0.03, tell=lambda share, _what: told.append(share)
+    )
     assert told == sorted(told)
     assert len(found.codes) == len(found.photos) == 4
     assert found.codes[0].duty == 1
@@ -166,8 +178,12 @@ def test_a_set_of_photos_tells_the_order(tmp_path):
 
 
 def test_no_set_through_a_device_that_cannot_play_it(coded, monkeypatch):
-    monkeypatch.setattr("cep.report.demo_scene.estimate_motion", lambda _photo, **_options: coded.estimate)
-    found = find_motion(coded.scene, CODED, exposure_s=0.002, device=load_profile("mechanical-fast"))
+    monkeypatch.setattr(
+        "cep.report.demo_scene.estimate_motion", lambda _photo, **_options: coded.estimate
+    )
+    found = find_motion(
+        coded.scene, CODED, exposure_s=0.002, device=load_profile("mechanical-fast")
+    )
     assert (found.codes, found.alone) == ((), None)
 
 
@@ -180,8 +196,13 @@ def test_ones_own_photo_has_no_truth(coded):
     scene = own_photo("mine.jpg", coded.scene.photo, warnings=("The transparency was dropped.",))
     told = []
     mine = run_chain(
-        scene, CODED, found=coded.found, levels=LEVELS, chips=12, tell=lambda share, _what: told.append(share)
-    )  # fmt: skip
+        scene,
+        CODED,
+        found=coded.found,
+        levels=LEVELS,
+        chips=12,
+        tell=lambda share, _what: told.append(share),
+    )
     assert (told[0], told[-1]) == (0, 1)
     assert told == sorted(told)
     assert mine.gains_db(known=True) == {}
@@ -197,19 +218,24 @@ def test_a_featureless_photo_is_refused():
 
 
 def test_the_band_below_the_noise_grows_with_noise_and_blur():
-    path, still = Trajectory.straight(20.0), Trajectory.straight(1.0)
+    path = Trajectory.straight(20.0)
+    still = Trajectory.straight(1.0)
     assert share_below_noise(still, None, PLAIN) < share_below_noise(path, None, PLAIN)
-    assert share_below_noise(path, None, PLAIN) < share_below_noise(path, ShutterCode("1111"), CODED)
+    assert share_below_noise(path, None, PLAIN) < share_below_noise(
+        path, ShutterCode("1111"), CODED
+    )
 
 
-# -- files ------------------------------------------------------------------------------------------------------------
+# -- files ----------------------------------------------------------------------------------------
 
 
 def test_files_and_figures(coded, tmp_path):
     figures = write_demo(tmp_path / "out", coded)
     written = {item.name for item in (tmp_path / "out").iterdir()}
     of_a_set = {name for name in DEMO_FILES if name.startswith("calibration")}
-    assert written == set(DEMO_FILES) - of_a_set - {"shutter_code.pulsepal.toml"}  # its ticks are 50 us
+    assert written == set(DEMO_FILES) - of_a_set - {
+        "shutter_code.pulsepal.toml"
+    }  # its ticks are 50 us
     stored = json.loads((tmp_path / "out/demo.json").read_text())
     assert stored["bits"] == coded.code.bits == figures["bits"]
     assert (stored["verdict"], stored["choice"]) == (coded.advice.here.sentence, "code")
@@ -249,7 +275,7 @@ def test_no_code_is_written_where_none_is_advised(coded, plain, tmp_path):
     assert figures["psnr_db"]["coded"] == plain.shot("coded").psnr_db
 
 
-# -- the page ---------------------------------------------------------------------------------------------------------
+# -- the page -------------------------------------------------------------------------------------
 
 
 def test_the_page_recommends_no_code_where_none_is_advised(plain):
@@ -258,7 +284,9 @@ def test_the_page_recommends_no_code_where_none_is_advised(plain):
     assert report.summary == plain.advice.here.sentence
     assert report.summary.startswith("Coding does not pay here")
     assert plain.shot("coded").way.code.bits not in page.text
-    assert not re.search(r"cep (optimize|upload|export|refine)|Code this exposure|Pulse the shutter", page.text)
+    assert not re.search(
+        r"cep (optimize|upload|export|refine)|Code this exposure|Pulse the shutter", page.text
+    )
     assert "best code (not advised)" in page.text
 
 
@@ -268,7 +296,11 @@ def test_the_page_leads_with_the_verdict(coded):
     assert report.summary == coded.advice.here.sentence
     assert coded.code.bits in page.text
     assert coded.contrast.sentence in page.text
-    assert page.text.index(report.setting) < page.text.index(report.summary) < page.text.index("Gain over the light")
+    assert (
+        page.text.index(report.setting)
+        < page.text.index(report.summary)
+        < page.text.index("Gain over the light")
+    )
 
 
 def test_figures_on_the_page_are_those_of_the_files(either, tmp_path):
@@ -291,13 +323,21 @@ def test_the_page_is_one_file_and_described(either):
     page = html(demo_report(either))
     images = Page(page).images
     assert len(images) >= 8
-    assert all(image["alt"] and image["src"].startswith("data:image/png;base64,") for image in images)
-    assert not re.search(r"""(?:src|href|srcset|action)="(?!data:image/png;|\#)|url\(|@import|https?:""", page)
+    assert all(
+        image["alt"] and image["src"].startswith("data:image/png;base64,") for image in images
+    )
+    assert not re.search(
+        r"""(?:src|href|srcset|action)="(?!data:image/png;|\#)|url\(|@import|https?:""", page
+    )
 
 
 def test_the_commands_on_the_page_take_their_options(either):
     commands = typer.main.get_command(app).commands
-    lines = Page(html(demo_report(either, options="--camera video-8bit --photons 100"))).commands.strip().splitlines()
+    lines = (
+        Page(html(demo_report(either, options="--camera video-8bit --photons 100")))
+        .commands.strip()
+        .splitlines()
+    )
     assert len(lines) >= 3
     for line in lines:
         program, name, *arguments = shlex.split(line)

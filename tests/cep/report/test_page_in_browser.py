@@ -6,7 +6,8 @@ import pytest
 from cep.files.images import encode_image
 from cep.report.result_page import Picture, Report, Section, Table, write_report
 
-PHONE, DESK = 380, 1200
+PHONE = 380
+DESK = 1200
 
 
 @pytest.fixture(scope="module")
@@ -20,10 +21,27 @@ def address(tmp_path_factory):
     table = Table(tuple(f"a long heading, number {i}" for i in range(9)), (("row", *range(8)),))
     wide = Picture(encode_image(np.ones((100, 2000)), ".png"), "A figure.", "a wide figure")
     line = (
-        "cep advise --trajectory motion/trajectory.json --chips 26 --exposure 33332us --camera video-8bit " + "1" * 90
+        "cep advise --trajectory motion/trajectory.json --chips 26 --exposure 33332us --camera video-8bit "
+        + "1" * 90
     )
-    section = Section("Photos", ("1" * 200,), (table,), (wide,), gallery=gallery, compared=(0, 1), commands=(line,))
-    report = Report("Title", "Summary", (("length", "12 px"),) * 4, (section,) * 3, "seed 1", "Setting", ("Remark",))
+    section = Section(
+        "Photos",
+        ("1" * 200,),
+        (table,),
+        (wide,),
+        gallery=gallery,
+        compared=(0, 1),
+        commands=(line,),
+    )
+    report = Report(
+        "Title",
+        "Summary",
+        (("length", "12 px"),) * 4,
+        (section,) * 3,
+        "seed 1",
+        "Setting",
+        ("Remark",),
+    )
     path = tmp_path_factory.mktemp("page") / "report.html"
     write_report(path, report)
     return path.as_uri()
@@ -32,7 +50,9 @@ def address(tmp_path_factory):
 @pytest.fixture
 def opened(browser, address):
     """Open the page in a window so wide; at the end check that it asked for nothing and raised no error."""
-    asked, errors, pages = [], [], []
+    asked = []
+    errors = []
+    pages = []
 
     def open_page(width, **options):
         page = browser.new_page(viewport={"width": width, "height": 800}, **options)
@@ -63,7 +83,9 @@ def test_the_slider_moves_by_key_and_by_pointer(opened):
     boundary = box.locator(".stage").evaluate_handle("stage => stage")
 
     def share():
-        return float(boundary.evaluate("stage => stage.style.getPropertyValue('--at')").rstrip("%"))
+        return float(
+            boundary.evaluate("stage => stage.style.getPropertyValue('--at')").rstrip("%")
+        )
 
     box.locator("input").focus()
     begun = share()

@@ -21,7 +21,10 @@ class Reader(HTMLParser):
 
     def __init__(self):
         super().__init__()
-        self.open, self.attributes, self.tags, self.text = [], [], [], ""
+        self.open = []
+        self.attributes = []
+        self.tags = []
+        self.text = ""
 
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
@@ -44,7 +47,13 @@ def report():
         highlight=0,
     )
     sections = (
-        Section("Motion", ("It moved.",), (table,), (Picture(PNG, "A path", "a line"),), ("Direction unknown.",)),
+        Section(
+            "Motion",
+            ("It moved.",),
+            (table,),
+            (Picture(PNG, "A path", "a line"),),
+            ("Direction unknown.",),
+        ),
         Section("Code", commands=("cep advise --linear 9", "cep code < a > b")),
         Section("<script>alert(1)</script>", ("a & b < c",)),
     )
@@ -62,7 +71,11 @@ def test_nothing_is_fetched_and_nothing_runs(report):
     page = html(report)
     reader = read(page)
     assert not {"script", "link", "iframe", "object"} & set(reader.tags)
-    addresses = [value for _, name, value in reader.attributes if name in ("src", "href", "srcset", "action")]
+    addresses = [
+        value
+        for _, name, value in reader.attributes
+        if name in ("src", "href", "srcset", "action")
+    ]
     assert addresses
     assert all(value.startswith(("data:image/png;base64,", "#")) for value in addresses)
     assert not re.search(r"url\(|@import|https?:", page)
@@ -72,7 +85,9 @@ def test_nothing_is_fetched_and_nothing_runs(report):
 def gallery():
     titles = ("Blurred", "Restored", "At rest")
     pictures = tuple(Picture(PNG, "A photo", f"photo {title}", title=title) for title in titles)
-    return Report("Title", "Summary", sections=(Section("Photos", gallery=pictures, compared=(0, 1)),))
+    return Report(
+        "Title", "Summary", sections=(Section("Photos", gallery=pictures, compared=(0, 1)),)
+    )
 
 
 def test_the_only_script_is_the_one_that_the_policy_names():
@@ -139,12 +154,21 @@ def test_ragged_tables_are_refused():
 
 
 def test_numbers_stand_right_and_text_stands_left():
-    rows = (("ours", 0.5, "+1.20", "can be played", None), ("open", None, "33.3 ms", "2 openings are too many", 3))
+    rows = (
+        ("ours", 0.5, "+1.20", "can be played", None),
+        ("open", None, "33.3 ms", "2 openings are too many", 3),
+    )
     table = Table(("code", "MTF", "gain", "device", "count"), rows)
     assert table.numeric == (False, True, True, False, True)
 
 
 def test_links_are_followed_only_when_clicked():
-    page = html(Report("Title", "Summary", sections=(Section("Wiring", links=(("a & b", "../docs/a%20b.md"),)),)))
+    page = html(
+        Report(
+            "Title",
+            "Summary",
+            sections=(Section("Wiring", links=(("a & b", "../docs/a%20b.md"),)),),
+        )
+    )
     assert ("a", "href", "../docs/a%20b.md") in read(page).attributes
     assert ">a &amp; b</a>" in page

@@ -17,7 +17,11 @@ CODE = ShutterCode("1101000101101110")
 PATH = Trajectory.from_samples([[0, 0], [5, 0], [9, 2], [11, 6], [11, 11]])
 SCENE = (data.camera()[60:240, 130:310] / 255.0) ** 2.2
 PHOTO = capture(
-    SCENE, PATH, CODE, camera=Camera(photons_full_scale=1e6, read_noise_e=2000), rng=np.random.default_rng(0)
+    SCENE,
+    PATH,
+    CODE,
+    camera=Camera(photons_full_scale=1e6, read_noise_e=2000),
+    rng=np.random.default_rng(0),
 )
 TRUTH = coded_psf(PATH, CODE, PATH.frame_size())
 
@@ -57,7 +61,9 @@ def test_a_lost_psf_is_said_to_be_lost(monkeypatch):
     assert restore(PHOTO, code=CODE).warnings[0] == first
 
 
-@pytest.mark.parametrize("photo", [np.full((60, 60), 0.2), np.random.default_rng(0).random((30, 60))])
+@pytest.mark.parametrize(
+    "photo", [np.full((60, 60), 0.2), np.random.default_rng(0).random((30, 60))]
+)
 def test_a_photo_that_cannot_be_searched_is_refused(photo):
     with pytest.raises(ValueError, match=r"^photo: "):
         restore(photo, code=CODE)

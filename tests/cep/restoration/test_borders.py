@@ -28,7 +28,9 @@ def test_membrane_keeps_the_photo_and_is_harmonic_in_each_tile(photo):
     height, width = photo.shape
     extended = membrane_extension(photo, (100, 120))
     np.testing.assert_array_equal(extended[:height, :width], photo)
-    laplacian = sum(np.roll(extended, s, a) for s, a in ((1, 0), (-1, 0), (1, 1), (-1, 1))) - 4 * extended
+    laplacian = (
+        sum(np.roll(extended, s, a) for s, a in ((1, 0), (-1, 0), (1, 1), (-1, 1))) - 4 * extended
+    )
     for rows, columns in (
         (slice(height, None), slice(1, width - 1)),
         (slice(1, height - 1), slice(width, None)),
@@ -41,7 +43,10 @@ def test_membrane_keeps_the_photo_and_is_harmonic_in_each_tile(photo):
 
 def test_membrane_steps_across_the_seam_are_as_small_as_inside(photo):
     extended = membrane_extension(photo, (100, 120))
-    around = np.abs(extended[0] - extended[-1]).mean(), np.abs(extended[:, 0] - extended[:, -1]).mean()
+    around = (
+        np.abs(extended[0] - extended[-1]).mean(),
+        np.abs(extended[:, 0] - extended[:, -1]).mean(),
+    )
     naive = np.abs(photo[0] - photo[-1]).mean(), np.abs(photo[:, 0] - photo[:, -1]).mean()
     assert max(around) < 0.3 * min(naive)
 
@@ -53,7 +58,9 @@ def test_no_gap_changes_nothing(photo):
 def test_reblurred_extension_solves_the_masked_least_squares():
     # small enough for the dense normal equations
     rng = np.random.default_rng(0)
-    photo, shape, ratio = rng.random((7, 8)), (11, 12), 0.3
+    photo = rng.random((7, 8))
+    shape = (11, 12)
+    ratio = 0.3
     psf = np.outer([0.2, 0.5, 0.1], [0.3, 0.6, 0.2])
     size = shape[0] * shape[1]
     blur = np.zeros((size, size))
@@ -65,7 +72,9 @@ def test_reblurred_extension_solves_the_masked_least_squares():
     seen = np.zeros(shape, bool)
     seen[:7, :8] = True
     law = ratio * power_law(shape)
-    prior = np.stack([fft.irfft2(law * fft.rfft2(u.reshape(shape)), shape).ravel() for u in np.eye(size)])
+    prior = np.stack(
+        [fft.irfft2(law * fft.rfft2(u.reshape(shape)), shape).ravel() for u in np.eye(size)]
+    )
     observed = blur[seen.ravel()]
     scene = np.linalg.solve(observed.T @ observed + prior, observed.T @ photo.ravel())
     expected = (blur @ scene).reshape(shape)
@@ -91,6 +100,7 @@ def test_noise_and_scene_strength_are_found_in_a_blurred_photo(sigma):
 @pytest.mark.parametrize("level", [0.0, 0.3, 1.0])
 def test_a_flat_photo_meets_no_bare_inverse_filter(level):
     """Only rounding is left in its spectrum, which a box PSF's zeros would amplify without end."""
-    photo, psf = np.full((200, 200), level), np.full((1, 9), 1 / 9)
+    photo = np.full((200, 200), level)
+    psf = np.full((1, 9), 1 / 9)
     assert fit_spectrum(photo, psf).noise > 0
     np.testing.assert_allclose(wiener(photo, psf), level, atol=1e-6)

@@ -11,7 +11,8 @@ from motdiff.trajectory import Trajectory
 from tests.motdiff.estimators.test_edge_widths import discs
 
 PATH = Trajectory.from_samples([[0, 0], [8, 1], [12, 7]])
-RIGHT, WRONG = PATH.psf(33), Trajectory.straight(14.0, angle_rad=-1.0).psf(33)
+RIGHT = PATH.psf(33)
+WRONG = Trajectory.straight(14.0, angle_rad=-1.0).psf(33)
 SCENE = discs(260)
 EVEN = {"a": 0.0, "b": 0.0}
 
@@ -62,7 +63,9 @@ def test_a_restored_photo_is_nearer_the_scene_in_every_colour():
 
 def test_strong_noise_is_not_sharpened():
     photo, sharp = taken(sigma=0.03)
-    assert psnr_up_to_shift(restore_chosen(photo, RIGHT)[0], sharp) > psnr_up_to_shift(photo, sharp)
+    assert psnr_up_to_shift(restore_chosen(photo, RIGHT)[0], sharp) > psnr_up_to_shift(
+        photo, sharp
+    )
 
 
 def test_a_large_photo_is_restored_by_the_fast_method(monkeypatch):
@@ -71,4 +74,7 @@ def test_a_large_photo_is_restored_by_the_fast_method(monkeypatch):
     image, method = restore_chosen(photo, RIGHT)
     assert method == "wiener"
     assert image.shape == photo.shape
-    assert psnr_up_to_shift(image[..., 0], sharp[..., 0]) > psnr_up_to_shift(photo[..., 0], sharp[..., 0]) + 2
+    assert (
+        psnr_up_to_shift(image[..., 0], sharp[..., 0])
+        > psnr_up_to_shift(photo[..., 0], sharp[..., 0]) + 2
+    )

@@ -58,7 +58,9 @@ def test_values_of_clipped_pixels_do_not_matter():
     np.testing.assert_array_equal(restore(other, PSF).image, restore(PHOTO, PSF).image)
     assert misfit(other, PHOTO, PSF) == misfit(PHOTO, PHOTO, PSF)
     dark = np.where(CLIPPED, 0.2, PHOTO)
-    np.testing.assert_array_equal(fill_clipped(dark, PSF, clipped=CLIPPED), fill_clipped(PHOTO, PSF))
+    np.testing.assert_array_equal(
+        fill_clipped(dark, PSF, clipped=CLIPPED), fill_clipped(PHOTO, PSF)
+    )
 
 
 def test_the_fill_does_not_depend_on_the_scale_of_the_psf_and_is_per_channel():
@@ -85,7 +87,10 @@ def test_paper_just_below_clipping_is_not_made_brighter():
     photo = np.clip(photograph(page, PSF, rng=rng, read_sigma=0.004), 0, 1)
     assert clipped_mask(photo).mean() > 0.1
     sharp = visible(page, 33)
-    with_mask, without = (np.clip(x, 0, 1) for x in (restore(photo, PSF, method="tv").image, METHODS["tv"](photo, PSF)))
+    with_mask, without = (
+        np.clip(x, 0, 1)
+        for x in (restore(photo, PSF, method="tv").image, METHODS["tv"](photo, PSF))
+    )
     assert psnr(with_mask, sharp) > psnr(without, sharp) - 1
 
 
@@ -93,7 +98,9 @@ def test_paper_just_below_clipping_is_not_made_brighter():
 def test_a_photo_with_nothing_clipped_is_restored_as_by_the_method_alone(method):
     dim = 0.97 * PHOTO
     assert fill_clipped(dim, PSF) is dim
-    np.testing.assert_array_equal(restore(dim, PSF, method=method).image, METHODS[method](dim, PSF))
+    np.testing.assert_array_equal(
+        restore(dim, PSF, method=method).image, METHODS[method](dim, PSF)
+    )
     np.testing.assert_array_equal(lights_cut(2 * dim, np.zeros(dim.shape, bool), PSF), 2 * dim)
 
 

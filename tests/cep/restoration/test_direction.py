@@ -28,14 +28,20 @@ def curved():
 
 def photo_along(path, code, *, scene="camera", sigma=0.005, seed=0):
     camera = Camera(photons_full_scale=1e6, read_noise_e=sigma * 1e6)
-    return capture(linear(scene), coded_psf(path, code), camera=camera, rng=np.random.default_rng(seed))
+    return capture(
+        linear(scene), coded_psf(path, code), camera=camera, rng=np.random.default_rng(seed)
+    )
 
 
 @pytest.mark.parametrize("scene", ["camera", "coffee"])
 @pytest.mark.parametrize("sigma", [0.002, 0.01])
-@pytest.mark.parametrize("path", [curved(), Trajectory.straight(22.0, angle_rad=0.3)], ids=["curved", "straight"])
+@pytest.mark.parametrize(
+    "path", [curved(), Trajectory.straight(22.0, angle_rad=0.3)], ids=["curved", "straight"]
+)
 def test_says_which_way_the_camera_ran(path, scene, sigma):
-    result = direction.detect_direction(photo_along(path, RASKAR_52, scene=scene, sigma=sigma), path, RASKAR_52)
+    result = direction.detect_direction(
+        photo_along(path, RASKAR_52, scene=scene, sigma=sigma), path, RASKAR_52
+    )
     assert result.direction == "forward"
     assert result.confidence > 0.6
     np.testing.assert_allclose(result.psf, coded_psf(path, RASKAR_52))

@@ -18,7 +18,9 @@ BITS = "1011000110111010"  # no zero on the circle
 
 
 def coded_psf(length_px=9.0, size=32, angle_rad=0.5):
-    slices = Trajectory.straight(length_px, angle_rad=angle_rad).slice_psfs(np.linspace(0, 1, len(BITS) + 1), size)
+    slices = Trajectory.straight(length_px, angle_rad=angle_rad).slice_psfs(
+        np.linspace(0, 1, len(BITS) + 1), size
+    )
     return np.tensordot([float(b) for b in BITS], slices, axes=1)
 
 
@@ -66,11 +68,21 @@ def test_wiener_has_the_least_error_among_its_own_strengths():
     rng = np.random.default_rng(3)
     f2 = np.fft.fftfreq(128)[:, None] ** 2 + np.fft.rfftfreq(128)[None] ** 2
     f2[0, 0] = np.inf
-    truth = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((128, 128))) * np.sqrt(1e-4 / f2), (128, 128))
+    truth = np.fft.irfft2(
+        np.fft.rfft2(rng.standard_normal((128, 128))) * np.sqrt(1e-4 / f2), (128, 128)
+    )
     psf = coded_psf()
     photo = blur_periodic(truth, psf) + 0.05 * rng.standard_normal(truth.shape)
     errors = [
-        np.mean((wiener(photo, psf, noise_variance=k * 0.05**2, scene_strength=1e-4, border="periodic") - truth) ** 2)
+        np.mean(
+            (
+                wiener(
+                    photo, psf, noise_variance=k * 0.05**2, scene_strength=1e-4, border="periodic"
+                )
+                - truth
+            )
+            ** 2
+        )
         for k in (0.2, 0.5, 1.0, 2.0, 5.0)
     ]
     assert np.argmin(errors) == 2
@@ -84,22 +96,32 @@ def test_scale_is_that_of_the_full_exposure_and_colour_is_per_channel(scene, met
     duty = psf.sum()
     assert 0.4 < duty < 0.7
     colour = np.stack([scene, 0.5 * scene, 0.25 * scene], axis=-1)[:120, :130]
-    photo = capture(colour, psf, camera=Camera(photons_full_scale=1e6), rng=np.random.default_rng(0))
+    photo = capture(
+        colour, psf, camera=Camera(photons_full_scale=1e6), rng=np.random.default_rng(0)
+    )
     restored = method(photo, psf)
     assert restored.shape == photo.shape
-    np.testing.assert_allclose(restored.mean(axis=(0, 1)), visible(colour, 32).mean(axis=(0, 1)), rtol=0.02)
+    np.testing.assert_allclose(
+        restored.mean(axis=(0, 1)), visible(colour, 32).mean(axis=(0, 1)), rtol=0.02
+    )
     assert psnr(restored, visible(colour, 32)) > psnr(photo / duty, visible(colour, 32)) + 3
 
 
 def test_flat_photo_stays_flat():
     for method in ALL:
-        np.testing.assert_allclose(method(np.full((40, 43), 0.3), coded_psf()), 0.3 / coded_psf().sum(), atol=1e-6)
+        np.testing.assert_allclose(
+            method(np.full((40, 43), 0.3), coded_psf()), 0.3 / coded_psf().sum(), atol=1e-6
+        )
 
 
-@pytest.mark.parametrize(("method", "gain_db"), [(wiener, 4.0), (tv, 5.0), (tv_less_ringing, 5.0), (l0, 3.0)])
+@pytest.mark.parametrize(
+    ("method", "gain_db"), [(wiener, 4.0), (tv, 5.0), (tv_less_ringing, 5.0), (l0, 3.0)]
+)
 def test_known_psf_improves_a_noisy_photo(scene, method, gain_db):
     psf = coded_psf()
-    photo = capture(scene, psf, camera=Camera(photons_full_scale=20_000), rng=np.random.default_rng(0))
+    photo = capture(
+        scene, psf, camera=Camera(photons_full_scale=20_000), rng=np.random.default_rng(0)
+    )
     truth = visible(scene, 32)
     assert psnr(method(photo, psf), truth) > psnr(photo / psf.sum(), truth) + gain_db
 
@@ -107,7 +129,9 @@ def test_known_psf_improves_a_noisy_photo(scene, method, gain_db):
 @pytest.mark.parametrize("method", ALL)
 def test_real_borders_beat_the_periodic_assumption(scene, method):
     psf = coded_psf(15.0)
-    photo = capture(scene, psf, camera=Camera(photons_full_scale=20_000), rng=np.random.default_rng(0))
+    photo = capture(
+        scene, psf, camera=Camera(photons_full_scale=20_000), rng=np.random.default_rng(0)
+    )
     truth = visible(scene, 32)
     assert psnr(method(photo, psf), truth) > psnr(method(photo, psf, border="periodic"), truth) + 3
 
@@ -150,7 +174,10 @@ def test_restore_reports_misfit_border_and_clipping(scene):
     bright = np.clip(scene * 3, 0, 3)
     camera = Camera(photons_full_scale=1e5, read_noise_e=0.0)
     result = restore(
-        capture(bright, psf, camera=camera, rng=np.random.default_rng(0)), psf, method="wiener", camera=camera
+        capture(bright, psf, camera=camera, rng=np.random.default_rng(0)),
+        psf,
+        method="wiener",
+        camera=camera,
     )
     assert result.method == "wiener"
     assert result.unreliable_px == trimmed_psf(psf).shape[0] // 2
@@ -166,7 +193,9 @@ def test_restore_reports_misfit_border_and_clipping(scene):
 def test_misfit_of_the_truth_is_the_noise(scene):
     psf = coded_psf()
     truth = visible(scene, 32)
-    photo = ndimage.convolve(truth, trimmed_psf(psf)) + 0.01 * np.random.default_rng(0).standard_normal(truth.shape)
+    photo = ndimage.convolve(truth, trimmed_psf(psf)) + 0.01 * np.random.default_rng(
+        0
+    ).standard_normal(truth.shape)
     assert misfit(photo, truth, psf) == pytest.approx(0.01, rel=0.03)
     assert np.isnan(misfit(photo[:5, :5], truth[:5, :5], psf))
 

@@ -15,7 +15,9 @@ BITS = "1011000110111010"  # no zero on the circle
 
 
 def coded_psf(length_px=9.0, size=32, angle_rad=0.5):
-    slices = Trajectory.straight(length_px, angle_rad=angle_rad).slice_psfs(np.linspace(0, 1, len(BITS) + 1), size)
+    slices = Trajectory.straight(length_px, angle_rad=angle_rad).slice_psfs(
+        np.linspace(0, 1, len(BITS) + 1), size
+    )
     return np.tensordot([float(b) for b in BITS], slices, axes=1)
 
 
@@ -23,7 +25,9 @@ def otf(psf, shape):
     """Full spectrum of the PSF on a periodic grid."""
     grid = np.zeros(shape)
     for row, column in zip(*np.nonzero(psf), strict=True):
-        grid[(row - psf.shape[0] // 2) % shape[0], (column - psf.shape[1] // 2) % shape[1]] += psf[row, column]
+        grid[(row - psf.shape[0] // 2) % shape[0], (column - psf.shape[1] // 2) % shape[1]] += psf[
+            row, column
+        ]
     return np.fft.fft2(grid)
 
 
@@ -49,13 +53,17 @@ def scene():
 
 def test_without_a_denoiser_the_wiener_filter_s_error_shrinks_by_a_closed_form(scene):
     """With x = z each step brings a frequency closer to y / H, by a / (|H|^2 + a)."""
-    psf, variance = coded_psf(), 1e-5
+    psf = coded_psf()
+    variance = 1e-5
     rng = np.random.default_rng(0)
-    photo = blur_periodic(scene[:90, :101], psf) + np.sqrt(variance) * rng.standard_normal((90, 101))
+    photo = blur_periodic(scene[:90, :101], psf) + np.sqrt(variance) * rng.standard_normal(
+        (90, 101)
+    )
     restored = pnp(photo, psf, noise_variance=variance, denoiser=unchanged, border="periodic")
 
     first = wiener(photo, psf, noise_variance=variance, border="periodic")
-    transfer, duty = otf(psf, photo.shape), psf.sum()
+    transfer = otf(psf, photo.shape)
+    duty = psf.sum()
     exact = np.fft.fft2(photo) / transfer
     sigmas = np.geomspace(0.1, np.sqrt(variance) / duty, 8)
     weights = 0.4 * variance / duty**2 / sigmas[1:] ** 2
@@ -68,9 +76,13 @@ def test_without_a_denoiser_the_wiener_filter_s_error_shrinks_by_a_closed_form(s
 def test_a_denoiser_that_knows_the_scene_s_law_comes_close_to_the_best_linear_filter():
     """For a Gaussian scene of spectrum A / f^2 the right denoiser is A / (A + s^2 f^2), the best filter Wiener's."""
     rng = np.random.default_rng(3)
-    strength, variance, shape = 1e-4, 1e-4, (128, 128)
+    strength = 1e-4
+    variance = 1e-4
+    shape = (128, 128)
     f2 = np.fft.fftfreq(128)[:, None] ** 2 + np.fft.rfftfreq(128)[None] ** 2
-    drawn = np.fft.rfft2(rng.standard_normal(shape)) * np.sqrt(strength / np.where(f2 > 0, f2, np.inf))
+    drawn = np.fft.rfft2(rng.standard_normal(shape)) * np.sqrt(
+        strength / np.where(f2 > 0, f2, np.inf)
+    )
     truth = np.fft.irfft2(drawn, shape)
     psf = coded_psf()
     photo = blur_periodic(truth, psf) + np.sqrt(variance) * rng.standard_normal(shape)
@@ -111,11 +123,14 @@ def test_levels_fall_log_evenly_to_the_noise_at_full_exposure(scene):
 
 
 def test_the_camera_s_noise_is_its_mean_over_the_photo(scene):
-    camera, psf = Camera(photons_full_scale=2000), coded_psf()
+    camera = Camera(photons_full_scale=2000)
+    psf = coded_psf()
     photo = capture(scene, psf, camera=camera, rng=np.random.default_rng(0))
     by_camera = pnp(photo, psf, camera=camera)
     np.testing.assert_allclose(
-        by_camera, pnp(photo, psf, noise_variance=float(camera.noise_variance(photo).mean())), atol=1e-9
+        by_camera,
+        pnp(photo, psf, noise_variance=float(camera.noise_variance(photo).mean())),
+        atol=1e-9,
     )
 
 
@@ -129,7 +144,9 @@ def test_it_is_the_method_pnp():
 def test_scale_is_that_of_the_full_exposure_and_colour_is_per_channel(scene):
     psf = coded_psf()
     colour = np.stack([scene, 0.5 * scene, 0.25 * scene], axis=-1)[:120, :131]
-    photo = capture(colour, psf, camera=Camera(photons_full_scale=1e6), rng=np.random.default_rng(0))
+    photo = capture(
+        colour, psf, camera=Camera(photons_full_scale=1e6), rng=np.random.default_rng(0)
+    )
     truth = visible(colour, 32)
     result = restore(photo, psf, method="pnp")
     assert result.image.shape == photo.shape
@@ -141,18 +158,24 @@ def test_scale_is_that_of_the_full_exposure_and_colour_is_per_channel(scene):
 @pytest.mark.parametrize("photons", [1000, 20_000, 1e6])
 @pytest.mark.parametrize("bits", ["1", BITS])
 def test_it_beats_the_wiener_filter_that_is_told_the_same(scene, photons, bits):
-    slices = Trajectory.straight(15.0, angle_rad=0.5).slice_psfs(np.linspace(0, 1, len(bits) + 1), 32)
+    slices = Trajectory.straight(15.0, angle_rad=0.5).slice_psfs(
+        np.linspace(0, 1, len(bits) + 1), 32
+    )
     psf = np.tensordot([float(b) for b in bits], slices, axes=1)
     camera = Camera(photons_full_scale=photons)
     photo = capture(scene, psf, camera=camera, rng=np.random.default_rng(0))
     truth = visible(scene, 32)
-    gain_db = psnr(pnp(photo, psf, camera=camera), truth) - psnr(wiener(photo, psf, camera=camera), truth)
+    gain_db = psnr(pnp(photo, psf, camera=camera), truth) - psnr(
+        wiener(photo, psf, camera=camera), truth
+    )
     assert gain_db > 0.3
 
 
 def test_real_borders_beat_the_periodic_assumption(scene):
     psf = coded_psf(15.0)
-    photo = capture(scene, psf, camera=Camera(photons_full_scale=20_000), rng=np.random.default_rng(0))
+    photo = capture(
+        scene, psf, camera=Camera(photons_full_scale=20_000), rng=np.random.default_rng(0)
+    )
     truth = visible(scene, 32)
     assert psnr(pnp(photo, psf), truth) > psnr(pnp(photo, psf, border="periodic"), truth) + 3
 
@@ -174,9 +197,24 @@ def test_an_even_photo_stays_as_bright_as_it_was(noise):
         (np.ones((1, 1)), np.ones((1, 1)), {}, "photo: must be at least 3 x 3"),
         (np.full((8, 8), np.nan), np.ones((1, 1)), {}, "photo: must be finite"),
         (np.ones((8, 8)), np.zeros((3, 3)), {}, "psf: must be"),
-        (np.ones((8, 8)), np.ones((1, 1)), {"noise_variance": -1.0}, "noise_variance: must be 0 or more"),
-        (np.ones((8, 8)), np.ones((1, 1)), {"noise_variance": np.inf}, "noise_variance: must be 0 or more"),
-        (np.ones((8, 8)), np.ones((1, 1)), {"noise_variance": 1.0, "camera": Camera()}, "not both"),
+        (
+            np.ones((8, 8)),
+            np.ones((1, 1)),
+            {"noise_variance": -1.0},
+            "noise_variance: must be 0 or more",
+        ),
+        (
+            np.ones((8, 8)),
+            np.ones((1, 1)),
+            {"noise_variance": np.inf},
+            "noise_variance: must be 0 or more",
+        ),
+        (
+            np.ones((8, 8)),
+            np.ones((1, 1)),
+            {"noise_variance": 1.0, "camera": Camera()},
+            "not both",
+        ),
     ],
 )
 def test_bad_input(photo, psf, options, said):
@@ -193,6 +231,8 @@ def test_deblur_takes_the_camera_s_noise_with_it(cep, workplace):
     assert cep.succeeds(*told, "--photons", "1e5", "-o", "bright.png")["method"] == "pnp"
     cep.succeeds(*told, "--photons", "100", "-o", "dark.png")
     bright, dark = (read_photo(f"{name}.png").pixels for name in ("bright", "dark"))
-    assert np.abs(np.diff(dark)).mean() < 0.9 * np.abs(np.diff(bright)).mean()  # the noisier, the smoother
+    assert (
+        np.abs(np.diff(dark)).mean() < 0.9 * np.abs(np.diff(bright)).mean()
+    )  # the noisier, the smoother
     line = cep.refuses(*told[:-1], "tv", "--photons", "100", "-o", "tv.png")
     assert "wiener and pnp" in line

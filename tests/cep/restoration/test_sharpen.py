@@ -20,7 +20,14 @@ SCENE = discs(230)
 PHOTO = photograph(SCENE, PATH.psf(33), rng=np.random.default_rng(0), read_sigma=0.003)
 SHARP = visible(SCENE, 33)
 FOUND = MotionEstimate(
-    "pmp", (PATH,), (1.0,), PATH.psf(64), 0.8, ("of the path",), {"psf_confidence": 0.9}, ("of the PSF",)
+    "pmp",
+    (PATH,),
+    (1.0,),
+    PATH.psf(64),
+    0.8,
+    ("of the path",),
+    {"psf_confidence": 0.9},
+    ("of the PSF",),
 )
 
 
@@ -35,7 +42,10 @@ def test_a_blurred_photo_is_restored_and_it_is_said_with_what():
     found = sharpen(PHOTO, FOUND)
     assert psnr_up_to_shift(found.image, SHARP) > psnr_up_to_shift(PHOTO, SHARP) + 3
     assert (found.kept, found.method, found.psf_source) == (False, "tv", "psf")
-    assert found.summary == "The photo was restored with the blur kernel found in it (confidence 0.90), by tv"
+    assert (
+        found.summary
+        == "The photo was restored with the blur kernel found in it (confidence 0.90), by tv"
+    )
     assert found.warnings == ("of the PSF",)
     assert found.psf_confidence == 0.9
     assert 0 < found.residual < 0.01
@@ -44,7 +54,8 @@ def test_a_blurred_photo_is_restored_and_it_is_said_with_what():
 
 def test_a_dim_photo_is_restored_as_the_bright_one():
     bright = PHOTO * 0.95 / PHOTO.max()
-    whole, dim = sharpen(bright, FOUND), sharpen(bright / 16, FOUND)
+    whole = sharpen(bright, FOUND)
+    dim = sharpen(bright / 16, FOUND)
     assert not dim.kept
     np.testing.assert_allclose(16 * dim.image, whole.image, atol=1e-9)
     assert 16 * dim.residual == pytest.approx(whole.residual)
@@ -61,9 +72,18 @@ def test_the_path_s_psf_is_taken_where_the_free_one_does_not_fit():
     ("estimate", "begins"),
     [
         (still(), "This photo shows no motion blur (its sharpest edges are 1.2 px wide): "),
-        (replace(FOUND, details={"psf_confidence": 0.2}), "The blur could not be found with confidence (0.20): "),
-        (replace(FOUND, details={}, confidence=0.1), "The blur could not be found with confidence (0.10): "),
-        (replace(FOUND, psf=PATH.scaled(12).psf(257), trajectories=(PATH.scaled(12),)), "No restoration is sharper"),
+        (
+            replace(FOUND, details={"psf_confidence": 0.2}),
+            "The blur could not be found with confidence (0.20): ",
+        ),
+        (
+            replace(FOUND, details={}, confidence=0.1),
+            "The blur could not be found with confidence (0.10): ",
+        ),
+        (
+            replace(FOUND, psf=PATH.scaled(12).psf(257), trajectories=(PATH.scaled(12),)),
+            "No restoration is sharper",
+        ),
     ],
     ids=["still", "lost", "lost as a whole", "too long for the photo"],
 )
@@ -87,7 +107,9 @@ def estimated(monkeypatch):
     return given
 
 
-def test_deblur_of_a_photo_alone_writes_its_bits_and_says_first_what_it_did(cep, estimated, tmp_path, monkeypatch):
+def test_deblur_of_a_photo_alone_writes_its_bits_and_says_first_what_it_did(
+    cep, estimated, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     write_image("photo.png", PHOTO, bits=16)
     estimated(FOUND)
@@ -97,7 +119,9 @@ def test_deblur_of_a_photo_alone_writes_its_bits_and_says_first_what_it_did(cep,
     estimated(still())
     cep("deblur", "photo.png", "--force")
     assert cep.code == 0
-    assert cep.out.startswith("This photo shows no motion blur (its sharpest edges are 1.2 px wide): the photo is kept")
+    assert cep.out.startswith(
+        "This photo shows no motion blur (its sharpest edges are 1.2 px wide): the photo is kept"
+    )
     np.testing.assert_array_equal(cv2.imread("photo_sharp.png", -1), cv2.imread("photo.png", -1))
     assert cep.succeeds("deblur", "photo.png", "--force")["method"] is None
 
@@ -106,6 +130,8 @@ def test_a_calibration_has_the_restored_photo_unless_it_was_coded(tmp_path):
     written = write_calibration(tmp_path / "open", FOUND, PHOTO, bits=16)
     restored = read_photo(written["sharpened.png"])
     assert restored.bits == 16
-    np.testing.assert_allclose(restored.pixels, np.clip(sharpen(PHOTO, FOUND).image, 0, 1), atol=1e-3)
+    np.testing.assert_allclose(
+        restored.pixels, np.clip(sharpen(PHOTO, FOUND).image, 0, 1), atol=1e-3
+    )
     coded = replace(FOUND, details={"order_confidence": 0.9})
     assert "sharpened.png" not in write_calibration(tmp_path / "coded", coded, PHOTO)

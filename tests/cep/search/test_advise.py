@@ -25,7 +25,8 @@ from lab.fronts.run import pareto
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
-NOISY, QUIET = Camera(photons_full_scale=10_000, read_noise_e=50), Camera(photons_full_scale=10_000, read_noise_e=2)
+NOISY = Camera(photons_full_scale=10_000, read_noise_e=50)
+QUIET = Camera(photons_full_scale=10_000, read_noise_e=2)
 STRAIGHT = Trajectory.straight(24.0)
 
 
@@ -33,7 +34,7 @@ def along(path=STRAIGHT, chips=24, **options):
     return SearchProblem.along(path, chips=chips, **options)
 
 
-# -- what is advised ------------------------------------------------------------------------------------------------
+# -- what is advised ------------------------------------------------------------------------------
 
 
 def random_problem(seed):
@@ -46,11 +47,17 @@ def random_problem(seed):
         else boracchi_foi(rng, max_length_px=30, samples=60)
     )
     low = int(rng.integers(1, 4))
-    camera = Camera(photons_full_scale=10 ** rng.uniform(2, 5), read_noise_e=10 ** rng.uniform(0, 2.3))
+    camera = Camera(
+        photons_full_scale=10 ** rng.uniform(2, 5), read_noise_e=10 ** rng.uniform(0, 2.3)
+    )
     problem = along(
-        path, chips, camera=camera, objective="mse", open_range=(low, int(rng.integers(low, chips + 1))),
+        path,
+        chips,
+        camera=camera,
+        objective="mse",
+        open_range=(low, int(rng.integers(low, chips + 1))),
         runs=RunLimits(min_open=int(rng.integers(1, low + 1))),
-    )  # fmt: skip
+    )
     return problem, [ShutterCode.from_array(code) for code in problem.random_codes(4, rng=rng)]
 
 
@@ -59,12 +66,15 @@ def best_single_db(problem, frames=1):
     n = problem.chips
     runs = [
         ShutterCode("0" * first + "1" * (end - first) + "0" * (n - end))
-        for first in range(n) for end in range(first + 1, n + 1)
-    ]  # fmt: skip
+        for first in range(n)
+        for end in range(first + 1, n + 1)
+    ]
     kept = [run for run in runs if problem.allows(run)]
     if not kept:
         return -np.inf
-    return expected_psnr_db(problem, kept, noise=[light_noise(problem.camera, kept) / frames]).max()
+    return expected_psnr_db(
+        problem, kept, noise=[light_noise(problem.camera, kept) / frames]
+    ).max()
 
 
 def check_that_no_single_exposure_is_better(problem, found, frames=1):
@@ -74,7 +84,10 @@ def check_that_no_single_exposure_is_better(problem, found, frames=1):
         assert advised.psnr_db >= best_single_db(problem, frames) - 1e-6
         assert found.sentence.startswith(("Code", "Pulse"))
     if advised.kind == "snapshot":
-        assert max(found.gains_db[kind] for kind in found.gains_db) < found.gains_db["snapshot"] + WORTH_DB
+        assert (
+            max(found.gains_db[kind] for kind in found.gains_db)
+            < found.gains_db["snapshot"] + WORTH_DB
+        )
         assert found.sentence.startswith("Coding does not pay here: expose")
 
 
@@ -88,7 +101,9 @@ def test_no_code_is_advised_while_a_single_exposure_within_the_limits_is_better(
     check_that_no_single_exposure_is_better(problem, found)
     assert problem.allows(found.advised.code)
     if seed % 4 == 0:
-        check_that_no_single_exposure_is_better(problem, frames_verdict(problem, codes[:2]), frames=2)
+        check_that_no_single_exposure_is_better(
+            problem, frames_verdict(problem, codes[:2]), frames=2
+        )
 
 
 @pytest.mark.slow(reason="four searches of each problem")
@@ -98,7 +113,9 @@ def test_nor_by_what_a_search_reports(seed):
     """The searches themselves: of one code by any objective, of a front, of frames, and over the light."""
     problem, _ = random_problem(seed)
     objective = ("mse", "noise", "flatness")[seed % 3]
-    with suppress(ValueError):  # a path too short for its chips, or a front whose codes all have a zero
+    with suppress(
+        ValueError
+    ):  # a path too short for its chips, or a front whose codes all have a zero
         found = [
             cep.optimize(replace(problem, objective=objective), steps=50, seed=seed).verdict,
             advise(problem, levels=[]).here,
@@ -111,30 +128,50 @@ def test_nor_by_what_a_search_reports(seed):
 
 
 def test_the_kinds_of_a_verdict():
-    codes = [ShutterCode(bits) for bits in ("110110110110", "110110110100", "111000000111", "110110010110")]
+    codes = [
+        ShutterCode(bits)
+        for bits in ("110110110110", "110110110100", "111000000111", "110110010110")
+    ]
     kinds = [way.kind for way in verdict(along(chips=12, camera=NOISY), *codes).ways]
     assert kinds[0] == "open"
-    assert [way.kind for code in codes for way in verdict(along(chips=12), code).ways if way.code == code] == [
-        "strobe", "code", "code", "code",
-    ]  # fmt: skip
+    assert [
+        way.kind
+        for code in codes
+        for way in verdict(along(chips=12), code).ways
+        if way.code == code
+    ] == [
+        "strobe",
+        "code",
+        "code",
+        "code",
+    ]
 
 
 def test_the_sentence_names_what_was_judged():
     """A search that ends on a single opening found no better code; a code of the user's is compared with."""
-    single, coded = (verdict(along(camera=QUIET), ShutterCode(bits)) for bits in ("1" + "0" * 23, "110100101011" * 2))
+    single, coded = (
+        verdict(along(camera=QUIET), ShutterCode(bits))
+        for bits in ("1" + "0" * 23, "110100101011" * 2)
+    )
     assert single.choice == coded.choice == "snapshot"
     assert "; no code that was tried is better. " in single.sentence
     assert " dB over " not in single.sentence.partition("over the open shutter")[2]
-    gain = coded.advised.psnr_db - next(way.psnr_db for way in coded.ways if way.code.bits == "110100101011" * 2)
+    gain = coded.advised.psnr_db - next(
+        way.psnr_db for way in coded.ways if way.code.bits == "110100101011" * 2
+    )
     assert f" and {gain:.1f} dB over this code. " in coded.sentence
 
 
 def test_the_sentence_says_under_which_conditions():
     found = verdict(along(camera=NOISY))
-    assert found.sentence.endswith("at 10,000 photo-electrons at full scale and 50 e- of read noise.")
+    assert found.sentence.endswith(
+        "at 10,000 photo-electrons at full scale and 50 e- of read noise."
+    )
     warm = along(Trajectory.straight(8.0), 6, camera=replace(NOISY, dark_current_e_s=20.0))
     known = verdict(warm, path_error_px=0.25)
-    assert known.sentence.endswith("50 e- of read noise, 20 e-/s of dark current and a path known to 0.25 px.")
+    assert known.sentence.endswith(
+        "50 e- of read noise, 20 e-/s of dark current and a path known to 0.25 px."
+    )
 
 
 def test_a_short_share_is_said_in_digits():
@@ -145,7 +182,9 @@ def test_a_short_share_is_said_in_digits():
 
 
 def test_fixed_noise_makes_coding_pay_and_photon_noise_does_not():
-    noisy, quiet = (advise(along(camera=camera), levels=[1_000, 100_000]) for camera in (NOISY, QUIET))
+    noisy, quiet = (
+        advise(along(camera=camera), levels=[1_000, 100_000]) for camera in (NOISY, QUIET)
+    )
     assert noisy.choice == "code"
     assert noisy.gains_db["code"] > noisy.gains_db["snapshot"] + 1
     assert noisy.sentence.startswith("Code this exposure: ")
@@ -155,7 +194,9 @@ def test_fixed_noise_makes_coding_pay_and_photon_noise_does_not():
 
 
 def test_the_crossover_is_where_the_gain_crosses_what_counts():
-    advice = advise(along(camera=replace(NOISY, read_noise_e=10.0)), levels=[100, 1_000, 10_000, 100_000])
+    advice = advise(
+        along(camera=replace(NOISY, read_noise_e=10.0)), levels=[100, 1_000, 10_000, 100_000]
+    )
     gains = {one.camera.photons_full_scale: one.code_gain_db for one in advice.levels}
     for level, gain in gains.items():
         inside = any((low or 0) <= level <= (high or np.inf) for low, high in advice.crossover)
@@ -192,24 +233,37 @@ def test_a_path_known_less_exactly_is_judged_on_every_single_exposure():
     problem = along(path, 13, camera=Camera(photons_full_scale=3_000, read_noise_e=10))
     runs = [
         ShutterCode("0" * first + "1" * (end - first) + "0" * (13 - end))
-        for first in range(13) for end in range(first + 1, 14)
-    ]  # fmt: skip
-    best = expected_psnr_db(problem, runs, noise=[light_noise(problem.camera, runs)], path_error_px=2.0).max()
+        for first in range(13)
+        for end in range(first + 1, 14)
+    ]
+    best = expected_psnr_db(
+        problem, runs, noise=[light_noise(problem.camera, runs)], path_error_px=2.0
+    ).max()
     found = verdict(problem, path_error_px=2.0)
     assert found.advised.psnr_db >= best - WORTH_DB
-    assert max(way.psnr_db for way in found.ways if way.kind in ("open", "snapshot")) == pytest.approx(best)
+    assert max(
+        way.psnr_db for way in found.ways if way.kind in ("open", "snapshot")
+    ) == pytest.approx(best)
 
 
 def test_at_equal_light_the_best_exposure_is_another():
     found = advise(along(camera=NOISY), levels=[]).here
     shortest = found.best("snapshot", equal_light=True)
     assert shortest.code.open_chips < found.best("snapshot").code.open_chips
-    assert found.equal_light_gains_db["snapshot"] == shortest.equal_light_db - found.ways[0].equal_light_db
+    assert (
+        found.equal_light_gains_db["snapshot"]
+        == shortest.equal_light_db - found.ways[0].equal_light_db
+    )
 
 
 def test_a_camera_with_more_electrons_than_others_is_advised_on():
     hot = replace(Camera.load("microbolometer"), least_exposure_s=0.0)
-    assert advise(along(chips=8, camera=hot), levels=[]).choice in ("open", "snapshot", "strobe", "code")
+    assert advise(along(chips=8, camera=hot), levels=[]).choice in (
+        "open",
+        "snapshot",
+        "strobe",
+        "code",
+    )
 
 
 def test_limits_of_the_shutter_rule_what_is_advised():
@@ -241,7 +295,9 @@ SMALL = Camera(photons_full_scale=1_000, read_noise_e=20, full_well_e=5_000.0)
 
 def test_ways_that_saturate_are_no_ways():
     """At 20,000 of 5,000 electrons a quarter of the exposure can be recorded: 2 of 8 chips, of whatever way."""
-    advice = advise(along(chips=8, camera=replace(SMALL, photons_full_scale=20_000.0)), levels=[1_000])
+    advice = advise(
+        along(chips=8, camera=replace(SMALL, photons_full_scale=20_000.0)), levels=[1_000]
+    )
     here = advice.here
     assert {way.code.open_chips for way in here.possible} == {1, 2}
     assert all(way.saturates == (way.code.open_chips > 2) for way in here.ways)
@@ -249,7 +305,9 @@ def test_ways_that_saturate_are_no_ways():
     assert here.open_saturates
     assert "open" not in here.gains_db
     assert here.equal_light_gains_db == {}
-    assert "the open shutter" not in here.sentence.removesuffix("The open shutter saturates at this light.")
+    assert "the open shutter" not in here.sentence.removesuffix(
+        "The open shutter saturates at this light."
+    )
     assert here.sentence.endswith("The open shutter saturates at this light.")
     assert not advice.levels[0].open_saturates
 
@@ -260,7 +318,9 @@ def test_a_code_within_what_can_be_recorded_is_searched():
     here = advise(along(STRAIGHT, 12, camera=bright), levels=[]).here
     assert here.best("code").code.open_chips <= 3
     dark = [ShutterCode(f"{bits:012b}") for bits in range(1, 2**12) if bits.bit_count() <= 3]
-    best = expected_psnr_db(along(STRAIGHT, 12, camera=bright), dark, noise=[light_noise(bright, dark)]).max()
+    best = expected_psnr_db(
+        along(STRAIGHT, 12, camera=bright), dark, noise=[light_noise(bright, dark)]
+    ).max()
     assert here.advised.psnr_db >= best - WORTH_DB
 
 
@@ -276,16 +336,25 @@ def test_dark_current_fills_the_well_of_a_code_and_not_of_a_snapshot():
 def test_levels_at_which_the_shortest_opening_saturates_are_left_out():
     advice = advise(along(chips=8, camera=SMALL))
     assert max(one.camera.photons_full_scale for one in advice.levels) == 30_000  # of 40,000
-    with pytest.raises(ValueError, match=r"photons_full_scale: this camera is full at 5,000 electrons, and at a light"):
+    with pytest.raises(
+        ValueError,
+        match=r"photons_full_scale: this camera is full at 5,000 electrons, and at a light",
+    ):
         advise(along(chips=8, camera=replace(SMALL, photons_full_scale=41_000.0)))
-    with pytest.raises(ValueError, match=r"the shortest opening, 0.25 of the exposure, collects 5,250"):
-        verdict(along(chips=8, camera=replace(SMALL, photons_full_scale=21_000.0), open_range=(2, 8)))
+    with pytest.raises(
+        ValueError, match=r"the shortest opening, 0.25 of the exposure, collects 5,250"
+    ):
+        verdict(
+            along(chips=8, camera=replace(SMALL, photons_full_scale=21_000.0), open_range=(2, 8))
+        )
 
 
 def test_a_code_that_saturates_is_not_advised_and_warned_of():
     """Limits that ask for half of the light: the code that is found cannot be recorded, a shorter exposure can."""
     bright = Camera(photons_full_scale=12_000, read_noise_e=200, full_well_e=5_000.0)
-    best = cep.optimize(along(chips=12, camera=bright, open_range=(4, 8), objective="mse"), steps=20_000)
+    best = cep.optimize(
+        along(chips=12, camera=bright, open_range=(4, 8), objective="mse"), steps=20_000
+    )
     assert best.code.open_chips > 5
     assert best.verdict.advised.code.open_chips <= 5
     assert any("saturates at this light" in line for line in best.warnings)
@@ -294,21 +363,34 @@ def test_a_code_that_saturates_is_not_advised_and_warned_of():
 def test_dark_current_counts():
     warm = Camera(photons_full_scale=10_000, read_noise_e=2, dark_current_e_s=1e5)
     cold = replace(warm, dark_current_e_s=0.0)
-    shortest, code = "1" + "0" * 23, "110100101011" * 2
+    shortest = "1" + "0" * 23
+    code = "110100101011" * 2
     found, without = (
-        {way.code.bits: way for way in verdict(along(camera=camera, exposure_s=0.024), ShutterCode(code)).ways}
+        {
+            way.code.bits: way
+            for way in verdict(along(camera=camera, exposure_s=0.024), ShutterCode(code)).ways
+        }
         for camera in (warm, replace(cold, read_noise_e=float(np.sqrt(4 + 2400))))
     )
-    assert found[code].psnr_db == pytest.approx(without[code].psnr_db)  # 2,400 dark electrons in 24 ms
+    assert found[code].psnr_db == pytest.approx(
+        without[code].psnr_db
+    )  # 2,400 dark electrons in 24 ms
     assert found["1" * 24].psnr_db == pytest.approx(without["1" * 24].psnr_db)
-    own = verdict(along(camera=replace(cold, read_noise_e=float(np.sqrt(4 + 100))), exposure_s=0.024))
-    assert found[shortest].psnr_db == pytest.approx(next(w.psnr_db for w in own.ways if w.code.bits == shortest))
+    own = verdict(
+        along(camera=replace(cold, read_noise_e=float(np.sqrt(4 + 100))), exposure_s=0.024)
+    )
+    assert found[shortest].psnr_db == pytest.approx(
+        next(w.psnr_db for w in own.ways if w.code.bits == shortest)
+    )
 
 
 def test_dark_current_is_of_no_account_to_a_snapshot_and_turns_the_verdict():
     """Fixed noise makes coding pay; the same noise from dark current does not reach a short exposure."""
-    noisy, dark = NOISY, replace(NOISY, read_noise_e=2.0, dark_current_e_s=2500 / 0.024)
-    fixed, warm = (advise(along(camera=camera, exposure_s=0.024), levels=[]) for camera in (noisy, dark))
+    noisy = NOISY
+    dark = replace(NOISY, read_noise_e=2.0, dark_current_e_s=2500 / 0.024)
+    fixed, warm = (
+        advise(along(camera=camera, exposure_s=0.024), levels=[]) for camera in (noisy, dark)
+    )
     assert fixed.choice == "code"
     assert warm.gains_db["code"] == pytest.approx(fixed.gains_db["code"], abs=0.1)
     assert warm.gains_db["snapshot"] > fixed.gains_db["snapshot"] + 1
@@ -329,7 +411,7 @@ def test_optimize_says_first_whether_to_code():
     assert document["choice"] == "snapshot"
 
 
-# -- the published limit --------------------------------------------------------------------------------------------
+# -- the published limit --------------------------------------------------------------------------
 
 LIMIT = 1.1717
 """Of the gain in RMSE of any flutter over the best snapshot, photon noise alone, full inversion, no limit in time.
@@ -343,16 +425,26 @@ Tendero, Morel, Rouge, "The flutter shutter paradox", SIAM Journal on Imaging Sc
 def noise_of_inversion(code, path):
     """Mean square error of the inverse filter under photon noise, in units of one chip's light."""
     samples = band_samples(path)
-    return code.duty * samples.weight @ (1 / np.abs(coded_otf(path, code, samples.fx, samples.fy)) ** 2)
+    return (
+        code.duty
+        * samples.weight
+        @ (1 / np.abs(coded_otf(path, code, samples.fx, samples.fy)) ** 2)
+    )
 
 
 def test_the_published_limit_is_reproduced():
     """No code passes the band's bound; the best snapshot, blurred over 1.09 px, is 1.1717 times as noisy in RMSE."""
-    chips, length_px = 100, 12.0
+    chips = 100
+    length_px = 12.0
     path = Trajectory.straight(length_px)
-    runs = [noise_of_inversion(ShutterCode("1" * k + "0" * (chips - k)), path) for k in range(4, 16)]
-    bound = length_px  # Cauchy-Schwarz and Parseval: the band is one wide, the light spread over the whole path
+    runs = [
+        noise_of_inversion(ShutterCode("1" * k + "0" * (chips - k)), path) for k in range(4, 16)
+    ]
+    # Cauchy-Schwarz and Parseval: the band is one wide, the light spread over the whole path
+    bound = length_px
     assert np.sqrt(min(runs) / bound) == pytest.approx(LIMIT, abs=2e-3)
     rng = np.random.default_rng(3)
-    drawn = [ShutterCode.from_array(code) for code in along(path, chips).random_codes(200, rng=rng)]
+    drawn = [
+        ShutterCode.from_array(code) for code in along(path, chips).random_codes(200, rng=rng)
+    ]
     assert min(noise_of_inversion(code, path) for code in drawn) >= bound

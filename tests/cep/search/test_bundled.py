@@ -10,8 +10,9 @@ from cep.proofs.certify.minimum import min_chip
 from cep.search.bundled import proven_optimum, proven_starts
 from cep.search.exhaustive.exact import exact
 from cep.search.limits import RunLimits
-from cep.search.problem import Scenario, SearchProblem
+from cep.search.problem import SearchProblem
 from cep.search.recipe import search_code
+from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
 STRAIGHT = Trajectory.straight(30.0)
@@ -75,7 +76,8 @@ def test_starts_are_for_the_minimum_of_straight_motions_within_the_limits():
 
 
 @pytest.mark.parametrize(
-    ("chips", "light", "least"), [(50, None, 2.244272), (60, (26, 26), 2.242268), (64, None, 2.244272)]
+    ("chips", "light", "least"),
+    [(50, None, 2.244272), (60, (26, 26), 2.242268), (64, None, 2.244272)],
 )
 def test_a_search_never_returns_less_than_what_is_proven_for_fewer_chips(chips, light, least):
     problem = SearchProblem(chips=chips, open_range=light)
@@ -87,7 +89,11 @@ def test_a_search_never_returns_less_than_what_is_proven_for_fewer_chips(chips, 
 def test_a_covered_search_makes_no_move_and_names_its_proof():
     problem = SearchProblem(chips=52, open_range=(26, 26))
     found = search_code(problem, rng=np.random.default_rng(0), steps=1000)
-    assert (found.stopped, found.steps, found.proof["file"]) == ("proven", 0, "docs/proofs/52-26.jsonl")
+    assert (found.stopped, found.steps, found.proof["file"]) == (
+        "proven",
+        0,
+        "docs/proofs/52-26.jsonl",
+    )
     assert min_chip(found.code) == pytest.approx(2.242270, abs=2e-6)
     assert "published: raskar-52" in {row.name for row in found.baselines}
     assert all(row.cost_db >= found.objective for row in found.baselines if row.within_limits)

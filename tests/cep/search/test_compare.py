@@ -13,9 +13,13 @@ BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
 
 
 def test_every_row_is_measured_and_marked():
-    problem = SearchProblem.along(Trajectory.straight(11.0), chips=13, open_range=(7, 9), objective="noise")
+    problem = SearchProblem.along(
+        Trajectory.straight(11.0), chips=13, open_range=(7, 9), objective="noise"
+    )
     code = ShutterCode("1111100110101")
-    first, *others = compare(problem, code, baselines=baselines(problem, rng=np.random.default_rng(1)))
+    first, *others = compare(
+        problem, code, baselines=baselines(problem, rng=np.random.default_rng(1))
+    )
     assert (first.name, first.code, first.within_limits) == ("this code", code, True)
     for row in (first, *others):
         assert row.metrics.noise_gain_db == pytest.approx(problem.measure(row.code).noise_gain_db)

@@ -23,7 +23,8 @@ CODE = ShutterCode("110100011")
 
 
 def test_an_unknown_direction_is_judged_by_the_worse_one():
-    forward, reverse = measure(BENT, CODE), measure(BENT.reversed(), CODE)
+    forward = measure(BENT, CODE)
+    reverse = measure(BENT.reversed(), CODE)
     assert forward.mse_db != pytest.approx(reverse.mse_db)
     judged = measure_worst(BENT, CODE)
     assert judged.mse_db == max(forward.mse_db, reverse.mse_db)
@@ -43,15 +44,26 @@ def test_resolution_ends_at_a_quarter_pixel():
 def test_a_path_that_goes_nowhere_is_told_so(length_px):
     path = Trajectory.straight(length_px)
     check_resolved(path, 1)
-    with pytest.raises(ValueError, match=r"stays in place, a code of 8 chips needs a motion of at least 2 px"):
+    with pytest.raises(
+        ValueError, match=r"stays in place, a code of 8 chips needs a motion of at least 2 px"
+    ):
         check_resolved(path, 8)
 
 
 def test_a_devices_limits_in_chips():
     slow = DeviceProfile(
-        name="slow", min_on_ns=1_500, max_on_ns=5_999, on_bias_ns=200, tick_ns=100, min_off_ns=900, dead_time_ns=2_100,
-        max_duty=0.5, max_pulses=4, max_rate_hz=150e3, max_chips=64,
-    )  # fmt: skip
+        name="slow",
+        min_on_ns=1_500,
+        max_on_ns=5_999,
+        on_bias_ns=200,
+        tick_ns=100,
+        min_off_ns=900,
+        dead_time_ns=2_100,
+        max_duty=0.5,
+        max_pulses=4,
+        max_rate_hz=150e3,
+        max_chips=64,
+    )
     runs = RunLimits(min_open=2, min_closed=3, max_pulses=4, max_open=5, min_period=7)
     assert limits_of_device(slow, chips=20, chip_ns=1_000) == (runs, 10)
     assert limits_of_device(DeviceProfile(name="any"), chips=20, chip_ns=1) == (RunLimits(), 20)
@@ -61,7 +73,10 @@ def test_a_devices_limits_in_chips():
     ("limits", "line"),
     [
         ({"max_chips": 19}, "odd: plays at most 19 chips, 20 were asked for"),
-        ({"max_on_ns": 999}, "chip_ns: odd opens for 999 ns at most, a chip must not last longer, got 1000 ns"),
+        (
+            {"max_on_ns": 999},
+            "chip_ns: odd opens for 999 ns at most, a chip must not last longer, got 1000 ns",
+        ),
         (
             {"min_on_ns": 1_100, "max_on_ns": 1_900},
             "chip_ns: odd opens for 1100 to 1900 ns, no whole number of chips of 1000 ns does; shorter chips would",
@@ -100,7 +115,9 @@ def some_time(most):
             "max_pulses": some_time(4),
             "max_rate_hz": st.none()
             | st.builds(
-                lambda chips, chip_ns: 1e9 / (chips * chip_ns), st.integers(1, 9), st.integers(1, 9).map((350).__mul__)
+                lambda chips, chip_ns: 1e9 / (chips * chip_ns),
+                st.integers(1, 9),
+                st.integers(1, 9).map((350).__mul__),
             )
             | st.floats(1e-300, 1e9),
             "dead_time_ns": st.integers(0, 1_500),
@@ -114,7 +131,9 @@ def some_time(most):
 def test_codes_within_the_translated_limits_are_those_that_can_be_played(limits, chips, chip_ns):
     device = DeviceProfile(name="some", **limits)
     codes = np.array(list(itertools.product((0, 1), repeat=chips)), dtype=np.int8)[1:]
-    played = np.array([not device.check(Program.from_bits(code.tolist(), chip_ns=chip_ns)) for code in codes])
+    played = np.array(
+        [not device.check(Program.from_bits(code.tolist(), chip_ns=chip_ns)) for code in codes]
+    )
     try:
         runs, most = limits_of_device(device, chips=chips, chip_ns=chip_ns)
         problem = SearchProblem(chips=chips, open_range=(1, most), runs=runs)
@@ -125,13 +144,18 @@ def test_codes_within_the_translated_limits_are_those_that_can_be_played(limits,
         return
     assert np.array_equal(problem.satisfied(codes), played)
     drawn = problem.random_codes(5, rng=np.random.default_rng(0))
-    assert not any(device.check(Program.from_bits(code.tolist(), chip_ns=chip_ns)) for code in drawn)
+    assert not any(
+        device.check(Program.from_bits(code.tolist(), chip_ns=chip_ns)) for code in drawn
+    )
 
 
 @pytest.mark.parametrize(
     ("chip_ns", "line"),
     [
-        (1_250, "whole ticks of 500 ns, from 1000 ns to 3000 ns, got 1250 ns; 1000 or 1500 ns would do"),
+        (
+            1_250,
+            "whole ticks of 500 ns, from 1000 ns to 3000 ns, got 1250 ns; 1000 or 1500 ns would do",
+        ),
         (700, "got 700 ns; 1000 ns would do"),
         (500, "got 500 ns; 1000 ns would do"),
         (3_400, "got 3400 ns; 3000 ns would do"),
@@ -140,8 +164,10 @@ def test_codes_within_the_translated_limits_are_those_that_can_be_played(limits,
 )
 def test_chip_times_are_whole_ticks_within_range(chip_ns, line):
     device = DeviceProfile(name="clock", tick_ns=500, min_chip_ns=900, max_chip_ns=3_400)
-    for refused in (lambda: limits_of_device(device, chips=8, chip_ns=chip_ns),
-                    lambda: response_of_device(device, chip_ns)):  # fmt: skip
+    for refused in (
+        lambda: limits_of_device(device, chips=8, chip_ns=chip_ns),
+        lambda: response_of_device(device, chip_ns),
+    ):
         with pytest.raises(ValueError, match=r"^chip_ns: clock plays chips of") as caught:
             refused()
         assert str(caught.value).endswith(line)
@@ -160,10 +186,14 @@ def test_a_devices_ramps():
     biased = DeviceProfile(name="biased", rise_ns=10, on_bias_ns=30)
     assert response_of_device(biased, 100) == ShutterResponse(chip_ns=100, rise_ns=10)
     assert response_of_device(DeviceProfile(name="biased", on_bias_ns=300), 100) is None
-    with pytest.raises(ValueError, match=r"chip_ns: flc takes 50000 ns to open or close, .* got 40000 ns"):
+    with pytest.raises(
+        ValueError, match=r"chip_ns: flc takes 50000 ns to open or close, .* got 40000 ns"
+    ):
         response_of_device(load_profile("flc"), 40_000)
 
 
 def test_a_shutter_slower_than_the_whole_code_is_named():
-    with pytest.raises(ValueError, match=r"mechanical opens for at least 30 ms, a code of 52 chips lasts 10\.4 ms"):
+    with pytest.raises(
+        ValueError, match=r"mechanical opens for at least 30 ms, a code of 52 chips lasts 10\.4 ms"
+    ):
         limits_of_device(load_profile("mechanical"), chips=52, chip_ns=200_000)

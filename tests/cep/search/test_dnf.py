@@ -19,11 +19,17 @@ def noise_db(bits, length_px):
 
 @pytest.mark.parametrize("length_px", [6.0, 15.5])
 def test_no_code_of_the_same_light_has_less_noise(length_px):
-    n, k = 11, 5
+    n = 11
+    k = 5
     found = dnf_code(length_px, n, rng=np.random.default_rng(0), steps=20_000, open_range=(k, k))
-    every = ["".join("1" if i in chosen else "0" for i in range(n)) for chosen in itertools.combinations(range(n), k)]
+    every = [
+        "".join("1" if i in chosen else "0" for i in range(n))
+        for chosen in itertools.combinations(range(n), k)
+    ]
     assert found.open_chips == k
-    assert noise_db(found.bits, length_px) == pytest.approx(min(noise_db(bits, length_px) for bits in every), abs=1e-6)
+    assert noise_db(found.bits, length_px) == pytest.approx(
+        min(noise_db(bits, length_px) for bits in every), abs=1e-6
+    )
 
 
 def test_it_beats_every_random_code_on_a_straight_blur():
@@ -37,7 +43,10 @@ def test_it_beats_every_random_code_on_a_straight_blur():
 def test_the_factor_itself_would_ask_for_a_single_chip():
     """Why codes of different light are compared by noise: relative to its own light, one chip cannot be beaten."""
     rng = np.random.default_rng(2)
-    codes = [ShutterCode("0010"), *(ShutterCode.from_array(bits) for bits in rng.integers(0, 2, (30, 9)) if bits.any())]
+    codes = [
+        ShutterCode("0010"),
+        *(ShutterCode.from_array(bits) for bits in rng.integers(0, 2, (30, 9)) if bits.any()),
+    ]
     factors_db = [chip_noise_db(code) + 20 * np.log10(code.open_chips) for code in codes]
     assert factors_db[0] == pytest.approx(0, abs=1e-9)
     assert min(factors_db) >= -1e-9
@@ -47,7 +56,12 @@ def test_the_factor_itself_would_ask_for_a_single_chip():
 
 def test_the_limits_are_kept():
     code = dnf_code(
-        20.0, 24, rng=np.random.default_rng(3), steps=5000, open_range=(8, 12), runs=RunLimits(min_open=2, max_pulses=4)
+        20.0,
+        24,
+        rng=np.random.default_rng(3),
+        steps=5000,
+        open_range=(8, 12),
+        runs=RunLimits(min_open=2, max_pulses=4),
     )
     assert 8 <= code.open_chips <= 12
     assert code.pulses <= 4
@@ -55,7 +69,10 @@ def test_the_limits_are_kept():
 
 
 def test_a_path_without_length_is_designed_for_like_one_of_a_pixel():
-    codes = [dnf_code(length_px, 8, rng=np.random.default_rng(4), steps=2_000) for length_px in (0.0, 1.0)]
+    codes = [
+        dnf_code(length_px, 8, rng=np.random.default_rng(4), steps=2_000)
+        for length_px in (0.0, 1.0)
+    ]
     assert codes[0] == codes[1]
 
 

@@ -11,7 +11,13 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
 from cep.optics.mtf import inverse_scene, noise_variance
 from cep.proofs.measure import measure, measure_worst
-from cep.search.expected import ExpectedPsnr, equal_light_noise, expected_psnr_db, joint_psnr_db, light_noise
+from cep.search.expected import (
+    ExpectedPsnr,
+    equal_light_noise,
+    expected_psnr_db,
+    joint_psnr_db,
+    light_noise,
+)
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import scenario_rows
@@ -29,7 +35,9 @@ def problem(path=BENT, chips=9, **options):
 
 def test_it_is_that_of_the_metrics():
     dim = replace(CAMERA, photons_full_scale=500.0)
-    table = expected_psnr_db(problem(), CODES, noise=[light_noise(dim, CODES), light_noise(CAMERA, CODES)])
+    table = expected_psnr_db(
+        problem(), CODES, noise=[light_noise(dim, CODES), light_noise(CAMERA, CODES)]
+    )
     assert table.shape == (3, 2)
     for row, code in zip(table, CODES, strict=True):
         assert -row[1] == pytest.approx(measure_worst(BENT, code, camera=CAMERA).mse_db, abs=0.1)
@@ -46,18 +54,24 @@ def test_otfs_are_kept_where_the_memory_allows_it(monkeypatch, path_error_px, de
     fresh = ExpectedPsnr(both, path_error_px=path_error_px, most_bytes=1_000)
     computed = []
     monkeypatch.setattr(
-        "cep.search.expected.scenario_rows", lambda *args, **more: computed.append(1) or scenario_rows(*args, **more)
+        "cep.search.expected.scenario_rows",
+        lambda *args, **more: computed.append(1) or scenario_rows(*args, **more),
     )
     assert kept.psnr_db(CODES, noise=noise) == pytest.approx(expected, abs=1e-4)
     assert not computed
     assert np.array_equal(fresh.psnr_db(CODES, noise=noise), expected)
-    assert len(computed) == (2 if path_error_px == 0 else 64)  # both directions, and 32 paths near each
+    assert len(computed) == (
+        2 if path_error_px == 0 else 64
+    )  # both directions, and 32 paths near each
 
 
-@pytest.mark.parametrize("camera", [Camera(photons_full_scale=1_000, read_noise_e=40, bits=8), CAMERA])
+@pytest.mark.parametrize(
+    "camera", [Camera(photons_full_scale=1_000, read_noise_e=40, bits=8), CAMERA]
+)
 def test_at_equal_light_the_signal_to_noise_of_a_pixel_is_the_open_shutters(camera):
     codes = [ShutterCode("1" * k + "0" * (8 - k)) for k in range(1, 9)]
-    equal, opened = equal_light_noise(camera, codes), light_noise(camera, codes)[-1]
+    equal = equal_light_noise(camera, codes)
+    opened = light_noise(camera, codes)[-1]
     duty = np.arange(1, 9) / 8  # of the signal, in the lamp's full scale
     np.testing.assert_allclose(equal / duty**2, opened)
 
@@ -71,7 +85,10 @@ def test_a_snapshot_has_the_dark_current_of_its_own_exposure():
     dark = replace(CAMERA, dark_current_e_s=1e5)
     chip_e = 1e5 * 0.02  # electrons in a chip
     codes = [ShutterCode(code.bits, 20_000_000) for code in CODES]
-    for model, scale in ((light_noise, np.ones(3)), (equal_light_noise, np.array([code.duty for code in codes]) ** 2)):
+    for model, scale in (
+        (light_noise, np.ones(3)),
+        (equal_light_noise, np.array([code.duty for code in codes]) ** 2),
+    ):
         added = (model(dark, codes) - model(CAMERA, codes)) / scale * CAMERA.photons_full_scale**2
         np.testing.assert_allclose(added, [9 * chip_e, 9 * chip_e, 2 * chip_e])
 
@@ -99,7 +116,8 @@ def test_a_path_known_exactly_is_the_limit_of_one_that_is_not():
 def test_an_error_of_the_path_costs_long_exposures_more_than_short_ones():
     noise = [light_noise(CAMERA, CODES)]
     lost = [
-        expected_psnr_db(problem(), CODES, noise=noise, path_error_px=error)[:, 0] for error in (0.0, 0.25, 0.5, 1.0)
+        expected_psnr_db(problem(), CODES, noise=noise, path_error_px=error)[:, 0]
+        for error in (0.0, 0.25, 0.5, 1.0)
     ]
     code, opened, snapshot = np.array(lost).T
     assert (np.diff(code) < 0).all()
@@ -109,11 +127,14 @@ def test_an_error_of_the_path_costs_long_exposures_more_than_short_ones():
 
 def test_the_filter_that_knows_the_error_does_as_expected_on_other_paths():
     """Monte Carlo with paths of its own: the filter of the mean and the scatter has the error that is expected."""
-    error_px, code, path = 0.4, CODES[0], replace(BENT, direction="known")
-    expected = expected_psnr_db(problem(path), [code], noise=[light_noise(CAMERA, [code])], path_error_px=error_px)[
-        0, 0
-    ]
-    rng, samples = np.random.default_rng(5), grid_samples(64)
+    error_px = 0.4
+    code = CODES[0]
+    path = replace(BENT, direction="known")
+    expected = expected_psnr_db(
+        problem(path), [code], noise=[light_noise(CAMERA, [code])], path_error_px=error_px
+    )[0, 0]
+    rng = np.random.default_rng(5)
+    samples = grid_samples(64)
     otfs = []
     for _ in range(200):
         near = with_smooth_error(path, error_px, rng=rng)
@@ -121,8 +142,10 @@ def test_the_filter_that_knows_the_error_does_as_expected_on_other_paths():
         shift = code.array @ (near.at(at) - path.at(at)) / code.open_chips
         turn = np.exp(2j * np.pi * (shift[0] * samples.fx + shift[1] * samples.fy))
         otfs.append(coded_otf(near, code, samples.fx, samples.fy) * turn)
-    known, other = np.array(otfs[:100]), np.array(otfs[100:])
-    inverse, noise = inverse_scene(samples)[:, 0], noise_variance(CAMERA, code.duty)
+    known = np.array(otfs[:100])
+    other = np.array(otfs[100:])
+    inverse = inverse_scene(samples)[:, 0]
+    noise = noise_variance(CAMERA, code.duty)
     gain = np.conj(known.mean(axis=0)) / ((np.abs(known) ** 2).mean(axis=0) + noise * inverse)
     errors = np.abs(1 - gain * other) ** 2 / inverse + np.abs(gain) ** 2 * noise
     assert expected == pytest.approx(-10 * np.log10((errors @ samples.weight).mean()), abs=0.3)
@@ -132,14 +155,18 @@ def test_a_straight_path_that_is_known_to_so_much_bends():
     straight = SearchProblem.along(Trajectory.straight(12.0), chips=12, camera=CAMERA)
     codes = [ShutterCode("1" * 12), ShutterCode("110100011101")]
     noise = [light_noise(CAMERA, codes)]
-    exact, uncertain = (expected_psnr_db(straight, codes, noise=noise, path_error_px=e) for e in (0.0, 0.5))
+    exact, uncertain = (
+        expected_psnr_db(straight, codes, noise=noise, path_error_px=e) for e in (0.0, 0.5)
+    )
     assert (uncertain < exact).all()
 
 
 @pytest.mark.parametrize("error_px", [-1.0, float("nan"), float("inf")])
 def test_a_wrong_error_is_refused(error_px):
     with pytest.raises(ValueError, match="path_error_px: must be 0 px or more"):
-        expected_psnr_db(problem(), CODES, noise=[light_noise(CAMERA, CODES)], path_error_px=error_px)
+        expected_psnr_db(
+            problem(), CODES, noise=[light_noise(CAMERA, CODES)], path_error_px=error_px
+        )
     with pytest.raises(ValueError, match="need a motion"):
         expected_psnr_db(SearchProblem(chips=9), CODES, noise=[light_noise(CAMERA, CODES)])
 
@@ -150,7 +177,10 @@ def test_frames_through_one_code_divide_its_noise_and_through_others_fill_its_ze
     noise = np.array([light_noise(CAMERA, codes)])
     single = expected_psnr_db(straight, codes, noise=noise)[:, 0]
     twice = expected_psnr_db(straight, codes, noise=noise / 2)[:, 0]
-    same = [joint_psnr_db(straight, [code] * 2, noise=noise[:, [i, i]])[0] for i, code in enumerate(codes)]
+    same = [
+        joint_psnr_db(straight, [code] * 2, noise=noise[:, [i, i]])[0]
+        for i, code in enumerate(codes)
+    ]
     assert same == pytest.approx(twice)
     assert joint_psnr_db(straight, codes, noise=noise)[0] > single.max()
     with pytest.raises(ValueError, match="need a motion"):

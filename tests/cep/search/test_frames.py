@@ -27,7 +27,10 @@ def test_frames_gain_at_least_what_the_single_code_repeated_gains(tmp_path):
     stored = [read_code(file) for file in files]
     assert tuple(one.code for one in stored) == best.found.codes
     assert [one.problem["frame"] for one in stored] == [1, 2]
-    assert all(one.code.chip_ns == 5000 and one.problem["joint"]["min_mtf"] == best.joint.min_mtf for one in stored)
+    assert all(
+        one.code.chip_ns == 5000 and one.problem["joint"]["min_mtf"] == best.joint.min_mtf
+        for one in stored
+    )
 
 
 def test_the_method_is_checked_before_outputs_and_outputs_before_the_search(monkeypatch):
@@ -46,7 +49,8 @@ def test_the_verdict_on_frames_is_by_all_of_them_together():
     straight = SearchProblem.along(Trajectory.straight(24.0), chips=24, objective="min-mtf")
     quiet, noisy = (replace(straight, camera=Camera(read_noise_e=read)) for read in (2, 100))
     pair = [ShutterCode("110111011000001101001001"), ShutterCode("011000000100111000101011")]
-    plain, coded = frames_verdict(quiet, pair), frames_verdict(noisy, pair)
+    plain = frames_verdict(quiet, pair)
+    coded = frames_verdict(noisy, pair)
     assert (plain.choice, coded.choice) == ("snapshot", "code")
     assert " dB over these codes. " in plain.sentence
     assert "10,000 photo-electrons at full scale in each of 2 frames" in plain.sentence

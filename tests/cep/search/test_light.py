@@ -17,7 +17,9 @@ STRAIGHT = Trajectory.straight(12.0, angle_rad=0.3)
 
 
 def objective(path, chips, **options):
-    return Objective(SearchProblem.along(path, chips=chips, **({"objective": "mse"} | options)), oversampling=8)
+    return Objective(
+        SearchProblem.along(path, chips=chips, **({"objective": "mse"} | options)), oversampling=8
+    )
 
 
 def least_cost(judge, codes):
@@ -33,7 +35,11 @@ def cost(judge, code):
 def test_the_snapshot_is_the_best_of_all_runs(path, wanted):
     chips = 14
     judge = objective(path, chips, objective=wanted)
-    every = [[first <= i < end for i in range(chips)] for end in range(1, chips + 1) for first in range(end)]
+    every = [
+        [first <= i < end for i in range(chips)]
+        for end in range(1, chips + 1)
+        for first in range(end)
+    ]
     found = best_snapshot(judge)
     assert found.pulses == 1
     assert cost(judge, found) == pytest.approx(least_cost(judge, every), abs=1e-4)
@@ -41,7 +47,9 @@ def test_the_snapshot_is_the_best_of_all_runs(path, wanted):
 
 def test_a_noisier_camera_wants_a_longer_snapshot():
     lengths = [
-        best_snapshot(objective(STRAIGHT, 40, camera=Camera(photons_full_scale=1000, read_noise_e=noise))).open_chips
+        best_snapshot(
+            objective(STRAIGHT, 40, camera=Camera(photons_full_scale=1000, read_noise_e=noise))
+        ).open_chips
         for noise in (1.0, 10.0, 100.0)
     ]
     assert lengths == sorted(lengths)
@@ -91,7 +99,13 @@ LIMITS = {
 def test_the_snapshot_within_limits_is_the_best_run_that_keeps_them(path, limits):
     chips = 14
     judge = objective(path, chips, **limits)
-    every = np.array([[first <= i < end for i in range(chips)] for end in range(1, chips + 1) for first in range(end)])
+    every = np.array(
+        [
+            [first <= i < end for i in range(chips)]
+            for end in range(1, chips + 1)
+            for first in range(end)
+        ]
+    )
     allowed = every[judge.problem.satisfied(every)]
     found = best_snapshot(judge, within_limits=True)
     if not len(allowed):
@@ -112,7 +126,11 @@ def test_the_strobe_within_limits_is_the_best_of_whole_pulses_that_keep_them(lim
                 for first in range(chips if judge.problem.runs.fixed else 1):
                     ends = [first + k * period + width for k in range(pulses)]
                     if ends[-1] <= chips:
-                        every.add(tuple(any(end - width <= i < end for end in ends) for i in range(chips)))
+                        every.add(
+                            tuple(
+                                any(end - width <= i < end for end in ends) for i in range(chips)
+                            )
+                        )
     allowed = np.array(sorted(every))
     allowed = allowed[judge.problem.satisfied(allowed)]
     found = best_strobe(judge, within_limits=True)
@@ -122,7 +140,9 @@ def test_the_strobe_within_limits_is_the_best_of_whole_pulses_that_keep_them(lim
 
 
 def test_where_one_pulse_is_all_there_may_be_no_strobe_keeps_the_limits():
-    assert best_strobe(objective(BENT, 14, runs=RunLimits(max_pulses=1)), within_limits=True) is None
+    assert (
+        best_strobe(objective(BENT, 14, runs=RunLimits(max_pulses=1)), within_limits=True) is None
+    )
 
 
 def test_random_codes_come_ranked_with_their_spread():

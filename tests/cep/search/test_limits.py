@@ -29,7 +29,11 @@ from cep.search.sampling import draw
 def some_limits(draw_one, most_chips=10, masks=True, runs=True):
     chips = draw_one(st.integers(1, most_chips))
     low = draw_one(st.integers(1, chips))
-    mask = draw_one(st.text("01???", min_size=chips, max_size=chips)) if masks and draw_one(st.booleans()) else None
+    mask = (
+        draw_one(st.text("01???", min_size=chips, max_size=chips))
+        if masks and draw_one(st.booleans())
+        else None
+    )
     return Limits(
         chips,
         (low, draw_one(st.integers(low, chips))),
@@ -52,11 +56,22 @@ def keeps(bits, limits):
     starts = [place for place, bit in enumerate(bits) if bit == "1" and bits[:place][-1:] != "1"]
     return (
         limits.open_range[0] <= bits.count("1") <= limits.open_range[1]
-        and all(length >= (limits.runs.min_open if bit else limits.runs.min_closed) for bit, length in runs)
+        and all(
+            length >= (limits.runs.min_open if bit else limits.runs.min_closed)
+            for bit, length in runs
+        )
         and (limits.runs.max_pulses is None or ShutterCode(bits).pulses <= limits.runs.max_pulses)
-        and (limits.runs.max_open is None or all(length <= limits.runs.max_open for bit, length in runs if bit))
-        and all(after - before >= limits.runs.min_period for before, after in itertools.pairwise(starts))
-        and all(mark in ("?", bit) for mark, bit in zip(limits.runs.fixed or bits, bits, strict=True))
+        and (
+            limits.runs.max_open is None
+            or all(length <= limits.runs.max_open for bit, length in runs if bit)
+        )
+        and all(
+            after - before >= limits.runs.min_period
+            for before, after in itertools.pairwise(starts)
+        )
+        and all(
+            mark in ("?", bit) for mark, bit in zip(limits.runs.fixed or bits, bits, strict=True)
+        )
     )
 
 
@@ -132,8 +147,13 @@ def test_compositions_and_walks_count_the_same(limits):
 @pytest.mark.parametrize("closed_form", [True, False])
 def test_every_code_is_equally_likely(limits, closed_form):
     codes = sorted(every_code(limits))
-    rng, many = np.random.default_rng(3), 200 * len(codes)
-    drawn = draw(limits, many, rng=rng) if closed_form else sampling._walks(limits, True, 0.0).draw(many, rng)
+    rng = np.random.default_rng(3)
+    many = 200 * len(codes)
+    drawn = (
+        draw(limits, many, rng=rng)
+        if closed_form
+        else sampling._walks(limits, True, 0.0).draw(many, rng)
+    )
     assert drawn.dtype == np.int8
     found, counts = np.unique(text_of(drawn), return_counts=True)
     assert found.tolist() == codes
@@ -148,22 +168,32 @@ def test_published_numbers():
     assert count(one_run) == pytest.approx(30 * 31 / 2)
     lucas = Limits(20, (1, 20), RunLimits(min_open=20))
     assert count(lucas) == pytest.approx(1)
-    # words without two ones in a row (Fibonacci) and without three (tribonacci), less the one without any
+    # words without two ones in a row (Fibonacci) and without three (tribonacci), less the one
+    # without any
     assert count(Limits(30, (1, 30), RunLimits(max_open=1))) == pytest.approx(2178309 - 1)
     assert count(Limits(30, (1, 30), RunLimits(max_open=2))) == pytest.approx(98950096 - 1)
     # ones at least three apart (Narayana's cows)
-    assert count(Limits(30, (1, 30), RunLimits(max_open=1, min_period=3))) == pytest.approx(125491 - 1)
+    assert count(Limits(30, (1, 30), RunLimits(max_open=1, min_period=3))) == pytest.approx(
+        125491 - 1
+    )
 
 
 @pytest.mark.parametrize("chips", [200, 600])
-@pytest.mark.parametrize("mask", [None, {"first_open": True, "last_open": True, "forced_closed": range(40, 60)}])
+@pytest.mark.parametrize(
+    "mask", [None, {"first_open": True, "last_open": True, "forced_closed": range(40, 60)}]
+)
 def test_long_codes_keep_their_limits(chips, mask):
     limits = Limits(
         chips,
         (chips // 3, chips // 2),
-        RunLimits(min_open=2, min_closed=3, max_pulses=30, fixed=mask and fixed_mask(chips, **mask)),
+        RunLimits(
+            min_open=2, min_closed=3, max_pulses=30, fixed=mask and fixed_mask(chips, **mask)
+        ),
     )
-    for one in (limits, replace(limits, runs=replace(limits.runs, max_open=chips // 20 + 10, min_period=9))):
+    for one in (
+        limits,
+        replace(limits, runs=replace(limits.runs, max_open=chips // 20 + 10, min_period=9)),
+    ):
         check_feasible(one)
         codes = text_of(draw(one, 8, rng=np.random.default_rng(0)))
         assert all(keeps(bits, one) for bits in codes)
@@ -172,22 +202,29 @@ def test_long_codes_keep_their_limits(chips, mask):
 
 @pytest.mark.parametrize("most", [2, 3, 12])
 @pytest.mark.parametrize("runs", [{}, {"max_open": 11, "min_period": 3}])
-def test_too_large_a_table_tilts_towards_fewer_pulses_and_keeps_the_limits(monkeypatch, most, runs):
+def test_too_large_a_table_tilts_towards_fewer_pulses_and_keeps_the_limits(
+    monkeypatch, most, runs
+):
     limits = Limits(
-        40, (15, 20), RunLimits(max_pulses=most, fixed=fixed_mask(40, first_open=True, last_open=True), **runs)
+        40,
+        (15, 20),
+        RunLimits(max_pulses=most, fixed=fixed_mask(40, first_open=True, last_open=True), **runs),
     )
     exact = draw(limits, 400, rng=np.random.default_rng(0))
     monkeypatch.setattr(sampling, "_MOST_NUMBERS", 5000)
     codes = draw(limits, 400, rng=np.random.default_rng(0))
     assert all(keeps(bits, limits) for bits in text_of(codes))
-    pulses = [(np.diff(drawn, axis=1, prepend=0) > 0).sum(axis=1).mean() for drawn in (codes, exact)]
+    pulses = [
+        (np.diff(drawn, axis=1, prepend=0) > 0).sum(axis=1).mean() for drawn in (codes, exact)
+    ]
     assert pulses[0] <= pulses[1] + 0.1
 
 
 @given(some_limits(), st.text("01", min_size=10, max_size=10))
 @settings(max_examples=150, deadline=None)
 def test_the_nearest_code_within_limits_is_that_of_brute_force(limits, bits):
-    kept, bits = every_code(limits), bits[: limits.chips]
+    kept = every_code(limits)
+    bits = bits[: limits.chips]
     if not kept:
         return
     near = "".join(map(str, nearest(limits, np.array([int(bit) for bit in bits]))))
@@ -224,7 +261,11 @@ def test_conflicts_are_real_and_smallest(limits):
             "fixed (0 forced open, 4 forced closed): no code of 4 chips keeps it",
         ),
         (
-            Limits(52, (30, 30), RunLimits(min_closed=3, max_pulses=9, fixed="1??" + "0?1?" * 12 + "1")),
+            Limits(
+                52,
+                (30, 30),
+                RunLimits(min_closed=3, max_pulses=9, fixed="1??" + "0?1?" * 12 + "1"),
+            ),
             "max_pulses 9 and fixed (14 forced open, 12 forced closed) conflict: no code of 52 chips keeps both",
         ),
         (
@@ -258,7 +299,10 @@ def test_the_line_names_what_conflicts(limits, line):
 
 def test_masks():
     assert fixed_mask(5) == "?????"
-    assert fixed_mask(5, first_open=True, last_open=True, forced_open=[1], forced_closed=[3]) == "11?01"
+    assert (
+        fixed_mask(5, first_open=True, last_open=True, forced_open=[1], forced_closed=[3])
+        == "11?01"
+    )
     assert checked_mask(None, 4) is checked_mask("????", 4) is None
     assert checked_mask("1??0", 4) == "1??0"
     for arguments, words in [
@@ -268,6 +312,10 @@ def test_masks():
     ]:
         with pytest.raises(ValueError, match=words):
             fixed_mask(5, **arguments)
-    for mask, words in [("1?", "for each of 4 chips, got 2"), ("1?x0", "string of 0"), (101, "string of 0")]:
+    for mask, words in [
+        ("1?", "for each of 4 chips, got 2"),
+        ("1?x0", "string of 0"),
+        (101, "string of 0"),
+    ]:
         with pytest.raises(ValueError, match=words):
             checked_mask(mask, 4)

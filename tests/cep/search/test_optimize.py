@@ -43,7 +43,12 @@ def test_the_minimum_of_a_straight_motion_is_the_polynomial_s():
 
 def test_nothing_in_the_comparison_that_keeps_the_limits_is_better():
     problem = SearchProblem.along(
-        BENT, chips=16, objective="mse", duty=(0.3, 0.6), runs=RunLimits(min_open=2), camera=Camera(2_000.0, 40.0)
+        BENT,
+        chips=16,
+        objective="mse",
+        duty=(0.3, 0.6),
+        runs=RunLimits(min_open=2),
+        camera=Camera(2_000.0, 40.0),
     )
     best = optimize(problem, steps=1)
     judge = judge_of(problem)
@@ -67,14 +72,22 @@ def test_saved_and_read_back(tmp_path):
 
 
 def test_a_device_and_an_exposure_set_chips_and_limits():
-    problem = SearchProblem.along(BENT, chips=12, duty=(0.25, 0.75), exposure_s=0.12, device="lc-dual-frequency")
+    problem = SearchProblem.along(
+        BENT, chips=12, duty=(0.25, 0.75), exposure_s=0.12, device="lc-dual-frequency"
+    )
     assert problem.chip_ns == 10_000_000
     assert problem.response is not None
     assert not problem.on_circle
     warnings = optimize(problem, steps=200).warnings
     assert any("opens at once" in line for line in warnings)
-    for wrong in ({"duty": (0.1, 0.2), "open_range": (2, 3)}, {"exposure_s": 1.0, "chip_ns": 5}, {"exposure_s": 0.0}):
-        with pytest.raises(ValueError, match=r"^(duty and open_range|exposure_s and chip_ns|exposure_s): "):
+    for wrong in (
+        {"duty": (0.1, 0.2), "open_range": (2, 3)},
+        {"exposure_s": 1.0, "chip_ns": 5},
+        {"exposure_s": 0.0},
+    ):
+        with pytest.raises(
+            ValueError, match=r"^(duty and open_range|exposure_s and chip_ns|exposure_s): "
+        ):
             SearchProblem.along(BENT, chips=12, **wrong)
 
 
@@ -88,10 +101,15 @@ def test_a_search_needs_a_motion_that_tells_its_chips_apart():
 def test_a_time_that_ends_the_search_is_told_with_its_moves():
     best = optimize(SearchProblem.along(BENT, chips=12), steps=10**12, time_s=0.01)
     assert best.found.stopped == "time"
-    assert "the limit of 0.01 s ended the search before its 1,000,000,000,000 moves" in best.warnings[0]
+    assert (
+        "the limit of 0.01 s ended the search before its 1,000,000,000,000 moves"
+        in best.warnings[0]
+    )
 
 
-@pytest.mark.parametrize(("wrong", "message"), [({"method": "magic"}, "^method: "), ({"effort": "much"}, "^effort: ")])
+@pytest.mark.parametrize(
+    ("wrong", "message"), [({"method": "magic"}, "^method: "), ({"effort": "much"}, "^effort: ")]
+)
 def test_an_unknown_method_is_refused_and_not_searched_by_another(wrong, message):
     with pytest.raises(ValueError, match=message):
         optimize(SearchProblem.along(BENT, chips=12), steps=10, **wrong)

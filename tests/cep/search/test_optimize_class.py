@@ -21,15 +21,21 @@ from cep.search.search_options import openings
 from motdiff.gyro import GyroTrace
 from motdiff.trajectory import Trajectory
 
-CHIPS, OPEN = 10, 4
-EVERY = [ShutterCode("".join("01"[k in on] for k in range(CHIPS))) for on in combinations(range(CHIPS), OPEN)]
+CHIPS = 10
+OPEN = 4
+EVERY = [
+    ShutterCode("".join("01"[k in on] for k in range(CHIPS)))
+    for on in combinations(range(CHIPS), OPEN)
+]
 PROBLEM = SearchProblem(chips=CHIPS, open_range=(OPEN, OPEN), objective="noise")
 WALKS = draw_motions(3, length_px=15.0, rng=np.random.default_rng(1))
 
 
 def noise_db(path, code):
     samples = band_samples(path)
-    return 10 * np.log10(samples.weight @ (1 / np.array(mtf(path, code, samples.fx, samples.fy)) ** 2))
+    return 10 * np.log10(
+        samples.weight @ (1 / np.array(mtf(path, code, samples.fx, samples.fy)) ** 2)
+    )
 
 
 def test_the_mean_of_the_decibels_is_best_of_all_codes():
@@ -38,14 +44,18 @@ def test_the_mean_of_the_decibels_is_best_of_all_codes():
     assert best.rows[0].mean_db == pytest.approx(mean_db[best.code.bits], abs=1e-3)
     assert best.rows[0].mean_db == pytest.approx(min(mean_db.values()), abs=1e-3)
     # the decibels of the mean, which one bad motion rules, would choose another
-    rivals = {code.bits: np.mean([10 ** (noise_db(path, code) / 10) for path in WALKS]) for code in EVERY}
+    rivals = {
+        code.bits: np.mean([10 ** (noise_db(path, code) / 10) for path in WALKS]) for code in EVERY
+    }
     assert min(rivals, key=rivals.get) != best.code.bits
 
 
 def test_unknown_directions_count_both_ways_in_the_mean():
     unknown = [replace(path, direction="unknown") for path in WALKS]
     (both,) = per_motion_db(PROBLEM, unknown[:1], EVERY[:5])
-    ways = [[noise_db(path, code) for code in EVERY[:5]] for path in (WALKS[0], WALKS[0].reversed())]
+    ways = [
+        [noise_db(path, code) for code in EVERY[:5]] for path in (WALKS[0], WALKS[0].reversed())
+    ]
     np.testing.assert_allclose(both, np.mean(ways, axis=0), atol=1e-3)
     assert sum(one.weight for one in class_scenarios(unknown)) == len(unknown)
     assert len(class_scenarios([Trajectory.straight(9.0)])) == 1  # its own mirror image
@@ -53,17 +63,26 @@ def test_unknown_directions_count_both_ways_in_the_mean():
 
 def test_order_and_orientation_of_the_motions_do_not_matter():
     costs = per_motion_db(PROBLEM, WALKS, EVERY)
-    turned = [Trajectory.from_samples(path.xy @ [[0, 1], [-1, 0]], t=path.t, direction="known") for path in WALKS]
+    turned = [
+        Trajectory.from_samples(path.xy @ [[0, 1], [-1, 0]], t=path.t, direction="known")
+        for path in WALKS
+    ]
     np.testing.assert_allclose(per_motion_db(PROBLEM, turned[::-1], EVERY)[::-1], costs, atol=1e-6)
     # against time, a code is worth what its mirror image is worth along it
-    back = per_motion_db(PROBLEM, [path.reversed() for path in WALKS], [ShutterCode(one.bits[::-1]) for one in EVERY])
+    back = per_motion_db(
+        PROBLEM,
+        [path.reversed() for path in WALKS],
+        [ShutterCode(one.bits[::-1]) for one in EVERY],
+    )
     np.testing.assert_allclose(back, costs, atol=1e-6)
 
 
 def test_rows_are_judged_on_motions_that_the_search_has_not_seen(tmp_path):
     unseen = draw_motions(4, length_px=15.0, rng=np.random.default_rng(2))
     best = optimize_class(WALKS, PROBLEM, Search(steps=2000), others=unseen, threads=1)
-    assert best.found.code == optimize_class(WALKS, PROBLEM, Search(steps=2000), threads=2).found.code
+    assert (
+        best.found.code == optimize_class(WALKS, PROBLEM, Search(steps=2000), threads=2).found.code
+    )
     own, *others = best.rows
     assert (own.behind_db, own.behind_error_db) == (0, 0)
     for row in others:
@@ -77,24 +96,35 @@ def test_rows_are_judged_on_motions_that_the_search_has_not_seen(tmp_path):
     assert any("3 motions are few" in line for line in best.warnings)
     best.save(tmp_path / "code.json")
     stored = read_code(tmp_path / "code.json")
-    assert (stored.code, stored.problem["rule"], stored.problem["motions"]) == (best.code, "mean", 3)
+    assert (stored.code, stored.problem["rule"], stored.problem["motions"]) == (
+        best.code,
+        "mean",
+        3,
+    )
 
 
 def test_the_verdict_recommends_nothing_that_loses_to_its_own_table():
     unseen = draw_motions(20, length_px=15.0, rng=np.random.default_rng(2))
-    # 30 photo-electrons at full scale beside 5 electrons of read noise: light is all that counts, up to some blur
+    # 30 photo-electrons at full scale beside 5 electrons of read noise: light is all that counts,
+    # up to some blur
     dim = replace(PROBLEM, objective="mse", camera=Camera(photons_full_scale=30.0))
-    dark = optimize_class(WALKS, replace(dim, open_range=(1, 2)), Search(steps=500), others=unseen, threads=1)
+    dark = optimize_class(
+        WALKS, replace(dim, open_range=(1, 2)), Search(steps=500), others=unseen, threads=1
+    )
     better = min(dark.rows, key=lambda row: row.behind_db)
     assert better.behind_db < 0
     assert not better.within_limits
     assert better.code.open_chips > 2
     assert dark.verdict.startswith(f"Use the {better.name} (open for {better.code.open_chips} of")
-    free = optimize_class(WALKS, replace(dim, open_range=None), Search(steps=500), others=unseen, threads=1)
+    free = optimize_class(
+        WALKS, replace(dim, open_range=None), Search(steps=500), others=unseen, threads=1
+    )
     assert min(row.behind_db for row in free.rows) == 0
     assert free.code.pulses == 1
     assert free.verdict.startswith("A short exposure is best, one opening (open for ")
-    noise = optimize_class(WALKS, replace(PROBLEM, open_range=None), Search(steps=3000), others=unseen, threads=1)
+    noise = optimize_class(
+        WALKS, replace(PROBLEM, open_range=None), Search(steps=3000), others=unseen, threads=1
+    )
     assert noise.to_dict()["verdict"] == noise.verdict
     snapshot = next(row for row in noise.rows if row.name == "best snapshot")
     assert f"{snapshot.behind_db:.2f} dB" in noise.verdict
@@ -116,10 +146,14 @@ def test_a_search_whose_samples_take_longer_than_its_time_makes_moves(monkeypatc
     assert "Nothing was searched" not in best.verdict
 
 
-@pytest.mark.parametrize(("stopped", "said"), [("time", "7 s passed"), ("interrupted", "Ctrl-C ended it")])
+@pytest.mark.parametrize(
+    ("stopped", "said"), [("time", "7 s passed"), ("interrupted", "Ctrl-C ended it")]
+)
 def test_where_no_move_was_made_the_verdict_recommends_nothing(stopped, said):
     best = optimize_class(WALKS, PROBLEM, Search(steps=500), threads=1)
-    none = replace(best, how=Search(time_s=7.0), found=replace(best.found, steps=0, stopped=stopped))
+    none = replace(
+        best, how=Search(time_s=7.0), found=replace(best.found, steps=0, stopped=stopped)
+    )
     assert none.verdict.startswith(f"Nothing was searched: {said} before the first move.")
     assert "--time" in none.verdict
     # where there is one code only, nothing needs a search
@@ -127,7 +161,10 @@ def test_where_no_move_was_made_the_verdict_recommends_nothing(stopped, said):
 
 
 def test_one_opening_is_not_called_openings():
-    assert [openings(ShutterCode(bits)) for bits in ("0110", "0101")] == ["1 opening", "2 openings"]
+    assert [openings(ShutterCode(bits)) for bits in ("0110", "0101")] == [
+        "1 opening",
+        "2 openings",
+    ]
 
 
 def test_drawn_motions_are_of_the_length_asked_for():
@@ -145,8 +182,16 @@ def test_drawn_motions_are_of_the_length_asked_for():
     ("motions", "changes", "message"),
     [
         ([], {}, "motions: a class needs at least one"),
-        (WALKS, {"objective": "min-mtf"}, "objective: a class is searched by noise or mse alone, got min-mtf"),
-        (WALKS, {"objective": (("noise", 1.0), ("flatness", 1.0))}, "noise or mse alone, got flatness"),
+        (
+            WALKS,
+            {"objective": "min-mtf"},
+            "objective: a class is searched by noise or mse alone, got min-mtf",
+        ),
+        (
+            WALKS,
+            {"objective": (("noise", 1.0), ("flatness", 1.0))},
+            "noise or mse alone, got flatness",
+        ),
         ([Trajectory.straight(1.0)], {}, "chips: 10 chips are too many for a path of 1.0 px"),
         ([Trajectory.straight(9.0)] * (MOST_SCENARIOS + 1), {}, "scenarios: 257 are too many"),
     ],

@@ -29,7 +29,9 @@ def motions(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, motion in MOTIONS.items():
         Path("motions", name).mkdir(parents=True)
-        write_motion(f"motions/{name}/trajectory.json", StoredMotion(motion, source={"method": "test"}))
+        write_motion(
+            f"motions/{name}/trajectory.json", StoredMotion(motion, source={"method": "test"})
+        )
     Path("motions/cells").mkdir()
     Path("motions/motions.csv").write_text("photo\n")
     return tmp_path
@@ -41,7 +43,8 @@ def rows_of(path):
 
 
 @pytest.mark.parametrize(
-    ("workers", "more"), [("1", ("--speed", "0.9:1.1", "--device", "flc")), ("2", ("--objective", "noise"))]
+    ("workers", "more"),
+    [("1", ("--speed", "0.9:1.1", "--device", "flc")), ("2", ("--objective", "noise"))],
 )
 def test_each_motion_gets_the_code_of_the_single_command(cep, motions, workers, more):
     found = cep.succeeds(*EACH[:-1], workers, *more)
@@ -50,7 +53,14 @@ def test_each_motion_gets_the_code_of_the_single_command(cep, motions, workers, 
     rows = {row["motion"]: row for row in rows_of("motions/codes.csv")}
     for name in MOTIONS:
         single = cep.succeeds(
-            "optimize", "--trajectory", f"motions/{name}/trajectory.json", *OPTIONS, *more, "-o", "one.json", "--force"
+            "optimize",
+            "--trajectory",
+            f"motions/{name}/trajectory.json",
+            *OPTIONS,
+            *more,
+            "-o",
+            "one.json",
+            "--force",
         )
         one = found["codes"][name]
         assert Path(one["file"]).read_bytes() == Path("one.json").read_bytes()
@@ -62,10 +72,20 @@ def test_each_motion_gets_the_code_of_the_single_command(cep, motions, workers, 
 
 def test_a_proof_for_each_is_that_of_the_single_command(cep, motions):
     options = ("--chips", "8", "--open", "4", "--objective", "min-mtf", "--method", "exact")
-    found = cep.succeeds("optimize", "--each", "motions", *options, "--workers", "1", "-o", "codes")
+    found = cep.succeeds(
+        "optimize", "--each", "motions", *options, "--workers", "1", "-o", "codes"
+    )
     for name in ("a", "c"):
-        cep.succeeds("optimize", "--trajectory", f"motions/{name}/trajectory.json", *options, "-o", f"{name}.json")
-        ours, single = read_code(f"codes/{name}/code.json"), read_code(f"{name}.json")
+        cep.succeeds(
+            "optimize",
+            "--trajectory",
+            f"motions/{name}/trajectory.json",
+            *options,
+            "-o",
+            f"{name}.json",
+        )
+        ours = read_code(f"codes/{name}/code.json")
+        single = read_code(f"{name}.json")
         assert ours.code == single.code
         assert found["codes"][name]["proven"]
         assert ours.problem["proof"]["bits"] == single.problem["proof"]["bits"]
@@ -81,8 +101,12 @@ def test_motions_that_fail_are_told_by_name_and_the_others_kept(cep, motions):
     assert list(failures) == ["b[1]", "c"]
     assert failures["b[1]"].startswith("not a JSON file")
     assert failures["c"].startswith("--chips: 12 chips are too many for a path of 2.0 px")
-    in_table = {row["motion"]: row["failure"] for row in rows_of("codes/codes.csv") if row["failure"]}
-    assert in_table == failures | {"c": f"'{failures['c']}"}  # a spreadsheet takes "--chips" for a formula
+    in_table = {
+        row["motion"]: row["failure"] for row in rows_of("codes/codes.csv") if row["failure"]
+    }
+    assert in_table == failures | {
+        "c": f"'{failures['c']}"
+    }  # a spreadsheet takes "--chips" for a formula
     assert sorted(path.name for path in Path("codes").iterdir()) == ["a", "cells", "codes.csv"]
 
 
@@ -94,13 +118,17 @@ def test_damaged_motions_keep_their_names_however_many(cep, motions, damaged):
         else:
             shutil.rmtree(Path("motions", name))
     if damaged == ["a"]:
-        assert list(Path("motions").glob("*/trajectory.json")) == [Path("motions/a/trajectory.json")]
+        assert list(Path("motions").glob("*/trajectory.json")) == [
+            Path("motions/a/trajectory.json")
+        ]
     cep(*EACH, "--json", "-o", "codes")
     assert (cep.code, list(cep.json["failures"])) == (FAILURE, damaged)
     assert all(reason.startswith("not a JSON file") for reason in cep.json["failures"].values())
     assert [row["motion"] for row in rows_of("codes/codes.csv")] == damaged
     cep(*EACH, "-o", "codes", "--force")
-    assert [line.split(": not")[0] for line in cep.err.splitlines()] == [f"cep: warning: {name}" for name in damaged]
+    assert [line.split(": not")[0] for line in cep.err.splitlines()] == [
+        f"cep: warning: {name}" for name in damaged
+    ]
 
 
 def test_motions_that_all_fail_for_the_same_reason_keep_their_names(cep, motions):
@@ -132,7 +160,8 @@ def test_of_a_motion_that_fails_now_no_older_code_stays(cep, motions):
 
 def test_stopped_it_writes_what_is_finished_and_goes_on(cep, motions, monkeypatch):
     """A search that Ctrl-C ends gives its best so far, which must not pass for a finished one."""
-    calls, real = [], recipe.anneal
+    calls = []
+    real = recipe.anneal
 
     def interrupted(problem, *, progress, **options):
         def stop(_fraction, _best):
@@ -158,7 +187,8 @@ def test_stopped_it_writes_what_is_finished_and_goes_on(cep, motions, monkeypatc
 def test_each_code_is_written_before_the_next_search(cep, motions, monkeypatch):
     from cep.search import optimize
 
-    real, seen = optimize.compare, []
+    real = optimize.compare
+    seen = []
 
     def compare(*arguments, **options):
         seen.append(sorted(path.parent.name for path in Path("motions").glob("*/code.json")))
@@ -171,17 +201,31 @@ def test_each_code_is_written_before_the_next_search(cep, motions, monkeypatch):
 
 def test_a_search_that_the_time_ended_is_told(cep, motions):
     found = cep.succeeds(
-        "optimize", "--each", "motions", "--chips", "12", "--steps", "1000000000", "--time", "0.01", "--workers", "1"
+        "optimize",
+        "--each",
+        "motions",
+        "--chips",
+        "12",
+        "--steps",
+        "1000000000",
+        "--time",
+        "0.01",
+        "--workers",
+        "1",
     )
     assert len(found["codes"]) == 3
     told = "the limit of 0.01 s ended the search before its 1,000,000,000 moves: another run may give another code"
-    assert all(told in one["warnings"] and one["stopped"] == "time" for one in found["codes"].values())
+    assert all(
+        told in one["warnings"] and one["stopped"] == "time" for one in found["codes"].values()
+    )
     assert f"a: {told}" in found["warnings"]
     assert {row["stopped"] for row in rows_of("motions/codes.csv")} == {"time"}
 
 
 def test_a_time_without_moves_is_no_cut(cep, motions):
-    found = cep.succeeds("optimize", "--each", "motions", "--chips", "12", "--time", "0.1", "--workers", "1")
+    found = cep.succeeds(
+        "optimize", "--each", "motions", "--chips", "12", "--time", "0.1", "--workers", "1"
+    )
     assert {one["stopped"] for one in found["codes"].values()} == {"time"}
     assert not any("ended the search" in line for line in found["warnings"])
 
@@ -209,21 +253,45 @@ def taken(_):
 @pytest.mark.parametrize(
     ("arguments", "prepared", "message"),
     [
-        (("--each", "one"), single_motion, "for a single motion give --trajectory one/trajectory.json"),
-        (("--each", "one"), empty, "one: holds no */trajectory.json, as cep calibrate FOLDER writes them"),
+        (
+            ("--each", "one"),
+            single_motion,
+            "for a single motion give --trajectory one/trajectory.json",
+        ),
+        (
+            ("--each", "one"),
+            empty,
+            "one: holds no */trajectory.json, as cep calibrate FOLDER writes them",
+        ),
         (("--each", "nowhere"), None, "nowhere: no such folder"),
         (("--each", "motions/motions.csv"), None, "is a file, a folder of motions is needed"),
         (("--each", "motions"), taken, "motions/c/code.json: exists already, use --force"),
-        (("--each", "motions", "--linear", "9"), None, "--each: takes the place of --trajectory and --linear"),
-        (("--each", "motions", "--trajectory", "motions/a/trajectory.json"), None, "--each: takes the place"),
+        (
+            ("--each", "motions", "--linear", "9"),
+            None,
+            "--each: takes the place of --trajectory and --linear",
+        ),
+        (
+            ("--each", "motions", "--trajectory", "motions/a/trajectory.json"),
+            None,
+            "--each: takes the place",
+        ),
         (("--each", "motions", "--frames", "2"), None, "--each: takes the place"),
         (("--each", "motions", "--open", "40"), None, "--open: must lie within 1..12, got 40"),
         (("--each", "motions", "--time", "0"), None, "--time: must be above 0 seconds"),
         (("--each", "motions", "--open", "40"), taken, "--open: must lie within 1..12, got 40"),
         (("--each", "motions", "--open", "13", "--chips", "13", "--max-open", "2"), None, "open"),
-        (("--each", "motions", "--method", "exact"), None, "--steps: not valid with --method exact"),
+        (
+            ("--each", "motions", "--method", "exact"),
+            None,
+            "--steps: not valid with --method exact",
+        ),
         (("--each", "motions", "--workers", "0"), None, "--workers"),
-        (("--trajectory", "motions"), None, "motions: is a folder; --each FOLDER searches a code for each"),
+        (
+            ("--trajectory", "motions"),
+            None,
+            "motions: is a folder; --each FOLDER searches a code for each",
+        ),
         (("--linear", "12", "--cache", "cells"), None, "--cache: is for a folder (--each)"),
     ],
 )
@@ -239,10 +307,14 @@ def test_from_python_each_motion_has_its_own_search(motions):
         if path.parent.name == "a":
             raise ValueError("no code for this one")
         motion = stored.trajectory
-        problem = SearchProblem.along(motion, chips=8, open_range=(4, 4), objective="mse", camera=Camera())
+        problem = SearchProblem.along(
+            motion, chips=8, open_range=(4, 4), objective="mse", camera=Camera()
+        )
         return Task(problem, motion, {"trajectory": str(path)})
 
-    made = optimize_folder(Path("motions"), task, Search(steps=500, seed=1), Path("codes"), workers=1)
+    made = optimize_folder(
+        Path("motions"), task, Search(steps=500, seed=1), Path("codes"), workers=1
+    )
     assert (made.folder, made.summary, made.missing) == (Path("codes"), Path("codes/codes.csv"), 0)
     assert list(made.found) == ["b[1]", "c"]
     assert [row["failure"] for row in made.rows] == ["no code for this one", "", ""]

@@ -13,8 +13,8 @@ from cep.optics.exposure import coded_otf
 from cep.optics.response import ShutterResponse
 from cep.proofs.measure import measure, worst_of
 from cep.search.limits import Limits, RunLimits, feasible, fixed_mask
-from cep.search.problem import Scenario, SearchProblem
-from cep.search.scenarios import drifted
+from cep.search.problem import SearchProblem
+from cep.search.scenarios import Scenario, drifted
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
@@ -56,16 +56,24 @@ def test_forced_chips_are_a_limit_like_others():
     problem = SearchProblem(chips=6, runs=RunLimits(fixed=mask))
     assert problem.limits.runs.fixed == mask
     assert SearchProblem(chips=6, runs=RunLimits(fixed="??????")).runs.fixed is None
-    kept = problem.satisfied(np.array([[1, 1, 0, 0, 1, 1], [0, 1, 0, 0, 1, 1], [1, 1, 1, 0, 1, 1]]))
+    kept = problem.satisfied(
+        np.array([[1, 1, 0, 0, 1, 1], [0, 1, 0, 0, 1, 1], [1, 1, 1, 0, 1, 1]])
+    )
     assert kept.tolist() == [True, False, False]
 
 
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        ({"runs": RunLimits(fixed="1?")}, "fixed: must have one character for each of 9 chips, got 2"),
+        (
+            {"runs": RunLimits(fixed="1?")},
+            "fixed: must have one character for each of 9 chips, got 2",
+        ),
         ({"runs": RunLimits(fixed="1???????x")}, "fixed: must be a string of 0"),
-        ({"runs": RunLimits(fixed="000000000")}, "fixed (0 forced open, 9 forced closed): no code of 9 chips keeps it"),
+        (
+            {"runs": RunLimits(fixed="000000000")},
+            "fixed (0 forced open, 9 forced closed): no code of 9 chips keeps it",
+        ),
         (
             {"runs": RunLimits(fixed="10?????01", min_open=2)},
             "min_open 2 and fixed (2 forced open, 2 forced closed) conflict: no code of 9 chips keeps both",
@@ -79,7 +87,10 @@ def test_forced_chips_are_a_limit_like_others():
             "min_open: runs of 5 open chips conflict with at most 4 open chips",
         ),
         ({"response": SLOW}, "response: needs a motion (scenarios)"),
-        ({"scenarios": (Scenario(BENT, edges=np.linspace(0, 1, 9)),)}, "edges: 9 chips need 10 edges"),
+        (
+            {"scenarios": (Scenario(BENT, edges=np.linspace(0, 1, 9)),)},
+            "edges: 9 chips need 10 edges",
+        ),
         (
             {"scenarios": (Scenario(BENT, edges=np.linspace(0, 0.8, 10)),), "response": SLOW},
             "response: opening or closing takes 90 ns, but the shortest chip of these edges lasts 80 ns",
@@ -114,13 +125,16 @@ def test_measuring_counts_every_scenario_direction_and_the_shutter():
     assert ways[0] != ways[1]
     assert both.measure(CODE) == worst_of(*ways)
     (late,) = drifted(known, 9, 0.1)
-    assert replace(problem, scenarios=(late,)).measure(CODE) == measure(known, CODE, edges=late.edges)
+    assert replace(problem, scenarios=(late,)).measure(CODE) == measure(
+        known, CODE, edges=late.edges
+    )
 
 
 def test_figures_under_a_slow_shutter():
     samples = band_samples(BENT)
     modulus = np.abs(coded_otf(BENT, CODE, samples.fx, samples.fy, response=SLOW))
-    found, light = measure(BENT, CODE, response=SLOW), SLOW.open_time(CODE.array[None])[0]
+    found = measure(BENT, CODE, response=SLOW)
+    light = SLOW.open_time(CODE.array[None])[0]
     assert found.noise_gain_db == pytest.approx(10 * np.log10(samples.weight @ modulus**-2))
     assert found.dnf_db == pytest.approx(found.noise_gain_db + 20 * np.log10(light))
     assert 0 <= found.min_mtf_lower <= found.min_mtf <= modulus.min()

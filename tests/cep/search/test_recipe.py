@@ -14,8 +14,9 @@ from cep.search import recipe
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.optimize import Search, search
-from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
+from cep.search.problem import OBJECTIVES, SearchProblem
 from cep.search.recipe import baselines, search_code
+from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
@@ -30,9 +31,15 @@ def test_the_baselines_of_a_straight_line():
     problem = SearchProblem.along(STRAIGHT, chips=13, open_range=(7, 9), objective="noise")
     rows = named(problem)
     assert set(rows) == {
-        "open shutter", "best snapshot", "best snapshot within the limits", "best strobe",
-        "best strobe within the limits", "published: barker-13", "length-only code", "random code, median",
-    }  # fmt: skip
+        "open shutter",
+        "best snapshot",
+        "best snapshot within the limits",
+        "best strobe",
+        "best strobe within the limits",
+        "published: barker-13",
+        "length-only code",
+        "random code, median",
+    }
     judge = Objective(problem, oversampling=64, dtype=np.float64)
     for row in rows.values():
         assert row.cost_db == judge.exact_cost(row.code)
@@ -63,7 +70,9 @@ def test_no_other_single_run_beats_the_snapshot(objective, chips):
 def test_the_random_code_is_the_middle_one():
     problem = SearchProblem.along(BENT, chips=9, open_range=(3, 6), objective="mse")
     judge = Objective(problem, oversampling=64, dtype=np.float64)
-    low, high = np.percentile(judge.cost_of(problem.random_codes(100, rng=np.random.default_rng(5))), (10, 90))
+    low, high = np.percentile(
+        judge.cost_of(problem.random_codes(100, rng=np.random.default_rng(5))), (10, 90)
+    )
     assert low <= named(problem)["random code, median"].cost_db <= high
 
 
@@ -81,7 +90,9 @@ def test_the_length_only_code_has_a_quarter_of_the_time_and_says_what_it_ended(m
 
 
 def test_what_the_baselines_take_is_off_the_time_but_for_half_of_it(monkeypatch):
-    limits, now, slept = [], [0.0], iter((2.0, 9.0))
+    limits = []
+    now = [0.0]
+    slept = iter((2.0, 9.0))
 
     def slow(_length_px, chips, **_options):
         now[0] += next(slept)
@@ -89,7 +100,9 @@ def test_what_the_baselines_take_is_off_the_time_but_for_half_of_it(monkeypatch)
 
     def searched(problem, *, time_s, **_options):
         limits.append(time_s)
-        return SimpleNamespace(code=ShutterCode("110100011"), objective=0.0, steps=1, stopped="time")
+        return SimpleNamespace(
+            code=ShutterCode("110100011"), objective=0.0, steps=1, stopped="time"
+        )
 
     monkeypatch.setattr(recipe, "dnf_search", slow)
     monkeypatch.setattr(recipe, "anneal", searched)
@@ -115,7 +128,7 @@ def test_ctrl_c_among_the_baselines_returns_the_best_so_far(monkeypatch, at):
     assert all(row.cost_db >= found.objective for row in found.baselines if row.within_limits)
 
 
-# -- the code returned never loses to a row of its own table ----------------------------------------------------------
+# -- the code returned never loses to a row of its own table --------------------------------------
 
 
 def test_a_search_that_ends_worse_than_a_baseline_returns_it(monkeypatch):
@@ -132,7 +145,12 @@ def problems(draw):
     """Small problems: limits on light and runs, forced chips, ramps, motions that may differ, all objectives."""
     chips = draw(st.integers(8, 20))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
-    paths = [STRAIGHT, BENT, BENT.scaled(0.7), Trajectory.from_samples(rng.normal(size=(5, 2)).cumsum(axis=0) * 3)]
+    paths = [
+        STRAIGHT,
+        BENT,
+        BENT.scaled(0.7),
+        Trajectory.from_samples(rng.normal(size=(5, 2)).cumsum(axis=0) * 3),
+    ]
     kept = draw(st.lists(st.sampled_from(range(4)), min_size=0, max_size=2, unique=True))
     low = draw(st.integers(1, chips // 2))
     limits = {"open_range": (low, draw(st.integers(low, chips)))}
@@ -152,7 +170,11 @@ def problems(draw):
         return SearchProblem(
             chips=chips,
             scenarios=tuple(Scenario(paths[index], weight=1.0 + index) for index in kept),
-            objective=draw(st.sampled_from([*OBJECTIVES, mix] if kept else ["min-mtf", "flatness", "noise", mix])),
+            objective=draw(
+                st.sampled_from(
+                    [*OBJECTIVES, mix] if kept else ["min-mtf", "flatness", "noise", mix]
+                )
+            ),
             direction=draw(st.sampled_from(["auto", "unknown", "forward"])),
             rule=draw(st.sampled_from(["worst", "mean"])),
             camera=Camera(photons_full_scale=draw(st.sampled_from([1e3, 1e5])), read_noise_e=5.0),
@@ -178,8 +200,14 @@ def test_no_baseline_within_the_limits_beats_the_code(problem, steps, seed):
 
 def test_the_same_seed_and_moves_give_the_same_code_and_table():
     problem = SearchProblem.along(BENT, chips=16, open_range=(6, 9), objective="mse")
-    one, other = (search(problem, Search(steps=2000, seed=5), threads=threads) for threads in (1, 2))
-    assert (one.code, one.objective, one.baselines) == (other.code, other.objective, other.baselines)
+    one, other = (
+        search(problem, Search(steps=2000, seed=5), threads=threads) for threads in (1, 2)
+    )
+    assert (one.code, one.objective, one.baselines) == (
+        other.code,
+        other.objective,
+        other.baselines,
+    )
 
 
 def test_a_stopped_proof_returns_a_baseline_that_is_better(monkeypatch):

@@ -17,7 +17,7 @@ from cep.search.scenarios import (
     jittered,
     scenario_rows,
     speed_range,
-)  # fmt: skip
+)
 from motdiff.files.trajectories import StoredMotion
 from motdiff.trajectory import Trajectory
 
@@ -34,7 +34,9 @@ def otf(scenario, fx=F, fy=0.0):
 @given(st.floats(0.3, 1), st.floats(1, 3), st.integers(2, 5))
 def test_another_speed_stretches_the_frequencies(low, high, count):
     path = Trajectory.straight(14.0)
-    for scenario, factor in zip(speed_range(path, low, high, count), np.linspace(low, high, count), strict=True):
+    for scenario, factor in zip(
+        speed_range(path, low, high, count), np.linspace(low, high, count), strict=True
+    ):
         assert scenario.weight == pytest.approx(1 / count)
         assert np.abs(otf(scenario) - coded_otf(path, CODE, factor * F, 0.0)).max() < 1e-12
 
@@ -52,12 +54,15 @@ def test_drift_covers_another_part_of_the_path():
     fast, on_time, slow = drifted(BENT, 10, [-0.2, 0.0, 0.2])
     assert [s.edges[-1] for s in (fast, on_time, slow)] == pytest.approx([0.8, 1.0, 1.2])
     assert np.abs(otf(on_time, FX, FY) - coded_otf(BENT, CODE, FX, FY)).max() < 1e-12
-    # a fast code is a code of finer chips that ends early: 10 chips of 0.08 are 20 of 0.04, five more are unused
+    # a fast code is a code of finer chips that ends early: 10 chips of 0.08 are 20 of 0.04, five
+    # more are unused
     early = ShutterCode("".join(2 * bit for bit in CODE.bits) + "00000")
     assert np.abs(otf(fast, FX, FY) - coded_otf(BENT, early, FX, FY)).max() < 1e-12
     # the last chip of a slow one sees what the turned copy of the path's end draws
     t, xy = extended(BENT)
-    tail = Trajectory.from_samples(np.stack([np.interp([1.08, 1.2], t, xy[:, i]) for i in (0, 1)], axis=1))
+    tail = Trajectory.from_samples(
+        np.stack([np.interp([1.08, 1.2], t, xy[:, i]) for i in (0, 1)], axis=1)
+    )
     last = chip_basis(BENT, 10, FX, FY, edges=slow.edges)[-1]
     assert np.abs(last) == pytest.approx(0.12 * np.abs(tail.otf(FX, FY)))
 
@@ -71,14 +76,19 @@ def test_a_path_goes_on_smoothly_both_ways(seed):
     assert (np.diff(t) > 0).all()
     assert (t[0], t[-1]) == (-1, 2)
     velocity = np.diff(xy, axis=0) / np.diff(t)[:, None]
-    assert velocity == pytest.approx(np.concatenate([f := velocity[8:16], f, f])[[*range(7, -1, -1), *range(8, 16),
-                                                                                 *range(23, 15, -1)]])  # fmt: skip
+    assert velocity == pytest.approx(
+        np.concatenate([f := velocity[8:16], f, f])[
+            [*range(7, -1, -1), *range(8, 16), *range(23, 15, -1)]
+        ]
+    )
     straight_t, straight_xy = extended(Trajectory.straight(5.0))
     assert straight_xy[:, 0] == pytest.approx(5 * (straight_t - 0.5))
 
 
 def test_jitter_is_independent_monotone_and_as_large_as_said():
-    chips, sigma, count = 50, 0.1, 200
+    chips = 50
+    sigma = 0.1
+    count = 200
     scenarios = jittered(BENT, chips, sigma, count, rng=np.random.default_rng(0))
     edges = np.array([s.edges for s in scenarios])
     assert (np.diff(edges, axis=1) > 0).all()
@@ -103,9 +113,12 @@ def test_alternatives_keep_their_probabilities():
 def test_variations_cross_and_share_the_weight_out():
     motion = StoredMotion(BENT, 0.75, ((0.25, BENT.scaled(2)),))
     crossed = jittered(
-        drifted(speed_range(alternatives(motion), 0.9, 1.1, 3), 10, [0.0, 0.01]), 10, 0.05, 4,
+        drifted(speed_range(alternatives(motion), 0.9, 1.1, 3), 10, [0.0, 0.01]),
+        10,
+        0.05,
+        4,
         rng=np.random.default_rng(1),
-    )  # fmt: skip
+    )
     assert len(crossed) == 2 * 3 * 2 * 4
     assert sum(s.weight for s in crossed) == pytest.approx(1)
     assert sum(s.weight for s in crossed[:24]) == pytest.approx(0.75)
@@ -118,7 +131,9 @@ def test_variations_cross_and_share_the_weight_out():
         alternatives(StoredMotion(BENT, 0.5, ((0.1, BENT),) * 299))
 
 
-@pytest.mark.parametrize("response", [None, ShutterResponse(chip_ns=10, rise_ns=4, fall_ns=5, on_bias_ns=2)])
+@pytest.mark.parametrize(
+    "response", [None, ShutterResponse(chip_ns=10, rise_ns=4, fall_ns=5, on_bias_ns=2)]
+)
 @pytest.mark.parametrize("edges", [None, np.linspace(0, 1.05, 11) + 0.004 * np.sin(np.arange(11))])
 def test_the_reversed_path_plays_the_code_in_its_own_order(response, edges):
     scenario = Scenario(BENT, edges=edges)
@@ -129,7 +144,10 @@ def test_the_reversed_path_plays_the_code_in_its_own_order(response, edges):
         total = sum(
             rows[k, bits[k], 0] for k in range(10) if bits[k + 1]
         )  # from the first: the right one is closed yet
-        assert np.abs(total - coded_otf(path, CODE, FX, FY, response=response, edges=edges)).max() < 1e-12
+        assert (
+            np.abs(total - coded_otf(path, CODE, FX, FY, response=response, edges=edges)).max()
+            < 1e-12
+        )
     mirrored = scenario_rows(scenario, 10, FX, FY, response=response)[::-1].transpose(0, 2, 1, 3)
     assert (np.abs(rows - mirrored).max() < 1e-12) == (response is None and edges is None)
 
@@ -142,9 +160,18 @@ def test_the_reversed_path_plays_the_code_in_its_own_order(response, edges):
         (lambda: speed_range(BENT, 1.0, 2.0, 1), "at least 2"),
         (lambda: drifted(BENT, 5, 0.6), "amounts: must lie within -0.5..0.5, got 0.6"),
         (lambda: drifted(BENT, 5, []), "got none"),
-        (lambda: jittered(BENT, 5, 0.2, 2, rng=np.random.default_rng(0)), "sigma_chips: must lie within 0..0.15"),
-        (lambda: jittered(BENT, 5, 0.1, 0, rng=np.random.default_rng(0)), "count: must be at least 1"),
-        (lambda: drifted(Scenario(BENT, edges=np.linspace(0, 1, 4)), 5, 0.1), "5 chips need 6 edges"),
+        (
+            lambda: jittered(BENT, 5, 0.2, 2, rng=np.random.default_rng(0)),
+            "sigma_chips: must lie within 0..0.15",
+        ),
+        (
+            lambda: jittered(BENT, 5, 0.1, 0, rng=np.random.default_rng(0)),
+            "count: must be at least 1",
+        ),
+        (
+            lambda: drifted(Scenario(BENT, edges=np.linspace(0, 1, 4)), 5, 0.1),
+            "5 chips need 6 edges",
+        ),
         (lambda: Scenario(BENT, edges=[0, 0.7, 0.6]), "increasing"),
         (lambda: Scenario(BENT, edges=[0, 0.7, 3]), "within -0.5..1.5"),
     ],

@@ -15,9 +15,13 @@ from motdiff.trajectory import Trajectory
 def test_a_code_of_a_long_motion_is_found_on_fewer_samples():
     """As good to 0.1 dB, by the fine figures, as one that is searched and judged on all samples."""
     camera = Camera(read_noise_e=50)
-    problem = SearchProblem.along(Trajectory.straight(300.0), chips=24, camera=camera, objective="mse")
+    problem = SearchProblem.along(
+        Trajectory.straight(300.0), chips=24, camera=camera, objective="mse"
+    )
     whole = Objective(problem, oversampling=16, dtype=np.float64)
-    thorough = anneal(problem, rng=np.random.default_rng(0), steps=100_000, time_s=np.inf, judge=whole)
+    thorough = anneal(
+        problem, rng=np.random.default_rng(0), steps=100_000, time_s=np.inf, judge=whole
+    )
     finder = WayFinder(problem)
     found = finder.codes(camera, finder.ordinary(camera), seed=0, threads=None)
     codes = [*found, thorough.code]
@@ -32,7 +36,10 @@ def test_six_nodes_across_a_straight_motion_are_as_good_as_twelve(length):
         path = Trajectory.straight(length, angle_rad=0.4)
         problem = SearchProblem.along(path, chips=24, camera=camera, objective="mse")
         codes = problem.random_codes(50, rng=np.random.default_rng(1))
-        few, many = (Objective(problem, oversampling=16, across=n, dtype=np.float64).cost_of(codes) for n in (6, 12))
+        few, many = (
+            Objective(problem, oversampling=16, across=n, dtype=np.float64).cost_of(codes)
+            for n in (6, 12)
+        )
         np.testing.assert_allclose(few, many, atol=0.03)
 
 

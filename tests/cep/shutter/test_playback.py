@@ -54,9 +54,12 @@ def rows(*signals):
     """A CSV of signals at rest low, each as its edges (time_ns, level)."""
     moments = sorted({0, *(time_ns + 1_000_000 for edges in signals for time_ns, _ in edges)})
     level_at = [{time_ns + 1_000_000: level for time_ns, level in edges} for edges in signals]
-    levels, lines = [0] * len(signals), [",".join(["Time [s]", *(f"D{k}" for k in range(len(signals)))])]
+    levels = [0] * len(signals)
+    lines = [",".join(["Time [s]", *(f"D{k}" for k in range(len(signals)))])]
     for moment in moments:
-        levels = [changes.get(moment, level) for changes, level in zip(level_at, levels, strict=True)]
+        levels = [
+            changes.get(moment, level) for changes, level in zip(level_at, levels, strict=True)
+        ]
         lines.append(",".join([f"{moment / 1e9:.9f}", *map(str, levels)]))
     return "\n".join(lines) + "\n"
 
@@ -69,14 +72,20 @@ def test_what_is_assumed_of_a_recording_is_said(tmp_path):
     inverted = [(-900_000, 1), *((time_ns, 1 - level) for time_ns, level in PROGRAM.edges)]
     for signals, taken, said in [
         ([PROGRAM.edges, quiet], "D0", []),
-        ([PROGRAM.edges, PROGRAM.edges], "D0", ["D0 is taken for the shutter's, with most edges; D1 has"]),
+        (
+            [PROGRAM.edges, PROGRAM.edges],
+            "D0",
+            ["D0 is taken for the shutter's, with most edges; D1 has"],
+        ),
         ([PROGRAM.edges, clock], "D1", ["D1 is taken for the shutter's, with most edges; D0 has"]),
         ([sorted([*PROGRAM.edges, *spike])], "D0", ["1 pulses of D0 too short"]),
     ]:
         file.write_text(rows(*signals))
         found = read_playback(file, PROGRAM)
         assert found.signal == taken
-        assert [warning[: len(words)] for warning, words in zip(found.warnings, said, strict=True)] == said
+        assert [
+            warning[: len(words)] for warning, words in zip(found.warnings, said, strict=True)
+        ] == said
         assert read_playback(file, PROGRAM, signal="D0").others == ()
     file.write_text(rows(inverted).replace("0.000000000,0", "0.000000000,1"))
     assert read_playback(file, PROGRAM).warnings == ["D0 rests high: low is taken for open"]

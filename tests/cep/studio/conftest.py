@@ -18,7 +18,9 @@ def keys():
 def bare(keys):
     """A client that has no key yet."""
     app = make_app(keys)
-    with TestClient(app, base_url=f"http://127.0.0.1:{PORT}", raise_server_exceptions=False) as client:
+    with TestClient(
+        app, base_url=f"http://127.0.0.1:{PORT}", raise_server_exceptions=False
+    ) as client:
         client.headers["origin"] = f"http://127.0.0.1:{PORT}"
         yield client
 
@@ -34,6 +36,12 @@ def client(bare, keys):
 @pytest.fixture
 def setting():
     return {
-        "motion": {"kind": "straight", "length": 20, "angle": 0}, "bits": "1101000111010110", "exposure": "20ms",
-        "camera": "video-8bit", "photons": 2000, "read_noise": None, "device": "", "open": None,
-    }  # fmt: skip
+        "motion": {"kind": "straight", "length": 20, "angle": 0},
+        "bits": "1101000111010110",
+        "exposure": "20ms",
+        "camera": "video-8bit",
+        "photons": 2000,
+        "read_noise": None,
+        "device": "",
+        "open": None,
+    }

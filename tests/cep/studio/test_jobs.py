@@ -14,15 +14,19 @@ from cep.studio import jobs as module
 from cep.studio.jobs import BusyError, Jobs
 from cep.studio.work import lost_interrupts
 
-PAGE, OTHER = "a" * 16, "b" * 16
+PAGE = "a" * 16
+OTHER = "b" * 16
 
 
 @pytest.fixture
 def setting():
     return {
-        "motion": {"kind": "straight", "length": 16, "angle": 0}, "bits": "1101000111010110", "exposure": "20ms",
-        "camera": "video-8bit", "photons": 2000,
-    }  # fmt: skip
+        "motion": {"kind": "straight", "length": 16, "angle": 0},
+        "bits": "1101000111010110",
+        "exposure": "20ms",
+        "camera": "video-8bit",
+        "photons": 2000,
+    }
 
 
 def running(scenario):
@@ -96,7 +100,9 @@ def test_one_job_at_a_time_and_an_automatic_one_gives_way(setting):
 def test_a_search_that_is_stopped_keeps_its_best(setting):
     async def scenario(jobs):
         queue = jobs.listen(PAGE)
-        jobs.start(PAGE, "search", {"setting": {**setting, "bits": setting["bits"] * 3}, "steps": 10**9})
+        jobs.start(
+            PAGE, "search", {"setting": {**setting, "bits": setting["bits"] * 3}, "steps": 10**9}
+        )
         seen = await until(queue, lambda job: job.best.get("bits") and job.share > 0)
         jobs.stop(PAGE)
         return seen, await until(queue, lambda job: job.state != "running")
@@ -224,7 +230,9 @@ def test_a_code_is_played_on_the_emulated_controller(setting):
 
     async def scenario(jobs):
         queue = jobs.listen(PAGE)
-        jobs.start(PAGE, "play", {"setting": {**setting, "exposure": "20001us"}, "port": "emulated"})
+        jobs.start(
+            PAGE, "play", {"setting": {**setting, "exposure": "20001us"}, "port": "emulated"}
+        )
         return await until(queue, lambda job: job.state != "running")
 
     done = running(scenario)
@@ -234,7 +242,9 @@ def test_a_code_is_played_on_the_emulated_controller(setting):
     assert done.result["trust"] == "A"
     assert "whole ticks of 500 ns" in done.result["warnings"][0]
     chips = [0, 2, 3, 4, 7, 10, 11, 12, 13, 15]
-    assert [time_ns for time_ns, _ in edges] == pytest.approx([1_250_000 * chip for chip in chips], abs=200)
+    assert [time_ns for time_ns, _ in edges] == pytest.approx(
+        [1_250_000 * chip for chip in chips], abs=200
+    )
 
 
 SERVER = """
@@ -258,7 +268,9 @@ asyncio.run(serve())
 
 
 @pytest.mark.slow(reason="a server, and a process that loads the library")
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/proc tells which processes live")
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="/proc tells which processes live"
+)
 def test_a_job_ends_with_a_server_that_is_killed(tmp_path, setting):
     busy = tmp_path / "busy"
     assert outliving(SERVER.format(setting=setting, busy=str(busy)), busy=busy, least=2) == []

@@ -20,7 +20,9 @@ CODE = ShutterCode("1101000111010110", 1_250_000)
 @pytest.mark.parametrize("name", ["shake", "walk"])
 def test_figures_are_those_of_the_problem_and_the_exact_mtf(name, device):
     path = example_motion(name)
-    problem = SearchProblem.along(path, chips=16, exposure_s=0.02, camera=CAMERA, objective="mse", device=device)
+    problem = SearchProblem.along(
+        path, chips=16, exposure_s=0.02, camera=CAMERA, objective="mse", device=device
+    )
     bench = LiveBench(problem)
     seen = bench.figures(CODE)
     exact = problem.measure(CODE)
@@ -39,7 +41,9 @@ def test_figures_are_those_of_the_problem_and_the_exact_mtf(name, device):
 
 
 def test_the_verdict_does_not_depend_on_what_was_judged_before():
-    problem = SearchProblem.along(example_motion("shake"), chips=16, exposure_s=0.02, camera=CAMERA, objective="mse")
+    problem = SearchProblem.along(
+        example_motion("shake"), chips=16, exposure_s=0.02, camera=CAMERA, objective="mse"
+    )
     bench = LiveBench(problem)
     for code in (ShutterCode("1100000000000001", 1_250_000), CODE):
         assert bench.verdict(code).sentence == verdict(problem, code).sentence
@@ -47,7 +51,9 @@ def test_the_verdict_does_not_depend_on_what_was_judged_before():
 
 @pytest.mark.parametrize("name", ["shake", "walk"])
 def test_photos_of_two_codes_have_the_same_noise_and_restore_towards_the_scene(name):
-    problem = SearchProblem.along(example_motion(name), chips=16, exposure_s=0.02, camera=CAMERA.at(50_000))
+    problem = SearchProblem.along(
+        example_motion(name), chips=16, exposure_s=0.02, camera=CAMERA.at(50_000)
+    )
     bench = LiveBench(problem)
     light = 0.2 + 0.6 * np.kron(np.random.default_rng(1).random((40, 40)), np.ones((6, 6)))
     scene = LiveScene(light, seed=3)
@@ -82,7 +88,9 @@ def test_live_noise_has_the_moments_of_counted_photons(electrons):
     assert counted == pytest.approx(np.rint(counted), abs=electrons * 1e-4)  # steps of 16 bits
     assert counted.mean() == pytest.approx(electrons, rel=0.01)
     assert counted.var() == pytest.approx(electrons, rel=0.06)
-    assert ((counted - counted.mean()) ** 3).mean() == pytest.approx(electrons, rel=0.15, abs=0.03 * electrons**1.5)
+    assert ((counted - counted.mean()) ** 3).mean() == pytest.approx(
+        electrons, rel=0.15, abs=0.03 * electrons**1.5
+    )
 
 
 @pytest.mark.parametrize(

@@ -19,13 +19,21 @@ from cep.studio.state import saved_setting
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
-PHONE, DESK = 380, 1280
+PHONE = 380
+DESK = 1280
 pytestmark = pytest.mark.slow  # a server of its own, and a browser
 
 
 def started(*arguments, **streams):
     """Start a studio in a process of its own, as the command does: the process, and the address that it told."""
-    command = [sys.executable, "-c", "from cep.commands.main import run; run()", "studio", "--json", *arguments]
+    command = [
+        sys.executable,
+        "-c",
+        "from cep.commands.main import run; run()",
+        "studio",
+        "--json",
+        *arguments,
+    ]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **streams)
     told = ""
     while not told.rstrip().endswith("}"):
@@ -43,7 +51,16 @@ def server_address():
     cookie = client.getresponse().getheader("set-cookie").split(";")[0].partition("=")
     client.close()
     address = f"http://{home.netloc}/"
-    yield address, {"name": cookie[0], "value": cookie[2], "url": address, "httpOnly": True, "sameSite": "Strict"}
+    yield (
+        address,
+        {
+            "name": cookie[0],
+            "value": cookie[2],
+            "url": address,
+            "httpOnly": True,
+            "sameSite": "Strict",
+        },
+    )
     server.send_signal(signal.SIGINT)
     assert server.wait(15) == 0
     server.stdout.close()
@@ -52,7 +69,9 @@ def server_address():
 @pytest.fixture
 def studio(browser, server_address):
     """Open the studio in a window of a given width; at the end check for requests to other hosts and errors."""
-    contexts, asked, errors = [], [], []
+    contexts = []
+    asked = []
+    errors = []
     home, cookie = server_address
 
     def open_page(width=DESK, state="", **options):
@@ -61,7 +80,10 @@ def studio(browser, server_address):
         context.add_cookies([cookie])
         page = context.new_page()
         page.on("request", lambda request: asked.append(request.url))
-        page.on("console", lambda message: errors.append(message.text) if "422" not in message.text else None)
+        page.on(
+            "console",
+            lambda message: errors.append(message.text) if "422" not in message.text else None,
+        )
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.goto(home)
         if state:
@@ -126,9 +148,14 @@ def test_ctrl_c_ends_it_without_a_word_while_a_page_listens():
 
 
 def test_the_browser_that_is_led_by_the_file_has_the_page_and_nobody_else(browser, tmp_path):
-    opener, asked = tmp_path / "opener", tmp_path / "asked"
-    opener.write_text(f"#!/bin/sh\nprintf '%s\\n' \"$@\" > {asked}.part && mv {asked}.part {asked}\n")
-    opener.chmod(0o755)  # the browser of the command: every user of the computer can read what it is called with
+    opener = tmp_path / "opener"
+    asked = tmp_path / "asked"
+    opener.write_text(
+        f"#!/bin/sh\nprintf '%s\\n' \"$@\" > {asked}.part && mv {asked}.part {asked}\n"
+    )
+    opener.chmod(
+        0o755
+    )  # the browser of the command: every user of the computer can read what it is called with
     server, told = started(env={**os.environ, "BROWSER": f"{opener} %s"})
     contexts = [browser.new_context() for _ in range(2)]
     try:
@@ -213,7 +240,9 @@ def test_both_ends_of_a_wrong_range_are_marked_and_a_code_is_pinned_once(studio)
     assert address(page).count("pin=") == 1
     page.locator("#open-low").fill("60")
     until(page, "document.querySelector('.error[data-for=open]').textContent !== ''")
-    assert [page.locator(f"#open-{end}").get_attribute("aria-invalid") for end in ("low", "high")] == ["true", "true"]
+    assert [
+        page.locator(f"#open-{end}").get_attribute("aria-invalid") for end in ("low", "high")
+    ] == ["true", "true"]
     page.locator("#open-low").fill("6")
     until(page, "document.querySelector('.error[data-for=open]').textContent === ''")
     assert page.locator("#open-low").get_attribute("aria-invalid") is None
@@ -236,7 +265,12 @@ def test_the_address_is_the_state(studio):
     page.locator("input[value=restored]").check(force=True)
     shown(page)
     other = studio(state=address(page))
-    for field, value in (("length", "23.5"), ("camera", "sony-imx250"), ("photons", "900"), ("open-low", "10")):
+    for field, value in (
+        ("length", "23.5"),
+        ("camera", "sony-imx250"),
+        ("photons", "900"),
+        ("open-low", "10"),
+    ):
         assert other.locator(f"#{field}").input_value() == value
     assert other.locator("input[value=restored]").is_checked()
     assert other.locator("#pins").get_by_text("raskar-52").count() == 1
@@ -245,7 +279,9 @@ def test_the_address_is_the_state(studio):
 
 
 def test_the_divider_compares_two_photos(studio):
-    page = studio(state="code=1101000111010110&motion=straight:16:0&camera=video-8bit&photons=2000")
+    page = studio(
+        state="code=1101000111010110&motion=straight:16:0&camera=video-8bit&photons=2000"
+    )
     tags = [page.locator(f"#tag-{side}").inner_text() for side in ("left", "right")]
     assert tags == ["open shutter", "this code"]
     width = page.locator("#compare").bounding_box()["width"]
@@ -260,24 +296,35 @@ def test_the_divider_compares_two_photos(studio):
     until(page, "document.getElementById('tag-left').textContent === 'best single exposure'")
     assert page.locator("#photo-left").get_attribute("src") != before
     assert "left=snapshot" in address(page)
-    assert page.locator("#photo-left").get_attribute("alt") == "Simulated photo, best single exposure, as taken"
+    assert (
+        page.locator("#photo-left").get_attribute("alt")
+        == "Simulated photo, best single exposure, as taken"
+    )
 
 
 def test_the_error_of_the_path_counts_in_the_verdict(studio):
-    page = studio(state="code=1101000111010110&motion=straight:16:0&camera=video-8bit&photons=2000")
+    page = studio(
+        state="code=1101000111010110&motion=straight:16:0&camera=video-8bit&photons=2000"
+    )
     known = page.locator("#f-psnr").inner_text()
     page.locator("#path_error").fill("0.5")
     page.locator("#path_error").press("Tab")
     until(
-        page, "document.getElementById('f-psnr').textContent.endsWith('dB') && location.hash.includes('path_error=0.5')"
+        page,
+        "document.getElementById('f-psnr').textContent.endsWith('dB') && location.hash.includes('path_error=0.5')",
     )
     shown(page)
     assert float(page.locator("#f-psnr").inner_text().split()[0]) < float(known.split()[0])
-    assert "--trajectory trajectory.json" in page.locator("#commands").inner_text()  # the file states the error
+    assert (
+        "--trajectory trajectory.json" in page.locator("#commands").inner_text()
+    )  # the file states the error
     page.locator("#path_error").fill("99")
     page.locator("#path_error").press("Tab")
     until(page, "document.querySelector('.error[data-for=path_error]').textContent !== ''")
-    assert page.locator(".error[data-for=path_error]").inner_text() == "Must be a number within 0 to 20 px."
+    assert (
+        page.locator(".error[data-for=path_error]").inner_text()
+        == "Must be a number within 0 to 20 px."
+    )
 
 
 def test_wrong_input_is_told_beside_its_field_and_survives_a_reload(studio):
@@ -323,7 +370,9 @@ def test_a_search_shows_its_best_survives_a_reload_and_can_be_stopped(studio):
     page.locator("#search").click()
     until(page, f"!location.hash.includes('code={before}')", 90)
     page.reload()
-    until(page, "!document.getElementById('stop').hidden", 30)  # it is still running, and this page's
+    until(
+        page, "!document.getElementById('stop').hidden", 30
+    )  # it is still running, and this page's
     page.locator("#stop").click()
     until(page, "!document.getElementById('search').hidden", 90)
     found = bits(page)
@@ -384,14 +433,18 @@ def test_what_is_saved_opens_again(studio, tmp_path):
     ("state", "said"),
     [
         ({"bits": 5}, "State.bits: a code is a row of 1 (open) and 0 (closed), as 11010001."),
-        ({"motion": {"kind": "path", "t": None, "x": 1, "y": []}}, "State.motion: a path has 2 to 512 samples"),
+        (
+            {"motion": {"kind": "path", "t": None, "x": 1, "y": []}},
+            "State.motion: a path has 2 to 512 samples",
+        ),
         ({"pins": [{"name": 3}]}, "State.pins: must be a list of codes"),
         ({"photons": "<b>many</b>"}, "State.photons: must be a number within 1 to"),
     ],
 )
 def test_a_studio_file_of_wrong_types_is_one_line_on_the_page(studio, tmp_path, state, said):
     page = studio(state="motion=straight:16:0&code=1101000111010110")
-    before, file = address(page), tmp_path / "studio.json"
+    before = address(page)
+    file = tmp_path / "studio.json"
     file.write_text(json.dumps({"schema": "cep.studio/1", "state": state}))
     page.locator("#open_file").set_input_files(file)
     until(page, "document.querySelector('.error[data-for~=open_file]').textContent !== ''")
@@ -403,12 +456,24 @@ def test_a_studio_file_of_wrong_types_is_one_line_on_the_page(studio, tmp_path, 
 
 
 HASHES = [
-    ("photons=1e400", "photons"), ("photons=NaN", "photons"), ("photons=x", "photons"), ("read_noise=-1", "read_noise"),
-    ("motion=straight:x:0", "length"), ("motion=straight", "length"), ("motion=loop:1", "motion"),
-    ("motion=path:known:1:AAAA", "motion"), ("motion=path:known:x:" + "A" * 40, "motion"), ("motion=path:a", "motion"),
-    ("motion=path:known:1:" + "A" * 40_000, "motion"), ("motion=path:known:1:!", "motion"), ("open=a:b", "open"),
-    ("open=1:2:3", "open"), ("min_open=1e999", "min_open"), ("code=" + "10" * 400, "bits"), ("code=x", "bits"),
-]  # fmt: skip
+    ("photons=1e400", "photons"),
+    ("photons=NaN", "photons"),
+    ("photons=x", "photons"),
+    ("read_noise=-1", "read_noise"),
+    ("motion=straight:x:0", "length"),
+    ("motion=straight", "length"),
+    ("motion=loop:1", "motion"),
+    ("motion=path:known:1:AAAA", "motion"),
+    ("motion=path:known:x:" + "A" * 40, "motion"),
+    ("motion=path:a", "motion"),
+    ("motion=path:known:1:" + "A" * 40_000, "motion"),
+    ("motion=path:known:1:!", "motion"),
+    ("open=a:b", "open"),
+    ("open=1:2:3", "open"),
+    ("min_open=1e999", "min_open"),
+    ("code=" + "10" * 400, "bits"),
+    ("code=x", "bits"),
+]
 
 
 def test_a_malformed_address_is_told_beside_its_field(studio):
@@ -429,15 +494,25 @@ def test_a_malformed_address_is_told_beside_its_field(studio):
 
 
 def test_names_of_the_language_are_no_trap_for_names_of_codes(studio):
-    names = "&".join(f"pin={name}=10{bit}" for name, bit in (("__proto__", 0), ("constructor", 1), ("toString", 1)))
-    page = studio(state=f"code=1101000111010110&motion=straight:16:0&left=constructor&right=__proto__&{names}")
+    names = "&".join(
+        f"pin={name}=10{bit}"
+        for name, bit in (("__proto__", 0), ("constructor", 1), ("toString", 1))
+    )
+    page = studio(
+        state=f"code=1101000111010110&motion=straight:16:0&left=constructor&right=__proto__&{names}"
+    )
     assert page.locator("#pins").get_by_text("__proto__").count() == 1
-    assert [page.locator(f"#side-{side}").input_value() for side in ("left", "right")] == ["open", "code"]
+    assert [page.locator(f"#side-{side}").input_value() for side in ("left", "right")] == [
+        "open",
+        "code",
+    ]
 
 
 def test_a_page_begins_with_what_the_reader_of_files_takes_for_granted(studio):
     page = studio()
-    first = page.evaluate("async () => { const m = await import('/static/state.js'); return m.settingOf(m.DEFAULTS); }")
+    first = page.evaluate(
+        "async () => { const m = await import('/static/state.js'); return m.settingOf(m.DEFAULTS); }"
+    )
     setting = saved_setting({})
     for name in ("bits", "exposure", "camera", "device", "photons", "read_noise", "path_error"):
         assert getattr(setting, name) == first[name]

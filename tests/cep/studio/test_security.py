@@ -22,7 +22,15 @@ def test_the_token_is_exchanged_for_a_strict_cookie(bare, keys):
 
 
 @pytest.mark.parametrize(
-    "path", ["/", "/?token=wrong", "/?token=", "/static/studio.js", "/api/start", "/api/events?page=aaaaaaaa"]
+    "path",
+    [
+        "/",
+        "/?token=wrong",
+        "/?token=",
+        "/static/studio.js",
+        "/api/start",
+        "/api/events?page=aaaaaaaa",
+    ],
 )
 def test_without_the_key_nothing_is_told(bare, path):
     bare.cookies.clear()
@@ -59,7 +67,13 @@ def test_the_printed_address_leads_on_in_the_browser_that_has_the_cookie(fresh):
 
 
 @pytest.mark.parametrize(
-    "ahead", [{"sec-purpose": "prefetch"}, {"sec-purpose": "prefetch;prerender"}, {"purpose": "prefetch"}, "HEAD"]
+    "ahead",
+    [
+        {"sec-purpose": "prefetch"},
+        {"sec-purpose": "prefetch;prerender"},
+        {"purpose": "prefetch"},
+        "HEAD",
+    ],
 )
 def test_a_browser_that_looks_ahead_does_not_use_the_key_up(fresh, ahead):
     keys, client = fresh
@@ -84,13 +98,16 @@ def test_two_tokens_are_none(bare, keys):
     assert bare.get(f"/?token={keys.token}&token=x").status_code == 403
 
 
-@pytest.mark.parametrize("host", ["evil.example:8765", "127.0.0.1", "127.0.0.1:80", "localhost.evil.example:8765", ""])
+@pytest.mark.parametrize(
+    "host", ["evil.example:8765", "127.0.0.1", "127.0.0.1:80", "localhost.evil.example:8765", ""]
+)
 def test_another_host_is_refused_even_with_the_key(client, host):
     assert client.get("/", headers={"host": host}).status_code == 403
 
 
 @pytest.mark.parametrize(
-    "origin", ["http://evil.example", "null", "http://127.0.0.1:1", "https://127.0.0.1:8765", "", None]
+    "origin",
+    ["http://evil.example", "null", "http://127.0.0.1:1", "https://127.0.0.1:8765", "", None],
 )
 def test_another_origin_is_refused_even_with_the_key(client, origin, setting):
     headers = dict(client.headers)
@@ -109,7 +126,11 @@ def test_a_request_that_the_browser_calls_foreign_is_refused(client):
 
 
 def test_refusals_too_carry_the_policy(client):
-    for answer in (client.get("/"), client.get("/", headers={"host": "evil.example"}), client.get("/nothing")):
+    for answer in (
+        client.get("/"),
+        client.get("/", headers={"host": "evil.example"}),
+        client.get("/nothing"),
+    ):
         policy = answer.headers["content-security-policy"]
         assert "default-src 'none'" in policy
         assert "unsafe" not in policy
@@ -129,7 +150,9 @@ def test_a_body_is_counted_whatever_its_length_says(client):
 @pytest.mark.parametrize(("address", "most"), [("document", 4), ("gyro", 32), ("photo", 256)])
 def test_an_upload_of_too_many_bytes_is_refused_before_it_is_read(client, address, most):
     length = most * 1024**2 + 1
-    answer = client.post(f"/api/upload/{address}", content=iter(()), headers={"content-length": str(length)})
+    answer = client.post(
+        f"/api/upload/{address}", content=iter(()), headers={"content-length": str(length)}
+    )
     assert answer.status_code == 413
     assert f"at most {most} MB" in answer.text
 
@@ -165,10 +188,17 @@ def test_a_body_that_does_not_come_is_not_waited_for_without_an_end(keys, monkey
     async def never():
         await asyncio.sleep(60)
 
-    headers = {"host": f"127.0.0.1:{keys.port}", "origin": GOOD, "cookie": f"{keys.cookie}={keys.session}"}
+    headers = {
+        "host": f"127.0.0.1:{keys.port}",
+        "origin": GOOD,
+        "cookie": f"{keys.cookie}={keys.session}",
+    }
     scope = {
-        "type": "http", "method": "POST", "path": "/api/picture", "query_string": b"",
+        "type": "http",
+        "method": "POST",
+        "path": "/api/picture",
+        "query_string": b"",
         "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
-    }  # fmt: skip
+    }
     with pytest.raises(LateError, match=r"within 0\.05 s"):
         asyncio.run(asyncio.wait_for(Gate(reads, keys)(scope, never, never), 30))

@@ -35,7 +35,10 @@ def test_the_page_and_its_files_are_served(client):
     assert page.headers["content-type"].startswith("text/html")
     assert "http://" not in page.text
     assert "https://" not in page.text
-    assert f'accept="image/png,image/jpeg,image/tiff,image/webp,{",".join(RAW_SUFFIXES)}"' in page.text
+    assert (
+        f'accept="image/png,image/jpeg,image/tiff,image/webp,{",".join(RAW_SUFFIXES)}"'
+        in page.text
+    )
     for name, kind in (("studio.js", "text/javascript"), ("studio.css", "text/css")):
         assert client.get(f"/static/{name}").headers["content-type"].startswith(kind)
 
@@ -44,10 +47,14 @@ def test_small_packets_of_an_answer_are_not_held_back():
     async def accepted():
         kept = asyncio.get_running_loop().create_future()
         with bound_socket(0) as bound:
-            async with await asyncio.start_server(lambda _, writer: kept.set_result(writer), sock=bound):
+            async with await asyncio.start_server(
+                lambda _, writer: kept.set_result(writer), sock=bound
+            ):
                 _, client = await asyncio.open_connection(*bound.getsockname())
                 writer = await kept
-                found = writer.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+                found = writer.get_extra_info("socket").getsockopt(
+                    socket.IPPROTO_TCP, socket.TCP_NODELAY
+                )
                 for one in (client, writer):
                     one.close()
         return found
@@ -57,7 +64,9 @@ def test_small_packets_of_an_answer_are_not_held_back():
 
 def test_figures_are_those_of_the_library(client, setting):
     found = posted(client, "picture", setting=setting)
-    path, code, camera = cep.Trajectory.straight(20.0), cep.ShutterCode(setting["bits"]), cep.Camera.load("video-8bit")
+    path = cep.Trajectory.straight(20.0)
+    code = cep.ShutterCode(setting["bits"])
+    camera = cep.Camera.load("video-8bit")
     audit = cep.audit(code, path, camera=camera.at(2000), flips=0)
     assert audit.no_inverse
     assert found["figures"]["noise_gain_db"] is None
@@ -73,7 +82,9 @@ def test_figures_are_those_of_the_library(client, setting):
     frequencies = np.linspace(0, 0.5, 241)
     assert found["curve"] == pytest.approx(cep.mtf(path, code, frequencies, 0.0), abs=2e-5)
     db = np.frombuffer(base64.b64decode(found["map"]["db"]), np.uint8).reshape(49, 97)
-    assert db[0, 48] == round(255 * (1 + 20 * np.log10(code.duty) / 50))  # the light, at zero frequency
+    assert db[0, 48] == round(
+        255 * (1 + 20 * np.log10(code.duty) / 50)
+    )  # the light, at zero frequency
     assert found["code"]["chip_ns"] == 1_250_000
 
 
@@ -85,8 +96,13 @@ def test_the_verdict_is_that_of_the_library(client, setting, path_error):
     expected = verdict(read.problem(), read.code(), path_error_px=path_error or 0.0)
     assert found["sentence"] == expected.sentence
     assert ("a path known to 0.4 px" in found["sentence"]) == (path_error is not None)
-    assert found["gains_db"] == pytest.approx(expected.gains_db, abs=1e-4)  # sums of BLAS in another order
-    turned = {**setting, "bits": setting["bits"][1:] + "1"}  # the ways without a code are kept from the first one
+    assert found["gains_db"] == pytest.approx(
+        expected.gains_db, abs=1e-4
+    )  # sums of BLAS in another order
+    turned = {
+        **setting,
+        "bits": setting["bits"][1:] + "1",
+    }  # the ways without a code are kept from the first one
     other = read_setting(turned)
     again = verdict(other.problem(), other.code(), path_error_px=path_error or 0.0)
     assert posted(client, "verdict", setting=turned)["sentence"] == again.sentence
@@ -96,7 +112,8 @@ def test_the_verdict_is_that_of_the_library(client, setting, path_error):
 def test_photos_are_pictures_in_colour_that_differ(client, setting, tmp_path):
     codes = {"code": setting["bits"], "open": "1" * 16, "snapshot": "0" * 6 + "1111" + "0" * 6}
     taken, restored = (
-        posted(client, "photos", setting=setting, codes=codes, restored=restored) for restored in (False, True)
+        posted(client, "photos", setting=setting, codes=codes, restored=restored)
+        for restored in (False, True)
     )
     assert set(taken) == set(restored) == set(codes)
     assert len({*taken.values(), *restored.values()}) == 6
@@ -106,11 +123,16 @@ def test_photos_are_pictures_in_colour_that_differ(client, setting, tmp_path):
         (tmp_path / "photo.jpg").write_bytes(base64.b64decode(content))
         pixels = read_image(tmp_path / "photo.jpg")
         assert pixels.shape == (256, 256, 3)
-        assert np.ptp(pixels, axis=2).max() > 0.2  # the bundled scene has colours, and so have its photos
+        assert (
+            np.ptp(pixels, axis=2).max() > 0.2
+        )  # the bundled scene has colours, and so have its photos
 
 
 def test_a_scene_that_is_written_again_is_read_again(setting, tmp_path):
-    scene, codes, views, taken = tmp_path / "scene.npy", {"code": setting["bits"]}, Views(), []
+    scene = tmp_path / "scene.npy"
+    codes = {"code": setting["bits"]}
+    views = Views()
+    taken = []
     for level in (0.2, 0.8, 0.2):
         np.save(scene, np.full((300, 300), level, np.float32))
         taken.append(views.photos(read_setting(setting), scene, codes, restored=False)["code"])
@@ -118,7 +140,8 @@ def test_a_scene_that_is_written_again_is_read_again(setting, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "codes", [None, {}, {"code": "101"}, {"code": "0" * 16}, {"code": 3}, dict.fromkeys("abcd", "1" * 16)]
+    "codes",
+    [None, {}, {"code": "101"}, {"code": "0" * 16}, {"code": 3}, dict.fromkeys("abcd", "1" * 16)],
 )
 def test_photos_of_wrong_codes_are_refused_in_one_line(client, setting, codes):
     answer = client.post("/api/photos", json={"setting": setting, "codes": codes})
@@ -145,11 +168,14 @@ def test_pins_are_compared_at_equal_length(client, setting):
     pins = {"mirror": setting["bits"][::-1], "short": "101"}
     found = posted(client, "compare", setting=setting, pins=pins)["pins"]
     assert set(found) == {"mirror"}
-    assert found["mirror"]["mse_db"] == pytest.approx(posted(client, "picture", setting=setting)["figures"]["mse_db"])
+    assert found["mirror"]["mse_db"] == pytest.approx(
+        posted(client, "picture", setting=setting)["figures"]["mse_db"]
+    )
 
 
 @pytest.mark.parametrize(
-    "file_format", ["csv", "json", "vcd", "c", "arduino", "rp2", "pulsepal", "scpi", "camera", "dmd"]
+    "file_format",
+    ["csv", "json", "vcd", "c", "arduino", "rp2", "pulsepal", "scpi", "camera", "dmd"],
 )
 def test_every_format_is_exported(client, setting, file_format):
     answer = client.post("/api/export", json={"setting": setting, "format": file_format})
@@ -163,20 +189,30 @@ def test_a_sketch_of_chips_between_two_ticks_is_downloaded_with_a_warning(client
     document = {"setting": {**setting, "exposure": "20001us"}, "format": "arduino"}
     answer = client.post("/api/export", json=document).json()
     assert "#define TICKS 2500u" in answer["text"]
-    assert answer["warnings"] == ["its chips last 1250000 ns instead of 1250062 ns: whole ticks of 500 ns"]
+    assert answer["warnings"] == [
+        "its chips last 1250000 ns instead of 1250062 ns: whole ticks of 500 ns"
+    ]
     assert client.post("/api/export", json={**document, "format": "csv"}).json()["warnings"] == []
 
 
 def test_a_document_is_opened_by_what_it_is(client, setting):
     saved = posted(client, "save", setting=setting, state={"bits": setting["bits"]})
-    assert client.post(
-        "/api/upload/document",
-        content=json.dumps({**saved["trajectory"], "source": {"path_uncertainty_px": 0.25}}).encode(),
-    ).json()["path_error"] == 0.25  # fmt: skip
+    assert (
+        client.post(
+            "/api/upload/document",
+            content=json.dumps(
+                {**saved["trajectory"], "source": {"path_uncertainty_px": 0.25}}
+            ).encode(),
+        ).json()["path_error"]
+        == 0.25
+    )
     for part, key in (("trajectory", "paths"), ("code", "bits")):
         found = client.post("/api/upload/document", content=json.dumps(saved[part]).encode())
         assert key in found.json(), found.text
-    assert client.post("/api/upload/document", content=json.dumps(saved).encode()).json()["state"] == saved["state"]
+    assert (
+        client.post("/api/upload/document", content=json.dumps(saved).encode()).json()["state"]
+        == saved["state"]
+    )
     wrong = client.post("/api/upload/document", content=b'{"schema": "cep.code/1", "bits": "2"}')
     assert wrong.status_code == 422
     assert "/tmp" not in wrong.text  # no path of the server is disclosed
@@ -200,21 +236,37 @@ def test_a_code_is_opened_with_the_shutter_it_was_searched_for(client, setting):
 def test_a_gyroscope_gives_a_motion_of_known_direction(client):
     rows = "\n".join(f"{i * 1e-3:.4f},0,{0.2:.3f},0" for i in range(101))
     found = client.post(
-        "/api/upload/gyro?focal=1000&start=0.01&exposure=0.05", content=f"t_s,wx,wy,wz\n{rows}\n".encode()
+        "/api/upload/gyro?focal=1000&start=0.01&exposure=0.05",
+        content=f"t_s,wx,wy,wz\n{rows}\n".encode(),
     )
     (path,) = found.json()["paths"]
     assert path["length_px"] == pytest.approx(1000 * 0.2 * 0.05, rel=0.01)
     assert path["direction"] == "known"
-    assert path["x"][-1] < path["x"][0]  # about the camera's axis that points down: the image runs left
-    assert found.json()["warnings"][0] == "time: t_s, in s; rates: wx, wy, wz, in rad/s; axes: right,down,forward"
+    assert (
+        path["x"][-1] < path["x"][0]
+    )  # about the camera's axis that points down: the image runs left
+    assert (
+        found.json()["warnings"][0]
+        == "time: t_s, in s; rates: wx, wy, wz, in rad/s; axes: right,down,forward"
+    )
     log = f"t_s,wx,wy,wz\n{rows}\n".encode()
-    upright = client.post("/api/upload/gyro?focal=1000&start=0.01&exposure=1/20&axes=right,up,back", content=log)
+    upright = client.post(
+        "/api/upload/gyro?focal=1000&start=0.01&exposure=1/20&axes=right,up,back", content=log
+    )
     (other,) = upright.json()["paths"]
     np.testing.assert_allclose(other["x"], np.negative(path["x"]), atol=1e-9)
-    for wrong, field in (("exposure=0.05&axes=x", "gyro_axes"), ("exposure=soon", "gyro_exposure")):
-        refused = client.post(f"/api/upload/gyro?focal=1000&start=0.01&{wrong}", content=log).json()["error"]
+    for wrong, field in (
+        ("exposure=0.05&axes=x", "gyro_axes"),
+        ("exposure=soon", "gyro_exposure"),
+    ):
+        refused = client.post(
+            f"/api/upload/gyro?focal=1000&start=0.01&{wrong}", content=log
+        ).json()["error"]
         assert refused["field"] == field
-    late = client.post("/api/upload/gyro?focal=1000&start=9&exposure=0.05", content=f"t_s,wx,wy,wz\n{rows}\n".encode())
+    late = client.post(
+        "/api/upload/gyro?focal=1000&start=9&exposure=0.05",
+        content=f"t_s,wx,wy,wz\n{rows}\n".encode(),
+    )
     assert late.json()["error"]["field"] == "gyro"
 
 
@@ -240,9 +292,13 @@ def test_only_photos_are_kept_and_the_oldest_go(client):
 @pytest.mark.parametrize("suffix", RAW_SUFFIXES)
 def test_a_raw_file_is_kept_under_its_suffix_and_not_read_as_a_tiff(client, suffix):
     begins_as_tiff = b"II*\0" + bytes(60)
-    key = client.post(f"/api/upload/photo?suffix={suffix.upper()}", content=begins_as_tiff).json()["photo"]
+    key = client.post(f"/api/upload/photo?suffix={suffix.upper()}", content=begins_as_tiff).json()[
+        "photo"
+    ]
     assert f"{key}{suffix}" in files_of(client)
-    other = client.post("/api/upload/photo?suffix=/../x.nef", content=begins_as_tiff).json()["photo"]
+    other = client.post("/api/upload/photo?suffix=/../x.nef", content=begins_as_tiff).json()[
+        "photo"
+    ]
     assert f"{other}.tif" in files_of(client)
 
 
@@ -251,7 +307,9 @@ def test_hostile_requests_are_refused_and_leave_nothing(client, keys):
     before = files_of(client)
     for _ in range(60):
         method, path, changed, chunks = hostile(rng)
-        request = client.build_request(method, path, content=iter(chunks) if len(chunks) > 1 else b"".join(chunks))
+        request = client.build_request(
+            method, path, content=iter(chunks) if len(chunks) > 1 else b"".join(chunks)
+        )
         request.headers["cookie"] = f"{keys.cookie}={keys.session}"
         for name, value in changed.items():
             if value is None:
@@ -259,7 +317,14 @@ def test_hostile_requests_are_refused_and_leave_nothing(client, keys):
             else:
                 request.headers[name] = value
         answer = client.send(request)
-        assert 400 <= answer.status_code < 500, (method, path, changed, chunks[:1], answer.status_code, answer.text)
+        assert 400 <= answer.status_code < 500, (
+            method,
+            path,
+            changed,
+            chunks[:1],
+            answer.status_code,
+            answer.text,
+        )
         assert "Traceback" not in answer.text
     assert files_of(client) == before
     assert client.get("/").status_code == 200
@@ -270,13 +335,20 @@ HUGE = json.loads("[" + "9" * 400 + ', 1e999, NaN, "\\ud800", [[]], {"a": {}}, t
 
 @pytest.mark.parametrize("value", HUGE, ids=lambda value: str(type(value).__name__))
 def test_no_value_anywhere_in_a_request_is_an_error_of_the_server(client, setting, value):
-    page, codes = "a" * 16, {"code": setting["bits"]}
+    page = "a" * 16
+    codes = {"code": setting["bits"]}
     asked = {
         "picture": [{"setting": setting, name: value} for name in ("steps", "seed")],
-        "photos": [{"setting": setting, "codes": codes, "scene": value}, {"setting": setting, "codes": {"c": value}}],
+        "photos": [
+            {"setting": setting, "codes": codes, "scene": value},
+            {"setting": setting, "codes": {"c": value}},
+        ],
         "compare": [{"setting": setting, "pins": value}],
         "export": [{"setting": setting, "format": value}],
-        "save": [{"setting": setting, "state": [value]}, {"setting": setting, "state": {"search": value}}],
+        "save": [
+            {"setting": setting, "state": [value]},
+            {"setting": setting, "state": {"search": value}},
+        ],
         "job": [
             {"page": value, "kind": "search", "setting": setting},
             {"page": page, "kind": value, "setting": setting},
@@ -305,14 +377,21 @@ def test_a_code_of_an_unprintable_name_is_refused(client, setting, name):
 @pytest.mark.parametrize(
     ("state", "named"),
     [
-        ({"bits": 5}, "state.bits"), ({"motion": None}, "state.motion"), ({"pins": 3}, "state.pins"), ([], "state"),
-        ({"open": 10**400}, "state.open"), ({"photons": "many"}, "state.photons"), ({"search": "5:0"}, "state.search"),
-        ({"min_open": {"a": [[[]]]}}, "state.min_open"), ({"exposure": ["1/30"]}, "state.exposure"),
+        ({"bits": 5}, "state.bits"),
+        ({"motion": None}, "state.motion"),
+        ({"pins": 3}, "state.pins"),
+        ([], "state"),
+        ({"open": 10**400}, "state.open"),
+        ({"photons": "many"}, "state.photons"),
+        ({"search": "5:0"}, "state.search"),
+        ({"min_open": {"a": [[[]]]}}, "state.min_open"),
+        ({"exposure": ["1/30"]}, "state.exposure"),
     ],
-)  # fmt: skip
+)
 def test_a_studio_file_of_wrong_types_is_one_line_that_names_the_field(client, state, named):
     answer = client.post(
-        "/api/upload/document", content=json.dumps({"schema": "cep.studio/1", "state": state}).encode()
+        "/api/upload/document",
+        content=json.dumps({"schema": "cep.studio/1", "state": state}).encode(),
     )
     assert answer.status_code == 422
     assert answer.json()["error"]["field"] == "open_file"
@@ -321,8 +400,12 @@ def test_a_studio_file_of_wrong_types_is_one_line_that_names_the_field(client, s
 
 def test_a_connection_that_asks_nothing_is_closed(monkeypatch):
     monkeypatch.setattr(server, "_MOST_SILENT_S", 0.2)
-    ready, servers, run = queue.Queue(), [], uvicorn.Server.run
-    monkeypatch.setattr(uvicorn.Server, "run", lambda self, sockets: [servers.append(self), run(self, sockets)])
+    ready = queue.Queue()
+    servers = []
+    run = uvicorn.Server.run
+    monkeypatch.setattr(
+        uvicorn.Server, "run", lambda self, sockets: [servers.append(self), run(self, sockets)]
+    )
     serving = threading.Thread(target=lambda: server.serve(on_ready=ready.put))
     serving.start()
     try:
@@ -355,7 +438,11 @@ def test_half_an_upload_leaves_nothing(kind):
     uploads = Uploads()
     try:
         with pytest.raises(ClientDisconnect):
-            asyncio.run(uploads.photo(half()) if kind == "photo" else uploads.text(half(), ".json", field="open_file"))
+            asyncio.run(
+                uploads.photo(half())
+                if kind == "photo"
+                else uploads.text(half(), ".json", field="open_file")
+            )
         assert list(uploads.folder.iterdir()) == []
     finally:
         uploads.close()
@@ -364,15 +451,26 @@ def test_half_an_upload_leaves_nothing(kind):
 
 @pytest.mark.parametrize(
     ("address", "field"),
-    [("upload/photo", "photo"), ("upload/document", "open_file"), ("upload/gyro", "gyro"), ("example-photo", "photo")],
+    [
+        ("upload/photo", "photo"),
+        ("upload/document", "open_file"),
+        ("upload/gyro", "gyro"),
+        ("example-photo", "photo"),
+    ],
 )
-def test_a_full_disk_is_told_beside_the_field_and_leaves_nothing(client, monkeypatch, address, field):
+def test_a_full_disk_is_told_beside_the_field_and_leaves_nothing(
+    client, monkeypatch, address, field
+):
     folder = client.app.state.studio.uploads.folder
     before = set(folder.iterdir())
     with full_disk(monkeypatch, writes=0):
-        answer = client.post(f"/api/{address}", content=encode_image(np.full((20, 20), 0.5), ".png"))
+        answer = client.post(
+            f"/api/{address}", content=encode_image(np.full((20, 20), 0.5), ".png")
+        )
     assert answer.status_code == 422
     error = answer.json()["error"]
     assert error["field"] == field
-    assert error["message"].startswith("the studio's folder cannot be written (no space left on device); free space")
+    assert error["message"].startswith(
+        "the studio's folder cannot be written (no space left on device); free space"
+    )
     assert set(folder.iterdir()) == before

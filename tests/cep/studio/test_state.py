@@ -55,11 +55,25 @@ def test_wrong_input_names_its_field(setting, field, change):
     assert "\n" not in str(caught.value)
 
 
-LARGE = [10**400, -(10**400), 1e300, math.inf, -math.inf, math.nan, "1e400", "9" * 5000, True, [], {}]
+LARGE = [
+    10**400,
+    -(10**400),
+    1e300,
+    math.inf,
+    -math.inf,
+    math.nan,
+    "1e400",
+    "9" * 5000,
+    True,
+    [],
+    {},
+]
 
 
 @pytest.mark.parametrize("value", LARGE, ids=lambda value: str(type(value).__name__))
-@pytest.mark.parametrize("field", ["path_error", "photons", "read_noise", "min_open", "max_pulses"])
+@pytest.mark.parametrize(
+    "field", ["path_error", "photons", "read_noise", "min_open", "max_pulses"]
+)
 def test_a_number_beyond_all_measure_names_its_field(setting, field, value):
     with pytest.raises(FieldError) as caught:
         read_setting({**setting, field: value})
@@ -94,7 +108,9 @@ def test_an_exposure_is_one_printable_word_of_a_length_that_can_be(setting, expo
     assert caught.value.field == "exposure"
 
 
-@pytest.mark.parametrize("name", ["own.JSON", "own.Toml", "--force", ".", "video-8bit\n", "\ud800", ["video-8bit"], 7])
+@pytest.mark.parametrize(
+    "name", ["own.JSON", "own.Toml", "--force", ".", "video-8bit\n", "\ud800", ["video-8bit"], 7]
+)
 @pytest.mark.parametrize("field", ["camera", "device"])
 def test_a_name_is_one_of_the_list_and_no_file(setting, tmp_path, monkeypatch, field, name):
     monkeypatch.chdir(tmp_path)
@@ -111,7 +127,13 @@ def test_minus_zero_is_zero_in_the_commands(setting):
 
 
 def test_a_state_is_what_it_says_field_by_field(setting):
-    more = {"pins": [{"name": "mine", "bits": "101"}], "photo": "", "view": "restored", "left": "code", "search": None}
+    more = {
+        "pins": [{"name": "mine", "bits": "101"}],
+        "photo": "",
+        "view": "restored",
+        "left": "code",
+        "search": None,
+    }
     state = {**setting, "min_open": 2, **more}
     assert read_state({**state, "junk": "$(ls)"}) == state
     assert read_state({}) == {}  # the page begins with the rest
@@ -122,10 +144,18 @@ def test_a_state_is_what_it_says_field_by_field(setting):
 @pytest.mark.parametrize(
     ("field", "fine"),
     [
-        ("motion", ()), ("bits", ()), ("exposure", ()), ("open", ()), ("view", ()), ("left", ()), ("right", ()),
-        ("photo", ("1e400",)), ("pins", ([],)), ("search", ()),
+        ("motion", ()),
+        ("bits", ()),
+        ("exposure", ()),
+        ("open", ()),
+        ("view", ()),
+        ("left", ()),
+        ("right", ()),
+        ("photo", ("1e400",)),
+        ("pins", ([],)),
+        ("search", ()),
     ],
-)  # fmt: skip
+)
 def test_a_state_of_wrong_types_is_refused(field, fine, value):
     if value in fine:
         assert read_state({field: value}) == {field: value}
@@ -162,9 +192,15 @@ def test_a_setting_is_the_problem_of_the_front_door(setting):
     light = cep.Camera.load("video-8bit").at(2000)
     runs = cep.RunLimits(min_open=2)
     meant = cep.SearchProblem.along(
-        cep.Trajectory.straight(20.0), chips=16, exposure_s=0.02, open_range=(4, 9), runs=runs, device="flc",
-        camera=light, objective="mse",
-    )  # fmt: skip
+        cep.Trajectory.straight(20.0),
+        chips=16,
+        exposure_s=0.02,
+        open_range=(4, 9),
+        runs=runs,
+        device="flc",
+        camera=light,
+        objective="mse",
+    )
     made = read.problem()
     assert (made.runs, made.open_range, made.chip_ns, made.camera) == (
         meant.runs,
@@ -192,7 +228,9 @@ def test_commands_quote_what_a_shell_would_read(setting):
         "--trajectory trajectory.json"
         in read_setting({**setting, "motion": {"kind": "example", "name": "walk"}}).commands()[0]
     )
-    off = read_setting({**setting, "path_error": 0.3})  # only the file of the trajectory can state it
+    off = read_setting(
+        {**setting, "path_error": 0.3}
+    )  # only the file of the trajectory can state it
     assert "--linear" not in " ".join(off.commands(steps=7))
     assert json.dumps(read.commands(steps=7, seed=3)).count("--steps 7 --seed 3") == 1
 

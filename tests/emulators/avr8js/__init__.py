@@ -47,6 +47,8 @@ class Avr8jsUno:
         self._node.stdin.flush()
 
     def edges(self, signal: str = "shutter") -> tuple[tuple[int, int], ...]:
-        complete, _, _unfinished = self._events.read_text().rpartition("\n")  # Node may be in the middle of a line
+        complete, _, _unfinished = self._events.read_text().rpartition(
+            "\n"
+        )  # Node may be in the middle of a line
         words = [line.split() for line in complete.splitlines()]
         return tuple((int(cycle), int(level)) for cycle, name, level in words if name == signal)

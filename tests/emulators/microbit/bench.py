@@ -27,7 +27,9 @@ class BenchShutter:
         self.level = 1
 
     def arm(self, ticks, chips, code):
-        self.ticks, self.chips, self.code = ticks, chips, code
+        self.ticks = ticks
+        self.chips = chips
+        self.code = code
 
     def start(self):
         self.begin = utime.ticks_us()

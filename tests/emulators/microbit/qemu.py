@@ -25,13 +25,33 @@ class Microbit:
     def __init__(self, log: Path) -> None:
         self._log = log
         # With icount the board's clock counts instructions: a busy host makes it slow, not late.
-        command = ["qemu-system-arm", "-M", "microbit", "-display", "none", "-monitor", "none", "-serial", "pty",
-                   "-icount", "shift=2,sleep=on", "-trace", "nrf51_gpio_update_output_irq", "-D", str(log),
-                   "-device", f"loader,file={FIRMWARE}"]  # fmt: skip
+        command = [
+            "qemu-system-arm",
+            "-M",
+            "microbit",
+            "-display",
+            "none",
+            "-monitor",
+            "none",
+            "-serial",
+            "pty",
+            "-icount",
+            "shift=2,sleep=on",
+            "-trace",
+            "nrf51_gpio_update_output_irq",
+            "-D",
+            str(log),
+            "-device",
+            f"loader,file={FIRMWARE}",
+        ]
         # Killed when its input ends: not even a killed test leaves it running.
         guarded = ["sh", "-c", '"$@" </dev/null & read -r _; kill $!', "sh", *command]
         self._process = subprocess.Popen(
-            guarded, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            guarded,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
         )
         line = self._process.stdout.readline()
         self.port = line.split("redirected to ")[1].split(" ")[0]

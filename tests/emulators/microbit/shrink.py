@@ -11,11 +11,15 @@ __all__ = ["pieces"]
 def pieces(*sources: str) -> list[str]:
     """Cut modules, as if they were one, into statements to be executed one after the other.
 
-    Docstrings, annotations and named constants go, methods are put into their class later, and whatever the modules
-    define themselves gets a short name: names stay in a board's memory for ever.
+    Docstrings, annotations and named constants go, methods are put into their class later, and
+    whatever the modules define themselves gets a short name: names stay in a board's memory for
+    ever.
     """
     body = [
-        node for source in sources for node in _without_docstring(ast.parse(source).body) if _is_for_the_board(node)
+        node
+        for source in sources
+        for node in _without_docstring(ast.parse(source).body)
+        if _is_for_the_board(node)
     ]
     constants: dict[str, int] = {}
     for node in body:
@@ -35,7 +39,11 @@ class _Shrinker(ast.NodeTransformer):
         node.body = _without_docstring(node.body) or [ast.Pass()]
         node.returns = None
         own = [argument.arg for argument in node.args.args]
-        own += [part.id for part in ast.walk(node) if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)]
+        own += [
+            part.id
+            for part in ast.walk(node)
+            if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)
+        ]
         self.locals = dict(zip(dict.fromkeys(own), "abcdefghijklmnop", strict=False))
         for argument in node.args.args:
             argument.arg, argument.annotation = self.locals[argument.arg], None
@@ -75,7 +83,10 @@ def _cut(node: ast.stmt) -> Iterator[str]:
 
 def _narrow(node: ast.stmt) -> str:
     # One blank of indentation a level.
-    lines = [(line.lstrip(" "), len(line) - len(line.lstrip(" "))) for line in ast.unparse(node).splitlines()]
+    lines = [
+        (line.lstrip(" "), len(line) - len(line.lstrip(" ")))
+        for line in ast.unparse(node).splitlines()
+    ]
     return "\n".join(" " * (indent // 4) + text for text, indent in lines)
 
 
@@ -91,7 +102,9 @@ def _short_names(body: list[ast.stmt]) -> dict[str, str]:
         inner = node.body if isinstance(node, ast.ClassDef) else [node]
         assigned = [part for part in inner if isinstance(part, ast.Assign)]
         found |= {ast.unparse(target): None for part in assigned for target in part.targets}
-    short = (letter + end for end in ("", "a", "b", "c") for letter in "ABCDEFGHIJKLMNOPQRSTUVWXYZ")
+    short = (
+        letter + end for end in ("", "a", "b", "c") for letter in "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+    )
     return {name: next(short) for name in found if not name.startswith("__")}
 
 
@@ -104,7 +117,10 @@ def _is_for_the_board(node: ast.stmt) -> bool:
         return False  # of one of these modules, which are one here
     if isinstance(node, ast.If):
         return ast.unparse(node.test) != "TYPE_CHECKING"
-    return not isinstance(node, ast.Assign) or ast.unparse(node.targets[0]) not in ("TYPE_CHECKING", "__all__")
+    return not isinstance(node, ast.Assign) or ast.unparse(node.targets[0]) not in (
+        "TYPE_CHECKING",
+        "__all__",
+    )
 
 
 def _constants(node: ast.stmt) -> dict[str, int]:

@@ -1,7 +1,8 @@
 """The modules `machine`, `rp2` and `micropython` of an RP2040 board for CPython, acting on an emulated chip.
 
-The state machine calls do to the chip's registers what MicroPython's port and the Pico SDK do; programs are assembled
-by adafruit_pioasm. Each register access takes `ACCESS_CYCLES`, as from an interpreter.
+The state machine calls do to the chip's registers what MicroPython's port and the Pico SDK do;
+programs are assembled by adafruit_pioasm. Each register access takes `ACCESS_CYCLES`, as from an
+interpreter.
 """
 
 from __future__ import annotations
@@ -20,14 +21,23 @@ ACCESS_CYCLES = 250
 CLOCK_HZ = 125_000_000
 
 PIO0 = 0x50200000
-CTRL, FSTAT, FDEBUG, TXF0, INSTR_MEM0 = PIO0, PIO0 + 0x04, PIO0 + 0x08, PIO0 + 0x10, PIO0 + 0x48
-SM0_CLKDIV, SM0_EXECCTRL, SM0_SHIFTCTRL, SM0_INSTR, SM0_PINCTRL = (PIO0 + k for k in (0xC8, 0xCC, 0xD0, 0xD8, 0xDC))
-IO_BANK0, PADS_BANK0 = 0x40014000, 0x4001C000
+CTRL = PIO0
+FSTAT = PIO0 + 0x04
+FDEBUG = PIO0 + 0x08
+TXF0 = PIO0 + 0x10
+INSTR_MEM0 = PIO0 + 0x48
+SM0_CLKDIV, SM0_EXECCTRL, SM0_SHIFTCTRL, SM0_INSTR, SM0_PINCTRL = (
+    PIO0 + k for k in (0xC8, 0xCC, 0xD0, 0xD8, 0xDC)
+)
+IO_BANK0 = 0x40014000
+PADS_BANK0 = 0x4001C000
 SIO_GPIO_OUT_SET, SIO_GPIO_OUT_CLR, SIO_GPIO_OE_SET, SIO_GPIO_OE_CLR = (
     0xD0000000 + k for k in (0x14, 0x18, 0x24, 0x28)
 )
-FUNCTION_SIO, FUNCTION_PIO0 = 5, 6
-INPUT_ENABLE, PULL_DOWN = 0x40, 0x04
+FUNCTION_SIO = 5
+FUNCTION_PIO0 = 6
+INPUT_ENABLE = 0x40
+PULL_DOWN = 0x04
 
 
 class Chip:
@@ -35,7 +45,10 @@ class Chip:
 
     def __init__(self) -> None:
         self._process = subprocess.Popen(
-            ["node", str(HERE / "chip.mjs"), str(NODE)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            ["node", str(HERE / "chip.mjs"), str(NODE)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         self._lock = threading.Lock()
         self.access_cycles = ACCESS_CYCLES
@@ -80,16 +93,23 @@ class Chip:
 class Pin:
     """`machine.Pin`."""
 
-    IN, OUT, PULL_DOWN = 0, 1, 2
+    IN = 0
+    OUT = 1
+    PULL_DOWN = 2
 
-    def __init__(self, chip: Chip, number: int, mode: int, pull: int = 0, *, value: int = 0) -> None:
+    def __init__(
+        self, chip: Chip, number: int, mode: int, pull: int = 0, *, value: int = 0
+    ) -> None:
         self.number = number
         self._chip = chip
         self.init(mode, pull, value=value)
 
     def init(self, mode: int, pull: int = 0, *, value: int = 0) -> None:
-        chip, number = self._chip, self.number
-        chip[PADS_BANK0 + 4 + 4 * number] = INPUT_ENABLE | (PULL_DOWN if pull == self.PULL_DOWN else 0)
+        chip = self._chip
+        number = self.number
+        chip[PADS_BANK0 + 4 + 4 * number] = INPUT_ENABLE | (
+            PULL_DOWN if pull == self.PULL_DOWN else 0
+        )
         if mode == self.OUT:
             chip[SIO_GPIO_OUT_SET if value else SIO_GPIO_OUT_CLR] = 1 << number
         chip[SIO_GPIO_OE_SET if mode == self.OUT else SIO_GPIO_OE_CLR] = 1 << number
@@ -109,7 +129,13 @@ class StateMachine:
             self.init(*config, **options)
 
     def init(
-        self, program: Assembled, *, in_base: Pin, out_base: Pin, set_base: Pin | None = None, freq: int = CLOCK_HZ
+        self,
+        program: Assembled,
+        *,
+        in_base: Pin,
+        out_base: Pin,
+        set_base: Pin | None = None,
+        freq: int = CLOCK_HZ,
     ) -> None:
         assert freq == CLOCK_HZ, "the divider is 1"
         chip = self._chip
@@ -147,7 +173,9 @@ class StateMachine:
         self._chip[SM0_INSTR] = self._begin
 
     def put(self, value: int) -> None:
-        assert not self._chip[FSTAT] & 1 << 16, "the queue is full: on a board this would wait for ever"
+        assert not self._chip[FSTAT] & 1 << 16, (
+            "the queue is full: on a board this would wait for ever"
+        )
         self._chip[TXF0] = value
 
     def active(self, on: int) -> None:
@@ -178,18 +206,27 @@ def asm_pio(*, out_init, set_init=None, out_shiftdir, autopull, pull_thresh, fif
         names["wrap"] = lambda: lines.append(".wrap")
         exec(function.__code__, names)
         assembled = adafruit_pioasm.Program("\n".join(lines))
-        shiftctrl = fifo_join << 30 | (pull_thresh & 31) << 25 | out_shiftdir << 19 | autopull << 17
+        shiftctrl = (
+            fifo_join << 30 | (pull_thresh & 31) << 25 | out_shiftdir << 19 | autopull << 17
+        )
         return Assembled(
-            text=lines, words=list(assembled.assembled), wrap=assembled.pio_kwargs["wrap"], out_init=out_init,
-            wrap_target=assembled.pio_kwargs["wrap_target"], shiftctrl=shiftctrl, set_init=set_init,
-        )  # fmt: skip
+            text=lines,
+            words=list(assembled.assembled),
+            wrap=assembled.pio_kwargs["wrap"],
+            out_init=out_init,
+            wrap_target=assembled.pio_kwargs["wrap_target"],
+            shiftctrl=shiftctrl,
+            set_init=set_init,
+        )
 
     return decorate
 
 
 def modules(chip: Chip) -> dict[str, ModuleType]:
     """`machine`, `rp2` and `micropython` acting on `chip`; `machine.log` notes what has no effect on the chip."""
-    machine, rp2, micropython = ModuleType("machine"), ModuleType("rp2"), ModuleType("micropython")
+    machine = ModuleType("machine")
+    rp2 = ModuleType("rp2")
+    micropython = ModuleType("micropython")
     log: list[str] = []
 
     class WDT:
@@ -206,7 +243,9 @@ def modules(chip: Chip) -> dict[str, ModuleType]:
     pin.IN, pin.OUT, pin.PULL_DOWN = Pin.IN, Pin.OUT, Pin.PULL_DOWN
     machine.Pin, machine.WDT, machine.mem32, machine.log = pin, WDT, chip, log
     machine.freq = lambda hertz: log.append(f"freq {hertz}")
-    rp2.PIO = SimpleNamespace(OUT_LOW=2, OUT_HIGH=3, SHIFT_LEFT=0, SHIFT_RIGHT=1, JOIN_NONE=0, JOIN_TX=1)
+    rp2.PIO = SimpleNamespace(
+        OUT_LOW=2, OUT_HIGH=3, SHIFT_LEFT=0, SHIFT_RIGHT=1, JOIN_NONE=0, JOIN_TX=1
+    )
     rp2.asm_pio = asm_pio
     rp2.StateMachine = lambda *args, **options: StateMachine(chip, *args, **options)
     micropython.kbd_intr = lambda code: log.append(f"kbd_intr {code}")

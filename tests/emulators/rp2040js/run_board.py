@@ -1,7 +1,8 @@
 """The shipped `main.py` on an emulated RP2040, its console a pseudo-terminal: ``run_board.py FOLDER``.
 
-Prints the terminal's name, then answers each line of its input, a method of `Chip` and its arguments as a JSON array,
-by a line of JSON; ``["log"]`` gives what `machine` was told. Ends with its input.
+Prints the terminal's name, then answers each line of its input, a method of `Chip` and its
+arguments as a JSON array, by a line of JSON; ``["log"]`` gives what `machine` was told. Ends with
+its input.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ from types import SimpleNamespace
 
 from emulators.rp2040js.board import Chip, modules
 
-PASS_CYCLES = 12_500  # one look at the clock: 0.1 ms, as long as the interpreter needs for its loop
+PASS_CYCLES = (
+    12_500  # one look at the clock: 0.1 ms, as long as the interpreter needs for its loop
+)
 
 
 class Console:

@@ -15,7 +15,9 @@ class MicroPython:
 
     def __init__(self, *files: Path) -> None:
         command = ["node", str(HERE / "server.mjs"), str(NODE), *map(str, files)]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
 
     def __enter__(self) -> MicroPython:
         return self

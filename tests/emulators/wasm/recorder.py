@@ -20,7 +20,9 @@ class Registers:
 
 
 class Pin:
-    IN, OUT, PULL_DOWN = 0, 1, 1
+    IN = 0
+    OUT = 1
+    PULL_DOWN = 1
 
     def __init__(self, *args, **options):
         self.told = (args, sorted(options.items()))
@@ -48,7 +50,8 @@ class Module:
 def install():
     """Put both modules where `import` finds them; return the log."""
     log = []
-    machine, rp2 = Module(), Module()
+    machine = Module()
+    rp2 = Module()
     machine.mem32, machine.Pin = Registers(log), Pin
     rp2.PIO = Module()
     rp2.PIO.OUT_LOW, rp2.PIO.SHIFT_LEFT, rp2.PIO.JOIN_TX = 2, 0, 1
@@ -64,6 +67,14 @@ def transcript(shutter_class, log, codes):
     for ticks, chips, code in codes:
         shutter.arm(ticks, chips, code)
         shutter.start()
-        log.append((shutter.begun(), shutter.ended(), shutter.missed(), shutter.reset_cause, shutter.max_on_ticks))
+        log.append(
+            (
+                shutter.begun(),
+                shutter.ended(),
+                shutter.missed(),
+                shutter.reset_cause,
+                shutter.max_on_ticks,
+            )
+        )
         shutter.close()
     return log

@@ -37,8 +37,11 @@ class VirtualShutter:
         self.closes = 0
 
     def arm(self, ticks, chips, code):
-        self.armed, self.begin_us = True, None
-        self.ticks, self.chips, self.code = ticks, chips, bytes(code)
+        self.armed = True
+        self.begin_us = None
+        self.ticks = ticks
+        self.chips = chips
+        self.code = bytes(code)
 
     def start(self):
         assert self.armed
@@ -58,5 +61,7 @@ class VirtualShutter:
         return self.miss
 
     def close(self):
-        self.armed, self.begin_us, self.miss = False, None, 0
+        self.armed = False
+        self.begin_us = None
+        self.miss = 0
         self.closes += 1

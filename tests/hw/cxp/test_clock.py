@@ -6,15 +6,21 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hw.cxp.clock import fit_clock, measure_clock
-from hw.drivers.cxp import Controller, VerifyError
+from hw.cxp.player import VerifyError
+from hw.drivers.cxp import Controller
 
 
 def readings(ppm, *, seconds=10.0, count=800, delay=lambda rng: 0.003, boot_us=0, seed=0):
     """Honest readings: the device reads its clock somewhere between request and reply."""
-    rng, found, received = random.Random(seed), [], 0.0
+    rng = random.Random(seed)
+    found = []
+    received = 0.0
     for k in range(count):
-        before, after = delay(rng), delay(rng)
-        sent = max(100 + seconds * k / (count - 1), received)  # the next question waits for the answer
+        before = delay(rng)
+        after = delay(rng)
+        sent = max(
+            100 + seconds * k / (count - 1), received
+        )  # the next question waits for the answer
         received = sent + before + after
         device_s = (sent + before - 100) * (1 + ppm * 1e-6)
         found.append((sent, received, int(boot_us + 1e6 * device_s) % 2**32))
@@ -25,7 +31,8 @@ def readings(ppm, *, seconds=10.0, count=800, delay=lambda rng: 0.003, boot_us=0
 @example(2824.625)  # the clock's rounding keeps step with the questions
 def test_an_even_delay_does_not_tilt_the_line(ppm):
     fit = fit_clock(readings(ppm))
-    # An error of at most half a microsecond either way, wherever it falls, tilts 10 s by 0.15 ppm at most.
+    # An error of at most half a microsecond either way, wherever it falls, tilts 10 s by 0.15 ppm
+    # at most.
     assert fit.ppm == pytest.approx(ppm, abs=0.16)
     assert fit.uncertainty_ppm < 0.2
     assert fit.samples == 200
@@ -60,7 +67,10 @@ def test_too_little_to_fit():
 
 def test_a_controllers_clock_over_a_noisy_line():
     faults = Faults(noise=0.002, seed=2)
-    with CxpController(faults, clock_ppm=-20_000) as device, Controller.open(device.port) as controller:
+    with (
+        CxpController(faults, clock_ppm=-20_000) as device,
+        Controller.open(device.port) as controller,
+    ):
         told = []
         fit = measure_clock(controller, seconds=1.0, progress=told.append)
     assert fit.ppm == pytest.approx(-20_000, abs=2000)

@@ -48,7 +48,9 @@ def test_published_cobs_vectors(data, stuffed):
 long_data = st.builds(
     lambda size, zeros: bytes(0 if k in zeros else 1 + k % 255 for k in range(size)),
     st.integers(250, 600),
-    st.sets(st.one_of(st.integers(0, 599), st.sampled_from([253, 254, 255, 508, 509])), max_size=4),
+    st.sets(
+        st.one_of(st.integers(0, 599), st.sampled_from([253, 254, 255, 508, 509])), max_size=4
+    ),
 )
 
 
@@ -83,7 +85,8 @@ framings = pytest.mark.parametrize("framing", [BINARY, TEXT], ids=lambda framing
 def test_frames_come_through_however_the_bytes_arrive(framing, bodies, data):
     stream = framing.end + b"".join(framing.encode(body) for body in bodies)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=5)))
-    got, rest = [], b""
+    got = []
+    rest = b""
     for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         new, rest = framing.split(rest + stream[start:end])
         got += new
@@ -113,7 +116,9 @@ def test_a_text_frame_after_a_prompt_and_before_a_carriage_return():
     assert TEXT.decode(b">>> half:0a:05055FB2\r") == bytes([5, 5])
 
 
-@pytest.mark.parametrize("line", [b"", b":", b"05055FB2", b":05055fb2", b":05055FB", b":05 055FB2", b":0505"])
+@pytest.mark.parametrize(
+    "line", [b"", b":", b"05055FB2", b":05055fb2", b":05055FB", b":05 055FB2", b":0505"]
+)
 def test_malformed_text_frames(line):
     with pytest.raises(FrameError, match=r"^(line is no frame|frame has 2 bytes)"):
         TEXT.decode(line)

@@ -17,7 +17,10 @@ FAST = {"timeout_s": 0.05, "attempts": 40}
 PROGRAM = Program.from_bits("101100000111", chip_ns=200_000)
 
 
-HELLO_DATA = bytes.fromhex("43585031 01 03 0004 f401 64000000 ffff0000 00000000 e803 204e0000 00") + b"cxp-avr 1"
+HELLO_DATA = (
+    bytes.fromhex("43585031 01 03 0004 f401 64000000 ffff0000 00000000 e803 204e0000 00")
+    + b"cxp-avr 1"
+)
 BINARY_SCRIPT = (
     (
         "00 05 01 01 1f 3e 00",
@@ -74,22 +77,30 @@ def test_transcript_of_every_op_byte_for_byte(script):
 
 def test_a_device_of_either_framing_is_found():
     for text in (False, True):
-        with CxpController(text=text) as device, Controller.open(device.port, **FAST) as controller:
+        with (
+            CxpController(text=text) as device,
+            Controller.open(device.port, **FAST) as controller,
+        ):
             assert controller.link.framing is (TEXT if text else BINARY)
             assert controller.upload(PROGRAM).read_back
             assert device.bits == PROGRAM.bits
 
 
 def test_retry_sends_the_same_frame_after_ending_half_a_frame():
-    port = ScriptedPort(("05 05 01 db f2 00", ""), ("00 05 05 01 db f2 00", "03 85 01 03 07 2f 00"))
+    port = ScriptedPort(
+        ("05 05 01 db f2 00", ""), ("00 05 05 01 db f2 00", "03 85 01 03 07 2f 00")
+    )
     with Link(port, name="script", timeout_s=0.02, attempts=2) as link:
         assert link.request(Op.TRIG) == b""
     assert port.exchanges == []
 
 
 def test_old_foreign_and_broken_replies_are_ignored():
-    # In order: another seq, another op, a wrong CRC, noise, a request (our echo), then the right reply.
-    noise = "03 85 05 03 c3 e3 00 06 86 01 04 d3 36 00 03 85 01 03 07 28 00 ff 00 05 05 01 db f2 00"
+    # In order: another seq, another op, a wrong CRC, noise, a request (our echo), then the right
+    # reply.
+    noise = (
+        "03 85 05 03 c3 e3 00 06 86 01 04 d3 36 00 03 85 01 03 07 28 00 ff 00 05 05 01 db f2 00"
+    )
     port = ScriptedPort(("05 05 01 db f2 00", noise + "03 85 01 03 07 2f 00"))
     with Link(port, name="script", attempts=1) as link:
         assert link.request(Op.TRIG) == b""
@@ -105,7 +116,9 @@ def test_sequence_numbers_wrap():
 
 
 def test_lost_first_bytes_are_retried():
-    with CxpController(Faults(deaf_s=0.4, boot_noise=b"\x00garbage\xff\x80 boot v1\r\n")) as device:
+    with CxpController(
+        Faults(deaf_s=0.4, boot_noise=b"\x00garbage\xff\x80 boot v1\r\n")
+    ) as device:
         link, hello = open_link(device.port, timeout_s=0.05)
         link.close()
     assert hello == unpack_hello(HELLO_DATA)
@@ -147,7 +160,10 @@ def test_missing_wrong_and_busy_ports(tmp_path):
             open_port(name)
         assert "\n" not in str(caught.value)
     with CxpController() as device:
-        with open_link(device.port, **FAST)[0], pytest.raises(PortError, match="another program has it open"):
+        with (
+            open_link(device.port, **FAST)[0],
+            pytest.raises(PortError, match="another program has it open"),
+        ):
             open_port(device.port)
         open_port(device.port).close()
         for baud in (0, -1, "fast", True, 10**9):
@@ -159,7 +175,10 @@ def test_missing_wrong_and_busy_ports(tmp_path):
 
 
 def test_lost_reply_of_a_trigger_never_plays_twice():
-    with CxpController(Faults(lost_replies={TRIG: 3})) as device, Controller.open(device.port, **FAST) as controller:
+    with (
+        CxpController(Faults(lost_replies={TRIG: 3})) as device,
+        Controller.open(device.port, **FAST) as controller,
+    ):
         controller.upload(PROGRAM, arm=True)
         controller.trigger()
         assert controller.wait(timeout_s=5).runs == 1
@@ -168,7 +187,8 @@ def test_lost_reply_of_a_trigger_never_plays_twice():
 
 
 @pytest.mark.parametrize(
-    "faults", [Faults(bad_crc_replies=3), Faults(wrong_seq_replies=3), Faults(lost_replies={HELLO: 2})]
+    "faults",
+    [Faults(bad_crc_replies=3), Faults(wrong_seq_replies=3), Faults(lost_replies={HELLO: 2})],
 )
 def test_bad_replies_are_waited_out(faults):
     with CxpController(faults) as device, Controller.open(device.port, **FAST) as controller:

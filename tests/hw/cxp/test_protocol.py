@@ -30,7 +30,10 @@ from hw.errors import (
     device_error,
 )
 
-HELLO = bytes.fromhex("43585031 01 03 0004 f401 64000000 ffff0000 00000000 e803 204e0000 00") + b"cxp-avr 1"
+HELLO = (
+    bytes.fromhex("43585031 01 03 0004 f401 64000000 ffff0000 00000000 e803 204e0000 00")
+    + b"cxp-avr 1"
+)
 
 
 def test_request_layout():
@@ -41,7 +44,9 @@ def test_reply_layout():
     assert parse_reply(bytes([0x87, 6, 0]) + b"abc") == Reply(7, 6, 0, b"abc")
 
 
-@pytest.mark.parametrize(("body", "words"), [(bytes([0x81, 1]), "at least 3"), (bytes([0x01, 1, 0]), "not a reply")])
+@pytest.mark.parametrize(
+    ("body", "words"), [(bytes([0x81, 1]), "at least 3"), (bytes([0x01, 1, 0]), "not a reply")]
+)
 def test_malformed_replies(body, words):
     with pytest.raises(FrameError, match=words):
         parse_reply(body)
@@ -49,9 +54,19 @@ def test_malformed_replies(body, words):
 
 def test_hello():
     told = Hello(
-        version=1, fractions=True, trigger_input=True, max_chips=1024, tick_ns=500, min_ticks=100, max_ticks=65535,
-        max_on_ticks=None, max_duty=None, lead_ns=20_000, reset_cause=ResetCause.POWER, firmware="cxp-avr 1",
-    )  # fmt: skip
+        version=1,
+        fractions=True,
+        trigger_input=True,
+        max_chips=1024,
+        tick_ns=500,
+        min_ticks=100,
+        max_ticks=65535,
+        max_on_ticks=None,
+        max_duty=None,
+        lead_ns=20_000,
+        reset_cause=ResetCause.POWER,
+        firmware="cxp-avr 1",
+    )
     assert unpack_hello(HELLO) == told
     assert unpack_hello(HELLO + b"\0and more of later versions") == told
 
@@ -63,7 +78,11 @@ def test_hello_with_limits_after_a_watchdog_reset():
     data[28] = 3
     told = unpack_hello(bytes(data))
     assert (told.fractions, told.trigger_input) == (False, False)
-    assert (told.max_on_ticks, told.max_duty, told.reset_cause) == (4000, 0.25, ResetCause.WATCHDOG)
+    assert (told.max_on_ticks, told.max_duty, told.reset_cause) == (
+        4000,
+        0.25,
+        ResetCause.WATCHDOG,
+    )
     data[28] = 77
     assert unpack_hello(bytes(data)).reset_cause is ResetCause.UNKNOWN
 

@@ -12,9 +12,19 @@ from hw.cxp.stored import Stored, stored_program, unpack_stored
 from hw.program import Program
 
 UNO = Hello(
-    version=1, fractions=True, trigger_input=True, max_chips=1024, tick_ns=500, min_ticks=100, max_ticks=65535,
-    max_on_ticks=None, max_duty=None, lead_ns=20_000, reset_cause=ResetCause.POWER, firmware="cxp-avr 1",
-)  # fmt: skip
+    version=1,
+    fractions=True,
+    trigger_input=True,
+    max_chips=1024,
+    tick_ns=500,
+    min_ticks=100,
+    max_ticks=65535,
+    max_on_ticks=None,
+    max_duty=None,
+    lead_ns=20_000,
+    reset_cause=ResetCause.POWER,
+    firmware="cxp-avr 1",
+)
 WHOLE = replace(UNO, fractions=False)
 PROGRAM = Program.from_bits("101100000111", chip_ns=200_000)
 
@@ -26,13 +36,18 @@ def test_layout_and_crc():
     assert stored.crc32 == zlib.crc32(stored.payload)
 
 
-@given(st.text("01", min_size=1, max_size=80).filter(lambda bits: "1" in bits), st.integers(100, 65535))
+@given(
+    st.text("01", min_size=1, max_size=80).filter(lambda bits: "1" in bits),
+    st.integers(100, 65535),
+)
 def test_reading_is_the_inverse_of_loading(bits, ticks):
     stored = Stored(bits, ticks, 12345)
     assert unpack_stored(stored.payload) == stored
 
 
-@given(st.integers(52_000, 20_000_000), st.floats(-20_000, 20_000).filter(lambda ppm: abs(ppm) > 1e-3))
+@given(
+    st.integers(52_000, 20_000_000), st.floats(-20_000, 20_000).filter(lambda ppm: abs(ppm) > 1e-3)
+)
 def test_a_clock_error_is_taken_out_to_a_fraction_of_a_tick(chip_ns, ppm):
     stored = stored_program(Program("1", chip_ns), UNO, clock_ppm=ppm)
     # What the device counts as a tick lasts tick / (1 + ppm) of true time.
@@ -86,4 +101,7 @@ def test_differences_are_named():
     assert stored.difference(stored) == ""
     assert stored.difference(replace(stored, fraction=32768)) == "chip of 400.5 ticks, not 400"
     assert stored.difference(replace(stored, bits="101")) == "3 chips, not 4"
-    assert stored.difference(replace(stored, bits="1111")) == "1 of 4 chips differ, the first is chip 1"
+    assert (
+        stored.difference(replace(stored, bits="1111"))
+        == "1 of 4 chips differ, the first is chip 1"
+    )

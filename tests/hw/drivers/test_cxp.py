@@ -22,11 +22,12 @@ from emulators.cxp_controller import (
 )
 from emulators.scripted_port import imported_with
 
+from hw.cxp.player import VerifyError
 from hw.cxp.protocol import State
 from hw.cxp.stored import Stored
 from hw.device import DeviceProfile, load_profile
 from hw.drivers import Trust
-from hw.drivers.cxp import Controller, VerifyError
+from hw.drivers.cxp import Controller
 from hw.errors import DutyLimitError, OnLimitError, WrongStateError
 from hw.port import LinkError
 from hw.program import Program
@@ -51,13 +52,21 @@ def test_upload_reads_back_and_reports():
     assert device.bits == RASKAR
     assert device.ticks == 400
     assert device.ops[1:5] == [LOAD, STATUS, READ, STATUS]
-    assert (report.port, report.chips, report.chip_ns, report.pulses) == (device.port, 52, 200_000, 13)
+    assert (report.port, report.chips, report.chip_ns, report.pulses) == (
+        device.port,
+        52,
+        200_000,
+        13,
+    )
     assert (report.duration_ns, report.code_crc32) == (PROGRAM.duration_ns, PROGRAM.code_crc32)
     assert (report.trust, report.armed, report.lease_ms) == (Trust.A, False, None)
 
 
 def test_without_verification_it_is_only_acknowledged():
-    with CxpController(Faults(stored_flip=7)) as device, Controller.open(device.port, **FAST) as controller:
+    with (
+        CxpController(Faults(stored_flip=7)) as device,
+        Controller.open(device.port, **FAST) as controller,
+    ):
         assert controller.upload(PROGRAM, verify=False).trust is Trust.B
         assert controller.trust is Trust.A
     assert READ not in device.ops
@@ -95,8 +104,14 @@ def test_play_once():
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_100_loads_at_1_percent_byte_corruption_are_all_verified(seed):
     faults = Faults(noise=0.01, seed=seed)
-    codes = [Program.from_bits(f"{k + 1:016b}" + RASKAR[16:], chip_ns=50_000 + 500 * k) for k in range(100)]
-    with CxpController(faults) as device, Controller.open(device.port, timeout_s=0.02, attempts=60) as controller:
+    codes = [
+        Program.from_bits(f"{k + 1:016b}" + RASKAR[16:], chip_ns=50_000 + 500 * k)
+        for k in range(100)
+    ]
+    with (
+        CxpController(faults) as device,
+        Controller.open(device.port, timeout_s=0.02, attempts=60) as controller,
+    ):
         for code in codes:
             assert controller.upload(code).trust is Trust.A
             assert (device.bits, device.ticks * 500) == (code.bits, code.chip_ns)
@@ -109,7 +124,10 @@ def test_100_loads_at_1_percent_byte_corruption_are_all_verified(seed):
 def test_40_triggers_at_2_percent_corruption_are_exactly_40_plays():
     code = Program.from_bits(RASKAR, chip_ns=50_000)
     faults = Faults(noise=0.02, seed=7)
-    with CxpController(faults) as device, Controller.open(device.port, timeout_s=0.02, attempts=60) as controller:
+    with (
+        CxpController(faults) as device,
+        Controller.open(device.port, timeout_s=0.02, attempts=60) as controller,
+    ):
         controller.upload(code)
         for count in range(1, 41):
             controller.arm()
@@ -117,11 +135,16 @@ def test_40_triggers_at_2_percent_corruption_are_exactly_40_plays():
             assert controller.wait(timeout_s=10).runs == count
     assert len(device.plays) == 40
     assert device.ops.count(TRIG) == 40
-    assert device.repeats > 0  # the cached reply was needed: without it some retries would have been refused
+    assert (
+        device.repeats > 0
+    )  # the cached reply was needed: without it some retries would have been refused
 
 
 def test_wrong_stored_bit_is_caught_by_the_read_back_and_nothing_is_armed():
-    with CxpController(Faults(stored_flip=7)) as device, Controller.open(device.port, **FAST) as controller:
+    with (
+        CxpController(Faults(stored_flip=7)) as device,
+        Controller.open(device.port, **FAST) as controller,
+    ):
         with pytest.raises(VerifyError, match="1 of 52 chips differ, the first is chip 7"):
             controller.upload(PROGRAM, arm=True)
         assert device.state == LOADED
@@ -134,7 +157,9 @@ def test_every_violation_is_told_and_nothing_is_sent():
     program = Program.from_bits(RASKAR * 20, chip_ns=200_100)
     with CxpController() as device, Controller.open(device.port, **FAST) as controller:
         assert len(controller.check(program, profile=profile)) == 4
-        with pytest.raises(ValueError, match=r"500 ns ticks.*at most 1024.*led: longest.*led: duty") as caught:
+        with pytest.raises(
+            ValueError, match=r"500 ns ticks.*at most 1024.*led: longest.*led: duty"
+        ) as caught:
             controller.upload(program, profile=profile)
     assert "\n" not in str(caught.value)
     assert LOAD not in device.ops
@@ -162,7 +187,10 @@ def test_limits_that_the_device_announces_are_told_before_anything_is_sent():
 
 
 def test_limits_are_the_devices_own_too():
-    with CxpController(max_on_ticks=1500, max_duty=500) as device, Controller.open(device.port, **FAST) as controller:
+    with (
+        CxpController(max_on_ticks=1500, max_duty=500) as device,
+        Controller.open(device.port, **FAST) as controller,
+    ):
         with pytest.raises(DutyLimitError, match="refuses LOAD"):
             controller.load(Program.from_bits("1110", chip_ns=50_000))
         with pytest.raises(OnLimitError, match="refuses LOAD"):
@@ -171,7 +199,10 @@ def test_limits_are_the_devices_own_too():
 
 
 def test_firmware_whose_timing_nobody_proved_is_trusted_less():
-    with CxpController(firmware="homemade 7") as device, Controller.open(device.port, **FAST) as controller:
+    with (
+        CxpController(firmware="homemade 7") as device,
+        Controller.open(device.port, **FAST) as controller,
+    ):
         report = controller.upload(PROGRAM)
         assert controller.trust is Trust.B
     assert (report.trust, report.read_back, report.firmware) == (Trust.B, True, "homemade 7")
@@ -201,14 +232,20 @@ def test_a_bias_that_nobody_takes_back_is_said():
 
 
 def test_a_wrong_confirmation_is_caught():
-    with CxpController(Faults(stored_crc_wrong=True)) as device, Controller.open(device.port, **FAST) as controller:
+    with (
+        CxpController(Faults(stored_crc_wrong=True)) as device,
+        Controller.open(device.port, **FAST) as controller,
+    ):
         with pytest.raises(VerifyError, match="confirms CRC32"):
             controller.upload(PROGRAM, arm=True)
         assert ARM not in device.ops
 
 
 def test_a_missed_edge_is_a_fault_until_it_is_aborted():
-    with CxpController(Faults(fault=True)) as device, Controller.open(device.port, **FAST) as controller:
+    with (
+        CxpController(Faults(fault=True)) as device,
+        Controller.open(device.port, **FAST) as controller,
+    ):
         controller.upload(PROGRAM, arm=True)
         controller.trigger()
         with pytest.raises(VerifyError, match="reports a fault; ABORT was sent"):
@@ -264,7 +301,10 @@ def test_an_error_closes_only_what_this_program_began():
             with pytest.raises(kind), Controller.open(device.port, **FAST) as mine:
                 begin(mine)
             assert device.state == ARMED
-        with pytest.raises(RuntimeError, match="mine"), Controller.open(device.port, **FAST) as mine:
+        with (
+            pytest.raises(RuntimeError, match="mine"),
+            Controller.open(device.port, **FAST) as mine,
+        ):
             armed_then_failed(mine)
         assert device.state == LOADED
 
@@ -293,7 +333,8 @@ def test_leaving_by_an_exception_closes_through_noise_too():
 
 @pytest.mark.parametrize("op", [ARM, TRIG])
 def test_an_unanswered_arm_or_trigger_is_aborted(op):
-    # The device did it but nobody said so; ABORT comes through, hence it must end closed and disarmed.
+    # The device did it but nobody said so; ABORT comes through, hence it must end closed and
+    # disarmed.
     with CxpController(Faults(lost_replies={op: 3})) as device:
         controller = Controller.open(device.port, timeout_s=0.3, attempts=3)
         with pytest.raises(LinkError, match="does not answer") as caught:
@@ -336,13 +377,19 @@ def test_an_abort_counts_only_when_the_state_says_so(state):
                 controller.abort()
             assert caught.value.__notes__ == ["the shutter may still be open"]
             device.state = IDLE
-        with pytest.raises(RuntimeError, match="mine") as left, Controller.open(device.port, **FAST) as controller:
+        with (
+            pytest.raises(RuntimeError, match="mine") as left,
+            Controller.open(device.port, **FAST) as controller,
+        ):
             play(controller, then=RuntimeError("mine"))
         assert "the shutter may still be open" in left.value.__notes__[0]
 
 
 def test_a_play_that_never_ends_is_aborted():
-    with CxpController(Faults(stuck_play=True)) as device, Controller.open(device.port, **FAST) as controller:
+    with (
+        CxpController(Faults(stuck_play=True)) as device,
+        Controller.open(device.port, **FAST) as controller,
+    ):
         controller.upload(PROGRAM, arm=True)
         controller.trigger()
         with pytest.raises(VerifyError, match=r"still plays after 0\.05 s; ABORT was sent"):

@@ -66,8 +66,11 @@ def until(condition):
 
 
 def test_transcript_byte_for_byte():
-    program = Program.from_bits("0110100", chip_ns=200_000)  # pulses at 0, 4 and 12 cycles, 4 after the trigger
-    times, guard = "00 00 00 00 04 00 00 00 0c 00 00 00", "20 00 00 00"
+    program = Program.from_bits(
+        "0110100", chip_ns=200_000
+    )  # pulses at 0, 4 and 12 cycles, 4 after the trigger
+    times = "00 00 00 00 04 00 00 00 0c 00 00 00"
+    guard = "20 00 00 00"
     port, device = scripted(
         [
             *ABORTED,
@@ -138,7 +141,9 @@ def test_transcript_of_another_channel_and_trigger_input_of_an_inverted_shutter(
 
 codes = st.text("01", min_size=1, max_size=300).filter(lambda bits: "1" in bits)
 programs = st.builds(
-    lambda bits, cycles: Program.from_bits(bits, chip_ns=cycles * CYCLE_NS), codes, st.sampled_from([2, 3, 4, 7, 400])
+    lambda bits, cycles: Program.from_bits(bits, chip_ns=cycles * CYCLE_NS),
+    codes,
+    st.sampled_from([2, 3, 4, 7, 400]),
 )
 
 
@@ -149,7 +154,20 @@ def test_every_program_is_played_edge_for_edge_whatever_was_stored_before():
         @settings(max_examples=60, deadline=None)
         @given(program=programs)
         def played(program):
-            dirty = {1: 1, 4: 3, 8: 9, 9: 9, 10: 1, 11: 77, 12: 1, 13: 1, 14: 2, 15: 1, 16: 1, 17: OPEN_5V}
+            dirty = {
+                1: 1,
+                4: 3,
+                8: 9,
+                9: 9,
+                10: 1,
+                11: 77,
+                12: 1,
+                13: 1,
+                14: 2,
+                15: 1,
+                16: 1,
+                17: OPEN_5V,
+            }
             device.channels[1].values.update(dirty)
             driver.upload(program)
             assert output(device) == expected(program)
@@ -159,12 +177,17 @@ def test_every_program_is_played_edge_for_edge_whatever_was_stored_before():
 
 
 def test_a_shorter_train_without_the_guard_entry_would_go_wrong():
-    # Why the train is sent twice: the device looks behind the last pulse, where here it finds an onset of before.
+    # Why the train is sent twice: the device looks behind the last pulse, where here it finds an
+    # onset of before.
     with Device() as device:
         device.channels[1].values.update({14: 1, 4: 4, 11: 0})
-        longer, shorter = [0, 8, 12, 14], [0, 4, 12]
+        longer = [0, 8, 12, 14]
+        shorter = [0, 4, 12]
         for onsets in (longer, shorter):
-            device._serve(TRAIN_1, struct.pack(f"<I{len(onsets)}I", len(onsets), *onsets) + b"\0\xc0" * len(onsets))
+            device._serve(
+                TRAIN_1,
+                struct.pack(f"<I{len(onsets)}I", len(onsets), *onsets) + b"\0\xc0" * len(onsets),
+            )
         assert output(device)[-1] == (14, REST)  # the last pulse is cut from 4 cycles to 2
         device.times[TRAIN_1][3] = 12
         assert device.output(device.channels[1].values)[1] is None  # or stays open for ever
@@ -178,7 +201,9 @@ def test_raskar_is_played_in_real_time():
         driver.trigger()
         driver.wait()
         assert len(expected(PROGRAM)) == 26
-        assert [levels(play.edges, rest=REST) for play in device.plays()] == [expected(PROGRAM)] * 2
+        assert [levels(play.edges, rest=REST) for play in device.plays()] == [
+            expected(PROGRAM)
+        ] * 2
         assert device.plays()[1].start - device.plays()[0].start >= PROGRAM.duration_ns // CYCLE_NS
         assert device.volts_now(1) == REST
 
@@ -189,7 +214,9 @@ def test_the_longest_train():
         driver.upload(program)
         assert output(device) == expected(program)
         assert (device.counts[TRAIN_1], device.overrun) == (5000, False)
-        assert device.ops.count(TRAIN_1) == 1  # no room for the guard, and nothing was ever stored behind
+        assert (
+            device.ops.count(TRAIN_1) == 1
+        )  # no room for the guard, and nothing was ever stored behind
         with pytest.raises(ValueError, match="at most 5000"):
             driver.upload(Program.from_bits("1" * 5001, chip_ns=100_000))
         assert device.ops.count(TRAIN_1) == 1
@@ -303,7 +330,9 @@ driver.trigger()
 """
     with Device() as device:
         command = [sys.executable, "-c", script, device.port]
-        subprocess.run(command, cwd=Path(__file__).parents[3], timeout=60, capture_output=True, check=False)
+        subprocess.run(
+            command, cwd=Path(__file__).parents[3], timeout=60, capture_output=True, check=False
+        )
         assert len(device.plays()) == 1
         assert device.volts_now(1) == REST
         assert device.channels[1].values[12] == 0
@@ -378,7 +407,8 @@ def test_firmware_that_works(firmware):
 
 
 def test_lost_and_late_handshakes_are_sorted_out():
-    # An ABORT and its handshake together take longer than the timeout: the second answer comes among other replies.
+    # An ABORT and its handshake together take longer than the timeout: the second answer comes
+    # among other replies.
     faults = Faults(deaf_s=0.3, boot_noise=b"\x00garbage\xffK\r\n", late_s={ABORT: 0.3, 72: 0.3})
     with Device(faults) as device, PulsePal.open(device.port) as driver:
         assert driver.link.retries >= 1
@@ -388,11 +418,16 @@ def test_lost_and_late_handshakes_are_sorted_out():
 
 @pytest.mark.parametrize("op", [PARAM, TRAIN_1])
 def test_silence_midway_is_said_and_the_missing_abort_too(op):
-    with Device(Faults(silent_after=op)) as device, PulsePal.open(device.port, timeout_s=0.1) as driver:
+    with (
+        Device(Faults(silent_after=op)) as device,
+        PulsePal.open(device.port, timeout_s=0.1) as driver,
+    ):
         with pytest.raises(LinkError, match="does not answer") as caught:
             driver.upload(PROGRAM, arm=True)
         assert "\n" not in str(caught.value)
-        assert caught.value.__notes__ == [f"{device.port} did not confirm ABORT: the shutter may still be open"]
+        assert caught.value.__notes__ == [
+            f"{device.port} did not confirm ABORT: the shutter may still be open"
+        ]
         assert until(lambda: ABORT in device.ops)
         with pytest.raises(WrongStateError):
             driver.trigger()
@@ -415,7 +450,9 @@ class CutPort:
     """A port that is dead from one of its writes on; the bytes of that write may still arrive."""
 
     def __init__(self, port, *, after, arrives):
-        self.port, self.left, self.arrives = port, after, arrives
+        self.port = port
+        self.left = after
+        self.arrives = arrives
 
     @property
     def in_waiting(self):
@@ -473,14 +510,19 @@ def test_a_link_cut_between_any_two_commands_leaves_a_code_that_ends(arrives):
             with pytest.raises(LinkError, match="cut"):
                 cut_after(device, count, arrives=arrives)
             device.trigger_input(1)
-            codes = [levels(play.edges, rest=REST) for play in device.plays() if play.killed is None]
+            codes = [
+                levels(play.edges, rest=REST) for play in device.plays() if play.killed is None
+            ]
             assert all(code in (expected(SLOW), expected(SHORT)) for code in codes)
             assert all(play.end is not None for play in device.plays())
 
 
 @pytest.mark.parametrize("op", [ABORT, PARAM, TRAIN_1])
 def test_unplugged_midway_is_one_clear_line(op):
-    with Device(Faults(unplug_on=op)) as device, PulsePal.open(device.port, timeout_s=1.0) as driver:
+    with (
+        Device(Faults(unplug_on=op)) as device,
+        PulsePal.open(device.port, timeout_s=1.0) as driver,
+    ):
         with pytest.raises(LinkError, match="is gone") as caught:
             driver.upload(PROGRAM)
         assert "\n" not in str(caught.value)
@@ -500,7 +542,10 @@ def test_a_refused_parameter_is_named_and_nothing_is_armed(parameter):
 
 def test_replies_out_of_step_are_noticed():
     # Every parameter is acknowledged twice: each acknowledgement read belongs to a command before.
-    with Device(Faults(twice=PARAM)) as device, PulsePal.open(device.port, timeout_s=1.0) as driver:
+    with (
+        Device(Faults(twice=PARAM)) as device,
+        PulsePal.open(device.port, timeout_s=1.0) as driver,
+    ):
         with pytest.raises(LinkError, match="out of step"):
             driver.upload(PROGRAM)
         with pytest.raises(WrongStateError):
@@ -542,6 +587,8 @@ def test_the_fake_itself_plays_its_power_on_train_and_notices_an_overrun():
         assert device.overrun
 
 
-@pytest.mark.parametrize(("volts", "code"), [(-10, 0), (0, 32768), (2.5, 40960), (5, 49152), (10, 65535)])
+@pytest.mark.parametrize(
+    ("volts", "code"), [(-10, 0), (0, 32768), (2.5, 40960), (5, 49152), (10, 65535)]
+)
 def test_dac_codes(volts, code):
     assert dac_code(volts) == code

@@ -47,7 +47,9 @@ def execute(device, *lines):
 def expected(program, *, opened=5.0, closed=0.0):
     """Edges in seconds after the trigger: the code begins one chip later."""
     chip = Fraction(program.chip_ns, 10**9)
-    return [(chip + Fraction(at, 10**9), opened if level else closed) for at, level in program.edges]
+    return [
+        (chip + Fraction(at, 10**9), opened if level else closed) for at, level in program.edges
+    ]
 
 
 def same(found, wanted, program):
@@ -74,29 +76,70 @@ def test_upload_sends_these_messages_and_no_others():
     sent = [message for message in device.messages if message != "SYST:ERR?"]
     assert sent == [
         "*IDN?",
-        "OUTP OFF", "*CLS", "OUTP?",
-        "VOLT MIN", "VOLT:OFFS 0",
-        "OUTP OFF", "*CLS", "OUTP:LOAD INF", "DATA:VOL:CLE", "FORM:BORD SWAP",
+        "OUTP OFF",
+        "*CLS",
+        "OUTP?",
+        "VOLT MIN",
+        "VOLT:OFFS 0",
+        "OUTP OFF",
+        "*CLS",
+        "OUTP:LOAD INF",
+        "DATA:VOL:CLE",
+        "FORM:BORD SWAP",
         "DATA:ARB SHUTTER,<53 bytes>",
-        "FUNC:ARB SHUTTER", "FUNC ARB", "FUNC:ARB:FILT OFF", "FUNC:ARB:SRAT 5000.000000",
-        "VOLT:HIGH 5", "VOLT:LOW 0",
-        "BURS:MODE TRIG", "BURS:NCYC 1", "BURS:PHAS 0",
-        "TRIG:SOUR EXT", "TRIG:SLOP POS", "TRIG:DEL 0", "BURS:STAT ON",
+        "FUNC:ARB SHUTTER",
+        "FUNC ARB",
+        "FUNC:ARB:FILT OFF",
+        "FUNC:ARB:SRAT 5000.000000",
+        "VOLT:HIGH 5",
+        "VOLT:LOW 0",
+        "BURS:MODE TRIG",
+        "BURS:NCYC 1",
+        "BURS:PHAS 0",
+        "TRIG:SOUR EXT",
+        "TRIG:SLOP POS",
+        "TRIG:DEL 0",
+        "BURS:STAT ON",
         "FUNC:ARB:SRAT?",
-        "OUTP OFF", "*CLS", "OUTP?", "BURS:STAT OFF", "BURS:STAT ON",
-        "FUNC?", "BURS:MODE?", "BURS:NCYC?", "TRIG:SOUR?", "BURS:STAT?", "OUTP ON", "OUTP?", "TRIG",
-        "OUTP OFF", "*CLS", "OUTP?",
-    ]  # fmt: skip
+        "OUTP OFF",
+        "*CLS",
+        "OUTP?",
+        "BURS:STAT OFF",
+        "BURS:STAT ON",
+        "FUNC?",
+        "BURS:MODE?",
+        "BURS:NCYC?",
+        "TRIG:SOUR?",
+        "BURS:STAT?",
+        "OUTP ON",
+        "OUTP?",
+        "TRIG",
+        "OUTP OFF",
+        "*CLS",
+        "OUTP?",
+    ]
     assert device.messages.count("SYST:ERR?") == 25  # one after each command but those of ABORT
     assert device.arbs == {"SHUTTER": [-1, 1, 1, -1, 1, -1, -1, -1]}
-    assert (report.port, report.chips, report.chip_ns, report.pulses) == (device.resource, 4, 200_000, 2)
+    assert (report.port, report.chips, report.chip_ns, report.pulses) == (
+        device.resource,
+        4,
+        200_000,
+        2,
+    )
     assert (report.duration_ns, report.code_crc32) == (program.duration_ns, program.code_crc32)
-    assert (report.trust, report.read_back, report.armed, report.lease_ms) == (Trust.B, False, False, None)
+    assert (report.trust, report.read_back, report.armed, report.lease_ms) == (
+        Trust.B,
+        False,
+        False,
+        None,
+    )
     assert report.firmware == "33522B 3.05-1.19-2.00-52-00"
 
 
 codes = st.text("01", min_size=1, max_size=300).filter(lambda bits: "1" in bits)
-chips = st.one_of(st.integers(16, 10**6), st.sampled_from([200_000, 300_000, 333_333, 1_000_000, 10**9]))
+chips = st.one_of(
+    st.integers(16, 10**6), st.sampled_from([200_000, 300_000, 333_333, 1_000_000, 10**9])
+)
 programs = st.builds(lambda bits, chip_ns: Program.from_bits(bits, chip_ns=chip_ns), codes, chips)
 volts = st.integers(-9, 9)
 
@@ -113,11 +156,20 @@ def test_every_program_is_played_edge_for_edge_whatever_was_set_before():
             load=st.sampled_from(["50", "INF"]),
         )
         def played(program, inverted, low, span, load):
-            execute(device, f"OUTP:LOAD {load};:FUNC SQU;:VOLT MIN;:VOLT:OFFS {min(low, 10 - span)}")
-            execute(device, f"VOLT:HIGH {min(low, 10 - span) + span};:BURS:NCYC 7;PHAS 90;MODE GAT;:FORM:BORD NORM")
+            execute(
+                device, f"OUTP:LOAD {load};:FUNC SQU;:VOLT MIN;:VOLT:OFFS {min(low, 10 - span)}"
+            )
+            execute(
+                device,
+                f"VOLT:HIGH {min(low, 10 - span) + span};:BURS:NCYC 7;PHAS 90;MODE GAT;:FORM:BORD NORM",
+            )
             execute(device, "FUNC:ARB:FILT STEP;:TRIG:DEL 0.5;SLOP NEG;SOUR BUS;:OUTP ON")
             opened, closed = (0.0, 5.0) if inverted else (5.0, 0.0)
-            awg.upload(program, profile=DeviceProfile(name="shutter", closed_level=int(inverted)), arm=True)
+            awg.upload(
+                program,
+                profile=DeviceProfile(name="shutter", closed_level=int(inverted)),
+                arm=True,
+            )
             assert device.rest_volts == pytest.approx(closed)
             device._running = None
             device.trigger_input()
@@ -176,7 +228,9 @@ class CutWire:
     """A VISA resource on an instrument, dead from one of its reads and writes on."""
 
     def __init__(self, device, *, after):
-        self.device, self.left, self.answers = device, after, []
+        self.device = device
+        self.left = after
+        self.answers = []
 
     def _alive(self):
         if self.left == 0:
@@ -212,7 +266,13 @@ def test_a_link_cut_between_any_two_messages_leaves_nothing_that_runs_without_a_
             arm_again_and_again(awg)
         assert device.free_runs == 0
         if device.output:
-            armed = (device.function, device.burst, device.burst_mode, device.cycles, device.source)
+            armed = (
+                device.function,
+                device.burst,
+                device.burst_mode,
+                device.cycles,
+                device.source,
+            )
             assert armed == ("ARB", True, "TRIG", 1, "EXT")
 
 
@@ -234,7 +294,9 @@ def test_raskar_in_real_time_and_two_triggers():
         awg.trigger()
         awg.wait()
         assert len(device.plays) == 2
-        assert device.plays[0] == device.plays[1] == expected(PROGRAM)  # 5 kSa/s is exact in floating point too
+        assert (
+            device.plays[0] == device.plays[1] == expected(PROGRAM)
+        )  # 5 kSa/s is exact in floating point too
         assert len(device.plays[0]) == 26
         assert device.volts_now == 0.0
 
@@ -318,7 +380,12 @@ awg.trigger()
     with Awg() as device:
         command = [sys.executable, "-W", "error", "-c", script, device.resource]
         done = subprocess.run(
-            command, cwd=Path(__file__).parents[3], timeout=60, capture_output=True, text=True, check=False
+            command,
+            cwd=Path(__file__).parents[3],
+            timeout=60,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert "Warning" not in done.stderr
         assert len(device.plays) == 1
@@ -344,18 +411,29 @@ def test_another_clock_is_another_code():
             if right:
                 awg.upload(PROGRAM)
                 continue
-            with pytest.raises(DeviceError, match=r"would play at 5\d{3}[.\d]* Sa/s: chips of 200000 ns need 5000"):
+            with pytest.raises(
+                DeviceError, match=r"would play at 5\d{3}[.\d]* Sa/s: chips of 200000 ns need 5000"
+            ):
                 awg.upload(PROGRAM, arm=True)
             assert not device.output
 
 
 @pytest.mark.parametrize(
-    "start", [name.split(" ")[0] for name in commands(PROGRAM) if not name.endswith("?") and name[0] not in "*D"]
+    "start",
+    [
+        name.split(" ")[0]
+        for name in commands(PROGRAM)
+        if not name.endswith("?") and name[0] not in "*D"
+    ],
 )
 def test_a_refused_command_is_named_and_the_output_stays_off(start):
-    faults = Faults(refuse={start if start not in ("OUTP", "FUNC:ARB", "FUNC") else f"{start} ": -222})
+    faults = Faults(
+        refuse={start if start not in ("OUTP", "FUNC:ARB", "FUNC") else f"{start} ": -222}
+    )
     with Awg(faults) as device, ScpiAwg.open(device.resource) as awg:
-        with pytest.raises(DeviceError, match=f'refuses {start}.*: -222,"Data out of range"') as caught:
+        with pytest.raises(
+            DeviceError, match=f'refuses {start}.*: -222,"Data out of range"'
+        ) as caught:
             awg.upload(PROGRAM, arm=True)
         assert "\n" not in str(caught.value)
         assert not device.output
@@ -371,7 +449,9 @@ def test_an_output_that_does_not_go_off_is_said():
         assert len(caught.value.__notes__) == 1
 
 
-@pytest.mark.parametrize(("ignored", "asked"), [("OUTP ON", "OUTP?"), ("BURS:STAT ON", "BURS:STAT?")])
+@pytest.mark.parametrize(
+    ("ignored", "asked"), [("OUTP ON", "OUTP?"), ("BURS:STAT ON", "BURS:STAT?")]
+)
 def test_what_is_not_armed_is_not_said_to_be_and_is_switched_off(ignored, asked):
     with Awg(Faults(ignore=ignored)) as device, ScpiAwg.open(device.resource) as awg:
         with pytest.raises(DeviceError) as caught:
@@ -398,7 +478,10 @@ def test_refused_data_and_errors_of_others():
 
 @pytest.mark.parametrize("start", ["OUTP OFF", "DATA:ARB", "FUNC:ARB:SRAT?", "OUTP ON"])
 def test_an_instrument_that_disappears_is_one_clear_line(start):
-    with Awg(Faults(hang_up_on=start)) as device, ScpiAwg.open(device.resource, timeout_s=0.6) as awg:
+    with (
+        Awg(Faults(hang_up_on=start)) as device,
+        ScpiAwg.open(device.resource, timeout_s=0.6) as awg,
+    ):
         with pytest.raises(LinkError, match=r"does not answer|is gone") as caught:
             awg.upload(PROGRAM, arm=True)
         assert "\n" not in str(caught.value)
@@ -410,7 +493,10 @@ def test_an_instrument_that_disappears_is_one_clear_line(start):
 
 
 def test_an_instrument_that_falls_silent_is_switched_off_all_the_same():
-    with Awg(Faults(deaf_on="TRIG")) as device, ScpiAwg.open(device.resource, timeout_s=0.8) as awg:
+    with (
+        Awg(Faults(deaf_on="TRIG")) as device,
+        ScpiAwg.open(device.resource, timeout_s=0.8) as awg,
+    ):
         awg.upload(SLOW, arm=True)
         with pytest.raises(LinkError, match=r"does not answer SYST:ERR\?") as caught:
             awg.trigger()
@@ -424,7 +510,10 @@ def test_an_instrument_that_falls_silent_is_switched_off_all_the_same():
     ("faults", "words"),
     [
         (Faults(silent=True), r"does not answer \*IDN\?"),
-        (Faults(identity="Keithley Instruments Inc.,MODEL 2400,123,C30"), "MODEL 2400.*33500-class generator"),
+        (
+            Faults(identity="Keithley Instruments Inc.,MODEL 2400,123,C30"),
+            "MODEL 2400.*33500-class generator",
+        ),
         (Faults(identity="hello"), "is 'hello'"),
     ],
 )
@@ -478,7 +567,10 @@ def test_without_pyvisa_it_says_what_to_install(monkeypatch):
 
 
 def test_importing_the_drivers_imports_no_visa():
-    assert imported_with("hw.drivers.scpi, hw.drivers.pulsepal", {"serial", "pyvisa", "numpy"}) == set()
+    assert (
+        imported_with("hw.drivers.scpi, hw.drivers.pulsepal", {"serial", "pyvisa", "numpy"})
+        == set()
+    )
 
 
 def test_pyvisa_sim_another_implementation_understands_the_driver():
@@ -510,12 +602,23 @@ def test_newlines_semicolons_and_commas_in_blocks_and_strings_end_nothing():
 
 def test_headers_long_short_optional_and_relative():
     device = Awg()
-    assert execute(device, "SOURce1:FUNCtion:ARBitrary:SRATe 1000;FILTer OFF;:sour:volt:high 3;low -1;*OPC?") == ["1"]
+    assert execute(
+        device, "SOURce1:FUNCtion:ARBitrary:SRATe 1000;FILTer OFF;:sour:volt:high 3;low -1;*OPC?"
+    ) == ["1"]
     assert (device.rate, device.filter, device.high, device.low) == (1000, "OFF", 3, -1)
     assert execute(device, "FUNCTI:ARB:SRAT 5", "SYST:ERR?", "SYSTEM:ERROR:NEXT?") == [
-        '-113,"Undefined header"', '+0,"No error"',
-    ]  # fmt: skip
-    execute(device, "FUNC:ARB:SRAT 1e9", "OUTP", "OUTP 1,2", "OUTP maybe", "VOLT:HIGH five", "FUNC:ARB NONE")
+        '-113,"Undefined header"',
+        '+0,"No error"',
+    ]
+    execute(
+        device,
+        "FUNC:ARB:SRAT 1e9",
+        "OUTP",
+        "OUTP 1,2",
+        "OUTP maybe",
+        "VOLT:HIGH five",
+        "FUNC:ARB NONE",
+    )
     assert device.errors == [-222, -109, -108, -224, -104, 785]
     assert device.rate == 62_500_000
     execute(device, *["X"] * 30)
@@ -529,7 +632,12 @@ def test_blocks_byte_order_and_length():
     values = struct.pack("<8f", *[1, -1] * 4)
     execute(device, "FORM:BORD SWAP", b"DATA:ARB A,#232" + values)
     assert device.arbs["A"] == [1, -1] * 4
-    execute(device, b"DATA:ARB B,#231" + values, b"DATA:ARB A,#232" + values, b"DATA:ARB C,#228" + values[:28])
+    execute(
+        device,
+        b"DATA:ARB B,#231" + values,
+        b"DATA:ARB A,#232" + values,
+        b"DATA:ARB C,#228" + values[:28],
+    )
     execute(device, "FORM:BORD NORM", b"DATA:ARB D,#232" + struct.pack(">8f", *[0.5] * 8))
     execute(device, b"DATA:ARB E,#232" + struct.pack(">8f", *[1.5] * 8))
     assert device.errors == [-161, 786, -222, -222]

@@ -40,14 +40,19 @@ def compiler(folder, name, script):
 
 
 def test_without_a_compiler_it_says_what_to_install(no_cache):
-    with pytest.raises(EmulationError, match="needs a C compiler and simavr: install gcc, libsimavr-dev"):
+    with pytest.raises(
+        EmulationError, match="needs a C compiler and simavr: install gcc, libsimavr-dev"
+    ):
         EmulatedUno().start()
 
 
 @pytest.mark.parametrize(
     ("says", "words"),
     [
-        ("board.c:1: fatal error: sim_avr.h: No such file or directory", "without libsimavr-dev: install"),
+        (
+            "board.c:1: fatal error: sim_avr.h: No such file or directory",
+            "without libsimavr-dev: install",
+        ),
         ("/usr/bin/ld: cannot find -lelf", "without libelf-dev: install"),
         ("board.c:9:1: error: out of luck", r"\(board.c:9:1: error: out of luck\): install"),
         ("", "the compiler says nothing"),
@@ -152,7 +157,10 @@ def test_killed_from_outside_it_says_so():
 
 def read_vcd(path):
     """Signals of a VCD file as lists of (time in units, level), and its unit."""
-    names, changes, unit, time_ = {}, {}, "", 0
+    names = {}
+    changes = {}
+    unit = ""
+    time_ = 0
     for line in path.read_text().splitlines():
         words = line.split()
         if words[0] == "$timescale":
@@ -181,7 +189,9 @@ def test_a_capture_has_true_time_whatever_the_crystal(tmp_path, clock_ppm):
     told = changes["shutter"][1:]
     assert [level for _, level in told] == [level for _, level in cycles]
     for (unit_time, _), (cycle, _) in zip(told, cycles, strict=True):
-        assert unit_time == pytest.approx(cycle / (CLOCK_HZ * (1 + clock_ppm * 1e-6)) * 1e10, abs=0.51)
+        assert unit_time == pytest.approx(
+            cycle / (CLOCK_HZ * (1 + clock_ppm * 1e-6)) * 1e10, abs=0.51
+        )
     assert changes["busy"][0] == (0, 0)
     assert [level for _, level in changes["busy"]] == [0, 1, 0]
 
@@ -207,7 +217,9 @@ def test_it_does_not_outlive_who_started_it():
     )
     root = str(Path(__file__).parents[3])
     command = [sys.executable, "-c", script, str(HEX)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": root}) as owner:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": root}
+    ) as owner:
         port = Path(owner.stdout.readline().strip())
         assert port.exists()
         owner.kill()

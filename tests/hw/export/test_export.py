@@ -72,7 +72,9 @@ def test_parse_back_gives_the_identical_program(exported):
 def test_an_altered_text_is_refused_or_means_the_same(exported, data):
     name, program, text = exported
     at = data.draw(st.integers(0, len(text) - 1))
-    new = data.draw(st.one_of(st.just(""), st.sampled_from('01579afx,.:"[]{}-#/ \n'), st.characters()))
+    new = data.draw(
+        st.one_of(st.just(""), st.sampled_from('01579afx,.:"[]{}-#/ \n'), st.characters())
+    )
     length = data.draw(st.sampled_from([0, 1, 1, 1, 5]))
     altered = text[:at] + new + text[at + length :]
     with _one_short_line_if_refused():
@@ -105,7 +107,9 @@ def test_what_plays_is_compared_to_the_last_line(name):
 def test_a_program_that_reads_back_with_other_edges_is_not_exported(monkeypatch):
     program = Program.from_bits("1011", chip_ns=200_000)
     assert export_program(program, "csv") == csv_edges.export(program)
-    with pytest.raises(ValueError, match=r"^file_format: must be one of csv, json, .*, got 'nope'$"):
+    with pytest.raises(
+        ValueError, match=r"^file_format: must be one of csv, json, .*, got 'nope'$"
+    ):
         export_program(program, "nope")
     other = csv_edges.export(Program.from_bits("1010", chip_ns=200_000))
     monkeypatch.setattr(csv_edges, "export", lambda *_: other)
@@ -123,8 +127,12 @@ def test_a_shutter_that_is_closed_when_high_is_driven_inverted():
     turned = _files(program, DeviceProfile(name="high", closed_level=1))
     # csv, json, vcd, c and dmd say open and closed, the others say how to drive a pin
     assert {name for name in EXPORTERS if plain[name] != turned[name]} == {
-        "arduino", "rp2", "pulsepal", "scpi", "camera",
-    }  # fmt: skip
+        "arduino",
+        "rp2",
+        "pulsepal",
+        "scpi",
+        "camera",
+    }
     for name, text in turned.items():
         assert EXPORTERS[name].parse_back(text) == program
 
@@ -159,12 +167,16 @@ def test_json_fields():
 
 def _csv(*, drop="", replace=("", "")):
     text = EXPORTERS["csv"].export(Program.from_bits("1011", chip_ns=1000))
-    return "".join(line for line in text.splitlines(True) if not (drop and drop in line)).replace(*replace)
+    return "".join(line for line in text.splitlines(True) if not (drop and drop in line)).replace(
+        *replace
+    )
 
 
 def _json(**changes):
     manifest = json.loads(EXPORTERS["json"].export(Program.from_bits("1011", chip_ns=1000)))
-    return json.dumps({key: value for key, value in (manifest | changes).items() if value is not None})
+    return json.dumps(
+        {key: value for key, value in (manifest | changes).items() if value is not None}
+    )
 
 
 def _c(old, new):
@@ -236,7 +248,11 @@ def _altered(name, old, new):
         ("pulsepal", _altered("pulsepal", "[channel]", "[other]"), "no table"),
         ("pulsepal", _altered("pulsepal", "0, 8, 12", "0, 8, 13"), "onset '13'"),
         ("pulsepal", _altered("pulsepal", "0, 8, 12", "0, 8, 16"), "onset '16'"),
-        ("pulsepal", _altered("pulsepal", "phase1_volts = 5.0", "phase1_volts = 3.3"), "line .* altered"),
+        (
+            "pulsepal",
+            _altered("pulsepal", "phase1_volts = 5.0", "phase1_volts = 3.3"),
+            "line .* altered",
+        ),
         ("scpi", "", "0 of '# chips:'"),
         ("scpi", _altered("scpi", ",-1,-1,-1\n", "\n"), "samples"),
         ("scpi", _altered("scpi", "SRAT 5000", "SRAT 5001"), "line .* altered"),
@@ -316,14 +332,24 @@ def test_a_camera_is_told_the_widths_without_what_it_adds_itself():
     assert recipe["ximea"]["XI_PRM_EXPOSURE_BURST_COUNT"] == 2
     assert "matrix_vision" not in recipe  # it exposes all pulses alike
     alike = tomllib.loads(EXPORTERS["camera"].export(Program("10010", 50_000), camera))
-    assert alike["matrix_vision"] == {"ExposureMode": "Timed", "ExposureTime": 36.5, "mvMultiExposureCount": 2}
+    assert alike["matrix_vision"] == {
+        "ExposureMode": "Timed",
+        "ExposureTime": 36.5,
+        "mvMultiExposureCount": 2,
+    }
     with pytest.raises(ValueError, match="shortest opening is 13500 ns: the camera adds 13500 ns"):
         EXPORTERS["camera"].export(Program("10", 13_500), camera)
 
 
 def test_dmd_list():
     lines = EXPORTERS["dmd"].export(Program.from_bits("0110010", chip_ns=105_000)).splitlines()
-    assert lines[4:] == ["# patterns: 2", "# leading_dark_us: 105", "exposure_us,dark_us", "210,210", "105,105"]
+    assert lines[4:] == [
+        "# patterns: 2",
+        "# leading_dark_us: 105",
+        "exposure_us,dark_us",
+        "210,210",
+        "105,105",
+    ]
 
 
 @settings(deadline=None)
@@ -364,7 +390,9 @@ def test_waveform_rests_closed_at_both_ends_and_plays_the_program(bits, chip_ns,
 def test_scpi_script_is_the_commands_line_by_line():
     program = Program.from_bits("101", chip_ns=300_000)
     script = EXPORTERS["scpi"].export(program)
-    assert tuple(line for line in script.splitlines() if not line.startswith("#")) == commands(program)
+    assert tuple(line for line in script.splitlines() if not line.startswith("#")) == commands(
+        program
+    )
     assert "FUNC:ARB:SRAT 3333.333333" in script
     assert "DATA:ARB SHUTTER,-1,1,-1,1,-1,-1,-1,-1" in script
 
@@ -373,10 +401,14 @@ def test_suffixes_differ_and_every_format_says_what_it_is():
     suffixes = {name: each.suffix for name, each in EXPORTERS.items()}
     assert len(set(suffixes.values())) == len(EXPORTERS) == 10
     assert suffixes["arduino"] == ".ino"
-    assert all(20 < len(each.summary) < 90 and "\n" not in each.summary for each in EXPORTERS.values())
+    assert all(
+        20 < len(each.summary) < 90 and "\n" not in each.summary for each in EXPORTERS.values()
+    )
 
 
-@pytest.mark.parametrize(("bits", "chip_ns"), [(RASKAR, 200_000), ("1", 2**63 - 1), ("0" * 100 + "1" * 101, 1)])
+@pytest.mark.parametrize(
+    ("bits", "chip_ns"), [(RASKAR, 200_000), ("1", 2**63 - 1), ("0" * 100 + "1" * 101, 1)]
+)
 def test_c_header_compiles_and_plays(tmp_path, bits, chip_ns):
     require_tool("gcc")
     program = Program.from_bits(bits, chip_ns=chip_ns)
@@ -392,9 +424,21 @@ int main(void) {
     return 0;
 }
 """)
-    command = ["gcc", "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-o", "main", "main.c"]
+    command = [
+        "gcc",
+        "-std=c99",
+        "-pedantic",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-o",
+        "main",
+        "main.c",
+    ]
     built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert built.returncode == 0, built.stderr
-    played = subprocess.run([tmp_path / "main"], capture_output=True, text=True, timeout=10, check=True)
+    played = subprocess.run(
+        [tmp_path / "main"], capture_output=True, text=True, timeout=10, check=True
+    )
     size = len(program.to_bytes())
     assert played.stdout == f"{chip_ns} {size} {size} {bits}"

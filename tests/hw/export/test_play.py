@@ -40,7 +40,9 @@ def _random_program(chips, chip_ns, seed):
 def _built(program, folder, device):
     """Compile as the Arduino IDE does: its core calls setup once and loop for ever."""
     (folder / "code.ino").write_text(EXPORTERS["arduino"].export(program, device))
-    (folder / "main.cpp").write_text("void setup(); void loop();\nint main() { setup(); for (;;) loop(); }\n")
+    (folder / "main.cpp").write_text(
+        "void setup(); void loop();\nint main() { setup(); for (;;) loop(); }\n"
+    )
     _run("avr-g++", *AVR, "-x", "c++", "-c", "code.ino", "-o", "code.o", cwd=folder)
     _run("avr-g++", *AVR, "main.cpp", "code.o", "-o", "code.elf", cwd=folder)
     _run("avr-objcopy", "-O", "ihex", "-R", ".eeprom", "code.elf", "code.hex", cwd=folder)
@@ -92,16 +94,19 @@ def _check_on_grid(play, program, closed=0):
 @pytest.mark.parametrize("simulator", [_simavr, _avr8js])
 def test_arduino_sketch_plays_every_edge_on_the_grid(tmp_path, simulator, program, device):
     require_tool("avr-g++", "avr-objcopy")
-    closed, count = device.closed_level, len(program.edges)
+    closed = device.closed_level
+    count = len(program.edges)
     with simulator(_built(program, tmp_path, device)) as uno:
-        # Not heard before setup, nor, on simavr, as long as the pull-up alone holds the input: it must be low once.
+        # Not heard before setup, nor, on simavr, as long as the pull-up alone holds the input: it
+        # must be low once.
         _wait(lambda: len(uno.edges()) > closed or _triggered(uno))
         _wait(lambda: len(uno.edges()) >= closed + count)
         with serial.Serial(uno.port, 115200) as port:
             port.write(b"xtt")  # other letters, and a second t during the play, do nothing
             _wait(lambda: len(uno.edges()) >= closed + 2 * count)
             time.sleep(0.1)
-        shutter, triggers = uno.edges(), uno.edges("trigger")
+        shutter = uno.edges()
+        triggers = uno.edges("trigger")
     edges = shutter[closed:]
     assert len(edges) == 2 * count
     for play in (edges[:count], edges[count:]):
@@ -113,7 +118,14 @@ def test_arduino_sketch_plays_every_edge_on_the_grid(tmp_path, simulator, progra
 
 @pytest.mark.parametrize(
     ("simulator", "hertz"),
-    [(_simavr, 100e3), (_simavr, 200e3), (_simavr, 300e3), (_simavr, 500e3), (_simavr, 1e6), (_avr8js, 250e3)],
+    [
+        (_simavr, 100e3),
+        (_simavr, 200e3),
+        (_simavr, 300e3),
+        (_simavr, 500e3),
+        (_simavr, 1e6),
+        (_avr8js, 250e3),
+    ],
 )
 def test_arduino_sketch_plays_right_through_a_storm_of_triggers(tmp_path, simulator, hertz):
     require_tool("avr-g++", "avr-objcopy")
@@ -123,23 +135,29 @@ def test_arduino_sketch_plays_right_through_a_storm_of_triggers(tmp_path, simula
     with simulator(_built(program, tmp_path, DeviceProfile(name="low"))) as uno:
         _wait(lambda: uno.edges() or _triggered(uno))  # until setup is over
         _wait(lambda: len(uno.edges()) % count == 0)
-        before, storm = len(uno.edges("trigger")), round(hertz * 0.01)
+        before = len(uno.edges("trigger"))
+        storm = round(hertz * 0.01)
         uno.trigger(pulses=storm, hertz=hertz)
         _wait(lambda: len(uno.edges("trigger")) == before + 2 * storm)
         quiet = uno.edges("trigger")[-1][0] + play_cycles
         _wait(lambda: uno.edges()[-1][0] > quiet or _triggered(uno))
         _wait(lambda: len(uno.edges()) % count == 0)
         edges = uno.edges()
-    closings = (cycle - opened for (opened, level), (cycle, _) in itertools.pairwise(edges) if level)
+    closings = (
+        cycle - opened for (opened, level), (cycle, _) in itertools.pairwise(edges) if level
+    )
     assert max(closings) < 200_000 / CYCLE_NS + 8  # the code's longest opening: four chips
     plays = [edges[k : k + count] for k in range(0, len(edges), count)]
-    assert len(plays) >= 4  # one before the storm, one after it, and one after the other while it lasts
+    assert (
+        len(plays) >= 4
+    )  # one before the storm, one after it, and one after the other while it lasts
     for play in plays:
         _check_on_grid(play, program)
 
 
 @pytest.mark.parametrize(
-    "options", [["-mmcu=atmega328p", "-DF_CPU=8000000L"], ["-mmcu=atmega2560", "-DF_CPU=16000000L"]]
+    "options",
+    [["-mmcu=atmega328p", "-DF_CPU=8000000L"], ["-mmcu=atmega2560", "-DF_CPU=16000000L"]],
 )
 def test_arduino_sketch_refuses_other_boards(tmp_path, options):
     require_tool("avr-g++")
@@ -169,27 +187,41 @@ class _Pio:
     """The six instructions of the script as words, and what a state machine does with them, cycle by cycle."""
 
     def __init__(self):
-        self.words, self.labels, self.target, self.wrap = [], {}, 0, None
+        self.words = []
+        self.labels = {}
+        self.target = 0
+        self.wrap = None
 
     def names(self):
         return {
-            "pin": 1, "pins": 0, "isr": 6, "x": 1, "x_dec": 2,
-            "wait": lambda level, source, index: self.words.append(0x2000 | level << 7 | source << 5 | index),
+            "pin": 1,
+            "pins": 0,
+            "isr": 6,
+            "x": 1,
+            "x_dec": 2,
+            "wait": lambda level, source, index: self.words.append(
+                0x2000 | level << 7 | source << 5 | index
+            ),
             "out": lambda place, count: self.words.append(0x6000 | place << 5 | count % 32),
             "mov": lambda place, source: self.words.append(0xA000 | place << 5 | source),
-            "jmp": lambda condition, label: self.words.append(0x0000 | condition << 5 | self.labels[label]),
+            "jmp": lambda condition, label: self.words.append(
+                0x0000 | condition << 5 | self.labels[label]
+            ),
             "label": lambda name: self.labels.update({name: len(self.words)}),
             "wrap_target": lambda: setattr(self, "target", len(self.words)),
             "wrap": lambda: setattr(self, "wrap", len(self.words)),
-        }  # fmt: skip
+        }
 
     def play(self, fifo, level, trigger):
         """Run until the queue is empty and an `out` stalls; return the changes of the pin as (cycle, level)."""
-        fifo, edges, bits = list(fifo), [], []
+        fifo = list(fifo)
+        edges = []
+        bits = []
         pc = x = isr = cycle = 0
         while True:
             word = self.words[pc]
-            kind, place = word >> 13, word >> 5 & 7
+            kind = word >> 13
+            place = word >> 5 & 7
             following = self.target if pc == len(self.words) - 1 else pc + 1
             if kind == 1:
                 if trigger(cycle) != word >> 7 & 1:
@@ -200,7 +232,8 @@ class _Pio:
                         return edges, cycle
                     bits = [int(bit) for bit in f"{fifo.pop(0):032b}"]
                 count = word % 32 or 32
-                value, bits = int("".join(map(str, bits[:count])), 2), bits[count:]
+                value = int("".join(map(str, bits[:count])), 2)
+                bits = bits[count:]
                 if place == 6:
                     isr = value
                 elif value != level:
@@ -210,8 +243,10 @@ class _Pio:
             else:
                 # All the cycles of `jmp x-- here` at once.
                 assert word & 31 == pc
-                cycle, x = cycle + x, 2**32 - 1
-            pc, cycle = following, cycle + 1
+                cycle = cycle + x
+                x = 2**32 - 1
+            pc = following
+            cycle = cycle + 1
 
 
 class _Board:
@@ -219,15 +254,23 @@ class _Board:
 
     def __init__(self, plays, trigger=lambda cycle: cycle < 90 or cycle >= 100):
         # high at first: the script must wait for an edge and not for a level
-        self.pio, self.plays, self.played, self.trigger = _Pio(), plays, [], trigger
-        self.fifo, self.debug, self.pins, self.is_active = [], 1 << 24, {}, False
+        self.pio = _Pio()
+        self.plays = plays
+        self.played = []
+        self.trigger = trigger
+        self.fifo = []
+        self.debug = 1 << 24
+        self.pins = {}
+        self.is_active = False
         self.frequency = None
 
     def modules(self):
         board = self
 
         class Pin:
-            OUT, IN, PULL_DOWN = "out", "in", "down"
+            OUT = "out"
+            IN = "in"
+            PULL_DOWN = "down"
 
             def __init__(self, number, *options, **more):
                 self.number = number
@@ -247,7 +290,12 @@ class _Board:
 
         class StateMachine:
             def __init__(self, number, program, *, freq, in_base, out_base):
-                assert (number, freq, in_base.number, out_base.number) == (0, board.frequency, 14, 15)
+                assert (number, freq, in_base.number, out_base.number) == (
+                    0,
+                    board.frequency,
+                    14,
+                    15,
+                )
                 assert board.pins[15] == ("out", board.options["out_init"])
                 board.pins[15] = ("driven by the state machine",)
 
@@ -287,7 +335,10 @@ class _Board:
         names = self.pio.names()
         modules = self.modules()
         names["print"] = lambda *words: None
-        names["__builtins__"] = {"__import__": lambda name, *rest: modules[name], "print": names["print"]}
+        names["__builtins__"] = {
+            "__import__": lambda name, *rest: modules[name],
+            "print": names["print"],
+        }
         with pytest.raises(KeyboardInterrupt):
             exec(compile(script, "script.py", "exec"), names)
 
@@ -301,16 +352,23 @@ class _Board:
 def test_rp2_script_plays_to_the_cycle(bits, cycles, closed_level):
     program = Program(bits, 8 * cycles)
     board = _Board(plays=2)
-    board.run(EXPORTERS["rp2"].export(program, DeviceProfile(name="mine", closed_level=closed_level)))
+    board.run(
+        EXPORTERS["rp2"].export(program, DeviceProfile(name="mine", closed_level=closed_level))
+    )
     assert board.frequency == 125_000_000
     assert board.options == {
-        "out_init": closed_level, "out_shiftdir": 0, "autopull": True, "pull_thresh": 32, "fifo_join": 1,
-    }  # fmt: skip
+        "out_init": closed_level,
+        "out_shiftdir": 0,
+        "autopull": True,
+        "pull_thresh": 32,
+        "fifo_join": 1,
+    }
     assert board.pio.wrap == len(board.pio.words)
     assert board.pins[14] == ("in", "down", None)
     assert board.pins[15] == ("out", closed_level)  # also after the script was interrupted
     for edges, stalled in board.played:
-        # After the rising edge at cycle 100: one cycle to see it, one for the chip time, one to put the first chip out.
+        # After the rising edge at cycle 100: one cycle to see it, one for the chip time, one to
+        # put the first chip out.
         assert edges == [(102 + at // 8, level ^ closed_level) for at, level in program.edges]
         assert stalled >= 102 + program.duration_ns // 8
         assert edges[-1][1] == closed_level
@@ -327,15 +385,21 @@ def test_rp2_script_plays_right_through_a_storm_of_triggers(half_period):
 
 
 def test_rp2_instructions_are_what_an_assembler_makes_of_them():
-    adafruit_pioasm = pytest.importorskip("adafruit_pioasm", reason="adafruit-circuitpython-pioasm is not installed")
+    adafruit_pioasm = pytest.importorskip(
+        "adafruit_pioasm", reason="adafruit-circuitpython-pioasm is not installed"
+    )
     script = EXPORTERS["rp2"].export(Program(RASKAR, 200_000))
     board = _Board(plays=1)
     board.run(script)
     body = re.search(r"def play\(\):\n((?: {4}.*\n)+)", script)[1]
     for pattern, text in [
-        (r"label\(\"(\w+)\"\)", r"\1:"), (r"wrap_target\(\)", ".wrap_target"), (r"wrap\(\)", ".wrap"),
-        (r"x_dec, \"(\w+)\"", r"x--, \1"), (r"(\w+)\((.*)\)", r"\1 \2"), (r"wait (\d), pin, 0", r"wait \1 pin 0"),
-    ]:  # fmt: skip
+        (r"label\(\"(\w+)\"\)", r"\1:"),
+        (r"wrap_target\(\)", ".wrap_target"),
+        (r"wrap\(\)", ".wrap"),
+        (r"x_dec, \"(\w+)\"", r"x--, \1"),
+        (r"(\w+)\((.*)\)", r"\1 \2"),
+        (r"wait (\d), pin, 0", r"wait \1 pin 0"),
+    ]:
         body = re.sub(pattern, text, body)
     assembled = adafruit_pioasm.Program(".program play\n" + body)
     assert list(assembled.assembled) == board.pio.words
@@ -344,11 +408,17 @@ def test_rp2_instructions_are_what_an_assembler_makes_of_them():
 
 
 @settings(deadline=None, max_examples=50)
-@given(st.text("01", min_size=1, max_size=80).filter(lambda bits: "1" in bits), st.integers(1, 2**63 - 1))
+@given(
+    st.text("01", min_size=1, max_size=80).filter(lambda bits: "1" in bits),
+    st.integers(1, 2**63 - 1),
+)
 def test_vcd_is_read_by_another_library(bits, chip_ns):
     reader = pytest.importorskip("vcd.reader", reason="pyvcd is not installed")
     program = Program(bits, chip_ns)
-    now, codes, unit, changes = 0, {}, None, {"shutter": [], "gate": []}
+    now = 0
+    codes = {}
+    unit = None
+    changes = {"shutter": [], "gate": []}
     for token in reader.tokenize(io.BytesIO(EXPORTERS["vcd"].export(program).encode())):
         if token.kind is reader.TokenKind.TIMESCALE:
             unit = str(token.timescale)
@@ -357,7 +427,9 @@ def test_vcd_is_read_by_another_library(bits, chip_ns):
         elif token.kind is reader.TokenKind.CHANGE_TIME:
             now = token.time_change
         elif token.kind is reader.TokenKind.CHANGE_SCALAR:
-            changes[codes[token.scalar_change.id_code]].append((now, int(token.scalar_change.value)))
+            changes[codes[token.scalar_change.id_code]].append(
+                (now, int(token.scalar_change.value))
+            )
     assert unit == "1 ns"
     assert changes["shutter"] == [(0, 0), *((chip_ns + at, level) for at, level in program.edges)]
     assert changes["gate"] == [(0, 0), (chip_ns, 1), (chip_ns + program.duration_ns, 0)]
@@ -370,7 +442,12 @@ def test_vcd_is_measured_by_sigrok(tmp_path):
     (tmp_path / "code.vcd").write_text(EXPORTERS["vcd"].export(program))
     command = ["sigrok-cli", "-I", "vcd:downsample=1000", "-i", "code.vcd"]
     units = {"μs": 1000, "ms": 1_000_000}
-    for signal, wanted in [("shutter", [length for _, length in program.runs]), ("gate", [program.duration_ns])]:
+    for signal, wanted in [
+        ("shutter", [length for _, length in program.runs]),
+        ("gate", [program.duration_ns]),
+    ]:
         said = _run(*command, "-P", f"timing:data={signal}", "-A", "timing=time", cwd=tmp_path)
-        measured = [float(value) * units[unit] for value, unit in re.findall(r": ([0-9.]+) (\S+) \(", said)]
+        measured = [
+            float(value) * units[unit] for value, unit in re.findall(r": ([0-9.]+) (\S+) \(", said)
+        ]
         assert measured == pytest.approx(wanted, rel=1e-4)

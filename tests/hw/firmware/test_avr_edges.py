@@ -34,7 +34,9 @@ def random_codes(count, seed, *, fractions=False, chips=(16, 512)):
     codes = []
     for _ in range(count):
         bits = "".join(rng.choice("01") for _ in range(rng.randint(*chips) - 1)) + "1"
-        codes.append(Stored(bits, round(100 * 20 ** rng.random()), rng.randrange(65536) if fractions else 0))
+        codes.append(
+            Stored(bits, round(100 * 20 ** rng.random()), rng.randrange(65536) if fractions else 0)
+        )
     return codes
 
 
@@ -51,7 +53,11 @@ def simavr_plays():
 def test_60_random_codes_on_simavr(simavr_plays):
     assert len(simavr_plays) == 60
     assert sum(len(code.bits) for code in CODES) > 10_000
-    assert {code.ticks < 150 for code in CODES} == {code.ticks > 1500 for code in CODES} == {True, False}
+    assert (
+        {code.ticks < 150 for code in CODES}
+        == {code.ticks > 1500 for code in CODES}
+        == {True, False}
+    )
 
 
 def test_the_same_60_codes_on_avr8js_have_the_same_edges(simavr_plays):
@@ -77,7 +83,9 @@ def test_fractions_of_ticks_are_played_to_the_nearest_tick():
         exact = [float(chip * code.chip_ticks * 8) for chip in edge_chips(code.bits)]
         errors = [cycle - start - at for (cycle, _), at in zip(play.edges, exact, strict=True)]
         assert max(map(abs, errors)) <= 8 + EDGE_CYCLES  # one tick and the simulator's grain
-        assert play.edges[-1][0] - start > len(code.bits) * code.ticks * 8  # the fraction is not just left out
+        assert (
+            play.edges[-1][0] - start > len(code.bits) * code.ticks * 8
+        )  # the fraction is not just left out
 
 
 def edge_chips(bits):
@@ -88,7 +96,12 @@ def test_longest_chips_and_longest_code():
     require_simavr()
     with EmulatedUno(speed=0) as uno:
         check_codes(
-            uno, [Stored("1011", 65535, 0), Stored("1011", 65534, 65535), Stored("1" + "01" * 511 + "1", 100, 0)]
+            uno,
+            [
+                Stored("1011", 65535, 0),
+                Stored("1011", 65534, 65535),
+                Stored("1" + "01" * 511 + "1", 100, 0),
+            ],
         )
 
 
@@ -100,7 +113,14 @@ def test_nothing_moves_the_pin_but_plays():
         played(uno, controller, code)
         quiet = uno.edges()
         assert len(quiet) == 4
-        for act in (uno.trigger, controller.arm, controller.abort, uno.trigger, controller.link.hello, controller.read):
+        for act in (
+            uno.trigger,
+            controller.arm,
+            controller.abort,
+            uno.trigger,
+            controller.link.hello,
+            controller.read,
+        ):
             act()
             controller.status()
         assert uno.edges() == quiet
@@ -151,12 +171,22 @@ MUTANTS = {
                 "next_byte = stored.bits;\n    next_mask = 1;",
             ),
             ("player.c", "next_mask >>= 1;", "next_mask <<= 1;"),
-            ("player.c", "next_mask = 0x80;\n        next_byte++;", "next_mask = 1;\n        next_byte++;"),
+            (
+                "player.c",
+                "next_mask = 0x80;\n        next_byte++;",
+                "next_mask = 1;\n        next_byte++;",
+            ),
         ],
         "levels differ|cycles off",
     ),
     "last chip dropped": (
-        [("player.c", "preset_level(begun == stored.chips)", "preset_level(begun + 1 >= stored.chips)")],
+        [
+            (
+                "player.c",
+                "preset_level(begun == stored.chips)",
+                "preset_level(begun + 1 >= stored.chips)",
+            )
+        ],
         "levels differ|cycles off",
     ),
     "wrong prescaler": (
@@ -201,7 +231,9 @@ def test_the_shipped_hex_is_what_its_hash_says_and_what_its_sources_give(tmp_pat
     digest = hashlib.sha256(HEX.read_bytes()).hexdigest()
     assert HEX.with_name("cxp-avr.hex.sha256").read_text() == f"{digest}  cxp-avr.hex\n"
     require_tool("avr-gcc", "avr-objcopy", "make")
-    version = subprocess.run(["avr-gcc", "-dumpversion"], check=True, capture_output=True, text=True).stdout.strip()
+    version = subprocess.run(
+        ["avr-gcc", "-dumpversion"], check=True, capture_output=True, text=True
+    ).stdout.strip()
     if f"avr-gcc {version}" not in (FOLDER / "README.md").read_text():
         pytest.skip(f"avr-gcc {version} is not the one that the shipped firmware was built with")
     assert build(tmp_path).read_bytes() == HEX.read_bytes()

@@ -66,7 +66,9 @@ def test_300_loads_are_all_verified_at_1_percent_of_bytes_spoilt_each_way():
     ):
         for _ in range(300):
             bits = "1" + "".join(rng.choice("01") for _ in range(51))
-            assert controller.upload(Program.from_bits(bits, chip_ns=500 * rng.randrange(100, 60_000))).read_back
+            assert controller.upload(
+                Program.from_bits(bits, chip_ns=500 * rng.randrange(100, 60_000))
+            ).read_back
         assert controller.link.retries > 50
         assert controller.status().bad_frames > 20
         assert uno.edges() == ()
@@ -167,7 +169,9 @@ with Controller.open(sys.argv[1]) as controller:
 def killed_host(uno, *, chip_ns, then):
     root = str(Path(__file__).parents[3])
     command = [sys.executable, "-c", HOST, uno.port, str(chip_ns), then]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": root}) as host:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": root}
+    ) as host:
         assert host.stdout.readline() == b"armed\n"
         host.send_signal(signal.SIGKILL)
     yield
@@ -175,7 +179,10 @@ def killed_host(uno, *, chip_ns, then):
 
 def test_a_host_killed_while_armed_leaves_a_lease_that_ends():
     with EmulatedUno() as uno:
-        with killed_host(uno, chip_ns=200_000, then="wait"), Controller.open(uno.port) as controller:
+        with (
+            killed_host(uno, chip_ns=200_000, then="wait"),
+            Controller.open(uno.port) as controller,
+        ):
             assert controller.status().state is State.ARMED
             wait_for(lambda: controller.status().state is State.LOADED)
             uno.trigger()

@@ -14,15 +14,18 @@ from emulators.conformance import ABORT, ARM, CODE, FAULT, LOAD, OK, READ, TRIG,
 from emulators.tools import require_simavr, require_tool
 
 from hw.cxp.framing import BINARY
+from hw.cxp.player import VerifyError
 from hw.cxp.protocol import Op, unpack_status
 from hw.cxp.stored import Stored
-from hw.drivers.cxp import Controller, VerifyError
+from hw.drivers.cxp import Controller
 from hw.emulation.uno import CLOCK_HZ, EmulatedUno
 from hw.errors import DutyLimitError, OnLimitError
 from hw.program import Program
 
 REPLY_S = 10.0
-SILENCE_S = 0.008  # a reply that is not due but comes later than this would be taken for the next one's, and seen there
+# a reply that is not due but comes later than this would be taken for the next one's, and seen
+# there
+SILENCE_S = 0.008
 
 
 class UnoDevice:
@@ -99,7 +102,9 @@ def test_the_open_fraction_stays_below_its_limit_however_plays_are_cut_short(qua
                 assert host.hello()["cause"] == 3
             if "ABORT" in way_out:
                 host.ok(ABORT)
-        opened, closed = ([cycle for cycle, level in uno.edges() if level == is_open] for is_open in (1, 0))
+        opened, closed = (
+            [cycle for cycle, level in uno.edges() if level == is_open] for is_open in (1, 0)
+        )
         lasted = [end - begin for begin, end in zip(opened, closed, strict=True)]
         for play in range(1, 6):
             assert sum(lasted[:play]) <= 0.25 * (opened[play] - opened[0])
@@ -107,7 +112,8 @@ def test_the_open_fraction_stays_below_its_limit_however_plays_are_cut_short(qua
 
 def test_limits_built_in_are_known_to_the_host_and_kept_without_it(limited):
     good = Program.from_bits("1" * 3 + "0" * 5, chip_ns=200_000)
-    long, often = Program.from_bits("1" * 4 + "0" * 6, chip_ns=200_000), Program.from_bits("10101", chip_ns=200_000)
+    long = Program.from_bits("1" * 4 + "0" * 6, chip_ns=200_000)
+    often = Program.from_bits("10101", chip_ns=200_000)
     with EmulatedUno(limited) as uno, Controller.open(uno.port) as controller:
         assert (controller.announced.max_on_ticks, controller.announced.max_duty) == (1200, 0.42)
         controller.upload(good)
@@ -142,8 +148,12 @@ def test_any_program_is_stored_and_read_back():
         host = Host(UnoDevice(uno, raw))
         for chips in (*range(1, 18), 255, 256, 1023, 1024):
             for density in (0.02, 0.5, 0.98):  # bytes of 0x00 and 0xFF, and all others
-                bits = "".join("1" if rng.random() < density else "0" for _ in range(chips - 1)) + "1"
-                payload = program(rng.choice([100, 256, 0xFF00]), bits, fraction=rng.choice([0, 1, 0xFF00]))
+                bits = (
+                    "".join("1" if rng.random() < density else "0" for _ in range(chips - 1)) + "1"
+                )
+                payload = program(
+                    rng.choice([100, 256, 0xFF00]), bits, fraction=rng.choice([0, 1, 0xFF00])
+                )
                 assert host.ask(LOAD, payload) == (OK, struct.pack("<I", zlib.crc32(payload)))
                 assert host.ask(READ) == (OK, payload)
 
@@ -154,7 +164,9 @@ def test_many_requests_at_once_are_answered_one_by_one_and_no_watchdog_bites():
         host = Host(UnoDevice(uno, raw))
         payload = program(100, "1" * 1024)
         host.ok(LOAD, payload)
-        raw.send(b"".join(BINARY.encode(bytes([READ, seq])) for seq in range(30)))  # 0.4 s of answers
+        raw.send(
+            b"".join(BINARY.encode(bytes([READ, seq])) for seq in range(30))
+        )  # 0.4 s of answers
         for seq in range(30):
             assert raw.receive() == bytes([READ | 0x80, seq, OK]) + payload
         assert host.hello()["cause"] == 0
@@ -196,7 +208,8 @@ def test_a_millisecond_that_ends_while_the_time_is_read_is_counted_once(tmp_path
         ("clock.c", '#include "board.h"', '#include "board.h"\n#include <util/delay.h>'),
     )
     burst = [BINARY.encode(bytes([Op.STATUS, seq])) for seq in range(4)]
-    steps, phases = [], set()
+    steps = []
+    phases = set()
     with EmulatedUno(slow, speed=0) as uno, RawPort(uno.port) as raw:
         for k in range(100):
             raw.send(b"\0" * (k % 13) + b"".join(burst))

@@ -90,7 +90,9 @@ def test_docs_cxp1(python, check):
 
 
 def test_announced_limits_are_kept(python):
-    conformance.check_announced_limits(VirtualDevice(python, limits=", max_on_ticks=5000, max_duty=420"))
+    conformance.check_announced_limits(
+        VirtualDevice(python, limits=", max_on_ticks=5000, max_duty=420")
+    )
 
 
 def test_a_play_cut_short_owes_its_closed_time(python):
@@ -112,7 +114,9 @@ def test_checksums(python):
     rng = random.Random(7)
     for size in (0, 1, 9, 44, 300):
         data = rng.randbytes(size)
-        printed = python.run(f"import cxp, cxp_text\nprint((cxp_text.crc16({data!r}), cxp.crc32({data!r})))")
+        printed = python.run(
+            f"import cxp, cxp_text\nprint((cxp_text.crc16({data!r}), cxp.crc32({data!r})))"
+        )
         found = ast.literal_eval(printed)
         assert found == (binascii.crc_hqx(data, 0xFFFF), zlib.crc32(data))
 
@@ -204,7 +208,16 @@ def test_time_since_boot_passes_its_own_wraps(python):
 
 @pytest.mark.parametrize(
     "noise",
-    [b"", b"\n\n\r\n", b"\r", b"\x05\x01\x02\x03\xff", b"MicroPython v1.27\r\n>>> ", b":01", b":0101AB\n", b"x" * 1000],
+    [
+        b"",
+        b"\n\n\r\n",
+        b"\r",
+        b"\x05\x01\x02\x03\xff",
+        b"MicroPython v1.27\r\n>>> ",
+        b":01",
+        b":0101AB\n",
+        b"x" * 1000,
+    ],
 )
 def test_what_stands_before_a_frame_is_ignored(python, noise):
     device = VirtualDevice(python)
@@ -237,7 +250,9 @@ def test_what_is_no_frame_is_counted_and_not_answered(python, line):
 def test_frames_in_pieces_and_several_at_once(python):
     device = VirtualDevice(python)
     frame = line_of(bytes([STATUS, 1]))
-    assert [device.feed(frame[k : k + 1]) for k in range(len(frame) - 1)] == [b""] * (len(frame) - 1)
+    assert [device.feed(frame[k : k + 1]) for k in range(len(frame) - 1)] == [b""] * (
+        len(frame) - 1
+    )
     assert device.feed(frame[-1:]).startswith(b":870100")
     three = device.feed(b"".join(line_of(bytes([STATUS, seq])) for seq in (2, 3, 4)))
     assert [reply[:7] for reply in three.splitlines()] == [b":870200", b":870300", b":870400"]
@@ -257,7 +272,8 @@ def test_noise_both_ways_never_plays_twice(python):
             out += bytes([byte]) * {"drop": 0, "twice": 2}.get(kind, 1)
         return bytes(out)
 
-    seq, retries = 0, 0
+    seq = 0
+    retries = 0
 
     def ask(op: int, payload: bytes = b"") -> int:
         nonlocal seq, retries
@@ -286,11 +302,23 @@ def test_noise_both_ways_never_plays_twice(python):
 
 
 MUTANTS = {
-    "no CRC check": ("cxp_text.py", 'if crc16(bytes(frame[:-2])) == frame[-2] | frame[-1] << 8 else b""', ""),
+    "no CRC check": (
+        "cxp_text.py",
+        'if crc16(bytes(frame[:-2])) == frame[-2] | frame[-1] << 8 else b""',
+        "",
+    ),
     "another CRC start": ("cxp_text.py", "crc = 0xFFFF", "crc = 0x1D0F"),
     "a retry is done again": ("cxp.py", "if request != self._last:", "if True:"),
-    "retries known by op and seq only": ("cxp.py", "(op, frame[1], frame[-2], frame[-1])", "(op, frame[1])"),
-    "a refused LOAD is kept": ("cxp.py", "if not opened or padding:", "self._stored = payload\n        if padding:"),
+    "retries known by op and seq only": (
+        "cxp.py",
+        "(op, frame[1], frame[-2], frame[-1])",
+        "(op, frame[1])",
+    ),
+    "a refused LOAD is kept": (
+        "cxp.py",
+        "if not opened or padding:",
+        "self._stored = payload\n        if padding:",
+    ),
     "the lease never ends": ("cxp.py", "self._lease_us -= elapsed", "pass"),
     "LOAD while armed": ("cxp.py", "0b010011", "0b010111"),
     "length before state": (
@@ -321,7 +349,10 @@ def test_mutants_are_caught(tmp_path, mutant):
             assert source.count(old) == 1
             source = source.replace(old, new)
         (tmp_path / name).write_text(source, encoding="utf-8")
-    with MicroPython(tmp_path / "cxp_text.py", tmp_path / "cxp.py", VIRTUAL) as python, pytest.raises(AssertionError):
+    with (
+        MicroPython(tmp_path / "cxp_text.py", tmp_path / "cxp.py", VIRTUAL) as python,
+        pytest.raises(AssertionError),
+    ):
         pass_all_checks(python)
 
 
@@ -334,9 +365,13 @@ def test_the_pio_shutter_does_the_same_in_micropython(python, tmp_path):
         payload = program(rng.choice([125, 25_000, 2**32 - 1]), bits)
         codes.append((struct.unpack_from("<I", payload)[0], chips, payload[8:]))
     work = f"log = recorder.install()\nfound = recorder.transcript(pio_shutter.PioShutter, log, {codes!r})\n"
-    with MicroPython(WASM / "recorder.py", FIRMWARE / "pio_shutter.py", FIRMWARE / "main.py") as fresh:
+    with MicroPython(
+        WASM / "recorder.py", FIRMWARE / "pio_shutter.py", FIRMWARE / "main.py"
+    ) as fresh:
         fresh.run("import main")  # its syntax; it starts as a script only
-        there = ast.literal_eval(fresh.run(f"import recorder, pio_shutter\n{work}print(repr(found))"))
+        there = ast.literal_eval(
+            fresh.run(f"import recorder, pio_shutter\n{work}print(repr(found))")
+        )
     with pytest.MonkeyPatch.context() as patch:
         for name in ("machine", "rp2", "recorder", "pio_shutter"):
             patch.delitem(sys.modules, name, raising=False)

@@ -15,12 +15,12 @@ import pytest
 from emulators.tools import give_up, require_node_module
 
 from hw.cxp.framing import TEXT
-from hw.cxp.link import PortError
 from hw.cxp.protocol import Op, ResetCause, State, pack_arm, request_body
 from hw.device import DeviceProfile
 from hw.drivers.cxp import PROVEN_FIRMWARE, Controller
 from hw.drivers.report import Trust
 from hw.errors import DutyLimitError, OnLimitError
+from hw.port import PortError
 from hw.program import Program
 
 ROOT = Path(__file__).parents[3]
@@ -32,10 +32,21 @@ class Pico:
     """The emulated board; a context manager."""
 
     def __init__(self, folder: Path) -> None:
-        command = [sys.executable, "-W", "error", "-m", "emulators.rp2040js.run_board", str(folder)]
+        command = [
+            sys.executable,
+            "-W",
+            "error",
+            "-m",
+            "emulators.rp2040js.run_board",
+            str(folder),
+        ]
         path = os.pathsep.join([str(ROOT / "tests"), str(ROOT)])
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path}
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONPATH": path},
         )
         self.port = self._process.stdout.readline().strip()
 
@@ -79,7 +90,12 @@ def test_upload_arm_trigger(pico):
     program = Program.from_bits(RASKAR, chip_ns=200_000)
     with Controller.open(pico.port) as controller:
         told = controller.announced
-        assert (told.firmware, told.max_chips, told.tick_ns, told.fractions) == ("cxp-rp2040 1", 287, 8, False)
+        assert (told.firmware, told.max_chips, told.tick_ns, told.fractions) == (
+            "cxp-rp2040 1",
+            287,
+            8,
+            False,
+        )
         assert told.trigger_input
         assert told.reset_cause is ResetCause.POWER
         assert told.firmware in PROVEN_FIRMWARE
@@ -158,7 +174,9 @@ def test_limits_of_the_shutter(tmp_path):
     """Edited at the top of `main.py`; kept by host and board."""
     for name in ("cxp_text.py", "cxp.py", "pio_shutter.py", "main.py"):
         text = (FIRMWARE / name).read_text(encoding="utf-8")
-        text = text.replace("MAX_ON_US = 0 ", "MAX_ON_US = 500 ").replace("MAX_DUTY = 1000 ", "MAX_DUTY = 500 ")
+        text = text.replace("MAX_ON_US = 0 ", "MAX_ON_US = 500 ").replace(
+            "MAX_DUTY = 1000 ", "MAX_DUTY = 500 "
+        )
         (tmp_path / name).write_text(text, encoding="utf-8")
     with Pico(tmp_path) as board, Controller.open(board.port) as controller:
         limits = controller.limits
@@ -169,15 +187,20 @@ def test_limits_of_the_shutter(tmp_path):
             controller.load(Program.from_bits("1110000", chip_ns=200_000))
         with pytest.raises(DutyLimitError):
             controller.load(Program.from_bits("1101100", chip_ns=250_000))
-        controller.upload(Program.from_bits("110000", chip_ns=250_000), profile=DeviceProfile(name="own"))
+        controller.upload(
+            Program.from_bits("110000", chip_ns=250_000), profile=DeviceProfile(name="own")
+        )
 
 
 def test_a_play_cut_short_is_owed_after_a_reset_too(tmp_path):
     """A register that only the loss of power clears holds the closed time; resets themselves are not emulated."""
-    scratch, program = 0x4005800C, Program.from_bits("1" + "0" * 49, chip_ns=400_000_000)
+    scratch = 0x4005800C
+    program = Program.from_bits("1" + "0" * 49, chip_ns=400_000_000)
     for name in ("cxp_text.py", "cxp.py", "pio_shutter.py", "main.py"):
         text = (FIRMWARE / name).read_text(encoding="utf-8")
-        (tmp_path / name).write_text(text.replace("MAX_DUTY = 1000 ", "MAX_DUTY = 500 "), encoding="utf-8")
+        (tmp_path / name).write_text(
+            text.replace("MAX_DUTY = 1000 ", "MAX_DUTY = 500 "), encoding="utf-8"
+        )
     with Pico(tmp_path) as board:
         with Controller.open(board.port) as controller:
             assert board.ask("__getitem__", scratch) == 0
@@ -194,7 +217,9 @@ def test_a_play_cut_short_is_owed_after_a_reset_too(tmp_path):
         owed_ms = board.ask("__getitem__", scratch)
     assert 0 < owed_ms <= 20_001
     started = "import machine; machine.mem32[0x4005800C] = 1000\n"
-    (tmp_path / "main.py").write_text(started + (tmp_path / "main.py").read_text(encoding="utf-8"), encoding="utf-8")
+    (tmp_path / "main.py").write_text(
+        started + (tmp_path / "main.py").read_text(encoding="utf-8"), encoding="utf-8"
+    )
     with Pico(tmp_path) as board, Controller.open(board.port) as controller:
         with pytest.raises(DutyLimitError, match="cut short"):
             controller.upload(program, arm=True)
@@ -217,6 +242,8 @@ def test_raw_frames(pico):
     with open(os.open(pico.port, os.O_RDWR | os.O_NOCTTY), "r+b", buffering=0) as line:
         line.write(TEXT.encode(request_body(Op.ARM, 9, pack_arm(100))))
         replies = b""
-        while not replies.endswith(b"\n") or b":8409" not in replies:  # HELLO may have been answered twice
+        while (
+            not replies.endswith(b"\n") or b":8409" not in replies
+        ):  # HELLO may have been answered twice
             replies += line.read(100)
     assert replies.endswith(TEXT.encode(bytes([Op.ARM | 0x80, 9, 4])))

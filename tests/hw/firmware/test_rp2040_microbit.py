@@ -31,7 +31,10 @@ def microbit(tmp_path_factory) -> Iterator[object]:
 
     if not qemu.FIRMWARE.exists():
         give_up("firmware-microbit-micropython not installed: see .ci/tools")
-    sources = [path.read_text(encoding="utf-8") for path in (FIRMWARE / "cxp_text.py", FIRMWARE / "cxp.py", BENCH)]
+    sources = [
+        path.read_text(encoding="utf-8")
+        for path in (FIRMWARE / "cxp_text.py", FIRMWARE / "cxp.py", BENCH)
+    ]
     *first, loop = pieces(*sources)
     with qemu.Microbit(tmp_path_factory.mktemp("microbit") / "gpio.log") as board:
         # The heap is small enough for scraps to matter.
@@ -56,7 +59,10 @@ def test_load_read_back_arm_trigger(microbit):
         assert (status.state, status.pos, status.late) == (State.DONE, 52, 0)
         assert status.runs == 1
         # It closed at start: 27 events with the 26 edges.
-        assert (before, microbit.events(PIN0)[before:]) == (1, [level for _, level in program.edges])
+        assert (before, microbit.events(PIN0)[before:]) == (
+            1,
+            [level for _, level in program.edges],
+        )
         assert len(program.edges) == 26
 
 

@@ -17,7 +17,8 @@ from hw.export.rp2_script import export
 from hw.program import Program
 
 SOURCE = Path(__file__).parents[3] / "hw" / "firmware" / "rp2040" / "pio_shutter.py"
-SHUTTER, TRIGGER = 15, 14
+SHUTTER = 15
+TRIGGER = 14
 TAIL = 10_000
 
 
@@ -33,7 +34,9 @@ def packed(bits: str) -> bytes:
 
 def ideal_edges(bits: str, ticks: int) -> list[tuple[int, int]]:
     return [
-        (k * ticks, int(new)) for k, (old, new) in enumerate(zip("0" + bits, bits + "0", strict=True)) if old != new
+        (k * ticks, int(new))
+        for k, (old, new) in enumerate(zip("0" + bits, bits + "0", strict=True))
+        if old != new
     ]
 
 
@@ -54,9 +57,12 @@ class Board:
     def level_is_low(self) -> bool:
         return not self.chip[0x5020003C] >> SHUTTER & 1  # what PIO 0 gives to the pins
 
-    def check_play(self, bits: str, ticks: int, *, start: Callable[[], object] | None = None) -> int:
+    def check_play(
+        self, bits: str, ticks: int, *, start: Callable[[], object] | None = None
+    ) -> int:
         """Arm, start, and look at every edge; return the cycle of the first chip."""
-        shutter, chip = self.shutter, self.chip
+        shutter = self.shutter
+        chip = self.chip
         shutter.arm(ticks, len(bits), packed(bits))
         assert not shutter.begun()
         assert not shutter.ended()
@@ -68,7 +74,8 @@ class Board:
         # No register is touched from here to the end: the processor might as well be dead.
         chip.run(len(bits) * ticks)
         chip.run(ticks + TAIL)
-        found, ideal = self.edges(), ideal_edges(bits, ticks)
+        found = self.edges()
+        ideal = ideal_edges(bits, ticks)
         assert found
         begin = found[0][0] - ideal[0][0]
         assert [(cycle - begin, level) for cycle, level in found] == ideal
@@ -103,8 +110,12 @@ def test_instruction_words(board):
     import adafruit_pioasm
 
     assert board.shutter._program.words == [0x2020, 0x20A0, 0x6001, 0xA026, 0x0044]
-    for name, text in (("_PULL", "pull block"), ("_MOV_ISR_OSR", "mov isr, osr"), ("_OUT_NULL", "out null, 32"),
-                       ("_SET_PINS_0", "set pins, 0")):  # fmt: skip
+    for name, text in (
+        ("_PULL", "pull block"),
+        ("_MOV_ISR_OSR", "mov isr, osr"),
+        ("_OUT_NULL", "out null, 32"),
+        ("_SET_PINS_0", "set pins, 0"),
+    ):
         assert [getattr(board.module, name)] == list(adafruit_pioasm.assemble(text))
     assert list(adafruit_pioasm.assemble("out null, 5")) == [board.module._OUT_NULL | 5]
 
@@ -152,15 +163,19 @@ def test_trigger_input_starts_after_a_constant_time(board):
             pressed.append(chip.input(TRIGGER, 1))
             chip.run(50)
 
-        begin = board.check_play(random_code(rng, rng.randint(16, 60)), rng.randint(125, 500), start=press)
+        begin = board.check_play(
+            random_code(rng, rng.randint(16, 60)), rng.randint(125, 500), start=press
+        )
         chip.input(TRIGGER, 0)
         latencies.add(begin - pressed[0])
-    # The emulated pins have no synchronizer of two cycles, and its `wait` takes none: three less than announced.
+    # The emulated pins have no synchronizer of two cycles, and its `wait` takes none: three less
+    # than announced.
     assert latencies == {board.shutter.lead_ns // board.shutter.tick_ns - 3}
 
 
 def test_a_high_trigger_input_is_no_edge(board):
-    chip, shutter = board.chip, board.shutter
+    chip = board.chip
+    shutter = board.shutter
     chip.input(TRIGGER, 1)
     shutter.arm(125, 8, b"\xaa")
     chip.run(TAIL)
@@ -205,7 +220,8 @@ def test_trigger_input_is_deaf_after_close(board):
 
 def test_close_in_the_middle_and_play_again(board):
     rng = random.Random(23)
-    chip, shutter = board.chip, board.shutter
+    chip = board.chip
+    shutter = board.shutter
     for _ in range(20):
         bits = random_code(rng, 100)
         shutter.arm(200, 100, packed(bits))
@@ -246,8 +262,10 @@ class DyingChip:
 
 def test_a_processor_that_dies_anywhere_leaves_it_closed(board):
     """Dead before any register access between arming and the end: nothing is played, or the whole code."""
-    bits, ticks = "1011001110001111000011111", 130
-    chip, shutter = board.chip, board.shutter
+    bits = "1011001110001111000011111"
+    ticks = 130
+    chip = board.chip
+    shutter = board.shutter
     played = []
     finished = False
     while not finished:
@@ -263,7 +281,9 @@ def test_a_processor_that_dies_anywhere_leaves_it_closed(board):
         assert board.level_is_low()
         found = board.edges()
         if found:
-            assert [(cycle - found[0][0], level) for cycle, level in found] == ideal_edges(bits, ticks)
+            assert [(cycle - found[0][0], level) for cycle, level in found] == ideal_edges(
+                bits, ticks
+            )
         played.append(bool(found))
         shutter._registers = shutter._machine._chip = chip
         shutter.close()
@@ -297,8 +317,11 @@ def test_mutants_are_caught(chip, mutant):
 def loaded(board: Board, ticks: int, bits: str) -> dict[str, object]:
     """What arming puts into the registers, followed by hand: queue, output and input shift register."""
     queue: list[int] = []
-    out, shifted, chip_length = 0, 32, 0
-    machine, registers = board.shutter._machine, board.shutter._registers
+    out = 0
+    shifted = 32
+    chip_length = 0
+    machine = board.shutter._machine
+    registers = board.shutter._registers
     module = board.module
 
     class Executing:
@@ -311,13 +334,15 @@ def loaded(board: Board, ticks: int, bits: str) -> dict[str, object]:
                 return
             if value == module._PULL:
                 assert shifted == 32, "a pull into a full shift register does nothing"
-                out, shifted = queue.pop(0), 0
+                out = queue.pop(0)
+                shifted = 0
             elif value == module._MOV_ISR_OSR:
                 chip_length = out
             else:
                 assert value & ~31 == module._OUT_NULL
                 count = value & 31 or 32
-                out, shifted = out << count & 0xFFFFFFFF, min(32, shifted + count)
+                out = out << count & 0xFFFFFFFF
+                shifted = min(32, shifted + count)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(board.shutter, "_registers", Executing())
@@ -344,12 +369,16 @@ def test_a_second_simulator_agrees(board):
         give_up("rp2040-pio-emulator not installed")
     rng = random.Random(24)
     for chips in (31, 52, 287):
-        bits, ticks, press = random_code(rng, chips), rng.randint(125, 140), rng.randrange(5, 50)
+        bits = random_code(rng, chips)
+        ticks = rng.randint(125, 140)
+        press = rng.randrange(5, 50)
         found = loaded(board, ticks, bits)
 
         words = board.shutter._program.words
         states = emulate(
-            [word | TRIGGER if word >> 13 == 1 else word for word in words],  # it knows no base of input pins
+            [
+                word | TRIGGER if word >> 13 == 1 else word for word in words
+            ],  # it knows no base of input pins
             stop_when=lambda _, state, end=(chips + 3) * ticks + press: state.clock >= end,
             initial_state=State(
                 pin_directions=1 << SHUTTER,
@@ -366,7 +395,9 @@ def test_a_second_simulator_agrees(board):
             wrap_top=board.shutter._program.wrap,
         )
         levels = [(after.clock, after.pin_values >> SHUTTER & 1) for _, after in states]
-        edges = [new for old, new in zip([(0, 0), *levels], levels, strict=False) if old[1] != new[1]]
+        edges = [
+            new for old, new in zip([(0, 0), *levels], levels, strict=False) if old[1] != new[1]
+        ]
         begin = edges[0][0] - ideal_edges(bits, ticks)[0][0]
         assert [(cycle - begin, level) for cycle, level in edges] == ideal_edges(bits, ticks)
         # The rest of what HELLO announces is the input's synchronizer of two cycles.
@@ -413,7 +444,14 @@ def test_the_exported_script_plays_exactly_too(chip, monkeypatch, closed_level):
 
 @pytest.mark.parametrize(
     ("reason", "chip_reset", "cause"),
-    [(0, 1 << 8, 0), (0, 1 << 16, 1), (0, 1 << 20, 255), (1, 0, 3), (1, 1 << 8, 3), (2, 1 << 16, 255)],
+    [
+        (0, 1 << 8, 0),
+        (0, 1 << 16, 1),
+        (0, 1 << 20, 255),
+        (1, 0, 3),
+        (1, 1 << 8, 3),
+        (2, 1 << 16, 255),
+    ],
 )
 def test_reset_cause(board, reason, chip_reset, cause):
     assert board.module.reset_cause({0x40058008: reason, 0x40064008: chip_reset}) == cause

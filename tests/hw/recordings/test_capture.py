@@ -24,7 +24,11 @@ codes = st.text("01", min_size=1, max_size=200).map(lambda middle: f"1{middle}1"
 
 def _trace(*plays, rest=0, end=None, shift=5 * MS):
     """Record plays, each (edges, start): closed at first, recorded from 0 to 5 ms after the last edge."""
-    edges = [(start + time_ns + shift, level ^ rest) for edges, start in plays for time_ns, level in edges]
+    edges = [
+        (start + time_ns + shift, level ^ rest)
+        for edges, start in plays
+        for time_ns, level in edges
+    ]
     return Trace("D0", rest, tuple(edges), 0.0, edges[-1][0] + 5 * MS if end is None else end)
 
 
@@ -53,7 +57,10 @@ def test_our_own_vcd_comes_back(bits, chip_ns, name):
     found = _only(trace, program, trigger=recording.trace("gate"))
     assert (found.same_bits, found.achieved, found.problems) == (True, bits, ())
     assert found.matched == len(program.edges)
-    assert (found.start_ns, found.latency_ns) == (pytest.approx(chip_ns), pytest.approx(0, abs=1e-6 * chip_ns))
+    assert (found.start_ns, found.latency_ns) == (
+        pytest.approx(chip_ns),
+        pytest.approx(0, abs=1e-6 * chip_ns),
+    )
     assert found.scale_ppm == pytest.approx(0, abs=1e-6)
     assert found.worst_ns <= 1e-9 * chip_ns * len(bits)
 
@@ -67,24 +74,34 @@ def test_our_own_vcd_comes_back(bits, chip_ns, name):
     st.booleans(),
     st.randoms(use_true_random=False),
 )
-def test_a_slow_or_fast_clock_sampled_and_jittering_still_plays_the_code(bits, chip_ns, ppm, rate_hz, inverted, rng):
+def test_a_slow_or_fast_clock_sampled_and_jittering_still_plays_the_code(
+    bits, chip_ns, ppm, rate_hz, inverted, rng
+):
     program = Program(bits, chip_ns)
     jitter = 0.02 * chip_ns
-    edges = [(time_ns + rng.uniform(-jitter, jitter), level) for time_ns, level in _scaled(program, 1 + ppm * 1e-6)]
+    edges = [
+        (time_ns + rng.uniform(-jitter, jitter), level)
+        for time_ns, level in _scaled(program, 1 + ppm * 1e-6)
+    ]
     found = _only(_trace((_sampled(edges, rate_hz), 0), rest=int(inverted)), program)
     assert (found.achieved, found.same_bits, found.inverted) == (bits, True, inverted)
     assert (found.missing, found.extra, found.glitches) == (0, 0, 0)
     assert found.matched == len(program.edges)
     assert found.worst_ns <= 4 * (jitter + 1e9 / rate_hz)
     # The jitter leaves that much freedom to the slope of a code of this length.
-    assert found.scale_ppm == pytest.approx(ppm, abs=1e6 * 4 * (jitter + 1e9 / rate_hz) / (chip_ns * (len(bits) - 1)))
+    assert found.scale_ppm == pytest.approx(
+        ppm, abs=1e6 * 4 * (jitter + 1e9 / rate_hz) / (chip_ns * (len(bits) - 1))
+    )
     assert all("clock" in problem for problem in found.problems)
 
 
 def test_least_squares_against_its_closed_form():
     """Openings and closings have one slope and an offset each: the same as a linear fit with an indicator column."""
     rng = random.Random(0)
-    edges = [(1.002021 * at + 9000 * (1 - level) + rng.gauss(0, 300), level) for at, level in PROGRAM.edges]
+    edges = [
+        (1.002021 * at + 9000 * (1 - level) + rng.gauss(0, 300), level)
+        for at, level in PROGRAM.edges
+    ]
     found = _only(_trace((edges, 0)))
     # normal equations of t = a + b * closing + s * at
     rows = [(1.0, 1.0 - level, float(at)) for at, level in PROGRAM.edges]
@@ -97,7 +114,9 @@ def test_least_squares_against_its_closed_form():
     assert found.start_ns == pytest.approx(a, rel=1e-9)
     assert found.widening_ns == pytest.approx(b, rel=1e-6)
     residuals = [t - a - b * r[1] - s * r[2] for r, t in zip(rows, times, strict=True)]
-    assert found.jitter_ns == pytest.approx((sum(x * x for x in residuals) / len(rows)) ** 0.5, rel=1e-4)
+    assert found.jitter_ns == pytest.approx(
+        (sum(x * x for x in residuals) / len(rows)) ** 0.5, rel=1e-4
+    )
     assert found.worst_ns == pytest.approx(max(map(abs, residuals)), rel=1e-4)
 
 
@@ -107,7 +126,9 @@ def _solve(matrix, right):
         rows[k] = [value / rows[k][k] for value in rows[k]]
         for other in range(3):
             if other != k:
-                rows[other] = [x - rows[other][k] * y for x, y in zip(rows[other], rows[k], strict=True)]
+                rows[other] = [
+                    x - rows[other][k] * y for x, y in zip(rows[other], rows[k], strict=True)
+                ]
     return [row[3] for row in rows]
 
 
@@ -115,7 +136,9 @@ def test_the_clock_of_a_ceramic_resonator_is_named():
     found = _only(_trace((_scaled(PROGRAM, 1.002021), 0)))
     assert found.same_bits
     assert found.scale_ppm == pytest.approx(2021, abs=0.01)
-    assert found.verdict == ("the code was played: 52 chips, clock +2021.0 ppm, jitter 0.0 ns rms, worst edge 0.0 ns")
+    assert found.verdict == (
+        "the code was played: 52 chips, clock +2021.0 ppm, jitter 0.0 ns rms, worst edge 0.0 ns"
+    )
     longer = Program(RASKAR * 10, 200_000)
     assert _only(_trace((_scaled(longer, 1.002021), 0)), longer).problems == (
         "the clock is off by +2021 ppm, 1.05 chips over the code: calibrate it",
@@ -186,18 +209,28 @@ def test_slow_closing_widens_the_openings_and_is_no_jitter():
 def test_several_plays_each_have_their_report():
     lost = [edge for k, edge in enumerate(PROGRAM.edges) if k // 2 != 4]
     trace = _trace(
-        (PROGRAM.edges, 0), (_scaled(PROGRAM, 1.0005), 11 * MS), (lost, 300 * MS), (PROGRAM.edges, 300.001e9)
+        (PROGRAM.edges, 0),
+        (_scaled(PROGRAM, 1.0005), 11 * MS),
+        (lost, 300 * MS),
+        (PROGRAM.edges, 300.001e9),
     )
     found = align(trace, PROGRAM)
     assert [each.same_bits for each in found] == [True, True, False, True]
-    assert [each.start_ns for each in found] == pytest.approx([5 * MS, 16 * MS, 305 * MS, 300.006e9])
+    assert [each.start_ns for each in found] == pytest.approx(
+        [5 * MS, 16 * MS, 305 * MS, 300.006e9]
+    )
     assert [each.missing for each in found] == [0, 0, 1, 0]
 
 
 def test_triggers_separate_plays_and_show_the_latency():
     late = 205_100
     trace = _trace((PROGRAM.edges, late), (PROGRAM.edges, 50 * MS + late))
-    moments = [5 * MS, 25 * MS, 55 * MS, 58 * MS]  # the second plays nothing, the fourth comes during a play
+    moments = [
+        5 * MS,
+        25 * MS,
+        55 * MS,
+        58 * MS,
+    ]  # the second plays nothing, the fourth comes during a play
     pulses = tuple(edge for moment in moments for edge in ((moment, 1), (moment + 1000, 0)))
     found = align(trace, PROGRAM, trigger=Trace("D1", 0, pulses, 0.0, trace.end_ns))
     assert [each.same_bits for each in found] == [True, False, True]
@@ -241,21 +274,30 @@ def test_a_cut_recording_is_told():
     late = Trace("D0", 1, whole.edges[1:], whole.edges[0][0] + 50_000.0, whole.end_ns)
     found = _only(late)
     assert not found.inverted
-    assert found.problems[-1] == "the recording begins with the shutter open: start it before the trigger"
+    assert (
+        found.problems[-1]
+        == "the recording begins with the shutter open: start it before the trigger"
+    )
 
 
 @settings(deadline=None, max_examples=100)
 @given(codes, st.booleans(), st.sampled_from([0, 50_000]), st.sampled_from([0, 1, 5 * MS]))
-def test_a_recording_that_begins_with_the_first_edge_is_read_and_said(bits, inverted, late_ns, idle_ns):
-    # No level at rest before the play, nor for long after it: closed is the level by which the code was played.
+def test_a_recording_that_begins_with_the_first_edge_is_read_and_said(
+    bits, inverted, late_ns, idle_ns
+):
+    # No level at rest before the play, nor for long after it: closed is the level by which the
+    # code was played.
     program = Program(bits, 200_000)
     assume(program.pulses > 2)  # of fewer edges either level may be the open one
     edges = tuple((time_ns - late_ns, level ^ inverted) for time_ns, level in program.edges[1:])
     found = _only(Trace("D0", 1 ^ inverted, edges, 0.0, edges[-1][0] + idle_ns), program)
-    assert "the recording begins with the shutter open: start it before the trigger" in found.problems
+    assert (
+        "the recording begins with the shutter open: start it before the trigger" in found.problems
+    )
     assert not any("another code" in problem for problem in found.problems)
     assert found.achieved == bits
-    # A code that is its own complement, read the other way, or of which one is the other's start, is no counterexample.
+    # A code that is its own complement, read the other way, or of which one is the other's start,
+    # is no counterexample.
     assert found.inverted == inverted or bits == bits[::-1]
 
 
@@ -276,7 +318,8 @@ def test_times_in_another_unit_are_no_clock_error_to_calibrate():
 @given(codes, codes, st.integers(-3000, 3000))
 def test_another_code_is_never_taken_for_the_right_one(bits, other, ppm):
     assume(bits != other)
-    program, played = Program(bits, 200_000), Program(other, 200_000)
+    program = Program(bits, 200_000)
+    played = Program(other, 200_000)
     found = align(_trace((_scaled(played, 1 + ppm * 1e-6), 0)), program)
     # A code made of the right one twice is two plays of it.
     assert any(each.problems for each in found) or len(found) > 1
@@ -394,9 +437,13 @@ def test_unreadable_files_get_one_clear_line(tmp_path):
 
 
 def test_signals_are_found_by_name_or_by_being_busy():
-    text = HEAD.replace("$upscope", "$var wire 1 @ D1 $end $scope module sub $end $var wire 1 & D1 $end $upscope")
+    text = HEAD.replace(
+        "$upscope", "$var wire 1 @ D1 $end $scope module sub $end $var wire 1 & D1 $end $upscope"
+    )
     quiet = parse_vcd(text + "#0 0! 0@ 0&\n#10\n", source="x.vcd")
-    with pytest.raises(ValueError, match=r"x.vcd has no edges on any signal \(top.D0, top.D1, top.sub.D1\)"):
+    with pytest.raises(
+        ValueError, match=r"x.vcd has no edges on any signal \(top.D0, top.D1, top.sub.D1\)"
+    ):
         quiet.trace()
     with pytest.raises(ValueError, match=r"no signal 'D7': its signals are top.D0"):
         quiet.trace("D7")
@@ -431,7 +478,17 @@ def test_a_vcd_written_by_sigrok(tmp_path, downsample):
     """At 1 GHz, 23.8 MHz and 1 MHz: the edges are where that analyser would have seen them."""
     require_tool("sigrok-cli")
     (tmp_path / "code.vcd").write_text(EXPORTERS["vcd"].export(PROGRAM))
-    command = ["sigrok-cli", "-I", f"vcd:downsample={downsample}", "-i", "code.vcd", "-O", "vcd", "-o", "seen.vcd"]
+    command = [
+        "sigrok-cli",
+        "-I",
+        f"vcd:downsample={downsample}",
+        "-i",
+        "code.vcd",
+        "-O",
+        "vcd",
+        "-o",
+        "seen.vcd",
+    ]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
     recording = read_capture(tmp_path / "seen.vcd")
     assert [trace.name for trace in recording.traces] == ["libsigrok.shutter", "libsigrok.gate"]
@@ -441,7 +498,17 @@ def test_a_vcd_written_by_sigrok(tmp_path, downsample):
     assert found.worst_ns <= downsample
 
 
-ENCODINGS = ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "cp1252", "latin-1", "cp1251"]
+ENCODINGS = [
+    "utf-8",
+    "utf-8-sig",
+    "utf-16",
+    "utf-16-le",
+    "utf-16-be",
+    "utf-32",
+    "cp1252",
+    "latin-1",
+    "cp1251",
+]
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -449,7 +516,11 @@ ENCODINGS = ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32",
 def test_any_encoding_of_a_capture_is_read(tmp_path, encoding, kind):
     accent = "д" if encoding == "cp1251" else "é"
     if kind == "vcd":
-        text = EXPORTERS["vcd"].export(PROGRAM).replace("$comment", f"$date heure d{accent} $end\n$comment", 1)
+        text = (
+            EXPORTERS["vcd"]
+            .export(PROGRAM)
+            .replace("$comment", f"$date heure d{accent} $end\n$comment", 1)
+        )
     else:
         rows = [(0, 0), *((time_ns + MS, level) for time_ns, level in PROGRAM.edges)]
         lines = [f"{time_ns / 1e9:.9f},{level},0" for time_ns, level in rows]
@@ -473,4 +544,6 @@ def test_a_vcd_with_the_mark_of_windows_programs(tmp_path):
     text = EXPORTERS["vcd"].export(PROGRAM)
     (tmp_path / "plain.vcd").write_text(text)
     (tmp_path / "marked.vcd").write_text(text, encoding="utf-8-sig")
-    assert read_capture(tmp_path / "marked.vcd").traces == read_capture(tmp_path / "plain.vcd").traces
+    assert (
+        read_capture(tmp_path / "marked.vcd").traces == read_capture(tmp_path / "plain.vcd").traces
+    )

@@ -21,13 +21,15 @@ codes = st.text("01", min_size=1, max_size=60).map(lambda middle: f"1{middle}1")
 
 def seconds(time_ns, digits=9):
     """Write a time as Logic 2 does."""
-    sign, size = "-" * (time_ns < 0), abs(time_ns)
+    sign = "-" * (time_ns < 0)
+    size = abs(time_ns)
     return f"{sign}{size // 10**9}.{size % 10**9:09d}" + "0" * (digits - 9)
 
 
 def iso(time_ns, offset="+00:00"):
     """Write nanoseconds since 1970 as ISO 8601 with nine digits of the second."""
-    hours, minutes = int(offset[:3]), int(offset[0] + offset[4:])
+    hours = int(offset[:3])
+    minutes = int(offset[0] + offset[4:])
     zone = timezone(timedelta(hours=hours, minutes=minutes))
     moment = datetime.fromtimestamp(time_ns // 10**9, UTC).astimezone(zone)
     return f"{moment:%Y-%m-%dT%H:%M:%S}.{time_ns % 10**9:09d}{offset}"
@@ -59,7 +61,10 @@ def test_a_code_comes_back_to_the_nanosecond(bits, chip_ns, start_ns):
     ("written", "time_ns"),
     [
         ("0.000000001", 1),
-        ("123456.123456789", 123_456_123_456_789),  # a float has no room for this many digits at 1e6 s
+        (
+            "123456.123456789",
+            123_456_123_456_789,
+        ),  # a float has no room for this many digits at 1e6 s
         ("4503599.627370495", 4_503_599_627_370_495),
         ("-0.000000001", -1),
         ("+2", 2_000_000_000),
@@ -70,7 +75,9 @@ def test_a_code_comes_back_to_the_nanosecond(bits, chip_ns, start_ns):
 )
 def test_times_are_read_as_decimals(written, time_ns):
     trace = parse_saleae(f"Time [s],Channel 0\n-9,0\n{written},1\n").trace()
-    assert trace.edges == ((time_ns if isinstance(time_ns, int) else pytest.approx(time_ns, rel=1e-15), 1),)
+    assert trace.edges == (
+        (time_ns if isinstance(time_ns, int) else pytest.approx(time_ns, rel=1e-15), 1),
+    )
     assert trace.start_ns == -9 * 10**9
 
 
@@ -110,7 +117,9 @@ def test_iso_times_without_a_fraction_or_zone_across_a_leap_day():
     ],
 )
 def test_every_version_of_the_header(tmp_path, header, separator, digits):
-    text = export(PROGRAM, 10**7, write=lambda at: seconds(at, digits), header=header, separator=separator)
+    text = export(
+        PROGRAM, 10**7, write=lambda at: seconds(at, digits), header=header, separator=separator
+    )
     wanted = parse_saleae(export(PROGRAM, 10**7)).trace().edges
     for name, written in [
         ("unix.csv", text),
@@ -126,14 +135,18 @@ def test_channels_are_found_by_name_and_a_trigger_beside_the_shutter():
     rows = [(0, 0, 0, 1), (1000, 1, 0, 1)]
     for at, level in PROGRAM.edges:
         rows.append((20_000 + at, 1, level, 1))
-    text = 'Time [s],gate,"LC, left",idle\n' + "".join(f"{seconds(at)},{a},{b},{c}\n" for at, a, b, c in rows)
+    text = 'Time [s],gate,"LC, left",idle\n' + "".join(
+        f"{seconds(at)},{a},{b},{c}\n" for at, a, b, c in rows
+    )
     recording = parse_saleae(text, source="digital.csv")
     assert [trace.name for trace in recording.traces] == ["gate", "LC, left", "idle"]
     assert recording.trace() == recording.trace("LC, left")
     assert recording.trace("idle").level == 1
     (found,) = align(recording.trace("LC, left"), PROGRAM, trigger=recording.trace("gate"))
     assert (found.achieved, found.latency_ns) == (RASKAR, pytest.approx(19_000, abs=1e-3))
-    with pytest.raises(ValueError, match=r"digital.csv has no signal 'D7': its signals are gate, LC, left, idle"):
+    with pytest.raises(
+        ValueError, match=r"digital.csv has no signal 'D7': its signals are gate, LC, left, idle"
+    ):
         recording.trace("D7")
 
 
@@ -185,10 +198,14 @@ def test_a_vcd_is_a_vcd_whatever_its_name(tmp_path):
 @settings(deadline=None, max_examples=300)
 @given(st.data())
 def test_a_damaged_file_is_refused_or_read_and_never_an_accident(data):
-    text = export(Program("1011", 200_000), 10**7, write=data.draw(st.sampled_from([seconds, iso])))
+    text = export(
+        Program("1011", 200_000), 10**7, write=data.draw(st.sampled_from([seconds, iso]))
+    )
     for _ in range(data.draw(st.integers(1, 3))):
         at = data.draw(st.integers(0, len(text) - 1))
-        new = data.draw(st.one_of(st.just(""), st.sampled_from('01,.-+eTZX"\t \n'), st.characters()))
+        new = data.draw(
+            st.one_of(st.just(""), st.sampled_from('01,.-+eTZX"\t \n'), st.characters())
+        )
         text = text[:at] + new + text[at + data.draw(st.sampled_from([0, 1, 20])) :]
     lines = []
     try:

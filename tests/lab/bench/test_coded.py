@@ -33,9 +33,24 @@ from lab.bench.coded.calibrations import (
     moved_psfs,
 )
 from lab.bench.coded.designs import DESIGNS, USUAL_DESIGNS, MotionPrior, design_code
-from lab.bench.coded.protocol import CodedProtocol, class_motions, coded_protocol, drawn_motions, paths_from, paths_to
+from lab.bench.coded.protocol import (
+    CodedProtocol,
+    class_motions,
+    coded_protocol,
+    drawn_motions,
+    paths_from,
+    paths_to,
+)
 from lab.bench.coded.report import OUTPUTS, write_coded_report
-from lab.bench.coded.run import ESTIMATORS, CodedTable, Shot, code_version, measure_coded, motion_version, photo_version
+from lab.bench.coded.run import (
+    ESTIMATORS,
+    CodedTable,
+    Shot,
+    code_version,
+    measure_coded,
+    motion_version,
+    photo_version,
+)
 from lab.bench.coded.stages import estimate_motion, photographed, pictures_of, take_photo
 from lab.bench.coded.tables import coded_tables, harmed, shots_csv
 from lab.bench.datasets import sharp_scene
@@ -51,11 +66,29 @@ from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
 
 TINY = CodedProtocol(
-    name="tiny", photos=1, motions=2, crop_px=96, borders="symmetric", shakes="mixed", chips=16, open_range=(6, 10),
-    objective="noise", photons=(), calibration_photons=1e4, bits=12, read_noise_e=0.0, restoration="inverse",
-    border_rounds=10, restored_by="psf", steps=2000, seed=0, quick_photos=1, quick_motions=1, quick_steps=1000,
+    name="tiny",
+    photos=1,
+    motions=2,
+    crop_px=96,
+    borders="symmetric",
+    shakes="mixed",
+    chips=16,
+    open_range=(6, 10),
+    objective="noise",
+    photons=(),
+    calibration_photons=1e4,
+    bits=12,
+    read_noise_e=0.0,
+    restoration="inverse",
+    border_rounds=10,
+    restored_by="psf",
+    steps=2000,
+    seed=0,
+    quick_photos=1,
+    quick_motions=1,
+    quick_steps=1000,
     quick_photons=(),
-)  # fmt: skip
+)
 CLEAN = Camera(photons_full_scale=1e9, read_noise_e=0.0, bits=16).to_dict()
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11], [7, 16]])
 LOPSIDED = "1101000101101111"
@@ -64,26 +97,50 @@ LOPSIDED = "1101000101101111"
 def blocks(side, seed=0):
     """Make a scene with edges in all places and much light and shade."""
     rng = np.random.default_rng(seed)
-    return 0.05 + 0.9 * np.kron(rng.random((side // 8 + 1, side // 8 + 1)), np.ones((8, 8)))[:side, :side]
+    return (
+        0.05
+        + 0.9 * np.kron(rng.random((side // 8 + 1, side // 8 + 1)), np.ones((8, 8)))[:side, :side]
+    )
 
 
 def shown(
-    motion, *, assumed=None, bits=LOPSIDED, borders="symmetric", light_true=True, camera=CLEAN, side=128, **other
+    motion,
+    *,
+    assumed=None,
+    bits=LOPSIDED,
+    borders="symmetric",
+    light_true=True,
+    camera=CLEAN,
+    side=128,
+    **other,
 ):
     return {
-        "scene": blocks(side), "motion": paths_to([motion], [1.0]),
-        "assumed": assumed and paths_to([assumed], [1.0]), "bits": bits, "borders": borders, "light_true": light_true,
-        "restoration": "wiener", "border_rounds": 10, "camera": camera, "seed": 0, **other,
-    }  # fmt: skip
+        "scene": blocks(side),
+        "motion": paths_to([motion], [1.0]),
+        "assumed": assumed and paths_to([assumed], [1.0]),
+        "bits": bits,
+        "borders": borders,
+        "light_true": light_true,
+        "restoration": "wiener",
+        "border_rounds": 10,
+        "camera": camera,
+        "seed": 0,
+        **other,
+    }
 
 
-# -- protocols --------------------------------------------------------------------------------------------------------
+# -- protocols ------------------------------------------------------------------------------------
 
 
 def test_the_papers_protocol_is_the_papers():
     """arXiv 2510.26173, section IV: 10 photos x 100 motions, 256-px crops, mirrored borders, inverse filter."""
     paper = coded_protocol("paper")
-    assert (paper.photos, paper.motions, paper.crop_px, paper.borders) == (10, 100, 256, "symmetric")
+    assert (paper.photos, paper.motions, paper.crop_px, paper.borders) == (
+        10,
+        100,
+        256,
+        "symmetric",
+    )
     assert (paper.levels, paper.restoration, paper.restored_by) == ((None,), "inverse", "psf")
     assert paper.calibration_camera == paper.camera(None)
     assert paper.camera(None).noise_variance(0.5) == pytest.approx((1 / 255) ** 2 / 12, rel=1e-3)
@@ -103,9 +160,13 @@ def test_ours_has_five_light_levels_and_hides_the_motion():
 
 
 def written(path, **changes):
-    entries = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(TINY).items()} | changes
+    entries = {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in asdict(TINY).items()
+    } | changes
     lines = (
-        f"{key} = {str(value).lower() if isinstance(value, bool) else repr(value)}" for key, value in entries.items()
+        f"{key} = {str(value).lower() if isinstance(value, bool) else repr(value)}"
+        for key, value in entries.items()
     )
     path.write_text("\n".join(line for line in lines if not line.endswith("None")) + "\n")
     return str(path)
@@ -132,9 +193,15 @@ def test_a_protocol_of_ones_own_is_a_file(tmp_path):
         ({"restoration": "magic"}, "restoration: must be one of wiener"),
         ({"restoration": 3}, "restoration: must be a text"),
         ({"restoration": "math:pi"}, "restoration: math:pi is no function"),
-        ({"restoration": "math:no_such"}, "restoration: math:no_such: the module math has no 'no_such'"),
+        (
+            {"restoration": "math:no_such"},
+            "restoration: math:no_such: the module math has no 'no_such'",
+        ),
         ({"name": ""}, "name: must be a text"),
-        ({"restored_by": "luck"}, "restored_by: must be one of psf, path, estimate, blind, got 'luck'"),
+        (
+            {"restored_by": "luck"},
+            "restored_by: must be one of psf, path, estimate, blind, got 'luck'",
+        ),
         ({"open_range": [6]}, "open_range: must be two numbers"),
         ({"open_range": 6}, "open_range: must be two numbers"),
         ({"open_range": [10, 6]}, "open_range: must be two numbers"),
@@ -165,7 +232,9 @@ def test_a_file_that_is_no_protocol(tmp_path, content):
         coded_protocol(str(tmp_path / "mine.toml"))
 
 
-@pytest.mark.parametrize(("name", "message"), [("theirs", "must be one of paper, ours"), ("no.toml", "no such file")])
+@pytest.mark.parametrize(
+    ("name", "message"), [("theirs", "must be one of paper, ours"), ("no.toml", "no such file")]
+)
 def test_no_such_protocol(name, message):
     with pytest.raises(ValueError, match=message):
         coded_protocol(name)
@@ -177,7 +246,7 @@ def test_the_package_carries_its_protocols():
         assert tomllib.loads(path.read_text())["name"] == name
 
 
-# -- motions ----------------------------------------------------------------------------------------------------------
+# -- motions --------------------------------------------------------------------------------------
 
 
 def test_every_motion_fits_the_frame(monkeypatch):
@@ -190,15 +259,20 @@ def test_every_motion_fits_the_frame(monkeypatch):
 
 def test_motions_are_the_protocols():
     first, second, third = drawn_motions(replace(TINY, motions=3))
-    np.testing.assert_array_equal(drawn_motions(TINY)[1].xy, second.xy)  # a quick run's are the full one's first
+    np.testing.assert_array_equal(
+        drawn_motions(TINY)[1].xy, second.xy
+    )  # a quick run's are the full one's first
     assert not np.array_equal(drawn_motions(replace(TINY, seed=1))[0].xy, first.xy)
     assert all(20 <= path.length_px <= 60 for path in (first, second, third))
-    assert (len(first.t), len(third.t)) == (2000, 2)  # a random walk, then a bent one, then a straight one
+    assert (len(first.t), len(third.t)) == (
+        2000,
+        2,
+    )  # a random walk, then a bent one, then a straight one
     (shake,) = drawn_motions(replace(TINY, shakes="boracchi-foi", motions=1))
     assert shake.length_px == pytest.approx(60)
 
 
-# -- photos -----------------------------------------------------------------------------------------------------------
+# -- photos ---------------------------------------------------------------------------------------
 
 
 def test_paths_are_kept_to_the_last_bit():
@@ -231,12 +305,17 @@ def test_real_borders_show_what_comes_from_outside():
     taken = photographed(**shown(BENT, borders="real"))
     t = (np.arange(16 * 40) + 0.5) / (16 * 40)
     at = BENT.at(t)[np.repeat(code.array, 40) == 1]
-    scene, row, column = blocks(128), 3, 60
+    scene = blocks(128)
+    row = 3
+    column = 60
     total = 0.0
     for dx, dy in at:  # what is displaced by (dx, dy) came from (-dx, -dy)
-        y, x = 31 + row - dy, 31 + column - dx
-        i, j = int(np.floor(y)), int(np.floor(x))
-        u, v = y - i, x - j
+        y = 31 + row - dy
+        x = 31 + column - dx
+        i = int(np.floor(y))
+        j = int(np.floor(x))
+        u = y - i
+        v = x - j
         total += (1 - u) * ((1 - v) * scene[i, j] + v * scene[i, j + 1])
         total += u * ((1 - v) * scene[i + 1, j] + v * scene[i + 1, j + 1])
     assert taken.photo[row, column] == pytest.approx(total / t.size, abs=1e-3)
@@ -246,20 +325,32 @@ def test_a_coded_photo_has_the_light_that_came_through():
     duty = ShutterCode(LOPSIDED).duty
     true, equal = (photographed(**shown(BENT, light_true=flag)) for flag in (True, False))
     np.testing.assert_allclose(true.photo, duty * equal.photo, atol=1e-4)
-    np.testing.assert_allclose(true.restored, equal.restored, atol=0.02)  # but for rounding to code values
+    np.testing.assert_allclose(
+        true.restored, equal.restored, atol=0.02
+    )  # but for rounding to code values
     dim = Camera(photons_full_scale=300.0, read_noise_e=5.0, black_level=0.1).to_dict()
     short = {"bits": "1010010000000000", "camera": dim}
-    dark, lit = (take_photo(**shown(BENT, light_true=flag, **short))["psnr_db"] for flag in (True, False))
+    dark, lit = (
+        take_photo(**shown(BENT, light_true=flag, **short))["psnr_db"] for flag in (True, False)
+    )
     assert lit > dark + 1
 
 
 @pytest.mark.parametrize("light_true", [True, False])
-def test_with_the_true_psf_and_no_noise_the_oracles_code_restores_far_better_than_an_open_shutter(light_true):
+def test_with_the_true_psf_and_no_noise_the_oracles_code_restores_far_better_than_an_open_shutter(
+    light_true,
+):
     motion = Trajectory.straight(24.0, angle_rad=0.4)
     code = design_code(
-        "oracle", MotionPrior((motion,), (1.0,)), chips=16, open_range=(6, 10), objective="min-mtf", camera=Camera(),
-        steps=2000, rng=np.random.default_rng(0),
-    )  # fmt: skip
+        "oracle",
+        MotionPrior((motion,), (1.0,)),
+        chips=16,
+        open_range=(6, 10),
+        objective="min-mtf",
+        camera=Camera(),
+        steps=2000,
+        rng=np.random.default_rng(0),
+    )
     coded, plain = (
         take_photo(**shown(motion, bits=bits, light_true=light_true, restoration="inverse"))
         for bits in (code.bits, "1" * 16)
@@ -277,7 +368,9 @@ def test_a_hidden_direction_is_found(light_true):
         told = take_photo(**shown(truth, **options))["psnr_db"]
         found = take_photo(**shown(truth, assumed=BENT, **options))["psnr_db"]
         assert found == pytest.approx(told, abs=0.05)
-    wrong = take_photo(**shown(BENT.reversed(), assumed=replace(BENT, direction="known"), **options))["psnr_db"]
+    wrong = take_photo(
+        **shown(BENT.reversed(), assumed=replace(BENT, direction="known"), **options)
+    )["psnr_db"]
     assert wrong < told - 3
 
 
@@ -288,18 +381,28 @@ def test_a_scene_that_is_merely_displaced_is_as_good(length_px, lost_db):
     Two of 16 chips are open, their middle at 13/16 of the path.
     """
     straight = Trajectory.straight(length_px)
-    scene = ndimage.gaussian_filter(blocks(128), 1.5)  # of sharp steps, sampling between pixels would ring
-    options = {"bits": "0" * 12 + "1100", "scene": scene, "camera": Camera(photons_full_scale=1e5).to_dict()}
+    scene = ndimage.gaussian_filter(
+        blocks(128), 1.5
+    )  # of sharp steps, sampling between pixels would ring
+    options = {
+        "bits": "0" * 12 + "1100",
+        "scene": scene,
+        "camera": Camera(photons_full_scale=1e5).to_dict(),
+    }
     told = take_photo(**shown(straight, **options))["psnr_db"]
     backwards = replace(straight.reversed(), direction="known")
-    assert take_photo(**shown(straight, assumed=backwards, **options))["psnr_db"] == pytest.approx(told, abs=lost_db)
+    assert take_photo(**shown(straight, assumed=backwards, **options))["psnr_db"] == pytest.approx(
+        told, abs=lost_db
+    )
     # a PSF of another shape is no better for lying where it should
     across = replace(Trajectory.straight(length_px, angle_rad=1.5), direction="known")
     assert take_photo(**shown(straight, assumed=across, **options))["psnr_db"] < told - 3
 
 
 def test_run_backwards_a_code_is_its_mirror_image():
-    figures, mirrored = (take_photo(**shown(BENT, bits=bits)) for bits in (LOPSIDED, LOPSIDED[::-1]))
+    figures, mirrored = (
+        take_photo(**shown(BENT, bits=bits)) for bits in (LOPSIDED, LOPSIDED[::-1])
+    )
     assert figures["reversed_noise_gain_db"] == pytest.approx(mirrored["noise_gain_db"], abs=1e-6)
     assert figures["noise_gain_db"] == pytest.approx(mirrored["reversed_noise_gain_db"], abs=1e-6)
     assert abs(figures["noise_gain_db"] - figures["reversed_noise_gain_db"]) > 0.01
@@ -322,7 +425,7 @@ def test_the_wiener_filter_is_told_the_cameras_noise():
     np.testing.assert_array_equal(taken.restored, np.clip(told, 0, 1))
 
 
-# -- estimates --------------------------------------------------------------------------------------------------------
+# -- estimates ------------------------------------------------------------------------------------
 
 GUESS = Trajectory.straight(7.0, angle_rad=1.0)
 PARAMETRIC = Trajectory.straight(9.0)
@@ -332,7 +435,9 @@ class Guesses:
     """Stands in for the slow estimators: always the same motions; at a call it fails or stops."""
 
     def __init__(self):
-        self.photos, self.fails, self.stops = [], 0, 0
+        self.photos = []
+        self.fails = 0
+        self.stops = 0
 
     def __call__(self, names):
         self.path = PARAMETRIC if names == ["parametric"] else GUESS
@@ -369,14 +474,16 @@ def test_motion_is_estimated_from_the_uncoded_photo(guesses):
     assert estimate_motion(blocks(159), paths_to([BENT], [1.0]), **arguments)["mnc"] < 0.9
 
 
-# -- designs ----------------------------------------------------------------------------------------------------------
+# -- designs --------------------------------------------------------------------------------------
 
 TOLD = {
     "none": MotionPrior(),
     "class": MotionPrior((BENT, GUESS), (0.5, 0.5)),
     "length": MotionPrior(length_px=20.0),
     "ours": MotionPrior((BENT, GUESS), (0.75, 0.25)),
-    **dict.fromkeys((*CALIBRATIONS, POINT), MotionPrior((replace(BENT, direction="known"),), (1.0,))),
+    **dict.fromkeys(
+        (*CALIBRATIONS, POINT), MotionPrior((replace(BENT, direction="known"),), (1.0,))
+    ),
     "parametric": MotionPrior((PARAMETRIC,), (1.0,)),
     "parametric oracle": MotionPrior((PARAMETRIC,), (1.0,)),
     "true": MotionPrior((BENT,), (1.0,)),
@@ -385,12 +492,18 @@ TOLD = {
 
 def chosen(design, known=None, **options):
     return design_code(
-        design, known or TOLD[DESIGNS[design].path],
+        design,
+        known or TOLD[DESIGNS[design].path],
         **{
-            "chips": 16, "open_range": (6, 8), "objective": "noise", "camera": Camera(), "steps": 800,
-            "rng": np.random.default_rng(0), **options,
+            "chips": 16,
+            "open_range": (6, 8),
+            "objective": "noise",
+            "camera": Camera(),
+            "steps": 800,
+            "rng": np.random.default_rng(0),
+            **options,
         },
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("design", DESIGNS)
@@ -418,7 +531,9 @@ def test_an_unknown_design():
 
 def test_each_design_minimises_what_it_should():
     """Brute force over all codes of four chips out of eight: the worst of both directions, or the given one alone."""
-    codes = [ShutterCode("".join("01"[k in on] for k in range(8))) for on in combinations(range(8), 4)]
+    codes = [
+        ShutterCode("".join("01"[k in on] for k in range(8))) for on in combinations(range(8), 4)
+    ]
 
     def gain(path, code):
         return measure(path, code, budget=0).noise_gain_db
@@ -437,7 +552,11 @@ def test_each_design_minimises_what_it_should():
         assert along[chosen(design, prior, **limits).bits][0] == pytest.approx(
             min(a for a, _ in along.values()), abs=0.05
         )
-    for design in ("both-ways", "parametric", "calibrated-point"):  # the direction of this path is not known
+    for design in (
+        "both-ways",
+        "parametric",
+        "calibrated-point",
+    ):  # the direction of this path is not known
         found = along[chosen(design, known, **limits).bits]
         assert max(found) == pytest.approx(min(map(max, along.values())), abs=0.05)
     # a posterior weighs its paths: of a sure one nothing else is left
@@ -448,11 +567,14 @@ def test_each_design_minimises_what_it_should():
     assert means[torn.bits] == pytest.approx(min(means.values()), abs=0.05)
     # DNF sees a straight path only
     straight = {code.bits: gain(Trajectory.straight(20.0), code) for code in codes}
-    assert straight[chosen("dnf", **limits).bits] == pytest.approx(min(straight.values()), abs=0.05)
+    assert straight[chosen("dnf", **limits).bits] == pytest.approx(
+        min(straight.values()), abs=0.05
+    )
 
 
 def test_searches_use_one_thread_and_the_same_budget(monkeypatch):
-    real, seen = recipe.anneal, []
+    real = recipe.anneal
+    seen = []
 
     def watched(problem, **options):
         seen.append(options)
@@ -472,12 +594,14 @@ def test_an_interrupted_search_is_not_taken_for_a_finished_one(monkeypatch, desi
     def stop(_fraction, _best):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(recipe, "anneal", lambda problem, **options: real(problem, **options | {"progress": stop}))
+    monkeypatch.setattr(
+        recipe, "anneal", lambda problem, **options: real(problem, **options | {"progress": stop})
+    )
     with pytest.raises(KeyboardInterrupt):
         chosen(design, steps=10**6)
 
 
-# -- the whole --------------------------------------------------------------------------------------------------------
+# -- the whole ------------------------------------------------------------------------------------
 
 KNOWING = ("open", "dnf", "oracle", "parametric-oracle")
 
@@ -504,25 +628,36 @@ def test_a_tiny_table_and_its_cells_found_again(tmp_path, monkeypatch):
     photos = {"camera": tmp_path / "camera.png"}
     measured = measure_coded(tiny, photos, cache=tmp_path / "cells", designs=KNOWING)
     assert (measured.failures, measured.missing, measured.warnings) == ({}, 0, ())
-    assert [(shot.design, shot.motion) for shot in measured.shots] == [(name, i) for name in KNOWING for i in range(2)]
+    assert [(shot.design, shot.motion) for shot in measured.shots] == [
+        (name, i) for name in KNOWING for i in range(2)
+    ]
     assert measured.estimates == {}
     by_name = {(shot.design, shot.motion): shot for shot in measured.shots}
     gains_db = []
     for motion in range(2):
-        coded, plain = by_name["oracle", motion], by_name["open", motion]
+        coded = by_name["oracle", motion]
+        plain = by_name["open", motion]
         gains_db.append(coded.figures["psnr_db"] - plain.figures["psnr_db"])
         # pairs: nothing but the code differs
         assert {**coded.arguments, "bits": ""} == {**plain.arguments, "bits": ""}
-    assert np.mean(gains_db) > 1  # not each: the objective is the noise alone, and one photo has more than noise
-    assert not any(shot.arguments["light_true"] for shot in measured.shots)  # without light levels, light is no matter
+    assert (
+        np.mean(gains_db) > 1
+    )  # not each: the objective is the noise alone, and one photo has more than noise
+    assert not any(
+        shot.arguments["light_true"] for shot in measured.shots
+    )  # without light levels, light is no matter
     assert by_name["open", 0].arguments["seed"] != by_name["open", 1].arguments["seed"]
     monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
     again = measure_coded(tiny, photos, cache=tmp_path / "cells", designs=KNOWING)
-    assert [(shot.bits, shot.figures) for shot in again.shots] == [(s.bits, s.figures) for s in measured.shots]
+    assert [(shot.bits, shot.figures) for shot in again.shots] == [
+        (s.bits, s.figures) for s in measured.shots
+    ]
 
 
 def test_who_restores_by_what(tmp_path, photos, guesses):
-    hidden = replace(TINY, restored_by="estimate", motions=1, shakes="boracchi-foi", photons=(1e5,), steps=200)
+    hidden = replace(
+        TINY, restored_by="estimate", motions=1, shakes="boracchi-foi", photons=(1e5,), steps=200
+    )
     names = ("dnf", "snapshot", "parametric", "parametric-oracle", "oracle")
     measured = measure_coded(hidden, photos, cache=tmp_path / "cells", designs=names)
     assert measured.failures == {}
@@ -532,8 +667,9 @@ def test_who_restores_by_what(tmp_path, photos, guesses):
     paths = {name: paths_from(text)[0][0] for name, text in assumed.items()}
     (truth,) = drawn_motions(hidden)
     expected = dict.fromkeys(("dnf", "snapshot"), GUESS) | {
-        "parametric": PARAMETRIC, "parametric-oracle": nearest_quadratic(truth).trajectory(),
-    }  # fmt: skip
+        "parametric": PARAMETRIC,
+        "parametric-oracle": nearest_quadratic(truth).trajectory(),
+    }
     for name, path in expected.items():
         np.testing.assert_array_equal(paths[name].xy, path.xy)
         assert paths[name].direction == "unknown"
@@ -541,14 +677,22 @@ def test_who_restores_by_what(tmp_path, photos, guesses):
 
 
 def test_a_restoration_may_know_the_path_but_not_its_direction(tmp_path, photos, guesses):
-    hidden = replace(TINY, restored_by="path", motions=1, shakes="boracchi-foi", photons=(1e5,), steps=200)
+    hidden = replace(
+        TINY, restored_by="path", motions=1, shakes="boracchi-foi", photons=(1e5,), steps=200
+    )
     measured = measure_coded(
-        hidden, photos, cache=tmp_path / "cells", designs=("open", "both-ways", "parametric-oracle", "oracle")
+        hidden,
+        photos,
+        cache=tmp_path / "cells",
+        designs=("open", "both-ways", "parametric-oracle", "oracle"),
     )
     assert measured.failures == {}
     (truth,) = drawn_motions(hidden)
     oracles = [shot for shot in measured.shots if "oracle" in shot.design]
-    assert [shot.arguments["assumed"] for shot in oracles] == [None, None]  # their codes are made for one direction
+    assert [shot.arguments["assumed"] for shot in oracles] == [
+        None,
+        None,
+    ]  # their codes are made for one direction
     for shot in measured.shots:
         if shot in oracles:
             continue
@@ -559,8 +703,12 @@ def test_a_restoration_may_know_the_path_but_not_its_direction(tmp_path, photos,
 
 def test_codes_are_searched_for_the_light_that_they_meet(tmp_path, photos):
     """In the dark, where read noise rules, the oracle keeps its shutter open longer; the DNF code is one for all."""
-    lit = replace(TINY, objective="mse", open_range=(1, 16), photons=(50.0, 1e6), read_noise_e=5.0, motions=1)
-    measured = measure_coded(lit, photos, cache=tmp_path / "cells", designs=("raskar-52", "dnf", "oracle"))
+    lit = replace(
+        TINY, objective="mse", open_range=(1, 16), photons=(50.0, 1e6), read_noise_e=5.0, motions=1
+    )
+    measured = measure_coded(
+        lit, photos, cache=tmp_path / "cells", designs=("raskar-52", "dnf", "oracle")
+    )
     bits = {(shot.design, shot.photons): shot.bits for shot in measured.shots}
     assert bits["oracle", 50.0].count("1") > bits["oracle", 1e6].count("1")
     assert bits["dnf", 50.0] == bits["dnf", 1e6]
@@ -577,24 +725,36 @@ def test_codes_are_searched_for_the_light_that_they_meet(tmp_path, photos):
     assert len(list((tmp_path / "cells").glob("*.json"))) == 1 + 1 + 2 + 3 * 2
 
 
-def test_a_code_of_ones_own_is_a_row_that_counts_anew_when_it_changes(tmp_path, photos, monkeypatch):
+def test_a_code_of_ones_own_is_a_row_that_counts_anew_when_it_changes(
+    tmp_path, photos, monkeypatch
+):
     options = {"cache": tmp_path / "cells", "designs": ("open",)}
     tiny = replace(TINY, motions=1)
     measured = measure_coded(
-        tiny, photos, codes={"mine": ShutterCode(LOPSIDED), "all": ShutterCode("1" * 16)}, **options
+        tiny,
+        photos,
+        codes={"mine": ShutterCode(LOPSIDED), "all": ShutterCode("1" * 16)},
+        **options,
     )
     plain, mine, everything = measured.shots
     assert [one.design for one in measured.shots] == ["open", "mine", "all"]
     assert mine.bits == LOPSIDED
     assert {**mine.arguments, "bits": ""} == {**plain.arguments, "bits": ""}
-    assert everything.figures == plain.figures  # the same code is the same photo, whatever its row is called
+    assert (
+        everything.figures == plain.figures
+    )  # the same code is the same photo, whatever its row is called
     assert {"mine", "all"} < set(coded_tables(measured)[0].rows)
     assert len(list((tmp_path / "cells").glob("*.json"))) == 1 + 2
-    other = measure_coded(tiny, photos, codes={"mine": ShutterCode(LOPSIDED[::-1])}, **options).shots[1]
+    other = measure_coded(
+        tiny, photos, codes={"mine": ShutterCode(LOPSIDED[::-1])}, **options
+    ).shots[1]
     assert (other.bits, other.figures != mine.figures) == (LOPSIDED[::-1], True)
     monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
     assert (
-        measure_coded(tiny, photos, codes={"mine": ShutterCode(LOPSIDED)}, **options).shots[1].figures == mine.figures
+        measure_coded(tiny, photos, codes={"mine": ShutterCode(LOPSIDED)}, **options)
+        .shots[1]
+        .figures
+        == mine.figures
     )
     for name in ("open", "", "a|b"):
         with pytest.raises(ValueError, match=r"^code: "):
@@ -614,38 +774,51 @@ def own_restorations(tmp_path, monkeypatch):
     """Two modules of the user's own in the current folder."""
     monkeypatch.chdir(tmp_path)
     for name, factor in (("own_halving", 0.5), ("own_doubling", 2.0)):
-        Path(f"{name}.py").write_text(f"def restored(photo, psf):\n    return {factor} * photo / psf.sum()\n")
+        Path(f"{name}.py").write_text(
+            f"def restored(photo, psf):\n    return {factor} * photo / psf.sum()\n"
+        )
     yield
     for name in ("own_halving", "own_doubling"):
         sys.modules.pop(name, None)
 
 
 def test_a_restoration_of_ones_own_restores_the_table(tmp_path, photos, own_restorations):
-    own = coded_protocol(written(tmp_path / "mine.toml", restoration="own_halving:restored", motions=1))
+    own = coded_protocol(
+        written(tmp_path / "mine.toml", restoration="own_halving:restored", motions=1)
+    )
     measured = measure_coded(own, photos, cache=tmp_path / "cells", designs=("open",))
     assert measured.failures == {}
     taken = pictures_of(**measured.shots[0].arguments)
     np.testing.assert_allclose(taken.restored, np.clip(0.5 * taken.photo, 0, 1), atol=1e-9)
     # its module counts, also where nothing else differs
-    versions = {photo_version(name) for name in ("wiener", "own_halving:restored", "own_doubling:restored")}
+    versions = {
+        photo_version(name) for name in ("wiener", "own_halving:restored", "own_doubling:restored")
+    }
     assert len(versions) == 3
     assert photo_version("wiener") == photo_version("tv")  # these are arguments of the cells
 
 
 def test_only_estimates_that_are_needed_are_made(tmp_path, photos, guesses):
     measured = measure_coded(
-        replace(TINY, motions=1, restored_by="estimate"), photos, cache=tmp_path / "cells", designs=["oracle"]
+        replace(TINY, motions=1, restored_by="estimate"),
+        photos,
+        cache=tmp_path / "cells",
+        designs=["oracle"],
     )
     assert (guesses.photos, len(measured.shots)) == ([], 1)
 
 
 @pytest.mark.parametrize(
-    ("restored_by", "left"), [("psf", ["open", "open", "snapshot"]), ("estimate", ["open", "snapshot"])]
+    ("restored_by", "left"),
+    [("psf", ["open", "open", "snapshot"]), ("estimate", ["open", "snapshot"])],
 )
 def test_a_failed_estimate_leaves_its_photos_out(tmp_path, photos, guesses, restored_by, left):
     guesses.fails = 1
     measured = measure_coded(
-        replace(TINY, restored_by=restored_by), photos, cache=tmp_path / "cells", designs=("open", "snapshot")
+        replace(TINY, restored_by=restored_by),
+        photos,
+        cache=tmp_path / "cells",
+        designs=("open", "snapshot"),
     )
     assert measured.failures == {"motion/ours/blocks/0": "photo: too dark"}
     assert [shot.design for shot in measured.shots] == left
@@ -653,7 +826,10 @@ def test_a_failed_estimate_leaves_its_photos_out(tmp_path, photos, guesses, rest
     assert [shot.motion for shot in snapshots] == [1]
     guesses.fails = 0
     mended = measure_coded(
-        replace(TINY, restored_by=restored_by), photos, cache=tmp_path / "cells", designs=("open", "snapshot")
+        replace(TINY, restored_by=restored_by),
+        photos,
+        cache=tmp_path / "cells",
+        designs=("open", "snapshot"),
     )
     assert (mended.failures, len(mended.shots), len(guesses.photos)) == ({}, 4, 3)
 
@@ -664,9 +840,13 @@ def test_stopped_it_tells_and_goes_on_later(tmp_path, photos, guesses):
     stopped = measure_coded(TINY, photos, cache=cache, designs=("open", "snapshot"))
     assert (stopped.missing, stopped.shots) == (1, ())
     uncoded = photographed(**shown(drawn_motions(TINY)[0], bits="1", side=96)).photo
-    np.testing.assert_allclose(guesses.photos[0], uncoded, atol=0.002)  # no light levels: no noise here either
+    np.testing.assert_allclose(
+        guesses.photos[0], uncoded, atol=0.002
+    )  # no light levels: no noise here either
     assert coded_tables(stopped) == []
-    files = write_coded_report(tmp_path / "out", [], stopped, command="again", warnings=["stopped"])
+    files = write_coded_report(
+        tmp_path / "out", [], stopped, command="again", warnings=["stopped"]
+    )
     assert set(files) == set(OUTPUTS) - {"cep.png", "cep.pdf", "cep.svg"}
     whole = measure_coded(TINY, photos, cache=cache, designs=("open", "snapshot"))
     assert (whole.missing, len(whole.shots), len(guesses.photos)) == (0, 4, 3)
@@ -674,7 +854,10 @@ def test_stopped_it_tells_and_goes_on_later(tmp_path, photos, guesses):
 
 @pytest.mark.parametrize(
     ("names", "message"),
-    [(["open", "theirs"], "designs: must be among open, .*'theirs'"), (["open", "open"], "each must come once")],
+    [
+        (["open", "theirs"], "designs: must be among open, .*'theirs'"),
+        (["open", "open"], "each must come once"),
+    ],
 )
 def test_designs_are_refused_before_any_work(tmp_path, photos, names, message):
     with pytest.raises(ValueError, match=message):
@@ -683,10 +866,20 @@ def test_designs_are_refused_before_any_work(tmp_path, photos, names, message):
 
 
 def test_a_changed_method_is_measured_again_alone(monkeypatch):
-    before = {design: code_version(design) for design in DESIGNS}, photo_version("pnp"), motion_version("parametric")
+    before = (
+        {design: code_version(design) for design in DESIGNS},
+        photo_version("pnp"),
+        motion_version("parametric"),
+    )
     real = Path.read_bytes
-    monkeypatch.setattr(Path, "read_bytes", lambda self: b"new" if self.suffix == ".safetensors" else real(self))
-    after = {design: code_version(design) for design in DESIGNS}, photo_version("pnp"), motion_version("parametric")
+    monkeypatch.setattr(
+        Path, "read_bytes", lambda self: b"new" if self.suffix == ".safetensors" else real(self)
+    )
+    after = (
+        {design: code_version(design) for design in DESIGNS},
+        photo_version("pnp"),
+        motion_version("parametric"),
+    )
     assert before[0] == after[0]  # no code is chosen by a network
     assert before[1] != after[1]  # the denoiser's, with which a protocol may restore
     assert before[2] != after[2]
@@ -694,13 +887,17 @@ def test_a_changed_method_is_measured_again_alone(monkeypatch):
     assert motion_version("ours") != motion_version("parametric")
 
 
-# -- tables -----------------------------------------------------------------------------------------------------------
+# -- tables ---------------------------------------------------------------------------------------
 
 
 def shot(design, photo, motion, psnr_db, gains=(10.0, 10.0), photons=None):
     figures = {
-        "psnr_db": psnr_db, "ssim": 0.5, "noise_gain_db": gains[0], "reversed_noise_gain_db": gains[1], "min_mtf": 0.1,
-    }  # fmt: skip
+        "psnr_db": psnr_db,
+        "ssim": 0.5,
+        "noise_gain_db": gains[0],
+        "reversed_noise_gain_db": gains[1],
+        "min_mtf": 0.1,
+    }
     return Shot(design, photo, motion, photons, figures, "10", {})
 
 
@@ -712,17 +909,25 @@ def test_harm_is_counted_in_the_worse_direction():
     gains = [(9.0, 9.5), (9.0, 10.5), (11.0, 3.0), (10.0, 10.0)]
     shots = [shot("both-ways", "a", i, 30.0, gain) for i, gain in enumerate(gains)]
     shots += [shot("open", "a", i, 20.0) for i in range(3)]
-    assert harmed(table_of(shots), "both-ways") == (2, 3)  # the fourth has nothing to be compared with
+    assert harmed(table_of(shots), "both-ways") == (
+        2,
+        3,
+    )  # the fourth has nothing to be compared with
     assert harmed(table_of(shots), "open") == (0, 3)
     assert harmed(table_of(shots), "one-way") == (0, 0)
 
 
 def test_differences_are_ours_less_theirs_and_count_photos_and_motions():
     shots = [shot("open", photo, i, 20.0 + i) for photo in "abcdef" for i in range(8)]
-    shots += [shot("both-ways", photo, i, 25.0 + i + ord(photo) % 2) for photo in "abcdef" for i in range(8)]
+    shots += [
+        shot("both-ways", photo, i, 25.0 + i + ord(photo) % 2)
+        for photo in "abcdef"
+        for i in range(8)
+    ]
     # the protocol asks for more photos than there were
     quality, less, gain = coded_tables(table_of(shots, photos=100, motions=8))
-    ours, plain = DESIGNS["both-ways"].label, DESIGNS["open"].label
+    ours = DESIGNS["both-ways"].label
+    plain = DESIGNS["open"].label
     assert list(less.rows) == [plain]
     (psnr, ssim) = less.rows[plain]
     assert psnr.summary.mean == pytest.approx(5.5)
@@ -730,7 +935,9 @@ def test_differences_are_ours_less_theirs_and_count_photos_and_motions():
     assert quality.rows[ours][0].bold
     entries = (quality.rows[ours][0], psnr)
     assert {entry.interval.clusters for entry in entries} == {6}
-    assert entries[0].interval.high - entries[0].interval.low > 4  # motions differ by 2.4 dB, photos by half one
+    assert (
+        entries[0].interval.high - entries[0].interval.low > 4
+    )  # motions differ by 2.4 dB, photos by half one
     assert gain.rows[ours][1].interval is None
     few = [one for one in shots if one.motion < 2]
     assert coded_tables(table_of(few))[0].rows[ours][0].interval.clusters == 2
@@ -747,14 +954,21 @@ def test_rows_that_know_the_truth_or_pay_no_light_are_no_rivals(photons):
         "open": 20.0,
     }
     level = photons[0] if photons else None
-    shots = [shot(name, p, i, psnr + i, photons=level) for name, psnr in best.items() for p in "abc" for i in range(3)]
+    shots = [
+        shot(name, p, i, psnr + i, photons=level)
+        for name, psnr in best.items()
+        for p in "abc"
+        for i in range(3)
+    ]
     rivals, apart, *_ = coded_tables(table_of(shots, photons=photons))
     limits = {"oracle", "parametric-oracle"} | (set() if photons else {"snapshot", "strobe"})
     assert set(apart.rows) == {DESIGNS[name].label for name in limits}
     assert set(rivals.rows) == {DESIGNS[name].label for name in set(best) - limits}
     assert not any(entry.bold for entries in apart.rows.values() for entry in entries)
     leader = "snapshot" if photons else "both-ways"
-    assert [label for label, entries in rivals.rows.items() if entries[0].bold] == [DESIGNS[leader].label]
+    assert [label for label, entries in rivals.rows.items() if entries[0].bold] == [
+        DESIGNS[leader].label
+    ]
 
 
 def test_a_line_of_zeros_is_an_infinite_noise_gain_and_medians_bear_it():
@@ -774,21 +988,35 @@ def test_a_line_of_zeros_is_an_infinite_noise_gain_and_medians_bear_it():
 
 @pytest.mark.parametrize("design", ["one-way", "both-ways", "oracle"])
 def test_a_search_is_never_worse_than_a_snapshot_that_keeps_its_limits(design):
-    known, limits = MotionPrior((BENT,), (1.0,)), {"open_range": (1, 16), "objective": "mse"}
+    known = MotionPrior((BENT,), (1.0,))
+    limits = {"open_range": (1, 16), "objective": "mse"}
     dark = Camera(photons_full_scale=300.0, read_noise_e=5.0)
     codes = [
-        design_code(name, known, chips=16, camera=dark, steps=40_000, rng=np.random.default_rng(0), **limits)
+        design_code(
+            name,
+            known,
+            chips=16,
+            camera=dark,
+            steps=40_000,
+            rng=np.random.default_rng(0),
+            **limits,
+        )
         for name in (design, "snapshot")
     ]
     ways = (BENT,) if design in ("one-way", "oracle") else (BENT, BENT.reversed())
-    ours, short = (max(measure(way, code, camera=dark, budget=0).mse_db for way in ways) for code in codes)
+    ours, short = (
+        max(measure(way, code, camera=dark, budget=0).mse_db for way in ways) for code in codes
+    )
     assert ours <= short + 1e-6
 
 
 def test_a_stopped_run_has_a_table_of_what_is_there(tmp_path):
     """The reference was reached at the first light level only."""
-    dim, bright = 300.0, 1e4
-    shots = [shot("open", "a", i, 20.0, photons=level) for level in (dim, bright) for i in range(2)]
+    dim = 300.0
+    bright = 1e4
+    shots = [
+        shot("open", "a", i, 20.0, photons=level) for level in (dim, bright) for i in range(2)
+    ]
     shots += [shot("both-ways", "a", i, 21.0, photons=dim) for i in range(2)]
     titles = [table.title for table in coded_tables(table_of(shots, photons=(dim, bright)))]
     assert titles == [
@@ -797,7 +1025,7 @@ def test_a_stopped_run_has_a_table_of_what_is_there(tmp_path):
         "Noise gain of the codes along the true motion, 300 photo-electrons",
         "Coded exposure, tiny, 10,000 photo-electrons",
         "Noise gain of the codes along the true motion, 10,000 photo-electrons",
-    ]  # fmt: skip
+    ]
 
 
 def test_every_photo_is_in_the_csv():
@@ -813,17 +1041,20 @@ def test_the_picture_needs_no_level_that_was_not_reached(tmp_path, photos):
     measured = measure_coded(dim, photos, cache=tmp_path / "cells", designs=("open",))
     reached = replace(measured, shots=tuple(one for one in measured.shots if one.photons == 300.0))
     assert len(reached.shots) == 1
-    files = write_coded_report(tmp_path / "out", coded_tables(reached), reached, command="again", warnings=[])
+    files = write_coded_report(
+        tmp_path / "out", coded_tables(reached), reached, command="again", warnings=[]
+    )
     assert set(files) == set(OUTPUTS)
     assert "in neither direction" not in files["cep.md"].read_text()
 
 
-# -- one code for a class ---------------------------------------------------------------------------------------------
+# -- one code for a class -------------------------------------------------------------------------
 
 
 def test_the_class_is_of_the_protocols_kind_and_none_of_its_motions():
     walks = replace(TINY, shakes="boracchi-foi")
-    shown, others = drawn_motions(walks), class_motions(walks)
+    shown = drawn_motions(walks)
+    others = class_motions(walks)
     assert len(others) == 60
     assert all(path.length_px == pytest.approx(60, abs=1) for path in others)  # thinned
     assert not any(np.allclose(path.xy[-1], one.xy[-1]) for path in others for one in shown)
@@ -831,9 +1062,14 @@ def test_the_class_is_of_the_protocols_kind_and_none_of_its_motions():
 
 def test_all_photos_have_the_same_class_code():
     """Brute force over all codes of four chips out of eight, by the mean of the decibels."""
-    codes = [ShutterCode("".join("01"[k in on] for k in range(8))) for on in combinations(range(8), 4)]
+    codes = [
+        ShutterCode("".join("01"[k in on] for k in range(8))) for on in combinations(range(8), 4)
+    ]
     paths = class_motions(TINY)[:2]
-    gains = {code.bits: np.mean([measure(path, code, budget=0).noise_gain_db for path in paths]) for code in codes}
+    gains = {
+        code.bits: np.mean([measure(path, code, budget=0).noise_gain_db for path in paths])
+        for code in codes
+    }
     found = chosen("class", MotionPrior(paths, (0.5, 0.5)), chips=8, open_range=(4, 4), steps=2000)
     assert gains[found.bits] == pytest.approx(min(gains.values()), abs=0.05)
 
@@ -846,7 +1082,7 @@ def test_a_class_code_is_searched_once(tmp_path, photos, monkeypatch):
     assert len({shot.bits for shot in measured.shots}) == 1
 
 
-# -- calibrations by other photos than an open one --------------------------------------------------------------------
+# -- calibrations by other photos than an open one ------------------------------------------------
 
 
 def test_photos_of_a_calibration_are_moved_by_their_own_shifts():
@@ -865,14 +1101,20 @@ def test_calibration_photos_have_their_codes_light():
     options = {"camera": dim, "borders": "real"}
     for light_true, light in ((True, 0.5), (False, 1.0)):
         plain, coded = calibration_photos(
-            np.full((128, 128), 0.6), BENT, ["1" * 8, "11001010"], rng=np.random.default_rng(0), light_true=light_true,
+            np.full((128, 128), 0.6),
+            BENT,
+            ["1" * 8, "11001010"],
+            rng=np.random.default_rng(0),
+            light_true=light_true,
             **options,
-        )  # fmt: skip
+        )
         assert plain.shape == coded.shape
         assert coded.mean() / plain.mean() == pytest.approx(light, abs=1e-3)
 
 
-@pytest.mark.parametrize(("name", "message"), [("theirs", "'theirs' is no code"), ("open", "order cannot be known")])
+@pytest.mark.parametrize(
+    ("name", "message"), [("theirs", "'theirs' is no code"), ("open", "order cannot be known")]
+)
 def test_a_set_that_tells_no_order_is_refused(name, message):
     with pytest.raises(ValueError, match=message):
         codes_of_set(name, 16)
@@ -900,7 +1142,13 @@ class Knowing:
 
 
 CALIBRATED = replace(
-    TINY, photons=(1e4,), objective="mse", borders="real", crop_px=96, restored_by="psf", restoration="wiener"
+    TINY,
+    photons=(1e4,),
+    objective="mse",
+    borders="real",
+    crop_px=96,
+    restored_by="psf",
+    restoration="wiener",
 )
 
 
@@ -918,30 +1166,47 @@ def two_photos(tmp_path, coarse_walks):
     return {name: tmp_path / f"{name}.png" for name in ("a", "b")}
 
 
-def test_calibrated_by_an_estimator_that_knows_the_path_a_row_is_the_true_paths(tmp_path, two_photos, knowing):
+def test_calibrated_by_an_estimator_that_knows_the_path_a_row_is_the_true_paths(
+    tmp_path, two_photos, knowing
+):
     """Motions are calibrated once for all photos, and the code along the path found is that along the true one."""
-    measured = measure_coded(CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("oracle", "calibrated-4"))
+    measured = measure_coded(
+        CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("oracle", "calibrated-4")
+    )
     assert measured.failures == {}
     assert knowing.made == [codes_of_set("open+gray3", 16)] * 2
-    rows = {name: [shot for shot in measured.shots if shot.design == name] for name in ("oracle", "calibrated-4")}
+    rows = {
+        name: [shot for shot in measured.shots if shot.design == name]
+        for name in ("oracle", "calibrated-4")
+    }
     assert [shot.bits for shot in rows["calibrated-4"]] == [shot.bits for shot in rows["oracle"]]
-    assert [shot.figures for shot in rows["calibrated-4"]] == [shot.figures for shot in rows["oracle"]]
+    assert [shot.figures for shot in rows["calibrated-4"]] == [
+        shot.figures for shot in rows["oracle"]
+    ]
     assert all(figures["error_px"] < 1e-9 for (kind, *_), figures in measured.estimates.items())
     quality, _, less, _ = coded_tables(measured)
     assert less.rows[DESIGNS["oracle"].label][0].summary.mean == 0
     assert quality.head[-2:] == ("n", "motions")
     assert quality.lines()[0][-2:] == ("4", "2")
-    files = write_coded_report(tmp_path / "out", coded_tables(measured), measured, command="again", warnings=[])
+    files = write_coded_report(
+        tmp_path / "out", coded_tables(measured), measured, command="again", warnings=[]
+    )
     assert "open + three: 2 of mean MNC 1.000" in files["cep.md"].read_text()
 
 
-def test_a_stopped_calibration_is_made_again_and_the_finished_one_kept(tmp_path, two_photos, knowing):
+def test_a_stopped_calibration_is_made_again_and_the_finished_one_kept(
+    tmp_path, two_photos, knowing
+):
     knowing.stops = 2
-    stopped = measure_coded(CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("calibrated-4",))
+    stopped = measure_coded(
+        CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("calibrated-4",)
+    )
     assert (stopped.missing > 0, stopped.shots) == (True, ())
     knowing.made.pop()
     knowing.stops = 0
-    whole = measure_coded(CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("calibrated-4",))
+    whole = measure_coded(
+        CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("calibrated-4",)
+    )
     assert (whole.missing, len(whole.shots), len(knowing.made)) == (0, 4, 2)
 
 
@@ -952,7 +1217,9 @@ def test_calibrated_rows_are_measured_where_they_are_named():
 
 def test_a_point_light_through_a_code_shows_the_path_and_its_direction():
     angle = np.linspace(0, np.pi / 2, 60)
-    arc = Trajectory.from_samples(10 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]), direction="known")
+    arc = Trajectory.from_samples(
+        10 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]), direction="known"
+    )
     found = motion_from_light(motion=paths_to([arc], [1.0]), camera=Camera().to_dict(), seed=0)
     path = paths_from(found["paths"])[0][0]
     assert path.direction == "known"
@@ -963,7 +1230,8 @@ def test_a_point_light_through_a_code_shows_the_path_and_its_direction():
 
 
 def test_edits_of_what_finds_a_calibrated_path_count(monkeypatch):
-    real, seen = run.source_version, []
+    real = run.source_version
+    seen = []
 
     def watched(modules, **others):
         seen.extend(modules)
@@ -976,7 +1244,7 @@ def test_edits_of_what_finds_a_calibrated_path_count(monkeypatch):
     assert CodedEstimator.__module__ in seen
 
 
-# -- restored blind ---------------------------------------------------------------------------------------------------
+# -- restored blind -------------------------------------------------------------------------------
 
 
 def test_restored_with_its_kernel_a_photo_is_as_with_its_psf():
@@ -1011,7 +1279,9 @@ def test_kernels_are_searched_in_the_photos_that_are_restored(tmp_path, two_phot
     blind = replace(CALIBRATED, restored_by="blind", motions=1, photos=1)
     photos = {"a": two_photos["a"]}
     own = {"mine": ShutterCode("1100101000110101")}
-    measured = measure_coded(blind, photos, cache=tmp_path / "cells", designs=("open", "oracle"), codes=own)
+    measured = measure_coded(
+        blind, photos, cache=tmp_path / "cells", designs=("open", "oracle"), codes=own
+    )
     assert [shot.design for shot in measured.shots] == ["open", "oracle", "mine"]
     for shot, searched in zip(measured.shots, Finder.photos, strict=True):
         taken = pictures_of(**shot.arguments)
@@ -1026,16 +1296,18 @@ def test_kernels_are_searched_in_the_photos_that_are_restored(tmp_path, two_phot
     assert "mine less each other row, 10,000 photo-electrons" in titles
 
 
-# -- changed fields ---------------------------------------------------------------------------------------------------
+# -- changed fields -------------------------------------------------------------------------------
 
 
 def test_fields_of_a_protocol_may_be_changed():
-    changed = coded_protocol("ours", ["motions=20", "photons=[10000, 1e5]", "restored_by=blind", "name='dim'"])
+    changed = coded_protocol(
+        "ours", ["motions=20", "photons=[10000, 1e5]", "restored_by=blind", "name='dim'"]
+    )
     assert (changed.motions, changed.photons, changed.restored_by) == (20, (1e4, 1e5), "blind")
     assert changed.name == "dim"
-    assert replace(changed, motions=9, photons=coded_protocol("ours").photons, restored_by="path", name="ours") == (
-        coded_protocol("ours")
-    )
+    assert replace(
+        changed, motions=9, photons=coded_protocol("ours").photons, restored_by="path", name="ours"
+    ) == (coded_protocol("ours"))
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,12 @@ def photo(path, *, side=(70, 80)):
 def rsblur(root, *, names=("0001/000001", "0001/000022", "0019/003082")):
     """RSBlur.zip: each photo with its averaged frames and their saturation mask beside."""
     for name in names:
-        for half in ("gt/gt_sharp.png", "real_blur/real_blur.png", "avg65_img/avg_blur.png",
-                     "avg65_mask_100/avg_blur.png"):  # fmt: skip
+        for half in (
+            "gt/gt_sharp.png",
+            "real_blur/real_blur.png",
+            "avg65_img/avg_blur.png",
+            "avg65_mask_100/avg_blur.png",
+        ):
             photo(root / "RSBlur" / name / half)
     return root
 
@@ -38,7 +42,10 @@ def test_rsblurs_pairs_are_found_and_its_list_chooses_among_them(tmp_path):
         assert (blurred.name, sharp.name) == ("real_blur.png", "gt_sharp.png")
         assert blurred.parent.parent == sharp.parent.parent
     (root / RSBLUR_LIST).write_text(line("0019/003082") + line("0001/000022"))
-    assert [(one.scene, one.shake) for one in real_photos(root, 9)] == [("0001", "000022"), ("0019", "003082")]
+    assert [(one.scene, one.shake) for one in real_photos(root, 9)] == [
+        ("0001", "000022"),
+        ("0019", "003082"),
+    ]
     assert [path.parent.parent.name for path in photo_folder(root)] == ["000022", "003082"]
     assert len(rsblur_pairs(root / "RSBlur")) == 3  # the list lies above
 
@@ -46,8 +53,14 @@ def test_rsblurs_pairs_are_found_and_its_list_chooses_among_them(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (line("0001/000022") + line("0007/000222"), "names 0007/000222, which is not in this folder"),
-        ("RSBlur/0001/000022/gt/gt_sharp.png\n", "line 1: wanted 0001/000022/gt/gt_sharp.png 0001/000022/real_blur"),
+        (
+            line("0001/000022") + line("0007/000222"),
+            "names 0007/000222, which is not in this folder",
+        ),
+        (
+            "RSBlur/0001/000022/gt/gt_sharp.png\n",
+            "line 1: wanted 0001/000022/gt/gt_sharp.png 0001/000022/real_blur",
+        ),
         (line("0001/000022").replace("000022/real", "000001/real"), "line 1: wanted"),
         ("\n", "names no pair"),
     ],
@@ -80,7 +93,12 @@ def koehler(root, *, frames):
     for image, shake in ((1, 2), (1, 10), (4, 1)):
         photo(root / f"Blurry{image}_{shake}.png")
         for frame in range(1, frames + 1):
-            photo(root / f"Image{image}" / f"Kernel{shake}" / f"GroundTruth{image}_{shake}_{frame}.png")
+            photo(
+                root
+                / f"Image{image}"
+                / f"Kernel{shake}"
+                / f"GroundTruth{image}_{shake}_{frame}.png"
+            )
     return root
 
 
@@ -91,16 +109,26 @@ def test_koehlers_photos_come_with_the_frame_in_the_middle(tmp_path):
         (f"Blurry{key}.png", f"GroundTruth{key}_6.png") for key in ("1_2", "1_10", "4_1")
     ]
     assert [(one.scene, one.shake) for one in real_photos(tmp_path, 9)] == [
-        ("Blurry1", "2"), ("Blurry1", "10"), ("Blurry4", "1"),
-    ]  # fmt: skip
+        ("Blurry1", "2"),
+        ("Blurry1", "10"),
+        ("Blurry4", "1"),
+    ]
     plan = blind_plan(Protocol("tiny", 1, 1, crop_px=64), ["pmp"], folder=tmp_path)
-    assert {cell.name[0] for cell in plan.cells} == {"delta", "gaussian", "pmp"}  # a floor is a photo as it is
-    assert {cell.arguments["sharp"].name for cell in plan.cells} == {sharp.name for _, sharp in pairs}
+    assert {cell.name[0] for cell in plan.cells} == {
+        "delta",
+        "gaussian",
+        "pmp",
+    }  # a floor is a photo as it is
+    assert {cell.arguments["sharp"].name for cell in plan.cells} == {
+        sharp.name for _, sharp in pairs
+    }
 
 
 def test_koehlers_photos_alone_have_no_sharp_ones(tmp_path):
     koehler(tmp_path, frames=0)
-    (tmp_path / "GroundTruth1_1.mat").write_bytes(b"")  # the frames in Matlab's format: no set of Levin's
+    (tmp_path / "GroundTruth1_1.mat").write_bytes(
+        b""
+    )  # the frames in Matlab's format: no set of Levin's
     assert layout_of(tmp_path) == "koehler"
     assert [sharp for _, sharp in koehler_pairs(tmp_path)] == [None] * 3
 
@@ -108,7 +136,9 @@ def test_koehlers_photos_alone_have_no_sharp_ones(tmp_path):
 def test_frames_of_some_of_koehlers_photos_only_are_refused(tmp_path):
     koehler(tmp_path, frames=1)
     (tmp_path / "Image1/Kernel10/GroundTruth1_10_1.png").unlink()
-    with pytest.raises(ValueError, match=r"^[^\n]*Blurry1_10\.png has no frames in Image1/Kernel10, others have$"):
+    with pytest.raises(
+        ValueError, match=r"^[^\n]*Blurry1_10\.png has no frames in Image1/Kernel10, others have$"
+    ):
         koehler_pairs(tmp_path)
 
 
@@ -116,7 +146,9 @@ def test_real_photos_are_checked_before_the_work(tmp_path):
     root = rsblur(tmp_path)
     photos = real_photos(root, 9)
     check_real(photos, 70)
-    with pytest.raises(ValueError, match=r"real_blur\.png: 80 x 70 px is too small, the protocol needs 71 px"):
+    with pytest.raises(
+        ValueError, match=r"real_blur\.png: 80 x 70 px is too small, the protocol needs 71 px"
+    ):
         check_real(photos, 71)
     photo(photos[2].sharp, side=(72, 80))
     with pytest.raises(ValueError, match=r"real_blur\.png: has the shape .* they must be pairs"):

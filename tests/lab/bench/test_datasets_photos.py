@@ -19,7 +19,9 @@ def photo(path, *, side=(40, 50), blurred=False, seed=0):
     path.parent.mkdir(parents=True, exist_ok=True)
     image = np.random.default_rng(seed).random(side)
     if blurred:
-        image = (image + np.roll(image, 1, 0) + np.roll(image, 1, 1) + np.roll(image, (1, 1), (0, 1))) / 4
+        image = (
+            image + np.roll(image, 1, 0) + np.roll(image, 1, 1) + np.roll(image, (1, 1), (0, 1))
+        ) / 4
     write_image(path, image, gamma="linear")
     return path
 
@@ -28,7 +30,11 @@ def gopro(root, *, swapped=False):
     for sequence in ("GOPR01", "GOPR02"):
         for number in (1, 2):
             for half in ("sharp", "blur"):
-                photo(root / sequence / half / f"{number:06d}.png", blurred=(half == "blur") != swapped, seed=number)
+                photo(
+                    root / sequence / half / f"{number:06d}.png",
+                    blurred=(half == "blur") != swapped,
+                    seed=number,
+                )
     return root
 
 
@@ -42,9 +48,13 @@ def test_a_folder_of_photos_is_listed_in_order_with_its_subfolders(tmp_path):
 
 
 def test_pictures_of_benchmarks_are_no_photos(tmp_path):
-    made = [photo(tmp_path / name) for name in ("cep.png", "shots/a.png", "shots/b.png", "shots/c.png")]
+    made = [
+        photo(tmp_path / name) for name in ("cep.png", "shots/a.png", "shots/b.png", "shots/c.png")
+    ]
     photo(tmp_path / "bench" / "cep.png")
-    (tmp_path / "bench" / "cep.json").write_text(made_json({}, command="", seed=0, machines=[], warnings=[]))
+    (tmp_path / "bench" / "cep.json").write_text(
+        made_json({}, command="", seed=0, machines=[], warnings=[])
+    )
     # what others keep beside photos under the same name
     (tmp_path / "shots" / "a.json").write_text('{"schema": "annotations/1"}')
     (tmp_path / "shots" / "b.json").write_bytes(b"\xff")
@@ -58,8 +68,27 @@ def test_pictures_of_our_commands_are_no_photos(cep, workplace):
     """Of what a day's work leaves in a folder, only what has no record is still taken for photos."""
     motion = ("--trajectory", "trajectory.json")
     for command in (
-        ("calibrate", "blurred.png", "--method", "reference", "--sharp", "sharp.png", "-o", ".", "--force"),
-        ("calibrate", "blurred.png", "--method", "reference", "--sharp", "sharp.png", "-o", "hand"),
+        (
+            "calibrate",
+            "blurred.png",
+            "--method",
+            "reference",
+            "--sharp",
+            "sharp.png",
+            "-o",
+            ".",
+            "--force",
+        ),
+        (
+            "calibrate",
+            "blurred.png",
+            "--method",
+            "reference",
+            "--sharp",
+            "sharp.png",
+            "-o",
+            "hand",
+        ),
         ("simulate", "sharp.png", *motion, "--code", "code.json"),
         ("simulate", "sharp.png", *motion, "-o", "open.jpg"),
         ("pareto", "--chips", "9", "--time", "0.2", "-o", "front.json"),
@@ -67,9 +96,19 @@ def test_pictures_of_our_commands_are_no_photos(cep, workplace):
         ("deblur", "sharp_coded.png", *motion, "--code", "code.json"),
     ):
         cep.succeeds(*command)
-    pictures = {path.as_posix() for path in workplace.rglob("*") if path.suffix in (".png", ".jpg")}
+    pictures = {
+        path.as_posix() for path in workplace.rglob("*") if path.suffix in (".png", ".jpg")
+    }
     made = {
-        *("psf.png", "map.png", "preview.png", "hand/psf.png", "hand/map.png", "hand/preview.png", "front.png"),
+        *(
+            "psf.png",
+            "map.png",
+            "preview.png",
+            "hand/psf.png",
+            "hand/map.png",
+            "hand/preview.png",
+            "front.png",
+        ),
         *("sharpened.png", "hand/sharpened.png"),
         *("sharp_coded.png", "sharp_coded_psf.png", "open.jpg", "open_psf.png"),
     }
@@ -77,7 +116,9 @@ def test_pictures_of_our_commands_are_no_photos(cep, workplace):
     given = {"sharp.png", "blurred.png"}
     assert pictures == {(workplace / name).as_posix() for name in made | without_record | given}
     assert layout_of(workplace) == "photos"  # though there are .mat files
-    assert {path.relative_to(workplace).as_posix() for path in photo_folder(workplace)} == without_record | given
+    assert {
+        path.relative_to(workplace).as_posix() for path in photo_folder(workplace)
+    } == without_record | given
 
 
 def calibrated(folder):
@@ -97,7 +138,9 @@ def test_pictures_of_the_demo_are_no_photos(tmp_path):
     assert photo_folder(tmp_path) == (own,)
     (tmp_path / "demo" / "demo.json").write_text('{"schema": "annotations/1"}')
     pictures = {name for name in DEMO_FILES if name.endswith(".png")}
-    assert {path.name for path in photo_folder(tmp_path)} == (pictures - set(CALIBRATION_FILES)) | {"a.png"}
+    assert {path.name for path in photo_folder(tmp_path)} == (
+        pictures - set(CALIBRATION_FILES)
+    ) | {"a.png"}
 
 
 def beside_a_code(folder):
@@ -114,9 +157,15 @@ def beside_a_motion(folder):
 
 def beside_somebody_elses_arrays(folder):
     """A depth map, say, in the formats of our PSFs."""
-    for stem, variables in (("room", {"depth": np.eye(3)}), ("wall", {"psf": np.eye(3), "noise": 1.0}), ("door", None)):
+    for stem, variables in (
+        ("room", {"depth": np.eye(3)}),
+        ("wall", {"psf": np.eye(3), "noise": 1.0}),
+        ("door", None),
+    ):
         np.save(folder / f"{stem}.npy", np.eye(3))
-        savemat(folder / f"{stem}.mat", variables) if variables else (folder / f"{stem}.mat").write_bytes(b"MATLAB")
+        savemat(folder / f"{stem}.mat", variables) if variables else (
+            folder / f"{stem}.mat"
+        ).write_bytes(b"MATLAB")
     return ["room.png", "wall.png", "door.png"]
 
 
@@ -145,7 +194,9 @@ def test_photos_beside_files_of_ours_stay_photos(tmp_path, made):
 
 
 def test_any_version_of_a_table_counts(tmp_path):
-    (tmp_path / "front.json").write_text(f'{{"schema": "{FRONT_SCHEMA.replace("1", "7")}", "points": []}}')
+    (tmp_path / "front.json").write_text(
+        f'{{"schema": "{FRONT_SCHEMA.replace("1", "7")}", "points": []}}'
+    )
     photo(tmp_path / "front.png")
     with pytest.raises(ValueError, match="holds no photos"):
         photo_folder(tmp_path)
@@ -173,14 +224,18 @@ def test_only_the_sharp_half_of_gopro_and_rsblur_is_taken(tmp_path):
 
 def test_gopros_layout_as_it_is_spread(tmp_path):
     """GOPRO_Large: train and test, two kinds of blur beside the sharp frames of every film."""
-    for number, place in enumerate(("train/GOPR0372_07_00", "train/GOPR0372_07_01", "test/GOPR0384_11_00")):
+    for number, place in enumerate(
+        ("train/GOPR0372_07_00", "train/GOPR0372_07_01", "test/GOPR0384_11_00")
+    ):
         for half in ("blur", "blur_gamma", "sharp"):
             photo(tmp_path / place / half / "000047.png", blurred=half != "sharp", seed=number)
     root = tmp_path
     assert layout_of(root) == layout_of(root / "test") == "gopro"
     assert [path.parent.parent.name for path in photo_folder(root)] == [
-        "GOPR0384_11_00", "GOPR0372_07_00", "GOPR0372_07_01",
-    ]  # fmt: skip
+        "GOPR0384_11_00",
+        "GOPR0372_07_00",
+        "GOPR0372_07_01",
+    ]
     assert photo_folder(root / "test") == (root / "test/GOPR0384_11_00/sharp/000047.png",)
 
 
@@ -229,7 +284,10 @@ def an_unpaired_photo(root):
 def another_size(root):
     gopro(root)
     photo(root / "GOPR01" / "blur" / "000001.png", side=(40, 48), blurred=True, seed=1)
-    return root, "GOPR01: blur/000001.png has 48 x 40 px, sharp/000001.png 50 x 40 px; they must be pairs"
+    return (
+        root,
+        "GOPR01: blur/000001.png has 48 x 40 px, sharp/000001.png 50 x 40 px; they must be pairs",
+    )
 
 
 def an_extra_photo(root):
@@ -258,8 +316,21 @@ def rsblur_without_sharp(root):
     return root, "gt/gt_sharp.png"
 
 
-REFUSED = (no_such, a_file, empty, levin, koehler, no_sharp_half, an_unpaired_photo, an_extra_photo, another_size,
-           the_blurred_half, swapped_halves, empty_halves, rsblur_without_sharp)  # fmt: skip
+REFUSED = (
+    no_such,
+    a_file,
+    empty,
+    levin,
+    koehler,
+    no_sharp_half,
+    an_unpaired_photo,
+    an_extra_photo,
+    another_size,
+    the_blurred_half,
+    swapped_halves,
+    empty_halves,
+    rsblur_without_sharp,
+)
 
 
 @pytest.mark.parametrize("made", REFUSED)
@@ -281,7 +352,9 @@ def test_photos_are_picked_over_the_whole_list(tmp_path):
     photos = [photo(tmp_path / f"{i:02d}.png") for i in range(9)]
     assert [path.stem for path in pick(photos, 3, least_px=40)] == ["00", "03", "06"]
     assert pick(photos, 20, least_px=40) == tuple(photos)
-    with pytest.raises(ValueError, match=r"00\.png: 50 x 40 px is too small, the protocol needs 41 px"):
+    with pytest.raises(
+        ValueError, match=r"00\.png: 50 x 40 px is too small, the protocol needs 41 px"
+    ):
         pick(photos, 3, least_px=41)
     photos[3].write_bytes(photos[3].read_bytes()[:200])
     with pytest.raises(ValueError, match=r"03\.png.*damaged"):
@@ -306,7 +379,9 @@ def test_a_crop_is_a_part_of_the_photo_and_every_place_may_come(tmp_path):
     for seed in range(120):
         part = crop(path, 38, np.random.default_rng(seed))
         places = [(row, column) for row in range(3) for column in range(13)]
-        (found,) = [(r, c) for r, c in places if np.array_equal(whole[r : r + 38, c : c + 38], part)]
+        (found,) = [
+            (r, c) for r, c in places if np.array_equal(whole[r : r + 38, c : c + 38], part)
+        ]
         corners.add(found)
     assert {row for row, _ in corners} == {0, 1, 2}
     assert {column for _, column in corners} == set(range(13))

@@ -52,10 +52,15 @@ def test_nobody_writes_into_a_scene_that_others_see(photo):
 
 
 def test_a_photo_too_small_for_it(photo):
-    with pytest.raises(ValueError, match=r"a\.png: 130 x 120 px is too small, the protocol needs 121 px"):
+    with pytest.raises(
+        ValueError, match=r"a\.png: 130 x 120 px is too small, the protocol needs 121 px"
+    ):
         sharp_scene(photo, Cut(121, "linear", (0,)))
 
 
 def test_photos_of_one_name_get_their_folders_for_it():
     assert labels_of([Path("x/a.png"), Path("x/b.png")]) == ("a", "b")
-    assert labels_of([Path("x/1/sharp/a.png"), Path("x/2/sharp/a.png")]) == ("1/sharp/a.png", "2/sharp/a.png")
+    assert labels_of([Path("x/1/sharp/a.png"), Path("x/2/sharp/a.png")]) == (
+        "1/sharp/a.png",
+        "2/sharp/a.png",
+    )

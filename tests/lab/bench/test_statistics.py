@@ -32,14 +32,20 @@ def test_summaries_of_little():
     assert summarized([math.inf, math.inf, 20]).median == math.inf
     values = np.random.default_rng(0).normal(size=38)
     found = summarized(values)
-    assert (found.q05, found.median, found.q95) == pytest.approx(np.quantile(values, (0.05, 0.5, 0.95)), rel=1e-12)
+    assert (found.q05, found.median, found.q95) == pytest.approx(
+        np.quantile(values, (0.05, 0.5, 0.95)), rel=1e-12
+    )
 
 
 @given(st.integers(-(10**6), 10**6), st.integers(3, 30), st.integers(1, 5))
 def test_a_constant_difference_has_no_width(constant, count, size):
-    second = rng(1).integers(-1000, 1000, count * size) / 8  # sums and differences without rounding
+    second = (
+        rng(1).integers(-1000, 1000, count * size) / 8
+    )  # sums and differences without rounding
     clusters = [index // size for index in range(count * size)]
-    found = mean_interval((second + constant / 8) - second, rng=rng(), clusters=clusters, resamples=1000)
+    found = mean_interval(
+        (second + constant / 8) - second, rng=rng(), clusters=clusters, resamples=1000
+    )
     assert found.low == found.mean == found.high == constant / 8
     assert (found.n, found.clusters) == (count * size, count)
     assert found.excludes_zero == (constant != 0)
@@ -60,7 +66,10 @@ def test_two_clusters_say_hardly_more():
 def slow_interval(values, clusters, seed, resamples=4000):
     """Bootstrap cluster by cluster, with the error of each draw worked out from its own clusters."""
     labels = sorted(set(clusters))
-    groups = [np.array([v for v, c in zip(values, clusters, strict=True) if c == label]) for label in labels]
+    groups = [
+        np.array([v for v, c in zip(values, clusters, strict=True) if c == label])
+        for label in labels
+    ]
 
     def mean_and_error(drawn):
         size = sum(len(group) for group in drawn)
@@ -72,9 +81,15 @@ def slow_interval(values, clusters, seed, resamples=4000):
     draw = np.random.default_rng(seed)
     pivots = []
     for _ in range(resamples):
-        one, own = mean_and_error([groups[index] for index in draw.integers(0, len(groups), len(groups))])
+        one, own = mean_and_error(
+            [groups[index] for index in draw.integers(0, len(groups), len(groups))]
+        )
         pivots.append((one - mean) / own)
-    return mean, mean - np.quantile(pivots, 0.975) * error, mean - np.quantile(pivots, 0.025) * error
+    return (
+        mean,
+        mean - np.quantile(pivots, 0.975) * error,
+        mean - np.quantile(pivots, 0.025) * error,
+    )
 
 
 def test_intervals_are_those_of_an_independent_bootstrap():
@@ -143,15 +158,22 @@ def test_the_same_seed_gives_the_same():
 
 def crossed(photos, motions, generator, *, photo_sd=0.3, motion_sd=2.0):
     """Values of every photo with every motion, their photos and their motions; the true mean is 0."""
-    of_photo, of_motion = generator.normal(0, photo_sd, photos), generator.normal(0, motion_sd, motions)
+    of_photo = generator.normal(0, photo_sd, photos)
+    of_motion = generator.normal(0, motion_sd, motions)
     values = of_photo[:, None] + of_motion + generator.normal(0, 1, (photos, motions))
-    return values.ravel(), np.repeat(np.arange(photos), motions).tolist(), np.tile(np.arange(motions), photos).tolist()
+    return (
+        values.ravel(),
+        np.repeat(np.arange(photos), motions).tolist(),
+        np.tile(np.arange(motions), photos).tolist(),
+    )
 
 
 @pytest.mark.parametrize(("photos", "motions"), [(10, 10), (10, 40)])
 def test_crossed_intervals_hold_the_mean_as_often_as_they_say(photos, motions):
     """By photo alone, though photos are as scarce, they would hold it in half of the trials."""
-    generator, found, alone = rng(5), [], []
+    generator = rng(5)
+    found = []
+    alone = []
     for _ in range(400):
         values, by_photo, by_motion = crossed(photos, motions, generator)
         found.append(crossed_interval(values, by_photo, by_motion))

@@ -21,7 +21,9 @@ def test_the_same_figure_gives_the_same_files_at_any_time(tmp_path, monkeypatch)
         (tmp_path / name).mkdir()
         write_figure(drawn(), tmp_path / name, "f")
     for suffix in FIGURE_SUFFIXES:
-        first, second = ((tmp_path / name / f"f{suffix}").read_bytes() for name in ("first", "second"))
+        first, second = (
+            (tmp_path / name / f"f{suffix}").read_bytes() for name in ("first", "second")
+        )
         assert first == second
     assert b"CreationDate" not in (tmp_path / "first/f.pdf").read_bytes()
     assert {path.name for path in (tmp_path / "first").iterdir()} == {"f.png", "f.pdf", "f.svg"}
@@ -32,6 +34,13 @@ def test_the_same_figure_gives_the_same_files_at_any_time(tmp_path, monkeypatch)
 def test_brackets_in_the_name_of_a_row_stay():
     name = "motdiff@runs[w]/a.safetensors"
     figures = {(row, photo, 0): {"mnc": float(photo)} for row in (name, "pmp") for photo in (0, 1)}
-    table = tabulate("t", figures, [Column("mnc", "MNC", "high")], rng=np.random.default_rng(0), row=0, cluster=(1, 2))
+    table = tabulate(
+        "t",
+        figures,
+        [Column("mnc", "MNC", "high")],
+        rng=np.random.default_rng(0),
+        row=0,
+        cluster=(1, 2),
+    )
     assert r"| motdiff@runs\[w\]/a.safetensors |" in tables_markdown([table])
     assert "motdiff@runs{[}w]/a.safetensors &" in tables_latex([table])

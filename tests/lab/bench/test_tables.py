@@ -12,12 +12,19 @@ from rich.console import Console
 from cep.commands.console import table as rich_table
 from cep.jobs.machine import machine
 from lab.bench.statistics import mean_interval, summarized
-from lab.bench.table_io import TABLES_SCHEMA, tables_csv, tables_json, tables_latex, tables_markdown
+from lab.bench.table_io import (
+    TABLES_SCHEMA,
+    tables_csv,
+    tables_json,
+    tables_latex,
+    tables_markdown,
+)
 from lab.bench.tables import Column, differences, tabulate
 from lab.commands.tables import show_tables
 
 PSNR = Column("psnr_db", "PSNR, dB", better="high")
-PHOTOS, MOTIONS = 10, 4
+PHOTOS = 10
+MOTIONS = 4
 
 
 def measured(**methods):
@@ -37,7 +44,9 @@ def gain(mean, spread=0.3, seed=1):
 
 
 def made(figures, *columns, **options):
-    return tabulate("one table", figures, columns or (PSNR,), rng=np.random.default_rng(5), **options)
+    return tabulate(
+        "one table", figures, columns or (PSNR,), rng=np.random.default_rng(5), **options
+    )
 
 
 def bold(table):
@@ -47,7 +56,8 @@ def bold(table):
 def test_bold_follows_the_paired_test():
     """Half a decibel is surely there although the photos differ by ten times as much."""
     table = made(measured(plain=gain(0), ours=gain(0.5, seed=2), snapshot=gain(-2)))
-    ours, plain = table.rows["ours"][0], table.rows["plain"][0]
+    ours = table.rows["ours"][0]
+    plain = table.rows["plain"][0]
     assert bold(table) == ["ours"]
     assert ours.interval.low < plain.interval.high  # unpaired intervals overlap
     assert ours.runner_up == "plain"
@@ -68,7 +78,11 @@ def test_a_larger_mean_alone_is_not_bold():
 @pytest.mark.parametrize(("photos", "shown"), [(1, False), (2, False), (PHOTOS, True)])
 def test_the_interval_of_one_or_two_photos_is_not_printed(cluster, photos, shown):
     """However alike they are: two photos show their spread by one difference."""
-    some = {name: own for name, own in measured(ours=gain(2)).items() if int(name[1].split()[1]) < photos}
+    some = {
+        name: own
+        for name, own in measured(ours=gain(2)).items()
+        if int(name[1].split()[1]) < photos
+    }
     constant = {name: {"psnr_db": 25.0} for name in some}
     for figures in (some, constant):
         table = made(figures, cluster=cluster)
@@ -80,7 +94,8 @@ def test_the_interval_of_one_or_two_photos_is_not_printed(cluster, photos, shown
 def test_one_photo_is_no_evidence():
     """Forty motions of one photo are one witness; counted by motion they are many."""
     figures = {
-        (name[0], "photo 0", "/".join(name[1:])): own for name, own in measured(plain=gain(0), ours=gain(2)).items()
+        (name[0], "photo 0", "/".join(name[1:])): own
+        for name, own in measured(plain=gain(0), ours=gain(2)).items()
     }
     assert bold(made(figures)) == []
     assert bold(made(figures, cluster=2)) == ["ours"]
@@ -119,7 +134,10 @@ def test_what_was_never_measured_is_a_dash():
         ("ours", "photo 1"): {"psnr_db": 21.0},
     }
     table = made(figures)
-    assert table.lines() == [("oracle", "–", "1"), ("ours", "20.50", "2")]  # two photos give no interval
+    assert table.lines() == [
+        ("oracle", "–", "1"),
+        ("ours", "20.50", "2"),
+    ]  # two photos give no interval
     assert bold(table) == []
 
 
@@ -147,15 +165,19 @@ def test_differences_are_taken_pair_by_pair():
     entry = table.rows["plain"][0]
     assert entry.summary.mean == pytest.approx(np.mean(ours) - np.mean(plain), rel=1e-9)
     assert entry.interval == mean_interval(
-        np.subtract(ours, plain), rng=np.random.default_rng(5), clusters=[name[1] for name in names]
+        np.subtract(ours, plain),
+        rng=np.random.default_rng(5),
+        clusters=[name[1] for name in names],
     )
     with pytest.raises(ValueError, match="reference: must be one of the rows, got 'theirs'"):
         differences(figures, "theirs")
 
 
 def test_markdown_marks_and_escapes():
-    figures = {(name[0].replace("plain", "min |P|"), *name[1:]): own for name, own in
-               measured(plain=gain(0), ours=gain(1, seed=2)).items()}  # fmt: skip
+    figures = {
+        (name[0].replace("plain", "min |P|"), *name[1:]): own
+        for name, own in measured(plain=gain(0), ours=gain(1, seed=2)).items()
+    }
     table = made(figures)
     head, rule, first, second = tables_markdown([table]).splitlines()[2:]
     assert head == "|  | PSNR, dB | n |"
@@ -182,9 +204,19 @@ def test_csv_has_every_number():
 
 def test_json_says_how_it_was_made():
     table = made(measured(plain=gain(0), ours=gain(1, seed=2)))
-    text = tables_json([table], command="python -m lab bench cep --quick", seed=3, machines=[machine()], warnings=["one"])
+    text = tables_json(
+        [table],
+        command="python -m lab bench cep --quick",
+        seed=3,
+        machines=[machine()],
+        warnings=["one"],
+    )
     document = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
-    assert (document["schema"], document["seed"], document["warnings"]) == (TABLES_SCHEMA, 3, ["one"])
+    assert (document["schema"], document["seed"], document["warnings"]) == (
+        TABLES_SCHEMA,
+        3,
+        ["one"],
+    )
     assert document["machines"][0]["versions"]["numpy"] == np.__version__
     (shown,) = document["tables"]
     entry = shown["rows"][1]["entries"][0]
@@ -205,19 +237,28 @@ def test_people_see_it_on_a_console():
 def test_people_see_the_median_where_that_is_shown():
     """The mean of an infinite figure is infinite, whatever the others are."""
     figures = {
-        ("open", f"photo {p}", "motion 0"): {"gain_db": gain_db} for p, gain_db in enumerate((math.inf, 20.0, 22.5))
+        ("open", f"photo {p}", "motion 0"): {"gain_db": gain_db}
+        for p, gain_db in enumerate((math.inf, 20.0, 22.5))
     }
-    tables = [made(figures, Column("gain_db", "gain, dB", middle=middle, digits=1)) for middle in ("median", "mean")]
+    tables = [
+        made(figures, Column("gain_db", "gain, dB", middle=middle, digits=1))
+        for middle in ("median", "mean")
+    ]
     console = Console(file=io.StringIO(), width=60)
     show_tables(console, tables)
-    assert [line.split()[1] for line in console.file.getvalue().splitlines() if "open" in line] == ["22.5", "inf"]
+    assert [
+        line.split()[1] for line in console.file.getvalue().splitlines() if "open" in line
+    ] == ["22.5", "inf"]
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [({"cluster": 0}, "cluster: must be another label"), ({"cluster": 3}, "figures: labels 0 and 3"),
-     ({"row": -1}, "figures: labels -1 and 1")],
-)  # fmt: skip
+    [
+        ({"cluster": 0}, "cluster: must be another label"),
+        ({"cluster": 3}, "figures: labels 0 and 3"),
+        ({"row": -1}, "figures: labels -1 and 1"),
+    ],
+)
 def test_refusals(options, message):
     with pytest.raises(ValueError, match=message):
         made(measured(plain=gain(0)), **options)

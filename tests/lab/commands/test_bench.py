@@ -105,16 +105,32 @@ def test_a_cost_is_never_measured_on_a_cluster(monkeypatch):
     """Beside others, or on machines of several kinds, times could not be compared."""
     engines = {}
     for name in ("speed_job", "blind_job", "cep_job", "codes_job"):
-        monkeypatch.setattr(all_jobs, name, lambda folder, engine, **_options: engines.update({folder.name: engine}))
+        monkeypatch.setattr(
+            all_jobs,
+            name,
+            lambda folder, engine, **_options: engines.update({folder.name: engine}),
+        )
     given = Engine(Path("cells"), 2, "tcp://127.0.0.1:9")
-    all_jobs.all_jobs(Path("out"), given, data=None, gyro=None, search_s=30.0, quick=True, force=False)
+    all_jobs.all_jobs(
+        Path("out"), given, data=None, gyro=None, search_s=30.0, quick=True, force=False
+    )
     assert engines.pop("speed") == Engine(Path("cells"), 1, None)
-    assert engines == dict.fromkeys(["codes", "blind-paper", "blind-ours", "cep-paper", "cep-ours"], given)
+    assert engines == dict.fromkeys(
+        ["codes", "blind-paper", "blind-ours", "cep-paper", "cep-ours"], given
+    )
 
 
 def test_help_tells_how_a_stopped_run_goes_on(cep):
-    for command in (("bench",), ("bench", "blind"), ("bench", "cep"), ("bench", "codes"), ("calibrate",)):
-        assert "the same command with --force goes on" in " ".join(cep(*command, "--help").out.split())
+    for command in (
+        ("bench",),
+        ("bench", "blind"),
+        ("bench", "cep"),
+        ("bench", "codes"),
+        ("calibrate",),
+    ):
+        assert "the same command with --force goes on" in " ".join(
+            cep(*command, "--help").out.split()
+        )
 
 
 def test_options_alone_run_and_no_arguments_help(cep, tables):
@@ -122,7 +138,9 @@ def test_options_alone_run_and_no_arguments_help(cep, tables):
     assert cep.code == cep("hw").code  # as of any group
     for option in (("--quick",), ("-o", "out"), ("--workers", "2")):
         line = cep.refuses("bench", *option, "codes", "bdinr-8")
-        assert re.fullmatch(r"cep: (-\S+): belongs after the table's name: python -m lab bench codes \1\n", line)
+        assert re.fullmatch(
+            r"cep: (-\S+): belongs after the table's name: python -m lab bench codes \1\n", line
+        )
     assert not Path("out").exists()
 
 
@@ -136,13 +154,20 @@ def test_what_exists_is_refused_before_any_work(cep, tables, monkeypatch):
 
 def test_the_tables_are_the_papers():
     engine = Engine(Path("cells"), 2, None)
-    jobs = all_jobs.all_jobs(Path("out"), engine, data=None, gyro=None, search_s=30.0, quick=True, force=False)
+    jobs = all_jobs.all_jobs(
+        Path("out"), engine, data=None, gyro=None, search_s=30.0, quick=True, force=False
+    )
     assert list(jobs) == ["codes", "speed", "blind-paper", "blind-ours", "cep-paper", "cep-ours"]
-    assert {name: job.about["folder"] for name, job in jobs.items()} == {name: Path("out", name) for name in jobs}
+    assert {name: job.about["folder"] for name, job in jobs.items()} == {
+        name: Path("out", name) for name in jobs
+    }
     assert all_jobs._files().keys() == jobs.keys()
-    assert {name: job.about["protocol"].name for name, job in jobs.items() if name.startswith("blind")} == {
-        "blind-paper": "paper", "blind-ours": "ours",
-    }  # fmt: skip
+    assert {
+        name: job.about["protocol"].name for name, job in jobs.items() if name.startswith("blind")
+    } == {
+        "blind-paper": "paper",
+        "blind-ours": "ours",
+    }
     assert jobs["cep-ours"].about["protocol"] == "ours"
 
 
@@ -150,7 +175,10 @@ def test_the_tables_are_the_papers():
     ("made", "message"),
     [
         (lambda folder: None, "no such folder"),
-        (lambda folder: folder.mkdir() or (folder / "im05_flit01.mat").write_bytes(b""), "im05_flit01.mat"),
+        (
+            lambda folder: folder.mkdir() or (folder / "im05_flit01.mat").write_bytes(b""),
+            "im05_flit01.mat",
+        ),
         (lambda folder: (folder / "GOPR01" / "blur").mkdir(parents=True), "no folder sharp"),
     ],
 )

@@ -26,7 +26,8 @@ max_length_px = 16.0
 [quick]
 motions = 1
 """
-FLOORS, CEILINGS = ["delta", "gaussian", "mean-kernel"], ["best-quadratic", "true-path", "true-kernel"]
+FLOORS = ["delta", "gaussian", "mean-kernel"]
+CEILINGS = ["best-quadratic", "true-path", "true-kernel"]
 
 
 @pytest.fixture
@@ -35,7 +36,9 @@ def studio(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("lab.bench.blind.run._OTHERS", 5)
     # the search for the best one takes 7 CPU-s a motion, and has tests of its own
-    monkeypatch.setattr("lab.evaluation.floors.most_alike_quadratic", lambda path, *, size: nearest_quadratic(path))
+    monkeypatch.setattr(
+        "lab.evaluation.floors.most_alike_quadratic", lambda path, *, size: nearest_quadratic(path)
+    )
     work._best_quadratic.cache_clear()
     rng = np.random.default_rng(0)
     for name in ("a", "b"):
@@ -51,7 +54,9 @@ def guesses(monkeypatch):
     """Stand in for the slow estimator: always the same motion; ``at`` a photo it stops or fails."""
 
     class Guess:
-        calls, fails, stops = 0, 0, 0
+        calls = 0
+        fails = 0
+        stops = 0
 
         def estimate(self, photo):
             Guess.calls += 1
@@ -68,7 +73,18 @@ def guesses(monkeypatch):
     work._estimator.cache_clear()
 
 
-BLIND = ("bench", "blind", "--data", "photos", "--protocol", "tiny.toml", "--methods", "pmp", "--workers", "1")
+BLIND = (
+    "bench",
+    "blind",
+    "--data",
+    "photos",
+    "--protocol",
+    "tiny.toml",
+    "--methods",
+    "pmp",
+    "--workers",
+    "1",
+)
 SPEED = ("bench", "speed", "--data", "photos", "--protocol", "tiny.toml", "--methods", "pmp")
 
 
@@ -76,32 +92,51 @@ SPEED = ("bench", "speed", "--data", "photos", "--protocol", "tiny.toml", "--met
 def test_a_real_estimator_from_photos_to_every_output(cep, studio):
     work._estimator.cache_clear()
     found = cep.succeeds(*BLIND, "-o", "out")
-    table, limits = (found["tables"][title] for title in (
-        "Blind, tiny, no noise", "Blind, tiny, no noise: kernels that know the truth",
-    ))  # fmt: skip
+    table, limits = (
+        found["tables"][title]
+        for title in (
+            "Blind, tiny, no noise",
+            "Blind, tiny, no noise: kernels that know the truth",
+        )
+    )
     assert list(table) == [*FLOORS, "pmp"]
     assert list(limits) == CEILINGS
     assert table["pmp"]["mnc_subpixel"]["n"] == 4
-    assert table["pmp"]["mnc_subpixel"]["mean"] > max(table[floor]["mnc_subpixel"]["mean"] for floor in FLOORS)
+    assert table["pmp"]["mnc_subpixel"]["mean"] > max(
+        table[floor]["mnc_subpixel"]["mean"] for floor in FLOORS
+    )
     assert table["pmp"]["cpu_s"]["mean"] > 0
     assert limits["true-kernel"]["mnc"]["mean"] == pytest.approx(1.0)
     assert limits["true-kernel"]["psnr_db"]["mean"] > table["delta"]["psnr_db"]["mean"]
     assert (found["failures"], found["missing"]) == ({}, 0)
     assert [Path(file).name for file in found["files"]] == [
-        "blind-cells.csv", "blind.csv", "blind.json", "blind.md", "blind.pdf", "blind.png", "blind.svg", "blind.tex",
-    ]  # fmt: skip
+        "blind-cells.csv",
+        "blind.csv",
+        "blind.json",
+        "blind.md",
+        "blind.pdf",
+        "blind.png",
+        "blind.svg",
+        "blind.tex",
+    ]
     with open("out/blind-cells.csv", newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == 2 * 2 * 7
     own = [float(row["mnc_subpixel"]) for row in rows if row["method"] == "pmp"]
     assert table["pmp"]["mnc_subpixel"]["mean"] == pytest.approx(np.mean(own), rel=1e-4)
     kept = json.loads(Path("out/blind.json").read_text())
-    assert kept["command"] == "python -m lab bench blind --data photos --protocol tiny.toml --methods pmp"
+    assert (
+        kept["command"]
+        == "python -m lab bench blind --data photos --protocol tiny.toml --methods pmp"
+    )
     assert (kept["seed"], kept["machines"][0]["versions"]["numpy"]) == (0, np.__version__)
     text = Path("out/blind.md").read_text()
     assert "| pmp |" in text
     assert "2 photos, each with 2 motions.\n" in text
-    assert "restored, up to shift, by L0 gradients, whose weight is 2.5 times the variance of the noise" in text
+    assert (
+        "restored, up to shift, by L0 gradients, whose weight is 2.5 times the variance of the noise"
+        in text
+    )
     assert "scikit-image" not in text
     assert "smaller training budgets" not in text
     assert str(studio) not in text + Path("out/blind.json").read_text()
@@ -124,7 +159,16 @@ class Always:
 
 def test_an_estimator_of_ones_own_stands_in_the_table(cep, studio):
     Path("own_blind.py").write_text(OWN.format(length=7.0))
-    command = ["bench", "blind", "--data", "photos", "--protocol", "tiny.toml", "--methods", "own_blind:Always"]
+    command = [
+        "bench",
+        "blind",
+        "--data",
+        "photos",
+        "--protocol",
+        "tiny.toml",
+        "--methods",
+        "own_blind:Always",
+    ]
     found = cep.succeeds(*command, "--workers", "2", "-o", "out")
     assert found["tables"]["Blind, tiny, no noise"]["own_blind:Always"]["mnc_subpixel"]["n"] == 4
     line = cep.refuses(*command[:-1], "own_blind:Nothing", "-o", "other")
@@ -163,14 +207,18 @@ def test_intervals_are_promised_only_where_the_tables_have_some(cep, studio, gue
 
 
 CLAIMED = ("--protocol", "tiny.toml", "--methods", "pmp,parametric", "--quick")
-RESERVATIONS = ("photos are those of scikit-image: too few", "smaller training budgets than MoTDiff's 209,600")
+RESERVATIONS = (
+    "photos are those of scikit-image: too few",
+    "smaller training budgets than MoTDiff's 209,600",
+)
 
 
 def test_what_keeps_figures_from_a_claim_is_told(cep, studio, guesses):
     """Once each, and the same everywhere: on the console, in the JSON object, and in the files."""
     carried = ("bench", "blind", *CLAIMED, "--workers", "1")
     found = cep.succeeds(*carried, "-o", "out")
-    text, kept = Path("out/blind.md").read_text(), json.loads(Path("out/blind.json").read_text())
+    text = Path("out/blind.md").read_text()
+    kept = json.loads(Path("out/blind.json").read_text())
     assert kept["warnings"] == found["warnings"]
     for said in RESERVATIONS:
         assert sum(warning.startswith(said) for warning in found["warnings"]) == 1
@@ -187,14 +235,21 @@ def test_what_keeps_figures_from_a_claim_is_told_of_costs_and_of_real_photos(cep
     # photos named are no carried ones; what the methods are stays
     Path("real").mkdir()
     write_image("real/Blurry1_1.png", np.random.default_rng(0).random((96, 96)))
-    found = cep.succeeds("bench", "blind", "--data", "real", *CLAIMED, "--workers", "1", "-o", "koehler")
+    found = cep.succeeds(
+        "bench", "blind", "--data", "real", *CLAIMED, "--workers", "1", "-o", "koehler"
+    )
     (warning,) = found["warnings"]
     assert warning.startswith(RESERVATIONS[1])
 
 
 def test_all_tables_in_one_folder_tell_it_too(cep, studio, guesses, monkeypatch):
     def few(output, engine, *, data, gyro, search_s, quick, force):
-        given = {"data": data, "protocol": "tiny.toml", "methods": ["pmp", "parametric"], "gyro": gyro}
+        given = {
+            "data": data,
+            "protocol": "tiny.toml",
+            "methods": ["pmp", "parametric"],
+            "gyro": gyro,
+        }
         return {
             name: make(output / name, engine, **given, quick=quick, force=force)
             for name, make in (("blind", blind_job), ("speed", speed_job))
@@ -204,12 +259,16 @@ def test_all_tables_in_one_folder_tell_it_too(cep, studio, guesses, monkeypatch)
     command = ("bench", "--quick", "--workers", "1", "-o", "out")
     found = cep.succeeds(*command)
     starts = [f"{name}: {said}" for name in ("blind", "speed") for said in RESERVATIONS]
-    assert [warning[: len(start)] for warning, start in zip(found["warnings"], starts, strict=True)] == starts
+    assert [
+        warning[: len(start)] for warning, start in zip(found["warnings"], starts, strict=True)
+    ] == starts
     index = Path("out/README.md").read_text()
     for name, section in zip(("blind", "speed"), index.split("\n## ")[1:], strict=True):
         kept = json.loads(Path("out", name, f"{name}.json").read_text())["warnings"]
         assert [line[2:] for line in section.splitlines() if line.startswith("- ")] == kept
-        assert [f"{name}: {warning}" for warning in kept] == [w for w in found["warnings"] if w.startswith(name)]
+        assert [f"{name}: {warning}" for warning in kept] == [
+            w for w in found["warnings"] if w.startswith(name)
+        ]
     cep(*command, "--force")
     assert cep.err.splitlines() == [f"cep: warning: {warning}" for warning in found["warnings"]]
 
@@ -228,7 +287,10 @@ def test_stopped_it_writes_what_is_there_and_goes_on_later(cep, studio, guesses)
     cep(*BLIND, "-o", "out", "--json")
     assert (cep.code, cep.err) == (INTERRUPTED, "cep: interrupted\n")
     assert cep.json["missing"] > 0
-    assert any("stopped early" in warning and "--force goes on" in warning for warning in cep.json["warnings"])
+    assert any(
+        "stopped early" in warning and "--force goes on" in warning
+        for warning in cep.json["warnings"]
+    )
     assert "stopped early" in Path("out/blind.md").read_text()
     whole = cep.succeeds(*BLIND, "-o", "out", "--force")
     assert whole["missing"] == 0
@@ -261,7 +323,8 @@ def test_a_method_that_never_answers_is_told_with_its_reason(cep, studio, guesse
 def test_a_full_disk_keeps_the_finished_cells(cep, studio, guesses, monkeypatch):
     from cep.jobs import cache
 
-    real, written = cache.write_text, []
+    real = cache.write_text
+    written = []
 
     def full(path, text):
         if len(written) == 5:
@@ -292,7 +355,12 @@ def test_speed_leaves_no_figure_and_an_older_one_goes(cep, studio, guesses):
         Path("out", name).write_text("older")
     assert "--force" in cep.refuses(*SPEED, "--quick", "-o", "out")
     cep.succeeds(*SPEED, "--quick", "-o", "out", "--force")
-    assert {path.suffix for path in Path("out").glob("speed.*")} == {".md", ".tex", ".csv", ".json"}
+    assert {path.suffix for path in Path("out").glob("speed.*")} == {
+        ".md",
+        ".tex",
+        ".csv",
+        ".json",
+    }
 
 
 def test_speed_ends_as_the_others_do(cep, studio, guesses):
@@ -305,7 +373,9 @@ def test_speed_ends_as_the_others_do(cep, studio, guesses):
     assert Path("out/speed.md").is_file()
 
 
-def test_speed_tells_which_methods_it_leaves_out_and_takes_no_cluster(cep, studio, guesses, monkeypatch):
+def test_speed_tells_which_methods_it_leaves_out_and_takes_no_cluster(
+    cep, studio, guesses, monkeypatch
+):
     monkeypatch.setattr("lab.bench.blind.methods.USUAL", ("pmp",))
     cep.succeeds(*SPEED[:-2], "--quick", "-o", "out")
     text = Path("out/speed.md").read_text()
@@ -317,7 +387,10 @@ def test_speed_tells_which_methods_it_leaves_out_and_takes_no_cluster(cep, studi
 
 
 def swapped(_studio):
-    for half, image in (("blur", np.random.default_rng(0).random((100, 100))), ("sharp", np.full((100, 100), 0.5))):
+    for half, image in (
+        ("blur", np.random.default_rng(0).random((100, 100))),
+        ("sharp", np.full((100, 100), 0.5)),
+    ):
         Path("gopro/GOPR01", half).mkdir(parents=True)
         write_image(f"gopro/GOPR01/{half}/1.png", image)
 

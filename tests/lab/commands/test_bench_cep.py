@@ -55,12 +55,25 @@ def studio(tmp_path, monkeypatch):
     rng = np.random.default_rng(0)
     Path("photos").mkdir()
     for name in ("a", "b"):
-        write_image(f"photos/{name}.png", 0.1 + 0.8 * np.kron(rng.random((20, 21, 3)), np.ones((8, 8, 1))))
+        write_image(
+            f"photos/{name}.png", 0.1 + 0.8 * np.kron(rng.random((20, 21, 3)), np.ones((8, 8, 1)))
+        )
     Path("tiny.toml").write_text(TINY)
     return tmp_path
 
 
-CEP = ("bench", "cep", "--data", "photos", "--protocol", "tiny.toml", "--designs", "open,dnf,oracle", "--workers", "1")
+CEP = (
+    "bench",
+    "cep",
+    "--data",
+    "photos",
+    "--protocol",
+    "tiny.toml",
+    "--designs",
+    "open,dnf,oracle",
+    "--workers",
+    "1",
+)
 
 
 def untouchable(*_arguments):
@@ -75,10 +88,22 @@ def test_from_photos_to_every_output_and_found_again(cep, studio, monkeypatch):
     assert list(rows) == [DESIGNS["oracle"].label]
     assert rows[DESIGNS["oracle"].label]["psnr_db"]["n"] == 2
     assert (found["protocol"], found["designs"], found["failures"], found["missing"]) == (
-        "tiny", ["open", "dnf", "oracle"], {}, 0,
-    )  # fmt: skip
+        "tiny",
+        ["open", "dnf", "oracle"],
+        {},
+        0,
+    )
     assert found["warnings"] == ["2 photos are large enough, the protocol asks for 3"]
-    names = ["cep-photos.csv", "cep.csv", "cep.json", "cep.md", "cep.pdf", "cep.png", "cep.svg", "cep.tex"]
+    names = [
+        "cep-photos.csv",
+        "cep.csv",
+        "cep.json",
+        "cep.md",
+        "cep.pdf",
+        "cep.png",
+        "cep.svg",
+        "cep.tex",
+    ]
     assert [Path(file).name for file in found["files"]] == names
     with open("out/cep-photos.csv", newline="", encoding="utf-8") as stream:
         shots = list(csv.DictReader(stream))
@@ -86,9 +111,16 @@ def test_from_photos_to_every_output_and_found_again(cep, studio, monkeypatch):
     own = [shot for shot in shots if (shot["design"], shot["photons"]) == ("oracle", "10000")]
     mean = np.mean([float(shot["psnr_db"]) for shot in own])
     assert rows[DESIGNS["oracle"].label]["psnr_db"]["mean"] == pytest.approx(mean, rel=1e-5)
-    assert all(6 <= ShutterCode(shot["bits"]).open_chips <= 10 for shot in shots if shot["design"] != "open")
+    assert all(
+        6 <= ShutterCode(shot["bits"]).open_chips <= 10
+        for shot in shots
+        if shot["design"] != "open"
+    )
     kept = json.loads(Path("out/cep.json").read_text())
-    assert kept["command"] == "python -m lab bench cep --data photos --protocol tiny.toml --designs open,dnf,oracle"
+    assert (
+        kept["command"]
+        == "python -m lab bench cep --data photos --protocol tiny.toml --designs open,dnf,oracle"
+    )
     assert (kept["seed"], kept["machines"][0]["versions"]["numpy"]) == (0, np.__version__)
     text = Path("out/cep.md").read_text()
     assert "16 chips" in text
@@ -102,7 +134,8 @@ def test_from_photos_to_every_output_and_found_again(cep, studio, monkeypatch):
 
 
 def test_stopped_in_a_search_it_goes_on_later(cep, studio, monkeypatch):
-    real, calls = recipe.anneal, []
+    real = recipe.anneal
+    calls = []
 
     def stopping(problem, **options):
         def stop(_fraction, _best):
@@ -119,7 +152,10 @@ def test_stopped_in_a_search_it_goes_on_later(cep, studio, monkeypatch):
     cep(*CEP, *options, "--json")
     assert (cep.code, cep.err) == (INTERRUPTED, "cep: interrupted\n")
     assert (cep.json["missing"], cep.json["tables"]) == (1, {})
-    assert any("stopped early" in warning and "--force goes on" in warning for warning in cep.json["warnings"])
+    assert any(
+        "stopped early" in warning and "--force goes on" in warning
+        for warning in cep.json["warnings"]
+    )
     assert "stopped early" in Path("out/cep.md").read_text()
     whole = cep.succeeds(*CEP, *options, "--force")
     assert whole["missing"] == 0
@@ -149,31 +185,58 @@ def test_a_second_run_takes_no_picture_of_the_first_for_a_photo(cep, studio):
 
 def test_people_see_tables_and_where_the_files_are(cep, studio, monkeypatch):
     monkeypatch.setattr("lab.bench.datasets.bundled_photos", lambda: (Path("photos/a.png"),))
-    cep("bench", "cep", "--protocol", "tiny.toml", "--designs", "open", "--quick", "--workers", "1", "-o", "out")
+    cep(
+        "bench",
+        "cep",
+        "--protocol",
+        "tiny.toml",
+        "--designs",
+        "open",
+        "--quick",
+        "--workers",
+        "1",
+        "-o",
+        "out",
+    )
     assert cep.code == 0, cep.err
     assert TABLES[3] in cep.out
     assert "PSNR, dB" in cep.out
     assert "out: cep-photos.csv" in cep.out
     assert "too few and too odd for a claim" in cep.err
-    assert "`python -m lab bench cep --protocol tiny.toml --designs open --quick`" in Path("out/cep.md").read_text()
+    assert (
+        "`python -m lab bench cep --protocol tiny.toml --designs open --quick`"
+        in Path("out/cep.md").read_text()
+    )
 
 
 def test_codes_of_ones_own_follow_the_designs(cep, studio):
     Path("folder").mkdir()
     Path("own_code.py").write_text("bits = '1011010011010011'\n")
     write_code("folder/kept.json", StoredCode(ShutterCode("1101000101101111")))
-    own = ("--code", "mine=own_code:bits", "--code", "kept=folder/kept.json", "--designs", "open", "--quick")
+    own = (
+        "--code",
+        "mine=own_code:bits",
+        "--code",
+        "kept=folder/kept.json",
+        "--designs",
+        "open",
+        "--quick",
+    )
     found = cep.succeeds(*CEP, *own, "-o", "out")
     assert list(found["tables"][TABLES[3]]) == [DESIGNS["open"].label, "mine", "kept"]
     assert (found["designs"], found["codes"]) == (
-        ["open"], {"mine": "1011010011010011", "kept": "1101000101101111"},
-    )  # fmt: skip
+        ["open"],
+        {"mine": "1011010011010011", "kept": "1101000101101111"},
+    )
     command = json.loads(Path("out/cep.json").read_text())["command"]
-    assert command.endswith("--designs open --code mine=own_code:bits --code kept=kept.json --quick")
+    assert command.endswith(
+        "--designs open --code mine=own_code:bits --code kept=kept.json --quick"
+    )
     with open("out/cep-photos.csv", newline="", encoding="utf-8") as stream:
         assert {line["design"]: line["bits"] for line in csv.DictReader(stream)} == {
-            "open": "1" * 16, **found["codes"],
-        }  # fmt: skip
+            "open": "1" * 16,
+            **found["codes"],
+        }
 
 
 def small():
@@ -198,7 +261,11 @@ def notes():
         (("--set", "speed=3"), None, "--set: must be FIELD=VALUE with one of bits"),
         (("--set", "motions=0"), None, "motions: must be a whole number within 1..10000"),
         (("--code", "dnf=1011"), None, "--code: dnf is the name of a built-in design"),
-        (("--code", "a=1", "--code", "a=10"), None, "--code: every name must come once, a comes twice"),
+        (
+            ("--code", "a=1", "--code", "a=10"),
+            None,
+            "--code: every name must come once, a comes twice",
+        ),
         (("--code", "=1011"), None, "--code: a name must be of letters"),
         (("--code", "1011"), None, "--code: must be NAME=SOURCE"),
         (("--code", "a=theirs"), None, "--code: a: 'theirs' is no code"),
@@ -206,9 +273,17 @@ def notes():
         (("--code", "a=no_such_module:code"), None, "no_such_module"),
         (("--protocol", "theirs"), None, "protocol: must be one of paper, ours or a .toml file"),
         (("--protocol", "nowhere.toml"), None, "nowhere.toml: no such file"),
-        (("--protocol", "wrong.toml"), wrong, "wrong.toml: open_range: must be two numbers of chips within 1..9"),
+        (
+            ("--protocol", "wrong.toml"),
+            wrong,
+            "wrong.toml: open_range: must be two numbers of chips within 1..9",
+        ),
         (("--data", "nowhere"), None, "nowhere: no such folder"),
-        (("--data", "small"), small, "c.png: 180 x 158 px is too small, the protocol needs 159 px a side"),
+        (
+            ("--data", "small"),
+            small,
+            "c.png: 180 x 158 px is too small, the protocol needs 159 px a side",
+        ),
         (("--cache", "notes"), notes, "notes: is a file"),
         (("-o", "notes"), notes, "notes: is a file"),
         (("--workers", "0"), None, "--workers"),

@@ -29,7 +29,12 @@ def test_codes_are_compared_at_equal_light_and_found_again(cep, workplace, monke
     assert rows["bdinr-8"]["min_chip"]["published"] == pytest.approx(0.9128, abs=1e-4)
     assert rows["bdinr-8"]["min_chip"]["ours"] <= 0.9128 + 1e-4
     assert not rows["bdinr-8"]["better"]
-    assert [Path(file).name for file in found["files"]] == ["codes.md", "codes.tex", "codes.csv", "codes.json"]
+    assert [Path(file).name for file in found["files"]] == [
+        "codes.md",
+        "codes.tex",
+        "codes.csv",
+        "codes.json",
+    ]
     text = Path("codes/codes.md").read_text()
     assert text.count("| bdinr-8 |") == text.count("| barker-13 |") == 1
     assert "`python -m lab bench codes bdinr-8 barker-13 --time 0.3`" in text
@@ -40,20 +45,26 @@ def test_codes_are_compared_at_equal_light_and_found_again(cep, workplace, monke
     assert kept["codes"] == found["tables"]["codes"]
     assert kept["machines"][0]["versions"]["numpy"]
     with open("codes/codes.csv", newline="", encoding="utf-8") as stream:
-        assert [line["our_bits"] for line in csv.DictReader(stream)] == [row["bits"] for row in rows.values()]
+        assert [line["our_bits"] for line in csv.DictReader(stream)] == [
+            row["bits"] for row in rows.values()
+        ]
 
     assert "exists already" in cep.refuses(*command)
     monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
     assert cep.succeeds(*command, "--force")["tables"] == found["tables"]
     # what one code gives does not depend on which others are asked for
-    alone = cep.succeeds("bench", "codes", "barker-13", "--time", "0.3", "--cache", "codes/cells", "-o", "alone")
+    alone = cep.succeeds(
+        "bench", "codes", "barker-13", "--time", "0.3", "--cache", "codes/cells", "-o", "alone"
+    )
     assert alone["tables"]["codes"] == [rows["barker-13"]]
 
 
 def test_a_code_of_ones_own_is_searched_against(cep, workplace):
     options = ("--code", "mine=11101", "--time", "0.1", "--workers", "1")
     alone = cep.succeeds("bench", "codes", *options, "-o", "alone")
-    assert [(row["name"], row["chips"], row["open"]) for row in alone["tables"]["codes"]] == [("mine", 5, 4)]
+    assert [(row["name"], row["chips"], row["open"]) for row in alone["tables"]["codes"]] == [
+        ("mine", 5, 4)
+    ]
     both = cep.succeeds("bench", "codes", "bdinr-8", *options, "-o", "both")
     assert [row["name"] for row in both["tables"]["codes"]] == ["bdinr-8", "mine"]
     command = json.loads(Path("both/codes.json").read_text())["command"]
@@ -110,10 +121,24 @@ def test_a_search_that_fails_is_told_beside_the_others(cep, workplace, monkeypat
         return real(problem, **options)
 
     monkeypatch.setattr("lab.bench.codes.anneal", anneal)
-    cep("bench", "codes", "bdinr-8", "barker-13", "--time", "0.1", "--workers", "1", "-o", "codes", "--json")
+    cep(
+        "bench",
+        "codes",
+        "bdinr-8",
+        "barker-13",
+        "--time",
+        "0.1",
+        "--workers",
+        "1",
+        "-o",
+        "codes",
+        "--json",
+    )
     assert cep.code == FAILURE
     assert cep.json["failures"] == {"barker-13": "code: too short"}
-    assert [row["name"] for row in json.loads(Path("codes/codes.json").read_text())["codes"]] == ["bdinr-8"]
+    assert [row["name"] for row in json.loads(Path("codes/codes.json").read_text())["codes"]] == [
+        "bdinr-8"
+    ]
 
 
 def test_another_budget_is_another_cell():

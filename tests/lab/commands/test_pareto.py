@@ -13,7 +13,18 @@ from lab.fronts import pareto
 
 
 def test_both_files_are_written(cep, workplace):
-    options = ("--chips", "13", "--open", "6:10", "--steps", "2000", "--seed", "2", "--chip-ns", "5000")
+    options = (
+        "--chips",
+        "13",
+        "--open",
+        "6:10",
+        "--steps",
+        "2000",
+        "--seed",
+        "2",
+        "--chip-ns",
+        "5000",
+    )
     found = cep.succeeds("pareto", *options, "-o", "f.json", "--plot", "f.svg")
     assert Path("f.svg").read_text().startswith("<?xml")
     stored = json.loads(Path("f.json").read_text())
@@ -34,8 +45,18 @@ def test_both_files_are_written(cep, workplace):
 
 
 def test_for_people_it_prints_the_knees(cep, workplace):
-    assert cep("pareto", "--chips", "8", "--linear", "10", "--duty", "0.4:0.8", "--steps", "0").code == 0
-    for text in ("best minimum", "least noise", "compromise", "most light", "noise gain, dB", "front.json, front.png"):
+    assert (
+        cep("pareto", "--chips", "8", "--linear", "10", "--duty", "0.4:0.8", "--steps", "0").code
+        == 0
+    )
+    for text in (
+        "best minimum",
+        "least noise",
+        "compromise",
+        "most light",
+        "noise gain, dB",
+        "front.json, front.png",
+    ):
         assert text in cep.out
     assert Path("front.png").read_bytes().startswith(b"\x89PNG")
     best = json.loads(Path("front.json").read_text())["knees"]["best minimum"]
@@ -43,7 +64,9 @@ def test_for_people_it_prints_the_knees(cep, workplace):
 
 
 def test_a_curve_says_that_its_minimum_is_sampled(cep, workplace):
-    found = cep.succeeds("pareto", "--trajectory", "trajectory.json", "--chips", "8", "--steps", "0")
+    found = cep.succeeds(
+        "pareto", "--trajectory", "trajectory.json", "--chips", "8", "--steps", "0"
+    )
     assert found["unit"] == "light-true, sampled"
     assert "samples" in found["warnings"][0]
     lights = [point["open"] for point in found["points"]]
@@ -68,7 +91,19 @@ def test_an_interrupt_keeps_the_front(cep, workplace, monkeypatch):
 
 
 def test_runs_and_periods_are_limited(cep, workplace):
-    cep.succeeds("pareto", "--chips", "12", "--max-open", "2", "--min-period", "3", "--steps", "1000", "-o", "a.json")
+    cep.succeeds(
+        "pareto",
+        "--chips",
+        "12",
+        "--max-open",
+        "2",
+        "--min-period",
+        "3",
+        "--steps",
+        "1000",
+        "-o",
+        "a.json",
+    )
     front = json.loads(Path("a.json").read_text())
     assert (front["problem"]["max_open"], front["problem"]["min_period"]) == (2, 3)
     assert front["points"]
@@ -101,7 +136,10 @@ def test_repeatable(cep, workplace):
         ("--plot", ("--plot", "front.gif")),
         ("--plot", ("-o", "a.png", "--plot", "a.png")),
         ("--min-open", ("--min-open", "12", "--open", "3")),
-        ("--max-open 2 and --min-period 9", ("--max-open", "2", "--min-period", "9", "--open", "7")),
+        (
+            "--max-open 2 and --min-period 9",
+            ("--max-open", "2", "--min-period", "9", "--open", "7"),
+        ),
         ("--time", ("--time", "0")),
         ("zero", ("--open", "16", "--steps", "0")),
         ("no folder", ("-o", "nowhere/front.json")),
@@ -125,5 +163,13 @@ def test_existing_files_need_force(cep, workplace):
 def test_help_has_an_example_and_says_what_is_judged(cep):
     cep("pareto", "--help")
     shown = " ".join(cep.out.split())
-    for text in ("Example: python -m lab pareto", "--json", "--seed", "--force", "--output", "any speed", "curved"):
+    for text in (
+        "Example: python -m lab pareto",
+        "--json",
+        "--seed",
+        "--force",
+        "--output",
+        "any speed",
+        "curved",
+    ):
         assert text in shown

@@ -10,7 +10,9 @@ from motdiff.trajectory import Trajectory
 
 def line(degrees, length=24.0):
     angle = np.deg2rad(degrees)
-    return Trajectory.from_samples([[0, 0], [length * np.cos(angle), length * np.sin(angle)]]).psf(64)
+    return Trajectory.from_samples([[0, 0], [length * np.cos(angle), length * np.sin(angle)]]).psf(
+        64
+    )
 
 
 def test_one_guess_drawn_eight_times_covers_nothing_but_itself():
@@ -29,7 +31,9 @@ def test_the_best_draw_is_the_nearest_one():
     found = measure_draws([line(0.0), line(48.0), gaussian(4.0)], truth)
     assert found.best == pytest.approx(measure_draws([line(48.0)] * 2, truth).best)
     assert found.best > 0.9
-    assert found.covered  # every draw is farther from its nearest than the truth from the second one
+    assert (
+        found.covered
+    )  # every draw is farther from its nearest than the truth from the second one
 
 
 @pytest.mark.parametrize(("spread", "low", "high"), [(1.0, 0.72, 0.92), (0.1, 0.0, 0.55)])
@@ -37,7 +41,10 @@ def test_draws_of_the_right_distribution_cover_k_of_k_plus_1(spread, low, high):
     """Truth and four draws from one distribution: 4 of 5 are covered; fewer where the draws are too alike."""
     rng = np.random.default_rng(0)
     covered = [
-        measure_draws([line(90 + spread * a) for a in rng.uniform(-60, 60, 4)], line(90 + rng.uniform(-60, 60))).covered
+        measure_draws(
+            [line(90 + spread * a) for a in rng.uniform(-60, 60, 4)],
+            line(90 + rng.uniform(-60, 60)),
+        ).covered
         for _ in range(100)
     ]
     assert low < np.mean(covered) < high

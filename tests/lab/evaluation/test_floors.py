@@ -45,7 +45,9 @@ def test_gaussian_is_round_centred_and_as_wide_as_asked():
 
 def test_a_blob_scores_high_on_random_walks():
     """0.549 over many (reference, section 0.2); 20 leave a standard error of 0.02."""
-    assert np.mean([mnc(gaussian(), motion.psf()) for motion in walks()]) == pytest.approx(0.55, abs=0.07)
+    assert np.mean([mnc(gaussian(), motion.psf()) for motion in walks()]) == pytest.approx(
+        0.55, abs=0.07
+    )
 
 
 def test_the_mean_of_motions_is_centred_and_beats_a_blob_on_its_own_kind():
@@ -53,19 +55,26 @@ def test_the_mean_of_motions_is_centred_and_beats_a_blob_on_its_own_kind():
     assert mean.shape == (64, 64)
     assert mean.sum() == pytest.approx(1)
     assert centroid(mean) == pytest.approx((0, 0), abs=0.6)
-    own, blob = (np.mean([mnc(floor, motion.psf()) for motion in walks()]) for floor in (mean, gaussian()))
+    own, blob = (
+        np.mean([mnc(floor, motion.psf()) for motion in walks()]) for floor in (mean, gaussian())
+    )
     assert blob - 0.01 < own < 0.68
 
 
 def test_the_mean_lays_motions_on_each_other():
     """Hand shake dwells off its centroid: a mean over centroids would be a blur and too easy to beat."""
-    rates = ndimage.gaussian_filter1d(np.random.default_rng(0).standard_normal((1200, 3)), 10, axis=0)
+    rates = ndimage.gaussian_filter1d(
+        np.random.default_rng(0).standard_normal((1200, 3)), 10, axis=0
+    )
     mix = MotionMix(boracchi_foi=0.0, gyro=1.0, gyro_trace="below", min_extent_px=20.0)
     trace = GyroTrace(np.arange(1200) / 200, rates)
     psfs, others = (
-        [draw_motion(mix, np.random.default_rng([seed, i]), trace).psf() for i in range(60)] for seed in (6, 1)
+        [draw_motion(mix, np.random.default_rng([seed, i]), trace).psf() for i in range(60)]
+        for seed in (6, 1)
     )
-    centroids_laid, laid = (np.mean([mnc(m, psf) for psf in psfs]) for m in (np.mean(psfs, axis=0), mean_psf(others)))
+    centroids_laid, laid = (
+        np.mean([mnc(m, psf) for psf in psfs]) for m in (np.mean(psfs, axis=0), mean_psf(others))
+    )
     assert laid > centroids_laid + 0.03
 
 
@@ -76,7 +85,9 @@ def test_a_perfect_map_forgets_dwell_only():
     uneven = Trajectory.from_samples(even.at(t**3), t=t)
     np.testing.assert_array_equal(even.hr_map().sum(), uneven.hr_map().sum())
     assert mnc_subpixel(path_kernel(uneven), uneven.psf()) < 0.85
-    assert np.mean([mnc(path_kernel(m), m.psf()) for m in walks()]) == pytest.approx(0.99, abs=0.01)
+    assert np.mean([mnc(path_kernel(m), m.psf()) for m in walks()]) == pytest.approx(
+        0.99, abs=0.01
+    )
 
 
 def test_the_mean_is_a_floor_where_it_is_known():

@@ -39,7 +39,10 @@ def case():
     rng = np.random.default_rng(4)
     motion = boracchi_foi(rng, max_length_px=30.0)
     return Case(
-        photograph(scene(1), motion.psf(64), rng=rng, read_sigma=0.002), motion.psf(64), visible(scene(1), 64), motion
+        photograph(scene(1), motion.psf(64), rng=rng, read_sigma=0.002),
+        motion.psf(64),
+        visible(scene(1), 64),
+        motion,
     )
 
 
@@ -80,10 +83,13 @@ def test_without_a_true_path_or_a_sharp_photo_there_is_nothing_to_compare(case):
 
 
 def test_draws_are_measured_where_there_are_several(case):
-    blob, point = gaussian(5.0), delta()
+    blob = gaussian(5.0)
+    point = delta()
     told = answer(case.trajectory, blob)
     assert math.isnan(measure_estimator(case, Says(told), restore=False).best_draw)
-    row = measure_estimator(case, Says(replace(told, draws=(blob, case.psf, point))), restore=False)
+    row = measure_estimator(
+        case, Says(replace(told, draws=(blob, case.psf, point))), restore=False
+    )
     assert row.mnc < 0.9  # the estimate is the blob still
     assert (row.best_draw, row.covered) == pytest.approx((1, 1))
     assert row.draws_alike < 0.9

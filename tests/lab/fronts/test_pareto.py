@@ -26,7 +26,9 @@ TIES = 3e-4  # dB and chips: figures of mirrored codes and of other quadratures 
 
 def arc():
     angle = np.linspace(0, 2.2, 24) ** 1.4
-    return Trajectory.from_samples(3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1), direction="known")
+    return Trajectory.from_samples(
+        3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1), direction="known"
+    )
 
 
 def all_codes(chips):
@@ -45,7 +47,7 @@ def beaten(figures, others):
     return bool(((better >= -TIES).all(axis=1) & (better > TIES).any(axis=1)).any())
 
 
-# -- who beats whom -------------------------------------------------------------------------------------------------
+# -- who beats whom -------------------------------------------------------------------------------
 
 
 TABLES = st.tuples(st.integers(0, 12), st.integers(1, 4)).flatmap(
@@ -56,7 +58,9 @@ TABLES = st.tuples(st.integers(0, 12), st.integers(1, 4)).flatmap(
 @given(TABLES, st.randoms(use_true_random=False))
 def test_non_dominated_is_what_its_definition_says(values, random):
     found = non_dominated(values)
-    expected = [not any((other >= row).all() and (other > row).any() for other in values) for row in values]
+    expected = [
+        not any((other >= row).all() and (other > row).any() for other in values) for row in values
+    ]
     assert found.tolist() == expected
     order = list(range(len(values)))
     random.shuffle(order)
@@ -66,14 +70,18 @@ def test_non_dominated_is_what_its_definition_says(values, random):
 
 
 def test_infinities_are_numbers_and_nan_is_none():
-    assert non_dominated([[np.inf, -np.inf], [np.inf, 0], [0, np.inf]]).tolist() == [False, True, True]
+    assert non_dominated([[np.inf, -np.inf], [np.inf, 0], [0, np.inf]]).tolist() == [
+        False,
+        True,
+        True,
+    ]
     with pytest.raises(ValueError, match=r"^values: "):
         non_dominated([[1.0, np.nan]])
     with pytest.raises(ValueError, match=r"^values: "):
         non_dominated([1.0, 2.0])
 
 
-# -- fronts ---------------------------------------------------------------------------------------------------------
+# -- fronts ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("chips", [8, 9, 10])
@@ -107,7 +115,9 @@ def test_the_whole_front_against_all_codes():
     assert front.steps >= 60_000
     assert front.stopped == "steps"
     # beaten codes are kept as the curves of their own light
-    assert {p.code.bits for p in front.points} < {p.code.bits for curve in front.curves.values() for p in curve}
+    assert {p.code.bits for p in front.points} < {
+        p.code.bits for curve in front.curves.values() for p in curve
+    }
 
 
 def test_annealing_improves_on_the_local_search():
@@ -116,12 +126,17 @@ def test_annealing_improves_on_the_local_search():
     longer = pareto_front(problem, rng=np.random.default_rng(1), steps=400_000)
     assert max(p.minimum for p in longer.points) > max(p.minimum for p in plain.points) + 0.02
     values = [[p.minimum, -p.noise_db] for p in longer.points]
-    assert all(not non_dominated([[p.minimum, -p.noise_db], *values])[0] or p in longer.points for p in plain.points)
+    assert all(
+        not non_dominated([[p.minimum, -p.noise_db], *values])[0] or p in longer.points
+        for p in plain.points
+    )
 
 
 def test_along_a_straight_motion_figures_are_those_of_measure():
     motion = Trajectory.straight(13.0)
-    front = pareto_front(SearchProblem.along(motion, chips=9), rng=np.random.default_rng(0), steps=0)
+    front = pareto_front(
+        SearchProblem.along(motion, chips=9), rng=np.random.default_rng(0), steps=0
+    )
     assert front.unit == "light-true"
     assert not front.sampled
     for point in front.points:
@@ -132,7 +147,9 @@ def test_along_a_straight_motion_figures_are_those_of_measure():
 
 def test_along_a_curve_the_front_is_over_noise_and_light():
     problem = SearchProblem.along(arc(), chips=8)
-    fine = Objective(SearchProblem.along(arc(), chips=8, objective="noise"), oversampling=64, dtype=np.float64)
+    fine = Objective(
+        SearchProblem.along(arc(), chips=8, objective="noise"), oversampling=64, dtype=np.float64
+    )
     codes = np.array([code.array for code in all_codes(8)], dtype=np.int8)
     every = np.column_stack([np.zeros(len(codes)), fine.cost_of(codes), codes.sum(axis=1)])
     front = pareto_front(problem, rng=np.random.default_rng(0), steps=0)
@@ -148,13 +165,17 @@ def test_along_a_curve_the_front_is_over_noise_and_light():
 def test_an_unknown_direction_counts_as_the_worse():
     problem = SearchProblem.along(arc(), chips=8, direction="unknown")
     (point,) = front_points(problem, [ShutterCode("11101001")])
-    both = [measure(path, point.code, budget=0).noise_gain_db for path in (arc(), arc().reversed())]
+    both = [
+        measure(path, point.code, budget=0).noise_gain_db for path in (arc(), arc().reversed())
+    ]
     assert point.noise_db == pytest.approx(max(both), abs=1e-9)
 
 
 def test_a_zero_has_no_finite_noise():
     """Samples of 1/|H|^2 may miss a zero, and be finite; the mean over the circle is not."""
-    (point,) = front_points(SearchProblem(chips=31), [ShutterCode("1111101110100110101101110001111")])
+    (point,) = front_points(
+        SearchProblem(chips=31), [ShutterCode("1111101110100110101101110001111")]
+    )
     assert point.minimum == 0
     assert point.noise_db == np.inf
 
@@ -182,14 +203,17 @@ def test_limits_are_kept(min_open, min_closed, max_pulses, max_open, min_period,
         ),
     )
     front = pareto_front(problem, rng=np.random.default_rng(seed), steps=0)
-    codes = np.array([p.code.array for curve in front.curves.values() for p in curve]).reshape(-1, 12)
+    codes = np.array([p.code.array for curve in front.curves.values() for p in curve]).reshape(
+        -1, 12
+    )
     assert problem.satisfied(codes.astype(np.int8)).all()
 
 
 def test_the_same_seed_gives_the_same_front():
     problem = SearchProblem(chips=16, open_range=(7, 11))
     first, second = (
-        pareto_front(problem, rng=np.random.default_rng(5), steps=20_000, threads=threads) for threads in (1, 2)
+        pareto_front(problem, rng=np.random.default_rng(5), steps=20_000, threads=threads)
+        for threads in (1, 2)
     )
     assert first.points == second.points
     assert first.steps == second.steps
@@ -216,16 +240,27 @@ def test_a_time_limit_gives_the_front_so_far():
     front = pareto_front(SearchProblem(chips=24), rng=np.random.default_rng(0), time_s=1e-6)
     assert front.points
     assert front.stopped == "time"
-    assert pareto_front(SearchProblem(chips=24), rng=np.random.default_rng(0), time_s=1e-6, steps=10).stopped == "time"
+    assert (
+        pareto_front(
+            SearchProblem(chips=24), rng=np.random.default_rng(0), time_s=1e-6, steps=10
+        ).stopped
+        == "time"
+    )
 
 
 def test_counts_may_be_chosen():
-    front = pareto_front(SearchProblem(chips=12), rng=np.random.default_rng(0), counts=(8, 6, 8), steps=0)
+    front = pareto_front(
+        SearchProblem(chips=12), rng=np.random.default_rng(0), counts=(8, 6, 8), steps=0
+    )
     assert list(front.curves) == [6, 8]
 
 
 def test_a_code_that_leaves_no_choice():
-    front = pareto_front(SearchProblem(chips=5, runs=RunLimits(fixed="11101")), rng=np.random.default_rng(0), steps=100)
+    front = pareto_front(
+        SearchProblem(chips=5, runs=RunLimits(fixed="11101")),
+        rng=np.random.default_rng(0),
+        steps=100,
+    )
     assert [point.code.bits for point in front.points] == ["11101"]
 
 
@@ -250,13 +285,18 @@ def test_a_mean_over_scenarios_is_refused():
         pareto_front(SearchProblem(chips=8, rule="mean"), rng=np.random.default_rng(0))
 
 
-# -- what is made of them -------------------------------------------------------------------------------------------
+# -- what is made of them -------------------------------------------------------------------------
 
 
 def handmade(unit="chips"):
     points = tuple(
         FrontPoint(ShutterCode("1" * count + "0" * (8 - count)), minimum, noise_db, count, -20.0)
-        for count, minimum, noise_db in ((3, 1.0, 12.0), (4, 0.9, 11.0), (5, 0.85, 11.05), (7, 0.1, 20.0))
+        for count, minimum, noise_db in (
+            (3, 1.0, 12.0),
+            (4, 0.9, 11.0),
+            (5, 0.85, 11.05),
+            (7, 0.1, 20.0),
+        )
     )
     curves = {point.open_chips: (point,) for point in points}
     return Front(points, curves, unit, SearchProblem(chips=8), 1.0, 0, False)
@@ -265,7 +305,9 @@ def handmade(unit="chips"):
 def test_knees():
     found = {name: point.open_chips for name, point in knees(handmade()).items()}
     assert found == {"best minimum": 3, "least noise": 4, "compromise": 5, "most light": 7}
-    sampled = {name: point.open_chips for name, point in knees(handmade("light-true, sampled")).items()}
+    sampled = {
+        name: point.open_chips for name, point in knees(handmade("light-true, sampled")).items()
+    }
     assert sampled == {"least noise": 4, "compromise": 5, "most light": 7}
 
 
@@ -283,11 +325,16 @@ def test_the_figure_shows_the_front(unit):
     assert "light-true" in axes.get_ylabel() + bar.get_ylabel() or unit == "chips"
     written = " ".join(text.get_text() for text in axes.texts)
     assert all(name in written for name in (*knees(front), "theirs", "hopeless (has a zero)"))
-    assert png_bytes(figure) == png_bytes(pareto_figure(front, {"theirs": shown, "hopeless": hidden}))
+    assert png_bytes(figure) == png_bytes(
+        pareto_figure(front, {"theirs": shown, "hopeless": hidden})
+    )
 
 
 def test_labels_do_not_cover_one_another():
-    crowd = {f"a code with a name {i}": FrontPoint(ShutterCode("1110"), 0.9 + i / 500, 11.0, 3, -5.0) for i in range(6)}
+    crowd = {
+        f"a code with a name {i}": FrontPoint(ShutterCode("1110"), 0.9 + i / 500, 11.0, 3, -5.0)
+        for i in range(6)
+    }
     figure = pareto_figure(handmade(), crowd)
     figure.draw_without_rendering()
     texts = [text for text in figure.axes[0].texts if text.get_text()]

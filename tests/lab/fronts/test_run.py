@@ -14,7 +14,9 @@ from motdiff.trajectory import Trajectory
 def test_a_front_is_compared_with_the_published_codes_and_saved(tmp_path):
     found = pareto(SearchProblem(chips=13, open_range=(6, 10)), steps=500, seed=2)
     assert found.published.keys() == {entry.name for entry in for_chips(13)} != set()
-    assert found.knees["most light"].open_chips == max(point.open_chips for point in found.front.points)
+    assert found.knees["most light"].open_chips == max(
+        point.open_chips for point in found.front.points
+    )
     assert found.warnings == ()
     found.save(tmp_path / "front.json", tmp_path / "front.svg", source={"linear_px": None})
     stored = json.loads((tmp_path / "front.json").read_text())
@@ -26,7 +28,9 @@ def test_a_front_is_compared_with_the_published_codes_and_saved(tmp_path):
 def test_moves_that_the_time_ended_are_told():
     found = pareto(SearchProblem(chips=13, open_range=(6, 10)), steps=10**12, time_s=0.01)
     assert found.front.stopped == "time"
-    assert found.warnings[0].startswith("time_s ended the search before its 1,000,000,000,000 moves: ")
+    assert found.warnings[0].startswith(
+        "time_s ended the search before its 1,000,000,000,000 moves: "
+    )
 
 
 def test_inputs_are_checked_before_outputs_and_outputs_before_the_search(monkeypatch):
@@ -54,4 +58,6 @@ def test_along_a_motion_the_front_is_judged_beside_the_best_single_exposure():
     assert found.single.code == found.verdict.best("snapshot").code
     assert found.single.mse_db < min(point.mse_db for point in found.front.points)
     assert found.to_dict()["verdict"].startswith("Coding does not pay here")
-    assert pareto(SearchProblem(chips=13, open_range=(6, 10)), steps=100).to_dict()["verdict"] is None
+    assert (
+        pareto(SearchProblem(chips=13, open_range=(6, 10)), steps=100).to_dict()["verdict"] is None
+    )

@@ -22,7 +22,9 @@ def small_network():
 def test_the_checkpoints_of_the_authors_fit():
     """Names and shapes at places that tell the rules apart: resizing blocks, heads, skips, learned variance."""
     with torch.device("meta"):
-        state = AdmUNet(AdmConfig(size=256, channels=3, width=128, multipliers=(1, 1, 2, 2, 4, 4))).state_dict()
+        state = AdmUNet(
+            AdmConfig(size=256, channels=3, width=128, multipliers=(1, 1, 2, 2, 4, 4))
+        ).state_dict()
     expected = {
         "time_embed.2.weight": (512, 512),
         "input_blocks.0.0.weight": (128, 3, 3, 3),
@@ -77,10 +79,13 @@ def test_a_residual_block_is_its_formula():
     block = small_network().input_blocks[2][0]  # halves the side
     x = torch.randn(1, 32, 8, 8, dtype=torch.float64)
     time = torch.randn(1, 128, dtype=torch.float64)
-    first, conv = block.in_layers[0], block.in_layers[2]
+    first = block.in_layers[0]
+    conv = block.in_layers[2]
     hidden = functional.silu(functional.group_norm(x, 32, first.weight, first.bias))
     hidden = conv(hidden.unfold(2, 2, 2).unfold(3, 2, 2).mean(dim=(-1, -2)))
-    scale, shift = (block.emb_layers[1].weight @ functional.silu(time[0]) + block.emb_layers[1].bias).chunk(2)
+    scale, shift = (
+        block.emb_layers[1].weight @ functional.silu(time[0]) + block.emb_layers[1].bias
+    ).chunk(2)
     norm = block.out_layers[0]
     hidden = functional.group_norm(hidden, 32, norm.weight, norm.bias) * (1 + scale[:, None, None])
     hidden = block.out_layers[3](functional.silu(hidden + shift[:, None, None]))

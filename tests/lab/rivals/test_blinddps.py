@@ -44,7 +44,9 @@ class GaussianEps(torch.nn.Module):
     def __init__(self, mean, variance, alpha_bar=ALPHA_BAR, *, more_channels=0):
         super().__init__()
         for name, value in (("mean", mean), ("variance", variance), ("alpha_bar", alpha_bar)):
-            self.register_buffer(name, torch.tensor(np.ascontiguousarray(value), dtype=torch.float32))
+            self.register_buffer(
+                name, torch.tensor(np.ascontiguousarray(value), dtype=torch.float32)
+            )
         self.more_channels = more_channels
 
     def forward(self, x, t):
@@ -59,7 +61,9 @@ def prior(mean, variance, shape, alpha_bar=ALPHA_BAR):
 
 def drawn(priors, residual, *, strength, seed=0, alpha_bar=ALPHA_BAR):
     generator = torch.Generator().manual_seed(seed)
-    return sample_jointly(priors, residual, alpha_bar=alpha_bar, strength=strength, generator=generator)
+    return sample_jointly(
+        priors, residual, alpha_bar=alpha_bar, strength=strength, generator=generator
+    )
 
 
 def test_the_schedule_is_the_usual_one():
@@ -71,7 +75,9 @@ def test_without_a_pull_the_priors_are_sampled():
     """Mean and variance of 4096 pixels, within four standard errors; the two signals are independent."""
     shape = (1, 1, 64, 64)
     x, k = drawn(
-        (prior(0.1, 0.04, shape), prior(-0.2, 0.01, shape)), lambda x0, k0: (x0 * k0).flatten() + 1, strength=0.0
+        (prior(0.1, 0.04, shape), prior(-0.2, 0.01, shape)),
+        lambda x0, k0: (x0 * k0).flatten() + 1,
+        strength=0.0,
     )
     for signal, mean, variance in ((x, 0.1, 0.04), (k, -0.2, 0.01)):
         assert signal.mean().item() == pytest.approx(mean, abs=4 * (variance / 4096) ** 0.5)
@@ -81,21 +87,37 @@ def test_without_a_pull_the_priors_are_sampled():
 
 def test_every_step_is_the_closed_form():
     """A chain of four steps replayed in numpy with the gradient worked out by hand, where y = x0 + 3 k0."""
-    alpha_bar, strength, shape = np.array([0.95, 0.8, 0.5, 0.2]), 0.05, (1, 1, 2, 3)
+    alpha_bar = np.array([0.95, 0.8, 0.5, 0.2])
+    strength = 0.05
+    shape = (1, 1, 2, 3)
     measured = np.linspace(-0.3, 0.5, 6).reshape(shape)
     told = torch.from_numpy(measured)
-    means, variances = (0.1, -0.05), (0.02, 0.005)
+    means = (0.1, -0.05)
+    variances = (0.02, 0.005)
     priors = tuple(prior(m, v, shape, alpha_bar) for m, v in zip(means, variances, strict=True))
-    found = drawn(priors, lambda x0, k0: told - x0 - 3 * k0, strength=strength, alpha_bar=alpha_bar)
+    found = drawn(
+        priors, lambda x0, k0: told - x0 - 3 * k0, strength=strength, alpha_bar=alpha_bar
+    )
 
     generator = torch.Generator().manual_seed(0)
-    signals = [torch.randn(shape, generator=generator).numpy().astype(np.float64) for _ in range(2)]
+    signals = [
+        torch.randn(shape, generator=generator).numpy().astype(np.float64) for _ in range(2)
+    ]
     for t in (3, 2, 1, 0):
-        a, a_before = alpha_bar[t], alpha_bar[t - 1] if t else 1.0
-        gains = [np.sqrt(a) * v / (a * v + 1 - a) for v in variances]  # of the posterior mean, per unit of the signal
-        clean = [m + gain * (s - np.sqrt(a) * m) for m, gain, s in zip(means, gains, signals, strict=True)]
+        a = alpha_bar[t]
+        a_before = alpha_bar[t - 1] if t else 1.0
+        gains = [
+            np.sqrt(a) * v / (a * v + 1 - a) for v in variances
+        ]  # of the posterior mean, per unit of the signal
+        clean = [
+            m + gain * (s - np.sqrt(a) * m)
+            for m, gain, s in zip(means, gains, signals, strict=True)
+        ]
         left = measured - clean[0] - 3 * clean[1]
-        pulls = [-weight * gain * left / np.linalg.norm(left) for weight, gain in zip((1, 3), gains, strict=True)]
+        pulls = [
+            -weight * gain * left / np.linalg.norm(left)
+            for weight, gain in zip((1, 3), gains, strict=True)
+        ]
         beta = 1 - a / a_before
         stays = np.sqrt(1 - beta) * (1 - a_before) / (1 - a)
         comes = np.sqrt(a_before) * beta / (1 - a)
@@ -144,7 +166,11 @@ def test_finds_the_kernel_that_the_prior_does_not_know():
     estimate = BlindDpsEstimator(priors, strength=0.3, progress=seen.append).estimate(PHOTO)
     assert mnc_subpixel(estimate.psf, PSF) > max(0.9, mnc_subpixel(middle, PSF) + 0.3)
     assert mnc_subpixel(estimate.psf, PSF) > mnc_subpixel(estimate.psf, PSF[::-1, ::-1]) + 0.02
-    assert (estimate.method, estimate.confidence, estimate.psf.shape) == ("blinddps", 0.0, (64, 64))
+    assert (estimate.method, estimate.confidence, estimate.psf.shape) == (
+        "blinddps",
+        0.0,
+        (64, 64),
+    )
     assert estimate.details["crop_px"] == 32
     assert estimate.details["misfit"] < 0.03
     assert len(seen) == 1000
@@ -163,19 +189,27 @@ def test_colour_priors_and_learned_variances_are_taken(monkeypatch):
     np.testing.assert_array_equal(plain.psf, learned.psf)
     grey = BlindDpsEstimator(priors[0]).estimate(photo.mean(axis=2))
     assert grey.details["misfit"] > plain.details["misfit"]
-    assert BlindDpsEstimator(gaussian_priors(SHARP)[0]).estimate(photo).details["crop_px"] == 32  # its luminance
+    assert (
+        BlindDpsEstimator(gaussian_priors(SHARP)[0]).estimate(photo).details["crop_px"] == 32
+    )  # its luminance
 
 
 def test_without_weights_its_row_says_so():
     (method,) = named_estimators(["blinddps"]).values()
-    with pytest.raises(ValueError, match=r"^needs weights: a folder with image\.safetensors and kernel\.safetensors"):
+    with pytest.raises(
+        ValueError,
+        match=r"^needs weights: a folder with image\.safetensors and kernel\.safetensors",
+    ):
         measure_estimator(Case(PHOTO, PSF), method, restore=False)
 
 
 @pytest.mark.parametrize(
     ("shapes", "words"),
     [
-        (((1, 1, 20, 24), (1, 1, 9, 9)), r"image prior: must be eps\(x, t\) of x in a fixed shape \(1, C, S, S\)"),
+        (
+            ((1, 1, 20, 24), (1, 1, 9, 9)),
+            r"image prior: must be eps\(x, t\) of x in a fixed shape \(1, C, S, S\)",
+        ),
         (
             ((1, 1, 9, 9), (1, 1, 9, 9)),
             "priors: need an image prior of 1 or 3 channels and a smaller kernel prior of 1",
@@ -192,8 +226,14 @@ def test_priors_that_do_not_belong_together_are_refused(shapes, words):
 @pytest.mark.parametrize(
     ("photo", "words"),
     [
-        (np.full((100, 100), 0.4), "photo: is constant; motion shows only where the scene has texture"),
-        (np.random.default_rng(0).random((31, 300)), "photo: these weights need at least 32 x 32 px, got 300 x 31"),
+        (
+            np.full((100, 100), 0.4),
+            "photo: is constant; motion shows only where the scene has texture",
+        ),
+        (
+            np.random.default_rng(0).random((31, 300)),
+            "photo: these weights need at least 32 x 32 px, got 300 x 31",
+        ),
         (np.full((100, 100), np.nan), "photo: must be finite, found NaN or infinity"),
     ],
 )
@@ -205,7 +245,9 @@ def test_unusable_photos_are_refused_in_one_line(photo, words):
 # ---- from a folder of weights
 
 IMAGE = AdmConfig(size=32, channels=3, width=32, multipliers=(1, 2), attention=(16,))
-KERNEL = AdmConfig(size=8, channels=1, width=32, multipliers=(2,), attention=(), learned_variance=False)
+KERNEL = AdmConfig(
+    size=8, channels=1, width=32, multipliers=(2,), attention=(), learned_variance=False
+)
 
 
 @pytest.fixture
@@ -223,7 +265,9 @@ def test_the_name_takes_a_folder(folder, monkeypatch):
     name = f"blinddps:{folder}"
     estimate = named_estimators([name])[name].estimate(PHOTO)
     assert estimate.details["crop_px"] == 32 - 8 + 1
-    with pytest.raises(FileNotFoundError, match=r"nowhere/image.safetensors: no such file; BlindDPS needs"):
+    with pytest.raises(
+        FileNotFoundError, match=r"nowhere/image.safetensors: no such file; BlindDPS needs"
+    ):
         named_estimators(["blinddps:nowhere"])
 
 
@@ -234,7 +278,9 @@ def test_weights_come_back_as_they_were_written(folder):
     x = torch.randn(loaded.shape)
     t = torch.tensor([321])
     with torch.no_grad():
-        torch.testing.assert_close(loaded.eps(x, t), network(x, t), atol=5e-3, rtol=5e-3)  # float16
+        torch.testing.assert_close(
+            loaded.eps(x, t), network(x, t), atol=5e-3, rtol=5e-3
+        )  # float16
     assert loaded.shape == (1, 3, 32, 32)
     assert loaded.eps(x, t).shape == (1, 6, 32, 32)
 
@@ -251,11 +297,16 @@ def test_unusable_weights_are_refused(folder):
     image.write_bytes(b"no weights")
     refused("image.safetensors: cannot be read as weights")
     image.write_bytes((folder / "kernel.safetensors").read_bytes())
-    refused("weights: priors: need an image prior of 1 or 3 channels and a smaller kernel prior of 1")
+    refused(
+        "weights: priors: need an image prior of 1 or 3 channels and a smaller kernel prior of 1"
+    )
     card = {"size": 32, "channels": 3, "width": 32, "multipliers": [1, 2]}
     for wrong, words in (
         ({**card, "blocks": 3}, "its tensors do not fit the network"),
-        ({**card, "blocks": 10**9}, r"its header describes no network \(blocks: must be a whole number within 1..8"),
+        (
+            {**card, "blocks": 10**9},
+            r"its header describes no network \(blocks: must be a whole number within 1..8",
+        ),
         ({**card, "width": 4096, "multipliers": [1, 1]}, "its tensors do not fit the network"),
         ({**card, "width": "32"}, "its header describes no network"),
         ({**card, "multipliers": [1] * 9}, "its header describes no network"),
@@ -284,10 +335,16 @@ def test_no_file_of_weights_is_unpickled(tmp_path, folder, name):
     program = torch.export.export(network, (torch.zeros(1, 1, 4, 4),))
     torch.export.save(program, tmp_path / "program.pt2")
     torch.save(Trap(mark), tmp_path / "checkpoint.pt")
-    with zipfile.ZipFile(tmp_path / "program.pt2") as whole, zipfile.ZipFile(tmp_path / "bad.pt2", "w") as bad:
+    with (
+        zipfile.ZipFile(tmp_path / "program.pt2") as whole,
+        zipfile.ZipFile(tmp_path / "bad.pt2", "w") as bad,
+    ):
         for member in whole.namelist():
             harmful = "sample_inputs" in member
-            bad.writestr(member, (tmp_path / "checkpoint.pt").read_bytes() if harmful else whole.read(member))
+            bad.writestr(
+                member,
+                (tmp_path / "checkpoint.pt").read_bytes() if harmful else whole.read(member),
+            )
     (tmp_path / "bare").write_bytes(pickle.dumps(Trap(mark)))
     if name != "image.safetensors":
         (folder / "image.safetensors").unlink()

@@ -26,10 +26,21 @@ from motdiff.training.motion_bank import dwell_on_map
 from motdiff.training.run import validation_mnc
 from motdiff.training.targets import path_loss, path_psfs
 from motdiff.trajectory import Trajectory
-from motdiff.weights import DEFAULT_WEIGHTS, export_weights, load_network, load_path_network, read_card
+from motdiff.weights import (
+    DEFAULT_WEIGHTS,
+    export_weights,
+    load_network,
+    load_path_network,
+    read_card,
+)
 
 TINY = NetworkConfig(
-    target="path", backbone="none", physics_channels=2, physics_width=8, physics_depth=1, physics_patch=2
+    target="path",
+    backbone="none",
+    physics_channels=2,
+    physics_width=8,
+    physics_depth=1,
+    physics_patch=2,
 )
 PARABOLA = QuadraticPath([14.0, -6.0], [3.0, 25.0])
 coefficient = st.floats(-20, 20, allow_nan=False)
@@ -67,7 +78,9 @@ def test_a_path_is_the_polynomial_and_is_centred():
     np.testing.assert_allclose(backwards.xy, motion.xy[::-1], atol=1e-9)
 
 
-@pytest.mark.parametrize(("a", "b"), [([1.0, math.nan], [0, 0]), ([1.0, 2.0], [1.0]), ([[1.0, 2.0]], [0, 0])])
+@pytest.mark.parametrize(
+    ("a", "b"), [([1.0, math.nan], [0, 0]), ([1.0, 2.0], [1.0]), ([[1.0, 2.0]], [0, 0])]
+)
 def test_what_is_no_path_is_refused(a, b):
     with pytest.raises(ValueError, match=r"^[ab]: must be two finite numbers \(x, y\), got "):
         QuadraticPath(a, b)
@@ -79,7 +92,9 @@ def test_what_is_no_path_is_refused(a, b):
 def test_a_straight_motion_is_found_exactly():
     truth = Trajectory.straight(23.0, angle_rad=0.7)
     for found in (nearest_quadratic(truth), most_alike_quadratic(truth)):
-        np.testing.assert_allclose(found.a, 23 * np.array([math.cos(0.7), math.sin(0.7)]), atol=1e-6)
+        np.testing.assert_allclose(
+            found.a, 23 * np.array([math.cos(0.7), math.sin(0.7)]), atol=1e-6
+        )
         np.testing.assert_allclose(found.b, 0, atol=1e-6)
 
 
@@ -115,11 +130,15 @@ def test_the_most_alike_is_a_limit_of_the_class():
         drawn = QuadraticPath(values[:2], values[2:]).trajectory()
         return mnc_subpixel(drawn.psf(max(64, drawn.frame_size())), psf)
 
-    nearest, found = nearest_quadratic(truth), most_alike_quadratic(truth)
+    nearest = nearest_quadratic(truth)
+    found = most_alike_quadratic(truth)
     assert alike(np.r_[found.a, found.b]) > alike(np.r_[nearest.a, nearest.b]) + 0.1
     assert found.a @ nearest.a >= 0
     climbed = optimize.minimize(
-        lambda values: -alike(values), np.r_[found.a, found.b], method="Nelder-Mead", options={"maxfev": 150}
+        lambda values: -alike(values),
+        np.r_[found.a, found.b],
+        method="Nelder-Mead",
+        options={"maxfev": 150},
     )
     assert -climbed.fun < alike(np.r_[found.a, found.b]) + 0.03
 
@@ -141,15 +160,23 @@ def test_the_head_predicts_the_square_of_the_drift():
     torch.nn.init.zeros_(head.output.weight)
     for turn_rad in (0.3, 0.3 + 2 * math.pi, 2.0):
         with torch.no_grad():
-            head.output.bias.copy_(torch.tensor([math.cos(turn_rad), math.sin(turn_rad), 0.25, -0.5]))
+            head.output.bias.copy_(
+                torch.tensor([math.cos(turn_rad), math.sin(turn_rad), 0.25, -0.5])
+            )
             drift, bend = head(torch.zeros(1, 8, 64, 64))[0].numpy()
         assert np.hypot(*drift) == pytest.approx(16, rel=1e-4)
-        assert math.tan(math.atan2(drift[1], drift[0])) == pytest.approx(math.tan(turn_rad / 2), rel=1e-4)
+        assert math.tan(math.atan2(drift[1], drift[0])) == pytest.approx(
+            math.tan(turn_rad / 2), rel=1e-4
+        )
         np.testing.assert_allclose(bend, [4, -8], rtol=1e-6)
 
 
 def test_rows_of_dots_are_the_psf():
-    drawn = path_psfs(coefficients(PARABOLA), torch.tensor([[2.0, -1.0]]), variance_px2=1 / 6)[0].double().numpy()
+    drawn = (
+        path_psfs(coefficients(PARABOLA), torch.tensor([[2.0, -1.0]]), variance_px2=1 / 6)[0]
+        .double()
+        .numpy()
+    )
     motion = PARABOLA.trajectory()
     assert mnc_subpixel(drawn, motion.psf()) > 0.99
     at = np.arange(64) - 32
@@ -161,7 +188,9 @@ def test_the_loss_is_least_at_the_truth_and_blind_to_direction():
     dwell = dwell_of(PARABOLA.trajectory())
     right = path_loss(coefficients(PARABOLA), dwell).item()
     assert right < 0.01
-    assert path_loss(coefficients(PARABOLA.reversed()), dwell).item() == pytest.approx(right, abs=1e-6)
+    assert path_loss(coefficients(PARABOLA.reversed()), dwell).item() == pytest.approx(
+        right, abs=1e-6
+    )
     moved = torch.roll(dwell, (12, -20), (2, 3))
     assert path_loss(coefficients(PARABOLA), moved).item() == pytest.approx(right, abs=1e-4)
     for wrong in (QuadraticPath(PARABOLA.a, -PARABOLA.b), QuadraticPath([-6.0, 14.0], PARABOLA.b)):
@@ -202,7 +231,9 @@ class Eight:
 def config(steps=6, **network):
     optimiser = OptimiserConfig(steps=steps, batch=8, rate=3e-3, warm_up=5, ema=0.9, seed=2)
     data = DataConfig(photos="photos", physics_dropout=0.05)
-    return TrainingConfig(data, network=NetworkConfig(**{**TINY.as_dict(), **network}), optimiser=optimiser)
+    return TrainingConfig(
+        data, network=NetworkConfig(**{**TINY.as_dict(), **network}), optimiser=optimiser
+    )
 
 
 def test_a_resumed_run_is_bit_equal(tmp_path):
@@ -228,10 +259,16 @@ def test_the_network_learns_paths_and_travels(tmp_path):
     export_weights(tmp_path / "checkpoint", file)
     with torch.no_grad():
         expected = trainer.average(None, batch.physics)
-    torch.testing.assert_close(load_path_network(file)(None, batch.physics), expected, atol=0.2, rtol=0.02)
-    with pytest.raises(ValueError, match=r"path.safetensors: holds a network of target 'path', wanted 'map'$"):
+    torch.testing.assert_close(
+        load_path_network(file)(None, batch.physics), expected, atol=0.2, rtol=0.02
+    )
+    with pytest.raises(
+        ValueError, match=r"path.safetensors: holds a network of target 'path', wanted 'map'$"
+    ):
         load_network(file)
-    with pytest.raises(ValueError, match=r"offset: must be 0 for weights without a denoiser, got 1\.5"):
+    with pytest.raises(
+        ValueError, match=r"offset: must be 0 for weights without a denoiser, got 1\.5"
+    ):
         export_weights(tmp_path / "checkpoint", file, offset=1.5)
 
 
@@ -280,7 +317,9 @@ def test_they_find_a_bent_motion(estimator, photo):
 
 def test_one_photo_one_path(estimator, photo):
     again = np.repeat(photo[..., None], 3, axis=2)
-    np.testing.assert_allclose(estimator.estimate(again).psf, estimator.estimate(photo).psf, atol=1e-4)
+    np.testing.assert_allclose(
+        estimator.estimate(again).psf, estimator.estimate(photo).psf, atol=1e-4
+    )
 
 
 def test_large_photos_are_looked_at_in_crops(estimator, photo):

@@ -49,7 +49,9 @@ def one_thread():
 def straight_batch(count=8):
     """HR maps of straight motions, told as they are."""
     motions = [Trajectory.straight(8 + 3 * i, angle_rad=0.5 * i) for i in range(count)]
-    x0 = torch.from_numpy(np.stack([motion.hr_map() for motion in motions]).astype(np.float32))[:, None]
+    x0 = torch.from_numpy(np.stack([motion.hr_map() for motion in motions]).astype(np.float32))[
+        :, None
+    ]
     told = torch.nn.functional.avg_pool2d(x0, 4)
     return Batch(None, torch.cat([told, told], dim=1), x0, x0)
 
@@ -64,7 +66,9 @@ def config(*, steps=6, window=64, **optimiser):
         DataConfig(photos="photos", physics_dropout=0.0),
         network=TINY,
         loss=LossConfig(path_weight=0, iou=0, stpd=0),
-        optimiser=OptimiserConfig(steps=steps, batch=8, warm_up=5, ema=0.9, window=window, seed=2, **optimiser),
+        optimiser=OptimiserConfig(
+            steps=steps, batch=8, warm_up=5, ema=0.9, window=window, seed=2, **optimiser
+        ),
     )
 
 
@@ -85,7 +89,9 @@ def test_the_network_is_taught_the_psf_of_path_and_dwell():
     assert taught.x0.shape == (2, 1, 64, 64)
     torch.testing.assert_close(taught.x0, psf_signals(psfs_of_maps(batch.dwell)))
     assert taught.physics is batch.physics
-    for psf, motion in zip(psfs_of_signals(taught.x0[:, 0]).double().numpy(), (8, 11), strict=True):
+    for psf, motion in zip(
+        psfs_of_signals(taught.x0[:, 0]).double().numpy(), (8, 11), strict=True
+    ):
         truth = Trajectory.straight(motion, angle_rad=0.5 * (motion - 8) / 3).psf()
         assert mnc_subpixel(psf, truth) > 0.97
 
@@ -99,12 +105,19 @@ def test_it_draws_on_the_grid_of_the_condition():
     physics = torch.randn(2, 2, 64, 64, generator=draw)
     with torch.no_grad():
         condition = network.condition(None, physics)
-        assert network.denoise(torch.randn(2, 1, 64, 64, generator=draw), torch.tensor([3, 900]), condition).shape == (
-            2, 1, 64, 64,
-        )  # fmt: skip
+        assert network.denoise(
+            torch.randn(2, 1, 64, 64, generator=draw), torch.tensor([3, 900]), condition
+        ).shape == (
+            2,
+            1,
+            64,
+            64,
+        )
         with pytest.raises(ValueError, match=r"it must be \(2, 1, 64, 64\)"):
             network.denoise(torch.zeros(2, 1, 256, 256), torch.tensor([3, 900]), condition)
-        drawn = sample_paths(network, condition, count=3, schedule=cosine_schedule(), steps=2, generator=draw)
+        drawn = sample_paths(
+            network, condition, count=3, schedule=cosine_schedule(), steps=2, generator=draw
+        )
     assert drawn.path.shape == (2, 3, 64, 64)
 
 
@@ -112,15 +125,15 @@ def test_a_window_is_a_part_of_the_whole():
     """Away from its rim, which sees zeros instead of the rest."""
     network = build_network(TINY).eval()
     draw = torch.Generator().manual_seed(1)
-    x_t, physics, t = (
-        torch.randn(1, 1, 64, 64, generator=draw),
-        torch.randn(1, 2, 64, 64, generator=draw),
-        torch.tensor([500]),
-    )
+    x_t = torch.randn(1, 1, 64, 64, generator=draw)
+    physics = torch.randn(1, 2, 64, 64, generator=draw)
+    t = torch.tensor([500])
     with torch.no_grad():
         whole = network(x_t, t, None, physics)
         part = network(x_t[..., 10:42, 20:52], t, None, physics, (10, 20))
-    torch.testing.assert_close(part[..., 9:23, 9:23], whole[..., 19:33, 29:43], atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(
+        part[..., 9:23, 9:23], whole[..., 19:33, 29:43], atol=1e-5, rtol=1e-4
+    )
 
 
 def test_the_map_s_weights_are_no_psf_s():
@@ -134,11 +147,17 @@ def test_the_map_s_weights_are_no_psf_s():
 
 def test_the_number_of_steps_is_part_of_the_name(monkeypatch):
     made = []
-    monkeypatch.setattr("lab.rivals.psf_diffusion.PsfDiffusionEstimator", lambda **given: made.append(given))
-    assert list(named_estimators(["psf-diffusion", "psf-diffusion:3"])) == ["psf-diffusion", "psf-diffusion:3"]
+    monkeypatch.setattr(
+        "lab.rivals.psf_diffusion.PsfDiffusionEstimator", lambda **given: made.append(given)
+    )
+    assert list(named_estimators(["psf-diffusion", "psf-diffusion:3"])) == [
+        "psf-diffusion",
+        "psf-diffusion:3",
+    ]
     assert made == [{}, {"steps": 3}]
     with pytest.raises(
-        ValueError, match="method: must be psf-diffusion or psf-diffusion:STEPS, got 'psf-diffusion:ddim'"
+        ValueError,
+        match="method: must be psf-diffusion or psf-diffusion:STEPS, got 'psf-diffusion:ddim'",
     ):
         named_estimators(["psf-diffusion:ddim"])
 
@@ -175,14 +194,21 @@ def test_a_run_starts_from_the_condition_of_another(tmp_path):
     begun = Trainer(replace(config(start=str(file)), network=replace(TINY, denoiser_width=12)))
     begun.save(tmp_path / "begun")
     export_weights(tmp_path / "begun", tmp_path / "begun.safetensors")
-    assert read_card(tmp_path / "begun.safetensors")["config"]["optimiser"]["start"] == "psf.safetensors"
+    assert (
+        read_card(tmp_path / "begun.safetensors")["config"]["optimiser"]["start"]
+        == "psf.safetensors"
+    )
     alone = replace(begun.config, optimiser=config().optimiser)
     fresh = Trainer(alone).network.state_dict()
     for network in (begun.network, begun.average):
         for name, tensor in network.state_dict().items():
-            assert torch.equal(tensor, (kept if name.startswith("physics.") else fresh)[name]), name
+            assert torch.equal(tensor, (kept if name.startswith("physics.") else fresh)[name]), (
+                name
+            )
     wider = replace(config(start=str(file)), network=replace(TINY, physics_width=16))
-    with pytest.raises(ValueError, match=r"psf.safetensors: its condition network has other sizes"):
+    with pytest.raises(
+        ValueError, match=r"psf.safetensors: its condition network has other sizes"
+    ):
         Trainer(wider)
 
 

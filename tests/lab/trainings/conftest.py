@@ -17,4 +17,8 @@ def one_thread():
 def photos():
     """Two sharp photos of blocks, (3, 100, 110) uint8."""
     rng = np.random.default_rng(0)
-    return [torch.from_numpy(np.kron(rng.integers(0, 256, (3, 20, 22)), np.ones((5, 5))).astype(np.uint8))] * 2
+    return [
+        torch.from_numpy(
+            np.kron(rng.integers(0, 256, (3, 20, 22)), np.ones((5, 5))).astype(np.uint8)
+        )
+    ] * 2

@@ -23,7 +23,9 @@ def judged(photo, estimate, *, uneven=False, outgrown=False):
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.01])
-@pytest.mark.parametrize("path", [BENT, Trajectory.straight(9.0), Trajectory.straight(40.0, angle_rad=1.0)])
+@pytest.mark.parametrize(
+    "path", [BENT, Trajectory.straight(9.0), Trajectory.straight(40.0, angle_rad=1.0)]
+)
 def test_a_right_estimate_keeps_its_confidence(path, sigma):
     blurred = blur_valid(discs(), path.psf(65))
     photo = blurred + sigma * np.random.default_rng(0).standard_normal(blurred.shape)
@@ -52,11 +54,15 @@ def test_a_sharp_photo_shows_no_motion_whatever_was_found_in_it(path, sigma):
 
 
 def test_edges_of_one_direction_contradict_a_path_but_prove_nothing():
-    stripes = np.tile(np.kron(np.random.default_rng(0).uniform(0.1, 0.9, 15), np.ones(20)), (300, 1))
+    stripes = np.tile(
+        np.kron(np.random.default_rng(0).uniform(0.1, 0.9, 15), np.ones(20)), (300, 1)
+    )
     found = judged(stripes, estimate_of(Trajectory.straight(30.0)))
     assert found.best.length_px == 30
     assert found.confidence == 0.25
-    assert "px wide, which a motion along the path found would have blurred to" in found.warnings[-1]
+    assert (
+        "px wide, which a motion along the path found would have blurred to" in found.warnings[-1]
+    )
     along = judged(stripes, estimate_of(Trajectory.straight(30.0, angle_rad=np.pi / 2)))
     assert along.confidence == 0.8
 

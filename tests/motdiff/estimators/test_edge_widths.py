@@ -25,13 +25,18 @@ def test_a_gaussian_edge_is_as_wide_as_its_contrast_over_its_slope():
         step = 0.2 + 0.5 * ndimage.gaussian_filter1d((np.arange(80) >= 40).astype(float), sigma)
         found = edge_widths([np.tile(step, (80, 1))])
         assert np.isfinite(found.widths_px).sum() == 1
-        assert found.sharpest_px == found.widest_px == pytest.approx(sigma * np.sqrt(2 * np.pi), rel=0.12)
+        assert (
+            found.sharpest_px
+            == found.widest_px
+            == pytest.approx(sigma * np.sqrt(2 * np.pi), rel=0.12)
+        )
         assert not found.bound_motion  # a motion along them would not show
 
 
 def test_a_motion_widens_the_edges_across_it_and_no_others():
     path = Trajectory.straight(12.0)
-    found, sharp = edge_widths([blur_valid(discs(), path.psf(33))]), edge_widths([discs()])
+    found = edge_widths([blur_valid(discs(), path.psf(33))])
+    sharp = edge_widths([discs()])
     assert sharp.widest_px < 2.6
     assert sharp.bound_motion
     assert found.bound_motion
@@ -39,10 +44,13 @@ def test_a_motion_widens_the_edges_across_it_and_no_others():
     assert np.nanmin(found.widths_px[3:5]) < 2.6
 
 
-@pytest.mark.parametrize("path", [[[0, 0], [9, 4]], [[0, 0], [12, 0], [12, 8]], [[0, 0], [5, 5], [14, 5], [8, -4]]])
+@pytest.mark.parametrize(
+    "path", [[[0, 0], [9, 4]], [[0, 0], [12, 0], [12, 8]], [[0, 0], [5, 5], [14, 5], [8, -4]]]
+)
 def test_a_kernel_s_widths_are_those_of_the_photo_that_it_blurs(path):
     psf = Trajectory.from_samples(path).psf(41)
-    found, sharp = edge_widths([blur_valid(discs(seed=s), psf) for s in (1, 2)]), edge_widths([discs()])
+    found = edge_widths([blur_valid(discs(seed=s), psf) for s in (1, 2)])
+    sharp = edge_widths([discs()])
     assert 0.6 < found.share_of(kernel_edge_widths(psf, found.normals_rad)) < 1.15
     assert sharp.share_of(kernel_edge_widths(psf, sharp.normals_rad)) < 0.5
 
@@ -63,4 +71,6 @@ def test_noise_is_no_edge():
 
 def test_light_scales_nothing():
     photo = discs()
-    np.testing.assert_allclose(edge_widths([photo]).widths_px, edge_widths([0.5 * photo]).widths_px, rtol=0.05)
+    np.testing.assert_allclose(
+        edge_widths([photo]).widths_px, edge_widths([0.5 * photo]).widths_px, rtol=0.05
+    )

@@ -29,7 +29,8 @@ class Search:
     """Finds the same kernel in any crops; notes how many there were."""
 
     def __init__(self, psf):
-        self.psf, self.seen = psf, []
+        self.psf = psf
+        self.seen = []
 
     def __call__(self, crops):
         self.seen.append(len(crops))
@@ -85,21 +86,27 @@ def test_the_kernel_of_a_photo_takes_the_place_of_a_joint_search_that_is_lost():
 
 def test_the_kernel_of_a_photo_is_also_tried_refined_on_all():
     result, _ = fused(
-        [ACROSS] * 3, own=[DOWN] * 3, joint=DOWN, refine=lambda crops, _: ACROSS if len(crops) == 3 else 0
+        [ACROSS] * 3,
+        own=[DOWN] * 3,
+        joint=DOWN,
+        refine=lambda crops, _: ACROSS if len(crops) == 3 else 0,
     )
     assert mnc_subpixel(result.found.kernels[0], ACROSS) == pytest.approx(1)
     assert result.found.details["fused_by"] == "kernel of one photo, refined on all"
 
 
 def test_photos_are_cut_about_their_middles_to_one_size():
-    large, small = np.arange(12.0)[None, :, None] * np.ones((2, 1, 14)), np.zeros((1, 10, 20))
+    large = np.arange(12.0)[None, :, None] * np.ones((2, 1, 14))
+    small = np.zeros((1, 10, 20))
     cut = cut_alike([large, small])
     assert [one.shape for one in cut] == [(2, 10, 14), (1, 10, 14)]
     np.testing.assert_array_equal(cut[0][0, :, 0], np.arange(1, 11))
 
 
 def test_a_photo_much_smaller_than_another_is_refused_by_its_number():
-    with pytest.raises(ValueError, match=r"^photo 2: is too small .* needs 50 px on a side, got 48"):
+    with pytest.raises(
+        ValueError, match=r"^photo 2: is too small .* needs 50 px on a side, got 48"
+    ):
         cut_alike([np.zeros((1, 100, 100)), np.zeros((1, 48, 100))])
 
 
@@ -111,7 +118,10 @@ def test_two_photos_of_poor_scenes_show_together_what_neither_shows_alone():
     faint = 0.02 * rng.standard_normal((2, 150, 150))
     shots = [
         photograph(np.clip(scene, 0, 1), path.psf(27), rng=rng, read_sigma=0.002)
-        for scene in (stripes + np.zeros((150, 1)) + faint[0], stripes[:, None] + np.zeros(150) + faint[1])
+        for scene in (
+            stripes + np.zeros((150, 1)) + faint[0],
+            stripes[:, None] + np.zeros(150) + faint[1],
+        )
     ]
     estimator = PmpEstimator(starts=(Start(19),))
     alone = [mnc_subpixel(estimator.estimate(shot).psf, path.psf(27)) for shot in shots]

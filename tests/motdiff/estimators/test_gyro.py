@@ -17,7 +17,8 @@ def shake(seed: int, *, duration_s: float = 2.0, rate_hz: float = 4000.0) -> Gyr
     """Sums of sines of 1 to 12 Hz, about 0.1 rad/s."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(duration_s * rate_hz)) / rate_hz
-    freq, phase = rng.uniform(1, 12, (12, 3)), rng.uniform(0, 2 * np.pi, (12, 3))
+    freq = rng.uniform(1, 12, (12, 3))
+    phase = rng.uniform(0, 2 * np.pi, (12, 3))
     strength = np.exp(-freq / 5)
     rate = (strength * np.sin(2 * np.pi * freq * t[:, None, None] + phase)).sum(axis=1)
     rate = 0.1 * rate / rate.std(axis=0)
@@ -33,7 +34,9 @@ def test_psf_from_readings_at_200_hz(seed: int, noise_rad_s: float) -> None:
     path = trajectory_from_gyro(exact, **window)
     rng = np.random.default_rng(seed)
     noisy = exact.rate_rad_s[::20] + noise_rad_s * rng.standard_normal((len(exact.t_s[::20]), 3))
-    estimate = GyroEstimator(GyroTrace(exact.t_s[::20], noisy), **window).estimate(np.zeros((600, 800)))
+    estimate = GyroEstimator(GyroTrace(exact.t_s[::20], noisy), **window).estimate(
+        np.zeros((600, 800))
+    )
     frame = max(64, path.frame_size())
     assert mnc_subpixel(estimate.psf, path.psf(frame)) >= 0.99
     found = estimate.trajectories[0]
@@ -53,7 +56,9 @@ def test_roll_lowers_the_confidence_and_is_told() -> None:
     photo = np.zeros((3000, 4000))
     estimate = GyroEstimator(rolling, **window).estimate(photo)
     assert any("Roll" in warning for warning in estimate.warnings)
-    assert estimate.details["roll_at_corner_px"] == pytest.approx(50, rel=0.1)  # 0.02 rad at 2500 px
+    assert estimate.details["roll_at_corner_px"] == pytest.approx(
+        50, rel=0.1
+    )  # 0.02 rad at 2500 px
     small = GyroEstimator(rolling, **window).estimate(photo[:100, :100])
     assert small.confidence > estimate.confidence
     np.testing.assert_array_equal(small.psf, estimate.psf)
@@ -62,10 +67,14 @@ def test_roll_lowers_the_confidence_and_is_told() -> None:
 def test_sparse_readings_and_long_paths_are_told() -> None:
     trace = shake(1)
     slow = GyroTrace(trace.t_s[::400], trace.rate_rad_s[::400])  # 10 Hz
-    estimate = GyroEstimator(slow, focal_px=100, start_s=0.41, exposure_s=0.05).estimate(np.zeros((9, 9)))
+    estimate = GyroEstimator(slow, focal_px=100, start_s=0.41, exposure_s=0.05).estimate(
+        np.zeros((9, 9))
+    )
     assert any("gyro readings" in warning for warning in estimate.warnings)
     assert estimate.confidence == 0
-    far = GyroEstimator(trace, focal_px=30_000, start_s=0.3, exposure_s=0.3).estimate(np.zeros((300, 400)))
+    far = GyroEstimator(trace, focal_px=30_000, start_s=0.3, exposure_s=0.3).estimate(
+        np.zeros((300, 400))
+    )
     assert any("PSF frame" in warning for warning in far.warnings)
     assert far.psf.sum() == pytest.approx(1)
     assert len(far.psf) == far.trajectories[0].frame_size() > 64
@@ -93,7 +102,9 @@ def test_degrees_read_as_radians_are_refused_before_anything_is_drawn(monkeypatc
     single = trace.rate_rad_s.copy()
     single[1800] = 1e8
     for rates in (np.degrees(trace.rate_rad_s), single):
-        with pytest.raises(ValueError, match=r"^rate_unit: .* px .*800 x 600 px.*deg/s \(rate_unit='deg'\)"):
+        with pytest.raises(
+            ValueError, match=r"^rate_unit: .* px .*800 x 600 px.*deg/s \(rate_unit='deg'\)"
+        ):
             GyroEstimator(GyroTrace(trace.t_s, rates), **window).estimate(photo)
 
 
@@ -128,5 +139,7 @@ def test_the_times_told_are_times_that_can_be_chosen(clock_s: float) -> None:
 def test_a_path_too_long_to_be_handled_is_refused() -> None:
     steady = GyroTrace(np.linspace(0, 1, 100), np.tile([0.0, 5.0, 0.0], (100, 1)))
     estimator = GyroEstimator(steady, focal_px=5000, start_s=0.1, exposure_s=0.2)
-    with pytest.raises(ValueError, match=r"the path is 5000 px long, at most 4096 px can be handled"):
+    with pytest.raises(
+        ValueError, match=r"the path is 5000 px long, at most 4096 px can be handled"
+    ):
         estimator.estimate(np.zeros((64, 8000)))

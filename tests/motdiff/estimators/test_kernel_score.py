@@ -32,7 +32,9 @@ def photo_of(motion, height, width, *, seed):
     y, x = np.mgrid[: height + 32, : width + 32]
     sharp = np.full(x.shape, 0.5)
     for _ in range(300):
-        radius, cx, cy = 3 / rng.uniform(0.05, 1), rng.uniform(0, width + 32), rng.uniform(0, height + 32)
+        radius = 3 / rng.uniform(0.05, 1)
+        cx = rng.uniform(0, width + 32)
+        cy = rng.uniform(0, height + 32)
         sharp[(x - cx) ** 2 + (y - cy) ** 2 < radius**2] = rng.uniform(0.05, 0.95)
     photo = blur_valid(sharp, motion.psf(33))
     return np.clip(photo + rng.normal(0, 0.005, photo.shape), 0, 1)
@@ -46,16 +48,31 @@ def crops():
 def test_evidence_is_that_of_every_kernel_in_every_crop_alone(crops):
     judge = Judge(crops)
     assert judge.sigma == np.median([noise_sigma(crop) for crop in crops])
-    kernels = [bent().psf(31), bent().psf(31)[::-1, ::-1], STRAIGHT.psf(63), np.full((5, 5), 1 / 25)]
+    kernels = [
+        bent().psf(31),
+        bent().psf(31)[::-1, ::-1],
+        STRAIGHT.psf(63),
+        np.full((5, 5), 1 / 25),
+    ]
     evidence = judge.evidence(kernels)
     assert evidence.shape == (4, 3)
     for kernel, (fit, phase, rim) in zip(kernels, evidence, strict=True):
-        assert fit == pytest.approx(np.mean([Spectrum(crop, sigma=judge.sigma).fit(kernel) for crop in crops]))
-        assert phase == pytest.approx(np.mean([Phase(crop, sigma=judge.sigma).evidence(kernel) for crop in crops]))
+        assert fit == pytest.approx(
+            np.mean([Spectrum(crop, sigma=judge.sigma).fit(kernel) for crop in crops])
+        )
+        assert phase == pytest.approx(
+            np.mean([Phase(crop, sigma=judge.sigma).evidence(kernel) for crop in crops])
+        )
         assert rim == pytest.approx(1 - kernel[1:-1, 1:-1].sum())
-    np.testing.assert_array_equal(judge.evidence(kernels[::-1]), evidence[::-1])  # nothing is kept in between
-    assert evidence[0, 0] == pytest.approx(evidence[1, 0], abs=1e-9)  # reflections have the same spectrum
-    assert evidence[0, 1] == pytest.approx(-evidence[1, 1], abs=1e-6)  # and opposite phases (in single precision)
+    np.testing.assert_array_equal(
+        judge.evidence(kernels[::-1]), evidence[::-1]
+    )  # nothing is kept in between
+    assert evidence[0, 0] == pytest.approx(
+        evidence[1, 0], abs=1e-9
+    )  # reflections have the same spectrum
+    assert evidence[0, 1] == pytest.approx(
+        -evidence[1, 1], abs=1e-6
+    )  # and opposite phases (in single precision)
     assert evidence[0, 1] > 0.01
     assert evidence[3, 2] == pytest.approx(16 / 25)
 
@@ -83,8 +100,13 @@ def test_agreement_by_hand():
     r = np.sqrt(1 / 2)
     samples = [r, r, (r + 1 / 2) / 2, (1 + r) / 2, (r + 1) / 2]  # the first two without themselves
     classical = [(r + 1) / 2, (1 / 2 + r) / 2, r, r, (1 / 2 + r) / 2]
-    believed = candidate_probabilities(np.zeros((5, 3)), mnc_matrix(kernels), samples=2, classical=2)
-    alone = [candidate_probabilities(np.zeros((1, 3)), np.eye(1), samples=n, classical=0)[0] for n in (0, 1)]
+    believed = candidate_probabilities(
+        np.zeros((5, 3)), mnc_matrix(kernels), samples=2, classical=2
+    )
+    alone = [
+        candidate_probabilities(np.zeros((1, 3)), np.eye(1), samples=n, classical=0)[0]
+        for n in (0, 1)
+    ]
     assert alone[0] == alone[1] < believed.min()
     gained = special.logit(believed) - special.logit(alone[0])
     expected = kernel_score(np.zeros((5, 3)), np.mean([samples, classical], axis=0))
@@ -97,14 +119,19 @@ def test_score_rises_with_the_evidence_and_agreement_and_falls_with_light_on_the
     rows = np.random.default_rng(0).normal(size=(20, 3))
     np.testing.assert_allclose(kernel_score(rows), rows @ [fit, phase, rim])
     assert (kernel_score(rows, 0.5) > kernel_score(rows)).all()
-    assert candidate_probabilities(np.zeros((0, 3)), np.zeros((0, 0)), samples=0, classical=0).shape == (0,)
+    assert candidate_probabilities(
+        np.zeros((0, 3)), np.zeros((0, 0)), samples=0, classical=0
+    ).shape == (0,)
 
 
 def test_the_photo_believes_the_truth_and_not_what_is_lost(crops):
-    truth, lost = bent().psf(63), STRAIGHT.psf(63).T
+    truth = bent().psf(63)
+    lost = STRAIGHT.psf(63).T
     blob = np.exp(-0.5 * (np.mgrid[-31:32, -31:32] ** 2).sum(axis=0) / 16)
     kernels = [truth, truth[::-1, ::-1], lost, blob / blob.sum()]
-    believed = candidate_probabilities(Judge(crops).evidence(kernels), mnc_matrix(kernels), samples=4, classical=0)
+    believed = candidate_probabilities(
+        Judge(crops).evidence(kernels), mnc_matrix(kernels), samples=4, classical=0
+    )
     assert believed.argmax() == 0
     assert believed[0] > 0.7
     assert believed[2:].max() < 0.4
@@ -112,11 +139,17 @@ def test_the_photo_believes_the_truth_and_not_what_is_lost(crops):
 
 def test_distinct_kernels_are_chosen_in_order():
     straight, longer, upright = (
-        Trajectory.straight(length, angle_rad=angle).psf(63) for length, angle in ((12, 0), (13, 0), (12, 1.5))
+        Trajectory.straight(length, angle_rad=angle).psf(63)
+        for length, angle in ((12, 0), (13, 0), (12, 1.5))
     )
     alike = mnc_matrix([straight, longer, upright, straight, np.eye(63) / 63])
     order = np.array([3, 1, 2, 0, 4])
     assert distinct(alike, [3], order, most=3) == [3, 2, 4]
     assert distinct(alike, [3], order, most=2) == [3, 2]
     assert distinct(alike, [4, 0], order, most=4) == [4, 0, 2]
-    assert distinct(alike, [0, 1], order, most=4) == [0, 1, 2, 4]  # the first ones even if they are alike
+    assert distinct(alike, [0, 1], order, most=4) == [
+        0,
+        1,
+        2,
+        4,
+    ]  # the first ones even if they are alike

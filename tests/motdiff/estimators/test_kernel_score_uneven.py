@@ -26,7 +26,9 @@ def scene(seed, side):
 
 def crops(*psfs):
     rng = np.random.default_rng(1)
-    blurred = [blur_valid(scene(seed, 192 + psf.shape[0] - 1), psf) for seed, psf in enumerate(psfs)]
+    blurred = [
+        blur_valid(scene(seed, 192 + psf.shape[0] - 1), psf) for seed, psf in enumerate(psfs)
+    ]
     return np.stack([one + 0.004 * rng.standard_normal(one.shape) for one in blurred])
 
 

@@ -19,7 +19,9 @@ def test_a_ramp_is_continued_across_lights():
     ramp = 0.2 + 0.004 * y + 0.002 * x
     clipped = np.zeros(ramp.shape, bool)
     clipped[25:30, 20:40] = True
-    np.testing.assert_allclose(without_lights(np.where(clipped, 1.0, ramp), clipped), ramp, atol=1e-12)
+    np.testing.assert_allclose(
+        without_lights(np.where(clipped, 1.0, ramp), clipped), ramp, atol=1e-12
+    )
 
 
 def test_values_under_lights_do_not_matter_and_others_stay():

@@ -35,15 +35,24 @@ class FakeSearch(BlindEstimator):
     def __init__(self, *answers, singles=None, warnings=(), others=(), **options):
         super().__init__(**options)
         self.answers = list(answers or [(line(), 0.9)])
-        self.singles, self.warnings, self.others = singles, warnings, list(others)
-        self.seen, self.alone = [], []
+        self.singles = singles
+        self.warnings = warnings
+        self.others = list(others)
+        self.seen = []
+        self.alone = []
 
     def search(self, crops):
         kernel, confidence = self.answers[min(len(self.seen), len(self.answers) - 1)]
         self.seen.append(crops)
         kernels, probabilities = zip(*self.others, (kernel, confidence), strict=True)
         best = len(self.others)
-        return FoundKernels(kernels, np.array(probabilities), best, {"answer": len(self.seen)}, tuple(self.warnings))
+        return FoundKernels(
+            kernels,
+            np.array(probabilities),
+            best,
+            {"answer": len(self.seen)},
+            tuple(self.warnings),
+        )
 
     def single(self, crops, found):
         self.alone.append((crops, found))
@@ -140,7 +149,12 @@ def test_several_photos_are_searched_alone_and_together():
     photos = [noise(100, 90), noise(100, 90, seed=1), noise(80, 100, seed=2)]
     search = FakeSearch()
     estimate = search.estimate_from(photos)
-    assert [crops.shape for crops in search.seen] == [(1, 100, 90), (1, 100, 90), (1, 80, 100), (3, 80, 90)]
+    assert [crops.shape for crops in search.seen] == [
+        (1, 100, 90),
+        (1, 100, 90),
+        (1, 80, 100),
+        (3, 80, 90),
+    ]
     assert search.alone == []  # a crop of each photo has been searched alone
     figures = estimate.details
     assert (figures["photos"], figures["seen_in"], figures["left_out"]) == (3, 3, [])
@@ -158,11 +172,16 @@ class Correcting(FakeSearch):
 
 def test_the_result_is_corrected_once_on_the_crops_of_all_photos():
     photos = [noise(100, 100), noise(100, 90, seed=1), noise(80, 100, seed=2)]
-    plain, corrected = FakeSearch().estimate_from(photos), (search := Correcting()).estimate_from(photos)
+    plain = FakeSearch().estimate_from(photos)
+    corrected = (search := Correcting()).estimate_from(photos)
     assert search.corrected_crops == [(3, 80, 90)]
     assert mnc_subpixel(corrected.psf[1:, 1:], np.rot90(plain.psf[1:, 1:])) > 0.99
     assert mnc_subpixel(corrected.psf, plain.psf) < 0.9
-    for name in ("repeatability", "repeatability_px", "seen_in"):  # of kernels that no correction has touched
+    for name in (
+        "repeatability",
+        "repeatability_px",
+        "seen_in",
+    ):  # of kernels that no correction has touched
         assert corrected.details[name] == plain.details[name]
 
 
@@ -273,7 +292,9 @@ def test_every_crop_shares_in_the_check_of_one_blur():
 
 
 LONG = line(36)  # more than 0.8 of the frame
-UNSURE, SURE, SURER = 0.55, 0.7, 0.8
+UNSURE = 0.55
+SURE = 0.7
+SURER = 0.8
 
 
 def scales(photo_px, *answers):
@@ -295,7 +316,9 @@ def test_a_blur_that_outgrows_the_search_is_tried_at_half_size():
     assert estimate.details["scale"] == 0.5
     assert estimate.details["answer"] == 2
     assert estimate.confidence == SURE
-    assert estimate.warnings == ("the motion was estimated on the photo at 1/2 of its size, where it shows better",)
+    assert estimate.warnings == (
+        "the motion was estimated on the photo at 1/2 of its size, where it shows better",
+    )
     assert estimate.psf_warnings == estimate.warnings
     assert estimate.trajectories[0].length_px == pytest.approx(36, rel=0.06)
     assert mnc_subpixel(estimate.psf, line(36, side=65)) > 0.97
@@ -312,7 +335,13 @@ def test_a_veil_over_the_whole_frame_counts_as_a_blur_that_outgrows_it():
 
 @pytest.mark.parametrize(
     ("first", "second", "halved"),
-    [(0.6, 0.66, True), (0.6, 0.64, False), (0.2, 0.51, True), (0.2, 0.49, False), (0.47, 0.51, False)],
+    [
+        (0.6, 0.66, True),
+        (0.6, 0.64, False),
+        (0.2, 0.51, True),
+        (0.2, 0.49, False),
+        (0.47, 0.51, False),
+    ],
 )
 def test_half_size_is_taken_only_where_it_is_clearly_better(first, second, halved):
     estimate, seen = scales(600, (LONG, first), (line(18), second))
@@ -336,7 +365,9 @@ def test_twice_as_coarse_stops_where_it_no_longer_helps():
     assert estimate.details["scale"] == 0.5
 
 
-@pytest.mark.parametrize(("side", "confidence", "tries"), [(512, 0.3, 2), (511, 0.3, 1), (512, 0.5, 1)])
+@pytest.mark.parametrize(
+    ("side", "confidence", "tries"), [(512, 0.3, 2), (511, 0.3, 1), (512, 0.5, 1)]
+)
 def test_a_lost_blur_is_looked_for_at_half_size_where_pixels_are_to_spare(side, confidence, tries):
     _, seen = scales(side, (line(9), confidence))
     assert len(seen) == tries
@@ -351,21 +382,26 @@ def test_small_photos_are_not_halved(side, tries):
 def test_halved_photos_are_means_of_pixels():
     photo = noise(300, 260)
     _, search = found_in(photo, FakeSearch((LONG, UNSURE), (line(), SURE)))
-    np.testing.assert_allclose(search.seen[1][0], photo.reshape(150, 2, 130, 2).mean(axis=(1, 3)), atol=1e-12)
+    np.testing.assert_allclose(
+        search.seen[1][0], photo.reshape(150, 2, 130, 2).mean(axis=(1, 3)), atol=1e-12
+    )
 
 
 # ---- what is told
 
 
 def test_warnings_come_in_the_order_of_what_was_done(monkeypatch):
-    kernels, asked = [line(), line(angle_rad=1.5)], []
+    kernels = [line(), line(angle_rad=1.5)]
+    asked = []
 
     def judged(crops, own, shared):
         asked.append((crops, own, shared))
         return "uneven"
 
     monkeypatch.setattr("motdiff.estimators.multiscale.uneven_blur_warning", judged)
-    search = FakeSearch((LONG, 0.1), (line(), 0.6), singles=kernels, warnings=("the search says this",))
+    search = FakeSearch(
+        (LONG, 0.1), (line(), 0.6), singles=kernels, warnings=("the search says this",)
+    )
     estimate, _ = found_in(noise(700, 900), search)
     said, uneven, halved = estimate.warnings
     assert said == "the search says this"
@@ -405,7 +441,8 @@ def test_a_web_found_at_half_size_is_told_of_in_pixels_of_the_photo():
     halved, _ = found_in(noise(300, 300), FakeSearch((LONG, 0.1), (web / web.sum(), 0.98)))
     assert halved.details["scale"] == 0.5
     (at_once, at_half) = (
-        [float(word) for word in estimate.warnings[0].split() if word.isdigit()] for estimate in (whole, halved)
+        [float(word) for word in estimate.warnings[0].split() if word.isdigit()]
+        for estimate in (whole, halved)
     )
     assert at_half == pytest.approx([2 * px for px in at_once], abs=1)
     path = halved.trajectories[0]
@@ -419,7 +456,9 @@ def test_a_tangled_path_s_order_is_said_to_be_unknown_unless_the_whole_estimate_
     path = estimate.trajectories[0]
     assert path.length_px > 2.5 * path.extent_px
     (said,) = estimate.warnings
-    assert said.startswith(f"the path found is tangled ({path.length_px:.0f} px within {path.extent_px:.0f} px)")
+    assert said.startswith(
+        f"the path found is tangled ({path.length_px:.0f} px within {path.extent_px:.0f} px)"
+    )
     assert "method gyro" in said
     assert estimate.confidence == 0.98
     (lost,) = found_in(noise(100, 100), FakeSearch((tangle / tangle.sum(), 0.4)))[0].warnings
@@ -435,14 +474,17 @@ def test_a_path_is_tangled_by_its_strands_where_it_was_searched(monkeypatch, sid
     assert not is_tangled(wobbling)
     assert is_tangled(wobbling.scaled(2))
     monkeypatch.setattr("motdiff.estimators.multiscale.simplest_trajectory", lambda _psf: wobbling)
-    estimate, _ = found_in(noise(side, side), FakeSearch((LONG, 0.1), (line(15), 0.98)) if scale < 1 else None)
+    estimate, _ = found_in(
+        noise(side, side), FakeSearch((LONG, 0.1), (line(15), 0.98)) if scale < 1 else None
+    )
     assert estimate.details["scale"] == scale
     assert not any("tangled" in warning for warning in estimate.warnings)
 
 
 def test_a_spiral_is_long_within_its_extent_but_not_tangled():
     t = np.linspace(0, 1, 400)
-    radius, angle = 9 * (1 + 0.5 * t), 2.6 * np.pi * t
+    radius = 9 * (1 + 0.5 * t)
+    angle = 2.6 * np.pi * t
     spiral = Trajectory.from_samples(np.c_[radius * np.cos(angle), radius * np.sin(angle)])
     estimate, _ = found_in(noise(100, 100), FakeSearch((spiral.psf(KERNEL_PX), 0.98)))
     path = estimate.trajectories[0]
@@ -468,16 +510,21 @@ def test_one_blur_in_all_crops_is_no_warning():
 
 
 def test_distinct_motions_follow_as_alternatives_likeliest_first():
-    up, slanted = line(9, angle_rad=np.pi / 2), line(15, angle_rad=0.9)
+    up = line(9, angle_rad=np.pi / 2)
+    slanted = line(15, angle_rad=0.9)
     alike = line(10)
     fourth = line(30, angle_rad=-0.6)
-    search = FakeSearch((line(9), 0.6), others=[(fourth, 0.1), (up, 0.3), (alike, 0.65), (slanted, 0.7)])
+    search = FakeSearch(
+        (line(9), 0.6), others=[(fourth, 0.1), (up, 0.3), (alike, 0.65), (slanted, 0.7)]
+    )
     estimate, _ = found_in(noise(100, 100), search)
     assert estimate.confidence == 0.6  # of the chosen one, which need not be the likeliest
     assert estimate.weights == pytest.approx(np.array([0.6, 0.7, 0.3]) / 1.6)
     angles = [np.arctan2(*np.ptp(motion.xy, axis=0)[::-1]) for motion in estimate.trajectories]
     assert angles == pytest.approx([0, 0.9, np.pi / 2], abs=0.1)
-    assert [motion.length_px for motion in estimate.trajectories] == pytest.approx([9, 15, 9], abs=1.5)
+    assert [motion.length_px for motion in estimate.trajectories] == pytest.approx(
+        [9, 15, 9], abs=1.5
+    )
     assert {motion.direction for motion in estimate.trajectories} == {"unknown"}
 
 
@@ -491,13 +538,17 @@ def test_faint_parts_are_in_the_psf_but_not_in_the_path():
     plain, _ = found_in(noise(100, 100))
     assert estimate.psf[32 + 8, 32] > 0
     assert np.ptp(estimate.trajectories[0].xy[:, 1]) < 1
-    assert estimate.trajectories[0].length_px == pytest.approx(plain.trajectories[0].length_px, abs=0.2)
+    assert estimate.trajectories[0].length_px == pytest.approx(
+        plain.trajectories[0].length_px, abs=0.2
+    )
 
 
 def test_specks_are_not_part_of_the_path():
     speck = line(9)
     speck[4, 4] = 0.3 * speck.max()
-    np.testing.assert_allclose(without_faint_parts(speck), np.where(speck < 0.05 * speck.max(), 0, line(9)), atol=0.01)
+    np.testing.assert_allclose(
+        without_faint_parts(speck), np.where(speck < 0.05 * speck.max(), 0, line(9)), atol=0.01
+    )
     assert without_faint_parts(speck)[4, 4] == 0
     two = line(9) + np.roll(line(9), 12, axis=0)  # as bright as each other: both are the motion's
     np.testing.assert_array_equal(without_faint_parts(two) > 0, two >= 0.05 * two.max())
@@ -505,7 +556,9 @@ def test_specks_are_not_part_of_the_path():
     estimate, _ = found_in(noise(100, 100), FakeSearch((speck, 0.9)))
     plain, _ = found_in(noise(100, 100))
     assert estimate.psf[32 - 15, 32 - 15] > 0
-    assert estimate.trajectories[0].length_px == pytest.approx(plain.trajectories[0].length_px, abs=0.2)
+    assert estimate.trajectories[0].length_px == pytest.approx(
+        plain.trajectories[0].length_px, abs=0.2
+    )
 
 
 @pytest.mark.parametrize(("side", "frame"), [(29, 64), (63, 64), (65, 66), (71, 72)])
@@ -515,7 +568,10 @@ def test_kernels_are_framed_with_their_centre_at_half_the_frame(side, frame):
     kernel[side // 2 - 3, side // 2 + 6] = 1
     estimate, _ = found_in(noise(100, 100), FakeSearch((kernel / 2, 0.9)))
     assert estimate.psf.shape == (frame, frame)
-    assert np.argwhere(estimate.psf).tolist() == [[frame // 2 - 3, frame // 2 + 5], [frame // 2 - 3, frame // 2 + 6]]
+    assert np.argwhere(estimate.psf).tolist() == [
+        [frame // 2 - 3, frame // 2 + 5],
+        [frame // 2 - 3, frame // 2 + 6],
+    ]
     assert estimate.psf.max() == 0.5
 
 
@@ -563,8 +619,14 @@ def test_a_path_is_less_sure_than_its_psf_the_more_it_bends(path, share):
 @pytest.mark.parametrize(
     ("photo", "message"),
     [
-        (np.full((100, 100), 0.4), "photo: is constant; motion shows only where the scene has texture"),
-        (np.full((100, 100, 3), [0.1, 0.5, 0.3]), "photo: is constant; motion shows only where the scene has texture"),
+        (
+            np.full((100, 100), 0.4),
+            "photo: is constant; motion shows only where the scene has texture",
+        ),
+        (
+            np.full((100, 100, 3), [0.1, 0.5, 0.3]),
+            "photo: is constant; motion shows only where the scene has texture",
+        ),
         (noise(47, 300), "photo: needs at least 48 x 48 px, got 300 x 47"),
         (np.where(np.eye(100) > 0, np.nan, 0.5), "photo: must be finite, found NaN or infinity"),
         (np.where(np.eye(100) > 0, np.inf, 0.5), "photo: must be finite, found NaN or infinity"),

@@ -29,12 +29,17 @@ def dense(pairs: list[PatchPair]) -> tuple[np.ndarray, np.ndarray]:
         columns.append(
             np.concatenate(
                 [
-                    (np.sqrt(p.weight) * signal.convolve(p.sharp, unit.reshape(SIZE, SIZE), mode="valid")).ravel()
+                    (
+                        np.sqrt(p.weight)
+                        * signal.convolve(p.sharp, unit.reshape(SIZE, SIZE), mode="valid")
+                    ).ravel()
                     for p in pairs
                 ]
             )
         )
-    return np.array(columns).T, np.concatenate([(np.sqrt(p.weight) * p.blurred).ravel() for p in pairs])
+    return np.array(columns).T, np.concatenate(
+        [(np.sqrt(p.weight) * p.blurred).ravel() for p in pairs]
+    )
 
 
 @pytest.mark.parametrize("seeds", [(0,), (1, 2)])
@@ -46,7 +51,8 @@ def test_equals_scipys_nnls(seeds: tuple[int, ...]) -> None:
 
 
 def test_optimality_with_the_prior() -> None:
-    pairs, sparse = [pair(3)[0]], 1.0
+    pairs = [pair(3)[0]]
+    sparse = 1.0
     matrix, values = dense(pairs)
     psf = fit_psf(pairs, SIZE, sparse=sparse).ravel()
     gradient = matrix.T @ (matrix @ psf - values) + sparse
@@ -58,9 +64,12 @@ def test_optimality_with_the_prior() -> None:
 
 
 def test_where_it_starts_does_not_matter() -> None:
-    pairs, truth = [pair(4)[0]], pair(4)[1]
+    pairs = [pair(4)[0]]
+    truth = pair(4)[1]
     from_zero = fit_psf(pairs, SIZE)
-    np.testing.assert_allclose(fit_psf(pairs, SIZE, start=truth), from_zero, atol=3e-3 * from_zero.max())
+    np.testing.assert_allclose(
+        fit_psf(pairs, SIZE, start=truth), from_zero, atol=3e-3 * from_zero.max()
+    )
 
 
 def test_masked_pixels_do_not_count() -> None:
@@ -76,7 +85,9 @@ def test_a_large_frame_on_a_red_scene() -> None:
     # 1/f^2 scenes make the problem ill-conditioned; the truth is known and there is no noise
     rng = np.random.default_rng(0)
     fy, fx = np.meshgrid(np.fft.fftfreq(256), np.fft.fftfreq(256), indexing="ij")
-    scene = np.fft.ifft2(np.fft.fft2(rng.standard_normal((256, 256))) / (0.02 + np.hypot(fx, fy))).real
+    scene = np.fft.ifft2(
+        np.fft.fft2(rng.standard_normal((256, 256))) / (0.02 + np.hypot(fx, fy))
+    ).real
     psf = boracchi_foi(rng, max_length_px=30).psf(32)
     exact = PatchPair(scene, signal.fftconvolve(scene, psf, mode="valid"), np.ones((225, 225)))
     found = fit_psf([exact], 32)

@@ -21,12 +21,16 @@ def dead_leaves(seed: int, shape: tuple[int, int] = (260, 280)) -> np.ndarray:
     y, x = np.mgrid[: shape[0], : shape[1]]
     for _ in range(400):
         radius = 4 / rng.random() ** 0.7
-        inside = (y - rng.uniform(0, shape[0])) ** 2 + (x - rng.uniform(0, shape[1])) ** 2 < min(radius, 60) ** 2
+        inside = (y - rng.uniform(0, shape[0])) ** 2 + (x - rng.uniform(0, shape[1])) ** 2 < min(
+            radius, 60
+        ) ** 2
         image[inside] = rng.uniform(0.05, 0.85)
     return image
 
 
-def taken(scene: np.ndarray, psf: np.ndarray, seed: int, shift: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+def taken(
+    scene: np.ndarray, psf: np.ndarray, seed: int, shift: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
     """Photo and misregistered sharp photo, both noisy."""
     rng = np.random.default_rng(seed)
     moved = ndimage.shift(scene, (*shift, 0)[: scene.ndim], order=5, mode="reflect")
@@ -88,7 +92,9 @@ def test_another_scene_is_told_apart() -> None:
 
 def test_blur_that_differs_across_the_photo_is_told() -> None:
     scene = np.hstack([dead_leaves(0), dead_leaves(1)])
-    one, two = (boracchi_foi(np.random.default_rng(seed), max_length_px=40).psf(41) for seed in (0, 3))
+    one, two = (
+        boracchi_foi(np.random.default_rng(seed), max_length_px=40).psf(41) for seed in (0, 3)
+    )
     half = scene.shape[1] // 2 - 20
     photo = np.hstack([blur_valid(scene, one)[:, :half], blur_valid(scene, two)[:, half:]])
     photo = photo + SIGMA * np.random.default_rng(0).standard_normal(photo.shape)
@@ -103,7 +109,9 @@ def test_path_longer_than_the_frame_is_told() -> None:
     psf = quadratic(np.random.default_rng(0), min_length_px=40, max_length_px=40).psf(51)
     photo, sharp = taken(dead_leaves(2), psf, 0, (0, 0))
     estimate = ReferenceEstimator(sharp, size=16).estimate(photo)
-    assert any("larger size" in warning for warning in estimate.warnings) or estimate.confidence < 0.6
+    assert (
+        any("larger size" in warning for warning in estimate.warnings) or estimate.confidence < 0.6
+    )
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,11 @@ def tiff(image, **options):
 
 def samples(kind, channels):
     image = SCENE[:, :, :channels] if channels > 1 else SCENE[:, :, 0]
-    return (image / 255).astype(kind) if kind.startswith("f") else image.astype(kind) * (257 if kind == "u2" else 1)
+    return (
+        (image / 255).astype(kind)
+        if kind.startswith("f")
+        else image.astype(kind) * (257 if kind == "u2" else 1)
+    )
 
 
 def bits_packed(values, bits, *, photometric, compress):
@@ -36,9 +40,16 @@ def bits_packed(values, bits, *, photometric, compress):
     data = np.packbits(planes.reshape(len(values), -1), axis=1).tobytes()
     data = zlib.compress(data) if compress else data
     fields = {
-        256: values.shape[1], 257: values.shape[0], 258: bits, 259: 8 if compress else 1, 262: photometric, 273: 0,
-        277: 1, 278: values.shape[0], 279: len(data),
-    }  # fmt: skip
+        256: values.shape[1],
+        257: values.shape[0],
+        258: bits,
+        259: 8 if compress else 1,
+        262: photometric,
+        273: 0,
+        277: 1,
+        278: values.shape[0],
+        279: len(data),
+    }
     fields[273] = 8 + 2 + 12 * len(fields) + 4
     entries = b"".join(struct.pack(">HHII", tag, 4, 1, value) for tag, value in fields.items())
     return b"MM\0*" + struct.pack(">IH", 8, len(fields)) + entries + bytes(4) + data
@@ -71,7 +82,9 @@ def test_layouts_of_the_same_picture_are_the_same(kind, channels, separate, stor
 
 @pytest.mark.parametrize("kind", ["u1", "u2", "f4"])
 @pytest.mark.parametrize("channels", [1, 3, 4])
-@pytest.mark.parametrize("compression", [cv2.IMWRITE_TIFF_COMPRESSION_LZW, cv2.IMWRITE_TIFF_COMPRESSION_PACKBITS])
+@pytest.mark.parametrize(
+    "compression", [cv2.IMWRITE_TIFF_COMPRESSION_LZW, cv2.IMWRITE_TIFF_COMPRESSION_PACKBITS]
+)
 @pytest.mark.parametrize("predictor", [1, 2, 3])
 def test_compressions_of_libtiff(kind, channels, compression, predictor):
     if predictor == 3 and not kind.startswith("f"):
@@ -80,13 +93,19 @@ def test_compressions_of_libtiff(kind, channels, compression, predictor):
     stored = image if channels == 1 else np.dstack([image[:, :, 2::-1], image[:, :, 3:]])
     options = [cv2.IMWRITE_TIFF_COMPRESSION, compression, cv2.IMWRITE_TIFF_PREDICTOR, predictor]
     data = cv2.imencode(".tif", stored, options)[1].tobytes()
-    np.testing.assert_array_equal(decode(data, "photo.tif")[0], image[:, :, :3] if channels > 1 else image)
+    np.testing.assert_array_equal(
+        decode(data, "photo.tif")[0], image[:, :, :3] if channels > 1 else image
+    )
 
 
 @pytest.mark.parametrize(
     ("mode", "compression"),
     [
-        *((mode, compression) for mode in ("RGB", "RGBA", "L", "YCbCr") for compression in (*PLAIN, "jpeg")),
+        *(
+            (mode, compression)
+            for mode in ("RGB", "RGBA", "L", "YCbCr")
+            for compression in (*PLAIN, "jpeg")
+        ),
         *((mode, compression) for mode in ("P", "LA") for compression in PLAIN),
         *(("1", compression) for compression in (*PLAIN, "group3", "group4")),
     ],
@@ -94,7 +113,11 @@ def test_compressions_of_libtiff(kind, channels, compression, predictor):
 def test_pictures_of_another_writer(mode, compression):
     """Pillow writes, and is the witness."""
     image = Image.fromarray(cv2.blur(SCENE[:, :, :3], (9, 9)))
-    image = image.quantize(16) if mode == "P" else image.convert("L" if mode == "LA" else "RGB").convert(mode)
+    image = (
+        image.quantize(16)
+        if mode == "P"
+        else image.convert("L" if mode == "LA" else "RGB").convert(mode)
+    )
     if mode in ("RGBA", "LA"):
         image.putalpha(Image.fromarray(SCENE[:, :, 3]))
     stream = BytesIO()
@@ -110,7 +133,9 @@ def test_pictures_of_another_writer(mode, compression):
 @pytest.mark.parametrize("compress", [False, True])
 def test_samples_that_are_no_whole_bytes_fill_the_range(bits, photometric, compress):
     values = np.random.default_rng(bits).integers(0, 2**bits, (21, 27))
-    decoded, _ = decode(bits_packed(values, bits, photometric=photometric, compress=compress), "photo.tif")
+    decoded, _ = decode(
+        bits_packed(values, bits, photometric=photometric, compress=compress), "photo.tif"
+    )
     full = 255 if bits < 8 else 65535
     light = values / (2**bits - 1)
     assert decoded.dtype == (np.uint8 if bits < 8 else np.uint16)
@@ -149,14 +174,28 @@ REFUSED = {
     "CMYK": (tiff(SCENE[:, :, :4], photometric="separated"), "CMYK.*RGB or grey"),
     "CIELab": (tiff(SCENE[:, :, :3], photometric="cielab"), "CIELab.*RGB or grey"),
     "mosaic": (tiff(SCENE[:, :, 0], photometric="cfa"), "colour filter mosaic.*RGB or grey"),
-    "channels": (tiff(SCENE, photometric="minisblack", planarconfig="contig"), "5 channels of no colour"),
-    "signed": (tiff(SCENE[:, :, 0].astype(np.int16)), "16-bit integers with a sign.*floating point of 32"),
-    "uint32": (tiff(SCENE[:, :, 0].astype(np.uint32)), "32-bit integers, save.*floating point of 32"),
+    "channels": (
+        tiff(SCENE, photometric="minisblack", planarconfig="contig"),
+        "5 channels of no colour",
+    ),
+    "signed": (
+        tiff(SCENE[:, :, 0].astype(np.int16)),
+        "16-bit integers with a sign.*floating point of 32",
+    ),
+    "uint32": (
+        tiff(SCENE[:, :, 0].astype(np.uint32)),
+        "32-bit integers, save.*floating point of 32",
+    ),
     "complex": (tiff(SCENE[:, :, 0].astype(np.complex64)), "complex numbers"),
-    "volume": (tiff(SCENE, volumetric=True, tile=(16, 16, 16), photometric="minisblack"), "37 layers"),
+    "volume": (
+        tiff(SCENE, volumetric=True, tile=(16, 16, 16), photometric="minisblack"),
+        "37 layers",
+    ),
     "JPEG XL": (tiff(SCENE[:, :, 0], compression="jpegxl"), "JPEGXL, save it uncompressed"),
     "unknown": (
-        tiff(SCENE[:, :, 0]).replace(struct.pack("<HHII", 259, 3, 1, 1), struct.pack("<HHII", 259, 3, 1, 60000)),
+        tiff(SCENE[:, :, 0]).replace(
+            struct.pack("<HHII", 259, 3, 1, 1), struct.pack("<HHII", 259, 3, 1, 60000)
+        ),
         "method 60000, save it uncompressed",
     ),
 }
@@ -214,7 +253,8 @@ BOMBS = {
         tiff(SCENE[:, :, 0], compression="zstd"), imagecodecs.zstd_encode(bytes(200_000_000))
     ),
     "a large tile": with_strip(
-        tiff(SCENE[:, :, 0], compression="adobe_deflate", tile=(65_520, 65_520)), zlib.compress(bytes(1000))
+        tiff(SCENE[:, :, 0], compression="adobe_deflate", tile=(65_520, 65_520)),
+        zlib.compress(bytes(1000)),
     ),
     "a large JPEG": with_strip(tiff(SCENE[:, :, 0], compression="jpeg"), jpeg_of(65_500, 65_500)),
 }
@@ -241,7 +281,10 @@ def test_a_file_whose_last_strips_are_cut_off_is_refused(share, compression):
 
 
 def test_samples_of_reversed_bits_are_read():
-    reversed_bits = np.packbits(np.unpackbits(SCENE[:, :, :1], axis=2), axis=2, bitorder="little")[:, :, 0]
-    unit, fill_order = struct.pack("<HHII", 296, 3, 1, 1), struct.pack("<HHII", 266, 3, 1, 2)
+    reversed_bits = np.packbits(np.unpackbits(SCENE[:, :, :1], axis=2), axis=2, bitorder="little")[
+        :, :, 0
+    ]
+    unit = struct.pack("<HHII", 296, 3, 1, 1)
+    fill_order = struct.pack("<HHII", 266, 3, 1, 2)
     data = tiff(reversed_bits).replace(unit, fill_order)
     np.testing.assert_array_equal(decode(data, "photo.tif")[0], SCENE[:, :, 0])

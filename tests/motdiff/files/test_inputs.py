@@ -20,7 +20,8 @@ from motdiff.files.inputs import (
 
 
 def test_regular_files_and_links_to_them_are_taken(tmp_path):
-    file, link = tmp_path / "a.json", tmp_path / "link.json"
+    file = tmp_path / "a.json"
+    link = tmp_path / "link.json"
     file.write_text("{}")
     link.symlink_to(file)
     assert regular_file(str(file)) == file
@@ -33,10 +34,17 @@ def test_what_is_no_regular_file_is_refused_without_being_opened(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(tmp_path / "socket"))
-        cases = {tmp_path: "folder", tmp_path / "pipe": "pipe", tmp_path / "socket": "socket", "/dev/zero": "device"}
+        cases = {
+            tmp_path: "folder",
+            tmp_path / "pipe": "pipe",
+            tmp_path / "socket": "socket",
+            "/dev/zero": "device",
+        }
         for path, kind in cases.items():
             for read in (regular_file, read_text, read_json, read_toml):
-                with pytest.raises(ValueError, match=f"is a {kind}, a regular file is needed") as caught:
+                with pytest.raises(
+                    ValueError, match=f"is a {kind}, a regular file is needed"
+                ) as caught:
                     read(path)
                 assert str(path) in str(caught.value)
 
@@ -60,7 +68,16 @@ def test_the_mark_of_windows_editors_is_no_harm(tmp_path):
 
 @pytest.mark.parametrize(
     "content",
-    [b"", b"\xff\xfe\x00", b"[" * 100_000, b"9" * 5000, b'{"a": ' * 100_000, b"\x00" * 9, b'"\x1b[2J', b"{xxxxxxxxxxx"],
+    [
+        b"",
+        b"\xff\xfe\x00",
+        b"[" * 100_000,
+        b"9" * 5000,
+        b'{"a": ' * 100_000,
+        b"\x00" * 9,
+        b'"\x1b[2J',
+        b"{xxxxxxxxxxx",
+    ],
     ids=lambda content: repr(content[:6]),
 )
 @pytest.mark.parametrize("read", [read_json, read_toml])
@@ -103,13 +120,19 @@ def test_messages_are_cut_and_cannot_command_a_terminal():
 def test_why_a_parser_gives_up_is_said_in_plain_words(tmp_path, read, text):
     path = tmp_path / "a.txt"
     path.write_text(text)
-    with pytest.raises(ValueError, match=r"a\.txt: not a (JSON|TOML) file \((it is nested|a number in it)"):
+    with pytest.raises(
+        ValueError, match=r"a\.txt: not a (JSON|TOML) file \((it is nested|a number in it)"
+    ):
         read(path)
 
 
 @pytest.mark.parametrize(
     ("read", "limit", "text"),
-    [(read_json, JSON_BYTES, "[]"), (read_toml, TOML_BYTES, "a = 1"), (read_text, TEXT_BYTES, "0 0 0 0")],
+    [
+        (read_json, JSON_BYTES, "[]"),
+        (read_toml, TOML_BYTES, "a = 1"),
+        (read_text, TEXT_BYTES, "0 0 0 0"),
+    ],
 )
 def test_a_file_too_large_for_its_kind_is_refused_before_it_is_parsed(tmp_path, read, limit, text):
     path = tmp_path / "a.txt"
@@ -117,7 +140,10 @@ def test_a_file_too_large_for_its_kind_is_refused_before_it_is_parsed(tmp_path, 
     assert read(path) is not None
     with path.open("r+b") as stream:
         stream.truncate(2**40)  # sparse: only a reader that takes it all would notice
-    with pytest.raises(ValueError, match=rf"a\.txt: is too large, a file of this kind has at most {limit >> 20} MiB"):
+    with pytest.raises(
+        ValueError,
+        match=rf"a\.txt: is too large, a file of this kind has at most {limit >> 20} MiB",
+    ):
         read(path)
 
 
@@ -137,7 +163,9 @@ def test_what_is_nested_too_deeply_for_later_work_is_refused(tmp_path, read, nes
     assert json.dumps(read(path), indent=1)
     for depth in (65, 900, 50_000 if read is read_json else 2000):
         path.write_text(nested(depth))
-        with pytest.raises(ValueError, match=r"a\.txt: not a (JSON|TOML) file \(it is nested too deeply\)"):
+        with pytest.raises(
+            ValueError, match=r"a\.txt: not a (JSON|TOML) file \(it is nested too deeply\)"
+        ):
             read(path)
 
 

@@ -13,7 +13,12 @@ import motdiff.files._mat_reader as script
 from motdiff.files import mat_files
 from motdiff.files.mat_files import read_mat
 
-HDF5 = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\x00\x02IM" + b"\x89HDF\r\n\x1a\n"
+HDF5 = (
+    b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116)
+    + bytes(8)
+    + b"\x00\x02IM"
+    + b"\x89HDF\r\n\x1a\n"
+)
 
 
 def stored(variables, **options):
@@ -35,7 +40,10 @@ def test_variables_come_back_as_they_are(tmp_path, options):
 
 def test_other_kinds_of_numbers_and_shapes(tmp_path):
     photo = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
-    savemat(tmp_path / "a.mat", {"y": photo, "f": np.array([[1 + 2j]]), "text": "hello", "part": {"a": 1}})
+    savemat(
+        tmp_path / "a.mat",
+        {"y": photo, "f": np.array([[1 + 2j]]), "text": "hello", "part": {"a": 1}},
+    )
     found = read_mat(tmp_path / "a.mat", ["y", "f"])
     np.testing.assert_array_equal(found["y"], photo)
     assert found["y"].dtype == np.uint8
@@ -74,13 +82,17 @@ def test_files_that_are_not_there(tmp_path):
         read_mat(tmp_path, ["psf"])
 
 
-@pytest.mark.parametrize(("at", "word"), [(176, 0), (176, 15), (144, 0), (144, 255), (168, 0), (180, 2**31 - 1)])
+@pytest.mark.parametrize(
+    ("at", "word"), [(176, 0), (176, 15), (144, 0), (144, 255), (168, 0), (180, 2**31 - 1)]
+)
 def test_words_that_kill_scipys_loader_or_confuse_it(tmp_path, at, word):
     """Version 1.17 is ended by a segmentation fault on the first two: the type of the numbers."""
     data = bytearray(stored({"psf": np.eye(4)}))
     data[at : at + 4] = word.to_bytes(4, "little")
     (tmp_path / "a.mat").write_bytes(data)
-    with pytest.raises(ValueError, match=r"a\.mat: (cannot be read as a \.mat file|wanted a variable)") as caught:
+    with pytest.raises(
+        ValueError, match=r"a\.mat: (cannot be read as a \.mat file|wanted a variable)"
+    ) as caught:
         read_mat(tmp_path / "a.mat", ["psf"])
     assert str(caught.value).isprintable()
 
@@ -104,7 +116,9 @@ def test_whatever_happens_to_the_other_process(tmp_path, monkeypatch, program, m
         read_mat(tmp_path / "a.mat", ["psf"])
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="needs the limit on memory that other systems do not enforce")
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="needs the limit on memory that other systems do not enforce"
+)
 def test_a_small_file_that_unpacks_to_a_large_table(tmp_path, monkeypatch):
     monkeypatch.setattr(mat_files, "_MOST_MIB", 50)
     savemat(tmp_path / "a.mat", {"psf": np.zeros((3000, 3000))}, do_compression=True)
@@ -120,13 +134,24 @@ def test_the_other_process_loads_numpy_and_scipy_only_and_needs_no_path(tmp_path
         f"runpy.run_path({script.__file__!r}, run_name='__main__')\n"
         "print(sorted({name.partition('.')[0] for name in sys.modules}), file=sys.stderr)"
     )
-    run = subprocess.run([sys.executable, "-P", "-c", program], cwd=tmp_path, capture_output=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-P", "-c", program], cwd=tmp_path, capture_output=True, check=True
+    )
     loaded = run.stderr.decode()
     assert "'scipy'" in loaded
-    assert not any(f"'{name}'" in loaded for name in ("torch", "cep", "motdiff", "hw", "cv2", "matplotlib", "typer"))
+    assert not any(
+        f"'{name}'" in loaded
+        for name in ("torch", "cep", "motdiff", "hw", "cv2", "matplotlib", "typer")
+    )
 
 
 def test_no_other_module_reads_mat_files():
     root = Path(mat_files.__file__).resolve().parents[2]
-    files = [path for folder in ("cep", "motdiff", "hw", "benchmarks") for path in (root / folder).rglob("*.py")]
-    assert [path.name for path in files if "loadmat" in path.read_text(encoding="utf-8")] == ["_mat_reader.py"]
+    files = [
+        path
+        for folder in ("cep", "motdiff", "hw", "benchmarks")
+        for path in (root / folder).rglob("*.py")
+    ]
+    assert [path.name for path in files if "loadmat" in path.read_text(encoding="utf-8")] == [
+        "_mat_reader.py"
+    ]

@@ -34,7 +34,12 @@ def png(width, height):
     """A whole PNG whose header promises white pixels, 1 bit each; a row of them is there."""
     row = b"\0" + b"\xff" * ((min(width, 80_000) + 7) // 8)
     header = struct.pack(">2I5B", width, height, 1, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(row)) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(row))
+        + chunk(b"IEND", b"")
+    )
 
 
 def with_thumbnail(jpeg):
@@ -50,7 +55,9 @@ def extended(webp, width, height):
     return b"RIFF" + struct.pack("<I", len(body)) + body
 
 
-SCENE = np.kron(np.random.default_rng(0).integers(0, 255, (5, 9, 3)), np.ones((5, 7, 1))).astype(np.uint8)
+SCENE = np.kron(np.random.default_rng(0).integers(0, 255, (5, 9, 3)), np.ones((5, 7, 1))).astype(
+    np.uint8
+)
 GOOD = {
     "png": encoded(".png", SCENE),
     "jpeg": encoded(".jpg", SCENE),
@@ -84,7 +91,9 @@ def test_a_small_file_of_a_large_image_is_refused_before_it_is_decoded(tmp_path)
     path = tmp_path / "white.png"
     path.write_bytes(png(30_000, 30_000))
     assert path.stat().st_size < 200
-    with pytest.raises(ValueError, match=r"white\.png: 30000 x 30000 px .* at most 120 .* crop .* or scale"):
+    with pytest.raises(
+        ValueError, match=r"white\.png: 30000 x 30000 px .* at most 120 .* crop .* or scale"
+    ):
         photo_bytes(path)
     path.write_bytes(png(15_000, 8_000))
     assert photo_bytes(path) == path.read_bytes()
@@ -111,16 +120,22 @@ def test_a_file_of_gigabytes_is_not_read(tmp_path):
 def test_a_cut_file_is_refused(tmp_path, capfd, kind, share):
     path = tmp_path / "photo"
     path.write_bytes(GOOD[kind][: int(share * len(GOOD[kind]))])
-    with pytest.raises(ValueError, match=r"photo: (the image is damaged|not a PNG|the file is empty)"):
+    with pytest.raises(
+        ValueError, match=r"photo: (the image is damaged|not a PNG|the file is empty)"
+    ):
         decode(photo_bytes(path), path)
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("missing", ["none", "", "MM\0*\0\0\0\x08\0\0", "\xff\xd8\xff\xda\0\2", "RIFF\4\0\0\0WEBP"])
+@pytest.mark.parametrize(
+    "missing", ["none", "", "MM\0*\0\0\0\x08\0\0", "\xff\xd8\xff\xda\0\2", "RIFF\4\0\0\0WEBP"]
+)
 def test_headers_without_a_size(tmp_path, missing):
     path = tmp_path / "photo"
     path.write_bytes(missing.encode("latin-1"))
-    with pytest.raises(ValueError, match=r"photo: (the image is damaged|not a PNG|the file is empty)"):
+    with pytest.raises(
+        ValueError, match=r"photo: (the image is damaged|not a PNG|the file is empty)"
+    ):
         photo_bytes(path)
 
 
@@ -169,7 +184,13 @@ def test_damaged_exif_data_leave_the_photo_as_it_is():
     at = data.index(b"eXIf") - 4
     (length,) = struct.unpack_from(">I", data, at)
     exif = data[at + 8 : at + 8 + length]
-    for bad in (b"", exif[:5], exif[:12], b"XX" + exif[2:], exif[:4] + b"\xff\xff\xff\x7f" + exif[8:]):
+    for bad in (
+        b"",
+        exif[:5],
+        exif[:12],
+        b"XX" + exif[2:],
+        exif[:4] + b"\xff\xff\xff\x7f" + exif[8:],
+    ):
         image, _ = decode(data[:at] + chunk(b"eXIf", bad) + data[at + 12 + length :], "photo.png")
         np.testing.assert_array_equal(image, SCENE)
 
@@ -178,7 +199,9 @@ def test_damaged_exif_data_leave_the_photo_as_it_is():
 def test_of_an_animation_the_first_picture_is_read_with_a_word(kind):
     stream = BytesIO()
     first = Image.fromarray(SCENE)
-    first.save(stream, kind, save_all=True, append_images=[Image.fromarray(SCENE[::-1])], lossless=True)
+    first.save(
+        stream, kind, save_all=True, append_images=[Image.fromarray(SCENE[::-1])], lossless=True
+    )
     image, warnings = decode(stream.getvalue(), "photo")
     np.testing.assert_array_equal(image, SCENE)
     assert len(warnings) == 1

@@ -48,7 +48,10 @@ def test_a_preview_is_not_the_photo(place, options):
 
 @pytest.mark.parametrize(
     ("images", "which"),
-    [([PHOTO, PHOTO[::-1], PHOTO[:, ::-1]], "3 pages, the first was"), ([SMALL, PHOTO], "2 pages, .* number 2, was")],
+    [
+        ([PHOTO, PHOTO[::-1], PHOTO[:, ::-1]], "3 pages, the first was"),
+        ([SMALL, PHOTO], "2 pages, .* number 2, was"),
+    ],
 )
 def test_several_photos_in_a_file_are_told(images, which):
     data = written(*((image, {}) for image in images))
@@ -93,9 +96,13 @@ CROWD = (PAGE * 820)[:4096]
 END = 8 + 2 + 12 * len(CROWD) + 4
 HOSTILE = {
     "a page of many fields that follows itself": directory(*CROWD, following=8),
-    "many pages of many fields": b"".join(directory(*CROWD, following=8 + at * (END - 8)) for at in range(1, 40)),
-    "many fields of the same million offsets": directory(*[(273, 3, 10**6, END)] * 4096) + bytes(2 * 10**6),
-    "a million pages below one": directory(*CROWD[:-1], (330, 4, 10**6, END)) + (8).to_bytes(4, "little") * 10**6,
+    "many pages of many fields": b"".join(
+        directory(*CROWD, following=8 + at * (END - 8)) for at in range(1, 40)
+    ),
+    "many fields of the same million offsets": directory(*[(273, 3, 10**6, END)] * 4096)
+    + bytes(2 * 10**6),
+    "a million pages below one": directory(*CROWD[:-1], (330, 4, 10**6, END))
+    + (8).to_bytes(4, "little") * 10**6,
 }
 
 
@@ -135,6 +142,10 @@ def test_the_library_is_loaded_for_tiff_files_alone_and_prints_nothing(tmp_path,
     path = tmp_path / f"photo{suffix}"
     cv2.imwrite(str(path), PHOTO)
     if suffix == ".tif":
-        path.write_bytes(written((PHOTO, {"extratags": [(42113, 2, 4, "none", True)]})))  # a value that is no number
-    done = subprocess.run([sys.executable, "-c", PROGRAM, str(path)], capture_output=True, text=True, check=True)
+        path.write_bytes(
+            written((PHOTO, {"extratags": [(42113, 2, 4, "none", True)]}))
+        )  # a value that is no number
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(path)], capture_output=True, text=True, check=True
+    )
     assert (done.stdout.strip(), done.stderr) == (loaded, "")

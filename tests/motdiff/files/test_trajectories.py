@@ -36,13 +36,18 @@ def document(**changes: object) -> dict[str, object]:
 def test_round_trip(tmp_path_factory: pytest.TempPathFactory, seed: int, weight: float) -> None:
     rng = np.random.default_rng(seed)
     motion = StoredMotion(
-        quadratic(rng), weight, ((1 - weight, boracchi_foi(rng, samples=50)),), {"method": "test", "seed": seed}
+        quadratic(rng),
+        weight,
+        ((1 - weight, boracchi_foi(rng, samples=50)),),
+        {"method": "test", "seed": seed},
     )
     path = tmp_path_factory.mktemp("motion") / "trajectory.json"
     write_motion(path, motion)
     back = read_motion(path)
     for was, now in zip(
-        [motion.trajectory, motion.alternatives[0][1]], [back.trajectory, back.alternatives[0][1]], strict=True
+        [motion.trajectory, motion.alternatives[0][1]],
+        [back.trajectory, back.alternatives[0][1]],
+        strict=True,
     ):
         np.testing.assert_array_equal(now.t, was.t)
         np.testing.assert_allclose(now.xy, was.xy, atol=1e-12)
@@ -61,10 +66,13 @@ def test_a_path_off_centre_is_centred_on_reading(tmp_path: Path) -> None:
 
 
 def test_a_byte_order_mark_as_windows_editors_write_is_no_harm(tmp_path: Path) -> None:
-    plain, marked = tmp_path / "plain.json", tmp_path / "marked.json"
+    plain = tmp_path / "plain.json"
+    marked = tmp_path / "marked.json"
     plain.write_text(json.dumps(document()), encoding="utf-8")
     marked.write_text(json.dumps(document()), encoding="utf-8-sig")
-    np.testing.assert_array_equal(read_motion(marked).trajectory.xy, read_motion(plain).trajectory.xy)
+    np.testing.assert_array_equal(
+        read_motion(marked).trajectory.xy, read_motion(plain).trajectory.xy
+    )
 
 
 @pytest.mark.parametrize(
@@ -109,7 +117,9 @@ def test_bad_documents(tmp_path: Path, changes: dict[str, object], said: str) ->
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b'{"schema": "cep.traj', b"\xff\xd8\xff\xe0JFIF", b"[1, 2]", b"3"])
+@pytest.mark.parametrize(
+    "content", [b"", b"{", b'{"schema": "cep.traj', b"\xff\xd8\xff\xe0JFIF", b"[1, 2]", b"3"]
+)
 def test_files_that_are_no_such_json(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "t.json"
     path.write_bytes(content)
@@ -134,7 +144,9 @@ def test_missing_file(tmp_path: Path) -> None:
         read_motion(tmp_path / "nowhere.json")
 
 
-def test_writing_leaves_the_old_file_when_it_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_writing_leaves_the_old_file_when_it_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "t.json"
     write_text(path, "old")
 
@@ -153,7 +165,9 @@ def test_writing_leaves_the_old_file_when_it_fails(tmp_path: Path, monkeypatch: 
 
 def test_source_must_be_json(tmp_path: Path) -> None:
     with pytest.raises(TypeError):
-        write_motion(tmp_path / "t.json", StoredMotion(Trajectory.straight(3.0), source={"bad": object()}))
+        write_motion(
+            tmp_path / "t.json", StoredMotion(Trajectory.straight(3.0), source={"bad": object()})
+        )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -176,5 +190,7 @@ def test_a_path_of_thousands_of_px_is_read_and_a_longer_one_refused(tmp_path):
         assert read_motion(tmp_path / "t.json").trajectory.length_px == pytest.approx(length_px)
     good = StoredMotion(Trajectory.straight(20.0), 0.6, ((0.4, Trajectory.straight(4096.1)),))
     write_motion(tmp_path / "t.json", good)
-    with pytest.raises(ValueError, match=r"t\.json: trajectory: the path is 4096\.1 px long, at most 4096 px"):
+    with pytest.raises(
+        ValueError, match=r"t\.json: trajectory: the path is 4096\.1 px long, at most 4096 px"
+    ):
         read_motion(tmp_path / "t.json")

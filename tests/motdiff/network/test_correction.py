@@ -37,7 +37,9 @@ def maps_of(sharps, true, told, *, sigma=0.0):
     """Maps of the kernel told, for photos of the sharp scenes blurred by the true one."""
     photos = torch.from_numpy(np.stack([blur_valid(sharp, true) for sharp in sharps])).float()
     kernel = torch.from_numpy(told)[None].float()
-    return photos, correction_maps(photos, kernel, kernel[:, None].expand(-1, 2, -1, -1), sigma=sigma)
+    return photos, correction_maps(
+        photos, kernel, kernel[:, None].expand(-1, 2, -1, -1), sigma=sigma
+    )
 
 
 HOOK = kernel_of(*[(0, right) for right in range(-6, 7)], *[(down, 6) for down in range(1, 8)])
@@ -67,12 +69,22 @@ def test_the_misfit_is_correlated_with_the_latent_gradients_of_all_crops():
     kernel = torch.from_numpy(SHAFT).float()
     latent = fine_latent(wrapped, kernel.expand(count, -1, -1), sigma=0.01)[:, :height, :width]
     expected = np.zeros((64, 64))
-    for photo, sharp in zip(photos.double().numpy(), latent.clamp(-0.5, 1.5).double().numpy(), strict=True):
+    for photo, sharp in zip(
+        photos.double().numpy(), latent.clamp(-0.5, 1.5).double().numpy(), strict=True
+    ):
         for axis in (0, 1):
-            seen, own = (np.diff(image, axis=axis)[: height - 1, : width - 1] for image in (photo, sharp))
-            blurred = signal.convolve2d(own, SHAFT)[ZERO : ZERO + height - 1, ZERO : ZERO + width - 1]
-            full = signal.correlate2d(seen - blurred, own)  # zero lag at the index of the size less 1
-            expected += full[height - 2 - ZERO : height - 2 + ZERO, width - 2 - ZERO : width - 2 + ZERO]
+            seen, own = (
+                np.diff(image, axis=axis)[: height - 1, : width - 1] for image in (photo, sharp)
+            )
+            blurred = signal.convolve2d(own, SHAFT)[
+                ZERO : ZERO + height - 1, ZERO : ZERO + width - 1
+            ]
+            full = signal.correlate2d(
+                seen - blurred, own
+            )  # zero lag at the index of the size less 1
+            expected += full[
+                height - 2 - ZERO : height - 2 + ZERO, width - 2 - ZERO : width - 2 + ZERO
+            ]
     np.testing.assert_allclose(maps[0, 7].numpy(), expected / np.abs(expected).max(), atol=1e-3)
 
 
@@ -92,14 +104,19 @@ def test_without_noise_the_least_squares_kernels_of_the_true_one_are_true(ridge)
 def test_the_maps_of_a_transposed_photo_are_transposed():
     _, maps = maps_of([SHARP], HOOK, SHAFT, sigma=0.01)
     _, transposed = maps_of([SHARP.T], HOOK.T, SHAFT.T, sigma=0.01)
-    for number in (*range(8), 10):  # the cepstrum's logarithm enlarges the last bits of empty frequencies
+    for number in (
+        *range(8),
+        10,
+    ):  # the cepstrum's logarithm enlarges the last bits of empty frequencies
         torch.testing.assert_close(transposed[0, number], maps[0, number].T, atol=0.01, rtol=0)
 
 
 def test_a_photo_below_64_px_is_refused():
     kernel = torch.from_numpy(HOOK)[None].float()
     with pytest.raises(ValueError, match="sides must be at least 64 px, got 70 x 63"):
-        correction_maps(torch.rand(1, 63, 70), kernel, kernel[:, None].expand(-1, 2, -1, -1), sigma=0.0)
+        correction_maps(
+            torch.rand(1, 63, 70), kernel, kernel[:, None].expand(-1, 2, -1, -1), sigma=0.0
+        )
 
 
 # ---- network
@@ -135,4 +152,6 @@ def test_corrected_kernels_are_kernels(network):
 def test_the_correction_of_turned_maps_is_turned(network, symmetry):
     maps = some_maps(1)
     turned = corrected(network, mirrored(maps, symmetry, pitch=1))
-    torch.testing.assert_close(turned, mirrored(corrected(network, maps)[:, None], symmetry, pitch=1)[:, 0])
+    torch.testing.assert_close(
+        turned, mirrored(corrected(network, maps)[:, None], symmetry, pitch=1)[:, 0]
+    )

@@ -17,7 +17,9 @@ from motdiff.network.diffusion import (
 )
 
 METHODS = ["ddpm", "ddim", "dpm++2m"]
-LIMIT = 4.5  # standard errors: a right sampler fails with probability 7e-6, and the seeds are fixed
+LIMIT = (
+    4.5  # standard errors: a right sampler fails with probability 7e-6, and the seeds are fixed
+)
 
 
 def seeded(seed=0):
@@ -33,7 +35,9 @@ def path_map(batch=2, side=16):
 
 def soft_denoiser(x, t):
     """Any smooth function of x and t that is not a true denoiser: errors of the sampler show."""
-    return torch.tanh(0.7 * x + 0.2 * x.roll(1, -1) + 0.3 * torch.cos(t / 150).view(-1, 1, 1, 1).to(x))
+    return torch.tanh(
+        0.7 * x + 0.2 * x.roll(1, -1) + 0.3 * torch.cos(t / 150).view(-1, 1, 1, 1).to(x)
+    )
 
 
 def visited(method, steps, *, eta=0.0, seed=3, predict=soft_denoiser, dtype=torch.float32):
@@ -74,15 +78,21 @@ def test_cosine_schedule_is_the_closed_form_until_the_noise_is_clipped():
     f = [math.cos((t / 1000 + 0.008) / 1.008 * math.pi / 2) ** 2 for t in range(1001)]
     expected = torch.tensor([f[t + 1] / f[0] for t in range(999)], dtype=torch.float64)
     torch.testing.assert_close(a[:999], expected, rtol=1e-12, atol=0)
-    assert a[999] == pytest.approx(f[999] / f[0] * 0.001, rel=1e-9)  # beta would be 1: clipped at 0.999
+    assert a[999] == pytest.approx(
+        f[999] / f[0] * 0.001, rel=1e-9
+    )  # beta would be 1: clipped at 0.999
     assert a[999] == pytest.approx(2.4e-9, rel=0.02)
     assert a.dtype == torch.float64
 
 
 @pytest.mark.parametrize("steps", [10, 1000])
 def test_cosine_schedule_is_diffusers(diffusers, steps):
-    theirs = diffusers.DDIMScheduler(num_train_timesteps=steps, beta_schedule="squaredcos_cap_v2").alphas_cumprod
-    torch.testing.assert_close(cosine_schedule(steps).alpha_bar.float(), theirs, rtol=1e-4, atol=1e-7)
+    theirs = diffusers.DDIMScheduler(
+        num_train_timesteps=steps, beta_schedule="squaredcos_cap_v2"
+    ).alphas_cumprod
+    torch.testing.assert_close(
+        cosine_schedule(steps).alpha_bar.float(), theirs, rtol=1e-4, atol=1e-7
+    )
 
 
 def test_trailing_timesteps_start_at_pure_noise():
@@ -114,7 +124,9 @@ def test_schedule_refuses_what_does_not_decrease_inside_0_1(alpha_bar):
 
 
 def test_schedule_refuses_single_precision_and_no_steps():
-    with pytest.raises(ValueError, match=r"^alpha_bar must be a \(T,\) float64 tensor, got \(2,\) torch.float32$"):
+    with pytest.raises(
+        ValueError, match=r"^alpha_bar must be a \(T,\) float64 tensor, got \(2,\) torch.float32$"
+    ):
         Schedule(torch.tensor([0.9, 0.5]))
     with pytest.raises(ValueError, match=r"^steps must be at least 1, got 0$"):
         cosine_schedule(0)
@@ -176,7 +188,8 @@ def test_noisy_signal_has_the_moments_of_the_forward_process():
 
 
 def test_each_sample_gets_the_noise_of_its_own_timestep():
-    signal, noise = to_signal(path_map(3)), torch.randn(3, 1, 16, 16, generator=seeded())
+    signal = to_signal(path_map(3))
+    noise = torch.randn(3, 1, 16, 16, generator=seeded())
     t = torch.tensor([999, 0, 400])
     together = q_sample(cosine_schedule(), signal, t, noise)
     assert together.dtype == torch.float32
@@ -187,7 +200,9 @@ def test_each_sample_gets_the_noise_of_its_own_timestep():
 
 def test_noisy_signal_refuses_shapes_that_would_broadcast():
     signal = to_signal(path_map(2))
-    with pytest.raises(ValueError, match=r"^t must hold one timestep per sample, shape \(2,\); got \(1,\)$"):
+    with pytest.raises(
+        ValueError, match=r"^t must hold one timestep per sample, shape \(2,\); got \(1,\)$"
+    ):
         q_sample(cosine_schedule(), signal, torch.tensor([3]), torch.randn_like(signal))
     with pytest.raises(ValueError, match=r"^noise must be shaped like the signal"):
         q_sample(cosine_schedule(), signal, torch.tensor([3, 4]), torch.randn_like(signal[:1]))
@@ -201,38 +216,66 @@ def test_noisy_signal_refuses_shapes_that_would_broadcast():
 def test_a_denoiser_that_knows_the_map_gives_it_exactly(method, steps):
     truth = to_signal(path_map())
     run = samples(
-        lambda x, t: truth, truth.shape, schedule=cosine_schedule(), steps=steps, generator=seeded(), method=method
+        lambda x, t: truth,
+        truth.shape,
+        schedule=cosine_schedule(),
+        steps=steps,
+        generator=seeded(),
+        method=method,
     )
     estimates = list(run)
     assert len(estimates) == steps
     assert torch.equal(from_signal(estimates[-1]), path_map())
 
 
-@pytest.mark.parametrize(("method", "eta"), [("ddpm", 0), ("ddim", 0), ("ddim", 0.5), ("ddim", 1), ("dpm++2m", 0)])
+@pytest.mark.parametrize(
+    ("method", "eta"), [("ddpm", 0), ("ddim", 0), ("ddim", 0.5), ("ddim", 1), ("dpm++2m", 0)]
+)
 def test_with_the_map_known_the_network_sees_the_forward_process_at_every_timestep(method, eta):
     """For a known x0 each x_t is q_sample of it: the mean is sqrt(a) x0, the variance 1 - a, whatever eta is."""
-    schedule, count = cosine_schedule(), 40_000
+    schedule = cosine_schedule()
+    count = 40_000
     seen = []
 
     def oracle(x, t):
         seen.append((int(t[0]), x))
         return torch.full_like(x, 0.6)
 
-    list(samples(oracle, (1, count), schedule=schedule, steps=8, generator=seeded(5), method=method, eta=eta))
+    list(
+        samples(
+            oracle,
+            (1, count),
+            schedule=schedule,
+            steps=8,
+            generator=seeded(5),
+            method=method,
+            eta=eta,
+        )
+    )
     assert [t for t, _ in seen] == list(schedule.timesteps(8))
     for t, x in seen:
         a = float(schedule.alpha_bar[t])
-        assert abs(float(x.mean()) - 0.6 * math.sqrt(a)) < LIMIT * math.sqrt((1 - a) / count) + 1e-4
+        assert (
+            abs(float(x.mean()) - 0.6 * math.sqrt(a)) < LIMIT * math.sqrt((1 - a) / count) + 1e-4
+        )
         assert float(x.var()) == pytest.approx(1 - a, rel=LIMIT * math.sqrt(2 / count))
 
 
 @pytest.mark.parametrize(
     ("method", "eta", "steps"),
-    [("ddpm", 0, 1000), ("ddim", 0, 1000), ("ddim", 0.5, 1000), ("ddim", 1, 1000), ("dpm++2m", 0, 100)],
+    [
+        ("ddpm", 0, 1000),
+        ("ddim", 0, 1000),
+        ("ddim", 0.5, 1000),
+        ("ddim", 1, 1000),
+        ("dpm++2m", 0, 100),
+    ],
 )
 def test_samples_of_a_gaussian_have_its_mean_and_variance(method, eta, steps):
     """x0 ~ N(m, s^2): E[x0 | x_t] = m + sqrt(a) s^2 (x_t - sqrt(a) m) / (a s^2 + 1 - a) is the perfect denoiser."""
-    m, s, count = 0.3, 0.4, 20_000
+    m = 0.3
+    s = 0.4
+    count = 20_000
     schedule = cosine_schedule()
 
     def posterior_mean(x, t):
@@ -266,18 +309,27 @@ def test_ddpm_and_ddim_with_eta_1_both_draw_from_the_posterior(steps):
     for k in range(steps - 1):
         (t, x), (then, following) = ancestral[k : k + 2]
         torch.testing.assert_close(implicit[k][1], x)
-        a, b = alpha_bar[t], alpha_bar[then]
+        a = alpha_bar[t]
+        b = alpha_bar[then]
         beta = 1 - a / b
         x0 = soft_denoiser(x, torch.full((2,), t))
         mean = b.sqrt() * beta / (1 - a) * x0 + (a / b).sqrt() * (1 - b) / (1 - a) * x
         noise = torch.randn(2, 1, 8, 8, generator=draw, dtype=torch.float64)
-        torch.testing.assert_close(following, mean + (beta * (1 - b) / (1 - a)).sqrt() * noise, rtol=0, atol=1e-9)
+        torch.testing.assert_close(
+            following, mean + (beta * (1 - b) / (1 - a)).sqrt() * noise, rtol=0, atol=1e-9
+        )
 
 
-COMMON = {"beta_schedule": "squaredcos_cap_v2", "prediction_type": "sample", "timestep_spacing": "trailing"}
+COMMON = {
+    "beta_schedule": "squaredcos_cap_v2",
+    "prediction_type": "sample",
+    "timestep_spacing": "trailing",
+}
 
 
-@pytest.mark.parametrize(("method", "eta"), [("ddim", 0.0), ("ddim", 0.5), ("ddim", 1.0), ("ddpm", 0.0)])
+@pytest.mark.parametrize(
+    ("method", "eta"), [("ddim", 0.0), ("ddim", 0.5), ("ddim", 1.0), ("ddpm", 0.0)]
+)
 @pytest.mark.parametrize("steps", [10, 50])
 def test_every_step_is_that_of_diffusers(diffusers, method, eta, steps):
     """In float64: in its own float32, diffusers' first step with eta = 1 takes 1e-7 as a difference of two ones."""
@@ -293,14 +345,20 @@ def test_every_step_is_that_of_diffusers(diffusers, method, eta, steps):
     for (t, seen), timestep in zip(ours, theirs.timesteps, strict=True):
         assert t == timestep
         torch.testing.assert_close(seen, x, rtol=0, atol=1e-9)
-        x = theirs.step(soft_denoiser(x, timestep.repeat(2)), timestep, x, generator=draw, **extra).prev_sample
+        x = theirs.step(
+            soft_denoiser(x, timestep.repeat(2)), timestep, x, generator=draw, **extra
+        ).prev_sample
     torch.testing.assert_close(result, x, rtol=0, atol=1e-9)
 
 
-@pytest.mark.filterwarnings("ignore:__array__:DeprecationWarning")  # diffusers hands a tensor to numpy 2
+@pytest.mark.filterwarnings(
+    "ignore:__array__:DeprecationWarning"
+)  # diffusers hands a tensor to numpy 2
 @pytest.mark.parametrize("steps", [10, 50])
 def test_every_second_order_step_is_that_of_diffusers(diffusers, steps):
-    theirs = diffusers.DPMSolverMultistepScheduler(algorithm_type="dpmsolver++", solver_order=2, **COMMON)
+    theirs = diffusers.DPMSolverMultistepScheduler(
+        algorithm_type="dpmsolver++", solver_order=2, **COMMON
+    )
     theirs.set_timesteps(steps)
     ours, result = visited("dpm++2m", steps)
     x = torch.randn(2, 1, 8, 8, generator=seeded(3))
@@ -313,7 +371,8 @@ def test_every_second_order_step_is_that_of_diffusers(diffusers, steps):
 
 def test_deterministic_methods_follow_a_gaussians_exact_flow_to_first_and_second_order():
     """For x0 ~ N(m, s^2) the probability flow keeps each element's standard score at all t: x_t is known exactly."""
-    m, s = 0.3, 0.4
+    m = 0.3
+    s = 0.4
     schedule = cosine_schedule()
 
     def error(method, steps):
@@ -328,7 +387,9 @@ def test_deterministic_methods_follow_a_gaussians_exact_flow_to_first_and_second
         list(samples(posterior_mean, (1, 500), schedule=schedule, steps=steps, **options))
         return float((scores[-1] - scores[0]).abs().mean())
 
-    first, second = ([error(method, steps) for steps in (160, 1000)] for method in ("ddim", "dpm++2m"))
+    first, second = (
+        [error(method, steps) for steps in (160, 1000)] for method in ("ddim", "dpm++2m")
+    )
     assert 4 < first[0] / first[1] < 8  # 6.25 times the steps
     assert second[0] / second[1] > 15
     assert second[0] < first[0] / 5
@@ -358,7 +419,9 @@ def test_callers_may_stop_early_and_no_call_is_made_before_the_first_step():
 
 def test_gradients_are_off_inside_and_as_before_outside():
     weight = torch.ones((), requires_grad=True)
-    run = samples(lambda x, t: weight * x, (1, 4), schedule=cosine_schedule(), steps=3, generator=seeded())
+    run = samples(
+        lambda x, t: weight * x, (1, 4), schedule=cosine_schedule(), steps=3, generator=seeded()
+    )
     for estimate in run:
         assert not estimate.requires_grad
         assert torch.is_grad_enabled()
@@ -367,7 +430,12 @@ def test_gradients_are_off_inside_and_as_before_outside():
 def test_estimates_keep_the_type_asked_for_when_the_network_answers_in_half():
     for dtype in (torch.float32, torch.float64):
         run = samples(
-            lambda x, t: x.bfloat16(), (1, 4), schedule=cosine_schedule(), steps=3, generator=seeded(), dtype=dtype
+            lambda x, t: x.bfloat16(),
+            (1, 4),
+            schedule=cosine_schedule(),
+            steps=3,
+            generator=seeded(),
+            dtype=dtype,
         )
         assert {estimate.dtype for estimate in run} == {dtype}
 
@@ -375,12 +443,23 @@ def test_estimates_keep_the_type_asked_for_when_the_network_answers_in_half():
 def test_noise_comes_from_the_generators_device_and_work_is_done_on_the_one_asked_for():
     """The meta device stands in for a GPU: what is computed on the wrong device raises."""
     run = samples(
-        lambda x, t: x, (1, 4), schedule=cosine_schedule(), steps=3, generator=seeded(), method="ddpm", device="meta"
+        lambda x, t: x,
+        (1, 4),
+        schedule=cosine_schedule(),
+        steps=3,
+        generator=seeded(),
+        method="ddpm",
+        device="meta",
     )
     assert {estimate.device.type for estimate in run} == {"meta"}
     x0 = torch.zeros(2, 4, device="meta")
     assert stochastic_trajectory_pixel_dropout(x0, 0.5, seeded()).device.type == "meta"
-    assert q_sample(cosine_schedule(), x0, torch.zeros(2, dtype=torch.int64, device="meta"), x0).device.type == "meta"
+    assert (
+        q_sample(
+            cosine_schedule(), x0, torch.zeros(2, dtype=torch.int64, device="meta"), x0
+        ).device.type
+        == "meta"
+    )
 
 
 @pytest.mark.parametrize(
@@ -392,7 +471,10 @@ def test_noise_comes_from_the_generators_device_and_work_is_done_on_the_one_aske
         ({"eta": -0.1}, r"^eta must be 0\.\.1, got -0\.1$"),
         ({"eta": 1.5}, r"^eta must be 0\.\.1, got 1\.5$"),
         ({"eta": math.nan}, r"^eta must be 0\.\.1, got nan$"),
-        ({"eta": 0.5, "method": "dpm++2m"}, r"^eta must be left out with dpm\+\+2m, which fixes it; got 0\.5$"),
+        (
+            {"eta": 0.5, "method": "dpm++2m"},
+            r"^eta must be left out with dpm\+\+2m, which fixes it; got 0\.5$",
+        ),
     ],
 )
 def test_bad_options_are_refused_at_the_call(options, message):

@@ -43,27 +43,41 @@ def inputs(config, batch=2, side=64):
         "x_t": torch.randn(batch, 1, side, side),
         "t": torch.arange(batch) * 500 + 3,
         "photo": None if config.backbone == "none" else torch.rand(batch, 3, side, side),
-        "physics": torch.randn(batch, config.physics_channels, 64, 64) if config.physics_channels else None,
+        "physics": torch.randn(batch, config.physics_channels, 64, 64)
+        if config.physics_channels
+        else None,
     }
 
 
 # ---------------------------------------------------------------------------------------------------- backbone
 
 
-@pytest.mark.parametrize(("variant", "channels"), [("b0", (32, 64, 160, 256)), ("b2", (64, 128, 320, 512))])
+@pytest.mark.parametrize(
+    ("variant", "channels"), [("b0", (32, 64, 160, 256)), ("b2", (64, 128, 320, 512))]
+)
 def test_backbone_gives_four_scales(variant, channels):
     backbone = PyramidVisionTransformer(variant).eval()
     with torch.no_grad():
         features = backbone(torch.randn(2, 3, 64, 96))
     sizes = zip(channels, (4, 8, 16, 32), strict=True)
-    assert [tuple(feature.shape) for feature in features] == [(2, c, 64 // s, 96 // s) for c, s in sizes]
+    assert [tuple(feature.shape) for feature in features] == [
+        (2, c, 64 // s, 96 // s) for c, s in sizes
+    ]
     assert backbone.channels == channels
 
 
 @pytest.mark.parametrize(
     ("variant", "millions"),
-    # published counts with the 1000-class head (whai362/PVT), less that head, and b0..b2 as measured without it
-    [("b0", 3.41), ("b1", 13.5), ("b2", 24.85), ("b3", 45.2 - 0.513), ("b4", 62.6 - 0.513), ("b5", 82.0 - 0.513)],
+    # published counts with the 1000-class head (whai362/PVT), less that head, and b0..b2 as
+    # measured without it
+    [
+        ("b0", 3.41),
+        ("b1", 13.5),
+        ("b2", 24.85),
+        ("b3", 45.2 - 0.513),
+        ("b4", 62.6 - 0.513),
+        ("b5", 82.0 - 0.513),
+    ],
 )
 def test_backbone_has_the_published_number_of_parameters(variant, millions):
     with torch.device("meta"):
@@ -74,7 +88,11 @@ def test_backbone_has_the_published_number_of_parameters(variant, millions):
 def test_backbone_parameters_have_timms_names():
     state = PyramidVisionTransformer("b0").state_dict()
     assert {name: tuple(state[name].shape) for name in TIMM} == TIMM
-    assert not [name for name in state if name.startswith(("stages.0.downsample", "stages.3.blocks.0.attn.sr"))]
+    assert not [
+        name
+        for name in state
+        if name.startswith(("stages.0.downsample", "stages.3.blocks.0.attn.sr"))
+    ]
     kinds = {re.sub(r"\d+", "#", name) for name in state}
     assert kinds == {re.sub(r"\d+", "#", name) for name in TIMM} | {
         re.sub(r"\d+", "#", name.replace("weight", "bias")) for name in TIMM
@@ -123,7 +141,9 @@ def to_transformers(state):
         for pattern, replacement in rules:
             name = re.sub(pattern, replacement, name)
         if ".attention.kv." in name:
-            renamed[name.replace(".kv.", ".key.")], renamed[name.replace(".kv.", ".value.")] = value.chunk(2)
+            renamed[name.replace(".kv.", ".key.")], renamed[name.replace(".kv.", ".value.")] = (
+                value.chunk(2)
+            )
         else:
             renamed[name] = value
     return renamed
@@ -133,17 +153,25 @@ def test_backbone_equals_transformers():
     """In double precision to rounding, with every parameter random, so that no layer can be left out."""
     oracle_module = pytest.importorskip("transformers.models.pvt_v2.modeling_pvt_v2")
     configuration = pytest.importorskip("transformers").PvtV2Config(
-        hidden_sizes=[32, 64, 160, 256], depths=[2, 2, 2, 2], num_attention_heads=[1, 2, 5, 8],
-        sr_ratios=[8, 4, 2, 1], mlp_ratios=[8, 8, 4, 4], drop_path_rate=0.0, layer_norm_eps=1e-6,
-    )  # fmt: skip
+        hidden_sizes=[32, 64, 160, 256],
+        depths=[2, 2, 2, 2],
+        num_attention_heads=[1, 2, 5, 8],
+        sr_ratios=[8, 4, 2, 1],
+        mlp_ratios=[8, 8, 4, 4],
+        drop_path_rate=0.0,
+        layer_norm_eps=1e-6,
+    )
     ours = PyramidVisionTransformer("b0").double().eval()
     oracle = oracle_module.PvtV2Model(configuration).double().eval()
     with torch.no_grad():
         for parameter in ours.parameters():
             parameter += 0.1 * torch.randn_like(parameter)
         for name, module in oracle.named_modules():
-            if isinstance(module, torch.nn.LayerNorm) and ("patch_embedding" in name or "attention" in name):
-                module.eps = 1e-5  # as whai362/PVT and timm, where the weights come from; transformers has 1e-6 there
+            if isinstance(module, torch.nn.LayerNorm) and (
+                "patch_embedding" in name or "attention" in name
+            ):
+                # as whai362/PVT and timm, where the weights come from; transformers has 1e-6 there
+                module.eps = 1e-5
         oracle.load_state_dict(to_transformers(ours.state_dict()))
         photo = torch.randn(2, 3, 64, 96, dtype=torch.float64)
         expected = oracle(photo, output_hidden_states=True).hidden_states
@@ -176,9 +204,18 @@ def test_weights_are_loaded_and_the_head_ignored(tmp_path, weights):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda w: w.pop("stages.1.norm.weight"), "lacks 1 of 1[0-9]+ parameters, first stages.1.norm.weight"),
-        (lambda w: w.update({"stages.2.blocks.2.norm1.bias": torch.zeros(160)}), "1 parameters too many, first stages"),
-        (lambda w: w.update({"patch_embed.norm.weight": torch.zeros(64)}), r"norm.weight is \(64,\), not \(32,\)"),
+        (
+            lambda w: w.pop("stages.1.norm.weight"),
+            "lacks 1 of 1[0-9]+ parameters, first stages.1.norm.weight",
+        ),
+        (
+            lambda w: w.update({"stages.2.blocks.2.norm1.bias": torch.zeros(160)}),
+            "1 parameters too many, first stages",
+        ),
+        (
+            lambda w: w.update({"patch_embed.norm.weight": torch.zeros(64)}),
+            r"norm.weight is \(64,\), not \(32,\)",
+        ),
     ],
     ids=["missing", "deeper variant", "wider variant"],
 )
@@ -214,7 +251,9 @@ def test_local_emphasis_keeps_a_constant_where_the_border_does_not_reach():
     up = emphasis(torch.full((1, 3, 16, 16), 0.7), (64, 64))
     assert up.shape == (1, 5, 64, 64)
     assert up.min() >= 0
-    inner = up[:, :, 16:48, 16:48]  # zero padding reaches 2 feature pixels, 8 here, and upsampling one more
+    inner = up[
+        :, :, 16:48, 16:48
+    ]  # zero padding reaches 2 feature pixels, 8 here, and upsampling one more
     torch.testing.assert_close(inner, inner[:, :, :1, :1].expand_as(inner))
 
 
@@ -265,7 +304,9 @@ def test_every_place_reaches_every_other_through_attention():
 
 
 def test_physics_maps_of_another_shape_are_refused():
-    with pytest.raises(ValueError, match=r"^maps has shape \(1, 2, 32, 32\); it must be \(B, 2, 64, 64\)"):
+    with pytest.raises(
+        ValueError, match=r"^maps has shape \(1, 2, 32, 32\); it must be \(B, 2, 64, 64\)"
+    ):
         GridUNet(2, 16, 1)(torch.zeros(1, 2, 32, 32))
 
 
@@ -275,16 +316,21 @@ def test_physics_maps_of_another_shape_are_refused():
 def test_timestep_embedding_is_made_of_phases():
     waves = timestep_embedding(torch.arange(1000), 128)
     torch.testing.assert_close(waves[0], torch.cat([torch.ones(64), torch.zeros(64)]))
-    torch.testing.assert_close(waves[:, :64].square() + waves[:, 64:].square(), torch.ones(1000, 64))
+    torch.testing.assert_close(
+        waves[:, :64].square() + waves[:, 64:].square(), torch.ones(1000, 64)
+    )
     assert waves[7, 64].item() == pytest.approx(math.sin(7), abs=1e-5)
     assert waves[7, 127].item() == pytest.approx(math.sin(7 * 10_000 ** (-63 / 64)), abs=1e-6)
-    assert torch.cdist(waves, waves).fill_diagonal_(1).min() > 0.1  # every timestep is told from every other
+    assert (
+        torch.cdist(waves, waves).fill_diagonal_(1).min() > 0.1
+    )  # every timestep is told from every other
 
 
 @pytest.mark.parametrize("outputs", [1, 2])
 def test_denoiser_starts_from_the_paths_share(outputs):
     denoiser = Denoiser(8, width=16, outputs=outputs)
-    x_t, condition = torch.randn(2, 1, 64, 96), torch.randn(2, 8, 16, 24)
+    x_t = torch.randn(2, 1, 64, 96)
+    condition = torch.randn(2, 8, 16, 24)
     logits = denoiser(x_t, torch.tensor([0, 999]), condition)
     assert logits.shape == (2, outputs, 64, 96)
     assert 0.005 < logits[:, 0].sigmoid().mean() < 0.02
@@ -292,7 +338,8 @@ def test_denoiser_starts_from_the_paths_share(outputs):
 
 def test_no_connection_skips_the_mid_layer():
     denoiser = Denoiser(8, width=16).eval()
-    condition, t = torch.randn(1, 8, 16, 16), torch.tensor([10])
+    condition = torch.randn(1, 8, 16, 16)
+    t = torch.tensor([10])
     with torch.no_grad():
         first, second = (denoiser(torch.randn(1, 1, 64, 64), t, condition) for _ in range(2))
         assert not torch.allclose(first, second)
@@ -315,7 +362,8 @@ def test_a_denoiser_with_a_global_view_sees_the_whole_map(view):
 
 
 def test_a_global_view_changes_nothing_until_it_is_trained():
-    plain, wide = Denoiser(8, width=16).eval(), Denoiser(8, width=16, view=2).eval()
+    plain = Denoiser(8, width=16).eval()
+    wide = Denoiser(8, width=16, view=2).eval()
     wide.load_state_dict(wide.state_dict() | plain.state_dict())
     given = torch.randn(1, 1, 256, 256), torch.tensor([500]), torch.randn(1, 8, 64, 64)
     assert torch.equal(wide(*given), plain(*given))
@@ -325,7 +373,8 @@ def test_a_global_view_changes_nothing_until_it_is_trained():
 def test_the_timestep_enters_at_two_places(silenced):
     """Each alone makes the output depend on the timestep; without both it does not."""
     denoiser = Denoiser(8, width=16).eval()
-    x_t, condition = torch.randn(1, 1, 64, 64), torch.randn(1, 8, 16, 16)
+    x_t = torch.randn(1, 1, 64, 64)
+    condition = torch.randn(1, 8, 16, 16)
 
     def at(t):
         with torch.no_grad():
@@ -385,7 +434,9 @@ def test_gradients_reach_every_parameter(config):
     if network.denoiser.view is not None:
         torch.nn.init.normal_(network.denoiser.view.out[-1].weight)
     network(**inputs(config, batch=1)).square().mean().backward()
-    without = [name for name, p in network.named_parameters() if p.grad is None or not p.grad.any()]
+    without = [
+        name for name, p in network.named_parameters() if p.grad is None or not p.grad.any()
+    ]
     assert without == []
 
 
@@ -408,7 +459,9 @@ def test_a_photo_encoder_changes_nothing_until_it_is_trained(name):
 def test_a_pooled_encoder_sees_means_of_four_pixels():
     encoder = PhotoEncoder(NetworkConfig(photo_pool=2)).eval()
     photo = torch.rand(1, 3, 128, 64)
-    means = torch.nn.functional.avg_pool2d(photo, 2).repeat_interleave(2, 2).repeat_interleave(2, 3)
+    means = (
+        torch.nn.functional.avg_pool2d(photo, 2).repeat_interleave(2, 2).repeat_interleave(2, 3)
+    )
     with torch.no_grad():
         z1 = encoder(photo)
         assert z1.shape == (1, 64, 32, 16)
@@ -420,10 +473,16 @@ def test_a_pooled_encoder_sees_means_of_four_pixels():
 def test_photos_of_a_batch_do_not_meet():
     config = NetworkConfig()
     network = MotDiffNetwork(config).double().eval()
-    given = {k: v.double() if v is not None and v.is_floating_point() else v for k, v in inputs(config).items()}
+    given = {
+        k: v.double() if v is not None and v.is_floating_point() else v
+        for k, v in inputs(config).items()
+    }
     with torch.no_grad():
         together = network(**given)
-        alone = [network(**{k: None if v is None else v[i : i + 1] for k, v in given.items()}) for i in range(2)]
+        alone = [
+            network(**{k: None if v is None else v[i : i + 1] for k, v in given.items()})
+            for i in range(2)
+        ]
     torch.testing.assert_close(together, torch.cat(alone))
 
 
@@ -460,10 +519,25 @@ def test_half_precision_autocast_agrees():
         ("paper", (1, 3, 64, 64), (1, 5, 64, 64), "physics must be None for this network"),
         ("physics", (1, 3, 256, 256), (1, 5, 64, 64), "photo must be None for this network"),
         ("physics", None, None, "physics is None; this network needs it"),
-        ("paper", (1, 3, 250, 256), None, r"photo has shape \(1, 3, 250, 256\); .*multiples of 32"),
-        ("paper", (1, 1, 64, 64), None, r"photo has shape \(1, 1, 64, 64\); it must be \(B, 3, H, W\)"),
+        (
+            "paper",
+            (1, 3, 250, 256),
+            None,
+            r"photo has shape \(1, 3, 250, 256\); .*multiples of 32",
+        ),
+        (
+            "paper",
+            (1, 1, 64, 64),
+            None,
+            r"photo has shape \(1, 1, 64, 64\); it must be \(B, 3, H, W\)",
+        ),
         ("paper", (3, 64, 64), None, r"photo has shape \(3, 64, 64\); it must be \(B, 3, H, W\)"),
-        ("both", (1, 3, 64, 64), (1, 5, 64, 64), r"photo has shape .* with physics maps it must be \(B, 3, 256, 256\)"),
+        (
+            "both",
+            (1, 3, 64, 64),
+            (1, 5, 64, 64),
+            r"photo has shape .* with physics maps it must be \(B, 3, 256, 256\)",
+        ),
     ],
 )
 def test_wrong_inputs_are_named(config, photo, physics, message):
@@ -518,5 +592,7 @@ def test_a_network_needs_some_input():
 
 
 def test_the_network_does_without_torchvision():
-    code = "import sys, motdiff.network, motdiff.network.pvt; sys.exit('torchvision' in sys.modules)"
+    code = (
+        "import sys, motdiff.network, motdiff.network.pvt; sys.exit('torchvision' in sys.modules)"
+    )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

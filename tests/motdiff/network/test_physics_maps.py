@@ -70,8 +70,11 @@ def test_an_empty_kernel_has_an_empty_autocorrelation():
 
 def natural_noise(count, side, *, seed=0):
     """White noise over f: the power spectrum of sharp scenes, and periodic."""
-    white = torch.randn(count, side, side, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
-    fy, fx = torch.fft.fftfreq(side)[:, None], torch.fft.rfftfreq(side)[None, :]
+    white = torch.randn(
+        count, side, side, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+    )
+    fy = torch.fft.fftfreq(side)[:, None]
+    fx = torch.fft.rfftfreq(side)[None, :]
     radius = (fx.square() + fy.square()).sqrt().clamp(min=1 / side)
     return torch.fft.irfft2(torch.fft.rfft2(white) / radius, s=(side, side))
 
@@ -80,7 +83,8 @@ def natural_noise(count, side, *, seed=0):
 def test_two_points_show_as_side_peaks_at_their_distance(lag):
     """|1/2 + 1/2 exp(i w)|^2 = 1/2 + 1/2 cos w: half the zero lag's peak on either side, as wide as the band allows.
 
-    The cepstrum has 2 log|1 + exp(i w)| = 2 cos w - cos 2w + ...: up at the distance, down at twice it.
+    The cepstrum has 2 log|1 + exp(i w)| = 2 cos w - cos 2w + ...: up at the distance, down at
+    twice it.
     """
     scene = natural_noise(12, 128)
     photos = (scene + scene.roll(lag, (1, 2)))[None] / 2
@@ -92,7 +96,9 @@ def test_two_points_show_as_side_peaks_at_their_distance(lag):
 
     sides = peak_at(*lag) + peak_at(-lag[0], -lag[1])
     expected = peak_at(0, 0) + sides / 2
-    linear = 4 * torch.atanh((correlation / 4).clamp(-1 + 1e-12, 1 - 1e-12))  # the peaks are held down
+    linear = 4 * torch.atanh(
+        (correlation / 4).clamp(-1 + 1e-12, 1 - 1e-12)
+    )  # the peaks are held down
     assert (
         float(torch.corrcoef(torch.stack([linear.flatten(), expected.flatten()]))[0, 1]) > 0.95
     )  # 0.82 without the sides
@@ -101,7 +107,9 @@ def test_two_points_show_as_side_peaks_at_their_distance(lag):
         found = int(torch.where(away, map_, -torch.inf).argmax())
         assert (found // 64 - ZERO, found % 64 - ZERO) in (lag, (-lag[0], -lag[1]))
     if max(map(abs, lag)) < 16:
-        assert float(cepstrum[ZERO + 2 * lag[0], ZERO + 2 * lag[1]]) < float(cepstrum.quantile(0.01))
+        assert float(cepstrum[ZERO + 2 * lag[0], ZERO + 2 * lag[1]]) < float(
+            cepstrum.quantile(0.01)
+        )
 
 
 def test_spectral_maps_do_not_know_the_light_nor_its_level():
@@ -139,7 +147,9 @@ def test_photos_need_not_be_square():
 def test_flat_photos_say_nothing_but_nothing_wrong(level):
     """A burnt-out sky among the crops must not poison the training."""
     assert spectral_maps(torch.full((1, 1, 96, 96), level)).isfinite().all()
-    flat_beside_scene = torch.cat([torch.full((1, 1, 96, 96), level), natural_noise(1, 96)[None].float()], dim=1)
+    flat_beside_scene = torch.cat(
+        [torch.full((1, 1, 96, 96), level), natural_noise(1, 96)[None].float()], dim=1
+    )
     assert spectral_maps(flat_beside_scene).isfinite().all()
 
 
@@ -154,8 +164,12 @@ def test_small_photos_are_refused():
 def test_quick_kernels_find_a_straight_blur():
     rng = np.random.default_rng(1)
     blocks = np.full((192, 192), 0.5)
-    for row, column, height, width in np.c_[rng.integers(-10, 192, (250, 2)), rng.integers(6, 50, (250, 2))]:
-        blocks[max(row, 0) : row + height, max(column, 0) : column + width] = rng.uniform(0.05, 0.95)
+    for row, column, height, width in np.c_[
+        rng.integers(-10, 192, (250, 2)), rng.integers(6, 50, (250, 2))
+    ]:
+        blocks[max(row, 0) : row + height, max(column, 0) : column + width] = rng.uniform(
+            0.05, 0.95
+        )
     truth = Trajectory.straight(11.0, angle_rad=0.5).psf(64)
     photo = blur_valid(blocks, truth)
     photos = torch.from_numpy(photo + rng.normal(0, 0.005, photo.shape)).float()[None, None]
@@ -173,7 +187,9 @@ def test_quick_kernels_find_a_straight_blur():
 
 def test_quick_kernels_end_each_scale_on_all_gradients_unless_told_otherwise():
     """As training had them and use has them: other kernels than the network knows would mislead it."""
-    photos = torch.from_numpy(blur_valid(natural_noise(1, 110)[0].numpy(), curved(25))).float()[None, None]
+    photos = torch.from_numpy(blur_valid(natural_noise(1, 110)[0].numpy(), curved(25))).float()[
+        None, None
+    ]
     usual, closed, open_ = (
         quick_kernels(photos, starts=(QuickStart(15, 1.0),), **options)
         for options in ({}, {"fine_weights": (1e-3, 3e-4)}, {"fine_weights": ()})
@@ -183,13 +199,19 @@ def test_quick_kernels_end_each_scale_on_all_gradients_unless_told_otherwise():
 
 
 def test_quick_kernels_of_a_flat_photo_are_still_kernels():
-    kernels = quick_kernels(torch.full((1, 1, 64, 64), 1.0), starts=(QuickStart(15, 1.0), QuickStart(21, 1.0)))
+    kernels = quick_kernels(
+        torch.full((1, 1, 64, 64), 1.0), starts=(QuickStart(15, 1.0), QuickStart(21, 1.0))
+    )
     torch.testing.assert_close(kernels.sum(dim=(2, 3)), torch.ones(1, 2))
 
 
 def test_physics_maps_are_two_of_the_photo_and_two_of_each_kernel():
     photos = natural_noise(2, 96).float()[:, None]
-    kernels = torch.from_numpy(np.stack([curved(), curved()[::-1].copy(), 0 * curved()])).float().expand(2, 3, 64, 64)
+    kernels = (
+        torch.from_numpy(np.stack([curved(), curved()[::-1].copy(), 0 * curved()]))
+        .float()
+        .expand(2, 3, 64, 64)
+    )
     maps = physics_maps(photos, kernels)
     assert maps.shape == (2, 2 + 2 * 3, 64, 64)
     torch.testing.assert_close(maps[:, :2], spectral_maps(photos))

@@ -24,7 +24,12 @@ def seeded(seed=0):
 
 
 def draw(network, condition, **options):
-    given = {"count": 1, "schedule": cosine_schedule(), "steps": 4, "generator": seeded()} | options
+    given = {
+        "count": 1,
+        "schedule": cosine_schedule(),
+        "steps": 4,
+        "generator": seeded(),
+    } | options
     return sample_paths(network, condition, **given)
 
 
@@ -34,7 +39,9 @@ class Oracle:
     pitch = 4
 
     def __init__(self, maps, dwell=None):
-        self.maps, self.dwell, self.calls = maps, dwell, []
+        self.maps = maps
+        self.dwell = dwell
+        self.calls = []
 
     def denoise(self, x_t, t, condition):
         self.calls.append((x_t, t, condition))
@@ -42,7 +49,9 @@ class Oracle:
         logits = 40 * (2 * self.maps[index] - 1)
         if self.dwell is None:
             return logits
-        return torch.cat([logits, torch.log(torch.expm1(self.dwell[index]))], dim=1)  # softplus undoes it
+        return torch.cat(
+            [logits, torch.log(torch.expm1(self.dwell[index]))], dim=1
+        )  # softplus undoes it
 
 
 def numbered(count, *, channels=3, side=16):
@@ -116,9 +125,13 @@ def test_a_real_network_s_draws_follow_from_the_generator(monkeypatch):
 
     def drawn(seed):
         with torch.no_grad():
-            return draw(network, network.condition(None, physics), count=2, generator=seeded(seed), eta=0.5)
+            return draw(
+                network, network.condition(None, physics), count=2, generator=seeded(seed), eta=0.5
+            )
 
-    first, again, other = drawn(0), drawn(0), drawn(1)
+    first = drawn(0)
+    again = drawn(0)
+    other = drawn(1)
     assert len(calls) == 3  # once per condition, however many steps and draws
     assert first.path.shape == (2, 2, 256, 256)
     assert torch.equal(first.path, again.path)

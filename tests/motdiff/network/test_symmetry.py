@@ -40,10 +40,14 @@ def noise(*shape):
 
 @each_symmetry
 def test_the_mirrored_photo_is_blurred_by_the_mirrored_psf(symmetry):
-    sharp = torch.rand(1, 1, 80, 90, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    sharp = torch.rand(
+        1, 1, 80, 90, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
     psf = torch.from_numpy(bent_path().psf(64))[None, None]
     photo = torch.from_numpy(blur_symmetric(sharp[0, 0], psf[0, 0]))[None, None]
-    again = blur_symmetric(mirrored(sharp, symmetry, pitch=0)[0, 0], mirrored(psf, symmetry, pitch=1)[0, 0])
+    again = blur_symmetric(
+        mirrored(sharp, symmetry, pitch=0)[0, 0], mirrored(psf, symmetry, pitch=1)[0, 0]
+    )
     np.testing.assert_allclose(again, mirrored(photo, symmetry, pitch=0)[0, 0], atol=1e-12)
 
 
@@ -51,7 +55,8 @@ def test_the_mirrored_photo_is_blurred_by_the_mirrored_psf(symmetry):
 def test_mirrored_maps_are_those_of_the_mirrored_path(symmetry):
     motion = bent_path()
     other = turned(motion, symmetry)
-    psf, hr_map = torch.from_numpy(motion.psf(64))[None, None], torch.from_numpy(motion.hr_map())[None, None]
+    psf = torch.from_numpy(motion.psf(64))[None, None]
+    hr_map = torch.from_numpy(motion.hr_map())[None, None]
     np.testing.assert_allclose(mirrored(psf, symmetry, pitch=1)[0, 0], other.psf(64), atol=1e-12)
     np.testing.assert_array_equal(mirrored(hr_map, symmetry, pitch=4)[0, 0], other.hr_map())
 
@@ -61,7 +66,9 @@ def test_box_means_of_the_mirrored_hr_map_are_the_mirrored_box_means(bank, symme
     _, x0, dwell = bank.targets(torch.arange(6))
     for maps in (x0, dwell):
         fine = functional.avg_pool2d(mirrored(maps, symmetry, pitch=4), 4)
-        torch.testing.assert_close(fine, mirrored(functional.avg_pool2d(maps, 4), symmetry, pitch=1))
+        torch.testing.assert_close(
+            fine, mirrored(functional.avg_pool2d(maps, 4), symmetry, pitch=1)
+        )
 
 
 def test_the_eight_symmetries_differ_and_keep_the_zero_displacement():

@@ -17,7 +17,8 @@ def lissajous(across, down, phase=0.2, size=12.0):
 
 
 def circle(turns, growth=0.0):
-    radius, angle = 9 * (1 + growth * T), 2 * np.pi * turns * T
+    radius = 9 * (1 + growth * T)
+    angle = 2 * np.pi * turns * T
     return Trajectory.from_samples(np.c_[radius * np.cos(angle), radius * np.sin(angle)])
 
 
@@ -31,7 +32,8 @@ def test_plain_curves_do_not_cross_themselves():
     plain += [Trajectory.from_samples(np.c_[20 * T, 6 * np.sin(6 * T)])]
     assert [crossings(path) for path in plain] == [0] * 4
     assert [
-        crossings(Trajectory.from_samples(np.c_[x, y])) for x, y in [([0, 5, 0], [0, 0, 0]), ([0, 0.01], [0, 0])]
+        crossings(Trajectory.from_samples(np.c_[x, y]))
+        for x, y in [([0, 5, 0], [0, 0, 0]), ([0, 0.01], [0, 0])]
     ] == [0, 0]
 
 
@@ -68,9 +70,13 @@ def test_tangled_is_long_and_crossing_and_nothing_less():
     once = lissajous(1, 2)
     assert once.length_px > 2.5 * once.extent_px
     assert not is_tangled(once)
-    assert not is_tangled(circle(1.3, growth=0.5))  # 3.4 times its extent, but no strand meets another
+    assert not is_tangled(
+        circle(1.3, growth=0.5)
+    )  # 3.4 times its extent, but no strand meets another
     assert circle(1.3, growth=0.5).length_px > 3 * circle(1.3, growth=0.5).extent_px
-    zigzag = np.c_[np.r_[0, 30, 25, 25, 20, 20, 15, 15, 10, 10], np.r_[0, 0, 1, -1, -1, 1, 1, -1, -1, 1]].astype(float)
+    zigzag = np.c_[
+        np.r_[0, 30, 25, 25, 20, 20, 15, 15, 10, 10], np.r_[0, 0, 1, -1, -1, 1, 1, -1, -1, 1]
+    ].astype(float)
     crossing = Trajectory.from_samples(zigzag)
     assert crossings(crossing) >= 4
     assert not is_tangled(crossing)  # crossed often, but short

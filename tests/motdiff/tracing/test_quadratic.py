@@ -31,11 +31,17 @@ def centred(path):
 @pytest.mark.parametrize("seed", range(12))
 def test_the_quadratic_path_of_a_quadratic_paths_psf_is_that_path(seed):
     rng = np.random.default_rng(seed)
-    truth = quadratic(rng, min_length_px=8, max_length_px=60) if seed % 3 else random_straight(rng, max_length_px=60)
+    truth = (
+        quadratic(rng, min_length_px=8, max_length_px=60)
+        if seed % 3
+        else random_straight(rng, max_length_px=60)
+    )
     found = quadratic_of_psf(psf_of(truth)).trajectory()
     assert mnc_subpixel(psf_of(found), psf_of(truth)) > 0.99
     assert found.length_px == pytest.approx(truth.length_px, rel=0.05, abs=0.5)
-    assert ordered_distance_px(centred(found), centred(truth)) < 0.5  # in order, or wholly reversed
+    assert (
+        ordered_distance_px(centred(found), centred(truth)) < 0.5
+    )  # in order, or wholly reversed
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -59,7 +65,9 @@ def test_a_point_has_a_path():
     assert simplest_trajectory(psf).length_px < 1
 
 
-@pytest.mark.parametrize("bad", [np.zeros((5, 5)), np.ones(7), np.full((5, 5), np.nan), -np.ones((5, 5))])
+@pytest.mark.parametrize(
+    "bad", [np.zeros((5, 5)), np.ones(7), np.full((5, 5), np.nan), -np.ones((5, 5))]
+)
 def test_no_path_of_what_is_no_psf(bad):
     with pytest.raises(ValueError, match="psf: must be a non-negative"):
         quadratic_of_psf(bad)

@@ -22,7 +22,8 @@ def line(start, end, samples=200):
 
 
 def rotated(points, angle_rad):
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    c = np.cos(angle_rad)
+    s = np.sin(angle_rad)
     return np.asarray(points) @ np.array([[c, s], [-s, c]])
 
 
@@ -59,7 +60,10 @@ SHAPES = {
     "T: an end that touches the path": np.concatenate(
         [
             line((-10, 0), (8, 0)),
-            4 * np.column_stack([2 + np.sin(a := np.linspace(0, 1.5 * np.pi, 300)), 1 - np.cos(a)])[1:],
+            4
+            * np.column_stack([2 + np.sin(a := np.linspace(0, 1.5 * np.pi, 300)), 1 - np.cos(a)])[
+                1:
+            ],
         ]
     ),
 }
@@ -97,8 +101,11 @@ def test_crossings_are_passed_straight_at_any_angle(crossing_rad, angle_rad):
 def test_order_of_the_samples_does_not_matter(seed):
     rng = np.random.default_rng(seed)
     steps = np.cumsum(rng.normal(0, 0.12, 300)) + rng.uniform(0, TURN)
-    truth = Trajectory.from_samples(0.12 * np.cumsum(np.column_stack([np.cos(steps), np.sin(steps)]), axis=0))
-    there, back = trace_map(truth.hr_map()), trace_map(truth.reversed().hr_map())
+    truth = Trajectory.from_samples(
+        0.12 * np.cumsum(np.column_stack([np.cos(steps), np.sin(steps)]), axis=0)
+    )
+    there = trace_map(truth.hr_map())
+    back = trace_map(truth.reversed().hr_map())
     # the two drawings may differ in single pixels, since rounding and thinning run the other way
     distances = [min(np.linalg.norm(b - p) for p in there) for b in back]
     assert np.mean(distances) < HR_PX
@@ -106,9 +113,16 @@ def test_order_of_the_samples_does_not_matter(seed):
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.7, 1.9])
 def test_a_reversal_that_runs_its_own_pixels_again_is_followed(angle_rad):
-    corners = [(-10, 0), (6, 0), (0, 0), (0, 10)]  # the camera shoots over, comes back, and leaves sideways
+    corners = [
+        (-10, 0),
+        (6, 0),
+        (0, 0),
+        (0, 10),
+    ]  # the camera shoots over, comes back, and leaves sideways
     legs = [line(*pair) for pair in itertools.pairwise(corners)]
-    truth = Trajectory.from_samples(rotated(np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]), angle_rad))
+    truth = Trajectory.from_samples(
+        rotated(np.concatenate([legs[0], *(leg[1:] for leg in legs[1:])]), angle_rad)
+    )
     assert ordered_distance_px(trace_map(truth.hr_map()), truth.xy) < 0.75 * HR_PX
 
 
@@ -128,7 +142,9 @@ def test_a_soft_map_is_traced_as_its_binary_one():
     np.testing.assert_array_equal(trace_map(soft), trace_map(truth.hr_map()))
 
 
-@pytest.mark.parametrize("pixels", [[(130, 130)], [(130, 130), (130, 131)], [(0, 0), (0, 1), (1, 1)], [(255, 255)]])
+@pytest.mark.parametrize(
+    "pixels", [[(130, 130)], [(130, 130), (130, 131)], [(0, 0), (0, 1), (1, 1)], [(255, 255)]]
+)
 def test_the_smallest_maps_give_short_paths(pixels):
     hr = np.zeros((256, 256))
     hr[tuple(np.transpose(pixels))] = 1
@@ -183,7 +199,8 @@ def test_a_noisy_psf_is_traced():
 def test_map_and_dwell_beat_the_bare_map():
     t = np.linspace(0, 1, 600)
     truth = Trajectory.from_samples(figure_eight(), t=t + 0.12 * np.sin(3 * TURN / 2 * t) ** 2 * t)
-    hr, psf = truth.hr_map(), truth.psf(64)
+    hr = truth.hr_map()
+    psf = truth.psf(64)
     fitted = mnc_subpixel(fit_dwell(trace_map(hr), psf).psf(64), psf)
     assert fitted > mnc_subpixel(hr.reshape(64, 4, 64, 4).mean(axis=(1, 3)), psf)
     assert fitted > 0.98
@@ -191,7 +208,8 @@ def test_map_and_dwell_beat_the_bare_map():
 
 @settings(max_examples=30, deadline=None)
 @given(
-    seed=st.integers(0, 10_000), kind=st.sampled_from(["delta", "blob", "noise", "corner", "bar", "flat", "speckle"])
+    seed=st.integers(0, 10_000),
+    kind=st.sampled_from(["delta", "blob", "noise", "corner", "bar", "flat", "speckle"]),
 )
 def test_any_psf_with_light_gives_a_trajectory(seed, kind):
     rng = np.random.default_rng(seed)
@@ -267,7 +285,10 @@ def test_ordered_distance_is_zero_for_a_path_and_its_reverse_and_sees_a_loop_run
 @pytest.mark.parametrize(("share", "covered"), [(0.2, False), (1.0, True)])
 def test_a_faint_line_across_is_left_out_and_a_bright_one_is_walked(share, covered):
     """What has a fifth of the light per pixel in a blind kernel is more likely noise than motion."""
-    along, across = (Trajectory.straight(length, angle_rad=angle) for length, angle in ((24.0, 0.0), (8.0, np.pi / 2)))
+    along, across = (
+        Trajectory.straight(length, angle_rad=angle)
+        for length, angle in ((24.0, 0.0), (8.0, np.pi / 2))
+    )
     path = Trajectory.from_samples(trace_psf(along.psf(41) + share * across.psf(41) * 8 / 24))
     assert (np.ptp(path.xy[:, 1]) > 6) == covered
     assert path.length_px > 24 + 2 * 8 if covered else path.length_px == pytest.approx(25, abs=3)
@@ -275,21 +296,34 @@ def test_a_faint_line_across_is_left_out_and_a_bright_one_is_walked(share, cover
 
 def test_a_line_is_worth_the_square_of_its_light_over_the_median_and_never_more_than_one():
     light = np.zeros((61, 61))
-    light[10:21], light[25:36], light[40:51] = 1.0, 3.0, 0.5  # strips, each wider than what the light is smoothed by
+    light[10:21], light[25:36], light[40:51] = (
+        1.0,
+        3.0,
+        0.5,
+    )  # strips, each wider than what the light is smoothed by
     rows = 4 * (np.array([15.0, 30.0, 45.0]) + path._MARGIN_PX)
     columns = 4 * (np.arange(15.0, 46.0) + path._MARGIN_PX)
-    lines = [Branch(np.c_[columns, np.full_like(columns, row)], (2 * i, 2 * i + 1)) for i, row in enumerate(rows)]
-    graph = path._with_worth(BranchGraph(np.concatenate([line.points[[0, -1]] for line in lines]), tuple(lines)), light)
+    lines = [
+        Branch(np.c_[columns, np.full_like(columns, row)], (2 * i, 2 * i + 1))
+        for i, row in enumerate(rows)
+    ]
+    graph = path._with_worth(
+        BranchGraph(np.concatenate([line.points[[0, -1]] for line in lines]), tuple(lines)), light
+    )
     assert [line.worth for line in graph.branches] == pytest.approx([1.0, 1.0, 0.25], abs=0.01)
 
 
-@pytest.mark.parametrize(("extra_px", "worth", "passes"), [(0.0, 1.0, 1), (60.0, 1.0, 2), (60.0, 0.03, 0)])
+@pytest.mark.parametrize(
+    ("extra_px", "worth", "passes"), [(0.0, 1.0, 1), (60.0, 1.0, 2), (60.0, 0.03, 0)]
+)
 def test_the_mark_of_two_strands_counts_as_much_as_their_line(extra_px, worth, passes):
     """A straight line of 60 px with one of 30 px that leaves it in the middle, drawn wide enough for two strands."""
     legs = [line((0, 0), (30, 0), 31), line((30, 0), (60, 0), 31), line((30, 0), (30, 30), 31)]
     ends = [(0, 1), (1, 2), (1, 3)]
     branches = [Branch(points, end) for points, end in zip(legs[:2], ends[:2], strict=True)]
     branches.append(Branch(legs[2], ends[2], extra_px=extra_px, worth=worth))
-    trail = smoothest_trail(BranchGraph(np.array([[0.0, 0.0], [30, 0], [60, 0], [30, 30]]), tuple(branches)))
+    trail = smoothest_trail(
+        BranchGraph(np.array([[0.0, 0.0], [30, 0], [60, 0], [30, 30]]), tuple(branches))
+    )
     upright = np.abs(np.diff(trail[:, 1])).sum()
     assert upright == pytest.approx(30 * passes)

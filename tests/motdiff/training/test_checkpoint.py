@@ -13,16 +13,29 @@ from motdiff.training.checkpoint import PART_BYTES, Checkpoint, read_checkpoint,
 
 def state(step=3, *, seed=0, count=6):
     draw = torch.Generator().manual_seed(seed)
-    tensors = {f"model.layer{i}.weight": torch.randn(4, 3, 5, 5, generator=draw) for i in range(count)}
-    tensors["model.conv.weight"] = torch.randn(4, 6, 3, 3, generator=draw).to(memory_format=torch.channels_last)
+    tensors = {
+        f"model.layer{i}.weight": torch.randn(4, 3, 5, 5, generator=draw) for i in range(count)
+    }
+    tensors["model.conv.weight"] = torch.randn(4, 6, 3, 3, generator=draw).to(
+        memory_format=torch.channels_last
+    )
     tensors["model.norm.count"] = torch.tensor(2**40 + step)
     tensors["ema.half"] = torch.randn(7, generator=draw).half()
-    return Checkpoint(step, tensors, {"data": {"photos": "p"}, "motions": {"exposure_s": [0.1, 0.5]}}, seconds=12.25)
+    return Checkpoint(
+        step,
+        tensors,
+        {"data": {"photos": "p"}, "motions": {"exposure_s": [0.1, 0.5]}},
+        seconds=12.25,
+    )
 
 
 def assert_same(found, expected):
     assert found is not None
-    assert (found.step, found.seconds, found.config) == (expected.step, expected.seconds, expected.config)
+    assert (found.step, found.seconds, found.config) == (
+        expected.step,
+        expected.seconds,
+        expected.config,
+    )
     assert found.tensors.keys() == expected.tensors.keys()
     for name, tensor in expected.tensors.items():
         assert found.tensors[name].dtype == tensor.dtype
@@ -65,7 +78,10 @@ def test_no_part_is_larger_than_the_limit(tmp_path, monkeypatch, limit):
 
 def test_many_small_tensors_leave_room_for_their_names(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "PART_BYTES", 20_000)
-    tensors = {f"adam.exp_avg_sq.backbone.stages.2.blocks.{i}.norm1.bias": torch.zeros(1, 1, 1, 2) for i in range(500)}
+    tensors = {
+        f"adam.exp_avg_sq.backbone.stages.2.blocks.{i}.norm1.bias": torch.zeros(1, 1, 1, 2)
+        for i in range(500)
+    }
     write_checkpoint(tmp_path / "c", Checkpoint(1, tensors, {}))
     assert max(part.stat().st_size for part in (tmp_path / "c").glob("part_*")) <= 20_000
 
@@ -135,7 +151,9 @@ def test_a_kill_between_the_renames_leaves_the_old_one(tmp_path, fails_at, monke
     assert names(tmp_path) == ["checkpoint"]
 
 
-def test_a_second_stop_after_one_between_the_renames_loses_nothing(tmp_path, fails_at, monkeypatch):
+def test_a_second_stop_after_one_between_the_renames_loses_nothing(
+    tmp_path, fails_at, monkeypatch
+):
     folder = tmp_path / "checkpoint"
     stopped_between_the_renames(folder, fails_at, monkeypatch)
     fails_at("save_file", 0)
@@ -151,7 +169,10 @@ def test_a_second_stop_after_one_between_the_renames_loses_nothing(tmp_path, fai
     ("change", "said"),
     [
         (lambda folder, index: index | {"schema": "motdiff.checkpoint/9"}, "motdiff.checkpoint/9"),
-        (lambda folder, index: {name: index[name] for name in index if name != "schema"}, "schema"),
+        (
+            lambda folder, index: {name: index[name] for name in index if name != "schema"},
+            "schema",
+        ),
         (lambda folder, index: {name: index[name] for name in index if name != "step"}, "step"),
         (lambda folder, index: [index], "list"),
         (lambda folder, index: index | {"files": ["part_007.safetensors"]}, "part_007"),

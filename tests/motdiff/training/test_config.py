@@ -7,7 +7,13 @@ from pathlib import Path
 import pytest
 
 from motdiff.network import NetworkConfig
-from motdiff.training.config import DataConfig, LossConfig, OptimiserConfig, TrainingConfig, read_config
+from motdiff.training.config import (
+    DataConfig,
+    LossConfig,
+    OptimiserConfig,
+    TrainingConfig,
+    read_config,
+)
 
 SHIPPED = sorted((Path(__file__).parents[3] / "motdiff" / "configs").glob("*.toml"))
 
@@ -71,14 +77,19 @@ def test_every_kind_of_entry_is_read(tmp_path):
 
 
 def test_a_whole_number_stands_for_a_float(tmp_path):
-    config = read(tmp_path, "[loss]\npath_weight = 3\n[photography]\nqualities = [50, 90]\n[motions]\ngyro = 0")
+    config = read(
+        tmp_path,
+        "[loss]\npath_weight = 3\n[photography]\nqualities = [50, 90]\n[motions]\ngyro = 0",
+    )
     values = [config.loss.path_weight, *config.photography.qualities, config.motions.gyro]
     assert values == [3.0, 50.0, 90.0, 0.0]
     assert all(type(value) is float for value in values)
 
 
 def test_a_configuration_is_json_and_back(tmp_path):
-    config = read(tmp_path, "[network]\ndecoder_widths = [16, 8]\n[motions]\nexposure_s = [0.1, 0.2]")
+    config = read(
+        tmp_path, "[network]\ndecoder_widths = [16, 8]\n[motions]\nexposure_s = [0.1, 0.2]"
+    )
     back = json.loads(json.dumps(config.as_dict(), allow_nan=False))
     assert back["data"]["photos"] == "photos"
     assert back["motions"]["exposure_s"] == [0.1, 0.2]
@@ -106,7 +117,10 @@ def test_a_configuration_is_json_and_back(tmp_path):
         ("[motions]\ngyro_trace = 5", "motions.gyro_trace: must be of type str"),
         ("[photography]\ngammas = 2.2", "photography.gammas: must be a list of 2 numbers"),
         ("[photography]\ngammas = [2.2]", "photography.gammas: must be a list of 2 numbers"),
-        ("[photography]\ngammas = [1.0, 2.0, 3.0]", "photography.gammas: must be a list of 2 numbers"),
+        (
+            "[photography]\ngammas = [1.0, 2.0, 3.0]",
+            "photography.gammas: must be a list of 2 numbers",
+        ),
         ('[photography]\ngammas = ["low", "high"]', "photography.gammas: must be of type float"),
         ("[network]\ndecoder_widths = [16.0, 8.0]", "network.decoder_widths: must be of type int"),
         ("[motions]\nexposure_s = [0.1, true]", "motions.exposure_s: must be of type float"),
@@ -137,7 +151,10 @@ def test_a_configuration_is_json_and_back(tmp_path):
         ("[loss]\ndwell = inf", "loss.dwell: must be a finite number"),
         ('[network]\nbackbone = "resnet"', "network.backbone is 'resnet'"),
         ("[network]\ndecoder_widths = [15, 8]", "network.decoder_widths[0] is 15"),
-        ("[network]\ndenoiser_view = 1\n[optimiser]\nwindow = 32", "optimiser.window: must be 64 for a denoiser"),
+        (
+            "[network]\ndenoiser_view = 1\n[optimiser]\nwindow = 32",
+            "optimiser.window: must be 64 for a denoiser",
+        ),
         ("[network]\nphoto_pool = 3", "network.photo_pool is 3"),
         ('[network]\nbackbone = "none"', "network.physics_channels is 0"),
         ("[motions]\ngyro = 0.5", "motions.gyro_trace: "),
@@ -159,7 +176,10 @@ def test_one_line_names_what_is_wrong(tmp_path, text, said):
         ('photos = "p"\nheld_out = 1', "data.held_out: must be at least 2"),
         ('photos = "p"\nvalidation = 0', "data.validation: must be at least 1"),
         ('photos = "p"\nmotions = 0', "data.motions: must be at least 1"),
-        ('photos = "p"\nphysics_dropout = 1', "data.physics_dropout: must be at least 0 and below 1"),
+        (
+            'photos = "p"\nphysics_dropout = 1',
+            "data.physics_dropout: must be at least 0 and below 1",
+        ),
         ('prepared = "p"', "data.prepared_validation: "),
     ],
 )

@@ -42,7 +42,9 @@ def shuffled(samples, *, photo=False, physics=True, seed=3, symmetries=True):
 
 
 def tensors(batch):
-    return [maps for maps in (batch.photo, batch.physics, batch.x0, batch.dwell) if maps is not None]
+    return [
+        maps for maps in (batch.photo, batch.physics, batch.x0, batch.dwell) if maps is not None
+    ]
 
 
 def same(a, b):
@@ -67,7 +69,10 @@ def origins(batch, samples):
 
 
 def test_seeds_tell_numbers_and_their_order_apart():
-    seeds = {seed_of(*numbers) for numbers in [(0,), (1,), (-1,), (0, 0), (0, 1), (1, 0), (2**62,), (0, 0, 0), (3, 4)]}
+    seeds = {
+        seed_of(*numbers)
+        for numbers in [(0,), (1,), (-1,), (0, 0), (0, 1), (1, 0), (2**62,), (0, 0, 0), (3, 4)]
+    }
     assert len(seeds) == 9
     assert all(0 <= seed < 2**62 for seed in seeds)
     assert seed_of(5, 3, 0, 1) == seed_of(5, 3, 0, 1)
@@ -90,7 +95,9 @@ def test_a_batch_is_cut_and_copied_whole():
     assert [len(part) for part in parts] == [2, 2, 1]
     assert all(part.photo is None for part in parts)
     for name in ("physics", "x0", "dwell"):
-        assert torch.equal(torch.cat([getattr(part, name) for part in parts]), getattr(batch, name))
+        assert torch.equal(
+            torch.cat([getattr(part, name) for part in parts]), getattr(batch, name)
+        )
     moved = batch.to("meta")
     assert {maps.device.type for maps in tensors(moved)} == {"meta"}
     assert batch.to("cpu").x0 is batch.x0
@@ -137,9 +144,17 @@ def test_a_turned_sample_is_the_sample_of_the_turned_photo(prepared):
         light = prepared.photos[one].float().div(255).square()
         seen = display_photo(mirrored(light, turn, pitch=0))
         assert torch.equal(batch.photo[position : position + 1], seen)
-        expected = physics_maps(mirrored(light, turn, pitch=0), mirrored(prepared.kernels[one].float(), turn, pitch=1))
-        inner = (..., slice(1, None), slice(1, None))  # the grid has lags of -32, but none of 32 to mirror them with
-        torch.testing.assert_close(batch.physics[position : position + 1][inner], expected[inner], atol=5e-3, rtol=0)
+        expected = physics_maps(
+            mirrored(light, turn, pitch=0), mirrored(prepared.kernels[one].float(), turn, pitch=1)
+        )
+        inner = (
+            ...,
+            slice(1, None),
+            slice(1, None),
+        )  # the grid has lags of -32, but none of 32 to mirror them with
+        torch.testing.assert_close(
+            batch.physics[position : position + 1][inner], expected[inner], atol=5e-3, rtol=0
+        )
         dwell = mirrored(prepared.dwell[one].float(), turn, pitch=4)
         assert torch.equal(batch.dwell[position : position + 1], dwell)
 
@@ -148,7 +163,9 @@ def likeness(photo, psf):
     """Greatest normalised correlation of a photo (256, 256) with a PSF (64, 64), over all shifts."""
     spectra = (torch.fft.rfft2(maps, s=(320, 320)) for maps in (photo, psf))
     first, second = spectra
-    return (torch.fft.irfft2(first * second.conj(), s=(320, 320)).max() / (photo.norm() * psf.norm())).item()
+    return (
+        torch.fft.irfft2(first * second.conj(), s=(320, 320)).max() / (photo.norm() * psf.norm())
+    ).item()
 
 
 def test_a_turned_photo_is_blurred_by_the_turned_path():
@@ -158,7 +175,11 @@ def test_a_turned_photo_is_blurred_by_the_turned_path():
     bank = build_bank(MotionMix(max_length_px=40), count=1, seed=2)
     taken = simulate(bank, [scene], torch.tensor([0]), photography=PLAIN, physics=False, seed=0)
     stored = (255 * taken.photos.mean(dim=1, keepdim=True).sqrt()).round().to(torch.uint8)
-    source = shuffled(Samples(stored, taken.kernels, taken.x0.byte(), taken.dwell.half()), photo=True, physics=False)
+    source = shuffled(
+        Samples(stored, taken.kernels, taken.x0.byte(), taken.dwell.half()),
+        photo=True,
+        physics=False,
+    )
     seen = set()
     for step in range(40):
         batch = source.batch(step, 1)
@@ -189,7 +210,10 @@ def bank():
 @pytest.fixture(scope="module")
 def scenes():
     """A black photo and a white one."""
-    return [torch.zeros(3, 330, 330, dtype=torch.uint8), torch.full((3, 330, 330), 255, dtype=torch.uint8)]
+    return [
+        torch.zeros(3, 330, 330, dtype=torch.uint8),
+        torch.full((3, 330, 330), 255, dtype=torch.uint8),
+    ]
 
 
 def test_live_batches_follow_from_seed_step_and_rank(bank, scenes):
@@ -215,12 +239,16 @@ def test_each_motion_meets_each_scene(bank, scenes):
 
 def test_a_live_batch_holds_what_the_network_takes(bank, scenes, monkeypatch):
     starts = (QuickStart(9, 1.0), QuickStart(11, 1.0), QuickStart(13, 1.0))
-    monkeypatch.setattr(samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1))
+    monkeypatch.setattr(
+        samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1)
+    )
     draw = torch.Generator().manual_seed(0)
     blocks = torch.randint(0, 256, (3, 33, 33), generator=draw).to(torch.uint8)
     textured = [blocks.repeat_interleave(10, 1).repeat_interleave(10, 2)]
     for photo, physics in [(True, False), (False, True), (True, True)]:
-        batch = LiveSource(bank, textured, Photography(), photo=photo, physics=physics, seed=0).batch(0, 2)
+        batch = LiveSource(
+            bank, textured, Photography(), photo=photo, physics=physics, seed=0
+        ).batch(0, 2)
         assert (batch.photo is not None, batch.physics is not None) == (photo, physics)
         if photo:
             assert batch.photo.shape == (2, 3, 256, 256)

@@ -51,7 +51,9 @@ class Noise:
     def batch(self, step, size, *, rank=0):
         draw = torch.Generator().manual_seed(1000 * rank + step)
         x0 = torch.zeros(size, 1, 256, 256)
-        for sample, row in zip(x0, torch.randint(100, 156, (size,), generator=draw).tolist(), strict=True):
+        for sample, row in zip(
+            x0, torch.randint(100, 156, (size,), generator=draw).tolist(), strict=True
+        ):
             sample[:, row, 90:160] = 1
         return Batch(None, torch.randn(size, 2, 64, 64, generator=draw), x0, x0 * 1.0)
 
@@ -61,7 +63,10 @@ class WithPhotos(Noise):
 
     def batch(self, step, size, *, rank=0):
         draw = torch.Generator().manual_seed(step)
-        return replace(super().batch(step, size, rank=rank), photo=torch.rand(size, 3, 256, 256, generator=draw))
+        return replace(
+            super().batch(step, size, rank=rank),
+            photo=torch.rand(size, 3, 256, 256, generator=draw),
+        )
 
 
 def config(*, network=TINY, optimiser=SMALL_WINDOW, physics_dropout=0.0, **loss):
@@ -99,13 +104,20 @@ def test_only_the_photo_encoder_learns_where_asked(tmp_path):
     before = {name: tensor.clone() for name, tensor in trainer.network.state_dict().items()}
     train(trainer, 2, WithPhotos())
     for network in (trainer.network, trainer.average):
-        moved = {name.split(".")[0] for name, now in network.state_dict().items() if not torch.equal(now, before[name])}
+        moved = {
+            name.split(".")[0]
+            for name, now in network.state_dict().items()
+            if not torch.equal(now, before[name])
+        }
         assert moved == {"photo", "fusion"}
     resumed = Trainer(config(network=with_photo, optimiser=chosen))
     kept = saved(trainer, tmp_path / "checkpoint")
     assert resumed.resume(tmp_path / "checkpoint")
     assert train(resumed, 1, WithPhotos()) == train(trainer, 1, WithPhotos())
-    assert {name.split(".")[2] for name in kept.tensors if name.startswith("adam.")} == {"photo", "fusion"}
+    assert {name.split(".")[2] for name in kept.tensors if name.startswith("adam.")} == {
+        "photo",
+        "fusion",
+    }
 
 
 # ---- resuming
@@ -115,7 +127,9 @@ VARIANTS = {
     "dropouts": config(network=replace(TINY, dropout=0.3), physics_dropout=0.4, stpd=0.3),
     "dwell": config(network=replace(TINY, dwell=True), dwell=0.5),
     "bf16": config(optimiser=replace(SMALL_WINDOW, precision="bf16")),
-    "squared error": config(network=replace(TINY, dropout=0.3, dwell=True, physics_patch=1), kind="denoising"),
+    "squared error": config(
+        network=replace(TINY, dropout=0.3, dwell=True, physics_patch=1), kind="denoising"
+    ),
 }
 
 
@@ -168,7 +182,9 @@ def test_a_kill_between_the_renames_costs_nothing_but_the_steps_since(tmp_path):
     first = Trainer(VARIANTS["dropouts"])
     train(first, 2)
     first.save(tmp_path / "checkpoint")
-    os.rename(tmp_path / "checkpoint", tmp_path / "checkpoint.old")  # as write_checkpoint does just before the end
+    os.rename(
+        tmp_path / "checkpoint", tmp_path / "checkpoint.old"
+    )  # as write_checkpoint does just before the end
     second = Trainer(VARIANTS["dropouts"])
     assert second.resume(tmp_path / "checkpoint")
     train(second, 2)
@@ -199,7 +215,9 @@ def test_training_leaves_torchs_own_generator_alone():
 
 def test_the_seed_decides_the_start():
     def weights(seed):
-        return Trainer(config(optimiser=replace(SMALL_WINDOW, seed=seed))).network.denoiser.mid.weight
+        return Trainer(
+            config(optimiser=replace(SMALL_WINDOW, seed=seed))
+        ).network.denoiser.mid.weight
 
     assert torch.equal(weights(1), weights(1))
     assert not torch.equal(weights(1), weights(2))
@@ -254,7 +272,10 @@ def test_the_average_follows_the_weights_exponentially():
 def test_a_loss_that_is_not_finite_ends_the_run():
     class Broken(Noise):
         def batch(self, step, size, *, rank=0):
-            return replace(super().batch(step, size, rank=rank), physics=torch.full((size, 2, 64, 64), math.nan))
+            return replace(
+                super().batch(step, size, rank=rank),
+                physics=torch.full((size, 2, 64, 64), math.nan),
+            )
 
     with pytest.raises(FloatingPointError, match=r"at step 1; lower optimiser\.rate"):
         train(Trainer(config()), 1, Broken())
@@ -279,7 +300,9 @@ def test_bf16_keeps_the_weights_in_full_precision():
 
 def test_the_total_is_the_path_loss_and_the_weighted_dwell_loss():
     whole_field = replace(SMALL_WINDOW, window=64)
-    (told,) = train(Trainer(config(network=replace(TINY, dwell=True), dwell=0.5, optimiser=whole_field)), 1)
+    (told,) = train(
+        Trainer(config(network=replace(TINY, dwell=True), dwell=0.5, optimiser=whole_field)), 1
+    )
     assert told.dwell > 0
     assert told.total == pytest.approx(told.path + 0.5 * told.dwell, rel=1e-6)
     (told,) = train(Trainer(VARIANTS["plain"]), 1)
@@ -316,7 +339,8 @@ class Recorder:
     """A network of which only the inputs matter; its logits are given."""
 
     def __init__(self, logits=lambda x_t, corner: x_t):
-        self.calls, self._logits = [], logits
+        self.calls = []
+        self._logits = logits
 
     def __call__(self, x_t, t, photo, physics, corner):
         self.calls.append((x_t, t, photo, physics, corner))
@@ -343,12 +367,16 @@ def loss(model, batch, *, seed=0, window=64, physics_dropout=0.0, **options):
 @pytest.fixture(scope="module")
 def batch():
     noise = Noise().batch(0, 4)
-    return replace(noise, dwell=noise.x0 * torch.rand(noise.x0.shape, generator=torch.Generator().manual_seed(2)))
+    return replace(
+        noise,
+        dwell=noise.x0 * torch.rand(noise.x0.shape, generator=torch.Generator().manual_seed(2)),
+    )
 
 
 @pytest.mark.parametrize("side", [8, 16, 33, 64])
 def test_a_window_is_cut_from_the_same_noisy_map(batch, side):
-    full, window = Recorder(), Recorder()
+    full = Recorder()
+    window = Recorder()
     for seed in range(4):
         loss(full, batch, seed=seed)
         loss(window, batch, seed=seed, window=side)
@@ -369,8 +397,13 @@ def test_the_loss_of_a_window_is_that_of_its_crop(batch, kind, iou):
     model = Recorder(logits)
     path, dwell = loss(model, batch, window=24, kind=kind, path_weight=3.0, iou=iou)
     x_t, *_, corner = model.calls[0]
-    x0, time = part_of(batch.x0, corner, 24), part_of(batch.dwell, corner, 24)
-    expected = structure_loss(x_t, x0, path_weight=3.0, iou=iou) if kind == "structure" else denoising_loss(x_t, x0)
+    x0 = part_of(batch.x0, corner, 24)
+    time = part_of(batch.dwell, corner, 24)
+    expected = (
+        structure_loss(x_t, x0, path_weight=3.0, iou=iou)
+        if kind == "structure"
+        else denoising_loss(x_t, x0)
+    )
     assert torch.equal(path, expected)
     assert torch.equal(dwell, dwell_loss(0.5 * x_t, time, x0))
 
@@ -397,7 +430,8 @@ def test_the_condition_is_the_whole_photo_s(batch):
 
 
 def test_pixels_are_dropped_from_what_is_seen_but_not_from_the_target(batch):
-    whole, gaps = Recorder(), Recorder(lambda x_t, _corner: 60 * (2 * batch.x0 - 1))  # knows the answer
+    whole = Recorder()  # knows the answer
+    gaps = Recorder(lambda x_t, _corner: 60 * (2 * batch.x0 - 1))
     path, _ = loss(gaps, batch, stpd=0.6, seed=3)
     loss(whole, batch, stpd=0.0, seed=3)
     assert path < 1e-3
@@ -442,9 +476,13 @@ def test_a_small_network_learns_four_photos():
     draw = torch.Generator().manual_seed(0)
     blocks = torch.randint(0, 256, (4, 3, 64, 64), generator=draw).to(torch.uint8)
     scenes = list(blocks.repeat_interleave(5, 2).repeat_interleave(5, 3))
-    mix = MotionMix(boracchi_foi=0, straight=0.5, quadratic=0.5, min_length_px=10, max_length_px=20)
+    mix = MotionMix(
+        boracchi_foi=0, straight=0.5, quadratic=0.5, min_length_px=10, max_length_px=20
+    )
     bank = build_bank(mix, count=4, seed=3)
-    four = simulate(bank, scenes, torch.arange(4), photography=Photography(), physics=False, seed=1)
+    four = simulate(
+        bank, scenes, torch.arange(4), photography=Photography(), physics=False, seed=1
+    )
     physics = spectral_maps(four.photos.mean(dim=1, keepdim=True))
 
     class Four:
@@ -454,10 +492,22 @@ def test_a_small_network_learns_four_photos():
     trainer = Trainer(
         config(
             network=replace(
-                TINY, physics_width=16, denoiser_width=32, decoder_widths=(32, 16), time_width=128, dropout=0.0
+                TINY,
+                physics_width=16,
+                denoiser_width=32,
+                decoder_widths=(32, 16),
+                time_width=128,
+                dropout=0.0,
             ),
             optimiser=OptimiserConfig(
-                steps=130, batch=4, rate=1.2e-2, last_rate=1e-5, warm_up=10, ema=0.98, window=32, seed=0
+                steps=130,
+                batch=4,
+                rate=1.2e-2,
+                last_rate=1e-5,
+                warm_up=10,
+                ema=0.98,
+                window=32,
+                seed=0,
             ),
             path_weight=1.0,
         )
@@ -471,8 +521,16 @@ def test_a_small_network_learns_four_photos():
     def agreement(maps):
         with torch.no_grad():
             condition = trainer.average.condition(None, maps)
-        drawn = sample_paths(trainer.average, condition, count=1, schedule=trainer.schedule, steps=10, generator=draw)
-        found, truth = drawn.path > 0.5, four.x0 > 0.5
+        drawn = sample_paths(
+            trainer.average,
+            condition,
+            count=1,
+            schedule=trainer.schedule,
+            steps=10,
+            generator=draw,
+        )
+        found = drawn.path > 0.5
+        truth = four.x0 > 0.5
         return (found & truth).sum(dim=(1, 2, 3)) / (found | truth).sum(dim=(1, 2, 3))
 
     assert agreement(physics).mean() > 0.85  # 0.93 to 1.00 with the seeds 0 to 3

@@ -11,7 +11,13 @@ from torch.nn import functional
 from motdiff.gyro import GyroTrace
 from motdiff.metrics import mnc, register_shift
 from motdiff.training import motion_bank
-from motdiff.training.motion_bank import MotionMix, build_bank, draw_motion, drawn_kinds, dwell_on_map
+from motdiff.training.motion_bank import (
+    MotionMix,
+    build_bank,
+    draw_motion,
+    drawn_kinds,
+    dwell_on_map,
+)
 from motdiff.trajectory import Trajectory
 
 ALL_KINDS = MotionMix(boracchi_foi=1, boracchi_foi_short=1, straight=1, quadratic=1)
@@ -20,12 +26,17 @@ NOTHING = MotionMix(boracchi_foi=0, straight=1e-9)
 
 
 def same(a, b):
-    return all(torch.equal(getattr(a, name), getattr(b, name)) for name in ("psfs", "pixels", "dwell", "starts"))
+    return all(
+        torch.equal(getattr(a, name), getattr(b, name))
+        for name in ("psfs", "pixels", "dwell", "starts")
+    )
 
 
 def motions(mix, *, count, seed=0, trace=None):
     """Draw each from the generator of its number."""
-    return [draw_motion(mix, np.random.default_rng([seed, index]), trace) for index in range(count)]
+    return [
+        draw_motion(mix, np.random.default_rng([seed, index]), trace) for index in range(count)
+    ]
 
 
 def seen_by_pixels(dwell):
@@ -47,7 +58,9 @@ def test_targets_are_those_of_the_drawn_trajectories():
     drawn = motions(ALL_KINDS, count=9, seed=3)
     for place, number in enumerate(index.tolist()):
         motion = drawn[number]
-        np.testing.assert_allclose(psf[place], motion.psf(64), rtol=1e-3, atol=1e-7)  # half precision
+        np.testing.assert_allclose(
+            psf[place], motion.psf(64), rtol=1e-3, atol=1e-7
+        )  # half precision
         hr_map = motion.hr_map()
         np.testing.assert_array_equal(x0[place, 0], hr_map)
         on_path = dwell[place, 0].numpy()[hr_map > 0]
@@ -61,7 +74,9 @@ def test_dwell_on_the_map_is_the_psf():
     bank = build_bank(ALL_KINDS, count=10, seed=0)
     psfs, _, dwell = bank.targets(torch.arange(10))
     boxes = functional.avg_pool2d(dwell, 4)[:, 0]
-    for psf, fine, box in zip(psfs.double().numpy(), dwell[:, 0].double().numpy(), boxes.double().numpy(), strict=True):
+    for psf, fine, box in zip(
+        psfs.double().numpy(), dwell[:, 0].double().numpy(), boxes.double().numpy(), strict=True
+    ):
         seen = seen_by_pixels(fine)
         assert mnc(psf, seen) > 0.99
         np.testing.assert_allclose(register_shift(psf, seen), 0, atol=0.05 + 1e-9)
@@ -75,14 +90,18 @@ def test_dwell_on_the_map_is_the_psf():
 def test_motions_depend_on_seed_and_number_only():
     whole = build_bank(ALL_KINDS, count=8, seed=1)
     tail = build_bank(ALL_KINDS, count=3, seed=1, first=5)
-    for mine, theirs in zip(tail.targets(torch.arange(3)), whole.targets(torch.arange(5, 8)), strict=True):
+    for mine, theirs in zip(
+        tail.targets(torch.arange(3)), whole.targets(torch.arange(5, 8)), strict=True
+    ):
         assert torch.equal(mine, theirs)
     assert len(whole) == 8
     assert len(tail) == 3
     assert not torch.equal(whole.psfs, build_bank(ALL_KINDS, count=8, seed=2).psfs)
 
 
-@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")  # Python >= 3.12, after any other thread was started
+@pytest.mark.filterwarnings(
+    "ignore:.*fork:DeprecationWarning"
+)  # Python >= 3.12, after any other thread was started
 def test_workers_change_nothing(monkeypatch):
     alone = build_bank(ALL_KINDS, count=11, seed=4)
     monkeypatch.setattr(motion_bank, "_CHUNK", 3)
@@ -93,7 +112,9 @@ def test_workers_change_nothing(monkeypatch):
 def test_a_bank_moves_as_a_whole():
     bank = build_bank(NOTHING, count=2, seed=0)
     moved = bank.to("meta")
-    assert {tensor.device.type for tensor in (moved.psfs, moved.pixels, moved.dwell, moved.starts)} == {"meta"}
+    assert {
+        tensor.device.type for tensor in (moved.psfs, moved.pixels, moved.dwell, moved.starts)
+    } == {"meta"}
     assert same(bank, bank.to("cpu"))
 
 
@@ -149,7 +170,9 @@ def test_straight_motions_are_straight():
 
 
 def test_quadratic_motions_have_a_constant_acceleration():
-    drawn = motions(replace(NOTHING, straight=0, quadratic=1, min_length_px=7, max_length_px=9), count=10)
+    drawn = motions(
+        replace(NOTHING, straight=0, quadratic=1, min_length_px=7, max_length_px=9), count=10
+    )
     for motion in drawn:
         acceleration = np.diff(motion.xy, n=2, axis=0)
         np.testing.assert_allclose(acceleration - acceleration[0], 0, atol=1e-9)
@@ -167,7 +190,9 @@ def test_kinds_come_by_their_shares():
 def test_the_kinds_of_a_bank_are_those_of_its_motions():
     mix = MotionMix(boracchi_foi=0.5, straight=0.5, max_length_px=30)
     kinds = drawn_kinds(mix, count=12, seed=4, first=5)
-    straight = [draw_motion(mix, np.random.default_rng([4, index])).t.size == 2 for index in range(5, 17)]
+    straight = [
+        draw_motion(mix, np.random.default_rng([4, index])).t.size == 2 for index in range(5, 17)
+    ]
     assert [kind == "straight" for kind in kinds] == straight
     assert set(kinds) == {"boracchi_foi", "straight"}
 
@@ -178,17 +203,24 @@ def test_gyro_motions_come_from_the_recording(tmp_path):
     trace = GyroTrace(np.arange(1500) / 200, rates - rates.mean(axis=0))
     file = tmp_path / "gyro.csv"
     file.write_text(
-        "t_s,x,y,z\n" + "\n".join(f"{t},{x},{y},{z}" for t, (x, y, z) in zip(trace.t_s, rates, strict=True))
+        "t_s,x,y,z\n"
+        + "\n".join(f"{t},{x},{y},{z}" for t, (x, y, z) in zip(trace.t_s, rates, strict=True))
     )
-    mix = replace(NOTHING, straight=0, gyro=1, gyro_trace=str(file), min_extent_px=10, max_extent_px=14)
+    mix = replace(
+        NOTHING, straight=0, gyro=1, gyro_trace=str(file), min_extent_px=10, max_extent_px=14
+    )
     for motion in motions(mix, count=8, trace=trace):
         assert 10 <= motion.extent_px <= 14
     bank = build_bank(mix, count=4, seed=0)
     _, x0, _ = bank.targets(torch.arange(4))
     for one in x0[:, 0]:
         rows, columns = torch.nonzero(one, as_tuple=True)
-        assert 39 <= max(int(rows.max() - rows.min()), int(columns.max() - columns.min())) <= 57  # 4 map px per px
-    with pytest.raises(ValueError, match=r"^trace: motions.gyro > 0 needs a gyroscope recording, got none$"):
+        assert (
+            39 <= max(int(rows.max() - rows.min()), int(columns.max() - columns.min())) <= 57
+        )  # 4 map px per px
+    with pytest.raises(
+        ValueError, match=r"^trace: motions.gyro > 0 needs a gyroscope recording, got none$"
+    ):
         draw_motion(mix, np.random.default_rng(0))
 
 
@@ -196,8 +228,12 @@ def test_every_drawn_motion_fits_the_frame():
     mix = replace(NOTHING, min_length_px=55, max_length_px=75)  # some of these do not
     for motion in motions(mix, count=40):
         assert motion.frame_size() <= 64
-    with pytest.raises(ValueError, match=r"^max_length_px: 100 drawn motions did not fit 64 px, got 200$"):
-        draw_motion(replace(NOTHING, min_length_px=190, max_length_px=200), np.random.default_rng(0))
+    with pytest.raises(
+        ValueError, match=r"^max_length_px: 100 drawn motions did not fit 64 px, got 200$"
+    ):
+        draw_motion(
+            replace(NOTHING, min_length_px=190, max_length_px=200), np.random.default_rng(0)
+        )
 
 
 @pytest.mark.parametrize(
@@ -206,7 +242,10 @@ def test_every_drawn_motion_fits_the_frame():
         ({"boracchi_foi": -1}, "^motions: the shares must be non-negative and not all zero"),
         ({"boracchi_foi": 0}, "^motions: the shares must be non-negative and not all zero"),
         ({"gyro": 0.1}, "^gyro_trace: motions.gyro > 0 needs a gyroscope recording$"),
-        ({"min_length_px": 0}, "^min_length_px: must be positive and at most max_length_px, got 0 and 60"),
+        (
+            {"min_length_px": 0},
+            "^min_length_px: must be positive and at most max_length_px, got 0 and 60",
+        ),
         ({"min_length_px": 9, "max_length_px": 8}, "^min_length_px: .* got 9 and 8$"),
         ({"max_length_px": math.nan}, "^min_length_px"),
     ],

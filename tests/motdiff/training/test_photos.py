@@ -58,7 +58,8 @@ def test_channels_are_red_green_blue(tmp_path):
 def test_a_pack_holds_the_same_photos(folder, tmp_path):
     pack = tmp_path / "photos.zip"
     assert pack_photos(folder, pack, quality=95) == pack.stat().st_size
-    originals, packed = load_photos(folder, least_px=64), load_photos(str(pack), least_px=64)
+    originals = load_photos(folder, least_px=64)
+    packed = load_photos(str(pack), least_px=64)
     assert len(packed) == 3
     for original, copy in zip(originals, packed, strict=True):
         assert copy.shape == original.shape
@@ -72,8 +73,12 @@ def test_large_photos_are_shrunk_by_their_short_side(folder, tmp_path):
     shapes = [tuple(photo.shape) for photo in load_photos(folder, least_px=32, most_px=35)]
     assert shapes == [(3, 35, 45), (3, 55, 35), (3, 35, 35), (3, 35, 111)]
     pack_photos(folder, tmp_path / "small.zip", most_px=35)
-    assert [tuple(photo.shape) for photo in load_photos(tmp_path / "small.zip", least_px=35)] == shapes
-    half = load_photos(folder, least_px=32, most_px=32)[2].float()  # 64 px: every pixel is the mean of four
+    assert [
+        tuple(photo.shape) for photo in load_photos(tmp_path / "small.zip", least_px=35)
+    ] == shapes
+    half = load_photos(folder, least_px=32, most_px=32)[
+        2
+    ].float()  # 64 px: every pixel is the mean of four
     whole = torch.from_numpy(smooth_picture((64, 64), 2).transpose(2, 0, 1).copy()).float()
     torch.testing.assert_close(half, torch.nn.functional.avg_pool2d(whole, 2), atol=1, rtol=0)
 
@@ -86,14 +91,32 @@ def test_what_holds_no_photos_is_refused(folder, tmp_path):
     (tmp_path / "hollow").mkdir()
     (tmp_path / "hollow" / "zero.jpg").touch()
     for call, said in (
-        (lambda: load_photos(folder, least_px=101), r"photos: holds no photo of at least 101 x 101 px"),
-        (lambda: load_photos(folder, least_px=64, most_px=50), r"^most_px: must be at least least_px = 64, got 50$"),
+        (
+            lambda: load_photos(folder, least_px=101),
+            r"photos: holds no photo of at least 101 x 101 px",
+        ),
+        (
+            lambda: load_photos(folder, least_px=64, most_px=50),
+            r"^most_px: must be at least least_px = 64, got 50$",
+        ),
         (lambda: load_photos(tmp_path / "empty", least_px=1), r"empty: holds no photo"),
-        (lambda: load_photos(tmp_path / "nowhere", least_px=1), r"nowhere: must be a folder of photos or a .zip pack"),
+        (
+            lambda: load_photos(tmp_path / "nowhere", least_px=1),
+            r"nowhere: must be a folder of photos or a .zip pack",
+        ),
         (lambda: load_photos(tmp_path / "text.zip", least_px=1), r"text.zip: must be a folder"),
-        (lambda: load_photos(tmp_path / "bad", least_px=1), r"torn.png: cannot be read as a photo"),
-        (lambda: load_photos(tmp_path / "hollow", least_px=1), r"zero.jpg: cannot be read as a photo"),
-        (lambda: pack_photos(tmp_path / "empty", tmp_path / "new.zip"), r"empty: holds no photo to pack"),
+        (
+            lambda: load_photos(tmp_path / "bad", least_px=1),
+            r"torn.png: cannot be read as a photo",
+        ),
+        (
+            lambda: load_photos(tmp_path / "hollow", least_px=1),
+            r"zero.jpg: cannot be read as a photo",
+        ),
+        (
+            lambda: pack_photos(tmp_path / "empty", tmp_path / "new.zip"),
+            r"empty: holds no photo to pack",
+        ),
     ):
         with pytest.raises(ValueError, match=said):
             call()
@@ -112,7 +135,9 @@ def distinct(maps):
 
 
 def test_crops_of_a_photo_as_large_show_the_8_symmetries():
-    photo = torch.randint(0, 256, (3, 9, 9), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    photo = torch.randint(
+        0, 256, (3, 9, 9), dtype=torch.uint8, generator=torch.Generator().manual_seed(0)
+    )
     whole = photo.float() / 255
     turned = [torch.rot90(whole, quarter, (1, 2)) for quarter in range(4)]
     everything = distinct(turned) | distinct(one.transpose(1, 2) for one in turned)
@@ -123,8 +148,15 @@ def test_crops_of_a_photo_as_large_show_the_8_symmetries():
 def test_crops_come_from_everywhere_in_every_photo():
     codes = torch.arange(1, 1 + 2 * 12, dtype=torch.uint8).view(2, 1, 3, 4).expand(2, 3, 3, 4)
     found = cut(list(codes), count=400, size=2)
-    smallest = (255 * found[:, 0].amin(dim=(1, 2))).round().int()  # the upper left pixel, however turned
-    places = {int(codes[photo, 0, row, column]) for photo in (0, 1) for row in (0, 1) for column in (0, 1, 2)}
+    smallest = (
+        (255 * found[:, 0].amin(dim=(1, 2))).round().int()
+    )  # the upper left pixel, however turned
+    places = {
+        int(codes[photo, 0, row, column])
+        for photo in (0, 1)
+        for row in (0, 1)
+        for column in (0, 1, 2)
+    }
     assert set(smallest.tolist()) == places
     counts = smallest.bincount()
     assert int(counts[counts > 0].min()) > 400 / 12 / 3
@@ -132,7 +164,10 @@ def test_crops_come_from_everywhere_in_every_photo():
 
 def test_crops_repeat_with_the_seed():
     generator = torch.Generator().manual_seed(1)
-    photos = [torch.randint(0, 256, (3, 40, 50), dtype=torch.uint8, generator=generator) for _ in range(3)]
+    photos = [
+        torch.randint(0, 256, (3, 40, 50), dtype=torch.uint8, generator=generator)
+        for _ in range(3)
+    ]
     first = cut(photos, count=6, size=16, seed=4)
     assert first.shape == (6, 3, 16, 16)
     assert first.dtype == torch.float32
@@ -143,5 +178,8 @@ def test_crops_repeat_with_the_seed():
 
 def test_photos_smaller_than_the_crops_are_refused():
     photos = [torch.zeros(3, 50, 50, dtype=torch.uint8), torch.zeros(3, 40, 30, dtype=torch.uint8)]
-    with pytest.raises(ValueError, match=r"^photos: must be at least 32 x 32 px for such crops, got a side of 30 px$"):
+    with pytest.raises(
+        ValueError,
+        match=r"^photos: must be at least 32 x 32 px for such crops, got a side of 30 px$",
+    ):
         cut(photos, count=1, size=32)

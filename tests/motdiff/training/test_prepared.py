@@ -25,7 +25,9 @@ def small_search():
     threads = torch.get_num_threads()
     with pytest.MonkeyPatch.context() as patch:
         starts = (QuickStart(9, 1.0), QuickStart(15, 3.0))
-        patch.setattr(samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1))
+        patch.setattr(
+            samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1)
+        )
         torch.set_num_threads(1)
         yield
     torch.set_num_threads(threads)
@@ -38,7 +40,9 @@ def scenes():
 
 
 def write(folder, scenes, shards, **options):
-    prepare(folder, scenes=scenes, mix=MIX, photography=PHOTOGRAPHY, shards=shards, seed=5, **options)
+    prepare(
+        folder, scenes=scenes, mix=MIX, photography=PHOTOGRAPHY, shards=shards, seed=5, **options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +68,10 @@ def copied(folder, target, names):
 
 
 def test_shards_are_files_by_number_and_nothing_else_is_left(complete):
-    assert sorted(path.name for path in complete.iterdir()) == ["shard_00000.npz", "shard_00001.npz"]
+    assert sorted(path.name for path in complete.iterdir()) == [
+        "shard_00000.npz",
+        "shard_00001.npz",
+    ]
 
 
 def test_reading_gives_the_simulated_samples_back(complete, scenes):
@@ -72,7 +79,12 @@ def test_reading_gives_the_simulated_samples_back(complete, scenes):
     assert len(stored) == 4
     bank = build_bank(MIX, count=2, seed=5, first=2)
     again = simulate(
-        bank, scenes, torch.arange(2), photography=PHOTOGRAPHY, physics=True, seed=5 * 1_000_003 + 1
+        bank,
+        scenes,
+        torch.arange(2),
+        photography=PHOTOGRAPHY,
+        physics=True,
+        seed=5 * 1_000_003 + 1,
     )  # the second shard
     assert stored.photos.dtype == stored.x0.dtype == torch.uint8
     assert stored.photos.shape == (4, 1, 256, 256)
@@ -85,7 +97,9 @@ def test_reading_gives_the_simulated_samples_back(complete, scenes):
     torch.testing.assert_close(stored.dwell[2:].float(), again.dwell, rtol=1e-3, atol=1e-6)
 
 
-def test_the_missing_shard_alone_is_written_as_by_a_fresh_run(complete, tmp_path, scenes, small_shards):
+def test_the_missing_shard_alone_is_written_as_by_a_fresh_run(
+    complete, tmp_path, scenes, small_shards
+):
     folder = copied(complete, tmp_path / "half", ["shard_00000.npz"])
     first = folder / "shard_00000.npz"
     first.write_bytes(b"as it was")
@@ -94,13 +108,18 @@ def test_the_missing_shard_alone_is_written_as_by_a_fresh_run(complete, tmp_path
     assert told == [0, 1]
     assert first.read_bytes() == b"as it was"
     assert sorted(path.name for path in folder.iterdir()) == ["shard_00000.npz", "shard_00001.npz"]
-    with np.load(folder / "shard_00001.npz") as mine, np.load(complete / "shard_00001.npz") as fresh:
+    with (
+        np.load(folder / "shard_00001.npz") as mine,
+        np.load(complete / "shard_00001.npz") as fresh,
+    ):
         assert sorted(mine) == sorted(fresh) == sorted(NAMES)
         for name in NAMES:
             np.testing.assert_array_equal(mine[name], fresh[name])
 
 
-def test_an_interrupted_write_leaves_nothing(complete, tmp_path, scenes, small_shards, monkeypatch):
+def test_an_interrupted_write_leaves_nothing(
+    complete, tmp_path, scenes, small_shards, monkeypatch
+):
     folder = copied(complete, tmp_path / "torn", ["shard_00000.npz"])
 
     def interrupted(file, **arrays):
@@ -125,9 +144,12 @@ def read_as_simulated(folder):
 def test_shards_are_read_in_the_order_of_their_numbers(complete, tmp_path):
     folder = copied(complete, tmp_path / "swapped", ["shard_00000.npz", "shard_00001.npz"])
     (folder / "shard_00000.npz").rename(folder / "shard_00007.npz")
-    whole, other = read_shards(complete), read_shards(folder)
+    whole = read_shards(complete)
+    other = read_shards(folder)
     for name in NAMES:
-        torch.testing.assert_close(getattr(other, name), getattr(whole, name).roll(2, 0), rtol=0, atol=0)
+        torch.testing.assert_close(
+            getattr(other, name), getattr(whole, name).roll(2, 0), rtol=0, atol=0
+        )
 
 
 def test_a_folder_without_shards_is_refused(tmp_path):

@@ -57,7 +57,9 @@ def small_search():
     torch.set_num_threads(1)
     starts = tuple(QuickStart(size, 1.0) for size in (9, 11, 13))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1))
+        patch.setattr(
+            samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1)
+        )
         yield
     torch.set_num_threads(threads)
 
@@ -77,31 +79,46 @@ def photos(tmp_path_factory):
 def prepared(tmp_path_factory):
     """Folders of eight samples to learn from and of four to validate on."""
     folder = tmp_path_factory.mktemp("prepared")
-    blocks = torch.randint(0, 256, (3, 33, 33), generator=torch.Generator().manual_seed(0)).to(torch.uint8)
+    blocks = torch.randint(0, 256, (3, 33, 33), generator=torch.Generator().manual_seed(0)).to(
+        torch.uint8
+    )
     scene = blocks.repeat_interleave(10, 1).repeat_interleave(10, 2)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(prepared_module, "SHARD_SAMPLES", 4)
         for name, shards, seed in (("samples", 2, 1), ("validation", 1, 2)):
             target = folder / name
-            prepare(target, scenes=[scene], mix=SHORT, photography=PLAIN, shards=range(shards), seed=seed)
+            prepare(
+                target,
+                scenes=[scene],
+                mix=SHORT,
+                photography=PLAIN,
+                shards=range(shards),
+                seed=seed,
+            )
     return folder
 
 
 def from_prepared(folder, *, network=PHYSICS, optimiser=ONCE, validation=2):
     data = DataConfig(
-        prepared=str(folder / "samples"), prepared_validation=str(folder / "validation"), validation=validation
+        prepared=str(folder / "samples"),
+        prepared_validation=str(folder / "validation"),
+        validation=validation,
     )
     return TrainingConfig(data, network=network, optimiser=optimiser)
 
 
 def live(photos, *, network=PHYSICS, validation=2, optimiser=ONCE):
     data = DataConfig(photos=str(photos), held_out=3, motions=5, validation=validation)
-    return TrainingConfig(data, motions=SHORT, photography=PLAIN, network=network, optimiser=optimiser)
+    return TrainingConfig(
+        data, motions=SHORT, photography=PLAIN, network=network, optimiser=optimiser
+    )
 
 
 def toml(config):
     """The entries of a prepared run as a file for the command."""
-    data, network, optimiser = config.data, config.network, config.optimiser
+    data = config.data
+    network = config.network
+    optimiser = config.optimiser
     return f"""
 [data]
 prepared = "{data.prepared}"
@@ -127,7 +144,11 @@ seed = {optimiser.seed}
 
 def alone():
     """Environment of a process with one thread and no GPU."""
-    return os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
+    return os.environ | {
+        "PYTHONPATH": str(ROOT),
+        "OMP_NUM_THREADS": "1",
+        "CUDA_VISIBLE_DEVICES": "",
+    }
 
 
 # ---- one piece
@@ -140,7 +161,11 @@ def assert_left_behind(folder, *, step):
     assert rows[-1]["step"] == step
     assert 0 <= rows[-1]["validation_mnc"] <= 1
     assert (folder / "progress.png").read_bytes().startswith(b"\x89PNG")
-    assert sorted(path.name for path in folder.iterdir()) == ["checkpoint", "log.csv", "progress.png"]
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "checkpoint",
+        "log.csv",
+        "progress.png",
+    ]
 
 
 def test_a_run_from_prepared_samples(prepared, tmp_path, capsys):
@@ -148,7 +173,10 @@ def test_a_run_from_prepared_samples(prepared, tmp_path, capsys):
     trainer = train(config, tmp_path / "deep" / "run", pace=Pace(validate_steps=2))
     assert trainer.step == 3
     assert_left_behind(tmp_path / "deep" / "run", step=3)
-    assert [row["step"] for row in read_log(tmp_path / "deep" / "run" / "log.csv")] == [2, 3]  # the end only once
+    assert [row["step"] for row in read_log(tmp_path / "deep" / "run" / "log.csv")] == [
+        2,
+        3,
+    ]  # the end only once
     assert "new run, from step 0 of 3" in capsys.readouterr().err
 
 
@@ -165,7 +193,9 @@ def test_a_run_from_photos_with_physics_maps(photos, tmp_path):
 
 
 def test_a_run_from_photos_with_a_photo_encoder(photos, tmp_path):
-    network = NetworkConfig(backbone="b0", features="f2", width=8, denoiser_width=8, decoder_widths=(8, 4))
+    network = NetworkConfig(
+        backbone="b0", features="f2", width=8, denoiser_width=8, decoder_widths=(8, 4)
+    )
     train(live(photos, network=network, validation=1), tmp_path, pace=Pace(minutes=0))
     assert_left_behind(tmp_path, step=1)
 
@@ -179,7 +209,9 @@ def test_no_minutes_are_one_step_and_the_next_piece_goes_on(prepared, tmp_path, 
     whole = tmp_path / "whole"
     train(replace(config, optimiser=replace(ONCE, steps=4)), whole)
     train(config, tmp_path)
-    pieces, expected = (read_checkpoint(folder / "checkpoint").tensors for folder in (tmp_path, whole))
+    pieces, expected = (
+        read_checkpoint(folder / "checkpoint").tensors for folder in (tmp_path, whole)
+    )
     assert all(torch.equal(pieces[name], tensor) for name, tensor in expected.items())
 
 
@@ -200,7 +232,9 @@ class Photos:
     ("minutes", "photo_s", "validated"),
     [(1, 1.0, False), (1, 0.05, True), (10, 1.0, True), (4, 1.0, False), (0, 1.0, False)],
 )
-def test_the_minutes_count_all_that_a_piece_does(prepared, tmp_path, monkeypatch, minutes, photo_s, validated):
+def test_the_minutes_count_all_that_a_piece_does(
+    prepared, tmp_path, monkeypatch, minutes, photo_s, validated
+):
     """By a clock of its own: 20 s for the samples, 4 s an update, 256 photos to validate on."""
     clock = SimpleNamespace(seconds=0.0, monotonic=lambda: clock.seconds)
     config = from_prepared(prepared, optimiser=replace(ONCE, steps=1_000_000))
@@ -243,7 +277,8 @@ def without_rates(folder):
 
 def test_the_log_of_pieces_is_that_of_one_run(prepared, tmp_path, row_each_step):
     """Ended after each step, killed after a checkpoint, finished and started again: the same rows, the same loss."""
-    config, pace = from_prepared(prepared, optimiser=replace(ONCE, steps=5)), Pace(validate_steps=2)
+    config = from_prepared(prepared, optimiser=replace(ONCE, steps=5))
+    pace = Pace(validate_steps=2)
     train(config, tmp_path / "whole", pace=pace)
     expected = without_rates(tmp_path / "whole")
     assert [row["step"] for row in expected] == ["1", "2", "2", "3", "4", "4", "5", "5"]
@@ -260,7 +295,8 @@ def test_the_log_of_pieces_is_that_of_one_run(prepared, tmp_path, row_each_step)
 
 
 def test_a_validation_that_a_kill_prevented_is_made_up_for(prepared, tmp_path, row_each_step):
-    config, pace = from_prepared(prepared, optimiser=replace(ONCE, steps=3)), Pace(validate_steps=2)
+    config = from_prepared(prepared, optimiser=replace(ONCE, steps=3))
+    pace = Pace(validate_steps=2)
     train(config, tmp_path / "whole", pace=pace)
     pieces = tmp_path / "pieces"
     for _ in range(2):
@@ -285,7 +321,9 @@ def test_a_finished_run_stays_as_it_is(prepared, tmp_path):
 
 def test_a_piece_saves_as_often_as_asked(prepared, tmp_path, monkeypatch):
     saves = []
-    monkeypatch.setattr("motdiff.training.run.Trainer.save", lambda trainer, _folder: saves.append(trainer.step))
+    monkeypatch.setattr(
+        "motdiff.training.run.Trainer.save", lambda trainer, _folder: saves.append(trainer.step)
+    )
     config = from_prepared(prepared, optimiser=replace(ONCE, steps=3))
     train(config, tmp_path, pace=Pace(save_s=0))
     assert saves == [1, 2, 3, 3]
@@ -379,7 +417,9 @@ def test_validation_takes_each_prepared_sample_once(prepared):
         assert isinstance(sources.training, PreparedSource)
         maps = torch.cat([batch.x0 for batch in sources.validation])
         assert len(maps) == count
-        found = [[torch.equal(a, b) for b in stored].index(True) for a in maps]  # neither turned nor mirrored
+        found = [
+            [torch.equal(a, b) for b in stored].index(True) for a in maps
+        ]  # neither turned nor mirrored
         assert len(set(found)) == count
 
 
@@ -405,7 +445,10 @@ def test_a_perfect_network_is_validated_as_one(prepared):
             return torch.zeros(len(physics), 1, 64, 64)
 
         def denoise(self, x_t, t, condition):
-            return torch.cat([40 * (2 * batch.x0 - 1), torch.log(torch.expm1(batch.dwell.clamp(min=1e-4)))], dim=1)
+            return torch.cat(
+                [40 * (2 * batch.x0 - 1), torch.log(torch.expm1(batch.dwell.clamp(min=1e-4)))],
+                dim=1,
+            )
 
     trainer.average = Oracle()
     assert validation_mnc(trainer, sources.validation) == pytest.approx(1, abs=1e-3)
@@ -439,12 +482,32 @@ torch.save([trainer.step, list(trainer.network.parameters())], f"rank{rank}.pt")
 @pytest.mark.slow(reason="three processes import torch")
 def test_two_processes_train_one_network_and_end_together(prepared, tmp_path):
     """Only one is asked to stop; the other would wait for its gradients for ever."""
-    (tmp_path / "run.toml").write_text(toml(from_prepared(prepared, optimiser=replace(ONCE, steps=1000))))
+    (tmp_path / "run.toml").write_text(
+        toml(from_prepared(prepared, optimiser=replace(ONCE, steps=1000)))
+    )
     (tmp_path / "together.py").write_text(TOGETHER)
-    command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--standalone", "together.py"]
-    done = subprocess.run(command, cwd=tmp_path, env=alone(), capture_output=True, text=True, timeout=120, check=False)
+    command = [
+        sys.executable,
+        "-m",
+        "torch.distributed.run",
+        "--nproc-per-node",
+        "2",
+        "--standalone",
+        "together.py",
+    ]
+    done = subprocess.run(
+        command,
+        cwd=tmp_path,
+        env=alone(),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
-    steps, parameters = zip(*(torch.load(tmp_path / f"rank{rank}.pt") for rank in (0, 1)), strict=True)
+    steps, parameters = zip(
+        *(torch.load(tmp_path / f"rank{rank}.pt") for rank in (0, 1)), strict=True
+    )
     assert steps == (2, 2)
     assert all(torch.equal(a, b) for a, b in zip(*parameters, strict=True))
     assert all(parameter.isfinite().all() for parameter in parameters[0])

@@ -25,7 +25,9 @@ def small_search():
     threads = torch.get_num_threads()
     with pytest.MonkeyPatch.context() as patch:
         starts = (QuickStart(9, 1.0), QuickStart(15, 3.0))
-        patch.setattr(samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1))
+        patch.setattr(
+            samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1)
+        )
         torch.set_num_threads(1)
         yield
     torch.set_num_threads(threads)
@@ -40,8 +42,13 @@ def bank():
 def scenes():
     """Blocks of random colours, two photos of different shapes."""
     generator = torch.Generator().manual_seed(0)
-    photos = [torch.randint(0, 256, (3, rows, columns), generator=generator) for rows, columns in ((34, 40), (42, 33))]
-    return [photo.repeat_interleave(10, 1).repeat_interleave(10, 2).to(torch.uint8) for photo in photos]
+    photos = [
+        torch.randint(0, 256, (3, rows, columns), generator=generator)
+        for rows, columns in ((34, 40), (42, 33))
+    ]
+    return [
+        photo.repeat_interleave(10, 1).repeat_interleave(10, 2).to(torch.uint8) for photo in photos
+    ]
 
 
 # ---- shifts
@@ -99,7 +106,12 @@ def test_registration_leaves_the_motion_where_every_kernel_is_lost():
     upright = Trajectory.straight(30.0, angle_rad=np.pi / 2)
     dwell = torch.from_numpy(upright.hr_map()).float()[None, None]
     level = torch.from_numpy(Trajectory.straight(30.0).psf(64)).float()[None, None]
-    for lost in (level, level.roll((5, 5), (2, 3)), torch.zeros_like(level), torch.full_like(level, 1 / 4096)):
+    for lost in (
+        level,
+        level.roll((5, 5), (2, 3)),
+        torch.zeros_like(level),
+        torch.full_like(level, 1 / 4096),
+    ):
         assert registration(lost, dwell).tolist() == [[0, 0]]
 
 
@@ -118,7 +130,9 @@ def test_without_kernels_nothing_moves(bank):
 
 
 def taken(bank, scenes, index, *, physics=False, seed=7, photography=PLAIN):
-    return simulate(bank, scenes, torch.tensor(index), photography=photography, physics=physics, seed=seed)
+    return simulate(
+        bank, scenes, torch.tensor(index), photography=photography, physics=physics, seed=seed
+    )
 
 
 @pytest.mark.parametrize("borders", ["real", "symmetric"])

@@ -21,7 +21,9 @@ def write(folder, shards, made):
 
 
 def load(folder):
-    return load_shards(folder, name="part", load=lambda stored: int(stored["number"][0]), missing=MISSING)
+    return load_shards(
+        folder, name="part", load=lambda stored: int(stored["number"][0]), missing=MISSING
+    )
 
 
 def test_only_missing_shards_are_made_and_all_are_read_in_the_order_of_their_numbers(tmp_path):

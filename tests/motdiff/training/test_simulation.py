@@ -33,7 +33,10 @@ def taken(sharp, kernels, photography, seed=0):
 
 def oracle(blur, sharp, kernels):
     pairs = zip(sharp.double(), kernels.double(), strict=True)
-    photos = [blur(image.permute(1, 2, 0).numpy(), psf.numpy()).transpose(2, 0, 1) for image, psf in pairs]
+    photos = [
+        blur(image.permute(1, 2, 0).numpy(), psf.numpy()).transpose(2, 0, 1)
+        for image, psf in pairs
+    ]
     return torch.from_numpy(np.stack(photos)).float()
 
 
@@ -52,7 +55,9 @@ def test_blur_is_the_one_with_real_borders(shape, size):
 
 def test_each_photo_has_its_own_kernel():
     sharp = scene(90)
-    torch.testing.assert_close(blurred(sharp, psfs()[:, None])[1:], blurred(sharp[1:], psfs()[1:, None]))
+    torch.testing.assert_close(
+        blurred(sharp, psfs()[:, None])[1:], blurred(sharp[1:], psfs()[1:, None])
+    )
 
 
 def test_a_point_draws_the_kernel_around_itself():
@@ -65,7 +70,9 @@ def test_a_point_draws_the_kernel_around_itself():
 # ---- photos without noise
 
 
-@pytest.mark.parametrize(("borders", "blur"), [("real", blur_valid), ("symmetric", blur_symmetric)])
+@pytest.mark.parametrize(
+    ("borders", "blur"), [("real", blur_valid), ("symmetric", blur_symmetric)]
+)
 def test_plain_photos_are_the_blurred_scene_in_8_bits(borders, blur):
     photography = replace(PLAIN, borders=borders)
     sharp = scene(96 + photography.margin)
@@ -108,7 +115,9 @@ def test_gamma_blurs_light_and_half_of_the_photos_have_none():
     errors = []
     for gamma in (1.0, 2.2):
         light = blurred(sharp[:1] ** gamma, line[:1, None])
-        errors.append((photos ** (1 / gamma) - light ** (1 / gamma)).abs().amax(dim=(1, 2, 3)) * 255)
+        errors.append(
+            (photos ** (1 / gamma) - light ** (1 / gamma)).abs().amax(dim=(1, 2, 3)) * 255
+        )
     kinds = torch.stack([error < 0.51 for error in errors])
     assert bool((kinds.sum(dim=0) == 1).all())  # every photo is of one kind and not of the other
     assert 10 <= int(kinds[0].sum()) <= 30
@@ -129,7 +138,9 @@ def test_jpeg_photos_went_through_it_once():
     sharp = scene(159)
     plain, _ = taken(sharp, psfs(), PLAIN)
     lossy, _ = taken(sharp, psfs(), replace(PLAIN, jpeg=1.0, qualities=(80.0, 80.0)))
-    torch.testing.assert_close(lossy, jpeg_loss(blurred(sharp, psfs()[:, None]).clamp(0, 1), torch.full((2,), 80.0)))
+    torch.testing.assert_close(
+        lossy, jpeg_loss(blurred(sharp, psfs()[:, None]).clamp(0, 1), torch.full((2,), 80.0))
+    )
     assert float((lossy - plain).abs().mean()) > 1e-4
 
 
@@ -157,7 +168,8 @@ def test_weak_noise_is_likelier_than_strong():
 
 
 def test_photos_repeat_with_the_seed_and_only_then():
-    sharp, photography = scene(127), Photography(jpeg=0.5, wrong_gamma=0.5)
+    sharp = scene(127)
+    photography = Photography(jpeg=0.5, wrong_gamma=0.5)
     first, second = (taken(sharp, psfs(), photography, seed=5) for _ in range(2))
     assert torch.equal(first[0], second[0])
     assert torch.equal(first[1], second[1])
@@ -166,7 +178,11 @@ def test_photos_repeat_with_the_seed_and_only_then():
 
 
 def test_photos_of_any_setting_stay_within_full_scale():
-    photos, _ = taken(scene(127), psfs(), Photography(most_noise=0.3, gains=(2.0, 2.0), jpeg=1.0, wrong_gamma=1.0))
+    photos, _ = taken(
+        scene(127),
+        psfs(),
+        Photography(most_noise=0.3, gains=(2.0, 2.0), jpeg=1.0, wrong_gamma=1.0),
+    )
     assert photos.isfinite().all()
     assert 0 <= float(photos.min()) <= float(photos.max()) <= 1
 

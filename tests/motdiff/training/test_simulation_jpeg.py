@@ -14,7 +14,12 @@ def picture():
     """Soft-edged blocks with some noise, (96, 128) uint8."""
     rng = np.random.default_rng(0)
     blocks = np.kron(rng.integers(0, 256, (12, 16)), np.ones((8, 8)))
-    return (cv2.GaussianBlur(blocks, (0, 0), 2) + rng.normal(0, 3, blocks.shape)).clip(0, 255).round().astype(np.uint8)
+    return (
+        (cv2.GaussianBlur(blocks, (0, 0), 2) + rng.normal(0, 3, blocks.shape))
+        .clip(0, 255)
+        .round()
+        .astype(np.uint8)
+    )
 
 
 def library_jpeg(picture, quality):
@@ -31,7 +36,8 @@ def compressed(picture, quality, dtype=torch.float64):
 @pytest.mark.parametrize("quality", [30, 50, 75, 90, 95, 98])
 def test_levels_are_those_of_a_jpeg_library(picture, quality):
     """Rounded to levels most pixels agree; a coefficient halfway between two steps may go to either."""
-    library, own = library_jpeg(picture, quality), compressed(picture, quality)
+    library = library_jpeg(picture, quality)
+    own = compressed(picture, quality)
     differing = np.abs(own.round() - library)
     assert (differing == 0).mean() > 0.7
     assert differing.mean() < 0.35
@@ -42,13 +48,17 @@ def test_levels_are_those_of_a_jpeg_library(picture, quality):
 def test_a_neighbouring_quality_is_farther_from_the_library(picture):
     """So the comparison above tells quality 75 from 70 and 80."""
     library = library_jpeg(picture, 75)
-    error = {quality: np.abs(compressed(picture, quality) - library).mean() for quality in (70, 75, 80)}
+    error = {
+        quality: np.abs(compressed(picture, quality) - library).mean() for quality in (70, 75, 80)
+    }
     assert error[75] < 0.5 * min(error[70], error[80])
 
 
 @pytest.mark.parametrize("quality", [30.0, 75.0, 92.0])
 def test_a_second_compression_changes_next_to_nothing(picture, quality):
-    soft = (64 + picture / 2).round().astype(np.uint8)  # far from black and white, where clipping loses something too
+    soft = (
+        (64 + picture / 2).round().astype(np.uint8)
+    )  # far from black and white, where clipping loses something too
     once = compressed(soft, quality)
     photo = torch.from_numpy(once / 255)[None, None]
     twice = 255 * jpeg_loss(photo, torch.tensor([quality], dtype=torch.float64))[0, 0].numpy()
@@ -59,10 +69,14 @@ def test_a_second_compression_changes_next_to_nothing(picture, quality):
 def test_coefficients_are_whole_steps_of_the_librarys_table(quality):
     """A noise photo, so that every coefficient has its first step in some block."""
     table = library_table(quality)
-    photo = 0.5 + 0.5 * (torch.rand(1, 1, 256, 256, generator=torch.Generator().manual_seed(0)).double() - 0.5)
+    photo = 0.5 + 0.5 * (
+        torch.rand(1, 1, 256, 256, generator=torch.Generator().manual_seed(0)).double() - 0.5
+    )
     levels = 255 * jpeg_loss(photo, torch.tensor([quality]).double())[0, 0].numpy() - 128
     blocks = levels.reshape(32, 8, 32, 8).transpose(0, 2, 1, 3).reshape(-1, 8, 8)
-    blocks = blocks[(np.abs(blocks + 0.5) < 127.4).all(axis=(1, 2))]  # clipping is no part of the transform
+    blocks = blocks[
+        (np.abs(blocks + 0.5) < 127.4).all(axis=(1, 2))
+    ]  # clipping is no part of the transform
     steps = fft.dctn(blocks, axes=(1, 2), norm="ortho") / table
     np.testing.assert_allclose(steps, steps.round(), atol=1e-9)
     assert (np.abs(steps.round()) == 1).any(axis=0).all()
@@ -88,19 +102,25 @@ def test_qualities_outside_1_to_100_are_taken_as_the_nearest(picture):
 
 
 def test_every_photo_has_its_own_quality_and_every_channel_stands_alone():
-    photos = torch.rand(2, 3, 24, 32, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    photos = torch.rand(
+        2, 3, 24, 32, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
     qualities = torch.tensor([40.0, 90.0], dtype=torch.float64)
     both = jpeg_loss(photos, qualities)
     for index in range(2):
         for channel in range(3):
-            alone = jpeg_loss(photos[index : index + 1, channel : channel + 1], qualities[index : index + 1])
+            alone = jpeg_loss(
+                photos[index : index + 1, channel : channel + 1], qualities[index : index + 1]
+            )
             torch.testing.assert_close(both[index, channel], alone[0, 0])
     assert 0 <= float(both.min()) <= float(both.max()) <= 1
     assert jpeg_loss(photos.float(), qualities.float()).dtype == torch.float32
 
 
 def test_photos_stored_channel_last_are_read_right():
-    photos = torch.rand(1, 3, 24, 32, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    photos = torch.rand(
+        1, 3, 24, 32, generator=torch.Generator().manual_seed(1), dtype=torch.float64
+    )
     quality = torch.tensor([60.0], dtype=torch.float64)
     last = photos.to(memory_format=torch.channels_last)
     torch.testing.assert_close(jpeg_loss(last, quality), jpeg_loss(photos, quality))
@@ -108,5 +128,7 @@ def test_photos_stored_channel_last_are_read_right():
 
 @pytest.mark.parametrize("shape", [(12, 16), (16, 12)])
 def test_sides_that_are_no_multiples_of_8_are_refused(shape):
-    with pytest.raises(ValueError, match=f"^photos: sides must be multiples of 8, got {shape[1]} x {shape[0]}$"):
+    with pytest.raises(
+        ValueError, match=f"^photos: sides must be multiples of 8, got {shape[1]} x {shape[0]}$"
+    ):
         jpeg_loss(torch.zeros(1, 1, *shape), torch.tensor([75.0]))

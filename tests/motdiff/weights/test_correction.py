@@ -10,7 +10,12 @@ from motdiff.network.correction import CorrectionNetwork
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 from motdiff.weights import DEFAULT_WEIGHTS
-from motdiff.weights.correction import CORRECTION_WEIGHTS, load_correction, read_card, write_correction
+from motdiff.weights.correction import (
+    CORRECTION_WEIGHTS,
+    load_correction,
+    read_card,
+    write_correction,
+)
 
 WHOLE = [[0, 0], [9, 2], [14, 12]]
 
@@ -56,5 +61,7 @@ def test_the_shipped_ones_find_the_end_that_a_kernel_lacks():
     without_end = Trajectory.from_samples(WHOLE[:2]).psf(63)
     photo = blur_valid(data.camera()[60:380, 100:420] / 255.0, truth)
     photo = photo + np.random.default_rng(0).normal(0, 0.005, photo.shape)
-    found = corrected_kernel(load_correction(), photo[None], without_end, [without_end], sigma=0.005)
+    found = corrected_kernel(
+        load_correction(), photo[None], without_end, [without_end], sigma=0.005
+    )
     assert mnc_subpixel(found, truth) > mnc_subpixel(without_end, truth) + 0.05

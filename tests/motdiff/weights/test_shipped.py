@@ -28,7 +28,14 @@ def mean_draw():
 
     photo = blur_valid(data.camera()[60:380, 100:420] / 255.0, BENT.psf(65))
     told = np.stack([BENT.psf(64), gaussian(3.0), gaussian(6.0)])
-    drawn = draw_psfs(load_network(), photo[None], told, count=4, steps=10, generator=torch.Generator().manual_seed(0))
+    drawn = draw_psfs(
+        load_network(),
+        photo[None],
+        told,
+        count=4,
+        steps=10,
+        generator=torch.Generator().manual_seed(0),
+    )
     return drawn.mean(axis=0)
 
 

@@ -45,7 +45,9 @@ def trained(tmp_path_factory):
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     optimiser = OptimiserConfig(steps=2, batch=2, window=8, ema=0.5)
-    trainer = Trainer(TrainingConfig(DataConfig(photos="photos"), network=TINY, optimiser=optimiser))
+    trainer = Trainer(
+        TrainingConfig(DataConfig(photos="photos"), network=TINY, optimiser=optimiser)
+    )
     for _ in range(2):
         trainer.update(Noise())
     folder = tmp_path_factory.mktemp("run") / "checkpoint"
@@ -66,7 +68,11 @@ def rewritten(file, *, header=(), change=lambda tensors: tensors):
     with safe_open(str(file), framework="pt") as opened:
         kept = opened.metadata()
     file.unlink()
-    save_file(tensors, file, {name: text for name, text in (kept | dict(header)).items() if text is not None})
+    save_file(
+        tensors,
+        file,
+        {name: text for name, text in (kept | dict(header)).items() if text is not None},
+    )
 
 
 def refused(call, file, said):
@@ -90,7 +96,11 @@ def test_the_averaged_weights_come_back_to_half_precision(trained, exported):
     for name, tensor in expected.items():
         assert found[name].dtype == tensor.dtype
         torch.testing.assert_close(found[name], tensor, rtol=2**-11, atol=2**-25)
-    differ = [name for name, now in trainer.network.state_dict().items() if not torch.equal(now, expected[name])]
+    differ = [
+        name
+        for name, now in trainer.network.state_dict().items()
+        if not torch.equal(now, expected[name])
+    ]
     assert differ  # the weights themselves are others
 
 
@@ -103,7 +113,14 @@ def test_the_loaded_network_draws_what_the_averaged_one_does(trained, exported):
             condition = network.condition(None, physics)
             generator = torch.Generator().manual_seed(0)
             drawn.append(
-                sample_paths(network, condition, count=1, schedule=trainer.schedule, steps=3, generator=generator)
+                sample_paths(
+                    network,
+                    condition,
+                    count=1,
+                    schedule=trainer.schedule,
+                    steps=3,
+                    generator=generator,
+                )
             )
     torch.testing.assert_close(drawn[0].path, drawn[1].path, atol=2e-2, rtol=0)
     torch.testing.assert_close(drawn[0].dwell, drawn[1].dwell, atol=2e-2, rtol=2e-2)
@@ -128,11 +145,15 @@ def test_a_file_says_what_it_is(trained, exported):
 
 
 @pytest.mark.parametrize("dropout", [TINY.dropout, 0.3])  # which has no weights
-def test_a_run_of_the_same_network_goes_on_from_all_weights_without_their_offset(trained, tmp_path, dropout):
+def test_a_run_of_the_same_network_goes_on_from_all_weights_without_their_offset(
+    trained, tmp_path, dropout
+):
     file = tmp_path / "w.safetensors"
     export_weights(trained[1], file, offset=1.5)
     optimiser = OptimiserConfig(steps=2, batch=2, start=str(file))
-    begun = Trainer(replace(trained[0].config, network=replace(TINY, dropout=dropout), optimiser=optimiser))
+    begun = Trainer(
+        replace(trained[0].config, network=replace(TINY, dropout=dropout), optimiser=optimiser)
+    )
     expected = trained[0].average.state_dict()
     for network in (begun.network, begun.average):
         for name, tensor in network.state_dict().items():
@@ -140,7 +161,8 @@ def test_a_run_of_the_same_network_goes_on_from_all_weights_without_their_offset
 
 
 def test_weights_remember_all_runs_that_led_to_them(trained, tmp_path):
-    first, second = tmp_path / "first.safetensors", tmp_path / "second.safetensors"
+    first = tmp_path / "first.safetensors"
+    second = tmp_path / "second.safetensors"
     export_weights(trained[1], first, validation_mnc=0.6)
     optimiser = replace(trained[0].config.optimiser, start=str(first), batch=3)
     trainer = Trainer(replace(trained[0].config, optimiser=optimiser))
@@ -160,27 +182,41 @@ def test_a_photo_encoder_and_a_global_view_can_be_put_on_the_shipped_weights():
     """Until it is trained the network gives the shipped one's logits, less the offset that export took from them."""
     shipped = load_network()
     offset = read_card(DEFAULT_WEIGHTS)["run"]["offset"]
-    larger = build_network(replace(read_config(CONFIGS / "cpu_encoder.toml").network, denoiser_view=1)).eval()
+    larger = build_network(
+        replace(read_config(CONFIGS / "cpu_encoder.toml").network, denoiser_view=1)
+    ).eval()
     assert larger.photo is not None
     assert larger.denoiser.view is not None
     larger.to(memory_format=torch.channels_last)  # as the loaded one: for the same bits
     load_start(larger, DEFAULT_WEIGHTS)
     draw = torch.Generator().manual_seed(0)
-    photo, physics = torch.rand(1, 3, 256, 256, generator=draw), torch.randn(1, 8, 64, 64, generator=draw)
-    x_t, t = torch.randn(1, 1, 256, 256, generator=draw), torch.tensor([300])
+    photo = torch.rand(1, 3, 256, 256, generator=draw)
+    physics = torch.randn(1, 8, 64, 64, generator=draw)
+    x_t = torch.randn(1, 1, 256, 256, generator=draw)
+    t = torch.tensor([300])
     with torch.no_grad():
         assert torch.equal(larger.condition(photo, physics), shipped.condition(None, physics))
-        logits, expected = larger(x_t, t, photo, physics), shipped(x_t, t, None, physics)
+        logits = larger(x_t, t, photo, physics)
+        expected = shipped(x_t, t, None, physics)
     assert torch.equal(logits[:, 1:], expected[:, 1:])
     torch.testing.assert_close(logits[:, :1] - offset, expected[:, :1], atol=1e-5, rtol=1e-5)
 
 
 def test_a_start_of_other_sizes_is_refused(exported):
-    for other in (replace(TINY, physics_width=16), replace(TINY, backbone="b0", physics_channels=0)):
+    for other in (
+        replace(TINY, physics_width=16),
+        replace(TINY, backbone="b0", physics_channels=0),
+    ):
         network = build_network(other)
         before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
-        refused(lambda file, network=network: load_start(network, file), exported, "condition network has other sizes")
-        assert all(torch.equal(tensor, before[name]) for name, tensor in network.state_dict().items())
+        refused(
+            lambda file, network=network: load_start(network, file),
+            exported,
+            "condition network has other sizes",
+        )
+        assert all(
+            torch.equal(tensor, before[name]) for name, tensor in network.state_dict().items()
+        )
 
 
 def test_a_card_may_be_left_out(trained, tmp_path):
@@ -214,13 +250,20 @@ def test_an_earlier_file_is_replaced_whole_or_not_at_all(trained, tmp_path, monk
     file = tmp_path / "w.safetensors"
     file.write_bytes(b"earlier")
     with monkeypatch.context() as patch:
-        patch.setattr(module, "save", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+        patch.setattr(
+            module,
+            "save",
+            lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")),
+        )
         with pytest.raises(OSError, match="No space"):
             export_weights(trained[1], file)
     assert file.read_bytes() == b"earlier"
     seen = []
     with monkeypatch.context() as patch:
-        patch.setattr("pathlib.Path.replace", lambda *paths: seen.append([path.read_bytes() for path in paths]))
+        patch.setattr(
+            "pathlib.Path.replace",
+            lambda *paths: seen.append([path.read_bytes() for path in paths]),
+        )
         export_weights(trained[1], file)
     ((whole, still),) = seen  # written under another name first
     assert still == b"earlier"
@@ -245,7 +288,11 @@ def test_what_are_no_weights_is_refused_in_one_line(tmp_path, call):
         file.write_bytes(data)
         refused(call, file, "cannot be read as weights")
     save_file({"weight": torch.zeros(2)}, tmp_path / "foreign.safetensors", {"format": "pt"})
-    refused(call, tmp_path / "foreign.safetensors", r"is no motdiff\.weights/1 file, its schema is None")
+    refused(
+        call,
+        tmp_path / "foreign.safetensors",
+        r"is no motdiff\.weights/1 file, its schema is None",
+    )
     save_file({"weight": torch.zeros(2)}, tmp_path / "plain.safetensors")
     refused(call, tmp_path / "plain.safetensors", "its schema is None")
 
@@ -276,7 +323,9 @@ def test_a_header_of_no_network_we_know_is_refused(exported, network):
 @pytest.mark.parametrize(
     "change",
     [
-        lambda tensors: {name: tensor for name, tensor in tensors.items() if name != "denoiser.mid.bias"},
+        lambda tensors: {
+            name: tensor for name, tensor in tensors.items() if name != "denoiser.mid.bias"
+        },
         lambda tensors: tensors | {"extra": torch.zeros(1)},
         lambda tensors: {name: tensor[None] for name, tensor in tensors.items()},
     ],
@@ -291,5 +340,8 @@ def test_a_header_too_large_is_refused_before_it_is_parsed(tmp_path):
     with path.open("wb") as stream:
         stream.write((2**40).to_bytes(8, "little") + b"{")
         stream.truncate(2**40 + 8)  # sparse
-    with pytest.raises(ValueError, match=r"w\.safetensors: cannot be read as weights: its header has more than 16 MiB"):
+    with pytest.raises(
+        ValueError,
+        match=r"w\.safetensors: cannot be read as weights: its header has more than 16 MiB",
+    ):
         read_card(path)

@@ -12,7 +12,13 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf, open_path
 from cep.proofs.certify.certificate import certify
 from cep.proofs.certify.minimum import chip_minimum, min_chip, mtf_minimum
-from cep.proofs.certify.polynomial import circle_rest, divided, divisible, sign_changes, vanishing_orders
+from cep.proofs.certify.polynomial import (
+    circle_rest,
+    divided,
+    divisible,
+    sign_changes,
+    vanishing_orders,
+)
 from cep.proofs.certify.taylor import first_cells, floors, jets, pieces_of_code, pieces_of_path
 from cep.proofs.certify.zeros import Zero, kantorovich, zeros_along, zeros_of_code
 from cep.proofs.verify.certificates import verify
@@ -21,7 +27,9 @@ from motdiff.trajectory import Trajectory
 
 codes = st.text("01", min_size=1, max_size=24).filter(lambda bits: "1" in bits).map(ShutterCode)
 points = st.tuples(st.floats(-20, 20), st.floats(-20, 20))
-bent = st.lists(points, min_size=3, max_size=8).filter(lambda xy: np.ptp(np.array(xy), axis=0).min() > 0.5)
+bent = st.lists(points, min_size=3, max_size=8).filter(
+    lambda xy: np.ptp(np.array(xy), axis=0).min() > 0.5
+)
 
 
 def shake(seed, length_px=60.0, samples=400):
@@ -36,7 +44,7 @@ def along_chips(code, cycles):
     return np.abs(np.exp(-2j * np.pi * np.outer(cycles, np.arange(code.chips))) @ code.array)
 
 
-# -- the inner loop -------------------------------------------------------------------------------------------------
+# -- the inner loop -------------------------------------------------------------------------------
 
 
 @given(bent, codes, st.integers(0, 2**32 - 1))
@@ -45,7 +53,8 @@ def test_jets_are_the_otf_and_its_slopes(xy, code, seed):
     path = Trajectory.from_samples(xy)
     pieces = pieces_of_path(open_path(path, code))
     f = np.random.default_rng(seed).uniform(-0.5, 0.5, (20, 2))
-    jet, step = jets(pieces, f), 1e-6
+    jet = jets(pieces, f)
+    step = 1e-6
     otf = coded_otf(path, code, f[:, 0], f[:, 1])
     assert np.hypot(jet[:, 0], jet[:, 1]) == pytest.approx(np.abs(otf), abs=2 * pieces.slack)
     for axis in (0, 1):
@@ -59,7 +68,8 @@ def test_jets_are_the_otf_and_its_slopes(xy, code, seed):
 def test_no_point_of_a_cell_lies_below_its_floor(xy, code, size, seed):
     rng = np.random.default_rng(seed)
     pieces = pieces_of_path(open_path(Trajectory.from_samples(xy), code))
-    centres, half = rng.uniform(-0.4, 0.4, (30, 2)), size * rng.uniform(0.1, 1, 2)
+    centres = rng.uniform(-0.4, 0.4, (30, 2))
+    half = size * rng.uniform(0.1, 1, 2)
     floor = floors(pieces, jets(pieces, centres), half)
     corners = [half * np.array(sign) for sign in product((-1, 0, 1), repeat=2)]
     for move in [*corners, *(half * rng.uniform(-1, 1, (10, 2)))]:
@@ -78,15 +88,20 @@ def test_the_floor_closes_quadratically():
 
 
 def test_first_cells_cover_the_box():
-    for pieces in (pieces_of_path(open_path(shake(1), ShutterCode("1"))), pieces_of_code(ShutterCode("1101"))):
+    for pieces in (
+        pieces_of_path(open_path(shake(1), ShutterCode("1"))),
+        pieces_of_code(ShutterCode("1101")),
+    ):
         cells, half = first_cells(pieces)
         assert cells.min(axis=0) - half == pytest.approx(pieces.box[:, 0])
         assert cells.max(axis=0) + half == pytest.approx(pieces.box[:, 1])
         widths = np.where(half > 0, 2 * half, 1)
-        assert len(cells) * np.prod(widths) == pytest.approx(np.prod(np.where(half > 0, np.ptp(pieces.box, axis=1), 1)))
+        assert len(cells) * np.prod(widths) == pytest.approx(
+            np.prod(np.where(half > 0, np.ptp(pieces.box, axis=1), 1))
+        )
 
 
-# -- straight motion ------------------------------------------------------------------------------------------------
+# -- straight motion ------------------------------------------------------------------------------
 
 
 @given(codes)
@@ -111,37 +126,59 @@ def test_long_codes_are_told_to_a_millionth(chips):
 
 def test_a_small_budget_widens_the_interval_but_not_past_the_truth():
     code = random_code(np.random.default_rng(5))
-    wide, narrow = chip_minimum(code, budget=0), chip_minimum(code)
+    wide = chip_minimum(code, budget=0)
+    narrow = chip_minimum(code)
     assert wide.lower <= narrow.lower <= narrow.upper <= wide.upper * (1 + 1e-12)
     assert wide.relative_width > narrow.relative_width
 
 
-# -- exact zeros of polynomials -------------------------------------------------------------------------------------
+# -- exact zeros of polynomials -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("chips", [6, 12, 30])
 def test_an_open_shutter_vanishes_at_the_roots_of_unity(chips):
     found = zeros_of_code("1" * chips)
     assert found.complete
-    assert [zero.at[0] for zero in found.found] == pytest.approx([k / chips for k in range(1, chips // 2 + 1)])
-    assert {zero.order for zero in found.found} == {d for d in range(2, chips + 1) if chips % d == 0}
+    assert [zero.at[0] for zero in found.found] == pytest.approx(
+        [k / chips for k in range(1, chips // 2 + 1)]
+    )
+    assert {zero.order for zero in found.found} == {
+        d for d in range(2, chips + 1) if chips % d == 0
+    }
 
 
 def test_vanishing_orders_of_all_short_codes():
     for bits in product("01", repeat=7):
         chips = np.array([1, *map(int, bits)])
         direct = [
-            d for d in range(1, 40)
-            if abs(np.exp(2j * np.pi * np.arange(8) * next(k for k in range(1, d + 1) if gcd(k, d) == 1) / d) @ chips)
+            d
+            for d in range(1, 40)
+            if abs(
+                np.exp(
+                    2j
+                    * np.pi
+                    * np.arange(8)
+                    * next(k for k in range(1, d + 1) if gcd(k, d) == 1)
+                    / d
+                )
+                @ chips
+            )
             < 1e-9
-        ]  # fmt: skip
+        ]
         assert list(vanishing_orders(chips)) == direct
         for order in direct:
             quotient = divided(chips, order)
             values = np.exp(2j * np.pi * 0.37 * np.arange(8)) @ chips
-            phi = np.prod([np.exp(2j * np.pi * 0.37) - np.exp(2j * np.pi * k / order)
-                           for k in range(1, order + 1) if gcd(k, order) == 1])  # fmt: skip
-            assert np.exp(2j * np.pi * 0.37 * np.arange(len(quotient))) @ quotient * phi == pytest.approx(values)
+            phi = np.prod(
+                [
+                    np.exp(2j * np.pi * 0.37) - np.exp(2j * np.pi * k / order)
+                    for k in range(1, order + 1)
+                    if gcd(k, order) == 1
+                ]
+            )
+            assert np.exp(
+                2j * np.pi * 0.37 * np.arange(len(quotient))
+            ) @ quotient * phi == pytest.approx(values)
 
 
 def test_one_changed_bit_is_no_divisor():
@@ -163,7 +200,9 @@ def test_palindromes_change_sign_where_their_roots_lie(half):
     chips = [int(bit) for bit in bits]
     roots = np.roots(chips)
     # a double root is found as two, each off by the square root of the rounding
-    near = (np.abs(np.abs(roots) - 1) < 1e-3) & (np.abs(np.polyval(chips, roots / np.abs(roots))) < 1e-8)
+    near = (np.abs(np.abs(roots) - 1) < 1e-3) & (
+        np.abs(np.polyval(chips, roots / np.abs(roots))) < 1e-8
+    )
     on_circle = roots[near & (roots.imag > -1e-6)]
     places = np.sort(np.abs(np.angle(on_circle)) / (2 * np.pi))
     distinct = places[np.diff(places, prepend=-1) > 1e-4]
@@ -190,7 +229,8 @@ def test_a_zero_that_is_no_root_of_unity_in_a_code_that_is_no_palindrome():
 
 
 def test_a_double_zero_is_not_called_complete():
-    # (1 - 3 z + z^2)^2 has real zeros only; (1 - z + 2 z^2 - ...) squared touches zero without a change of sign
+    # (1 - 3 z + z^2)^2 has real zeros only; (1 - z + 2 z^2 - ...) squared touches zero without a
+    # change of sign
     touching = np.convolve([2, -1, 2], [2, -1, 2])
     changes, complete = sign_changes(touching)
     assert changes == ()
@@ -204,7 +244,7 @@ def test_false_claims_by_merl_are_settled():
     assert false.method == "root of unity of order 6"
 
 
-# -- along a path ---------------------------------------------------------------------------------------------------
+# -- along a path ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -229,12 +269,16 @@ def test_a_minimum_above_zero_on_a_long_path(seed):
         assert found.lower > 0
         assert found.relative_width <= 1e-3
     assert mtf_minimum(shake(seed).mirrored(), code).upper == pytest.approx(found.upper, rel=1e-6)
-    assert mtf_minimum(shake(seed).reversed(), code.reversed()).upper == pytest.approx(found.upper, rel=1e-6)
+    assert mtf_minimum(shake(seed).reversed(), code.reversed()).upper == pytest.approx(
+        found.upper, rel=1e-6
+    )
 
 
 def test_budget_and_shutter_pass_through():
-    path, code = shake(3, 5.0), ShutterCode("110100")
-    quick, proven = mtf_minimum(path, code, budget=0), mtf_minimum(path, code)
+    path = shake(3, 5.0)
+    code = ShutterCode("110100")
+    quick = mtf_minimum(path, code, budget=0)
+    proven = mtf_minimum(path, code)
     assert quick.lower <= proven.lower <= proven.upper <= quick.upper * (1 + 1e-9)
     even = mtf_minimum(path, code, edges=np.linspace(0, 1, 7))
     assert even.upper == pytest.approx(proven.upper, rel=1e-9)
@@ -248,7 +292,8 @@ def test_budget_and_shutter_pass_through():
 @pytest.mark.parametrize("seed", [1, 4, 5])
 def test_zeros_of_a_shake_are_all_found(seed):
     """The argument principle: H turns around 0 along the band's edge as often as signs of the Jacobian add up to."""
-    path, code = shake(seed), random_code(np.random.default_rng(seed))
+    path = shake(seed)
+    code = random_code(np.random.default_rng(seed))
     zeros = zeros_along(path, code)
     assert zeros.complete
     assert len(zeros.found) > 5
@@ -271,7 +316,8 @@ def test_zeros_of_a_shake_are_all_found(seed):
 
 
 def test_kantorovich_proves_zeros_only():
-    path, code = shake(1), random_code(np.random.default_rng(1))
+    path = shake(1)
+    code = random_code(np.random.default_rng(1))
     pieces = pieces_of_path(open_path(path, code))
     zero = zeros_along(path, code).found[3]
     proven = kantorovich(pieces, np.array(zero.at) + 0.1 * zero.alone_within)
@@ -296,7 +342,9 @@ def test_zeros_of_a_straight_motion():
     assert mtf_minimum(Trajectory.straight(0.5), ShutterCode("1")).lower > 0.9
 
 
-@pytest.mark.parametrize("bits", ["1", "1101", "1010000111000001010000110011110111011111001001100111"])
+@pytest.mark.parametrize(
+    "bits", ["1", "1101", "1010000111000001010000110011110111011111001001100111"]
+)
 @pytest.mark.parametrize("angle_rad", [0.0, 0.6])
 def test_a_motion_with_a_zero_in_closed_form_needs_no_grid(monkeypatch, bits, angle_rad):
     """The grid's work grows with the square of the length: tens of thousands of px took minutes."""
@@ -319,9 +367,12 @@ def test_a_zero_on_the_band_s_very_edge_is_rounded_one_way_or_the_other():
     assert found.upper < 1e-12
 
 
-@pytest.mark.parametrize(("length_px", "angle_rad"), [(14.0659, 1.9581), (17.0, 0.7), (16.5, -2.2)])
+@pytest.mark.parametrize(
+    ("length_px", "angle_rad"), [(14.0659, 1.9581), (17.0, 0.7), (16.5, -2.2)]
+)
 def test_zeros_of_a_slanting_motion_lie_in_the_band(length_px, angle_rad):
-    code, path = ShutterCode("11100101"), Trajectory.straight(length_px, angle_rad=angle_rad)
+    code = ShutterCode("11100101")
+    path = Trajectory.straight(length_px, angle_rad=angle_rad)
     zeros = zeros_along(path, code).found
     assert zeros
     for zero in zeros:

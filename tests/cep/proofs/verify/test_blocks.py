@@ -64,19 +64,31 @@ def test_a_block_counted_twice_is_refused(tmp_path, true_lines):
 
 def test_a_changed_survivor_is_refused(tmp_path, true_lines):
     at = with_survivor(true_lines)
-    names, minima = true_lines[at]["survivors"].split(), true_lines[at]["minima"].split()
+    names = true_lines[at]["survivors"].split()
+    minima = true_lines[at]["minima"].split()
     flipped = names[0][:3] + ("0" if names[0][3] == "1" else "1") + names[0][4:]
-    assert "has a minimum of" in checked(tmp_path, changed(true_lines, at, survivors=" ".join([flipped, *names[1:]])))\
-        .reasons[-1]  # fmt: skip
-    higher = changed(true_lines, at, minima=" ".join([f"{float(minima[0]) + 0.01:.9f}", *minima[1:]]))
+    assert (
+        "has a minimum of"
+        in checked(
+            tmp_path, changed(true_lines, at, survivors=" ".join([flipped, *names[1:]]))
+        ).reasons[-1]
+    )
+    higher = changed(
+        true_lines, at, minima=" ".join([f"{float(minima[0]) + 0.01:.9f}", *minima[1:]])
+    )
     assert "has a minimum of" in checked(tmp_path, higher).reasons[-1]
     # one left out is found where its block is drawn
     left_out = changed(true_lines, at, survivors=" ".join(names[1:]), minima=" ".join(minima[1:]))
     assert "survivor in one count and none in the other" in checked(tmp_path, left_out).reasons[-1]
     elsewhere = 1 + at % (len(true_lines) - 1)
-    moved = changed(left_out, elsewhere, **{
-        key: f"{true_lines[elsewhere][key]} {true_lines[at][key].split()[0]}" for key in ("survivors", "minima")
-    })  # fmt: skip
+    moved = changed(
+        left_out,
+        elsewhere,
+        **{
+            key: f"{true_lines[elsewhere][key]} {true_lines[at][key].split()[0]}"
+            for key in ("survivors", "minima")
+        },
+    )
     assert "belongs to another block" in checked(tmp_path, moved).reasons[-1]
 
 
@@ -110,7 +122,10 @@ def test_another_file_is_named(tmp_path, true_lines, change, message):
 
 def test_a_damaged_line_is_named(tmp_path, true_lines):
     with pytest.raises(ValueError, match="line 3: bound is missing"):
-        checked(tmp_path, [*true_lines[:2], {key: v for key, v in true_lines[2].items() if key != "bound"}])
+        checked(
+            tmp_path,
+            [*true_lines[:2], {key: v for key, v in true_lines[2].items() if key != "bound"}],
+        )
     path = tmp_path / "proof.jsonl"
     path.write_text(json.dumps(true_lines[0]) + "\n{")
     assert is_proof(path)
@@ -142,7 +157,9 @@ def test_the_largest_block_of_a_published_proof_is_counted_out_in_little_memory(
 
 
 @pytest.mark.parametrize(
-    "line", [b"[" * 60_000, b'{"a":' * 10_000, b"[" * 10**6, b"1" * 5000, b'{"schema": "cep.proof/1"'], ids=repr
+    "line",
+    [b"[" * 60_000, b'{"a":' * 10_000, b"[" * 10**6, b"1" * 5000, b'{"schema": "cep.proof/1"'],
+    ids=repr,
 )
 def test_lines_that_no_parser_takes_are_refused_by_their_number(tmp_path, true_lines, line):
     path = tmp_path / "proof.jsonl"
@@ -165,7 +182,14 @@ def test_a_file_too_large_is_refused_before_it_is_parsed(tmp_path, true_lines):
 
 @pytest.mark.parametrize(
     "fields",
-    [{"first": 0.5}, {"until": 1e300}, {"codes": "9"}, {"bound": 10**400}, {"bound": float("nan")}, {"minima": 3}],
+    [
+        {"first": 0.5},
+        {"until": 1e300},
+        {"codes": "9"},
+        {"bound": 10**400},
+        {"bound": float("nan")},
+        {"minima": 3},
+    ],
     ids=repr,
 )
 def test_records_of_other_types_are_refused(tmp_path, true_lines, fields):
@@ -177,4 +201,7 @@ def test_records_of_other_types_are_refused(tmp_path, true_lines, fields):
 @pytest.mark.parametrize("prefix", [1, 14])
 def test_a_header_that_asks_for_endless_work_is_refused(tmp_path, true_lines, prefix):
     header = {**true_lines[0], "ring": 60, "prefix": prefix}
-    assert "is not valid" in checked(tmp_path, [header, true_lines[1] | {"until": 5**prefix}]).reasons[-1]
+    assert (
+        "is not valid"
+        in checked(tmp_path, [header, true_lines[1] | {"until": 5**prefix}]).reasons[-1]
+    )

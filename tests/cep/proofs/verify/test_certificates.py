@@ -24,7 +24,10 @@ codes = st.text("01", min_size=1, max_size=24).filter(lambda bits: "1" in bits).
 
 
 def shake(seed, length_px=60.0, direction="unknown"):
-    return replace(boracchi_foi(np.random.default_rng(seed), max_length_px=length_px, samples=300), direction=direction)
+    return replace(
+        boracchi_foi(np.random.default_rng(seed), max_length_px=length_px, samples=300),
+        direction=direction,
+    )
 
 
 def stored(certificate):
@@ -41,14 +44,27 @@ def confirmed(code, trajectory=None):
 
 
 def test_it_shares_no_code_with_what_it_checks():
-    allowed = {"cep.proofs.verify.sums", "cep.proofs.verify.zeros",
-               "numpy", "numpy.typing", "math", "dataclasses", "typing",
-               "collections.abc", "__future__"}  # fmt: skip
+    allowed = {
+        "cep.proofs.verify.sums",
+        "cep.proofs.verify.zeros",
+        "numpy",
+        "numpy.typing",
+        "math",
+        "dataclasses",
+        "typing",
+        "collections.abc",
+        "__future__",
+    }
     folder = Path(__file__).resolve().parents[4] / "cep" / "proofs" / "verify"
     for name in ("certificates", "sums", "zeros"):
         tree = ast.parse((folder / f"{name}.py").read_text())
         found = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-        found |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+        found |= {
+            alias.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Import)
+            for alias in node.names
+        }
         assert found <= allowed
 
 
@@ -106,7 +122,8 @@ def test_straight_motion_is_confirmed_in_light_true_units():
 
 
 def test_the_worse_direction_counts():
-    code, path = ShutterCode("110100110"), shake(2, 4.0)
+    code = ShutterCode("110100110")
+    path = shake(2, 4.0)
     both = certify(code, path)
     ways = [certify(code, replace(way, direction="known")) for way in (path, path.reversed())]
     assert both.upper == pytest.approx(min(way.upper for way in ways))
@@ -117,12 +134,14 @@ def test_the_worse_direction_counts():
 def test_a_code_file_is_enough(tmp_path):
     code = ShutterCode("110100110")
     for path in (None, shake(2, 4.0), shake(1)):
-        write_code(tmp_path / "code.json", StoredCode(code, certificate=certify(code, path).to_dict()))
+        write_code(
+            tmp_path / "code.json", StoredCode(code, certificate=certify(code, path).to_dict())
+        )
         found = read_code(tmp_path / "code.json")
         assert verify(found.certificate, bits=found.code.bits).holds
 
 
-# -- forgeries ------------------------------------------------------------------------------------------------------
+# -- forgeries ------------------------------------------------------------------------------------
 
 CHIPS = stored(certify(RASKAR))
 NULL = stored(certify(PUBLISHED["merl-31-t62"]))
@@ -135,15 +154,21 @@ CURVED_NULL = stored(certify(RASKAR, shake(1)))
 @pytest.mark.parametrize(("bits", "honest"), [(RASKAR.bits, CHIPS), (CURVED_CODE.bits, CURVED)])
 def test_bounds_that_were_moved_are_refused(bits, honest):
     assert verify(honest, bits=bits).holds
-    raised = verify(honest | {"lower": 1.01 * honest["lower"], "upper": 1.02 * honest["upper"]}, bits=bits)
+    raised = verify(
+        honest | {"lower": 1.01 * honest["lower"], "upper": 1.02 * honest["upper"]}, bits=bits
+    )
     assert not raised.holds
     assert "below the lower bound" in raised.reasons[-1]
-    lowered = verify(honest | {"lower": 0.98 * honest["lower"], "upper": 0.99 * honest["upper"]}, bits=bits)
+    lowered = verify(
+        honest | {"lower": 0.98 * honest["lower"], "upper": 0.99 * honest["upper"]}, bits=bits
+    )
     assert not lowered.holds
     assert "above the upper bound" in lowered.reasons[-1]
     assert not verify(honest | {"upper": 0.5 * honest["lower"]}, bits=bits).holds
     # a wider interval is a weaker claim, and true
-    assert verify(honest | {"lower": 0.9 * honest["lower"], "upper": 1.1 * honest["upper"]}, bits=bits).holds
+    assert verify(
+        honest | {"lower": 0.9 * honest["lower"], "upper": 1.1 * honest["upper"]}, bits=bits
+    ).holds
 
 
 @pytest.mark.parametrize(("bits", "honest"), [(RASKAR.bits, CHIPS), (CURVED_CODE.bits, CURVED)])
@@ -162,7 +187,9 @@ def test_bounds_that_were_moved_are_refused(bits, honest):
     ],
 )
 def test_false_zeros_are_refused(bits, honest, zero):
-    places = ([0.5], [1 / 6], honest["at"]) if honest["unit"] == "chips" else ([0.1, 0.2], honest["at"])
+    places = (
+        ([0.5], [1 / 6], honest["at"]) if honest["unit"] == "chips" else ([0.1, 0.2], honest["at"])
+    )
     for at in places:
         verdict = verify(honest | {"lower": 0.0, "upper": 0.0, "zero": zero, "at": at}, bits=bits)
         assert not verdict.holds
@@ -214,7 +241,9 @@ def test_another_code_or_path_is_refused():
 def test_nonsense_is_refused(change):
     assert not verify(CHIPS | change, bits=RASKAR.bits).holds
     for missing in ("unit", "lower", "upper", "at"):
-        assert not verify({name: value for name, value in CHIPS.items() if name != missing}, bits=RASKAR.bits).holds
+        assert not verify(
+            {name: value for name, value in CHIPS.items() if name != missing}, bits=RASKAR.bits
+        ).holds
     assert not verify(CHIPS, bits="").holds
 
 
@@ -229,12 +258,16 @@ def test_other_dwell_times_are_another_path():
 
 def test_each_direction_is_looked_at_in_full():
     """Forward the shutter sees a straight stretch, whose |H| depends on one frequency, and backward a bend."""
-    straight, bend = np.linspace(0, 8, 11), 2 * np.linspace(0, 1, 11)[1:]
-    xy = np.concatenate([
-        np.stack([straight, 0 * straight], axis=1),
-        np.stack([8 + 4 * np.sin(bend), 5 * (1 - np.cos(bend))], axis=1),
-    ])  # fmt: skip
-    path, code = Trajectory.from_samples(xy), ShutterCode("1101000000")
+    straight = np.linspace(0, 8, 11)
+    bend = 2 * np.linspace(0, 1, 11)[1:]
+    xy = np.concatenate(
+        [
+            np.stack([straight, 0 * straight], axis=1),
+            np.stack([8 + 4 * np.sin(bend), 5 * (1 - np.cos(bend))], axis=1),
+        ]
+    )
+    path = Trajectory.from_samples(xy)
+    code = ShutterCode("1101000000")
     honest = stored(certify(code, path))
     assert (honest["direction"], honest["upper"]) == ("backward", 0.0)
     one_way = stored(certify(code, replace(path, direction="known")))
@@ -254,7 +287,13 @@ def test_an_oblique_path_of_changing_speed_is_confirmed(angle):
 
 
 @pytest.mark.parametrize(
-    "zero", [5, "root", {"kind": "root of unity", "order": 10**12 + 39}, {"kind": "root of unity", "order": 1e400}]
+    "zero",
+    [
+        5,
+        "root",
+        {"kind": "root of unity", "order": 10**12 + 39},
+        {"kind": "root of unity", "order": 1e400},
+    ],
 )
 def test_a_proof_that_makes_no_sense_is_refused_at_once(zero):
     assert not verify(NULL | {"zero": zero}, bits=PUBLISHED["merl-31-t62"].bits).holds
@@ -285,5 +324,7 @@ def test_nowhere_in_a_cell_is_the_modulus_below_its_bound(seed):
     cells = rng.uniform(-0.5, 0.5, (40, 2))
     size, loss = lines.bound_cells(cells, half, np.array([True, True]))
     grid = np.stack(np.meshgrid(*2 * [np.linspace(-1, 1, 21)]), axis=-1).reshape(-1, 2) * half
-    lowest = np.abs(lines.look((cells[:, None] + grid).reshape(-1, 2))[0]).reshape(40, -1).min(axis=1)
+    lowest = (
+        np.abs(lines.look((cells[:, None] + grid).reshape(-1, 2))[0]).reshape(40, -1).min(axis=1)
+    )
     assert (lowest >= size - loss - 1e-12).all()

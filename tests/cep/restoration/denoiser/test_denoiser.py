@@ -9,7 +9,13 @@ from safetensors.torch import save_file
 from skimage import data
 
 from cep.restoration.denoiser.network import DenoisingNetwork
-from cep.restoration.denoiser.weights import SCHEMA, SHIPPED, load_denoiser, read_card, write_weights
+from cep.restoration.denoiser.weights import (
+    SCHEMA,
+    SHIPPED,
+    load_denoiser,
+    read_card,
+    write_weights,
+)
 from motdiff.simulate import to_linear
 
 
@@ -31,9 +37,11 @@ def psnr(a, b):
 def test_image_and_noise_level_scale_together():
     torch.manual_seed(0)
     network = DenoisingNetwork((4, 6, 8))
-    images, sigma = torch.rand(2, 1, 13, 18), torch.tensor([0.1, 0.02])
+    images = torch.rand(2, 1, 13, 18)
+    sigma = torch.tensor([0.1, 0.02])
     with torch.no_grad():
-        once, thrice = network(images, sigma), network(3 * images, 3 * sigma)
+        once = network(images, sigma)
+        thrice = network(3 * images, 3 * sigma)
     assert once.shape == images.shape
     torch.testing.assert_close(thrice, 3 * once)
     assert not torch.allclose(network(images, 2 * sigma), once)  # it listens to the level
@@ -78,7 +86,9 @@ def test_the_card_says_what_they_are():
     assert f"{weights:,} weights" in text
 
 
-@pytest.mark.parametrize(("sigma", "least_db"), [(0.003, 1.0), (0.01, 3.0), (0.03, 6.0), (0.1, 9.0)])
+@pytest.mark.parametrize(
+    ("sigma", "least_db"), [(0.003, 1.0), (0.01, 3.0), (0.03, 6.0), (0.1, 9.0)]
+)
 def test_they_denoise_photos_in_linear_light(sigma, least_db):
     scene = to_linear(data.camera()[100:300, 150:351] / 255)
     noisy = scene + sigma * np.random.default_rng(0).standard_normal(scene.shape)

@@ -17,13 +17,16 @@ from cep.search.annealing.terms import limits_of
 from cep.search.bounding.bounds import bound
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
-from cep.search.problem import OBJECTIVES, Scenario, SearchProblem, open_range_of_duty
+from cep.search.problem import OBJECTIVES, SearchProblem, open_range_of_duty
+from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
 
 def arc(length_px=12.0, samples=24):
     angle = np.linspace(0, 2.2, samples) ** 1.4
-    return Trajectory.from_samples(length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1))
+    return Trajectory.from_samples(
+        length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1)
+    )
 
 
 def all_codes(problem):
@@ -51,10 +54,22 @@ def brute_force(problem):
 def test_agrees_with_brute_force(objective, where):
     options = {
         "circle": {"chips": 12, "open_range": (4, 9)},
-        "straight": {"chips": 11, "open_range": (6, 6), "scenarios": (Scenario(Trajectory.straight(14.0)),)},
-        "limits": {"chips": 12, "open_range": (5, 8), "runs": RunLimits(min_open=2, min_closed=2, max_pulses=3)},
+        "straight": {
+            "chips": 11,
+            "open_range": (6, 6),
+            "scenarios": (Scenario(Trajectory.straight(14.0)),),
+        },
+        "limits": {
+            "chips": 12,
+            "open_range": (5, 8),
+            "runs": RunLimits(min_open=2, min_closed=2, max_pulses=3),
+        },
         "long runs": {"chips": 12, "open_range": (4, 9), "runs": RunLimits(max_open=2)},
-        "fast pulses": {"chips": 12, "open_range": (3, 8), "runs": RunLimits(max_open=4, min_period=4)},
+        "fast pulses": {
+            "chips": 12,
+            "open_range": (3, 8),
+            "runs": RunLimits(max_open=4, min_period=4),
+        },
     }[where]
     problem = SearchProblem(objective=objective, **options)
     found = anneal(problem, rng=np.random.default_rng(0), steps=200_000, time_s=np.inf)
@@ -64,23 +79,30 @@ def test_agrees_with_brute_force(objective, where):
 @pytest.mark.parametrize("objective", ["noise", "mse", "flatness"])
 @pytest.mark.parametrize("direction", ["unknown", "forward"])
 def test_agrees_with_brute_force_on_a_curve(objective, direction):
-    problem = SearchProblem.along(arc(), chips=10, open_range=(5, 5), objective=objective, direction=direction)
+    problem = SearchProblem.along(
+        arc(), chips=10, open_range=(5, 5), objective=objective, direction=direction
+    )
     found = anneal(problem, rng=np.random.default_rng(0), steps=100_000, time_s=np.inf)
     assert found.objective == pytest.approx(brute_force(problem), abs=1e-6)
 
 
 def test_cost_is_what_measure_says():
     """The search's own arithmetic against the measuring one, both directions, worst case."""
-    path, code = arc(), ShutterCode("1110111001")
+    path = arc()
+    code = ShutterCode("1110111001")
     for name, field, factor in (("noise", "noise_gain_db", 1), ("mse", "mse_db", 1)):
         problem = SearchProblem.along(path, chips=10, objective=name, direction="unknown")
         cost = Objective(problem, oversampling=64, dtype=np.float64).exact_cost(code)
         measured = [getattr(measure(p, code, budget=0), field) for p in (path, path.reversed())]
         assert cost == pytest.approx(factor * max(measured), abs=1e-9)
-        assert getattr(problem.measure(code, budget=0), field) == pytest.approx(max(measured), abs=1e-12)
+        assert getattr(problem.measure(code, budget=0), field) == pytest.approx(
+            max(measured), abs=1e-12
+        )
     straight = SearchProblem.along(Trajectory.straight(14.3), chips=10)
     cost = Objective(straight, oversampling=64, dtype=np.float64).exact_cost(code)
-    assert cost == pytest.approx(-20 * np.log10(measure(Trajectory.straight(14.3), code).min_mtf), abs=1e-6)
+    assert cost == pytest.approx(
+        -20 * np.log10(measure(Trajectory.straight(14.3), code).min_mtf), abs=1e-6
+    )
     circle = Objective(SearchProblem(chips=10), oversampling=64, dtype=np.float64).exact_cost(code)
     assert circle == pytest.approx(-20 * np.log10(min_chip(code) / 10), abs=1e-6)
 
@@ -121,7 +143,10 @@ def test_limits_mean_what_the_runs_say(bits, limits):
     # of a pulse and the gap after it, but for the last pulse
     periods = [inner[at][1] + inner[at + 1][1] for at in range(0, len(inner) - 1, 2)]
     kept = (
-        all(length >= (limits["min_open"] if bit else limits["min_closed"]) for bit, length in inner)
+        all(
+            length >= (limits["min_open"] if bit else limits["min_closed"])
+            for bit, length in inner
+        )
         and all(length <= (limits["max_open"] or len(bits)) for bit, length in inner if bit)
         and all(period >= limits["min_period"] for period in periods)
         and code.pulses <= (limits["max_pulses"] or len(bits))
@@ -150,7 +175,9 @@ def test_same_seed_same_code_and_starting_points_help():
     assert (first.code, first.objective) == (second.code, second.objective)
     assert first.stopped == "steps"
     assert first.steps >= 5000
-    started = anneal(problem, rng=np.random.default_rng(7), steps=64, start=[PUBLISHED["raskar-52"]])
+    started = anneal(
+        problem, rng=np.random.default_rng(7), steps=64, start=[PUBLISHED["raskar-52"]]
+    )
     assert min_chip(started.code) >= min_chip(PUBLISHED["raskar-52"]) - 1e-9
     assert min_chip(first.code) > 1.2
 
@@ -182,34 +209,52 @@ def test_time_limit_ends_a_search():
 
 def test_a_search_without_a_number_of_moves_goes_on_for_its_time(monkeypatch):
     """However many moves that is: the clock runs by a fiftieth of the time with each look at it by the caller."""
-    clock, told = [0.0], []
+    clock = [0.0]
+    told = []
     monkeypatch.setattr("cep.search.annealing.anneal.time.monotonic", lambda: clock[0])
 
     def progress(fraction, _best):
         told.append(fraction)
         clock[0] += 2.0
 
-    found = anneal(SearchProblem(chips=12), rng=np.random.default_rng(0), steps=None, time_s=100.0, progress=progress)
+    found = anneal(
+        SearchProblem(chips=12),
+        rng=np.random.default_rng(0),
+        steps=None,
+        time_s=100.0,
+        progress=progress,
+    )
     assert found.stopped == "time"
     assert sum(fraction < 0.9 for fraction in told) >= 49
     assert found.steps > 0
     # without a limit on the time the moves end it, whatever the clock says
     clock[0] = 0.0
     found = anneal(
-        SearchProblem(chips=12), rng=np.random.default_rng(0), steps=90_000, time_s=np.inf, progress=progress
+        SearchProblem(chips=12),
+        rng=np.random.default_rng(0),
+        steps=90_000,
+        time_s=np.inf,
+        progress=progress,
     )
     assert found.stopped == "steps"
     assert found.steps >= 90_000
 
 
 def test_nothing_to_choose_is_complete():
-    found = anneal(SearchProblem(chips=6, open_range=(6, 6)), rng=np.random.default_rng(0), steps=None, time_s=60.0)
+    found = anneal(
+        SearchProblem(chips=6, open_range=(6, 6)),
+        rng=np.random.default_rng(0),
+        steps=None,
+        time_s=60.0,
+    )
     assert (found.code.bits, found.steps, found.stopped) == ("111111", 0, "complete")
 
 
 @pytest.mark.parametrize("ends", ["in time", "late", "ctrl-c"])
 def test_a_polish_ends_with_the_time_or_ctrl_c(monkeypatch, ends):
-    problem, clock, told = SearchProblem(chips=40, open_range=(20, 20)), [0.0], []
+    problem = SearchProblem(chips=40, open_range=(20, 20))
+    clock = [0.0]
+    told = []
     monkeypatch.setattr("cep.search.annealing.anneal.time.monotonic", lambda: clock[0])
 
     def progress(fraction, best):
@@ -219,7 +264,9 @@ def test_a_polish_ends_with_the_time_or_ctrl_c(monkeypatch, ends):
         if fraction > 0.9 and ends == "ctrl-c":
             raise KeyboardInterrupt
 
-    found = anneal(problem, rng=np.random.default_rng(0), steps=2000, time_s=10.0, progress=progress)
+    found = anneal(
+        problem, rng=np.random.default_rng(0), steps=2000, time_s=10.0, progress=progress
+    )
     fractions = [fraction for fraction, _ in told]
     assert fractions == sorted(fractions)
     assert found.stopped == {"in time": "steps", "late": "time", "ctrl-c": "interrupted"}[ends]
@@ -235,7 +282,9 @@ def test_a_polish_ends_with_the_time_or_ctrl_c(monkeypatch, ends):
 
 
 def test_all_open_is_all_there_is():
-    found = anneal(SearchProblem(chips=6, open_range=(6, 6)), rng=np.random.default_rng(0), steps=100)
+    found = anneal(
+        SearchProblem(chips=6, open_range=(6, 6)), rng=np.random.default_rng(0), steps=100
+    )
     assert found.code.bits == "111111"
 
 
@@ -265,7 +314,8 @@ def test_bad_problems_are_named(options, message):
 
 
 def test_bad_searches_are_named():
-    problem, rng = SearchProblem(chips=5), np.random.default_rng(0)
+    problem = SearchProblem(chips=5)
+    rng = np.random.default_rng(0)
     with pytest.raises(ValueError, match="steps"):
         anneal(problem, rng=rng, steps=0)
     with pytest.raises(ValueError, match="time_s"):
@@ -279,7 +329,11 @@ def test_bad_searches_are_named():
 def test_duty_becomes_a_range_of_chips():
     assert open_range_of_duty(52, 0.5, 0.5) == (26, 26)
     assert open_range_of_duty(10, 0.25, 0.75) == (3, 7)
-    for low, high, message in ((0.51, 0.52, "no whole number"), (0.6, 0.4, "LOW:HIGH"), (0.5, 1.5, "LOW:HIGH")):
+    for low, high, message in (
+        (0.51, 0.52, "no whole number"),
+        (0.6, 0.4, "LOW:HIGH"),
+        (0.5, 1.5, "LOW:HIGH"),
+    ):
         with pytest.raises(ValueError, match=message):
             open_range_of_duty(10, low, high)
 

@@ -12,7 +12,8 @@ from cep.search.annealing.states import Chain, fresh_otf, smallest_power, total_
 from cep.search.annealing.terms import BLOCK, lay_out, limits_of, work_space
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
-from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
+from cep.search.problem import OBJECTIVES, SearchProblem
+from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
 MIX = (("noise", 1.0), ("flatness", 0.5))
@@ -20,22 +21,38 @@ MIX = (("noise", 1.0), ("flatness", 0.5))
 
 def arc(length_px=12.0):
     angle = np.linspace(0, 2.2, 24) ** 1.4
-    return Trajectory.from_samples(length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1))
+    return Trajectory.from_samples(
+        length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1)
+    )
 
 
 PROBLEMS = {
     "circle": SearchProblem(chips=12, open_range=(4, 9)),
-    "fixed light": SearchProblem(chips=14, open_range=(7, 7), runs=RunLimits(fixed="1????????????0")),
-    "straight": SearchProblem(chips=11, scenarios=(Scenario(Trajectory.straight(14.0)),), open_range=(3, 8)),
+    "fixed light": SearchProblem(
+        chips=14, open_range=(7, 7), runs=RunLimits(fixed="1????????????0")
+    ),
+    "straight": SearchProblem(
+        chips=11, scenarios=(Scenario(Trajectory.straight(14.0)),), open_range=(3, 8)
+    ),
     "both ways": SearchProblem.along(arc(), chips=10, open_range=(3, 7), direction="unknown"),
     "mean": SearchProblem(
-        chips=10, scenarios=(Scenario(arc(), 3.0), Scenario(Trajectory.straight(9.0))), rule="mean", open_range=(3, 7)
+        chips=10,
+        scenarios=(Scenario(arc(), 3.0), Scenario(Trajectory.straight(9.0))),
+        rule="mean",
+        open_range=(3, 7),
     ),
     "ramps": SearchProblem.along(
-        arc(), chips=10, open_range=(3, 7), response=ShutterResponse(chip_ns=1000, rise_ns=500, fall_ns=300)
+        arc(),
+        chips=10,
+        open_range=(3, 7),
+        response=ShutterResponse(chip_ns=1000, rise_ns=500, fall_ns=300),
     ),
-    "runs": SearchProblem(chips=14, open_range=(4, 9), runs=RunLimits(min_open=2, min_closed=2, max_pulses=4)),
-    "periods": SearchProblem(chips=14, open_range=(4, 8), runs=RunLimits(max_open=4, min_period=4)),
+    "runs": SearchProblem(
+        chips=14, open_range=(4, 9), runs=RunLimits(min_open=2, min_closed=2, max_pulses=4)
+    ),
+    "periods": SearchProblem(
+        chips=14, open_range=(4, 8), runs=RunLimits(max_open=4, min_period=4)
+    ),
 }
 
 
@@ -47,7 +64,14 @@ def started(problem, seed=0):
     drawn = problem.random_codes(40, rng=np.random.default_rng(seed)).astype(np.int8)
     code = drawn[np.argsort(objective.cost_of(drawn))[5]]
     otf = np.empty((1, tables.rows.shape[2], 2, BLOCK), np.float32)
-    chain = Chain(code, code.copy(), code.copy(), otf, np.full(3, np.inf), np.array([2 * seed + 1], np.uint64))
+    chain = Chain(
+        code,
+        code.copy(),
+        code.copy(),
+        otf,
+        np.full(3, np.inf),
+        np.array([2 * seed + 1], np.uint64),
+    )
     fresh_otf(tables, chain.code, problem.chips, chain.otf)
     chain.cost[:] = total_cost(tables, problem.chips, chain.code, chain.otf), np.inf, 0.0
     return objective, tables, chain
@@ -63,12 +87,19 @@ def plain_cost(objective, code):
         return objective.cost_of(code[None])[0]
     otf = objective.otf(code[None])[0]
     power = (otf**2).sum(axis=0)
-    parts = [2.5 * np.log10((power[part.columns][part.samples.weight > 0] ** -4.0).sum()) for part in objective.parts]
+    parts = [
+        2.5 * np.log10((power[part.columns][part.samples.weight > 0] ** -4.0).sum())
+        for part in objective.parts
+    ]
     scenarios = [
         max(p for p, q in zip(parts, objective.parts, strict=True) if q.scenario == i)
         for i in range(len(objective.scenario_shares))
     ]
-    return objective.scenario_shares @ scenarios if objective.problem.rule == "mean" else max(scenarios)
+    return (
+        objective.scenario_shares @ scenarios
+        if objective.problem.rule == "mean"
+        else max(scenarios)
+    )
 
 
 @pytest.mark.parametrize("objective", [*OBJECTIVES, MIX])
@@ -76,14 +107,21 @@ def plain_cost(objective, code):
 def test_costs_agree_with_the_plain_arithmetic(name, objective):
     problem = replace(PROBLEMS[name], objective=objective)
     judge, tables, chain = started(problem, seed=4)
-    # a code whose light the ramps do not change is judged by the loop with its number of open chips
+    # a code whose light the ramps do not change is judged by the loop with its number of open
+    # chips
     if problem.response is not None and objective in ("flatness", "mse", MIX):
-        pytest.skip("the loop takes the light of a code with ramps from its open chips, the judge from its waveform")
+        pytest.skip(
+            "the loop takes the light of a code with ramps from its open chips, the judge from its waveform"
+        )
     assert chain.cost[0] == pytest.approx(plain_cost(judge, chain.code), abs=1e-2)
     worst_first(tables, chain.otf)
-    assert total_cost(tables, problem.chips, chain.code, chain.otf) == pytest.approx(chain.cost[0], abs=1e-3)
+    assert total_cost(tables, problem.chips, chain.code, chain.otf) == pytest.approx(
+        chain.cost[0], abs=1e-3
+    )
     fresh_otf(tables, chain.code, problem.chips, chain.otf)
-    assert total_cost(tables, problem.chips, chain.code, chain.otf) == pytest.approx(chain.cost[0], abs=1e-3)
+    assert total_cost(tables, problem.chips, chain.code, chain.otf) == pytest.approx(
+        chain.cost[0], abs=1e-3
+    )
 
 
 @pytest.mark.parametrize("objective", ["min-mtf", "noise", "mse"])
@@ -91,19 +129,26 @@ def test_costs_agree_with_the_plain_arithmetic(name, objective):
 def test_cooling_keeps_limits_and_books(name, objective):
     problem = replace(PROBLEMS[name], objective=objective)
     _, tables, chain = started(problem, seed=1)
-    work, limits, free = work_space(tables, problem), limits_of(problem), free_chips(problem)
+    work = work_space(tables, problem)
+    limits = limits_of(problem)
+    free = free_chips(problem)
     for _ in range(20):
         accepted = cool(tables, limits, chain, free, work, np.array([1.0, 0.5]), 40)
         assert 0 <= accepted <= 40
         assert problem.satisfied(np.stack([chain.code, chain.best])).all()
-        claimed, otf = chain.cost[0], chain.otf.copy()
+        claimed = chain.cost[0]
+        otf = chain.otf.copy()
         fresh_otf(tables, chain.code, problem.chips, chain.otf)
         assert np.abs(otf - chain.otf).max() < 1e-4
-        assert claimed == pytest.approx(total_cost(tables, problem.chips, chain.code, chain.otf), abs=2e-3)
+        assert claimed == pytest.approx(
+            total_cost(tables, problem.chips, chain.code, chain.otf), abs=2e-3
+        )
         assert chain.cost[1] <= claimed + 1e-9
     if objective == "min-mtf":
         fresh_otf(tables, chain.deepest, problem.chips, chain.otf)
-        assert smallest_power(tables, chain.otf) == pytest.approx(chain.cost[2], rel=1e-3, abs=1e-4)
+        assert smallest_power(tables, chain.otf) == pytest.approx(
+            chain.cost[2], rel=1e-3, abs=1e-4
+        )
 
 
 @pytest.mark.parametrize("objective", ["noise", MIX])
@@ -119,7 +164,16 @@ def test_a_walk_takes_the_best_neighbour(name, objective):
     else:
         costs = judge.cost_of(near)
     held = np.zeros(problem.chips, np.int64)
-    judged = walk(tables, limits_of(problem), chain, free_chips(problem), work_space(tables, problem), held, 1, 1)
+    judged = walk(
+        tables,
+        limits_of(problem),
+        chain,
+        free_chips(problem),
+        work_space(tables, problem),
+        held,
+        1,
+        1,
+    )
     assert judged == len(near)
     assert chain.cost[0] == pytest.approx(min(costs), abs=1e-2)
     assert any(np.array_equal(chain.code, code) for code in near)
@@ -136,13 +190,16 @@ def _loop_cost(tables, problem, code):
 
 def test_the_crew_does_the_same_on_any_number_of_threads():
     problem = SearchProblem(chips=20, open_range=(8, 12), objective="noise")
-    tables, rng = lay_out(Objective(problem, oversampling=8)), np.random.default_rng(0)
+    tables = lay_out(Objective(problem, oversampling=8))
+    rng = np.random.default_rng(0)
     pool = problem.random_codes(3, rng=rng).astype(np.int8)
     plans = [Cooling(pool[0], 0.5, 0.1, 9000, 1), Walks(pool, 20_000, 2), Walks(pool, 20_000, 3)]
     found = []
     for threads in (1, 3):
         codes = []
-        Crew(problem, tables, np.arange(20), threads=threads).run(plans, lambda _moves: True, codes.append)
+        Crew(problem, tables, np.arange(20), threads=threads).run(
+            plans, lambda _moves: True, codes.append
+        )
         assert len(codes) == len(plans)
         assert all(problem.satisfied(some).all() for some in codes)
         found.append(codes)
@@ -161,7 +218,9 @@ def test_a_stopped_crew_offers_what_it_has():
 
     crew = Crew(problem, tables, np.arange(24), threads=2)
     with pytest.raises(KeyboardInterrupt):
-        crew.run([Cooling(start[0], 0.5, 0.1, 10**12, 1), Walks(start, 10**12, 2)], tick, codes.append)
+        crew.run(
+            [Cooling(start[0], 0.5, 0.1, 10**12, 1), Walks(start, 10**12, 2)], tick, codes.append
+        )
     assert len(codes) == 2
     assert all(len(some) >= 1 for some in codes)
 
@@ -175,6 +234,10 @@ def test_a_chain_leaves_a_code_with_zeros(objective):
     comb = (np.arange(chips) % 2 == 0).astype(np.int8)
     found = []
     crew = Crew(problem, lay_out(coarse), np.arange(chips), threads=1)
-    crew.run([Cooling(comb, 0.1, 0.05, 40_000, 1), Walks(comb[None], 400_000, 2)], lambda _moves: True, found.append)
+    crew.run(
+        [Cooling(comb, 0.1, 0.05, 40_000, 1), Walks(comb[None], 400_000, 2)],
+        lambda _moves: True,
+        found.append,
+    )
     for codes in found:
         assert coarse.cost_of(codes).min() < (45 if objective == "min-mtf" else 30)

@@ -28,7 +28,9 @@ MIX = (("noise", 1.0), ("flatness", 0.5))
 
 def arc(length_px=6.0):
     angle = np.linspace(0, 2.2, 24) ** 1.4
-    return Trajectory.from_samples(length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1))
+    return Trajectory.from_samples(
+        length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1)
+    )
 
 
 SHORT = {
@@ -36,7 +38,10 @@ SHORT = {
     "any light": SearchProblem(chips=6, open_range=(2, 4)),
     "curve": SearchProblem.along(arc(), chips=6, open_range=(3, 3), direction="unknown"),
     "ramps": SearchProblem.along(
-        arc(), chips=6, open_range=(3, 3), response=ShutterResponse(chip_ns=1000, rise_ns=500, fall_ns=300)
+        arc(),
+        chips=6,
+        open_range=(3, 3),
+        response=ShutterResponse(chip_ns=1000, rise_ns=500, fall_ns=300),
     ),
 }
 
@@ -60,7 +65,9 @@ def test_no_pair_of_short_codes_is_better(name, objective):
     costs = np.concatenate([joint_cost(fine, pairs[i : i + 64]) for i in range(0, len(pairs), 64)])
     found = anneal_frames(problem, 2, rng=np.random.default_rng(0), steps=20_000, threads=1)
     assert found.objective == pytest.approx(costs.min(), abs=1e-9)
-    assert joint_cost(fine, np.array([[code.array for code in found.codes]]))[0] == pytest.approx(found.objective)
+    assert joint_cost(fine, np.array([[code.array for code in found.codes]]))[0] == pytest.approx(
+        found.objective
+    )
     assert found.stopped == "steps"
     figure = found.noise_gain_db if objective == "noise" else -20 * np.log10(found.minimum)
     assert figure == pytest.approx(found.objective)
@@ -79,9 +86,12 @@ def test_joint_powers_along_a_curve_are_sums_of_single_ones():
     problem = SearchProblem.along(arc(9.0), chips=8, objective="noise", direction="unknown")
     codes = (ShutterCode("11010001"), ShutterCode("10010111"))
     samples = band_samples(arc(9.0))
-    minima, noise = [], []
+    minima = []
+    noise = []
     for path in (arc(9.0), arc(9.0).reversed()):
-        power = sum(np.abs(open_path(path, code).otf(samples.fx, samples.fy)) ** 2 for code in codes)
+        power = sum(
+            np.abs(open_path(path, code).otf(samples.fx, samples.fy)) ** 2 for code in codes
+        )
         minima.append(np.sqrt(power.min()))
         noise.append(10 * np.log10(samples.weight @ (1 / power)))
     found = joint_figures(problem, codes)
@@ -91,17 +101,21 @@ def test_joint_powers_along_a_curve_are_sums_of_single_ones():
 
 @pytest.mark.parametrize("frames", [1, 2, 3])
 def test_the_same_code_again_only_averages_noise(frames):
-    code, problem = ShutterCode("1100101011110001"), SearchProblem.along(Trajectory.straight(14.3), chips=16)
+    code = ShutterCode("1100101011110001")
+    problem = SearchProblem.along(Trajectory.straight(14.3), chips=16)
     single = problem.measure(code)
     found = joint_figures(problem, [code] * frames)
-    assert found.noise_gain_db == pytest.approx(single.noise_gain_db - 10 * np.log10(frames), abs=1e-6)
+    assert found.noise_gain_db == pytest.approx(
+        single.noise_gain_db - 10 * np.log10(frames), abs=1e-6
+    )
     # sampled, so never below the continuum's
     assert single.min_mtf * np.sqrt(frames) <= found.minimum * (1 + 1e-9)
     assert found.minimum == pytest.approx(single.min_mtf * np.sqrt(frames), rel=1e-2)
 
 
 def test_frames_see_what_one_of_them_is_blind_to():
-    blind, sees = ShutterCode("11110000"), ShutterCode("10000000")
+    blind = ShutterCode("11110000")
+    sees = ShutterCode("10000000")
     problem = SearchProblem(chips=8)
     assert joint_figures(problem, [blind, blind]).minimum < 1e-9
     assert joint_figures(problem, [blind, blind]).noise_gain_db > 100
@@ -143,7 +157,9 @@ def test_no_start_beats_the_frames_returned():
     codes = problem.random_codes(60, rng=np.random.default_rng(2))
     starts = [[ShutterCode.from_array(code)] * 2 for code in codes]
     best = joint_cost(fine, np.repeat(codes[:, None], 2, axis=1)).min()
-    found = anneal_frames(problem, 2, rng=np.random.default_rng(0), steps=8, start=starts, threads=1)
+    found = anneal_frames(
+        problem, 2, rng=np.random.default_rng(0), steps=8, start=starts, threads=1
+    )
     assert found.objective <= best
 
 
@@ -159,14 +175,17 @@ def test_what_was_given_is_never_lost():
     problem = SearchProblem(chips=30, open_range=(15, 15), objective="noise")
     code = anneal(problem, rng=np.random.default_rng(0), steps=60_000, threads=1).code
     given = joint_figures(problem, [code, code]).noise_gain_db
-    found = anneal_frames(problem, 2, rng=np.random.default_rng(0), steps=8, start=[[code, code]], threads=1)
+    found = anneal_frames(
+        problem, 2, rng=np.random.default_rng(0), steps=8, start=[[code, code]], threads=1
+    )
     assert found.noise_gain_db <= given + 1e-9
 
 
 def test_the_seed_decides_not_the_threads():
     problem = SearchProblem(chips=24, open_range=(10, 14), objective="mse")
     found = [
-        anneal_frames(problem, 2, rng=np.random.default_rng(5), steps=50_000, threads=threads) for threads in (1, 3)
+        anneal_frames(problem, 2, rng=np.random.default_rng(5), steps=50_000, threads=threads)
+        for threads in (1, 3)
     ]
     assert found[0].codes == found[1].codes
     assert found[0].steps == found[1].steps >= 50_000
@@ -179,7 +198,9 @@ def test_ctrl_c_keeps_the_best():
         assert len(codes) == 2
         raise KeyboardInterrupt
 
-    found = anneal_frames(problem, 2, rng=np.random.default_rng(0), steps=10**9, progress=progress, threads=1)
+    found = anneal_frames(
+        problem, 2, rng=np.random.default_rng(0), steps=10**9, progress=progress, threads=1
+    )
     assert found.stopped == "interrupted"
     assert problem.satisfied(np.array([code.array for code in found.codes])).all()
 
@@ -199,17 +220,26 @@ def test_bad_arguments_are_named(frames, options, message):
         anneal_frames(SHORT["circle"], frames, rng=np.random.default_rng(0), **options)
 
 
-# -- the compiled loops with several frames ---------------------------------------------------------------------------
+# -- the compiled loops with several frames -------------------------------------------------------
 
 
 def started(problem, frames, seed=0):
     """Coarse objective, its tables, and a chain of several frames."""
     coarse = Objective(problem, oversampling=8, dtype=np.float64)
     tables = joint_tables(coarse, frames)
-    drawn = problem.random_codes(20 * frames, rng=np.random.default_rng(seed)).reshape(20, frames, -1)
+    drawn = problem.random_codes(20 * frames, rng=np.random.default_rng(seed)).reshape(
+        20, frames, -1
+    )
     code = drawn[np.argsort(joint_cost(coarse, drawn))[4]].astype(np.int8).ravel()
     otf = np.empty((frames, tables.rows.shape[2], 2, BLOCK), np.float32)
-    chain = Chain(code, code.copy(), code.copy(), otf, np.full(3, np.inf), np.array([2 * seed + 1], np.uint64))
+    chain = Chain(
+        code,
+        code.copy(),
+        code.copy(),
+        otf,
+        np.full(3, np.inf),
+        np.array([2 * seed + 1], np.uint64),
+    )
     fresh_otf(tables, chain.code, problem.chips, chain.otf)
     chain.cost[:] = total_cost(tables, problem.chips, chain.code, chain.otf), np.inf, 0.0
     return coarse, tables, chain
@@ -230,9 +260,13 @@ def test_the_loop_judges_as_the_plain_arithmetic(name, objective):
         expected = joint_cost(coarse, chain.code.reshape(1, 3, -1))[0]
     assert chain.cost[0] == pytest.approx(expected, abs=1e-2)
     worst_first(tables, chain.otf)
-    assert total_cost(tables, problem.chips, chain.code, chain.otf) == pytest.approx(chain.cost[0], abs=1e-3)
+    assert total_cost(tables, problem.chips, chain.code, chain.otf) == pytest.approx(
+        chain.cost[0], abs=1e-3
+    )
     fresh_otf(tables, chain.code, problem.chips, chain.otf)
-    assert total_cost(tables, problem.chips, chain.code, chain.otf) == pytest.approx(chain.cost[0], abs=1e-3)
+    assert total_cost(tables, problem.chips, chain.code, chain.otf) == pytest.approx(
+        chain.cost[0], abs=1e-3
+    )
 
 
 @pytest.mark.parametrize("name", ["any light", "curve", "ramps"])
@@ -241,24 +275,40 @@ def test_moves_in_several_frames_keep_the_books(name):
     _, tables, chain = started(problem, 2, seed=2)
     low, high = problem.open_limits
     limits = limits_of(problem)._replace(low=2 * low, high=2 * high)
-    free, work, held = np.arange(2 * problem.chips), np.empty((3, BLOCK), np.float32), np.zeros(12, np.int64)
+    free = np.arange(2 * problem.chips)
+    work = np.empty((3, BLOCK), np.float32)
+    held = np.zeros(12, np.int64)
     for turn in range(10):
         if turn % 2:
             cool(tables, limits, chain, free, work, np.array([1.0, 0.5]), 40)
         else:
             walk(tables, limits, chain, free, work, held, turn, 3)
-        claimed, otf = chain.cost[0], chain.otf.copy()
+        claimed = chain.cost[0]
+        otf = chain.otf.copy()
         fresh_otf(tables, chain.code, problem.chips, chain.otf)
         assert np.abs(otf - chain.otf).max() < 1e-4
-        assert claimed == pytest.approx(total_cost(tables, problem.chips, chain.code, chain.otf), abs=2e-3)
+        assert claimed == pytest.approx(
+            total_cost(tables, problem.chips, chain.code, chain.otf), abs=2e-3
+        )
         assert 2 * low <= chain.code.sum() <= 2 * high
 
 
-# -- the command ------------------------------------------------------------------------------------------------------
+# -- the command ----------------------------------------------------------------------------------
 
 
 def test_the_command_writes_a_file_for_each_frame(cep, workplace):
-    options = ("--chips", "16", "--open", "8", "--objective", "noise", "--steps", "8000", "-o", "both.json")
+    options = (
+        "--chips",
+        "16",
+        "--open",
+        "8",
+        "--objective",
+        "noise",
+        "--steps",
+        "8000",
+        "-o",
+        "both.json",
+    )
     found = cep.succeeds("optimize", "--linear", "16", "--frames", "2", *options)
     assert found["files"] == ["both_1.json", "both_2.json"]
     assert not Path("both.json").exists()
@@ -275,11 +325,28 @@ def test_the_command_writes_a_file_for_each_frame(cep, workplace):
     assert found["min_mtf"] == pytest.approx(figures.minimum)
     assert found["noise_gain_db"] < found["single"]["noise_gain_db"]
     alone = problem.measure(ShutterCode(found["single"]["bits"]))
-    assert found["single"]["noise_gain_db"] == pytest.approx(alone.noise_gain_db - 10 * np.log10(2))
+    assert found["single"]["noise_gain_db"] == pytest.approx(
+        alone.noise_gain_db - 10 * np.log10(2)
+    )
 
 
 def test_the_command_shows_a_table(cep, workplace):
-    assert cep("optimize", "--linear", "12", "-n", "12", "--frames", "3", "--steps", "4000", "-o", "x.json").code == 0
+    assert (
+        cep(
+            "optimize",
+            "--linear",
+            "12",
+            "-n",
+            "12",
+            "--frames",
+            "3",
+            "--steps",
+            "4000",
+            "-o",
+            "x.json",
+        ).code
+        == 0
+    )
     for words in ("x_1", "x_3", "together", "best single code, 3 times", "min |P|, chips"):
         assert words in cep.out
 
@@ -296,5 +363,7 @@ def test_the_command_shows_a_table(cep, workplace):
 )
 def test_bad_wishes_are_one_line(cep, workplace, options, message):
     Path("there_2.json").write_text("{}")
-    assert message in cep.refuses("optimize", "--linear", "12", "--chips", "12", "-o", "never.json", *options)
+    assert message in cep.refuses(
+        "optimize", "--linear", "12", "--chips", "12", "-o", "never.json", *options
+    )
     assert not list(Path().glob("never*"))

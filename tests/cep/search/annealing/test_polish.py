@@ -8,23 +8,32 @@ import pytest
 from cep.optics.response import ShutterResponse
 from cep.search.annealing.polish import cheapest, neighbours, otf_nearby, polish
 from cep.search.objective import Objective
-from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
+from cep.search.problem import OBJECTIVES, SearchProblem
+from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
 
 def arc(length_px=12.0):
     angle = np.linspace(0, 2.2, 24) ** 1.4
-    return Trajectory.from_samples(length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1))
+    return Trajectory.from_samples(
+        length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1)
+    )
 
 
 PROBLEMS = {
     "circle": SearchProblem(chips=30, open_range=(12, 18)),
     "both ways": SearchProblem.along(arc(), chips=12, open_range=(4, 8), direction="unknown"),
     "mean": SearchProblem(
-        chips=12, scenarios=(Scenario(arc(), 3.0), Scenario(Trajectory.straight(9.0))), rule="mean", open_range=(4, 8)
+        chips=12,
+        scenarios=(Scenario(arc(), 3.0), Scenario(Trajectory.straight(9.0))),
+        rule="mean",
+        open_range=(4, 8),
     ),
     "ramps": SearchProblem.along(
-        arc(), chips=12, open_range=(4, 8), response=ShutterResponse(chip_ns=1000, rise_ns=500, fall_ns=300)
+        arc(),
+        chips=12,
+        open_range=(4, 8),
+        response=ShutterResponse(chip_ns=1000, rise_ns=500, fall_ns=300),
     ),
 }
 
@@ -38,8 +47,13 @@ def started(problem):
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_otf_of_neighbours(name):
     judge, code, codes = started(PROBLEMS[name])
-    codes = np.concatenate([codes, code[None], 1 - code[None]])  # the code itself, and one that differs everywhere
-    assert np.abs(otf_nearby(judge, code, judge.otf(code[None])[0], codes) - judge.otf(codes)).max() < 1e-12
+    codes = np.concatenate(
+        [codes, code[None], 1 - code[None]]
+    )  # the code itself, and one that differs everywhere
+    assert (
+        np.abs(otf_nearby(judge, code, judge.otf(code[None])[0], codes) - judge.otf(codes)).max()
+        < 1e-12
+    )
 
 
 @pytest.mark.parametrize("objective", [*OBJECTIVES, (("noise", 1.0), ("min-mtf", 0.5))])
@@ -59,11 +73,14 @@ def test_a_polished_code_has_no_better_neighbour(objective):
     ranked = problem.random_codes(3, rng=np.random.default_rng(0)).astype(np.int8)
     fine = Objective(problem, oversampling=64, dtype=np.float64)
     told = list(polish(fine, ranked))
-    costs, fractions = [one.cost for one in told], [one.done for one in told]
+    costs = [one.cost for one in told]
+    fractions = [one.done for one in told]
     assert fractions == sorted(fractions)
     # the best of the codes as they come in, then ever better
     assert costs == sorted(costs, reverse=True)
     assert costs[-1] < costs[2]
     near = neighbours(problem, told[-1].code.array.astype(np.int8), swaps=True)
     hopeful = near[fine.cost_of(near) < costs[-1]]
-    assert all(fine.exact_cost(type(told[-1].code).from_array(one)) >= costs[-1] - 1e-9 for one in hopeful)
+    assert all(
+        fine.exact_cost(type(told[-1].code).from_array(one)) >= costs[-1] - 1e-9 for one in hopeful
+    )

@@ -16,14 +16,17 @@ from cep.search.annealing.terms import lay_out
 from cep.search.bundled import proven_optimum
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
-from cep.search.problem import Scenario, SearchProblem
+from cep.search.problem import SearchProblem
+from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
 SLOWING = Trajectory.from_samples([[0, 0], [6, 3], [14, 7]])
 PROBLEMS = {
     "circle": SearchProblem(chips=20, open_range=(6, 14)),
     "fixed light": SearchProblem(chips=17, open_range=(8, 8)),
-    "forced chips": SearchProblem(chips=33, open_range=(12, 20), runs=RunLimits(fixed="1" + "?" * 30 + "01")),
+    "forced chips": SearchProblem(
+        chips=33, open_range=(12, 20), runs=RunLimits(fixed="1" + "?" * 30 + "01")
+    ),
     "straight": SearchProblem.along(SLOWING, chips=18, direction="forward"),
 }
 
@@ -38,12 +41,20 @@ def test_moves_keep_the_limits_and_the_deepest_codes(name):
     problem = PROBLEMS[name]
     assert swept(problem)
     judge = Objective(problem, oversampling=64, dtype=np.float64)
-    tables, random = sweep_tables(Objective(problem, oversampling=8), judge), np.array([77], np.uint64)
+    tables = sweep_tables(Objective(problem, oversampling=8), judge)
+    random = np.array([77], np.uint64)
     code = problem.random_codes(1, rng=np.random.default_rng(0))[0].astype(np.int8)
-    deepest, visited = np.zeros(1), {code.tobytes()}
+    deepest = np.zeros(1)
+    visited = {code.tobytes()}
     for _ in range(60):
-        best, found, before = np.zeros((5, problem.chips), np.int8), np.zeros(1, np.int64), deepest[0]
-        assert 300 <= sweep(tables, code, random, 0.5, 300, deepest, best, found) < 300 + problem.chips
+        best = np.zeros((5, problem.chips), np.int8)
+        found = np.zeros(1, np.int64)
+        before = deepest[0]
+        assert (
+            300
+            <= sweep(tables, code, random, 0.5, 300, deepest, best, found)
+            < 300 + problem.chips
+        )
         assert problem.satisfied(code[None])[0]
         visited.add(code.tobytes())
         kept = best[: found[0]]
@@ -60,13 +71,23 @@ def test_moves_keep_the_limits_and_the_deepest_codes(name):
 def test_a_cold_sweep_only_improves():
     problem = PROBLEMS["circle"]
     judge = Objective(problem, oversampling=64, dtype=np.float64)
-    tables, random = sweep_tables(Objective(problem, oversampling=8), judge), np.array([5], np.uint64)
+    tables = sweep_tables(Objective(problem, oversampling=8), judge)
+    random = np.array([5], np.uint64)
     code = problem.random_codes(1, rng=np.random.default_rng(3))[0].astype(np.int8)
     costs = []
     for _ in range(40):
         otf = np.einsum("n,npf->pf", code.astype(float), tables.by_chip.astype(float))
         costs.append(2.5 * np.log10(((otf**2).sum(axis=0) ** -4.0).sum()))
-        sweep(tables, code, random, 1e-9, 40, np.zeros(1), np.zeros((1, 20), np.int8), np.zeros(1, np.int64))
+        sweep(
+            tables,
+            code,
+            random,
+            1e-9,
+            40,
+            np.zeros(1),
+            np.zeros((1, 20), np.int8),
+            np.zeros(1, np.int64),
+        )
     assert (np.diff(costs) <= 1e-3).all()
     assert costs[-1] < costs[0] - 3
 
@@ -74,8 +95,16 @@ def test_a_cold_sweep_only_improves():
 def test_a_zero_between_the_samples_of_the_moves_is_seen():
     """At 8 samples per 1 / chips a code with a zero may look better than each code with a true minimum as large."""
     problem = SearchProblem(chips=52, open_range=(26, 26))
-    objective, judge, codes = Objective(problem, oversampling=8), Objective(problem, oversampling=64), []
-    crew = Crew(problem, lay_out(objective), np.arange(52), threads=1, sweeping=sweep_tables(objective, judge))
+    objective = Objective(problem, oversampling=8)
+    judge = Objective(problem, oversampling=64)
+    codes = []
+    crew = Crew(
+        problem,
+        lay_out(objective),
+        np.arange(52),
+        threads=1,
+        sweeping=sweep_tables(objective, judge),
+    )
     crew.run([Sweeps(2**16, 0.22, seed) for seed in range(60)], lambda _moves: True, codes.append)
     for some in codes:
         minima = [min_chip(ShutterCode.from_array(code)) for code in some]
@@ -101,12 +130,16 @@ def test_proven_optima_are_found_without_their_table(chips):
 
 def test_the_seed_decides_not_the_threads():
     problem = SearchProblem(chips=40, open_range=(18, 24))
-    objective, judge = Objective(problem, oversampling=8), Objective(problem, oversampling=64)
+    objective = Objective(problem, oversampling=8)
+    judge = Objective(problem, oversampling=64)
     offered = []
     for threads in (1, 3):
-        codes, tables = [], sweep_tables(objective, judge)
+        codes = []
+        tables = sweep_tables(objective, judge)
         crew = Crew(problem, lay_out(objective), np.arange(40), threads=threads, sweeping=tables)
-        crew.run([Sweeps(300_000, 0.3, seed) for seed in (1, 2, 3)], lambda _moves: True, codes.append)
+        crew.run(
+            [Sweeps(300_000, 0.3, seed) for seed in (1, 2, 3)], lambda _moves: True, codes.append
+        )
         offered.append(codes)
     for one, three in zip(*offered, strict=True):
         assert len(one)
@@ -120,8 +153,12 @@ def test_the_seed_decides_not_the_threads():
         replace(PROBLEMS["circle"], objective=(("min-mtf", 1.0), ("noise", 0.1))),
         replace(PROBLEMS["circle"], runs=RunLimits(min_open=2)),
         replace(PROBLEMS["straight"], direction="unknown"),
-        replace(PROBLEMS["straight"], response=ShutterResponse(chip_ns=1000, rise_ns=500, fall_ns=300)),
-        replace(PROBLEMS["straight"], scenarios=(Scenario(SLOWING), Scenario(Trajectory.straight(9.0)))),
+        replace(
+            PROBLEMS["straight"], response=ShutterResponse(chip_ns=1000, rise_ns=500, fall_ns=300)
+        ),
+        replace(
+            PROBLEMS["straight"], scenarios=(Scenario(SLOWING), Scenario(Trajectory.straight(9.0)))
+        ),
         SearchProblem.along(Trajectory.from_samples([[0, 0], [6, 1], [9, 5]]), chips=18),
         SearchProblem(chips=65),
     ],

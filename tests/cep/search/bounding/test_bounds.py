@@ -30,7 +30,8 @@ from cep.search.bounding.relaxation import (
     relax,
     rounded_codes,
 )
-from cep.search.problem import Scenario, SearchProblem
+from cep.search.problem import SearchProblem
+from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
 BOTH_GOALS = (("min-mtf", 1.0), ("noise", 1.0))
@@ -38,7 +39,9 @@ BOTH_GOALS = (("min-mtf", 1.0), ("noise", 1.0))
 
 def arc(length_px=6.0, samples=16):
     angle = np.linspace(0, 2.2, samples) ** 1.4
-    return Trajectory.from_samples(length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1))
+    return Trajectory.from_samples(
+        length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1)
+    )
 
 
 def accelerated(length_px=9.0, samples=12):
@@ -60,7 +63,8 @@ def best_of_all(problem):
     codes = all_codes(problem.chips, range(low, high + 1))
     paths = [(s.trajectory, s.edges) for s in problem.scenarios]
     paths += [(path.reversed(), edges) for path, edges in paths if problem.both_directions(path)]
-    lowest, noise = np.full(len(codes), np.inf), np.full(len(codes), -np.inf)
+    lowest = np.full(len(codes), np.inf)
+    noise = np.full(len(codes), -np.inf)
     for path, edges in paths or [(None, None)]:
         if path is None:
             size = 512 * problem.chips
@@ -70,7 +74,12 @@ def best_of_all(problem):
         else:
             samples = band_samples(path)
             weight = samples.weight
-            power = np.abs(codes @ chip_basis(path, problem.chips, samples.fx, samples.fy, edges=edges)) ** 2
+            power = (
+                np.abs(
+                    codes @ chip_basis(path, problem.chips, samples.fx, samples.fy, edges=edges)
+                )
+                ** 2
+            )
         lowest = np.minimum(lowest, np.sqrt(power.min(axis=1)))
         noise = np.maximum(noise, 10 * np.log10(1 / np.maximum(power, 1e-30) @ weight))
     best = 0.0
@@ -79,7 +88,9 @@ def best_of_all(problem):
             break
         # the continuum only lowers what the samples say
         code = ShutterCode.from_array(codes[index])
-        exact = problem.measure(code, budget=0).min_mtf if paths else min_chip(code) / problem.chips
+        exact = (
+            problem.measure(code, budget=0).min_mtf if paths else min_chip(code) / problem.chips
+        )
         best = max(best, exact)
     return best, noise.min()
 
@@ -88,17 +99,27 @@ PROBLEMS = {
     "circle": SearchProblem(chips=10, open_range=(5, 5), objective=BOTH_GOALS),
     "circle dark": SearchProblem(chips=11, open_range=(3, 3), objective=BOTH_GOALS),
     "circle free": SearchProblem(chips=9, objective=BOTH_GOALS),
-    "straight": SearchProblem.along(Trajectory.straight(9.0), chips=8, open_range=(3, 5), objective=BOTH_GOALS),
-    "straight, short": SearchProblem.along(Trajectory.straight(2.0), chips=8, open_range=(4, 4), objective=BOTH_GOALS),
+    "straight": SearchProblem.along(
+        Trajectory.straight(9.0), chips=8, open_range=(3, 5), objective=BOTH_GOALS
+    ),
+    "straight, short": SearchProblem.along(
+        Trajectory.straight(2.0), chips=8, open_range=(4, 4), objective=BOTH_GOALS
+    ),
     "straight, long": SearchProblem.along(
         Trajectory.straight(11.0, angle_rad=0.6), chips=8, open_range=(5, 5), objective=BOTH_GOALS
     ),
     "accelerated, known": SearchProblem.along(
         accelerated(), chips=8, open_range=(4, 4), direction="forward", objective=BOTH_GOALS
     ),
-    "accelerated, unknown": SearchProblem.along(accelerated(), chips=8, objective=BOTH_GOALS, direction="unknown"),
-    "curved, known": SearchProblem.along(arc(), chips=8, open_range=(4, 4), direction="forward", objective=BOTH_GOALS),
-    "curved, unknown": SearchProblem.along(arc(), chips=6, objective=BOTH_GOALS, direction="unknown"),
+    "accelerated, unknown": SearchProblem.along(
+        accelerated(), chips=8, objective=BOTH_GOALS, direction="unknown"
+    ),
+    "curved, known": SearchProblem.along(
+        arc(), chips=8, open_range=(4, 4), direction="forward", objective=BOTH_GOALS
+    ),
+    "curved, unknown": SearchProblem.along(
+        arc(), chips=6, objective=BOTH_GOALS, direction="unknown"
+    ),
     "late chips": SearchProblem(
         chips=7,
         open_range=(3, 4),
@@ -135,18 +156,26 @@ def test_no_code_passes_a_bound(name, monkeypatch):
 
 def test_relaxed_noise_along_a_curve_holds_and_pays():
     """Few frequencies instead of the full band: the same proof on a coarser quadrature."""
-    path, n, k = arc(), 8, 4
+    path = arc()
+    n = 8
+    k = 4
     axis = np.linspace(-0.5, 0.5, 11)
     fx, fy = (grid.ravel() for grid in np.meshgrid(axis, axis))
-    basis, weight = chip_basis(path, n, fx, fy), np.full(fx.size, 1 / fx.size)
+    basis = chip_basis(path, n, fx, fy)
+    weight = np.full(fx.size, 1 / fx.size)
     found = relax(np.stack([basis.real, basis.imag], 2), k, shares=weight)
-    floor = np.sqrt(weight * found.weights).sum() ** 2 / largest_form(gram(basis, found.weights), found.multipliers, k)
+    floor = np.sqrt(weight * found.weights).sum() ** 2 / largest_form(
+        gram(basis, found.weights), found.multipliers, k
+    )
     truth = (1 / np.abs(all_codes(n, [k]) @ basis) ** 2 @ weight).min()
     jensen = 1 / largest_forms(gram(basis, weight), np.array([k]))[0]
     assert jensen < floor <= truth
 
 
-@given(st.integers(2, 40).flatmap(lambda n: st.tuples(st.just(n), st.integers(1, n))), st.integers(0, 99))
+@given(
+    st.integers(2, 40).flatmap(lambda n: st.tuples(st.just(n), st.integers(1, n))),
+    st.integers(0, 99),
+)
 @settings(deadline=None)  # the counts in classes are tabulated at the first use
 def test_closed_forms_hold_for_random_codes(size, seed):
     chips, k = size
@@ -164,7 +193,9 @@ def test_known_minima_and_theorem():
     assert bound(SearchProblem(chips=38)).min_chip == 2
     assert bound(SearchProblem(chips=38)).method["min_chip"] == "degree-38"
     assert bound(SearchProblem(chips=39)).min_chip > 2.018
-    assert bound(SearchProblem(chips=52, open_range=(26, 26))).min_chip == pytest.approx(np.sqrt(26 * 26 / 51))
+    assert bound(SearchProblem(chips=52, open_range=(26, 26))).min_chip == pytest.approx(
+        np.sqrt(26 * 26 / 51)
+    )
     assert bound(SearchProblem(chips=1)).min_chip == 1
     # 4 of 8: the counts of even and odd places alone say more than Parseval
     assert bound(SearchProblem(chips=8, open_range=(4, 4))).method["min_chip"] == "roots-of-unity"
@@ -172,7 +203,8 @@ def test_known_minima_and_theorem():
 
 def test_relaxation_cannot_beat_the_random_code_on_the_circle():
     """The mean of c c' over all codes is a feasible C whose smallest tr(G C) is k (n - k) / (n - 1)."""
-    n, k = 14, 6
+    n = 14
+    k = 6
     grid = np.arange(0, 4 * n + 1) / (8 * n)
     basis = np.exp(-2j * np.pi * np.outer(np.arange(n), grid))
     found = relax(np.stack([basis.real, basis.imag], 2), k)
@@ -187,11 +219,16 @@ def test_any_multipliers_bound_every_code(seed, chips, size, data):
     rng = np.random.default_rng(seed)
     basis = rng.normal(size=(chips, 12)) + 1j * rng.normal(size=(chips, 12))
     weights = rng.exponential(size=12) * (rng.random(12) < 0.6)
-    matrix, v = gram(basis, weights), 10**size * rng.normal(size=chips)
+    matrix = gram(basis, weights)
+    v = 10**size * rng.normal(size=chips)
     codes = all_codes(chips, [k])
     power = np.abs(codes @ basis) ** 2
     forms = power @ weights
-    assert np.allclose(np.einsum("ri,ij,rj->r", codes, form_matrix(matrix, v, k), codes), forms, atol=1e-9 * 10**size)
+    assert np.allclose(
+        np.einsum("ri,ij,rj->r", codes, form_matrix(matrix, v, k), codes),
+        forms,
+        atol=1e-9 * 10**size,
+    )
     assert forms.max() <= largest_form(matrix, v, k)
     assert forms.max() <= largest_forms(matrix, np.array([k]))[0] * (1 + 1e-9) + 1e-12
     if weights.any():
@@ -218,7 +255,8 @@ def tampered(proof, **changes):
 
 
 def test_a_proof_is_checked_not_believed():
-    minimum, noise = PROBLEMS["straight, short"], PROBLEMS["circle"]
+    minimum = PROBLEMS["straight, short"]
+    noise = PROBLEMS["circle"]
     (proof,) = bound(replace(minimum, objective="min-mtf"), effort="sdp").proofs
     assert proof.check()
     assert not tampered(proof, bound=0.99 * proof.bound)
@@ -228,14 +266,16 @@ def test_a_proof_is_checked_not_believed():
     (proof,) = bound(replace(noise, objective="noise"), effort="sdp").proofs
     assert proof.check()
     assert not tampered(proof, bound=proof.bound + 0.05)
-    # other frequencies, or weights that the samples do not average exactly, prove nothing about the circle
+    # other frequencies, or weights that the samples do not average exactly, prove nothing about
+    # the circle
     assert not tampered(proof, frequencies=0.9 * proof.frequencies)
     rough = proof.weights * (1 + 0.3 * (-1.0) ** np.arange(proof.weights.size))
     assert not tampered(proof, weights=rough, bound=proof.bound - 3)
 
 
 def test_circle_average_keeps_what_a_finer_grid_sees():
-    n, size = 7, 64
+    n = 7
+    size = 64
     kept = circle_average(np.abs(np.sin(np.arange(size // 2 + 1))), n)
     lags = np.fft.irfft(kept)
     assert kept.min() >= 0
@@ -246,9 +286,11 @@ def test_circle_average_keeps_what_a_finer_grid_sees():
 def test_newton_agrees_with_clarabel(shares):
     rng = np.random.default_rng(3)
     columns = rng.normal(size=(9, 30, 2))
-    ours, theirs = newton_solver(columns, 4, shares), cvxpy_solver(columns, 4, shares, name="CLARABEL")
+    ours = newton_solver(columns, 4, shares)
+    theirs = cvxpy_solver(columns, 4, shares, name="CLARABEL")
     goal = [
-        found.weights.sum() if shares is None else np.sqrt(shares * found.weights).sum() for found in (ours, theirs)
+        found.weights.sum() if shares is None else np.sqrt(shares * found.weights).sum()
+        for found in (ours, theirs)
     ]
     assert ours.status == theirs.status == "optimal"
     assert goal[0] == pytest.approx(goal[1], rel=3e-3)
@@ -262,7 +304,8 @@ def test_newton_agrees_with_clarabel(shares):
 def saying(status, calls, *, nan=False):
     def solver(columns, open_chips, shares):
         calls.append(status)
-        m, chips = columns.shape[1], len(columns)
+        m = columns.shape[1]
+        chips = len(columns)
         weights = np.full(m, np.nan if nan else 1e-9)
         return Relaxation(open_chips, weights, np.zeros(chips), np.eye(chips), status, status)
 
@@ -274,29 +317,42 @@ def test_only_optimal_counts():
     calls = []
     found = relax(columns, 3, solvers=[saying("optimal_inaccurate", calls), newton_solver])
     assert (found.solver, calls) == ("newton", ["optimal_inaccurate"])
-    assert relax(columns, 3, solvers=[saying("optimal", calls, nan=True), newton_solver]).solver == "newton"
-    with pytest.raises(ValueError, match=r"relaxation: no solver.*infeasible: infeasible; user_limit: user_limit"):
+    assert (
+        relax(columns, 3, solvers=[saying("optimal", calls, nan=True), newton_solver]).solver
+        == "newton"
+    )
+    with pytest.raises(
+        ValueError, match=r"relaxation: no solver.*infeasible: infeasible; user_limit: user_limit"
+    ):
         relax(columns, 3, solvers=[saying("infeasible", []), saying("user_limit", [])])
 
 
 def test_without_a_solver_the_quick_bound_stays(monkeypatch):
     problem = PROBLEMS["straight, short"]
     monkeypatch.setattr(relaxation, "SOLVERS", (saying("stalled", []),))
-    deep, quick = bound(problem, effort="sdp"), bound(problem)
-    assert (deep.min_mtf, deep.noise, deep.method, deep.proofs) == (quick.min_mtf, quick.noise, quick.method, ())
+    deep = bound(problem, effort="sdp")
+    quick = bound(problem)
+    assert (deep.min_mtf, deep.noise, deep.method, deep.proofs) == (
+        quick.min_mtf,
+        quick.noise,
+        quick.method,
+        (),
+    )
 
 
 def test_a_lying_solver_only_loosens():
     from cep.search.bounding.bounds import _motions
 
     problem = PROBLEMS["accelerated, known"]
-    counts, known = np.array([4]), np.array([np.inf])
+    counts = np.array([4])
+    known = np.array([np.inf])
     lowest, _ = best_of_all(problem)
     rng = np.random.default_rng(0)
 
     def liar(columns, open_chips, shares):
         chips, m, _ = columns.shape
-        weights, v = rng.exponential(size=m), rng.normal(size=chips)
+        weights = rng.exponential(size=m)
+        v = rng.normal(size=chips)
         return Relaxation(open_chips, weights, v, np.eye(chips), "optimal", "liar")
 
     parts = _motions(problem)[0]
@@ -318,15 +374,21 @@ def test_rounded_codes_have_the_light_and_do_better_than_chance():
     drawn = problem.random_codes(200, rng=np.random.default_rng(1))
 
     def typical(some):
-        return np.median([measure(accelerated(), ShutterCode.from_array(c), budget=0).min_mtf for c in some])
+        return np.median(
+            [measure(accelerated(), ShutterCode.from_array(c), budget=0).min_mtf for c in some]
+        )
 
     assert typical(codes) > typical(drawn)
 
 
 def test_a_shutter_with_ramps_is_bounded_by_its_light():
     slow = ShutterResponse(chip_ns=1000, rise_ns=600, fall_ns=900)
-    problem = SearchProblem.along(accelerated(), chips=7, open_range=(3, 3), direction="forward", response=slow)
-    metrics = [problem.measure(ShutterCode.from_array(code), budget=0) for code in all_codes(7, [3])]
+    problem = SearchProblem.along(
+        accelerated(), chips=7, open_range=(3, 3), direction="forward", response=slow
+    )
+    metrics = [
+        problem.measure(ShutterCode.from_array(code), budget=0) for code in all_codes(7, [3])
+    ]
     for effort in ("quick", "sdp"):
         found = bound(problem, effort=effort)
         assert max(m.min_mtf for m in metrics) <= found.min_mtf
@@ -340,7 +402,11 @@ def test_a_shutter_with_ramps_is_bounded_by_its_light():
 def test_every_pulse_has_one_tail(opened):
     lingering = ShutterResponse(chip_ns=1000, on_bias_ns=300, fall_ns=400)
     problem = SearchProblem.along(
-        Trajectory.straight(3.0), chips=7, open_range=(opened, opened), response=lingering, objective="noise"
+        Trajectory.straight(3.0),
+        chips=7,
+        open_range=(opened, opened),
+        response=lingering,
+        objective="noise",
     )
     most = lingering.open_time(all_codes(7, [opened])).max()
     assert bound(problem).noise == pytest.approx(-20 * np.log10(most), abs=1e-9)

@@ -20,20 +20,26 @@ from cep.search.exhaustive.exact import codes_to_count, exact
 from cep.search.exhaustive.exhaust import INNER, Limits, all_patterns, keeps_runs, possible
 from cep.search.exhaustive.proof import ProofLog
 from cep.search.limits import RunLimits
-from cep.search.problem import Scenario, SearchProblem
+from cep.search.problem import SearchProblem
+from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
 
 def arc(length_px=4.0):
     angle = np.linspace(0, 2.2, 24) ** 1.4
-    return Trajectory.from_samples(length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1))
+    return Trajectory.from_samples(
+        length_px / 3 * np.stack([np.cos(angle), np.sin(1.7 * angle)], 1)
+    )
 
 
 @cache
 def everything(chips):
     """All codes with the first chip open, and their smallest |P| on a grid."""
     codes = (2 * np.arange(2 ** (chips - 1))[:, None] + 1 >> np.arange(chips) & 1).astype(np.int8)
-    blocks = [np.abs(np.fft.rfft(part, 128)).min(axis=1) for part in np.array_split(codes, max(1, len(codes) // 2**15))]
+    blocks = [
+        np.abs(np.fft.rfft(part, 128)).min(axis=1)
+        for part in np.array_split(codes, max(1, len(codes) // 2**15))
+    ]
     return codes, np.concatenate(blocks)
 
 
@@ -114,7 +120,9 @@ def test_bit_tables_lose_no_code(options):
     st.integers(1, 7),
 )
 @settings(max_examples=40, deadline=None)
-def test_limits_are_those_of_brute_force(chips, min_open, min_closed, max_pulses, fewest, more, max_open, min_period):
+def test_limits_are_those_of_brute_force(
+    chips, min_open, min_closed, max_pulses, fewest, more, max_open, min_period
+):
     most = min(chips, max(fewest, min_open) + more)
     try:
         problem = SearchProblem(
@@ -137,7 +145,9 @@ def test_limits_are_those_of_brute_force(chips, min_open, min_closed, max_pulses
 
 def test_a_period_is_not_kept_by_mirror_images():
     """Starts of pulses turn into ends: both codes of a mirror pair must be counted, and only one may be named."""
-    forward = SearchProblem(chips=13, open_range=(5, 5), runs=RunLimits(max_pulses=2, min_period=6))
+    forward = SearchProblem(
+        chips=13, open_range=(5, 5), runs=RunLimits(max_pulses=2, min_period=6)
+    )
     assert not forward.mirrors
     found = exact(forward, threads=1)
     assert recheck(found.proof)
@@ -145,19 +155,33 @@ def test_a_period_is_not_kept_by_mirror_images():
     kept = codes[forward.satisfied(codes)]
     assert not forward.satisfied(kept[:, ::-1]).all()
     # every code with both ends open of every length, and the mirror image of each
-    assert all(entry.judged >= entry.codes / 2 for entry in found.proof.lengths if entry.length < INNER + 2)
-    assert codes_to_count(forward) == 2 * codes_to_count(SearchProblem(chips=13, open_range=(5, 5)))
+    assert all(
+        entry.judged >= entry.codes / 2
+        for entry in found.proof.lengths
+        if entry.length < INNER + 2
+    )
+    assert codes_to_count(forward) == 2 * codes_to_count(
+        SearchProblem(chips=13, open_range=(5, 5))
+    )
 
 
 @given(
-    st.text("01", min_size=1, max_size=24), st.integers(1, 3), st.integers(1, 3), st.integers(1, 6), st.integers(1, 6),
+    st.text("01", min_size=1, max_size=24),
+    st.integers(1, 3),
+    st.integers(1, 3),
+    st.integers(1, 6),
+    st.integers(1, 6),
     st.integers(1, 8),
-)  # fmt: skip
+)
 @settings(max_examples=300, deadline=None)
-def test_runs_are_kept_by_codes_and_their_parts(bits, min_open, min_closed, max_pulses, max_open, min_period):
+def test_runs_are_kept_by_codes_and_their_parts(
+    bits, min_open, min_closed, max_pulses, max_open, min_period
+):
     bits = f"1{bits}1"
     code = np.array([[int(bit) for bit in bits]], dtype=np.int8)
-    limits = Limits(1, len(bits), min_open, min_closed, max_pulses, max(max_open, min_open), min_period)
+    limits = Limits(
+        1, len(bits), min_open, min_closed, max_pulses, max(max_open, min_open), min_period
+    )
     problem = SearchProblem(
         chips=len(bits),
         runs=RunLimits(
@@ -194,7 +218,14 @@ def test_forced_chips(fixed):
 
 @pytest.mark.parametrize(
     ("opened", "chips", "value"),
-    [(3, 12, 0.607346), (4, 14, 0.752394), (5, 14, 1.0), (6, 25, 1.065286), (7, 24, 1.101883), (8, 24, 1.311101)],
+    [
+        (3, 12, 0.607346),
+        (4, 14, 0.752394),
+        (5, 14, 1.0),
+        (6, 25, 1.065286),
+        (7, 24, 1.101883),
+        (8, 24, 1.311101),
+    ],
 )
 def test_published_values_by_number_of_ones(opened, chips, value):
     # published for codes of any length; these lengths reach them
@@ -206,14 +237,21 @@ def test_published_values_by_number_of_ones(opened, chips, value):
 @pytest.mark.parametrize("chips", [9, 12])
 @pytest.mark.parametrize("direction", ["forward", "unknown"])
 def test_along_a_path_it_is_the_best_of_all_codes_at_the_samples(chips, direction):
-    scenarios = (Scenario(arc(), edges=np.linspace(0, 1, chips + 1) ** 1.1), Scenario(Trajectory.straight(3.0)))
-    problem = SearchProblem(chips=chips, scenarios=scenarios, direction=direction, open_range=(2, chips - 3))
+    scenarios = (
+        Scenario(arc(), edges=np.linspace(0, 1, chips + 1) ** 1.1),
+        Scenario(Trajectory.straight(3.0)),
+    )
+    problem = SearchProblem(
+        chips=chips, scenarios=scenarios, direction=direction, open_range=(2, chips - 3)
+    )
     found = exact(problem, threads=1)
     codes = all_patterns(chips)
     codes = codes[problem.satisfied(codes)].astype(float)
     lowest = np.full(len(codes), np.inf)
     for scenario in scenarios:
-        for path in (scenario.trajectory, scenario.trajectory.reversed())[: 1 + (direction == "unknown")]:
+        for path in (scenario.trajectory, scenario.trajectory.reversed())[
+            : 1 + (direction == "unknown")
+        ]:
             samples = band_samples(path)
             basis = chip_basis(path, chips, samples.fx, samples.fy, edges=scenario.edges)
             lowest = np.minimum(lowest, sampled_minimum(codes, basis))
@@ -244,7 +282,10 @@ def test_outcome_depends_neither_on_threads_nor_on_the_start(monkeypatch):
     cold = exact(problem, threads=1)
     assert plain.code == other.code == cold.code
     assert plain.minimum == other.minimum == cold.minimum
-    codes = [[(entry.length, entry.judged) for entry in one.proof.lengths] for one in (plain, other, cold)]
+    codes = [
+        [(entry.length, entry.judged) for entry in one.proof.lengths]
+        for one in (plain, other, cold)
+    ]
     assert codes[0] == codes[1] == codes[2]
 
 
@@ -272,10 +313,13 @@ def test_interrupted_it_returns_the_best_so_far_and_can_go_on():
     assert min_chip(part.code) >= seen[-1][1] - 1e-9
     stored = ProofLog.from_dict(json.loads(json.dumps(part.proof.to_dict())))
     assert stored == part.proof
-    whole, rest = exact(problem, threads=1), exact(problem, threads=1, resume=stored)
+    whole = exact(problem, threads=1)
+    rest = exact(problem, threads=1, resume=stored)
     assert rest.proven
     assert rest.code == whole.code
-    assert [entry.judged for entry in rest.proof.lengths] == [entry.judged for entry in whole.proof.lengths]
+    assert [entry.judged for entry in rest.proof.lengths] == [
+        entry.judged for entry in whole.proof.lengths
+    ]
 
 
 @given(st.integers(0, 99), st.floats(0.5, 2.5))
@@ -305,10 +349,17 @@ def test_what_a_cell_discards_is_below_the_limit_wherever_the_point_lies(seed, l
         ({"chips": 10, "objective": "noise"}, "objective: only"),
         ({"chips": 10, "objective": (("min-mtf", 1.0), ("noise", 1.0))}, "objective: only"),
         ({"chips": 49}, "chips: at most 48"),
-        ({"chips": 10, "scenarios": (Scenario(Trajectory.straight(40.0)),)}, "scenarios: at some frequency no code"),
+        (
+            {"chips": 10, "scenarios": (Scenario(Trajectory.straight(40.0)),)},
+            "scenarios: at some frequency no code",
+        ),
         ({"chips": 10, "scenarios": (Scenario(arc()),), "rule": "mean"}, "objective: only"),
         (
-            {"chips": 10, "scenarios": (Scenario(arc()),), "response": ShutterResponse(chip_ns=1e6, rise_ns=3e5)},
+            {
+                "chips": 10,
+                "scenarios": (Scenario(arc()),),
+                "response": ShutterResponse(chip_ns=1e6, rise_ns=3e5),
+            },
             "response: a proof needs",
         ),
     ],

@@ -11,14 +11,16 @@ from cep.search.exhaustive.block_proof import core, judge_block, plan_blocks
 from cep.search.exhaustive.exact import exact
 from cep.search.exhaustive.folds import codes_by_prefix, folding
 from cep.search.limits import RunLimits
-from cep.search.problem import Scenario, SearchProblem
+from cep.search.problem import SearchProblem
+from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
 
 def records(problem, bound):
     plan = plan_blocks(problem)
     return plan, [
-        judge_block(plan.chips, plan.fewest, plan.most, block.first, block.until, bound) for block in plan.blocks
+        judge_block(plan.chips, plan.fewest, plan.most, block.first, block.until, bound)
+        for block in plan.blocks
     ]
 
 
@@ -49,16 +51,27 @@ def test_survivors_are_those_of_brute_force(chips, opened, bound):
     assert sorted(survivors(found)) == sorted(wanted)
 
 
-@pytest.mark.parametrize(("chips", "opened"), [(12, (1, 12)), (18, (1, 18)), (20, (9, 11)), (24, (12, 12))])
+@pytest.mark.parametrize(
+    ("chips", "opened"), [(12, (1, 12)), (18, (1, 18)), (20, (9, 11)), (24, (12, 12))]
+)
 def test_blocks_hold_every_code_of_the_ring_once(chips, opened):
     plan, found = records(SearchProblem(chips=chips, open_range=opened), 1.5)
     assert plan.codes == sum(comb(plan.ring, k) for k in range(opened[0], opened[1] + 1))
-    assert sum(record["codes"] for record in found) == sum(block.codes for block in plan.blocks) == plan.codes
-    assert [block.first for block in plan.blocks] == [0, *(block.until for block in plan.blocks[:-1])]
+    assert (
+        sum(record["codes"] for record in found)
+        == sum(block.codes for block in plan.blocks)
+        == plan.codes
+    )
+    assert [block.first for block in plan.blocks] == [
+        0,
+        *(block.until for block in plan.blocks[:-1]),
+    ]
     assert plan.blocks[-1].until == 5**plan.prefix
 
 
-@pytest.mark.parametrize(("chips", "opened"), [(21, None), (22, (9, 9)), (26, None), (28, (14, 14))])
+@pytest.mark.parametrize(
+    ("chips", "opened"), [(21, None), (22, (9, 9)), (26, None), (28, (14, 14))]
+)
 def test_the_best_is_that_of_the_scan_with_bit_tables(chips, opened):
     problem = SearchProblem(chips=chips, open_range=opened)
     other = exact(problem, threads=1)
@@ -73,8 +86,11 @@ def test_a_lower_bound_leaves_the_same_codes_and_more():
     _, low = records(problem, 1.2)
     _, high = records(problem, 1.3)
     assert set(survivors(high)) < set(survivors(low))
-    minima = {bits: float(text) for record in low for bits, text in zip(
-        record["survivors"].split(), record["minima"].split(), strict=True)}  # fmt: skip
+    minima = {
+        bits: float(text)
+        for record in low
+        for bits, text in zip(record["survivors"].split(), record["minima"].split(), strict=True)
+    }
     assert set(survivors(high)) == {bits for bits, value in minima.items() if value >= 1.3}
 
 
@@ -92,7 +108,10 @@ def test_counts_by_prefix_are_those_of_all_folds():
     ("options", "message"),
     [
         ({"chips": 20, "objective": "noise"}, "objective: only"),
-        ({"chips": 20, "scenarios": (Scenario(Trajectory.straight(5.0)),)}, "scenarios: a proof in blocks"),
+        (
+            {"chips": 20, "scenarios": (Scenario(Trajectory.straight(5.0)),)},
+            "scenarios: a proof in blocks",
+        ),
         ({"chips": 20, "runs": RunLimits(min_open=2)}, "runs: a proof in blocks"),
         ({"chips": 61}, "chips: at most 60"),
     ],

@@ -36,7 +36,8 @@ def lines(folder):
 
 def assert_whole(folder, found):
     """Check that the file holds every block once, and that the result is the known optimum."""
-    plan, records = plan_blocks(PROBLEM), lines(folder)[1:]
+    plan = plan_blocks(PROBLEM)
+    records = lines(folder)[1:]
     assert sorted(record["first"] for record in records) == [block.first for block in plan.blocks]
     assert sum(record["codes"] for record in records) == plan.codes
     known = exact(PROBLEM, threads=1)
@@ -53,7 +54,9 @@ def test_blocks_prove_the_optimum_and_are_not_judged_again(tmp_path, monkeypatch
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     before = (tmp_path / FILE_NAME).read_bytes()
-    monkeypatch.setattr(module, "judge_block", lambda **_: pytest.fail("a finished block was judged again"))
+    monkeypatch.setattr(
+        module, "judge_block", lambda **_: pytest.fail("a finished block was judged again")
+    )
     again = prove(PROBLEM, folder=tmp_path)
     assert (again.code, again.proven) == (found.code, True)
     assert (tmp_path / FILE_NAME).read_bytes() == before
@@ -98,7 +101,8 @@ def test_threads_side_by_side_leave_nothing_out(tmp_path):
 
 @pytest.mark.slow  # starts a scheduler and two workers
 def test_a_worker_of_a_cluster_killed_in_mid_run_loses_and_doubles_nothing(tmp_path, monkeypatch):
-    log, folder = tmp_path / "log", tmp_path / "proof"
+    log = tmp_path / "log"
+    folder = tmp_path / "proof"
     monkeypatch.setenv("CEP_TEST_LOG", str(log))
     monkeypatch.setattr(module, "judge_block", bench_work.judged_slowly)
     kill_one, killed = killing_one(log, from_share=1e-9)  # a block is done
@@ -123,7 +127,8 @@ def test_a_run_that_is_killed_is_continued(tmp_path):
         "def slow(share, best):\n    time.sleep(0.3)\n"
         f"module.prove(SearchProblem(chips=22), folder={str(tmp_path)!r}, progress=slow)"
     )
-    path, deadline = tmp_path / FILE_NAME, time.monotonic() + 120
+    path = tmp_path / FILE_NAME
+    deadline = time.monotonic() + 120
     with child([sys.executable, "-c", code]) as running:
         while not path.exists() or path.read_bytes().count(b"\n") < 3:
             assert running.poll() is None
@@ -160,15 +165,30 @@ def test_a_file_cut_short_in_its_first_line_is_begun_anew(tmp_path):
     [
         (lambda folder: change(folder, 0, version=0), "a proof of version 0, not 1"),
         (lambda folder: change(folder, 0, schema="cep.code/1"), "is no proof"),
-        (lambda folder: change(folder, 0, chips=23), "a proof for 23 chips, 1 to 22 open, not for 22 chips"),
-        (lambda folder: change(folder, 2, codes=5), "line 3: the block does not add up: 5 codes instead of"),
+        (
+            lambda folder: change(folder, 0, chips=23),
+            "a proof for 23 chips, 1 to 22 open, not for 22 chips",
+        ),
+        (
+            lambda folder: change(folder, 2, codes=5),
+            "line 3: the block does not add up: 5 codes instead of",
+        ),
         (lambda folder: change(folder, 2, until=7), "line 3: there is no block of prefixes"),
-        (lambda folder: change(folder, 2, **lines(folder)[1]), "line 3: the block of prefixes .* comes twice"),
-        (lambda folder: change(folder, 2, survivors="1101 1"), "line 3: the block does not add up: as many minima"),
+        (
+            lambda folder: change(folder, 2, **lines(folder)[1]),
+            "line 3: the block of prefixes .* comes twice",
+        ),
+        (
+            lambda folder: change(folder, 2, survivors="1101 1"),
+            "line 3: the block does not add up: as many minima",
+        ),
         (lambda folder: change(folder, 2, survivors=None), "line 3: survivors: must be a string"),
         (lambda folder: change(folder, 2, bound="2"), "line 3: bound: must be a number"),
         (lambda folder: (folder / FILE_NAME).write_text("{\n"), "line 1 is damaged"),
-        (lambda folder: (folder / FILE_NAME).write_text("[" * 100_000 + "\n"), "line 1 is damaged"),
+        (
+            lambda folder: (folder / FILE_NAME).write_text("[" * 100_000 + "\n"),
+            "line 1 is damaged",
+        ),
         (lambda folder: (folder / FILE_NAME).write_text("notes"), "is no proof"),
     ],
 )
@@ -207,5 +227,7 @@ def test_a_run_that_judges_no_block_leaves_nothing(tmp_path, monkeypatch):
 
 def test_the_codes_of_a_proof_in_blocks_are_those_that_it_accounts_for(tmp_path):
     plan = plan_blocks(PROBLEM)
-    found = prove_code(PROBLEM, rng=np.random.default_rng(0), count=partial(prove, folder=tmp_path), threads=1)
+    found = prove_code(
+        PROBLEM, rng=np.random.default_rng(0), count=partial(prove, folder=tmp_path), threads=1
+    )
     assert (found.stopped, found.steps) == ("proven", plan.codes)

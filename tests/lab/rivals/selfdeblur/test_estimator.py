@@ -17,9 +17,17 @@ from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
 
 TINY = SelfDeblurConfig(
-    kernel_px=9, iterations=300, structure_from=100, milestones=(200,), kernel_rate=3e-3,
-    levels=3, channels=16, skip_channels=4, kernel_inputs=32, kernel_hidden=64,
-)  # fmt: skip
+    kernel_px=9,
+    iterations=300,
+    structure_from=100,
+    milestones=(200,),
+    kernel_rate=3e-3,
+    levels=3,
+    channels=16,
+    skip_channels=4,
+    kernel_inputs=32,
+    kernel_hidden=64,
+)
 QUICK = replace(TINY, iterations=6, structure_from=2, milestones=(3, 4), channels=8)
 PSF = np.zeros((5, 5))
 PSF[[0, 1, 2, 3, 4], [0, 1, 2, 2, 3]] = [0.3, 0.2, 0.2, 0.15, 0.15]
@@ -74,7 +82,11 @@ def test_finds_the_blur_of_a_simulated_photo():
     assert found > max(start, mnc_subpixel(delta, PSF)) + 0.2
     assert found > mnc_subpixel(estimate.psf, PSF[::-1, ::-1]) + 0.02
     assert mnc_subpixel(estimate.trajectories[0].psf(), PSF) > 0.8
-    assert (estimate.method, estimate.confidence, estimate.psf.shape) == ("selfdeblur", 0.0, (64, 64))
+    assert (estimate.method, estimate.confidence, estimate.psf.shape) == (
+        "selfdeblur",
+        0.0,
+        (64, 64),
+    )
     assert estimate.psf.sum() == pytest.approx(1)
     y, x = np.mgrid[:64, :64] - 32
     assert max(abs((estimate.psf * x).sum()), abs((estimate.psf * y).sum())) <= 0.5
@@ -96,7 +108,9 @@ def test_after_a_milestone_the_rates_are_half(tmp_path):
     fit.advance()
     fit.advance()
     fit.save(tmp_path / "state")
-    halved = replace(QUICK, milestones=(), image_rate=QUICK.image_rate / 2, kernel_rate=QUICK.kernel_rate / 2)
+    halved = replace(
+        QUICK, milestones=(), image_rate=QUICK.image_rate / 2, kernel_rate=QUICK.kernel_rate / 2
+    )
     other = fit_of(halved)
     other.resume(tmp_path / "state")
     unhalved = fit_of(replace(QUICK, milestones=()))
@@ -155,7 +169,9 @@ def test_a_stopped_estimate_goes_on_and_cleans_up(tmp_path):
     with pytest.raises(KeyboardInterrupt):  # another photo and another recipe do not meet it
         SelfDeblurEstimator(**options, progress=stop_at(1, QUICK)).estimate(PHOTO[::-1])
     with pytest.raises(KeyboardInterrupt):
-        SelfDeblurEstimator(**{**options, "config": replace(QUICK, seed=5)}, progress=stop_at(1, QUICK)).estimate(PHOTO)
+        SelfDeblurEstimator(
+            **{**options, "config": replace(QUICK, seed=5)}, progress=stop_at(1, QUICK)
+        ).estimate(PHOTO)
     assert len(list(folder.iterdir())) == 3
     seen = []
     again = SelfDeblurEstimator(**options, progress=seen.append).estimate(PHOTO)
@@ -177,7 +193,9 @@ def test_processor_time_before_a_stop_counts(tmp_path, monkeypatch):
             if stop is not None:
                 stop_at(stop, QUICK)(share)
 
-        return SelfDeblurEstimator(config=QUICK, checkpoints=tmp_path, saved_every_s=0.0, progress=progress)
+        return SelfDeblurEstimator(
+            config=QUICK, checkpoints=tmp_path, saved_every_s=0.0, progress=progress
+        )
 
     case = Case(PHOTO, np.pad(PSF, 2))
     for stop in (2, 5):
@@ -217,7 +235,9 @@ def test_a_fit_of_another_code_is_not_taken_up(tmp_path, monkeypatch):
 
 def test_nothing_is_written_within_the_first_minute(tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        SelfDeblurEstimator(config=QUICK, checkpoints=tmp_path / "states", progress=stop_at(2, QUICK)).estimate(PHOTO)
+        SelfDeblurEstimator(
+            config=QUICK, checkpoints=tmp_path / "states", progress=stop_at(2, QUICK)
+        ).estimate(PHOTO)
     assert not (tmp_path / "states").exists()
 
 
@@ -225,7 +245,9 @@ def test_a_spoilt_checkpoint_is_told_of(tmp_path):
     fit = fit_of(QUICK)
     assert fit.resume(tmp_path / "none") is None
     fit_of(replace(QUICK, channels=6)).save(tmp_path / "other")
-    with pytest.raises(ValueError, match=r"other: its checkpoint belongs to generators of other sizes; remove it$"):
+    with pytest.raises(
+        ValueError, match=r"other: its checkpoint belongs to generators of other sizes; remove it$"
+    ):
         fit.resume(tmp_path / "other")
     fit.save(tmp_path / "cut")
     part = next((tmp_path / "cut").glob("*.safetensors"))
@@ -256,8 +278,14 @@ def test_a_large_photo_is_fitted_in_its_best_crop(monkeypatch):
 @pytest.mark.parametrize(
     ("photo", "words"),
     [
-        (np.full((100, 100), 0.4), "photo: is constant; motion shows only where the scene has texture"),
-        (np.random.default_rng(0).random((31, 300)), "photo: needs at least 32 x 32 px, got 300 x 31"),
+        (
+            np.full((100, 100), 0.4),
+            "photo: is constant; motion shows only where the scene has texture",
+        ),
+        (
+            np.random.default_rng(0).random((31, 300)),
+            "photo: needs at least 32 x 32 px, got 300 x 31",
+        ),
         (np.full((100, 100), np.nan), "photo: must be finite, found NaN or infinity"),
     ],
 )
@@ -277,5 +305,7 @@ def test_slow_methods_are_there_by_name_alone(tmp_path, monkeypatch):
     assert made["selfdeblur"]._config == SelfDeblurConfig()
     assert made["selfdeblur:2"]._config == SelfDeblurConfig(iterations=2)
     assert made["selfdeblur"]._checkpoints == tmp_path / "motdiff" / "selfdeblur"
-    with pytest.raises(ValueError, match="selfdeblur or selfdeblur:ITERATIONS, got 'selfdeblur:many'"):
+    with pytest.raises(
+        ValueError, match="selfdeblur or selfdeblur:ITERATIONS, got 'selfdeblur:many'"
+    ):
         named_estimators(["selfdeblur:many"])

@@ -15,14 +15,21 @@ from motdiff.training.simulation import blurred
 from motdiff.trajectory import Trajectory
 
 TINY = SelfDeblurConfig(
-    kernel_px=9, levels=3, channels=6, skip_channels=2, input_channels=3, kernel_inputs=4, kernel_hidden=8
+    kernel_px=9,
+    levels=3,
+    channels=6,
+    skip_channels=2,
+    input_channels=3,
+    kernel_inputs=4,
+    kernel_hidden=8,
 )
 
 
 @pytest.mark.parametrize(("shape", "kernel_px"), [((3, 40, 31), 9), ((29, 37), 8), ((20, 20), 20)])
 def test_the_blur_is_the_projects_true_convolution(shape, kernel_px):
     rng = np.random.default_rng(0)
-    sharp, kernel = rng.random(shape), rng.random((kernel_px, kernel_px))
+    sharp = rng.random(shape)
+    kernel = rng.random((kernel_px, kernel_px))
     found = blurred(torch.from_numpy(sharp), torch.from_numpy(kernel)).numpy()
     expected = np.stack([blur_valid(image, kernel) for image in sharp.reshape(-1, *shape[-2:])])
     np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-10)
@@ -32,27 +39,36 @@ def test_the_structural_similarity_is_the_published_one():
     rng = np.random.default_rng(1)
     a = rng.random((40, 52))
     b = np.clip(0.7 * a + 0.2 * rng.random(a.shape), 0, 1)
-    expected = reference_similarity(a, b, data_range=1.0, gaussian_weights=True, sigma=1.5, use_sample_covariance=False)
+    expected = reference_similarity(
+        a, b, data_range=1.0, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
+    )
     found = structural_similarity(torch.from_numpy(a), torch.from_numpy(b)).item()
     assert found == pytest.approx(expected, abs=1e-9)
-    assert structural_similarity(torch.from_numpy(a), torch.from_numpy(a)).item() == pytest.approx(1)
+    assert structural_similarity(torch.from_numpy(a), torch.from_numpy(a)).item() == pytest.approx(
+        1
+    )
 
 
 def test_the_generators_have_the_published_sizes():
     """2.37 M and 0.93 M parameters were counted in the published program at Levin's 27-px kernel."""
     config = SelfDeblurConfig(kernel_px=27)
-    counts = [sum(p.numel() for p in made(config).parameters()) for made in (ImageGenerator, KernelGenerator)]
+    counts = [
+        sum(p.numel() for p in made(config).parameters())
+        for made in (ImageGenerator, KernelGenerator)
+    ]
     assert counts == pytest.approx([2.37e6, 0.93e6], rel=3e-3)
 
 
 def test_whatever_the_weights_a_kernel_and_a_photo_come_out():
     for scale in (0.0, 1.0, 30.0):
         torch.manual_seed(0)
-        image, kernel = ImageGenerator(TINY), KernelGenerator(TINY)
+        image = ImageGenerator(TINY)
+        kernel = KernelGenerator(TINY)
         with torch.no_grad():
             for parameter in [*image.parameters(), *kernel.parameters()]:
                 parameter.mul_(scale)
-            photo, light = image(torch.rand(1, 3, 32, 48)), kernel(torch.rand(4))
+            photo = image(torch.rand(1, 3, 32, 48))
+            light = kernel(torch.rand(4))
         assert photo.shape == (1, 1, 32, 48)
         assert 0 <= photo.min() <= photo.max() <= 1
         assert light.shape == (9, 9)
@@ -106,7 +122,9 @@ def test_rates_are_halved_at_each_milestone():
 # ---- a kernel that nothing judges
 
 
-@pytest.mark.parametrize(("pads", "frame"), [(((0, 40), (31, 9)), 64), (((0, 0), (0, 0)), 64), (((3, 0), (90, 2)), 64)])
+@pytest.mark.parametrize(
+    ("pads", "frame"), [(((0, 40), (31, 9)), 64), (((0, 0), (0, 0)), 64), (((3, 0), (90, 2)), 64)]
+)
 def test_an_unjudged_kernel_is_centred_wherever_it_lay(pads, frame):
     truth = Trajectory.straight(12.0, angle_rad=0.5).psf(23)
     estimate = estimate_from_kernel("some", np.pad(7 * truth, pads), {"a": 1})

@@ -10,7 +10,14 @@ import torch
 from cep.files.images import write_image
 from lab.trainings.correction import samples as samples_module
 from lab.trainings.correction.__main__ import run
-from lab.trainings.correction.samples import LEAST_ALIKE, Kernels, alike, prepare, read_kernels, searched
+from lab.trainings.correction.samples import (
+    LEAST_ALIKE,
+    Kernels,
+    alike,
+    prepare,
+    read_kernels,
+    searched,
+)
 from lab.trainings.correction.training import Settings, Trainer, corrected_mnc, train
 from motdiff.estimators.pmp.estimator import PmpEstimator, Start
 from motdiff.metrics import mnc
@@ -74,11 +81,16 @@ def test_prepared_kernels_are_those_that_are_not_lost_with_the_truth_laid_on_the
     assert 4 <= len(kernels) <= 12
     assert kernels.maps.shape == (len(kernels), MAPS, 64, 64)
     assert kernels.truth.shape == (len(kernels), 64, 64)
-    torch.testing.assert_close(kernels.maps[:, 0].amax(dim=(1, 2)).float(), torch.ones(len(kernels)))
+    torch.testing.assert_close(
+        kernels.maps[:, 0].amax(dim=(1, 2)).float(), torch.ones(len(kernels))
+    )
     likeness = alike(kernels.maps[:, 0].float(), kernels.truth.float())
     assert likeness.min() >= LEAST_ALIKE - 1e-3
     assert likeness.mean() > 0.7
-    free = [mnc(m[0].float().numpy(), t.float().numpy()) for m, t in zip(kernels.maps, kernels.truth, strict=True)]
+    free = [
+        mnc(m[0].float().numpy(), t.float().numpy())
+        for m, t in zip(kernels.maps, kernels.truth, strict=True)
+    ]
     np.testing.assert_allclose(likeness, free, atol=0.02)  # no other shift is better
 
 
@@ -93,14 +105,17 @@ def test_samples_of_the_second_pass_are_those_of_the_corrected_kernels(monkeypat
             return maps[:, 0] - 0.3
 
     monkeypatch.setattr(samples_module, "PmpEstimator", small_search)
-    index, seen = torch.arange(1), {}
+    index = torch.arange(1)
+    seen = {}
     bank = build_bank(MIX, count=1, seed=3, first=0)
     photos = simulate(bank, scenes, index, photography=Photography(), physics=False, seed=1)
     for network in (None, Lessened().eval()):
         seen[network is None] = searched(photos, network=network)
     first, second = (seen[key].maps[:, 0].float() for key in (True, False))
     lessened = (first - 0.3).clamp(min=0)
-    torch.testing.assert_close(second, lessened / lessened.amax(dim=(1, 2), keepdim=True), atol=0.03, rtol=0)
+    torch.testing.assert_close(
+        second, lessened / lessened.amax(dim=(1, 2), keepdim=True), atol=0.03, rtol=0
+    )
     assert torch.equal(seen[True].truth, seen[False].truth)
 
 
@@ -121,8 +136,11 @@ def test_kernels_are_compared_over_small_shifts(down, right):
 
 
 def test_the_likeness_is_the_mnc():
-    one, other = path_kernel(1), path_kernel(1) + 0.02 * path_kernel(2).roll(3, 0)
-    assert float(alike(one[None], other[None])) == pytest.approx(mnc(one.numpy(), other.numpy()), abs=1e-5)
+    one = path_kernel(1)
+    other = path_kernel(1) + 0.02 * path_kernel(2).roll(3, 0)
+    assert float(alike(one[None], other[None])) == pytest.approx(
+        mnc(one.numpy(), other.numpy()), abs=1e-5
+    )
 
 
 # ---- training
@@ -135,14 +153,25 @@ def test_training_removes_a_tail_that_no_kernel_has(kernels):
 
 
 def test_a_run_writes_as_it_goes_and_its_average_at_the_end(kernels, tmp_path):
-    target, lines = tmp_path / "c.safetensors", []
+    target = tmp_path / "c.safetensors"
+    lines = []
     settings = Settings(steps=5, batch=2)
     times = itertools.count(0.0, 10.0)
-    train(kernels, target, settings=settings, save_s=25.0, clock=lambda: next(times), report=lines.append)
+    train(
+        kernels,
+        target,
+        settings=settings,
+        save_s=25.0,
+        clock=lambda: next(times),
+        report=lines.append,
+    )
     assert len(lines) == 2
     assert read_card(target) == {
-        "kernels": 6, "steps": 5, "seconds": 50, "settings": {"steps": 5, "batch": 2, "rate": 1.5e-3, "seed": 0},
-    }  # fmt: skip
+        "kernels": 6,
+        "steps": 5,
+        "seconds": 50,
+        "settings": {"steps": 5, "batch": 2, "rate": 1.5e-3, "seed": 0},
+    }
     trainer = Trainer(kernels, settings)
     for _ in range(5):
         trainer.update()
@@ -161,15 +190,24 @@ def test_a_network_that_changes_nothing_gains_nothing(kernels):
 
 def test_the_commands_prepare_train_and_evaluate(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(samples_module, "SHARD_PHOTOS", 1)
-    monkeypatch.setattr(samples_module, "PmpEstimator", lambda: PmpEstimator(starts=(Start(15), Start(21))))
+    monkeypatch.setattr(
+        samples_module, "PmpEstimator", lambda: PmpEstimator(starts=(Start(15), Start(21)))
+    )
     monkeypatch.setattr(samples_module, "LEAST_ALIKE", 0.0)
     photos = tmp_path / "photos"
     photos.mkdir()
     for name in "ab":
-        write_image(photos / f"{name}.png", np.kron(np.random.default_rng(0).random((33, 33, 3)), np.ones((10, 10, 1))))
+        write_image(
+            photos / f"{name}.png",
+            np.kron(np.random.default_rng(0).random((33, 33, 3)), np.ones((10, 10, 1))),
+        )
     config = tmp_path / "run.toml"
-    config.write_text(f'[data]\nphotos = "{photos}"\nheld_out = 2\n[motions]\nmax_length_px = 12\n', encoding="utf-8")
-    folder, target = tmp_path / "kernels", tmp_path / "c.safetensors"
+    config.write_text(
+        f'[data]\nphotos = "{photos}"\nheld_out = 2\n[motions]\nmax_length_px = 12\n',
+        encoding="utf-8",
+    )
+    folder = tmp_path / "kernels"
+    target = tmp_path / "c.safetensors"
     assert run(["prepare", str(config), "-o", str(folder), "--shards", "0:1"]) == 0
     assert run(["train", str(folder), "-o", str(target), "--steps", "1"]) == 0
     assert read_card(target)["steps"] == 1

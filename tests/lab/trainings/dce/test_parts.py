@@ -29,7 +29,12 @@ def batch(chips, *, count=2, side=12, size=9, seed=0):
     psfs = np.stack([chip_psfs(motion, chips, size) for motion in (BENT, BENT.reversed())[:count]])
     edge = size - 1 - size // 2
     sharp = scenes[..., edge : edge + side, edge : edge + side]
-    return Batch(scenes, sharp, torch.from_numpy(psfs), torch.from_numpy(0.01 * rng.standard_normal(sharp.shape)))
+    return Batch(
+        scenes,
+        sharp,
+        torch.from_numpy(psfs),
+        torch.from_numpy(0.01 * rng.standard_normal(sharp.shape)),
+    )
 
 
 # ---- the binariser
@@ -50,13 +55,16 @@ def test_a_code_is_of_zeros_and_ones_and_lets_light_through(values):
 def test_backward_it_is_the_relaxed_code():
     """The gradient by a weight is the slope of the loss in the chip's opening, about the binary code."""
     sample = batch(6)
-    weights = torch.tensor([0.9, 0.2, 0.51, 0.49, 0.7, 0.1], dtype=torch.float64, requires_grad=True)
+    weights = torch.tensor(
+        [0.9, 0.2, 0.51, 0.49, 0.7, 0.1], dtype=torch.float64, requires_grad=True
+    )
 
     def loss(chips):
         return restoration_loss(photos_of(sample, chips), sample.sharp)
 
     loss(binarise(weights)).backward()
-    chips, step = binarise(weights.detach()), 1e-6
+    chips = binarise(weights.detach())
+    step = 1e-6
     for k in range(6):
         shift = torch.zeros(6, dtype=torch.float64)
         shift[k] = step
@@ -88,8 +96,12 @@ def test_a_coded_photo_is_the_one_of_the_physics():
     sample = batch(7)
     code = ShutterCode("1011001")
     photos = coded_photos(sample.scenes, sample.chip_psfs, torch.from_numpy(code.array)).numpy()
-    for photo, scene, motion in zip(photos, sample.scenes.numpy(), (BENT, BENT.reversed()), strict=True):
-        np.testing.assert_allclose(photo[0], blur_valid(scene[0], coded_psf(motion, code, 9)), atol=1e-12)
+    for photo, scene, motion in zip(
+        photos, sample.scenes.numpy(), (BENT, BENT.reversed()), strict=True
+    ):
+        np.testing.assert_allclose(
+            photo[0], blur_valid(scene[0], coded_psf(motion, code, 9)), atol=1e-12
+        )
 
 
 def test_it_is_the_mean_of_shifted_frames_closed_ones_dark():
@@ -100,13 +112,17 @@ def test_it_is_the_mean_of_shifted_frames_closed_ones_dark():
     scene = np.random.default_rng(0).random((12, 13))
     chips = np.array([1.0, 0.0, 1.0, 1.0])
     frames = [np.roll(scene, (dy, dx), axis=(0, 1))[2:-2, 2:-2] for dx, dy in shifts]
-    found = coded_photos(torch.from_numpy(scene)[None, None], torch.from_numpy(psfs), torch.from_numpy(chips))
+    found = coded_photos(
+        torch.from_numpy(scene)[None, None], torch.from_numpy(psfs), torch.from_numpy(chips)
+    )
     np.testing.assert_allclose(found[0, 0], np.tensordot(chips, frames, axes=1) / 4, atol=1e-12)
 
 
 def test_a_dark_code_pays_with_noise():
     sample = batch(8)
-    still = Batch(torch.full_like(sample.scenes, 0.3), sample.sharp, sample.chip_psfs, sample.noise)
+    still = Batch(
+        torch.full_like(sample.scenes, 0.3), sample.sharp, sample.chip_psfs, sample.noise
+    )
     for k in (1, 4, 8):
         photos = photos_of(still, torch.tensor([1.0] * k + [0.0] * (8 - k), dtype=torch.float64))
         torch.testing.assert_close(photos - 0.3, sample.noise * 8 / k, rtol=1e-6, atol=1e-9)
@@ -124,7 +140,9 @@ def test_of_a_constant_difference():
     d = 0.25
     restored, sharp = images(d)
     assert charbonnier(restored, sharp).item() == pytest.approx(np.hypot(d, 1e-3))
-    assert edge_loss(restored, sharp).item() == pytest.approx(1e-3)  # no edges: what is left is the smoothing
+    assert edge_loss(restored, sharp).item() == pytest.approx(
+        1e-3
+    )  # no edges: what is left is the smoothing
     assert spectral_loss(restored, sharp).item() == pytest.approx(d)  # d N at one frequency of N
 
 
@@ -134,8 +152,12 @@ def test_of_a_single_wrong_pixel():
     impulse[:, :, 8, 6] = a
     restored, sharp = images(impulse)
     pixels = 16 * 12
-    assert charbonnier(restored, sharp).item() == pytest.approx((np.hypot(a, 1e-3) + (pixels - 1) * 1e-3) / pixels)
-    assert spectral_loss(restored, sharp).item() == pytest.approx(a)  # as strong at every frequency
+    assert charbonnier(restored, sharp).item() == pytest.approx(
+        (np.hypot(a, 1e-3) + (pixels - 1) * 1e-3) / pixels
+    )
+    assert spectral_loss(restored, sharp).item() == pytest.approx(
+        a
+    )  # as strong at every frequency
     line = np.array([1, 4, 6, 4, 1]) / 16
     edges = -np.outer(line, line)
     edges[2, 2] += 1
@@ -144,9 +166,13 @@ def test_of_a_single_wrong_pixel():
 
 
 def test_the_weights_are_those_published():
-    restored, sharp = images(torch.from_numpy(np.random.default_rng(2).normal(0, 0.1, (2, 1, 16, 12))))
+    restored, sharp = images(
+        torch.from_numpy(np.random.default_rng(2).normal(0, 0.1, (2, 1, 16, 12)))
+    )
     parts = [part(restored, sharp).item() for part in (charbonnier, edge_loss, spectral_loss)]
-    assert restoration_loss(restored, sharp).item() == pytest.approx(np.dot([1, 0.05, 0.01], parts))
+    assert restoration_loss(restored, sharp).item() == pytest.approx(
+        np.dot([1, 0.05, 0.01], parts)
+    )
 
 
 # ---- the network

@@ -36,12 +36,20 @@ def test_they_are_small_and_say_what_they_are():
 def test_they_restore_photos_better_than_doing_nothing(scene):
     """Over eight motions together, and on none of them much worse."""
     rng = np.random.default_rng(5)
-    code, gains = DCE_CODE, []
+    code = DCE_CODE
+    gains = []
     for number in range(8):
-        motion = random_straight(rng, max_length_px=30) if number % 2 else boracchi_foi(rng, max_length_px=30)
+        motion = (
+            random_straight(rng, max_length_px=30)
+            if number % 2
+            else boracchi_foi(rng, max_length_px=30)
+        )
         photo = add_noise(blur_valid(scene, coded_psf(motion, code, 64)), rng, read_sigma=0.01)
         sharp = scene[valid_window(scene.shape, (64, 64))]
-        gains.append(10 * np.log10(mean_square(photo / code.duty, sharp) / mean_square(restore(photo), sharp)))
+        gains.append(
+            10
+            * np.log10(mean_square(photo / code.duty, sharp) / mean_square(restore(photo), sharp))
+        )
     assert np.mean(gains) > 0.3, gains
     assert min(gains) > -0.5, gains
 

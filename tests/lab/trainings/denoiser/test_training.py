@@ -65,13 +65,24 @@ def test_the_step_size_ends_near_nothing(photos):
 
 
 def test_a_run_is_as_long_as_its_clock_says_and_writes_as_it_goes(photos, tmp_path):
-    target, lines = tmp_path / "d.safetensors", []
-    steps = train(photos, target, minutes=1.0, settings=TINY, save_s=25.0, clock=clock(10.0), report=lines.append)
+    target = tmp_path / "d.safetensors"
+    lines = []
+    steps = train(
+        photos,
+        target,
+        minutes=1.0,
+        settings=TINY,
+        save_s=25.0,
+        clock=clock(10.0),
+        report=lines.append,
+    )
     assert steps == 6
     assert len(lines) == 2
     assert read_card(target) == {
-        "steps": 6, "seconds": 60, "settings": {"batch": 2, "crop_px": 16, "rate": 1.2e-3, "seed": 0},
-    }  # fmt: skip
+        "steps": 6,
+        "seconds": 60,
+        "settings": {"batch": 2, "crop_px": 16, "rate": 1.2e-3, "seed": 0},
+    }
     again = tmp_path / "again.safetensors"
     train(photos, again, minutes=1.0, settings=TINY, clock=clock(10.0))
     assert again.read_bytes() == target.read_bytes()
@@ -89,8 +100,12 @@ def test_what_is_written_is_the_average_of_the_weights(photos, tmp_path):
     network = DenoisingNetwork()
     network.load_state_dict(trainer.average)
     with torch.no_grad():
-        expected = network(torch.from_numpy(image[None, None]).float(), torch.tensor([0.1]))[0, 0].numpy()
-    np.testing.assert_allclose(load_denoiser(tmp_path / "d.safetensors")(image, 0.1), expected, atol=2e-3)
+        expected = network(torch.from_numpy(image[None, None]).float(), torch.tensor([0.1]))[
+            0, 0
+        ].numpy()
+    np.testing.assert_allclose(
+        load_denoiser(tmp_path / "d.safetensors")(image, 0.1), expected, atol=2e-3
+    )
 
 
 def test_the_command_trains_and_evaluates(tmp_path, capsys):
@@ -101,7 +116,9 @@ def test_the_command_trains_and_evaluates(tmp_path, capsys):
     assert run(["train", str(folder), "-o", str(target), "--minutes", "0.001"]) == 0
     assert read_card(target)["steps"] >= 1
     assert run(["evaluate", str(folder), "--weights", str(target)]) == 0
-    assert len(re.findall(r"sigma 0\.\d+: -?[\d.]+ dB -> -?[\d.]+ dB", capsys.readouterr().out)) == 4
+    assert (
+        len(re.findall(r"sigma 0\.\d+: -?[\d.]+ dB -> -?[\d.]+ dB", capsys.readouterr().out)) == 4
+    )
 
 
 # ---- bad input

@@ -27,15 +27,21 @@ def gray_codes(chips: int, bits: int) -> tuple[str, ...]:
     """Bit planes of the Gray numbers of ``2**bits`` equal times, the largest first."""
     number = np.arange(chips) * 2**bits // chips
     number ^= number >> 1
-    return tuple("".join(str(bit) for bit in number >> place & 1) for place in reversed(range(bits)))
+    return tuple(
+        "".join(str(bit) for bit in number >> place & 1) for place in reversed(range(bits))
+    )
 
 
 OPEN_AND_GRAY = ("1" * 52, *gray_codes(52, 3))
 
 
-def coded_psf(path: Trajectory, code: str, *, shift_px: Sequence[float] = (0, 0), size: int = 65) -> FloatArray:
+def coded_psf(
+    path: Trajectory, code: str, *, shift_px: Sequence[float] = (0, 0), size: int = 65
+) -> FloatArray:
     """PSF of the light that the open chips let pass, exact on the pixel grid."""
-    chips = slice_psfs(path.t, path.xy + np.asarray(shift_px), np.linspace(0, 1, len(code) + 1), size)
+    chips = slice_psfs(
+        path.t, path.xy + np.asarray(shift_px), np.linspace(0, 1, len(code) + 1), size
+    )
     psf: FloatArray = chips[np.array(list(code)) == "1"].sum(axis=0)
     return psf
 
@@ -51,10 +57,16 @@ def shots(
     seed: int = 0,
 ) -> Shots:
     """Photos of a cameraman's head and camera, whose noise is not clipped."""
-    rng, frame = np.random.default_rng(seed), 65
-    scene = to_linear(data.camera() / 255.0)[80:, 130:][: side_px + frame - 1, : side_px + frame - 1]
+    rng = np.random.default_rng(seed)
+    frame = 65
+    scene = to_linear(data.camera() / 255.0)[80:, 130:][
+        : side_px + frame - 1, : side_px + frame - 1
+    ]
     shifts = [(0, 0)] * len(codes) if shifts_px is None else shifts_px
-    psfs = [coded_psf(path, code, shift_px=shift, size=frame) for code, shift in zip(codes, shifts, strict=True)]
+    psfs = [
+        coded_psf(path, code, shift_px=shift, size=frame)
+        for code, shift in zip(codes, shifts, strict=True)
+    ]
     photos = [
         gain * photograph(scene, psf, rng=rng, read_sigma=read_sigma, record=np.asarray)
         for psf, gain in zip(psfs, [1.0] * len(codes) if gains is None else gains, strict=True)

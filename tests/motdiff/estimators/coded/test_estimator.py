@@ -10,7 +10,8 @@ from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.estimator import CodedEstimator
 from motdiff.trajectory import Trajectory
 
-OPEN, FIRST_HALF = "1" * 52, "1" * 26 + "0" * 26
+OPEN = "1" * 52
+FIRST_HALF = "1" * 26 + "0" * 26
 RNG = np.random.default_rng(0)
 TEXTURE = RNG.random((96, 80))
 SLOW = pytest.mark.slow  # a search for the path from all its starts: 5 to 15 s
@@ -46,10 +47,12 @@ def error_px(a: Trajectory, b: Trajectory) -> float:
 
 def estimate(taken, photos=None, **options) -> MotionEstimate:
     kernels: Estimator = Given(taken.psfs)
-    return CodedEstimator(taken.codes, kernels=kernels, **options).estimate_from(photos or taken.photos)
+    return CodedEstimator(taken.codes, kernels=kernels, **options).estimate_from(
+        photos or taken.photos
+    )
 
 
-# -- refusals ---------------------------------------------------------------------------------------------------------
+# -- refusals -------------------------------------------------------------------------------------
 
 
 def test_codes_that_tell_no_order_are_refused() -> None:
@@ -86,12 +89,13 @@ def test_a_lone_photo_needs_no_number() -> None:
         CodedEstimator([FIRST_HALF], kernels=Forbidden()).estimate(np.zeros_like(TEXTURE))
 
 
-# -- from given kernels -----------------------------------------------------------------------------------------------
+# -- from given kernels ---------------------------------------------------------------------------
 
 
 @SLOW
 def test_order_and_direction_are_found(shots, gray_codes) -> None:
-    path, told = loop_path(), []
+    path = loop_path()
+    told = []
     taken = shots(path, (OPEN, *gray_codes(52, 2)), side_px=144)
     found = estimate(taken, progress=told.append)
     assert error_px(found.best, path) < 0.3
@@ -146,7 +150,9 @@ class AtRest:
 
     def estimate(self, photo: np.ndarray) -> MotionEstimate:
         path = Trajectory.from_samples([[0.0, 0.0], [0.0, 0.0]])
-        return MotionEstimate("pmp", (path,), (1.0,), path.psf(64), 0.9, ("sharp",), {"motion_blur": False})
+        return MotionEstimate(
+            "pmp", (path,), (1.0,), path.psf(64), 0.9, ("sharp",), {"motion_blur": False}
+        )
 
 
 def test_photos_without_motion_blur_have_no_path(shots) -> None:
@@ -183,7 +189,9 @@ def test_photos_of_another_motion_are_doubted(shots, gray_codes) -> None:
     codes = (OPEN, *gray_codes(52, 2))
     taken = shots(path, codes, side_px=144)
     other = shots(Trajectory.from_samples(1.5 * path.xy[:, ::-1]), codes, side_px=144)
-    mixed = type(taken)(codes, (*taken.psfs[:2], other.psfs[2]), (*taken.photos[:2], other.photos[2]))
+    mixed = type(taken)(
+        codes, (*taken.psfs[:2], other.psfs[2]), (*taken.photos[:2], other.photos[2])
+    )
     found = estimate(mixed)
     assert found.confidence < 0.5
     assert any("unexplained" in warning for warning in found.warnings)

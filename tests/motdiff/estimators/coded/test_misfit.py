@@ -4,12 +4,20 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.estimators.coded.misfit import KernelTerm, Roughness, SceneTerm, Unknowns, descend, scene_spectra
+from motdiff.estimators.coded.misfit import (
+    KernelTerm,
+    Roughness,
+    SceneTerm,
+    Unknowns,
+    descend,
+    scene_spectra,
+)
 from motdiff.estimators.coded.otfs import CodedOtfs
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
-KNOTS, SIDE_PX = 53, 216
+KNOTS = 53
+SIDE_PX = 216
 TRUTH = boracchi_foi(np.random.default_rng(3), max_length_px=40).resampled(KNOTS)
 SHIFTS_PX = np.array([[0, 0], [1.3, -0.6], [-1.8, 0.4], [0.5, 2.0]])
 GAINS = np.array([1, 0.8, 1.1, 0.95])
@@ -18,9 +26,14 @@ UNKNOWNS = Unknowns(KNOTS, 4)
 
 def vector(path, *, shifts=SHIFTS_PX, gains=GAINS) -> torch.Tensor:
     """One candidate (1, N) whose photos and kernels lie at the same shifts."""
-    tensors = (torch.tensor(np.array(values)[None], dtype=torch.float32) for values in (path, gains, shifts))
+    tensors = (
+        torch.tensor(np.array(values)[None], dtype=torch.float32)
+        for values in (path, gains, shifts)
+    )
     x = UNKNOWNS.pack(*tensors)
-    x[:, UNKNOWNS.shift(1) : UNKNOWNS.gain(1)] = torch.tensor(np.ravel(shifts[1:]), dtype=torch.float32)
+    x[:, UNKNOWNS.shift(1) : UNKNOWNS.gain(1)] = torch.tensor(
+        np.ravel(shifts[1:]), dtype=torch.float32
+    )
     return x
 
 
@@ -31,7 +44,9 @@ def disturbed(count: int, *, size: float = 0.3) -> torch.Tensor:
     return vector(TRUTH.xy) + size * noise
 
 
-def scene_term(taken, *, part: int = 2, path_error_px: float = 0.0, brightness: float = 1.0) -> SceneTerm:
+def scene_term(
+    taken, *, part: int = 2, path_error_px: float = 0.0, brightness: float = 1.0
+) -> SceneTerm:
     photos = [brightness * photo for photo in taken.photos]
     (spectra,) = scene_spectra(photos, grids=[SIDE_PX // part], margin_px=30)
     return SceneTerm(UNKNOWNS, CodedOtfs(taken.codes, KNOTS), spectra, path_error_px=path_error_px)
@@ -40,7 +55,9 @@ def scene_term(taken, *, part: int = 2, path_error_px: float = 0.0, brightness: 
 def kernel_term(taken, *, sigma_px: float = 1.5, saturation: float | None = None) -> KernelTerm:
     otfs = CodedOtfs(taken.codes, KNOTS)
     weights = np.array([200.0, 100.0, 50.0, 150.0])
-    return KernelTerm(UNKNOWNS, otfs, taken.psfs, sigma_px=sigma_px, weights=weights, saturation=saturation)
+    return KernelTerm(
+        UNKNOWNS, otfs, taken.psfs, sigma_px=sigma_px, weights=weights, saturation=saturation
+    )
 
 
 def relative(term: SceneTerm, x: torch.Tensor) -> float:
@@ -57,7 +74,7 @@ def clean(shots):
     return shots(TRUTH, side_px=SIDE_PX, shifts_px=SHIFTS_PX, gains=GAINS, read_sigma=0.0)
 
 
-# -- the unknowns -----------------------------------------------------------------------------------------------------
+# -- the unknowns ---------------------------------------------------------------------------------
 
 
 def test_a_vector_holds_every_unknown_once() -> None:
@@ -84,11 +101,13 @@ def test_packing_and_reading() -> None:
     np.testing.assert_allclose(UNKNOWNS.kernel_shifts(x)[0], SHIFTS_PX, atol=1e-6)
 
 
-# -- photos of one scene ----------------------------------------------------------------------------------------------
+# -- photos of one scene --------------------------------------------------------------------------
 
 
 def test_the_true_motion_explains_clean_photos(clean) -> None:
-    term = scene_term(clean, path_error_px=0.1)  # a misfit of 1 is what a path that is off by 0.1 px leaves
+    term = scene_term(
+        clean, path_error_px=0.1
+    )  # a misfit of 1 is what a path that is off by 0.1 px leaves
     assert relative(term, vector(TRUTH.xy)) < 0.1
     assert relative(term, vector(TRUTH.xy[::-1])) > 20
 
@@ -97,7 +116,9 @@ def test_the_true_motion_explains_clean_photos(clean) -> None:
 def test_the_true_motion_leaves_the_noise_alone(shots, sigma: float) -> None:
     term = scene_term(shots(TRUTH, side_px=SIDE_PX, shifts_px=SHIFTS_PX, read_sigma=sigma))
     x = vector(TRUTH.xy, gains=np.ones(4))
-    assert relative(term, x) == pytest.approx(1, abs=0.08)  # 3 % by chance: 12,000 values, smoothed by the window
+    assert relative(term, x) == pytest.approx(
+        1, abs=0.08
+    )  # 3 % by chance: 12,000 values, smoothed by the window
     assert relative(term, vector(TRUTH.xy[::-1], gains=np.ones(4))) > 3
 
 
@@ -125,7 +146,9 @@ def test_where_the_scene_lies_does_not_count(noisy) -> None:
 
 def test_common_brightness_does_not_count(noisy) -> None:
     for x in (vector(TRUTH.xy), disturbed(1)):
-        half, whole = (relative(scene_term(noisy, brightness=brightness), x) for brightness in (0.5, 1.0))
+        half, whole = (
+            relative(scene_term(noisy, brightness=brightness), x) for brightness in (0.5, 1.0)
+        )
         assert half == pytest.approx(whole, rel=1e-3)
 
 
@@ -139,7 +162,9 @@ def test_shifts_are_found(noisy, part: int, within_px: float) -> None:
     start = torch.cat([vector(TRUTH.xy, shifts=shifts) for shifts in (0 * SHIFTS_PX, -SHIFTS_PX)])
     x = scene_term(noisy, part=part, path_error_px=0.3).registered(start)
     np.testing.assert_allclose(UNKNOWNS.shifts(x), [SHIFTS_PX] * 2, atol=within_px)
-    rest = torch.cat([torch.arange(UNKNOWNS.shift(1)), torch.arange(UNKNOWNS.gain(1), UNKNOWNS.size)])
+    rest = torch.cat(
+        [torch.arange(UNKNOWNS.shift(1)), torch.arange(UNKNOWNS.gain(1), UNKNOWNS.size)]
+    )
     assert torch.equal(x[:, rest], start[:, rest])
 
 
@@ -153,31 +178,39 @@ def test_the_fit_to_photos_comes_back_to_the_truth(noisy) -> None:
     assert np.sqrt((apart**2).sum(axis=1).mean()) < 0.15
 
 
-# -- kernels ----------------------------------------------------------------------------------------------------------
+# -- kernels --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sigma_px", [4.0, 1.5, 1.0])
 def test_the_true_motion_explains_exact_kernels(clean, sigma_px: float) -> None:
     term = kernel_term(clean, sigma_px=sigma_px)
-    assert float(term.cost(vector(TRUTH.xy))) < 5e-4 * 500  # of a cost of 500 where all is off: pixels alias a little
-    assert float(term.cost(vector(TRUTH.xy + np.array([0.1, 0])))) > 2 * float(term.cost(vector(TRUTH.xy)))
+    assert (
+        float(term.cost(vector(TRUTH.xy))) < 5e-4 * 500
+    )  # of a cost of 500 where all is off: pixels alias a little
+    assert float(term.cost(vector(TRUTH.xy + np.array([0.1, 0])))) > 2 * float(
+        term.cost(vector(TRUTH.xy))
+    )
     assert float(term.cost(vector(TRUTH.xy[::-1]))) > 50
 
 
 def test_the_brightness_of_kernels_does_not_count(clean) -> None:
     terms = [
         KernelTerm(
-            UNKNOWNS, CodedOtfs(clean.codes, KNOTS), [f * k for f, k in zip(factors, clean.psfs, strict=True)],
-            sigma_px=1.5, weights=np.ones(4),
+            UNKNOWNS,
+            CodedOtfs(clean.codes, KNOTS),
+            [f * k for f, k in zip(factors, clean.psfs, strict=True)],
+            sigma_px=1.5,
+            weights=np.ones(4),
         )
         for factors in ((1, 1, 1, 1), (3, 0.5, 7, 1))
-    ]  # fmt: skip
+    ]
     x = disturbed(3)
     np.testing.assert_allclose(terms[0].cost(x), terms[1].cost(x), rtol=1e-5)
 
 
 def test_saturation_bounds_the_cost_of_a_kernel(clean) -> None:
-    limit, far = 5.0, vector(TRUTH.xy + 40)
+    limit = 5.0
+    far = vector(TRUTH.xy + 40)
     assert float(kernel_term(clean).cost(far)) > 100
     assert 0.9 * 4 * limit < float(kernel_term(clean, saturation=limit).cost(far)) < 4 * limit
     near = disturbed(1, size=0.003)
@@ -186,7 +219,7 @@ def test_saturation_bounds_the_cost_of_a_kernel(clean) -> None:
     assert float(kernel_term(clean, saturation=limit).cost(near)) == pytest.approx(plain, rel=0.03)
 
 
-# -- roughness --------------------------------------------------------------------------------------------------------
+# -- roughness ------------------------------------------------------------------------------------
 
 
 def test_uniform_straight_motion_has_no_roughness() -> None:
@@ -194,8 +227,12 @@ def test_uniform_straight_motion_has_no_roughness() -> None:
     line = np.linspace(0, 1, KNOTS)[:, None] * (30.0, -12.0) + (4.0, 7.0)
     wavy = TRUTH.xy
     assert abs(float(term.cost(vector(line)))) < 1e-3 * float(term.cost(vector(wavy)))
-    assert float(term.cost(vector(wavy + line))) == pytest.approx(float(term.cost(vector(wavy))), rel=1e-2)
-    assert float(term.cost(vector(2 * wavy))) == pytest.approx(4 * float(term.cost(vector(wavy))), rel=1e-4)
+    assert float(term.cost(vector(wavy + line))) == pytest.approx(
+        float(term.cost(vector(wavy))), rel=1e-2
+    )
+    assert float(term.cost(vector(2 * wavy))) == pytest.approx(
+        4 * float(term.cost(vector(wavy))), rel=1e-4
+    )
 
 
 def test_roughness_hardly_depends_on_the_number_of_knots() -> None:
@@ -203,13 +240,17 @@ def test_roughness_hardly_depends_on_the_number_of_knots() -> None:
         t = torch.linspace(0, 1, knots)
         unknowns = Unknowns(knots, 1)
         path = 10 * torch.stack([torch.sin(6 * t), torch.cos(4 * t)], dim=1)[None]
-        return float(Roughness(unknowns, 1.0).cost(unknowns.pack(path, torch.ones(1, 1), torch.zeros(1, 1, 2))))
+        return float(
+            Roughness(unknowns, 1.0).cost(
+                unknowns.pack(path, torch.ones(1, 1), torch.zeros(1, 1, 2))
+            )
+        )
 
     assert cost(27) == pytest.approx(cost(53), rel=0.08)
     assert cost(105) == pytest.approx(cost(53), rel=0.08)
 
 
-# -- derivatives and descent ------------------------------------------------------------------------------------------
+# -- derivatives and descent ----------------------------------------------------------------------
 
 
 def all_terms(taken) -> dict[str, object]:
@@ -222,17 +263,24 @@ def all_terms(taken) -> dict[str, object]:
     }
 
 
-@pytest.mark.parametrize("name", ["scene, fine", "scene, coarse", "kernels", "kernels, saturated", "roughness"])
+@pytest.mark.parametrize(
+    "name", ["scene, fine", "scene, coarse", "kernels", "kernels, saturated", "roughness"]
+)
 def test_the_slope_is_half_the_derivative_of_the_cost(noisy, name: str) -> None:
-    term, x = all_terms(noisy)[name], disturbed(2)
-    matrix, slope = torch.zeros(2, UNKNOWNS.size, UNKNOWNS.size), torch.zeros(2, UNKNOWNS.size)
+    term = all_terms(noisy)[name]
+    x = disturbed(2)
+    matrix = torch.zeros(2, UNKNOWNS.size, UNKNOWNS.size)
+    slope = torch.zeros(2, UNKNOWNS.size)
     term.add_normal(x, matrix, slope)
-    assert torch.allclose(matrix, matrix.transpose(1, 2), rtol=1e-3, atol=1e-4 * float(matrix.abs().max()))
+    assert torch.allclose(
+        matrix, matrix.transpose(1, 2), rtol=1e-3, atol=1e-4 * float(matrix.abs().max())
+    )
     assert float(torch.linalg.eigvalsh(matrix.double()).min()) > -1e-4 * float(matrix.abs().max())
     directions = torch.randn(8, UNKNOWNS.size, generator=torch.Generator().manual_seed(1))
     step = 1e-2
     for direction in directions:
-        ahead, behind = term.cost(x + step * direction), term.cost(x - step * direction)
+        ahead = term.cost(x + step * direction)
+        behind = term.cost(x - step * direction)
         measured = (ahead - behind).double() / (2 * step)
         scale = float((2 * slope).norm(dim=1).max())  # of a direction drawn by chance
         np.testing.assert_allclose(2 * (slope @ direction), measured, atol=0.01 * scale, rtol=0.01)
@@ -241,29 +289,38 @@ def test_the_slope_is_half_the_derivative_of_the_cost(noisy, name: str) -> None:
 def test_a_second_call_adds(noisy) -> None:
     x = disturbed(1)
     for term in all_terms(noisy).values():
-        matrix, slope = torch.zeros(1, UNKNOWNS.size, UNKNOWNS.size), torch.zeros(1, UNKNOWNS.size)
+        matrix = torch.zeros(1, UNKNOWNS.size, UNKNOWNS.size)
+        slope = torch.zeros(1, UNKNOWNS.size)
         term.add_normal(x, matrix, slope)
-        once, slope_once = matrix.clone(), slope.clone()
+        once = matrix.clone()
+        slope_once = slope.clone()
         term.add_normal(x, matrix, slope)
         torch.testing.assert_close(matrix, 2 * once)
         torch.testing.assert_close(slope, 2 * slope_once)
 
 
-@pytest.mark.parametrize("names", [("kernels",), ("kernels, saturated", "roughness"), ("scene, coarse", "roughness")])
+@pytest.mark.parametrize(
+    "names", [("kernels",), ("kernels, saturated", "roughness"), ("scene, coarse", "roughness")]
+)
 def test_descent_never_raises_the_cost(noisy, names: tuple[str, ...]) -> None:
-    terms, x = [all_terms(noisy)[name] for name in names], disturbed(5, size=2.0)
-    before, given = sum(term.cost(x) for term in terms), x.clone()
+    terms = [all_terms(noisy)[name] for name in names]
+    x = disturbed(5, size=2.0)
+    before = sum(term.cost(x) for term in terms)
+    given = x.clone()
     for steps in (1, 4):
         found, costs = descend(terms, x, steps=steps)
         assert (costs <= before).all()
-        torch.testing.assert_close(costs, sum(term.cost(found) for term in terms), rtol=1e-4, atol=1e-3)
+        torch.testing.assert_close(
+            costs, sum(term.cost(found) for term in terms), rtol=1e-4, atol=1e-3
+        )
         before = costs
     assert torch.equal(x, given)
     assert (costs < 0.9 * sum(term.cost(x) for term in terms)).all()
 
 
 def test_candidates_descend_independently(noisy) -> None:
-    terms, x = [kernel_term(noisy), Roughness(UNKNOWNS, 0.3)], disturbed(4, size=1.0)
+    terms = [kernel_term(noisy), Roughness(UNKNOWNS, 0.3)]
+    x = disturbed(4, size=1.0)
     together, _ = descend(terms, x, steps=4)
     alone = torch.cat([descend(terms, row[None], steps=4)[0] for row in x])
     torch.testing.assert_close(together, alone, atol=2e-2, rtol=0)

@@ -36,14 +36,17 @@ def exact(points: np.ndarray, code: str, f: np.ndarray) -> np.ndarray:
     return slices.sum(axis=0) / is_open.mean() * np.exp(-2j * np.pi * f @ (points[0] - path.xy[0]))
 
 
-def otfs_of(codes: tuple[str, ...], paths: np.ndarray, shifts: np.ndarray, f: np.ndarray) -> np.ndarray:
+def otfs_of(
+    codes: tuple[str, ...], paths: np.ndarray, shifts: np.ndarray, f: np.ndarray
+) -> np.ndarray:
     tensors = (torch.tensor(values.copy(), dtype=torch.float32) for values in (paths, shifts, f))
     return CodedOtfs(codes, paths.shape[1]).otfs(*tensors).numpy()
 
 
 @pytest.mark.parametrize("codes", CODES)
 def test_equal_the_slices_of_the_open_chips(codes: tuple[str, ...]) -> None:
-    paths, f = np.stack([walk(seed) for seed in range(3)]), frequencies(0)
+    paths = np.stack([walk(seed) for seed in range(3)])
+    f = frequencies(0)
     shifts = np.random.default_rng(2).normal(size=(3, len(codes), 2))
     found = otfs_of(codes, paths, shifts, f)
     assert found.shape == (3, len(codes), len(f))
@@ -53,27 +56,38 @@ def test_equal_the_slices_of_the_open_chips(codes: tuple[str, ...]) -> None:
 
 
 def test_a_path_at_rest_has_an_otf_of_modulus_one() -> None:
-    f, place = frequencies(1), np.array([2.0, -1.5])
+    f = frequencies(1)
+    place = np.array([2.0, -1.5])
     found = otfs_of(CODES[0], np.tile(place, (1, KNOTS, 1)), np.zeros((1, 2, 2)), f)
-    np.testing.assert_allclose(found[0], np.tile(np.exp(-2j * np.pi * f @ place), (2, 1)), atol=2e-5)
+    np.testing.assert_allclose(
+        found[0], np.tile(np.exp(-2j * np.pi * f @ place), (2, 1)), atol=2e-5
+    )
 
 
 @pytest.mark.parametrize("codes", CODES)
 @pytest.mark.parametrize("size_px", [8.0, 0.02, 0.0])
 def test_slopes_are_the_derivatives(codes: tuple[str, ...], size_px: float) -> None:
-    path, f = walk(4), frequencies(4, 12)
+    path = walk(4)
+    f = frequencies(4, 12)
     path = size_px * (path - path.mean(axis=0)) / np.ptp(path)
-    shifts, step_px = np.random.default_rng(5).normal(size=(len(codes), 2)), 1e-4
+    shifts = np.random.default_rng(5).normal(size=(len(codes), 2))
+    step_px = 1e-4
     tensors = [torch.tensor(values[None], dtype=torch.float32) for values in (path, shifts)]
-    otfs, slopes = CodedOtfs(codes, KNOTS).with_slopes(*tensors, torch.tensor(f, dtype=torch.float32))
+    otfs, slopes = CodedOtfs(codes, KNOTS).with_slopes(
+        *tensors, torch.tensor(f, dtype=torch.float32)
+    )
     assert slopes.shape == (1, len(codes), len(f), KNOTS)
-    np.testing.assert_allclose(otfs.numpy(), otfs_of(codes, path[None], shifts[None], f), atol=1e-6)
+    np.testing.assert_allclose(
+        otfs.numpy(), otfs_of(codes, path[None], shifts[None], f), atol=1e-6
+    )
     for photo, code in enumerate(codes):
         for knot in (0, 1, 13, KNOTS - 1):
             for axis in (0, 1):
                 step = np.zeros_like(path)
                 step[knot, axis] = step_px
-                ahead, behind = (exact(path + sign * step + shifts[photo], code, f) for sign in (1, -1))
+                ahead, behind = (
+                    exact(path + sign * step + shifts[photo], code, f) for sign in (1, -1)
+                )
                 slope = slopes[0, photo, :, knot].numpy() * 2 * np.pi * f[:, axis]
                 np.testing.assert_allclose(slope, (ahead - behind) / (2 * step_px), atol=1e-5)
 
@@ -81,7 +95,11 @@ def test_slopes_are_the_derivatives(codes: tuple[str, ...], size_px: float) -> N
 @pytest.mark.parametrize("codes", CODES)
 def test_centroids_are_those_of_the_psfs(codes: tuple[str, ...], coded_psf) -> None:
     path = Trajectory.from_samples(walk(6))
-    found = CodedOtfs(codes, KNOTS).centroids(torch.tensor(path.xy[None].copy(), dtype=torch.float32))[0].numpy()
+    found = (
+        CodedOtfs(codes, KNOTS)
+        .centroids(torch.tensor(path.xy[None].copy(), dtype=torch.float32))[0]
+        .numpy()
+    )
     expected = [centroid_px(coded_psf(path, code))[::-1] for code in codes]
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
@@ -94,14 +112,21 @@ def test_open_share_is_that_of_the_chips() -> None:
 
 @st.composite
 def coded_walks(draw: st.DrawFn) -> tuple[str, np.ndarray, np.ndarray]:
-    chips, seed = draw(st.integers(1, 40)), draw(st.integers(0, 2**31))
+    chips = draw(st.integers(1, 40))
+    seed = draw(st.integers(0, 2**31))
     code = "".join(
-        draw(st.lists(st.sampled_from("01"), min_size=chips, max_size=chips).filter(lambda bits: "1" in bits))
+        draw(
+            st.lists(st.sampled_from("01"), min_size=chips, max_size=chips).filter(
+                lambda bits: "1" in bits
+            )
+        )
     )
     return code, walk(seed, draw(st.integers(3, 30))), frequencies(seed, 20)
 
 
-def one(code: str, path: np.ndarray, f: np.ndarray, shift: tuple[float, float] = (0, 0)) -> np.ndarray:
+def one(
+    code: str, path: np.ndarray, f: np.ndarray, shift: tuple[float, float] = (0, 0)
+) -> np.ndarray:
     return otfs_of((code,), path[None], np.array([[shift]]), f)[0, 0]
 
 
@@ -109,17 +134,26 @@ def one(code: str, path: np.ndarray, f: np.ndarray, shift: tuple[float, float] =
 @given(coded_walks(), st.tuples(st.floats(-5, 5), st.floats(-5, 5)))
 def test_symmetries(case: tuple[str, np.ndarray, np.ndarray], shift: tuple[float, float]) -> None:
     code, path, f = case
-    otf, tolerance = one(code, path, f), 5e-5
-    np.testing.assert_allclose(one(code[::-1], path[::-1], f), otf, atol=tolerance)  # both run backwards
-    np.testing.assert_allclose(one(code, -path, f), otf.conj(), atol=tolerance)  # turned by 180 degrees
+    otf = one(code, path, f)
+    tolerance = 5e-5
+    np.testing.assert_allclose(
+        one(code[::-1], path[::-1], f), otf, atol=tolerance
+    )  # both run backwards
+    np.testing.assert_allclose(
+        one(code, -path, f), otf.conj(), atol=tolerance
+    )  # turned by 180 degrees
     np.testing.assert_allclose(one(code, path, -f), otf.conj(), atol=tolerance)  # the PSF is real
-    np.testing.assert_allclose(one(code, path, f, shift), one(code, path + np.array(shift), f), atol=tolerance)
+    np.testing.assert_allclose(
+        one(code, path, f, shift), one(code, path + np.array(shift), f), atol=tolerance
+    )
     assert np.abs(otf).max() <= 1 + tolerance
 
 
 @settings(deadline=None)
 @given(coded_walks())
-def test_a_code_and_its_complement_make_the_open_exposure(case: tuple[str, np.ndarray, np.ndarray]) -> None:
+def test_a_code_and_its_complement_make_the_open_exposure(
+    case: tuple[str, np.ndarray, np.ndarray],
+) -> None:
     code, path, f = case
     complement = code.translate(str.maketrans("01", "10"))
     if "1" in complement:
@@ -129,7 +163,8 @@ def test_a_code_and_its_complement_make_the_open_exposure(case: tuple[str, np.nd
 
 
 def test_an_open_shutter_does_not_see_the_order() -> None:
-    path, f = walk(8), frequencies(8)
+    path = walk(8)
+    f = frequencies(8)
     np.testing.assert_allclose(one("1" * 13, path[::-1], f), one("1" * 13, path, f), atol=1e-5)
     code = "1" * 6 + "0" * 6
     assert np.abs(one(code, path[::-1], f) - one(code, path, f)).max() > 0.1

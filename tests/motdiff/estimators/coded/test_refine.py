@@ -44,7 +44,9 @@ def taken(shots):
 
 def refined(taken, paths, photos=2, **options):
     kernels = Given([psf / psf.sum() for psf in taken.psfs[:photos]])
-    return PathRefiner(taken.codes[:photos], kernels=kernels, **options).refine(paths, taken.photos[:photos])
+    return PathRefiner(taken.codes[:photos], kernels=kernels, **options).refine(
+        paths, taken.photos[:photos]
+    )
 
 
 @pytest.mark.parametrize("error", [0.5, 1.5])
@@ -70,7 +72,9 @@ def test_one_photo_and_an_exact_kernel(taken) -> None:
 
 @pytest.mark.slow(reason="fits from four orders")
 def test_of_all_orders_the_true_one_is_first(taken) -> None:
-    given = [Trajectory.from_samples(xy) for xy in orders(bent(loop_path(), 0.5), knots=201, most=24)]
+    given = [
+        Trajectory.from_samples(xy) for xy in orders(bent(loop_path(), 0.5), knots=201, most=24)
+    ]
     assert len(given) == 4
     found = refined(taken, given[1:] + given[:1])
     assert timed_distance_px(found[0].trajectory, loop_path()) < 0.2

@@ -35,7 +35,8 @@ def apart_px(a: np.ndarray, b: np.ndarray) -> float:
 )
 def test_orders_are_all_that_draw_the_same_psf(points: np.ndarray, count: int) -> None:
     path = Trajectory.from_samples(points)
-    psf, found = path.psf(), orders(path, knots=401, most=48)
+    psf = path.psf()
+    found = orders(path, knots=401, most=48)
     assert found.shape == (count, 401, 2)
     for order in found:
         assert mnc_subpixel(Trajectory.from_samples(order).psf(), psf) > 0.999
@@ -54,7 +55,8 @@ def test_orders_are_no_more_than_asked_for(most: int) -> None:
 
 
 def test_loop_reversals_turn_one_loop_round() -> None:
-    points, rng = curls(3, samples=401), np.random.default_rng(0)
+    points = curls(3, samples=401)
+    rng = np.random.default_rng(0)
     found = loop_reversals(points, most=9, rng=rng)
     assert len(found) == 2
     psf = Trajectory.from_samples(points).psf()
@@ -62,7 +64,9 @@ def test_loop_reversals_turn_one_loop_round() -> None:
         assert turned.shape == points.shape
         assert apart_px(turned, points) > 3
         np.testing.assert_allclose(turned[[0, -1]], points[[0, -1]])
-        np.testing.assert_allclose(np.sort(turned, axis=0), np.sort(points, axis=0))  # the same places
+        np.testing.assert_allclose(
+            np.sort(turned, axis=0), np.sort(points, axis=0)
+        )  # the same places
         assert mnc_subpixel(Trajectory.from_samples(turned).psf(), psf) > 0.99
     assert len(loop_reversals(points, most=1, rng=rng)) == 1
 
@@ -76,15 +80,21 @@ def test_where_there_is_no_loop_the_whole_is_reversed() -> None:
 def test_crossing_takes_a_stretch_of_the_other_path() -> None:
     t = np.linspace(0, 1, KNOTS)
     path = np.stack([20 * t, 0 * t], axis=1)
-    other = path + np.stack([0 * t, 6 * np.sin(2 * np.pi * t) * np.where(t < 0.5, 1, -0.8)], axis=1)
+    other = path + np.stack(
+        [0 * t, 6 * np.sin(2 * np.pi * t) * np.where(t < 0.5, 1, -0.8)], axis=1
+    )
     children = [crossed(path, other, rng=np.random.default_rng(seed)) for seed in range(12)]
     for child in children:
         assert child is not None
         assert child.shape == path.shape
         # at every moment it goes with one of the two, and it never jumps
-        nearest = np.minimum(np.linalg.norm(child - path, axis=1), np.linalg.norm(child - other, axis=1))
+        nearest = np.minimum(
+            np.linalg.norm(child - path, axis=1), np.linalg.norm(child - other, axis=1)
+        )
         assert nearest.max() < 1.5
-        steps = [np.linalg.norm(np.diff(walk, axis=0), axis=1).max() for walk in (child, path, other)]
+        steps = [
+            np.linalg.norm(np.diff(walk, axis=0), axis=1).max() for walk in (child, path, other)
+        ]
         assert steps[0] < max(steps[1:]) + 0.5
     assert len({round(apart_px(child, path), 6) for child in children}) > 1
     np.testing.assert_array_equal(path[:, 1], 0 * t)  # the parents stay as they are
@@ -97,17 +107,25 @@ def test_equal_paths_have_no_child() -> None:
 
 @pytest.mark.parametrize("backwards", [False, True])
 @pytest.mark.parametrize("shift_px", [(0, 0), (2.0, -1.0)])
-def test_an_l_is_decoded_from_exact_kernels(backwards: bool, shift_px: tuple[int, int], gray_codes, coded_psf) -> None:
+def test_an_l_is_decoded_from_exact_kernels(
+    backwards: bool, shift_px: tuple[int, int], gray_codes, coded_psf
+) -> None:
     corner = np.interp(np.linspace(0, 2, 201)[:, None], [0, 1, 2], [0, 0, 1])
-    legs = 12 * np.concatenate([np.interp(np.linspace(0, 2, 201)[:, None], [0, 1, 2], [0, 1, 1]), corner], axis=1)
+    legs = 12 * np.concatenate(
+        [np.interp(np.linspace(0, 2, 201)[:, None], [0, 1, 2], [0, 1, 1]), corner], axis=1
+    )
     path = Trajectory.from_samples(legs[::-1] if backwards else legs)
     codes = ("1" * 52, *gray_codes(52, 3))
     shifts = np.array([(0, 0), shift_px, (0, 0), shift_px])
-    kernels = [coded_psf(path, code, shift_px=shift) for code, shift in zip(codes, shifts, strict=True)]
+    kernels = [
+        coded_psf(path, code, shift_px=shift) for code, shift in zip(codes, shifts, strict=True)
+    ]
     truth = path.at(np.linspace(0, 1, KNOTS))
     for known in (shifts, None) if shift_px == (0, 0) else (shifts,):
         rng = np.random.default_rng(0)
-        found = decoded_paths(kernels, codes, knots=KNOTS, count=24, length_px=path.length_px, rng=rng, shifts=known)
+        found = decoded_paths(
+            kernels, codes, knots=KNOTS, count=24, length_px=path.length_px, rng=rng, shifts=known
+        )
         assert found.shape == (24, KNOTS, 2)
         errors = [apart_px(drawn, truth) for drawn in found]
         assert np.median(errors) < 1.5
@@ -117,9 +135,12 @@ def test_an_l_is_decoded_from_exact_kernels(backwards: bool, shift_px: tuple[int
 
 def test_decoded_paths_lie_on_the_first_kernel(coded_psf, gray_codes) -> None:
     path = Trajectory.from_samples(np.linspace((0, 0), (16, 8), 60))
-    codes, place = ("1" * 52, *gray_codes(52, 3)), np.array([4.0, -3.0])
+    codes = ("1" * 52, *gray_codes(52, 3))
+    place = np.array([4.0, -3.0])
     kernels = [coded_psf(path, code, shift_px=place) for code in codes]
-    found = decoded_paths(kernels, codes, knots=KNOTS, count=24, length_px=18, rng=np.random.default_rng(1))
+    found = decoded_paths(
+        kernels, codes, knots=KNOTS, count=24, length_px=18, rng=np.random.default_rng(1)
+    )
     np.testing.assert_allclose(found.mean(axis=(0, 1)), place, atol=0.7)
 
 
@@ -128,7 +149,9 @@ def test_draws_depend_on_the_generator_alone(coded_psf, gray_codes) -> None:
     codes = ("1" * 52, *gray_codes(52, 2))
     kernels = [coded_psf(path, code) for code in codes]
     draws = [
-        decoded_paths(kernels, codes, knots=KNOTS, count=4, length_px=60, rng=np.random.default_rng(seed))
+        decoded_paths(
+            kernels, codes, knots=KNOTS, count=4, length_px=60, rng=np.random.default_rng(seed)
+        )
         for seed in (0, 0, 1)
     ]
     np.testing.assert_array_equal(draws[0], draws[1])

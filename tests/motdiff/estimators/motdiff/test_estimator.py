@@ -66,9 +66,13 @@ def dead_leaves(height, width, *, seed=0):
     y, x = np.mgrid[:height, :width]
     image = np.full((height, width), 0.5)
     for _ in range(height * width // 60):
-        radius, cx, cy = 3 / rng.uniform(0.05, 1), rng.uniform(0, width), rng.uniform(0, height)
+        radius = 3 / rng.uniform(0.05, 1)
+        cx = rng.uniform(0, width)
+        cy = rng.uniform(0, height)
         near = tuple(slice(max(0, int(c - radius)), int(c + radius) + 2) for c in (cy, cx))
-        image[near][(x[near] - cx) ** 2 + (y[near] - cy) ** 2 < radius**2] = rng.uniform(0.05, 0.95)
+        image[near][(x[near] - cx) ** 2 + (y[near] - cy) ** 2 < radius**2] = rng.uniform(
+            0.05, 0.95
+        )
     return image
 
 
@@ -84,16 +88,26 @@ def photo_of(motion, height=128, width=128, *, seed=0):
 class Oracle:
     """Knows the motion in a photo, and how it lies when that photo is turned or mirrored."""
 
-    physics, photo, pitch = None, True, 4
+    physics = None
+    photo = True
+    pitch = 4
 
     def __init__(self, motion, *, logit=40.0, dwell=None):
-        self.logit, self.dwell = logit, dwell
-        self.maps = [torch.from_numpy(turned(motion, symmetry).hr_map()).float() for symmetry in range(8)]
-        self.photos, self.steps = [], []
+        self.logit = logit
+        self.dwell = dwell
+        self.maps = [
+            torch.from_numpy(turned(motion, symmetry).hr_map()).float() for symmetry in range(8)
+        ]
+        self.photos = []
+        self.steps = []
 
     def condition(self, photo, physics):
         assert physics is None
-        alike = [s for s in range(8) if self.photos and torch.equal(mirrored(self.photos[0], s, pitch=0), photo)]
+        alike = [
+            s
+            for s in range(8)
+            if self.photos and torch.equal(mirrored(self.photos[0], s, pitch=0), photo)
+        ]
         self.photos = [*self.photos, photo] if alike else [photo]
         return torch.full((1, 1, 64, 64), float(alike[0] if alike else 0))
 
@@ -103,7 +117,9 @@ class Oracle:
         logits = self.logit * (2 * self.maps[symmetry].expand(len(x_t), 1, 256, 256) - 1)
         if self.dwell is None:
             return logits
-        return torch.cat([logits, torch.log(torch.expm1(self.dwell)).expand_as(logits)], dim=1)  # softplus undoes it
+        return torch.cat(
+            [logits, torch.log(torch.expm1(self.dwell)).expand_as(logits)], dim=1
+        )  # softplus undoes it
 
 
 def estimator_with(monkeypatch, network, **options):
@@ -117,7 +133,9 @@ def weights_of(tmp_path_factory):
 
     def written(backbone):
         folder = tmp_path_factory.mktemp("run")
-        config = TrainingConfig(DataConfig(photos="photos"), network=NetworkConfig(backbone=backbone, **TINY))
+        config = TrainingConfig(
+            DataConfig(photos="photos"), network=NetworkConfig(backbone=backbone, **TINY)
+        )
         Trainer(config).save(folder / "checkpoint")
         export_weights(folder / "checkpoint", folder / "tiny.safetensors")
         return folder / "tiny.safetensors"
@@ -142,7 +160,10 @@ def no_search(monkeypatch):
         asked.append((tuple(photos.shape), sigma, starts, fine_weights))
         kernels = torch.zeros(len(photos), len(starts), 64, 64)
         for i, start in enumerate(starts):
-            kernels[:, i, 30, 27:38], kernels[:, i, 31:36, 27 + start.size // 20] = 1 / 16, 1 / 16  # an L
+            kernels[:, i, 30, 27:38], kernels[:, i, 31:36, 27 + start.size // 20] = (
+                1 / 16,
+                1 / 16,
+            )  # an L
         return kernels
 
     class NoPmp:
@@ -169,7 +190,14 @@ def no_tracing(monkeypatch):
 
 def drawn_by(network, crops, *, told=None, count=1, steps=1, seed=0):
     told = np.zeros((0, 64, 64)) if told is None else told
-    return draw_psfs(network, crops, told, count=count, steps=steps, generator=torch.Generator().manual_seed(seed))
+    return draw_psfs(
+        network,
+        crops,
+        told,
+        count=count,
+        steps=steps,
+        generator=torch.Generator().manual_seed(seed),
+    )
 
 
 def test_every_turn_of_the_photo_is_undone():
@@ -202,7 +230,10 @@ class Noise(Oracle):
 def test_every_draw_starts_from_noise_of_its_own(count):
     crops = photo_of(bent(), 90, 110)[None]
     psfs = drawn_by(Noise(bent()), crops, count=count, steps=3)
-    seen = [mirrored(torch.from_numpy(psf)[None, None], i % 8, pitch=1)[0, 0, 1:, 1:] for i, psf in enumerate(psfs)]
+    seen = [
+        mirrored(torch.from_numpy(psf)[None, None], i % 8, pitch=1)[0, 0, 1:, 1:]
+        for i, psf in enumerate(psfs)
+    ]
     alike = np.atleast_2d(np.corrcoef([psf.numpy().ravel() for psf in seen]))
     assert np.abs(np.triu(alike, 1)).max() < 0.2
     for other, alike in (
@@ -232,7 +263,9 @@ def test_a_small_crop_is_mirrored_outwards(shape):
     crop = np.random.default_rng(0).random(shape)
     oracle = Oracle(STRAIGHT)
     drawn_by(oracle, crop[None])
-    rows, columns = (np.abs((np.arange(256) + n - 1) % (2 * n - 2) - n + 1) for n in shape)  # 0 1 .. n-1 n-2 .. 1 0 1
+    rows, columns = (
+        np.abs((np.arange(256) + n - 1) % (2 * n - 2) - n + 1) for n in shape
+    )  # 0 1 .. n-1 n-2 .. 1 0 1
     seen = oracle.photos[0][0, 0].double().numpy() ** 2.2
     np.testing.assert_allclose(seen, crop[rows][:, columns], atol=1e-6)
 
@@ -240,7 +273,9 @@ def test_a_small_crop_is_mirrored_outwards(shape):
 class Blind:
     """A network of physics maps alone; notes what it is shown."""
 
-    physics, photo, pitch = True, None, 4
+    physics = True
+    photo = None
+    pitch = 4
 
     def __init__(self):
         self.shown = []
@@ -269,16 +304,21 @@ def test_physics_maps_turn_with_the_photo():
         kernels = torch.from_numpy(told).float()[None]
         kernels = mirrored(kernels / kernels.amax(dim=(2, 3), keepdim=True), symmetry, pitch=1)
         torch.testing.assert_close(maps[:, 2:5], kernels)
-        torch.testing.assert_close(maps[:, 5:][inner], autocorrelation(kernels)[inner], atol=1e-5, rtol=0)
+        torch.testing.assert_close(
+            maps[:, 5:][inner], autocorrelation(kernels)[inner], atol=1e-5, rtol=0
+        )
 
 
 def test_the_quick_searches_share_the_crops_and_their_noise(no_search):
     found = quick_search(np.random.default_rng(0).random((3, 80, 90)), sigma=0.02)
     assert found.shape == (3, 64, 64)
     assert sorted(no_search, key=lambda call: call[2][0].size) == [
-        ((1, 3, 80, 90), 0.02, (start,), CLOSED) for start in sorted(QUICK_STARTS, key=lambda start: start.size)
+        ((1, 3, 80, 90), 0.02, (start,), CLOSED)
+        for start in sorted(QUICK_STARTS, key=lambda start: start.size)
     ]
-    assert [int(np.argmax(kernel[33])) for kernel in found] == [27 + start.size // 20 for start in QUICK_STARTS]
+    assert [int(np.argmax(kernel[33])) for kernel in found] == [
+        27 + start.size // 20 for start in QUICK_STARTS
+    ]
 
 
 # ---- an oracle's motion is found
@@ -291,9 +331,12 @@ def shaken():
 
 @pytest.mark.parametrize("refine", [False, True])
 def test_an_oracle_s_motion_is_found(monkeypatch, no_search, shaken, refine):
-    oracle, options = Oracle(STRAIGHT), {"refine": refine, "steps": 4}
+    oracle = Oracle(STRAIGHT)
+    options = {"refine": refine, "steps": 4}
     estimate = estimator_with(monkeypatch, oracle, **options).estimate(shaken)
-    assert [(symmetry, draws) for symmetry, _, draws in oracle.steps] == [(s, 1) for s in range(8) for _ in range(4)]
+    assert [(symmetry, draws) for symmetry, _, draws in oracle.steps] == [
+        (s, 1) for s in range(8) for _ in range(4)
+    ]
     truth = STRAIGHT.psf(64)
     assert mnc_subpixel(estimate.psf, truth) > 0.98
     assert mnc_subpixel(estimate.trajectories[0].psf(), truth) > 0.95
@@ -317,7 +360,8 @@ def test_an_oracle_s_motion_is_found(monkeypatch, no_search, shaken, refine):
 
 def test_refinement_finds_the_dwell_that_the_network_does_not_know(monkeypatch, no_search):
     """The map of a path says nothing of the time spent on it; the photo does."""
-    photo, truth = photo_of(bent(), 144, 144), bent().psf(64)
+    photo = photo_of(bent(), 144, 144)
+    truth = bent().psf(64)
     likeness = {}
     for refine in (False, True):
         options = {"samples": 1, "steps": 2, "refine": refine}
@@ -355,11 +399,15 @@ def test_the_likeliest_different_kernels_are_corrected_and_the_photo_chooses(mon
     """Kernel 3 was the likeliest, and 5 fits the photo once it is corrected; 0 and 1 were drawn, 4 is like 3."""
     wrong = [Trajectory.straight(12.0, angle_rad=angle).psf(63) for angle in (1.0, 1.5, 2.0, 2.4)]
     kernels = tuple(wrong[i].copy() for i in (0, 0, 1, 2, 2, 3))
-    found = FoundKernels(kernels, np.array([0.9, 0.8, 0.1, 0.7, 0.6, 0.3]), 3, {"steps": 1}, origins=tuple("abcdef"))
+    found = FoundKernels(
+        kernels, np.array([0.9, 0.8, 0.1, 0.7, 0.6, 0.3]), 3, {"steps": 1}, origins=tuple("abcdef")
+    )
     told = []
 
     def noted(_network, crops, kernel, others, *, sigma):
-        numbers = [next(i for i, one in enumerate(kernels) if one is other) for other in (kernel, *others)]
+        numbers = [
+            next(i for i, one in enumerate(kernels) if one is other) for other in (kernel, *others)
+        ]
         told.append(tuple(numbers))
         assert np.array_equal(crops, shaken[None])
         assert sigma == pytest.approx(noise_sigma(shaken))
@@ -374,16 +422,27 @@ def test_the_likeliest_different_kernels_are_corrected_and_the_photo_chooses(mon
     assert all(better.kernels[i] is kernels[i] for i in (0, 1, 4))
     assert better.confidence == 0.7
     assert sorted(better.probabilities[[2, 3, 5]]) == pytest.approx([0.1, 0.3, 0.7])
-    assert better.probabilities[[0, 1, 4]] == pytest.approx([0.9, 0.8, 0.0])  # 4 is superseded by 3
+    assert better.probabilities[[0, 1, 4]] == pytest.approx(
+        [0.9, 0.8, 0.0]
+    )  # 4 is superseded by 3
     assert (better.details, better.origins) == (found.details, found.origins)
-    assert estimator_with(monkeypatch, Oracle(STRAIGHT), refine=False).corrected(shaken[None], found) is found
+    assert (
+        estimator_with(monkeypatch, Oracle(STRAIGHT), refine=False).corrected(shaken[None], found)
+        is found
+    )
 
 
 def test_a_correction_makes_no_kernel_likelier_than_the_best_was(monkeypatch, shaken):
-    kernels = tuple(Trajectory.straight(12.0, angle_rad=angle).psf(63) for angle in (1.0, 1.5, 2.0, 2.4))
+    kernels = tuple(
+        Trajectory.straight(12.0, angle_rad=angle).psf(63) for angle in (1.0, 1.5, 2.0, 2.4)
+    )
     found = FoundKernels(kernels, np.array([0.0, 0.9, 0.4, 0.2]), 2)
-    monkeypatch.setattr(correcting, "corrected_kernel", lambda _network, _crops, kernel, _others, **_: kernel)
-    better = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=1).corrected(shaken[None], found)
+    monkeypatch.setattr(
+        correcting, "corrected_kernel", lambda _network, _crops, kernel, _others, **_: kernel
+    )
+    better = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=1).corrected(
+        shaken[None], found
+    )
     assert better.confidence == 0.4
     assert sorted(better.probabilities[1:]) == pytest.approx([0.2, 0.4, 0.4])
 
@@ -391,7 +450,9 @@ def test_a_correction_makes_no_kernel_likelier_than_the_best_was(monkeypatch, sh
 def test_a_correction_keeps_the_sum_and_takes_kernels_of_any_frame(shaken):
     kernels = [STRAIGHT.psf(size) for size in (29, 63, 64)]
     found = corrected_kernel(load_correction(), shaken[None], kernels[0], kernels[1:], sigma=0.005)
-    alone = corrected_kernel(load_correction(), shaken[None], kernels[0], kernels[1:2], sigma=0.005)
+    alone = corrected_kernel(
+        load_correction(), shaken[None], kernels[0], kernels[1:2], sigma=0.005
+    )
     assert found.shape == (63, 63)
     assert found.min() >= 0
     assert found.sum() == pytest.approx(1)
@@ -430,7 +491,9 @@ LOST = (Trajectory.straight(9.0, angle_rad=2.2), Trajectory.straight(20.0, angle
 
 
 @pytest.mark.parametrize("refine", [False, True])
-def test_a_classical_kernel_is_the_result_where_the_photo_believes_it_more(monkeypatch, classical, shaken, refine):
+def test_a_classical_kernel_is_the_result_where_the_photo_believes_it_more(
+    monkeypatch, classical, shaken, refine
+):
     classical(LOST[0], LOST[0], LOST[0], STRAIGHT)
     options = {"samples": 2, "steps": 2, "refine": refine}
     estimate = estimator_with(monkeypatch, Oracle(LOST[1]), **options).estimate(shaken)
@@ -441,7 +504,9 @@ def test_a_classical_kernel_is_the_result_where_the_photo_believes_it_more(monke
 
 
 @pytest.mark.parametrize("refine", [False, True])
-def test_the_network_s_motion_is_the_result_where_the_photo_believes_it_more(monkeypatch, classical, shaken, refine):
+def test_the_network_s_motion_is_the_result_where_the_photo_believes_it_more(
+    monkeypatch, classical, shaken, refine
+):
     classical(*[LOST[0]] * len(STARTS))
     options = {"samples": 2, "steps": 2, "refine": refine}
     estimate = estimator_with(monkeypatch, Oracle(STRAIGHT), **options).estimate(shaken)
@@ -449,7 +514,9 @@ def test_the_network_s_motion_is_the_result_where_the_photo_believes_it_more(mon
     assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.95
 
 
-def test_the_mean_of_the_draws_and_the_likeliest_classical_kernel_are_always_refined(monkeypatch, classical, shaken):
+def test_the_mean_of_the_draws_and_the_likeliest_classical_kernel_are_always_refined(
+    monkeypatch, classical, shaken
+):
     """The draws alone would fill all places: they are four, unlike, and believed more."""
     motions = [Trajectory.straight(16.0, angle_rad=angle) for angle in (0.3, 0.9, 1.5, 2.1)]
     classical(*LOST, *LOST)
@@ -457,10 +524,14 @@ def test_the_mean_of_the_draws_and_the_likeliest_classical_kernel_are_always_ref
     monkeypatch.setattr(module, "draw_psfs", lambda *_, **__: psfs)
     believed = np.r_[np.full(4, 0.9), 0.1, 0.3, 0.2, 0.2, 0.0]
     monkeypatch.setattr(
-        module, "candidate_probabilities", lambda rows, *_, **__: np.r_[believed, np.arange(len(rows) - 9) / 10]
+        module,
+        "candidate_probabilities",
+        lambda rows, *_, **__: np.r_[believed, np.arange(len(rows) - 9) / 10],
     )
     refined = []
-    monkeypatch.setattr(module, "refined", lambda _crops, kernel, _sigma: refined.append(kernel) or kernel)
+    monkeypatch.setattr(
+        module, "refined", lambda _crops, kernel, _sigma: refined.append(kernel) or kernel
+    )
     monkeypatch.setattr("motdiff.threads.os.cpu_count", lambda: 1)  # one after the other
     found = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=4).search(shaken[None])
     assert len(refined) == 3
@@ -470,7 +541,9 @@ def test_the_mean_of_the_draws_and_the_likeliest_classical_kernel_are_always_ref
     assert found.best == 11  # the last of the refined ones
 
 
-def test_the_network_is_told_of_three_full_searches_smallest_frame_first(monkeypatch, classical, shaken):
+def test_the_network_is_told_of_three_full_searches_smallest_frame_first(
+    monkeypatch, classical, shaken
+):
     """As in its training: frames of 29, 39 and 53 px, of the photo as it is, zero displacement at index 32."""
     motions = [Trajectory.straight(float(i + 5), angle_rad=0.3) for i in range(len(STARTS))]
     classical(*motions)
@@ -478,35 +551,55 @@ def test_the_network_is_told_of_three_full_searches_smallest_frame_first(monkeyp
     options = {"samples": 1, "steps": 1, "refine": False}
     estimator_with(monkeypatch, network, **options).search(shaken[None])
     told = [(29, 0), (39, 0), (53, 0)]
-    index = [[(start.size, start.quarter_turns) for start in STARTS].index(wanted) for wanted in told]
+    index = [
+        [(start.size, start.quarter_turns) for start in STARTS].index(wanted) for wanted in told
+    ]
     for kernel, i in zip(network.shown[0][0, 2:5].numpy(), index, strict=True):
-        np.testing.assert_allclose(kernel, motions[i].psf(64) / motions[i].psf(64).max(), atol=1e-6)
+        np.testing.assert_allclose(
+            kernel, motions[i].psf(64) / motions[i].psf(64).max(), atol=1e-6
+        )
     assert [start.size for start in QUICK_STARTS] == [29, 39, 53]
 
 
-def test_where_the_first_two_searches_agree_the_larger_stands_for_the_third(monkeypatch, classical, shaken):
-    monkeypatch.setattr(module.PmpEstimator, "kernels", lambda *_, **__: [STRAIGHT.psf(39), LOST[0].psf(53)])
+def test_where_the_first_two_searches_agree_the_larger_stands_for_the_third(
+    monkeypatch, classical, shaken
+):
+    monkeypatch.setattr(
+        module.PmpEstimator, "kernels", lambda *_, **__: [STRAIGHT.psf(39), LOST[0].psf(53)]
+    )
     network = Blind()
-    found = estimator_with(monkeypatch, network, samples=1, steps=1, refine=False).search(shaken[None])
+    found = estimator_with(monkeypatch, network, samples=1, steps=1, refine=False).search(
+        shaken[None]
+    )
     assert len(found.kernels) == 1 + 2 + 1
-    for kernel, told in zip(network.shown[0][0, 2:5].numpy(), (LOST[0], STRAIGHT, LOST[0]), strict=True):
+    for kernel, told in zip(
+        network.shown[0][0, 2:5].numpy(), (LOST[0], STRAIGHT, LOST[0]), strict=True
+    ):
         np.testing.assert_allclose(kernel, told.psf(64) / told.psf(64).max(), atol=1e-6)
 
 
 def test_the_real_searches_fit(monkeypatch):
     """One start of each kind, on a small photo: their frames shrink with it."""
-    monkeypatch.setattr(module, "PmpEstimator", partial(PmpEstimator, starts=(Start(21, sparsity=1.0), Start(99))))
+    monkeypatch.setattr(
+        module, "PmpEstimator", partial(PmpEstimator, starts=(Start(21, sparsity=1.0), Start(99)))
+    )
     network = Blind()
     options = {"samples": 1, "steps": 1, "refine": False}
-    found = estimator_with(monkeypatch, network, **options).search(photo_of(STRAIGHT, 64, 64)[None])
+    found = estimator_with(monkeypatch, network, **options).search(
+        photo_of(STRAIGHT, 64, 64)[None]
+    )
     assert len(found.kernels) == 1 + 2 + 1
     assert network.shown[0].shape == (1, 8, 64, 64)
     assert np.ptp(np.nonzero(found.kernels[1]), axis=1).max() < 21
     assert all(kernel.sum() == pytest.approx(1) for kernel in found.kernels)
 
 
-def test_kernels_that_the_photo_does_not_believe_are_said_to_be_lost(monkeypatch, classical, shaken):
-    monkeypatch.setattr(module, "candidate_probabilities", lambda rows, *_, **__: np.full(len(rows), 0.3))
+def test_kernels_that_the_photo_does_not_believe_are_said_to_be_lost(
+    monkeypatch, classical, shaken
+):
+    monkeypatch.setattr(
+        module, "candidate_probabilities", lambda rows, *_, **__: np.full(len(rows), 0.3)
+    )
     options = {"samples": 1, "steps": 1, "refine": False}
     estimate = estimator_with(monkeypatch, Oracle(STRAIGHT), **options).estimate(shaken)
     (lost,) = estimate.warnings
@@ -521,13 +614,20 @@ def test_the_same_photo_and_seed_give_the_same_estimate(physics_only, no_tracing
     options = {"weights": physics_only, "samples": 2, "steps": 2, "seed": 4}
     first, again = (MotDiffEstimator(**options).estimate(shaken[:72, :80]) for _ in range(2))
     np.testing.assert_array_equal(first.psf, again.psf)
-    assert (first.confidence, first.details, first.weights) == (again.confidence, again.details, again.weights)
+    assert (first.confidence, first.details, first.weights) == (
+        again.confidence,
+        again.details,
+        again.weights,
+    )
     assert first.details["classical"] in (2, 4)
 
 
 def test_another_seed_gives_other_draws(physics_only, no_search, shaken):
     options = {"weights": physics_only, "samples": 3, "steps": 2, "refine": False}
-    one, same, other = (MotDiffEstimator(**options, seed=seed).search(shaken[None]).kernels[:3] for seed in (4, 4, 5))
+    one, same, other = (
+        MotDiffEstimator(**options, seed=seed).search(shaken[None]).kernels[:3]
+        for seed in (4, 4, 5)
+    )
     for i in range(3):
         np.testing.assert_array_equal(one[i], same[i])
         assert np.abs(one[i] - other[i]).max() > 1e-3 * one[i].max()
@@ -568,7 +668,10 @@ def test_a_network_of_photo_and_physics(weights_of, no_search, no_tracing):
     assert estimate.psf.sum() == pytest.approx(1)
     assert np.isfinite(estimate.psf).all()
     # of two photos with the same quick kernels it draws different paths
-    one, other = (NetworkAlone(weights, steps=1).estimate(dead_leaves(64, 64, seed=seed)).psf for seed in (0, 1))
+    one, other = (
+        NetworkAlone(weights, steps=1).estimate(dead_leaves(64, 64, seed=seed)).psf
+        for seed in (0, 1)
+    )
     assert np.abs(one - other).max() > 5e-4 * one.max()
 
 
@@ -589,8 +692,14 @@ def test_each_crop_alone_is_searched_once(physics_only, no_search):
 @pytest.mark.parametrize(
     ("photo", "message"),
     [
-        (np.full((100, 100), 0.4), "photo: is constant; motion shows only where the scene has texture"),
-        (np.random.default_rng(0).random((63, 200)), "photo: needs at least 64 x 64 px, got 200 x 63"),
+        (
+            np.full((100, 100), 0.4),
+            "photo: is constant; motion shows only where the scene has texture",
+        ),
+        (
+            np.random.default_rng(0).random((63, 200)),
+            "photo: needs at least 64 x 64 px, got 200 x 63",
+        ),
         (np.full((100, 100), np.nan), "photo: must be finite, found NaN or infinity"),
         (np.zeros(5), "photo: must be (H, W) or (H, W, C), got shape (5,)"),
     ],
@@ -643,7 +752,9 @@ def test_the_network_alone_is_one_draw_as_it_is(oracle_weights, no_search):
     assert len(oracle_weights.photos) == 1
     assert no_search == []  # it takes no physics maps
     assert oracle_weights.steps == [(0, 999, 1), (0, 666, 1), (0, 332, 1)]
-    np.testing.assert_allclose(estimate.psf, psfs_of_maps(torch.from_numpy(bent().hr_map()).double()), atol=1e-6)
+    np.testing.assert_allclose(
+        estimate.psf, psfs_of_maps(torch.from_numpy(bent().hr_map()).double()), atol=1e-6
+    )
     assert mnc_subpixel(estimate.trajectories[0].psf(), bent().psf(64)) > 0.85
     assert (estimate.method, estimate.weights, estimate.warnings) == ("network", (1.0,), ())
     colour = NetworkAlone(steps=3).estimate(np.repeat(photo[..., None], 3, axis=2))
@@ -651,14 +762,18 @@ def test_the_network_alone_is_one_draw_as_it_is(oracle_weights, no_search):
 
 
 def test_the_network_alone_repeats_with_its_seed(physics_only, no_search, no_tracing, shaken):
-    first, again, other = (NetworkAlone(physics_only, steps=2, seed=seed).estimate(shaken).psf for seed in (0, 0, 1))
+    first, again, other = (
+        NetworkAlone(physics_only, steps=2, seed=seed).estimate(shaken).psf for seed in (0, 0, 1)
+    )
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 1e-3 * first.max()
     noisier = NetworkAlone(physics_only, sampler="ddpm", steps=2, seed=0).estimate(shaken).psf
     assert np.abs(first - noisier).max() > 1e-3 * first.max()
 
 
-def test_several_draws_are_kept_and_the_first_is_the_estimate(physics_only, no_search, no_tracing, shaken):
+def test_several_draws_are_kept_and_the_first_is_the_estimate(
+    physics_only, no_search, no_tracing, shaken
+):
     (alone,) = named_estimators([f"network:ddim:2@{physics_only}"]).values()
     (many,) = named_estimators([f"network:ddim:2:3@{physics_only}"]).values()
     found = many.estimate(shaken)
@@ -671,14 +786,19 @@ def test_several_draws_are_kept_and_the_first_is_the_estimate(physics_only, no_s
         NetworkAlone(physics_only, count=0)
 
 
-def test_draws_of_both_networks_are_those_of_the_first_corrected(physics_only, no_search, no_tracing, shaken):
+def test_draws_of_both_networks_are_those_of_the_first_corrected(
+    physics_only, no_search, no_tracing, shaken
+):
     (alone,) = named_estimators([f"network:ddim:2:3@{physics_only}"]).values()
     (both,) = named_estimators([f"networks:ddim:2:3@{physics_only}"]).values()
-    drawn, better = alone.estimate(shaken), both.estimate(shaken)
+    drawn = alone.estimate(shaken)
+    better = both.estimate(shaken)
     assert (drawn.method, better.method) == ("network", "networks")
     told = drawing.quick_search(shaken[None], sigma=noise_sigma(shaken))[:2]
     for psf, corrected in zip(drawn.draws, better.draws, strict=True):
-        expected = corrected_kernel(load_correction(), shaken[None], psf, list(told), sigma=noise_sigma(shaken))
+        expected = corrected_kernel(
+            load_correction(), shaken[None], psf, list(told), sigma=noise_sigma(shaken)
+        )
         assert corrected.shape == (64, 64)
         np.testing.assert_allclose(corrected[1:, 1:], expected, atol=1e-6)
         assert np.abs(corrected - psf).max() > 0.05 * psf.max()
@@ -699,7 +819,15 @@ def test_samplers_are_named_with_their_steps(oracle_weights, shaken):
 
 @pytest.mark.parametrize(
     "name",
-    ["network:ddpm", "network:ddpm:x", "network:ddpm:4:0", "network:ddpm:4:5:6", "networks:4", "motdiff:3", "pmp:1"],
+    [
+        "network:ddpm",
+        "network:ddpm:x",
+        "network:ddpm:4:0",
+        "network:ddpm:4:5:6",
+        "networks:4",
+        "motdiff:3",
+        "pmp:1",
+    ],
 )
 def test_other_names_are_refused(oracle_weights, name):
     with pytest.raises(
@@ -711,8 +839,12 @@ def test_other_names_are_refused(oracle_weights, name):
 
 def test_a_method_may_name_its_file_of_weights(oracle_weights, monkeypatch, tmp_path):
     taken = []
-    monkeypatch.setattr("lab.evaluation.methods.NetworkAlone", lambda weights, **_: taken.append(weights))
-    monkeypatch.setattr("motdiff.estimators.motdiff.MotDiffEstimator", lambda *, weights: taken.append(weights))
+    monkeypatch.setattr(
+        "lab.evaluation.methods.NetworkAlone", lambda weights, **_: taken.append(weights)
+    )
+    monkeypatch.setattr(
+        "motdiff.estimators.motdiff.MotDiffEstimator", lambda *, weights: taken.append(weights)
+    )
     file = tmp_path / "run 2.safetensors"
     file.touch()
     names = [f"network@{file}", f"network:ddpm:4@{file}", f"motdiff@{file}", "motdiff"]

@@ -102,12 +102,17 @@ def test_progress_rises_to_one(shaken):
 
 
 @pytest.mark.parametrize(
-    ("length_px", "likeness", "agree"), [(9.0, 1.0, True), (11.1, 0.94, True), (11.6, 0.92, False), (17.0, 0.76, False)]
+    ("length_px", "likeness", "agree"),
+    [(9.0, 1.0, True), (11.1, 0.94, True), (11.6, 0.92, False), (17.0, 0.76, False)],
 )
-def test_more_starts_are_run_only_where_the_first_two_disagree(monkeypatch, length_px, likeness, agree):
+def test_more_starts_are_run_only_where_the_first_two_disagree(
+    monkeypatch, length_px, likeness, agree
+):
     starts = (Start(29), Start(21), Start(25, quarter_turns=1), Start(31))
     motions = {s.size: Trajectory.straight(9.0 if s.size == 29 else length_px) for s in starts}
-    assert mnc_subpixel(motions[29].psf(29), motions[21].psf(21)) == pytest.approx(likeness, abs=0.007)
+    assert mnc_subpixel(motions[29].psf(29), motions[21].psf(21)) == pytest.approx(
+        likeness, abs=0.007
+    )
     run = []
 
     def found(_self, _crops, start, *, tell):
@@ -154,21 +159,28 @@ def test_unusable_options_are_refused():
 
 
 @pytest.mark.parametrize("fine", [(), (3e-3, 1e-3)])
-def test_each_scale_has_its_alternations_and_the_refinement_closes_where_all_gradients_count(monkeypatch, fine):
+def test_each_scale_has_its_alternations_and_the_refinement_closes_where_all_gradients_count(
+    monkeypatch, fine
+):
     """Thirteen px: scales of 7, 11 and 13 px."""
-    seen, refined = [], []
+    seen = []
+    refined = []
 
     def latent(wrapped, kernel, *, intensity_weight, **_):
         seen.append((kernel.shape[-1], intensity_weight > 0))
         return l0_pmp_latent(wrapped, kernel, intensity_weight=intensity_weight, **_)
 
     monkeypatch.setattr(blind, "l0_pmp_latent", latent)
-    monkeypatch.setattr(blind, "refine_kernel", lambda _photos, kernel, *, sigma: refined.append(sigma) or kernel)
+    monkeypatch.setattr(
+        blind, "refine_kernel", lambda _photos, kernel, *, sigma: refined.append(sigma) or kernel
+    )
     settings = PmpSettings(iterations=3, last_iterations=2, fine_weights=fine, sigma=0.01)
     light = torch.from_numpy(dead_leaves(60, 0).astype(np.float32))[None, None]
     kernel = estimate_kernels(light, size=13, settings=settings)
     on_the_way = [True] * 3 + [False] * len(fine)
-    assert seen == [(side, salient) for side in (7, 11) for salient in on_the_way] + [(13, True)] * 2
+    assert (
+        seen == [(side, salient) for side in (7, 11) for salient in on_the_way] + [(13, True)] * 2
+    )
     assert refined == ([0.01] if fine else [])
     assert kernel.shape == (1, 13, 13)
 
@@ -182,9 +194,14 @@ def test_looking_at_all_gradients_at_each_scale_brings_the_search_nearer():
         photo = blur_valid(dead_leaves(190, seed), psf)
         photo = np.clip(photo + np.random.default_rng(seed).normal(0, 0.005, photo.shape), 0, 1)
         light = torch.from_numpy(photo.astype(np.float32))[None, None]
-        salient = replace(PmpSettings.for_noise(0.005), iterations=2, sparsity=1.0, fine_weights=())
+        salient = replace(
+            PmpSettings.for_noise(0.005), iterations=2, sparsity=1.0, fine_weights=()
+        )
         fine = replace(salient, fine_weights=PmpSettings().fine_weights)
         with torch.no_grad():
-            found = [estimate_kernels(light, size=29, settings=settings)[0].numpy() for settings in (salient, fine)]
+            found = [
+                estimate_kernels(light, size=29, settings=settings)[0].numpy()
+                for settings in (salient, fine)
+            ]
         gains.append(mnc_subpixel(found[1], psf) - mnc_subpixel(found[0], psf))
     assert np.mean(gains) > 0.03

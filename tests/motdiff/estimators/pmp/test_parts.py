@@ -61,12 +61,21 @@ def test_periodic_extension_keeps_the_photo_and_joins_its_edges():
     photo /= photo.max()
     wide = grids.periodic_extension(tensor(photo)[None], (48, 60))[0].numpy()
     np.testing.assert_array_equal(wide[:30, :41], photo.astype(np.float32))
-    # harmonic: no value beyond those on the edges, no jump at the wrap larger than inside the strip
+    # harmonic: no value beyond those on the edges, no jump at the wrap larger than inside the
+    # strip
     assert wide.max() <= photo.max() + 1e-5
     assert wide.min() >= photo.min() - 1e-5
-    assert np.abs(wide[0, :41] - wide[-1, :41]).max() < 2.5 * np.abs(photo[0] - photo[-1]).max() / 18
+    assert (
+        np.abs(wide[0, :41] - wide[-1, :41]).max() < 2.5 * np.abs(photo[0] - photo[-1]).max() / 18
+    )
     inside = wide[31:47, 5:35]
-    laplacian = inside[:-2, 1:-1] + inside[2:, 1:-1] + inside[1:-1, :-2] + inside[1:-1, 2:] - 4 * inside[1:-1, 1:-1]
+    laplacian = (
+        inside[:-2, 1:-1]
+        + inside[2:, 1:-1]
+        + inside[1:-1, :-2]
+        + inside[1:-1, 2:]
+        - 4 * inside[1:-1, 1:-1]
+    )
     assert np.abs(laplacian).max() < 1e-4
 
 
@@ -75,7 +84,9 @@ def test_downsampling_keeps_a_constant_and_halves_the_scale():
     torch.testing.assert_close(flat, torch.full_like(flat, 0.3))
     ramp = torch.arange(64.0).expand(1, 64, 64)
     small = grids.downsampled(ramp, 0.5)
-    torch.testing.assert_close(small.diff(dim=2), torch.full_like(small.diff(dim=2), 2.0), atol=1e-4, rtol=0)
+    torch.testing.assert_close(
+        small.diff(dim=2), torch.full_like(small.diff(dim=2), 2.0), atol=1e-4, rtol=0
+    )
 
 
 @pytest.mark.parametrize("side", [15, 21, 27])
@@ -110,17 +121,27 @@ def test_centring_puts_the_centroid_within_half_a_pixel_of_the_middle():
     y, x = np.mgrid[:21, :21] - 10
     assert abs((centred * x).sum()) <= 0.51
     assert abs((centred * y).sum()) <= 0.51
-    np.testing.assert_allclose(np.sort(centred[centred > 0]), np.sort(psf[psf > 0] / psf.sum()), rtol=1e-5)
+    np.testing.assert_allclose(
+        np.sort(centred[centred > 0]), np.sort(psf[psf > 0] / psf.sum()), rtol=1e-5
+    )
 
 
 def test_kernel_fit_finds_the_kernel_between_sharp_and_blurred_gradients(scene):
     psf = curved(25)
     blurred = blur_valid(scene, psf)
     sharp = scene[12:-12, 12:-12]
-    pairs = [latent.salient_gradients(tensor(image)[None], torch.zeros(1)) for image in (sharp, blurred)]
+    pairs = [
+        latent.salient_gradients(tensor(image)[None], torch.zeros(1)) for image in (sharp, blurred)
+    ]
     with_crops = [tuple(g[None] for g in pair) for pair in pairs]
     fitted = kernel.fit_kernel(
-        *with_crops, size=25, ridge=1e-3, smoothness=0.0, sparsity=0.0, rounds=(25, 50), keep_share=0.0
+        *with_crops,
+        size=25,
+        ridge=1e-3,
+        smoothness=0.0,
+        sparsity=0.0,
+        rounds=(25, 50),
+        keep_share=0.0,
     )
     overlap = (fitted[0].numpy() * psf).sum() / np.linalg.norm(fitted[0]) / np.linalg.norm(psf)
     assert overlap > 0.99
@@ -128,7 +149,10 @@ def test_kernel_fit_finds_the_kernel_between_sharp_and_blurred_gradients(scene):
 
 def test_kernel_fit_solves_the_non_negative_least_squares_it_states():
     rng = np.random.default_rng(6)
-    sharp, side, ridge, smoothness = rng.random((2, 24, 24)) - 0.5, 5, 0.4, 0.3
+    sharp = rng.random((2, 24, 24)) - 0.5
+    side = 5
+    ridge = 0.4
+    smoothness = 0.3
     truth = np.abs(rng.random((side, side)) - 0.3)
     blurred = [signal.fftconvolve(g, truth / truth.sum(), mode="full")[2:-2, 2:-2] for g in sharp]
     columns = []
@@ -137,7 +161,9 @@ def test_kernel_fit_solves_the_non_negative_least_squares_it_states():
             unit = np.zeros((side, side))
             unit[row, column] = 1
             columns.append(
-                np.concatenate([signal.fftconvolve(g, unit, mode="full")[2:-2, 2:-2].ravel() for g in sharp])
+                np.concatenate(
+                    [signal.fftconvolve(g, unit, mode="full")[2:-2, 2:-2].ravel() for g in sharp]
+                )
             )
     design = np.stack(columns, axis=1)
     differences = []
@@ -147,11 +173,18 @@ def test_kernel_fit_solves_the_non_negative_least_squares_it_states():
         unit[1 + i // side, 1 + i % side] = 1
         padded[i] = np.concatenate([np.diff(unit, axis=0).ravel(), np.diff(unit, axis=1).ravel()])
         differences.append(padded[i])
-    stacked = np.vstack([design, np.sqrt(ridge) * np.eye(side**2), np.sqrt(smoothness) * np.stack(differences, axis=1)])
+    stacked = np.vstack(
+        [
+            design,
+            np.sqrt(ridge) * np.eye(side**2),
+            np.sqrt(smoothness) * np.stack(differences, axis=1),
+        ]
+    )
     right = np.concatenate([*(b.ravel() for b in blurred), np.zeros(len(stacked) - len(design))])
     expected, _ = optimize.nnls(stacked, right)
     latent_pair = tuple(tensor(g)[None, None] for g in sharp)
-    # what the frame cuts off at its edges is data that the periodic oracle has and a real photo has not: compare inside
+    # what the frame cuts off at its edges is data that the periodic oracle has and a real photo
+    # has not: compare inside
     blurred_pair = tuple(tensor(b)[None, None] for b in blurred)
     fitted = kernel.fit_kernel(
         latent_pair,
@@ -190,7 +223,13 @@ def test_latent_of_a_point_kernel_is_the_photo_where_every_edge_is_strong():
     point = torch.zeros(1, 5, 5)
     point[0, 2, 2] = 1
     same = latent.l0_pmp_latent(
-        photo, point, intensity_weight=0.0, gradient_weight=1e-3, patch_px=4, coarse=False, coupling=latent.Coupling()
+        photo,
+        point,
+        intensity_weight=0.0,
+        gradient_weight=1e-3,
+        patch_px=4,
+        coarse=False,
+        coupling=latent.Coupling(),
     )
     assert float((same - photo).abs().max()) < 0.03
 
@@ -198,21 +237,30 @@ def test_latent_of_a_point_kernel_is_the_photo_where_every_edge_is_strong():
 @pytest.mark.parametrize("shape", [(2, 24, 30), (1, 7, 9)])
 def test_divergence_of_the_strong_gradients_is_that_of_rolled_photos(shape):
     photos = torch.rand(shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    gx, gy = photos.roll(-1, -1) - photos, photos.roll(-1, -2) - photos
+    gx = photos.roll(-1, -1) - photos
+    gy = photos.roll(-1, -2) - photos
     strong = gx**2 + gy**2 >= 0.3
     assert 0.2 < strong.double().mean() < 0.8
-    gx, gy = gx * strong, gy * strong
+    gx = gx * strong
+    gy = gy * strong
     expected = gx.roll(1, -1) - gx + gy.roll(1, -2) - gy
     torch.testing.assert_close(latent._salient_divergence(photos, 0.3), expected)
 
 
 @pytest.mark.parametrize("soft", [True, False])
 def test_only_the_darkest_pixel_of_each_patch_is_shrunk(soft):
-    photos = torch.rand((2, 14, 20), generator=torch.Generator().manual_seed(0), dtype=torch.float64) - 0.1
+    photos = (
+        torch.rand((2, 14, 20), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        - 0.1
+    )
     photos *= torch.tensor([1.0, 0.1])[:, None, None]  # thresholds differ
     expected = photos.clone()
     for photo in expected:
-        patches = [photo[row : row + 6, column : column + 6] for row in (0, 6, 12) for column in (0, 6, 12, 18)]
+        patches = [
+            photo[row : row + 6, column : column + 6]
+            for row in (0, 6, 12)
+            for column in (0, 6, 12, 18)
+        ]
         level = np.clip(np.mean([abs(patch.min()) for patch in patches]), 0.02, 0.1)
         for patch in patches:
             darkest = patch.min()
@@ -228,13 +276,16 @@ def test_noise_is_measured_on_a_blurred_photo(scene):
     rng = np.random.default_rng(8)
     blurred = blur_valid(scene, curved(25))
     for sigma in (0.005, 0.02):
-        assert noise_sigma(blurred + rng.normal(0, sigma, blurred.shape)) == pytest.approx(sigma, rel=0.15)
+        assert noise_sigma(blurred + rng.normal(0, sigma, blurred.shape)) == pytest.approx(
+            sigma, rel=0.15
+        )
 
 
 def test_spectrum_and_phase_tell_the_kernel_from_lost_ones(scene):
     psf = curved(25)
     photo = blur_valid(scene, psf) + np.random.default_rng(9).normal(0, 0.005, (176, 176))
-    spectrum, phase = Spectrum(photo, sigma=0.005), Phase(photo, sigma=0.005)
+    spectrum = Spectrum(photo, sigma=0.005)
+    phase = Phase(photo, sigma=0.005)
     right = spectrum.fit(psf)
     gaussian = np.exp(-0.5 * (np.mgrid[-12:13, -12:13] ** 2).sum(axis=0) / 9)
     assert right > 0.5
@@ -249,7 +300,10 @@ def test_spectrum_and_phase_tell_the_kernel_from_lost_ones(scene):
 def test_evidence_in_single_precision_is_that_in_double(scene, contrast, level):
     """The formulas in double precision, for a plain photo and for one whose contrast single precision hardly holds."""
     psf = curved(25)
-    photo = contrast * (blur_valid(scene, psf) + np.random.default_rng(9).normal(0, 0.005, (176, 176))) + level
+    photo = (
+        contrast * (blur_valid(scene, psf) + np.random.default_rng(9).normal(0, 0.005, (176, 176)))
+        + level
+    )
     sigma = 0.005 * contrast
     energy = np.mean(np.diff(photo, axis=0) ** 2) + np.mean(np.diff(photo, axis=1) ** 2)
     padded = np.pad(photo - photo.mean(), 32, mode="symmetric")
@@ -260,9 +314,13 @@ def test_evidence_in_single_precision_is_that_in_double(scene, contrast, level):
     transfer = np.fft.rfft2(np.roll(frame, (-12, -12), axis=(0, 1)))
     sparsities = []
     for response in (transfer, transfer.conj()):
-        restored = np.fft.irfft2(np.fft.rfft2(padded) * response.conj() / (np.abs(transfer) ** 2 + penalty))
+        restored = np.fft.irfft2(
+            np.fft.rfft2(padded) * response.conj() / (np.abs(transfer) ** 2 + penalty)
+        )
         inner = restored[40:-40, 40:-40]
         energies = np.concatenate([np.diff(inner, axis=axis).ravel() ** 2 for axis in (0, 1)])
-        sparsities.append(np.mean(energies**0.4) / np.mean(energies) ** 0.4)  # 0.8-norm over 2-norm
+        sparsities.append(
+            np.mean(energies**0.4) / np.mean(energies) ** 0.4
+        )  # 0.8-norm over 2-norm
     expected = np.log(sparsities[1] / sparsities[0])
     assert Phase(photo, sigma=sigma).evidence(psf) == pytest.approx(expected, abs=2e-6)
