@@ -9,19 +9,23 @@ from typing import Any
 
 import pytest
 
-# Arrays are small here: more threads only wait for each other, most of all where pytest's workers use all cores.
-# Set before numpy and torch are imported; the workers inherit it, and what the tests start.
+# Arrays are small here: more threads only wait for each other, most of all where pytest's workers
+# use all cores. Set before numpy and torch are imported; the workers inherit it, and what the
+# tests start.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
 def pytest_collection_finish() -> None:
-    """Keep what all tests share out of garbage collections: the benchmarks do one before each estimate."""
+    """Keep what all tests share out of garbage collections: the benchmarks do one before each
+    estimate.
+    """
     gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _signals_of_a_foreground_job() -> Iterator[None]:
-    """Let tests and their children be interrupted where a script's background job or nohup ignores the signals.
+    """Let tests and their children be interrupted where a script's background job or nohup ignores
+    the signals.
 
     A process hands ignored signals down to its children, but not its handlers.
     """

@@ -1,4 +1,5 @@
-"""Coded exposure: the shutter code for a camera's motion, from the blurred photo to the restored one.
+"""Coded exposure: the shutter code for a camera's motion, from the blurred photo to the restored
+one.
 
 Each name is imported when it is first used, so that ``import cep`` is instant.
 

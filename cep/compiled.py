@@ -1,4 +1,5 @@
-"""Compilation of the innermost loops by numba, cached between runs, without the interpreter's lock.
+"""Compilation of the innermost loops by numba, cached between runs, without the interpreter's
+lock.
 
 numba keys the machine code it keeps by the file of each function alone, and a loop into which
 other modules' functions were inlined would survive their change. So the folder of the kept code is
@@ -35,7 +36,8 @@ _NAME = "compiled-"
 
 
 def compiled(function: F) -> F:
-    """Compile at the first call; the machine code is kept in the package's folder, or else in the user's cache folder.
+    """Compile at the first call; the machine code is kept in the package's folder, or else in the
+    user's cache folder.
 
     Where neither can be written, it is compiled anew in every run, which a warning says. Threads
     may run it side by side.
@@ -44,12 +46,15 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Compile into the calling compiled function: passing many arrays costs more than a short loop."""
+    """Compile into the calling compiled function: passing many arrays costs more than a short
+    loop.
+    """
     return _compile(function, forceinline=True)
 
 
 def kept_folder(package: Path, *, otherwise: Path | None) -> Path | None:
-    """Make the folder for the machine code of a package's sources as they are now, and drop that of earlier ones.
+    """Make the folder for the machine code of a package's sources as they are now, and drop that
+    of earlier ones.
 
     Parameters
     ----------
@@ -81,7 +86,9 @@ def kept_folder(package: Path, *, otherwise: Path | None) -> Path | None:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Whether files can be written into a folder, which is made where it is missing, for this user alone."""
+    """Whether files can be written into a folder, which is made where it is missing, for this user
+    alone.
+    """
     try:
         # the parent too: the umask of many systems lets the user's group write
         folder.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
@@ -112,7 +119,9 @@ def _compile(function: F, **more: object) -> F:
 
 @cache
 def _cache_folder() -> Path | None:
-    """Return the folder that the user names for numba, the one of the sources, or a passing one; None without any."""
+    """Return the folder that the user names for numba, the one of the sources, or a passing one;
+    None without any.
+    """
     named = numba.config.CACHE_DIR
     if named:
         if _is_writable(Path(named)):
@@ -130,10 +139,12 @@ def _cache_folder() -> Path | None:
 
 
 def _passing_folder(tried: str) -> Path | None:
-    """Make a folder that lasts as long as this process, for those that it starts too; None where none can be made."""
+    """Make a folder that lasts as long as this process, for those that it starts too; None where
+    none can be made.
+    """
     warnings.warn(
-        f"compiled loops cannot be kept in {tried}, not writable by this user alone: they are compiled anew in every "
-        "run; NUMBA_CACHE_DIR names a folder to keep them in",
+        f"compiled loops cannot be kept in {tried}, not writable by this user alone: they are"
+        " compiled anew in every run; NUMBA_CACHE_DIR names a folder to keep them in",
         RuntimeWarning,
         stacklevel=2,
     )

@@ -1,4 +1,6 @@
-"""Sphinx: the site of the documentation, built by ``make docs`` with warnings as errors and no outside request."""
+"""Sphinx: the site of the documentation, built by ``make docs`` with warnings as errors and no
+outside request.
+"""
 
 import re
 import sys

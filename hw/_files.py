@@ -38,7 +38,8 @@ def content(path: str | Path, *, most_bytes: int = _MOST_BYTES) -> bytes:
 
 
 def decoded(data: bytes) -> str:
-    """Decode text that begins in ASCII: UTF-8, UTF-16 or UTF-32 with their marks or without, else Windows-1252.
+    """Decode text that begins in ASCII: UTF-8, UTF-16 or UTF-32 with their marks or without, else
+    Windows-1252.
 
     Raises
     ------
@@ -63,7 +64,8 @@ def decoded(data: bytes) -> str:
 
 
 def regular_file(path: str | Path) -> Path:
-    """Check that an input is no pipe, socket or device, whose reading may block for ever or never end.
+    """Check that an input is no pipe, socket or device, whose reading may block for ever or never
+    end.
 
     Raises
     ------

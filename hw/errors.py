@@ -38,7 +38,9 @@ class WrongStateError(DeviceError):
 
 
 class DutyLimitError(DeviceError):
-    """The program is open for a larger part of its time than the device allows, or it would follow another too soon."""
+    """The program is open for a larger part of its time than the device allows, or it would follow
+    another too soon.
+    """
 
 
 class OnLimitError(DeviceError):
@@ -76,7 +78,9 @@ _OWED = (
 
 
 def device_error(code: int, *, request: str, source: str) -> DeviceError:
-    """Typed exception for an error byte; `source` names the device and `request` what it refuses."""
+    """Typed exception for an error byte; `source` names the device and `request` what it
+    refuses.
+    """
     kind, text = _KINDS.get(code, (DeviceError, f"error {code}, which this version does not know"))
     if kind is DutyLimitError and request == "ARM":
         text = _OWED

@@ -12,7 +12,10 @@ _ERRNO_HINTS = {
     2: "there is no such port: plug the device in, or look at the port's name",
     6: "the device is gone: plug it in again",
     11: "another program has it open: close that one first",
-    13: "no permission: add yourself to the port's group (dialout), or close the program that uses it",
+    13: (
+        "no permission: add yourself to the port's group (dialout), or close the program that"
+        " uses it"
+    ),
     16: "another program has it open: close that one first",
     21: "it is a folder: name a serial port",
     25: "it is no serial port: name one",
@@ -21,7 +24,9 @@ _ERRNO_HINTS = {
 
 
 class PortError(ValueError):
-    """The port named cannot be used: missing, busy, silent, or not the device that was expected."""
+    """The port named cannot be used: missing, busy, silent, or not the device that was
+    expected.
+    """
 
 
 class LinkError(RuntimeError):
@@ -76,7 +81,8 @@ class OpenPort:
         port = self._opened()
         try:
             return port.read(size or max(1, port.in_waiting))
-        except Exception as error:  # termios.error is no OSError, and pyserial lets TypeError through on a closed port
+        # termios.error is no OSError, and pyserial lets TypeError through on a closed port
+        except Exception as error:
             raise self._gone(error) from error
 
     def write(self, data: bytes) -> None:

@@ -48,14 +48,16 @@ class Program:
     def __post_init__(self) -> None:
         if not isinstance(self.bits, str):
             raise ValueError(
-                f"bits is a {type(self.bits).__name__}: pass a str of 0 and 1, or use Program.from_bits"
+                f"bits is a {type(self.bits).__name__}: pass a str of 0 and 1, or use"
+                " Program.from_bits"
             )
         if not self.bits:
             raise ValueError("bits is empty: a shutter code needs at least one chip")
         for index, character in enumerate(self.bits):
             if character not in "01":
                 raise ValueError(
-                    f"bits has {character!r} at chip {index}: only 0 (closed) and 1 (open) can be played"
+                    f"bits has {character!r} at chip {index}: only 0 (closed) and 1 (open) can be"
+                    " played"
                 )
         if "1" not in self.bits:
             raise ValueError(
@@ -121,7 +123,8 @@ class Program:
             chip, rest = divmod(time_ns, chip_ns)
             if rest:
                 raise ValueError(
-                    f"edge {index} at {time_ns} ns is off the grid: times must be multiples of {chip_ns} ns"
+                    f"edge {index} at {time_ns} ns is off the grid: times must be multiples of"
+                    f" {chip_ns} ns"
                 )
             if new_level != 1 - level:
                 raise ValueError(
@@ -133,7 +136,8 @@ class Program:
                 )
             if chip > chips or (new_level and chip == chips):
                 raise ValueError(
-                    f"edge {index} at {time_ns} ns is past the end: {chips} chips last {chips * chip_ns} ns"
+                    f"edge {index} at {time_ns} ns is past the end: {chips} chips last"
+                    f" {chips * chip_ns} ns"
                 )
             pieces.append(str(level) * (chip - done))
             done = chip
@@ -147,11 +151,14 @@ class Program:
 
     @classmethod
     def from_bytes(cls, packed: bytes, *, chips: int, chip_ns: int) -> Program:
-        """Make a program from MSB-first bytes, the inverse of `to_bytes`; the padding bits must be 0."""
+        """Make a program from MSB-first bytes, the inverse of `to_bytes`; the padding bits must be
+        0.
+        """
         chips = _integer(chips, "chips")
         if chips < 1 or len(packed) != (chips + 7) // 8:
             raise ValueError(
-                f"packed has {len(packed)} bytes: {chips} chips take {max(chips + 7, 0) // 8}, and at least 1"
+                f"packed has {len(packed)} bytes: {chips} chips take {max(chips + 7, 0) // 8}, and"
+                " at least 1"
             )
         bits = "".join(f"{byte:08b}" for byte in packed)
         if "1" in bits[chips:]:
@@ -159,7 +166,9 @@ class Program:
         return cls(bits[:chips], _integer(chip_ns, "chip_ns"))
 
     def to_bytes(self) -> bytes:
-        """Chips packed eight to a byte, first chip in the most significant bit, padded with closed chips."""
+        """Chips packed eight to a byte, first chip in the most significant bit, padded with closed
+        chips.
+        """
         size = (self.chips + 7) // 8
         return bytes(int(self.bits[8 * k : 8 * k + 8].ljust(8, "0"), 2) for k in range(size))
 
@@ -212,7 +221,9 @@ class Program:
 
     @property
     def code_crc32(self) -> int:
-        """CRC-32 (zlib) over chip_ns (u64), number of chips (u32), both little endian, and `to_bytes`."""
+        """CRC-32 (zlib) over chip_ns (u64), number of chips (u32), both little endian, and
+        `to_bytes`.
+        """
         return zlib.crc32(struct.pack("<QI", self.chip_ns, self.chips) + self.to_bytes())
 
 

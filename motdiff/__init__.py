@@ -1,1 +1,3 @@
-"""Motion of the camera: trajectories, their PSFs and OTFs, simulation, and estimation from blurred photographs."""
+"""Motion of the camera: trajectories, their PSFs and OTFs, simulation, and estimation from blurred
+photographs.
+"""

@@ -1,4 +1,6 @@
-"""Command line of ``python -m motdiff``: training, preparation, export and sampling of the network."""
+"""Command line of ``python -m motdiff``: training, preparation, export and sampling of the
+network.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,7 @@ examples:
   python -m motdiff train motdiff/configs/cpu.toml -o run --minutes 30
   python -m motdiff export run -o motdiff.safetensors
 measured where the motion is known:
-  python -m lab bench blind --protocol card-gyro --data photos/ --gyro gyro.txt --methods pmp,network:ddim:10@motdiff.safetensors
+  python -m lab bench blind --data photos/ --methods pmp,network:ddim:10@motdiff.safetensors
 """
 
 
@@ -124,7 +126,9 @@ def _train(given: argparse.Namespace) -> None:
 
 @contextmanager
 def _entries_of(config: Path) -> Iterator[None]:
-    """Name the run's file in errors that begin with one of its entries, as ``data.photos: ...``."""
+    """Name the run's file in errors that begin with one of its entries, as ``data.photos:
+    ...``.
+    """
     from motdiff.training.config import TrainingConfig
 
     try:
@@ -192,9 +196,9 @@ def _prepare(given: argparse.Namespace) -> None:
             photography=source.photography,
             shards=shards,
             seed=source.seed,
-            on_shard=lambda shard: print(
+            on_shard=lambda shard: print(  # noqa: T201
                 f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True
-            ),  # noqa: T201
+            ),
         )
 
 
@@ -276,7 +280,8 @@ def _sample(given: argparse.Namespace) -> None:
     image, _ = decode(photo_bytes(given.photo), given.photo)
     if min(image.shape[:2]) < PHOTO_PX:
         raise ValueError(
-            f"{given.photo}: must have at least {PHOTO_PX} x {PHOTO_PX} px, has {image.shape[1]} x {image.shape[0]}"
+            f"{given.photo}: must have at least {PHOTO_PX} x {PHOTO_PX} px, has {image.shape[1]} x"
+            f" {image.shape[0]}"
         )
     if given.count < 1:
         raise ValueError(f"--count: must be at least 1, got {given.count}")
@@ -295,7 +300,8 @@ def _sample(given: argparse.Namespace) -> None:
 
 
 def _drawn_sheet(photo: FloatArray, classical: FloatArray, psfs: FloatArray) -> bytes:
-    """Lay out a photo, the classical kernels given to the network, and its draws, as PNG; PSFs by the square root.
+    """Lay out a photo, the classical kernels given to the network, and its draws, as PNG; PSFs by
+    the square root.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""Selection of textured, unsaturated crops of a large photo, and a test of uniform blur across them."""
+"""Selection of textured, unsaturated crops of a large photo, and a test of uniform blur across
+them.
+"""
 
 from __future__ import annotations
 
@@ -92,7 +94,8 @@ def exposure_gain(photo: ArrayLike) -> float:
 
 
 def check_size(photo: ArrayLike, *, least_px: int) -> None:
-    """Refuse a photo (H, W) or (H, W, C) in which motion cannot be searched, however much it shows.
+    """Refuse a photo (H, W) or (H, W, C) in which motion cannot be searched, however much it
+    shows.
 
     Raises
     ------
@@ -119,7 +122,8 @@ def clipped_mask(photo: ArrayLike, *, level: float = CLIPPED_LEVEL) -> NDArray[n
 
 
 def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list[tuple[int, int]]:
-    """Choose crops that constrain the blur best: edges in several directions, few clipped pixels, little overlap.
+    """Choose crops that constrain the blur best: edges in several directions, few clipped pixels,
+    little overlap.
 
     The value of a crop is the smaller eigenvalue of its structure tensor (the summed outer
     products of the gradient): stripes of one direction, which hide the motion along them, have the
@@ -188,7 +192,9 @@ def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list
 
 
 def best_windows(grey: FloatArray, *, count: int) -> list[tuple[slice, slice]]:
-    """Parts of a photo (H, W) in which its blur is searched: the whole of it, or :func:`pick_crops` of it."""
+    """Parts of a photo (H, W) in which its blur is searched: the whole of it, or
+    :func:`pick_crops` of it.
+    """
     if max(grey.shape) <= _WHOLE * CROP_PX:
         return [(slice(0, grey.shape[0]), slice(0, grey.shape[1]))]
     size = min(CROP_PX, *grey.shape)
@@ -197,12 +203,15 @@ def best_windows(grey: FloatArray, *, count: int) -> list[tuple[slice, slice]]:
 
 
 def best_crops(grey: FloatArray, *, count: int) -> FloatArray:
-    """Crops (C, h, w) of a photo (H, W) in which its blur is searched, see :func:`best_windows`."""
+    """Crops (C, h, w) of a photo (H, W) in which its blur is searched, see
+    :func:`best_windows`.
+    """
     return np.stack([grey[window] for window in best_windows(grey, count=count)])
 
 
 def uniformity(psfs: Sequence[ArrayLike]) -> float:
-    """Mean mutual sub-pixel MNC of PSFs from several places of a photo: 1 = the same blur; 1 for a single one.
+    """Mean mutual sub-pixel MNC of PSFs from several places of a photo: 1 = the same blur; 1 for a
+    single one.
 
     Parameters
     ----------
@@ -231,7 +240,10 @@ def blur_differs_warning(psfs: Sequence[ArrayLike], *, limit: float = 0.75) -> s
     score = uniformity(psfs)
     if score >= limit:
         return None
-    return f"The blur differs across the photo (mutual MNC {score:.2f} of {len(psfs)} crops): no single trajectory fits."
+    return (
+        f"The blur differs across the photo (mutual MNC {score:.2f} of {len(psfs)} crops): no"
+        " single trajectory fits."
+    )
 
 
 def _gradients(image: FloatArray) -> tuple[FloatArray, FloatArray]:

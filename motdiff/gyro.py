@@ -57,19 +57,22 @@ class GyroTrace:
         rate = np.array(self.rate_rad_s, dtype=np.float64)
         if t.ndim != 1 or rate.shape != (t.size, 3):
             raise ValueError(
-                f"gyro trace: t_s must be (N,) and rate_rad_s (N, 3), got {t.shape} and {rate.shape}"
+                f"gyro trace: t_s must be (N,) and rate_rad_s (N, 3), got {t.shape} and"
+                f" {rate.shape}"
             )
         if t.size < 2:
             raise ValueError(f"gyro trace: needs at least 2 rows, got {t.size}")
         bad = ~(np.isfinite(t) & np.isfinite(rate).all(axis=1))
         if bad.any():
             raise ValueError(
-                f"gyro trace: row {int(bad.argmax()) + 1} holds NaN or infinity, all must be finite"
+                f"gyro trace: row {int(bad.argmax()) + 1} holds NaN or infinity, all must be"
+                " finite"
             )
         if not (np.diff(t) > 0).all():
             row = int(np.argmax(np.diff(t) <= 0)) + 2
             raise ValueError(
-                f"gyro trace: timestamps must strictly increase, but row {row} does not follow row {row - 1}"
+                f"gyro trace: timestamps must strictly increase, but row {row} does not follow row"
+                f" {row - 1}"
             )
         t.setflags(write=False)
         rate.setflags(write=False)
@@ -117,13 +120,14 @@ def _camera_rates_rad_s(trace: GyroTrace, axes: str) -> FloatArray:
     names = [name.strip() for name in axes.split(",")]
     if len(names) != 3 or not all(name in _DIRECTIONS for name in names):
         raise ValueError(
-            f"axes: must be the directions of x, y and z such as {DEFAULT_AXES} or right,up,back, of "
-            f"{', '.join(_DIRECTIONS)}; got {axes!r}"
+            f"axes: must be the directions of x, y and z such as {DEFAULT_AXES} or right,up,back,"
+            f" of {', '.join(_DIRECTIONS)}; got {axes!r}"
         )
     turned = np.array([_DIRECTIONS[name] for name in names], dtype=np.float64)
     if round(float(np.linalg.det(turned))) != 1:
         raise ValueError(
-            f"axes: must be at right angles and right-handed, as {DEFAULT_AXES} or right,up,back are; got {axes!r}"
+            f"axes: must be at right angles and right-handed, as {DEFAULT_AXES} or right,up,back"
+            f" are; got {axes!r}"
         )
     return trace.rate_rad_s @ turned
 
@@ -168,7 +172,8 @@ def trajectory_from_gyro(
 def roll_rad(
     trace: GyroTrace, *, start_s: float, exposure_s: float, axes: str = DEFAULT_AXES
 ) -> float:
-    """Largest change of the roll angle, rad, during the exposure, which :func:`trajectory_from_gyro` leaves out.
+    """Largest change of the roll angle, rad, during the exposure, which
+    :func:`trajectory_from_gyro` leaves out.
 
     A pixel r px from the photo's centre moves by up to ``r * roll`` px in addition to the
     trajectory.
@@ -186,7 +191,9 @@ def roll_rad(
 def _integrated(
     trace: GyroTrace, rates: FloatArray, start_s: float, exposure_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Integrate to times (T,) s and angles (T, K) rad over the exposure, exact for rates linear between rows."""
+    """Integrate to times (T,) s and angles (T, K) rad over the exposure, exact for rates linear
+    between rows.
+    """
     ends = float(trace.t_s[0]), float(trace.t_s[-1])
     t = trace.t_s - start_s  # a clock that counts from 1970 has no digits to spare
     slack = 8 * float(
@@ -194,8 +201,9 @@ def _integrated(
     )  # what rounding may cost at the ends
     if not (t[0] <= slack and exposure_s <= t[-1] + slack):
         raise ValueError(
-            f"start_s: the exposure {start_s:.4f}..{start_s + exposure_s:.4f} s must lie within the trace, "
-            f"{math.ceil(1e4 * ends[0]) / 1e4:.4f}..{math.floor(1e4 * ends[1]) / 1e4:.4f} s"
+            f"start_s: the exposure {start_s:.4f}..{start_s + exposure_s:.4f} s must lie within"
+            " the trace,"
+            f" {math.ceil(1e4 * ends[0]) / 1e4:.4f}..{math.floor(1e4 * ends[1]) / 1e4:.4f} s"
         )
     inner = t[(t > slack) & (t < exposure_s - slack)]
     knots = np.concatenate([[0.0], inner, [exposure_s]])

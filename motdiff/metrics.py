@@ -1,4 +1,6 @@
-"""Metrics of an estimate against the truth: MNC of PSFs, path distance, PSNR and SSIM up to shift."""
+"""Metrics of an estimate against the truth: MNC of PSFs, path distance, PSNR and SSIM up to
+shift.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 SAME_KERNEL_MNC = 0.95
-"""Estimates of one photo's kernel count as the same from this sub-pixel MNC on, docs/decisions/network.md."""
+"""Estimates of one photo's kernel count as the same from this sub-pixel MNC on,
+docs/decisions/network.md."""
 _SUBPIXEL_STEP_PX = 0.05
 
 
@@ -38,7 +41,8 @@ def mnc(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
 
 
 def mnc_subpixel(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
-    """MNC over shifts to 0.05 px: the cross-correlation is interpolated band-limited around its integer maximum.
+    """MNC over shifts to 0.05 px: the cross-correlation is interpolated band-limited around its
+    integer maximum.
 
     Integer shifts punish a perfect PSF that sits half a pixel off (0.80 on Levin's); this does
     not.
@@ -51,7 +55,8 @@ def mnc_subpixel(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
 
 
 def mnc_matrix(psfs: Sequence[ArrayLike]) -> FloatArray:
-    """MNC of every pair of PSFs over whole and half pixels: quicker than :func:`mnc_subpixel`, and within 0.03 of it.
+    """MNC of every pair of PSFs over whole and half pixels: quicker than :func:`mnc_subpixel`, and
+    within 0.03 of it.
 
     Parameters
     ----------
@@ -97,13 +102,16 @@ def register_shift(psf_a: ArrayLike, psf_b: ArrayLike) -> tuple[float, float]:
 
 
 def laid_on(truth: ArrayLike, psf: ArrayLike) -> FloatArray:
-    """Move ``psf`` onto ``truth`` by whole pixels: a blind kernel may be shifted. Its frame grows by as much."""
+    """Move ``psf`` onto ``truth`` by whole pixels: a blind kernel may be shifted. Its frame grows
+    by as much.
+    """
     right_px, down_px = (round(shift) for shift in register_shift(truth, psf))
     return moved(psf, down_px=down_px, right_px=right_px)
 
 
 def path_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 200) -> float:
-    """Mean distance, px, of two paths at equal arc length, after centring, for the better of the two directions.
+    """Mean distance, px, of two paths at equal arc length, after centring, for the better of the
+    two directions.
 
     Parameters
     ----------
@@ -118,12 +126,14 @@ def path_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 200) -> flo
 
 
 def timed_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 401) -> float:
-    """Rms distance, px, of two paths at equal times, after the best shift: order and direction count.
+    """Rms distance, px, of two paths at equal times, after the best shift: order and direction
+    count.
 
     Examples
     --------
     >>> path = Trajectory.straight(12.0)
-    >>> print(f"{timed_distance_px(path, path):.2f} {timed_distance_px(path, path.reversed()):.2f}")
+    >>> back = path.reversed()
+    >>> print(f"{timed_distance_px(path, path):.2f} {timed_distance_px(path, back):.2f}")
     0.00 6.95
     """
     t = np.linspace(0, 1, samples)
@@ -132,7 +142,8 @@ def timed_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 401) -> fl
 
 
 def ordered_distance_px(a: ArrayLike, b: ArrayLike, *, step_px: float = 0.25) -> float:
-    """Mean distance, px, of two drawn paths under their best monotone matching, for the better of the two directions.
+    """Mean distance, px, of two drawn paths under their best monotone matching, for the better of
+    the two directions.
 
     Dynamic time warping over points evenly spaced along both paths: small errors of arc length do
     not add up, as they do in :func:`path_distance_px`, but a loop run the wrong way round counts
@@ -166,7 +177,8 @@ def psnr_up_to_shift(
     step_px: float = 0.25,
     crop_px: int = 15,
 ) -> float:
-    """PSNR, dB, of ``restored`` against ``sharp`` (peak 1), best over translations, borders cropped.
+    """PSNR, dB, of ``restored`` against ``sharp`` (peak 1), best over translations, borders
+    cropped.
 
     Parameters
     ----------
@@ -187,7 +199,9 @@ def ssim_up_to_shift(
     step_px: float = 0.25,
     crop_px: int = 15,
 ) -> float:
-    """SSIM at the translation with the best PSNR, borders cropped; arguments as :func:`psnr_up_to_shift`."""
+    """SSIM at the translation with the best PSNR, borders cropped; arguments as
+    :func:`psnr_up_to_shift`.
+    """
     return _ssim(*_best_aligned(restored, sharp, max_shift_px, step_px, crop_px))
 
 
@@ -234,7 +248,9 @@ def _evenly_spaced(name: str, path: ArrayLike, step_px: float) -> FloatArray:
 
 
 def _warped_mean(distance: FloatArray) -> float:
-    """Least sum over monotone matchings from corner to corner, over the number of matched pairs."""
+    """Least sum over monotone matchings from corner to corner, over the number of matched
+    pairs.
+    """
     best = np.empty_like(distance)
     best[0] = np.cumsum(distance[0])
     for i in range(1, len(distance)):
@@ -256,7 +272,9 @@ def _warped_mean(distance: FloatArray) -> float:
 
 
 def _correlation(psf_a: ArrayLike, psf_b: ArrayLike) -> FloatArray:
-    """Full normalised cross-correlation; index (h_b - 1, w_b - 1) is the zero shift of the frames' corners."""
+    """Full normalised cross-correlation; index (h_b - 1, w_b - 1) is the zero shift of the frames'
+    corners.
+    """
     a = _checked("psf_a", psf_a)
     b = _checked("psf_b", psf_b)
     shape = (a.shape[0] + b.shape[0] - 1, a.shape[1] + b.shape[1] - 1)
@@ -275,7 +293,9 @@ def _checked(name: str, psf: ArrayLike) -> FloatArray:
 
 
 def _subpixel_peak(correlation: FloatArray) -> tuple[float, tuple[float, float]]:
-    """Maximum of the band-limited interpolation within 1 px of the integer maximum, and its (row, column)."""
+    """Maximum of the band-limited interpolation within 1 px of the integer maximum, and its (row,
+    column).
+    """
     padded = np.pad(correlation, 1)  # a peak at the frame's edge must not wrap into the other side
     row0, column0 = (int(i) for i in np.unravel_index(int(padded.argmax()), padded.shape))
     offsets = np.arange(-1, 1 + _SUBPIXEL_STEP_PX / 2, _SUBPIXEL_STEP_PX)
@@ -288,7 +308,9 @@ def _subpixel_peak(correlation: FloatArray) -> tuple[float, tuple[float, float]]
 
 
 def _interpolator(size: int, positions: FloatArray) -> NDArray[np.complex128]:
-    """Inverse DFT rows at real positions; the Nyquist term is split so that real signals stay real."""
+    """Inverse DFT rows at real positions; the Nyquist term is split so that real signals stay
+    real.
+    """
     frequency = np.fft.fftfreq(size)
     matrix = np.exp(2j * np.pi * positions[:, None] * frequency[None, :])
     if size % 2 == 0:
@@ -305,7 +327,8 @@ def _best_aligned(
         raise ValueError(f"restored: shape {moving.shape} differs from sharp's {target.shape}")
     if min(target.shape[:2]) <= 2 * crop_px + 2:
         raise ValueError(
-            f"crop_px: {crop_px} leaves nothing of a photo of {target.shape[1]} x {target.shape[0]} px"
+            f"crop_px: {crop_px} leaves nothing of a photo of {target.shape[1]} x"
+            f" {target.shape[0]} px"
         )
     window = (slice(crop_px, -crop_px or None),) * 2
 

@@ -1,4 +1,6 @@
-"""Random camera motions for simulation: Boracchi-Foi, uniform straight, accelerated, and real gyro windows."""
+"""Random camera motions for simulation: Boracchi-Foi, uniform straight, accelerated, and real gyro
+windows.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ def boracchi_foi(
     big_shake_strength: float = 2.0,
     big_shake_spread_rad: float = 0.5,
 ) -> Trajectory:
-    """Draw a random walk of constant speed with inertia and sudden reversals, as DeblurGAN's training data.
+    """Draw a random walk of constant speed with inertia and sudden reversals, as DeblurGAN's
+    training data.
 
     Arc length is exactly ``max_length_px``; the path is centred on its time-mean (the original is
     not centred).
@@ -113,7 +116,8 @@ def quadratic(
     max_bend: float = 1.0,
     samples: int = 200,
 ) -> Trajectory:
-    """Draw a motion of constant acceleration: a piece of a parabola, run at the parabola's own pace.
+    """Draw a motion of constant acceleration: a piece of a parabola, run at the parabola's own
+    pace.
 
     Parameters
     ----------
@@ -154,7 +158,8 @@ def random_gyro_motion(
     min_extent_rad: float = 2e-4,
     rotate: bool = True,
 ) -> Trajectory:
-    """Draw a real hand shake: a random window of ``trace``, with the focal length that gives it ``extent_px``.
+    """Draw a real hand shake: a random window of ``trace``, with the focal length that gives it
+    ``extent_px``.
 
     Parameters
     ----------
@@ -195,7 +200,8 @@ def random_gyro_motion(
             motion = Trajectory.from_samples(xy, t=motion.t, direction="known")
         return motion.scaled(extent_px / motion.extent_px)
     raise ValueError(
-        f"trace: {_WINDOW_TRIES} windows of {exposure_s} s turned by less than min_extent_rad = {min_extent_rad}"
+        f"trace: {_WINDOW_TRIES} windows of {exposure_s} s turned by less than min_extent_rad ="
+        f" {min_extent_rad}"
     )
 
 
@@ -248,6 +254,7 @@ def _positive(name: str, value: float) -> None:
 def _drawn_length(rng: np.random.Generator, low_px: float, high_px: float) -> float:
     if not (math.isfinite(high_px) and 0 < low_px <= high_px):
         raise ValueError(
-            f"min_length_px: must be positive and at most max_length_px, got {low_px} and {high_px}"
+            f"min_length_px: must be positive and at most max_length_px, got {low_px} and"
+            f" {high_px}"
         )
     return float(rng.uniform(low_px, high_px))

@@ -1,4 +1,6 @@
-"""Simulated photographs: blur with real or mirrored borders, photon and read noise, display gamma."""
+"""Simulated photographs: blur with real or mirrored borders, photon and read noise, display
+gamma.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ def valid_window(shape: tuple[int, ...], psf_shape: tuple[int, ...]) -> tuple[sl
     """
     if psf_shape[0] > shape[0] or psf_shape[1] > shape[1]:
         raise ValueError(
-            f"psf: {psf_shape[1]} x {psf_shape[0]} px does not fit an image of {shape[1]} x {shape[0]} px"
+            f"psf: {psf_shape[1]} x {psf_shape[0]} px does not fit an image of {shape[1]} x"
+            f" {shape[0]} px"
         )
     rows, columns = (
         slice(p - 1 - p // 2, n - p // 2) for n, p in zip(shape, psf_shape, strict=False)
@@ -75,7 +78,8 @@ def blur_valid(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
 
 
 def blur_symmetric(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
-    """Blur at full size, the scene mirrored beyond the borders (edge pixel repeated), as the MoTDiff paper's data.
+    """Blur at full size, the scene mirrored beyond the borders (edge pixel repeated), as the
+    MoTDiff paper's data.
 
     Parameters
     ----------
@@ -144,7 +148,8 @@ def photograph(
     read_sigma: float = 0.01,
     record: Callable[[FloatArray], FloatArray] | None = None,
 ) -> FloatArray:
-    """Simulate the blurred photo of a scene; only training has its own, batched simulation in torch.
+    """Simulate the blurred photo of a scene; only training has its own, batched simulation in
+    torch.
 
     Parameters
     ----------
@@ -181,13 +186,17 @@ def photograph(
 
 
 def visible(scene: ArrayLike, psf_px: int, *, borders: str = "real") -> FloatArray:
-    """Part of ``scene`` (H, W[, C]) that a photo of it through a PSF frame of ``psf_px`` shows, pixel for pixel."""
+    """Part of ``scene`` (H, W[, C]) that a photo of it through a PSF frame of ``psf_px`` shows,
+    pixel for pixel.
+    """
     light = np.asarray(scene, dtype=np.float64)
     return light[valid_window(light.shape, (psf_px, psf_px))] if _are_real(borders) else light
 
 
 def border_px(borders: str, psf_px: int = PSF_PX) -> int:
-    """Pixels that a scene must have more than its photo, on both axes, for a PSF frame of ``psf_px``."""
+    """Pixels that a scene must have more than its photo, on both axes, for a PSF frame of
+    ``psf_px``.
+    """
     return psf_px - 1 if _are_real(borders) else 0
 
 

@@ -20,7 +20,8 @@ from motdiff.types import ComplexArray, FloatArray
 Direction = Literal["known", "unknown"]
 
 LONGEST_PX = 4096.0
-"""Longest path that is handled, px: it passes every pixel of the usual PSF frame once, or crosses a large photo."""
+"""Longest path that is handled, px: it passes every pixel of the usual PSF frame once, or crosses
+a large photo."""
 
 _CENTRE_TOLERANCE_PX = 1e-6
 _OTF_CHUNK = 2**18  # complex numbers held at once: stays in cache, 3.5 x faster than 2**22
@@ -109,7 +110,8 @@ class Trajectory:
         mean = _time_mean(t, xy)
         if np.abs(mean).max() > _CENTRE_TOLERANCE_PX * max(1.0, float(np.abs(xy).max())):
             raise ValueError(
-                f"trajectory: time-mean must be at (0, 0), got ({mean[0]:.3g}, {mean[1]:.3g}); use from_samples"
+                f"trajectory: time-mean must be at (0, 0), got ({mean[0]:.3g}, {mean[1]:.3g}); use"
+                " from_samples"
             )
         t[0], t[-1] = 0.0, 1.0
         t.setflags(write=False)
@@ -154,7 +156,8 @@ class Trajectory:
     def straight(
         cls, length_px: float, *, angle_rad: float = 0.0, direction: Direction = "unknown"
     ) -> Trajectory:
-        """Make a uniform straight motion of ``length_px``; the angle turns from +x (right) towards +y (down).
+        """Make a uniform straight motion of ``length_px``; the angle turns from +x (right) towards
+        +y (down).
 
         Examples
         --------
@@ -199,7 +202,9 @@ class Trajectory:
         )
 
     def reversed(self) -> Trajectory:
-        """Return the same path run backwards in time: the uncoded OTF stays, a coded one changes."""
+        """Return the same path run backwards in time: the uncoded OTF stays, a coded one
+        changes.
+        """
         return replace(self, t=1.0 - self.t[::-1], xy=self.xy[::-1])
 
     def mirrored(self) -> Trajectory:
@@ -207,7 +212,9 @@ class Trajectory:
         return replace(self, xy=-self.xy)
 
     def scaled(self, factor: float) -> Trajectory:
-        """Return the path enlarged by ``factor`` (photos resized by ``factor`` have this motion)."""
+        """Return the path enlarged by ``factor`` (photos resized by ``factor`` have this
+        motion).
+        """
         if not (np.isfinite(factor) and factor > 0):
             raise ValueError(f"factor must be a positive number, got {factor}")
         return replace(self, xy=self.xy * factor)
@@ -218,7 +225,8 @@ class Trajectory:
         return Trajectory.from_samples(self.at(t), t=t, direction=self.direction)
 
     def thinned(self, tolerance_px: float = 1e-4) -> Trajectory:
-        """Return the path with fewer samples, nowhere and at no time more than ``tolerance_px`` from this one.
+        """Return the path with fewer samples, nowhere and at no time more than ``tolerance_px``
+        from this one.
 
         Its OTF differs by at most ``2 pi |f| tolerance_px``. Made for paths of a million samples,
         in about a second.
@@ -241,7 +249,9 @@ class Trajectory:
         return np.stack([np.interp(s, arc, self.x), np.interp(s, arc, self.y)], axis=-1)
 
     def segments(self, edges: Sequence[float] | FloatArray = (0.0, 1.0)) -> Segments:
-        """Cut the path into straight pieces at its samples and at the slice ``edges`` (0 = first, 1 = last)."""
+        """Cut the path into straight pieces at its samples and at the slice ``edges`` (0 = first,
+        1 = last).
+        """
         cuts = _checked_edges(edges)
         u = np.union1d(self.t[(self.t > cuts[0]) & (self.t < cuts[-1])], cuts)
         points = self.at(u)
@@ -268,7 +278,8 @@ class Trajectory:
     def slice_otfs(
         self, edges: Sequence[float] | FloatArray, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike
     ) -> ComplexArray:
-        """Exact OTF of each time slice, (slices, ...): they sum to the part of the exposure that the edges span.
+        """Exact OTF of each time slice, (slices, ...): they sum to the part of the exposure that
+        the edges span.
 
         Parameters
         ----------
@@ -307,7 +318,9 @@ class Trajectory:
         return np.asarray(whole, dtype=np.float64)
 
     def slice_psfs(self, edges: Sequence[float] | FloatArray, size: int = PSF_PX) -> FloatArray:
-        """Light-true PSF of each time slice, (slices, size, size): each sums to its share of the exposure."""
+        """Light-true PSF of each time slice, (slices, size, size): each sums to its share of the
+        exposure.
+        """
         needed = self.frame_size()
         if size < needed:
             raise ValueError(
@@ -336,7 +349,8 @@ class Trajectory:
         index = np.rint(MAP_CENTRE + MAP_PITCH * self.arc_resampled(samples)).astype(np.intp)
         if index.min() < 0 or index.max() >= MAP_PX:
             raise ValueError(
-                f"trajectory: leaves the 64-px field of the HR map (extent {self.extent_px:.1f} px)"
+                "trajectory: leaves the 64-px field of the HR map (extent"
+                f" {self.extent_px:.1f} px)"
             )
         hr = np.zeros((MAP_PX, MAP_PX), np.uint8)
         pixels = thin_path(index)
@@ -345,7 +359,9 @@ class Trajectory:
 
 
 def bilinear_otf(fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> FloatArray:
-    """OTF of bilinear splatting onto the pixel grid, ``sinc(fx)^2 sinc(fy)^2`` (frequencies in cycles/px)."""
+    """OTF of bilinear splatting onto the pixel grid, ``sinc(fx)^2 sinc(fy)^2`` (frequencies in
+    cycles/px).
+    """
     return pixel_aperture_otf(fx_cy_px, fy_cy_px) ** 2
 
 
@@ -420,7 +436,9 @@ def slice_psfs(t: FloatArray, xy: FloatArray, edges: FloatArray, size: int) -> F
 
 
 def slice_of(t: FloatArray, edges: FloatArray) -> NDArray[np.intp]:
-    """Index of the time slice that each time (N,) belongs to; a time on the last edge belongs to the last slice."""
+    """Index of the time slice that each time (N,) belongs to; a time on the last edge belongs to
+    the last slice.
+    """
     return np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(edges) - 2)
 
 
@@ -447,7 +465,9 @@ def thin_path(index: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _grid_crossings(t: FloatArray, values: FloatArray) -> FloatArray:
-    """Find the times at which a coordinate passes an integer; pixel centres bound the bilinear cells."""
+    """Find the times at which a coordinate passes an integer; pixel centres bound the bilinear
+    cells.
+    """
     low = np.minimum(values[:-1], values[1:])
     high = np.maximum(values[:-1], values[1:])
     first = np.ceil(low)
@@ -510,7 +530,8 @@ def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray
 
 
 def check_length(trajectory: Trajectory) -> None:
-    """Refuse a path of more than :data:`LONGEST_PX`, before work that grows with its length or its square.
+    """Refuse a path of more than :data:`LONGEST_PX`, before work that grows with its length or its
+    square.
 
     Raises
     ------
@@ -519,5 +540,6 @@ def check_length(trajectory: Trajectory) -> None:
     """
     if trajectory.length_px > LONGEST_PX:
         raise ValueError(
-            f"trajectory: the path is {trajectory.length_px:.6g} px long, at most {LONGEST_PX:g} px can be handled"
+            f"trajectory: the path is {trajectory.length_px:.6g} px long, at most {LONGEST_PX:g}"
+            " px can be handled"
         )

@@ -5,6 +5,8 @@
 #     text_representation:
 #       extension: .py
 #       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -48,7 +50,8 @@ code = cep.ShutterCode("1011000111010011", chip_ns=2_000_000)
 
 
 def emulated_plays(file):
-    """Play the code on an emulated Uno without and with a correction of its clock; record its pins."""
+    """Play the code on an emulated Uno without and with a correction of its clock; record its
+    pins."""
     with EmulatedUno(clock_ppm=SLOW_PPM, noise_seed=1) as uno:
         with cep.open_shutter(uno.port) as shutter:
             for clock_ppm in (0, SLOW_PPM):
@@ -62,7 +65,8 @@ with tempfile.TemporaryDirectory() as folder:
     try:
         report, emulated = emulated_plays(recording), True
         print(
-            f"{report.chips} chips of {report.chip_ns} ns read back by {report.firmware}: {report.read_back}"
+            f"{report.chips} chips of {report.chip_ns} ns read back by {report.firmware}:"
+            f" {report.read_back}"
         )
     except EmulationError as missing:
         recording.write_text(

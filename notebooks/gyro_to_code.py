@@ -5,6 +5,8 @@
 #     text_representation:
 #       extension: .py
 #       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -87,7 +89,8 @@ estimate = cep.estimate_motion(blurred, method="gyro", start_s=start_s, **known)
 found = estimate.best
 error_px = np.sqrt(np.mean(np.sum((found.at(share) - truth.at(share)) ** 2, axis=1)))
 print(
-    f"{found.length_px:.2f} px long, direction {found.direction}, {error_px:.3f} px rms from the closed form"
+    f"{found.length_px:.2f} px long, direction {found.direction}, {error_px:.3f} px rms from the"
+    " closed form"
 )
 assert found.direction == "known"
 assert abs(np.ptp(found.xy[:, 0]) - focal_px * yaw_rad_s * exposure_s) < 1e-6

@@ -5,6 +5,8 @@
 #     text_representation:
 #       extension: .py
 #       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -137,7 +139,8 @@ def off_px(path, truth):
 
 
 print(
-    f"{off_px(found.best, one):.2f} px from the true motion, {off_px(found.best, other):.2f} px from the other one"
+    f"{off_px(found.best, one):.2f} px from the true motion, {off_px(found.best, other):.2f} px"
+    " from the other one"
 )
 assert off_px(found.best, one) < 0.6 < off_px(found.best, other)
 

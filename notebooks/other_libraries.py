@@ -5,6 +5,8 @@
 #     text_representation:
 #       extension: .py
 #       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -158,7 +160,8 @@ lost = {}
 for method in list(coded)[1:]:
     lost[method] = crossed_interval(coded["wiener"] - coded[method], *zip(*keys, strict=True))
     print(
-        f"{method:38} {lost[method].mean:.1f} dB worse ({lost[method].low:.1f} to {lost[method].high:.1f})"
+        f"{method:38} {lost[method].mean:.1f} dB worse ({lost[method].low:.1f} to"
+        f" {lost[method].high:.1f})"
     )
     assert lost[method].low > 0
 plain, mirrored = (one.mean for one in lost.values())

@@ -5,6 +5,8 @@
 #     text_representation:
 #       extension: .py
 #       format_name: percent
+#       format_version: '1.3'
+#       jupytext_version: 1.19.6
 #   kernelspec:
 #     display_name: Python 3
 #     language: python
@@ -91,9 +93,11 @@ optimiser = OptimiserConfig(
     steps=STEPS, batch=8, rate=8e-3, last_rate=1e-5, warm_up=10, ema=0.97, window=32, seed=0
 )
 config = TrainingConfig(
-    DataConfig(photos="scikit-image", physics_dropout=0), network=network, loss=LossConfig(path_weight=1),
+    DataConfig(photos="scikit-image", physics_dropout=0),
+    network=network,
+    loss=LossConfig(path_weight=1),
     optimiser=optimiser,
-)  # fmt: skip
+)
 trainer = Trainer(config)
 
 
@@ -131,8 +135,13 @@ def draw(condition_maps):
         condition = trainer.average.condition(None, condition_maps)
     generator = torch.Generator().manual_seed(0)
     return sample_paths(
-        trainer.average, condition, count=1, schedule=trainer.schedule, steps=8, generator=generator
-    ).path  # fmt: skip
+        trainer.average,
+        condition,
+        count=1,
+        schedule=trainer.schedule,
+        steps=8,
+        generator=generator,
+    ).path
 
 
 def overlap(path, truth):
@@ -144,7 +153,8 @@ def overlap(path, truth):
 truth = samples.x0[SEEN:]
 own, others = draw(maps[SEEN:]), draw(maps[SEEN:].roll(1, dims=0))
 print(
-    f"overlap with the true path {overlap(own, truth):.2f}; given another photo {overlap(others, truth):.2f}"
+    f"overlap with the true path {overlap(own, truth):.2f}; given another photo"
+    f" {overlap(others, truth):.2f}"
 )
 assert overlap(own, truth) > 2 * overlap(others, truth)
 figure, axes = plt.subplots(

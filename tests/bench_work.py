@@ -62,7 +62,8 @@ def kills_its_process(*, value, at):
 
 
 def judged_slowly(**block):
-    """Judge a block of a proof, slowly; the log is named by the environment, as a proof passes the block alone."""
+    """Judge a block of a proof, slowly; the log is named by the environment, as a proof passes the
+    block alone."""
     with slowly(os.environ["CEP_TEST_LOG"], block["first"], 0.3):
         return judge_block(**block)
 

@@ -47,7 +47,8 @@ def read_latex(text):
 
 
 def read_tables(text):
-    """Read tabulars with booktabs' rules: (caption, column types, head, rows), bold cells with a mark."""
+    """Read tabulars with booktabs' rules: (caption, column types, head, rows), bold cells with a
+    mark."""
     tables = []
     for body in re.findall(r"\\begin\{table\}(.*?)\\end\{table\}", text, re.DOTALL):
         caption = re.search(r"\\caption\{(.*)\}\n", body)

@@ -10,7 +10,8 @@ from typing import Any
 
 @contextlib.contextmanager
 def child(command: Sequence[str], **options: Any) -> Iterator[subprocess.Popen[str]]:
-    """Start a process with text pipes; it is killed at the end where it still runs, also after a failure."""
+    """Start a process with text pipes; it is killed at the end where it still runs, also after a
+    failure."""
     with subprocess.Popen(command, text=True, **options) as process:
         try:
             yield process

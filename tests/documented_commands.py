@@ -1,4 +1,5 @@
-"""Commands that the documents show: where they stand, and what a shell would pass to the program."""
+"""Commands that the documents show: where they stand, and what a shell would pass to the
+program."""
 
 import contextlib
 import functools
@@ -32,7 +33,8 @@ _LACKING = frozenset({"MissingParameter", "NoArgsIsHelpError"})
 
 @dataclass(frozen=True)
 class Shown:
-    """A command of a document: in a block it is whole; in a sentence it may be a mere mention, as ``cep audit``."""
+    """A command of a document: in a block it is whole; in a sentence it may be a mere mention, as
+    ``cep audit``."""
 
     page: str
     words: tuple[str, ...]
@@ -62,7 +64,8 @@ def pages():
 
 
 def lines_of(text, language):
-    """Return the lines that a reader would type, of all blocks in one language: comments and outputs left out."""
+    """Return the lines that a reader would type, of all blocks in one language: comments and
+    outputs left out."""
     for kind, block in _FENCE.findall(text):
         if kind != language:
             continue
@@ -73,7 +76,8 @@ def lines_of(text, language):
 
 
 def commands_in(line):
-    """Return the calls of our programs in a line for the shell, each as its words without the program's name."""
+    """Return the calls of our programs in a line for the shell, each as its words without the
+    program's name."""
     lexer = shlex.shlex(_REDIRECTION.sub("", line), posix=True, punctuation_chars=True)
     lexer.whitespace_split = True
     piece: list[str] = []
@@ -117,7 +121,8 @@ def _with_examples(command, name):
 
 
 def fault(command):
-    """Parse a command as the program does, down to the values of its options; return its complaint, or None.
+    """Parse a command as the program does, down to the values of its options; return its
+    complaint, or None.
 
     A mention may leave out what is required, end with an option that wants a value, and say N for
     a number.

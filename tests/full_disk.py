@@ -1,4 +1,5 @@
-"""Faults of a file system, put into the Python process: a disk that is full from some write on, a rename that fails."""
+"""Faults of a file system, put into the Python process: a disk that is full from some write on, a
+rename that fails."""
 
 import builtins
 import errno
@@ -30,7 +31,8 @@ class _FullFile:
 
 @contextmanager
 def full_disk(monkeypatch, *, writes=None):
-    """Let the disk take ``writes`` files and folders and nothing more; yields a list that counts them."""
+    """Let the disk take ``writes`` files and folders and nothing more; yields a list that counts
+    them."""
     counted = []
     open_ = io.open
     mkdir = os.mkdir

@@ -1,4 +1,5 @@
-"""Mutated files through every reader that a command uses: each must be accepted, or refused in one clear line.
+"""Mutated files through every reader that a command uses: each must be accepted, or refused in one
+clear line.
 
     python tests/fuzz_readers.py --count 2000 --seed 1
 
@@ -44,7 +45,8 @@ MOST_GROWTH = 1536 * 2**20
 
 @dataclass(frozen=True)
 class Reader:
-    """A reader and good files for it: ``mend`` restores checksums and lengths, so that mutations reach further in."""
+    """A reader and good files for it: ``mend`` restores checksums and lengths, so that mutations
+    reach further in."""
 
     suffix: str
     seeds: Callable[[], list[bytes]]
@@ -112,7 +114,10 @@ def _camera_toml_seeds():
     profile = _file("cep", "optics", "cameras", "sony-imx250.toml")()
     return [
         *profile,
-        b'schema = "cep.camera/1"\nphotons_full_scale = 9000.0\nread_noise_e = 3\nbits = 12\nresponse = "srgb"\n',
+        (
+            b'schema = "cep.camera/1"\nphotons_full_scale = 9000.0\nread_noise_e = 3\nbits ='
+            b' 12\nresponse = "srgb"\n'
+        ),
     ]
 
 
@@ -201,8 +206,9 @@ def _capture(path):
 def _vcd_seeds():
     changes = "".join(f"#{1000 * k}\n{k % 2}!\nb10{k % 2} #\n" for k in range(1, 40))
     head = (
-        "$date today $end\n$timescale 1 ns $end\n$scope module hw $end\n$var wire 1 ! shutter $end\n"
-        "$var wire 3 # bus $end\n$upscope $end\n$enddefinitions $end\n#0\n$dumpvars\n0!\nb000 #\n$end\n"
+        "$date today $end\n$timescale 1 ns $end\n$scope module hw $end\n$var wire 1 ! shutter"
+        " $end\n$var wire 3 # bus $end\n$upscope $end\n$enddefinitions"
+        " $end\n#0\n$dumpvars\n0!\nb000 #\n$end\n"
     )
     return [(head + changes).encode()]
 
@@ -297,7 +303,8 @@ def _webp_seeds():
 
 
 def dng(cfa, *, filters=(0, 1, 1, 2)):
-    """Encode a mosaic (H, W) uint16, RGGB unless given, as a DNG whose camera sees sRGB's primaries."""
+    """Encode a mosaic (H, W) uint16, RGGB unless given, as a DNG whose camera sees sRGB's
+    primaries."""
     import tifffile
 
     to_camera = (
@@ -560,7 +567,8 @@ def mutated(reader: Reader, rng: random.Random) -> bytes:
 
 
 def _place(data, rng):
-    """Draw an offset; of large files mostly in their head, where all that is not payload stands."""
+    """Draw an offset; of large files mostly in their head, where all that is not payload
+    stands."""
     end = min(len(data), _HEAD) if rng.random() < 0.8 else len(data)
     return rng.randrange(end) if end else 0
 
@@ -766,7 +774,8 @@ def _outcome(reader: Reader, path: Path) -> tuple[str, str]:
 
 
 def _work(seed: int, numbers: range) -> None:
-    """Judge cases in this process; a line when each begins and ends. Ends after one that took too much memory."""
+    """Judge cases in this process; a line when each begins and ends. Ends after one that took too
+    much memory."""
     import resource
 
     with tempfile.TemporaryDirectory() as folder:
@@ -811,7 +820,8 @@ def _kilobytes(field):
 
 
 def _outcomes(seed: int, count: int) -> Iterator[tuple[int, str, str, str]]:
-    """Number, reader, class and line of every case, from workers that are replaced when they die."""
+    """Number, reader, class and line of every case, from workers that are replaced when they
+    die."""
     at = 0
     while at < count:
         command = [sys.executable, __file__, "--seed", str(seed), "--worker", str(at), str(count)]

@@ -1,4 +1,5 @@
-"""Requests that a hostile page, a broken client or a bored neighbour might send, drawn at random."""
+"""Requests that a hostile page, a broken client or a bored neighbour might send, drawn at
+random."""
 
 import json
 
@@ -56,7 +57,8 @@ PATHS = (
 
 
 def hostile(rng):
-    """Draw a request that must be refused: method, path, what to change of the right headers, body in chunks."""
+    """Draw a request that must be refused: method, path, what to change of the right headers, body
+    in chunks."""
     kind = rng.integers(9)
     answer = f"/api/{ANSWERS[rng.integers(len(ANSWERS))]}"
     odd = ODD[rng.integers(len(ODD))]

@@ -1,4 +1,5 @@
-"""A Python program for tests that is killed while its own processes work: which of them outlive it."""
+"""A Python program for tests that is killed while its own processes work: which of them outlive
+it."""
 
 import os
 import re
@@ -15,7 +16,8 @@ _END_S = 30.0
 
 
 def outliving(program: str, *, busy: Path, least: int = 1) -> list[str]:
-    """Run a program, kill it when ``busy`` exists, and return the command lines of its processes that do not end.
+    """Run a program, kill it when ``busy`` exists, and return the command lines of its processes
+    that do not end.
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""A named pipe for tests: whoever opens it, maybe again and again, finds it empty, and does not wait for ever."""
+"""A named pipe for tests: whoever opens it, maybe again and again, finds it empty, and does not
+wait for ever."""
 
 import os
 import threading

@@ -1,4 +1,5 @@
-"""Transcripts in documents, run from the shell as they stand: ``$ command``, ``> more of it``, and the output below."""
+"""Transcripts in documents, run from the shell as they stand: ``$ command``, ``> more of it``, and
+the output below."""
 
 import difflib
 import os
@@ -25,7 +26,8 @@ def transcript_of(page):
 
 
 def run_transcript(lines, folder):
-    """Run the commands of a transcript in a folder, and compare their output with the one shown, but for figures."""
+    """Run the commands of a transcript in a folder, and compare their output with the one shown,
+    but for figures."""
     python = shlex.quote(sys.executable)
     script = ["set -eu", *(line[2:] for line in lines if line.startswith(PROMPTS))]
     programs = folder / "bin"
@@ -61,7 +63,8 @@ def run_transcript(lines, folder):
 
 
 def _words(lines):
-    """Lines without their figures and the signs of these, the width of columns, and rules between them."""
+    """Lines without their figures and the signs of these, the width of columns, and rules between
+    them."""
     figures = (NUMBER.sub("N", line).replace("─", "") for line in lines)
     words = (" ".join(SIGNED.sub("gain N dB", line).split()) for line in figures)
     return [line for line in words if line]

@@ -1,4 +1,5 @@
-"""The rules of the design, read from the source: layers, circles, heavy imports, size, docstrings and ``__all__``.
+"""The rules of the design, read from the source: layers, circles, heavy imports, size, docstrings
+and ``__all__``.
 
 A rule is a function from modules to complaints, one line for each offence with the file's name.
 Each rule is applied to all modules at once, and to made-up ones that break it.
@@ -27,10 +28,12 @@ MAY_IMPORT = {
 }
 
 HEAVY = {"torch", "cvxpy", "matplotlib", "skimage", "numba"}
-"""Half a second to seconds to import: inside the function that needs them, or in a module listed in pyproject.toml."""
+"""Half a second to seconds to import: inside the function that needs them, or in a module listed
+in pyproject.toml."""
 
 LISTED = {"torch", "numba"}
-"""A listed module may import one of these at its top: a network's module torch, that of the compiled loops numba."""
+"""A listed module may import one of these at its top: a network's module torch, that of the
+compiled loops numba."""
 
 NEVER = {"torchvision", "matplotlib.pyplot", "pylab"}
 """pyplot keeps global state; torchvision is no dependency."""
@@ -81,7 +84,8 @@ COMMANDS_MAY_IMPORT = {
 
 @cache
 def listed_modules():
-    """Patterns of the modules that may import torch or numba at their top: where ruff's TID253 is ignored."""
+    """Patterns of the modules that may import torch or numba at their top: where ruff's TID253 is
+    ignored."""
     ignores = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["ruff"]["lint"][
         "per-file-ignores"
     ]
@@ -132,7 +136,8 @@ class Module:
 
     @cached_property
     def imports(self):
-        """Every absolute module name that is imported anywhere, `from a import b` as both a and a.b."""
+        """Every absolute module name that is imported anywhere, `from a import b` as both a and
+        a.b."""
         return frozenset(imported(ast.walk(self.tree)))
 
     @cached_property
@@ -151,7 +156,8 @@ def imported(nodes):
 
 
 def runtime_top_level(tree):
-    """Yield the statements that run on import: class bodies and try blocks too, TYPE_CHECKING blocks not."""
+    """Yield the statements that run on import: class bodies and try blocks too, TYPE_CHECKING
+    blocks not."""
     pending = list(tree.body)
     while pending:
         node = pending.pop()
@@ -195,7 +201,8 @@ def imports_are_absolute(modules):
 
 
 def no_import_circle(modules):
-    """No module needs itself before it is loaded; one circle is named for each import to be taken out."""
+    """No module needs itself before it is loaded; one circle is named for each import to be taken
+    out."""
     names = {module.dotted: module for module in modules}
     graph = {name: (module.top_imports & set(names)) - {name} for name, module in names.items()}
     while True:
@@ -216,7 +223,10 @@ def heavy_imports_are_in_functions_or_listed_modules(modules):
         if listed and len(heavy & LISTED) == 1:
             heavy -= LISTED
         for library in sorted(heavy):
-            yield f"{module.path}: imports {library} at its top: import it inside the function that needs it"
+            yield (
+                f"{module.path}: imports {library} at its top: import it inside the function that"
+                " needs it"
+            )
 
 
 def listed_modules_need_their_listing(modules):
@@ -226,7 +236,10 @@ def listed_modules_need_their_listing(modules):
             pattern.match(module.path) and LISTED & {root_of(name) for name in module.top_imports}
             for module in modules
         ):
-            yield f"pyproject.toml: TID253 is ignored for {listed}, where no module imports torch or numba at its top"
+            yield (
+                f"pyproject.toml: TID253 is ignored for {listed}, where no module imports torch or"
+                " numba at its top"
+            )
 
 
 def one_module_wraps_numba(modules):
@@ -242,7 +255,8 @@ def some_libraries_are_never_imported(modules):
 
 
 def no_file_runs_code(modules):
-    """A pickle, however it is loaded, runs code of whoever wrote the file; so does text that is evaluated."""
+    """A pickle, however it is loaded, runs code of whoever wrote the file; so does text that is
+    evaluated."""
     for module in modules:
         for name in sorted(name for name in module.imports if within(name, UNPICKLING)):
             yield f"{module.path}: imports {name}, which runs code that files hold"
@@ -274,18 +288,24 @@ def public_modules_have_docstrings(modules):
             yield f"{module.path}: has no docstring"
 
 
-def public_modules_list_what_they_offer(modules):
-    """Once, in __all__, and all of it exists."""
+def front_doors_alone_list_what_they_offer(modules):
+    """A package that offers names lists each once, in __all__, and all of it exists."""
     for module in modules:
-        only_a_docstring = module.name == "__init__.py" and len(module.tree.body) == 1
-        if not module.public or only_a_docstring:
-            continue
         assignments = [
             node.value
             for node in module.tree.body
             if isinstance(node, ast.Assign)
             and any(isinstance(t, ast.Name) and t.id == "__all__" for t in node.targets)
         ]
+        if module.name != "__init__.py":
+            if assignments:
+                yield f"{module.path}: has __all__, which is for packages"
+            continue
+        if not any(
+            isinstance(node, ast.ImportFrom) and node.module != "__future__"
+            for node in module.tree.body
+        ):
+            continue
         if len(assignments) != 1:
             yield f"{module.path}: has {len(assignments) or 'no'} __all__"
             continue
@@ -324,7 +344,7 @@ RULES = {
         no_file_runs_code,
         commands_start_light,
         public_modules_have_docstrings,
-        public_modules_list_what_they_offer,
+        front_doors_alone_list_what_they_offer,
     )
 }
 
@@ -395,12 +415,16 @@ MADE_UP = {  # a file called bad breaks the rule, a file called good keeps it
         "motdiff/bad2.py": "import torch\ndef f(x):\n    return torch.export.load(x)\n",
         "cep/bad3.py": "import numpy as np\ndef f(x):\n    return np.load(x, allow_pickle=True)\n",
         "hw/bad4.py": "def f(x):\n    return eval(x)\n",
-        "cep/good.py": "import numpy as np\ndef f(x, network):\n    network.eval()\n    return np.load(x)\n",
+        "cep/good.py": (
+            "import numpy as np\ndef f(x, network):\n    network.eval()\n    return np.load(x)\n"
+        ),
     },
     "commands_start_light": {
         f"{COMMANDS}bad1.py": "import numpy\n",
         f"{COMMANDS}bad2.py": "from cep.optics.code import ShutterCode\n",
-        f"{COMMANDS}good.py": "import os.path\nfrom cep.commands import common\ndef f():\n    import numpy\n",
+        f"{COMMANDS}good.py": (
+            "import os.path\nfrom cep.commands import common\ndef f():\n    import numpy\n"
+        ),
         "cep/good.py": "import numpy\n",
     },
     "public_modules_have_docstrings": {
@@ -409,16 +433,17 @@ MADE_UP = {  # a file called bad breaks the rule, a file called good keeps it
         "cep/good.py": DOC,
         "cep/_good.py": "x = 1\n",
     },
-    "public_modules_list_what_they_offer": {
-        "cep/bad1.py": DOC,
-        "cep/bad2.py": DOC + "__all__ = ['f', 'g']\ndef f():\n    pass\n",
-        "cep/bad3.py": DOC + "__all__ = ['f', 'f']\nfrom cep.good1 import f\n",
-        "cep/bad4/__init__.py": DOC + "x = 1\n",
-        "cep/good1.py": DOC + "__all__ = ['f', 'X']\nX = 1\nasync def f():\n    pass\n",
+    "front_doors_alone_list_what_they_offer": {
+        "cep/bad1.py": DOC + "__all__ = ['f']\ndef f():\n    pass\n",
+        "cep/bad2/__init__.py": DOC + "from cep.good1 import f, g\n__all__ = ['f', 'h']\n",
+        "cep/bad3/__init__.py": DOC + "from cep.good1 import f\n__all__ = ['f', 'f']\n",
+        "cep/bad4/__init__.py": DOC + "from cep.good1 import f\n",
+        "cep/good1.py": DOC + "X = 1\nasync def f():\n    pass\n",
         "cep/good2/__init__.py": DOC,
-        "cep/good4/__init__.py": DOC + "__all__ = ['f']\ndef __getattr__(name):\n    pass\n",
+        "cep/good3/__init__.py": DOC + "from cep.good1 import f\n__all__ = ['f']\n",
+        "cep/good4/__init__.py": DOC
+        + "import os\n__all__ = ['f']\ndef __getattr__(name):\n    pass\n",
         "cep/good2/__main__.py": DOC + "print()\n",
-        "cep/_good3.py": DOC,
     },
 }
 

@@ -1,4 +1,5 @@
-"""Tests that interrupt work as well where SIGINT is ignored, as in the background jobs of a script."""
+"""Tests that interrupt work as well where SIGINT is ignored, as in the background jobs of a
+script."""
 
 import os
 import signal
@@ -15,7 +16,8 @@ from children import child
 
 def test_an_interrupt_ends_a_child():
     code = "print('ready', flush=True); import time; time.sleep(100)"
-    with child([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+    command = [sys.executable, "-c", code]
+    with child(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         assert process.stdout.readline() == "ready\\n"
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=30) != 0

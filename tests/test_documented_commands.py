@@ -1,4 +1,5 @@
-"""Commands that the documents show exist, with their options and values; pages with transcripts run as they stand."""
+"""Commands that the documents show exist, with their options and values; pages with transcripts
+run as they stand."""
 
 import pytest
 from documented_commands import Shown, commands_in, fault, pages, shown
@@ -10,7 +11,9 @@ RUN_ELSEWHERE = {"docs/hardware.md"}
 
 GONE = {
     "docs/decisions/network.md: cep calibrate --quick": "the record names what was removed",
-    "motdiff/weights/README.md: python -m motdiff eval": "its figures were measured by the former command",
+    "motdiff/weights/README.md: python -m motdiff eval": (
+        "its figures were measured by the former command"
+    ),
 }
 
 TRANSCRIPTS = [

@@ -1,4 +1,5 @@
-"""Documents hold together: links and anchors lead somewhere, and indexes list all of their records."""
+"""Documents hold together: links and anchors lead somewhere, and indexes list all of their
+records."""
 
 import os
 import re

@@ -1,4 +1,5 @@
-"""Damaged files, and files that are none, through every reader: accepted, or refused in one clear line, at once."""
+"""Damaged files, and files that are none, through every reader: accepted, or refused in one clear
+line, at once."""
 
 import pickle
 import random

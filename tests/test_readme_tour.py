@@ -1,4 +1,5 @@
-"""The tour of the README and the blocks of the how-tos, run command by command on photos made here."""
+"""The tour of the README and the blocks of the how-tos, run command by command on photos made
+here."""
 
 import json
 import shlex
@@ -22,8 +23,13 @@ from motdiff.files.trajectories import StoredMotion, write_motion
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs" / "howto").glob("*.md"))]
 NOT_RUN = {
-    "cep upload": "needs a board; the transcript of docs/hardware.md does it with the emulated one",
-    "cep hw": "needs a board; the transcripts of docs/hardware.md and the tutorial do it with the emulated one",
+    "cep upload": (
+        "needs a board; the transcript of docs/hardware.md does it with the emulated one"
+    ),
+    "cep hw": (
+        "needs a board; the transcripts of docs/hardware.md and the tutorial do it with the"
+        " emulated one"
+    ),
     "cep studio": "serves until it is stopped; tests/cep/studio",
     "python -m lab bench": "takes minutes to days; .ci/run runs the quick one of all tables",
     "cep calibrate open.png coded.png": "40 CPU-s; tests/cep/commands/test_calibrate_coded.py",
@@ -31,15 +37,20 @@ NOT_RUN = {
     "cep calibration-set": "14 CPU-s; tests/cep/commands/test_calibration_set.py",
     "cep calibrate p1.png": "a minute; as above",
     "cep calibrate run1.png": "9 CPU-s; tests/cep/commands/test_calibrate_together.py",
-    "cep optimize --trajectory motion/trajectory.json --device": "40 CPU-s; tests/cep/commands/test_optimize.py",
+    "cep optimize --trajectory motion/trajectory.json --device": (
+        "40 CPU-s; tests/cep/commands/test_optimize.py"
+    ),
     "cep optimize --linear 52 --frames": "a minute; tests/cep/search/test_frames.py",
     "python -m lab pareto": "a minute; tests/lab/commands/test_pareto.py",
     "cep optimize --linear 44": "a minute; tests/cep/search/exhaustive/test_prove.py",
-    "python -m motdiff prepare": "an hour; tests/motdiff/test_commands.py prepares, trains and exports a small one",
+    "python -m motdiff prepare": (
+        "an hour; tests/motdiff/test_commands.py prepares, trains and exports a small one"
+    ),
     "python -m motdiff train": "half an hour to days; as above",
     "python -m motdiff export": "exports that training; as above",
 }
-"""Beginnings of commands that are not run here, and why; tests/test_documented_commands.py parses them all."""
+"""Beginnings of commands that are not run here, and why; tests/test_documented_commands.py parses
+them all."""
 
 RUN_ALTHOUGH = ("cep hw verify", "cep studio studio.json")
 """Commands that begin like those and need neither a board nor a page."""
@@ -124,7 +135,8 @@ def tour(page):
 
 
 def run(command):
-    """Run a command of a tour: it shows several ways to one file, each of which replaces the others' here."""
+    """Run a command of a tour: it shows several ways to one file, each of which replaces the
+    others' here."""
     words = shlex.split(command)
     if words[0] != "cep":
         return motdiff(words[3:])

@@ -1,4 +1,5 @@
-"""The site of the documentation: built without a warning, links that lead somewhere, no outside request."""
+"""The site of the documentation: built without a warning, links that lead somewhere, no outside
+request."""
 
 import importlib.util
 import re

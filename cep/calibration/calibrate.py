@@ -29,8 +29,8 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.types import FloatArray
 
 METHODS = ("motdiff", "pmp", "reference", "point", "gyro", "coded")
-"""Names of the estimators: blind by diffusion model and classically, with a sharp photo, of a light, by gyroscope,
-from photos taken through known codes."""
+"""Names of the estimators: blind by diffusion model and classically, with a sharp photo, of a
+light, by gyroscope, from photos taken through known codes."""
 
 CALIBRATION_FILES = (
     "trajectory.json",
@@ -54,7 +54,8 @@ _LEAST_PX = {
 }  # their smallest_px, known before anything slow is loaded
 _LEAST_CONTRAST = 2 / 255
 _LOADING = {"motdiff": (0.12, 0.28, 0.36), "pmp": (0.12, 0.26, 0.32), "coded": (0.02, 0.05, 0.06)}
-"""Of an estimate's share: torch is on its way, is there, and so is the estimator; docs/decisions/code.md."""
+"""Of an estimate's share: torch is on its way, is there, and so is the estimator;
+docs/decisions/code.md."""
 _NEEDED = {
     "reference": {"sharp"},
     "gyro": {"gyro", "focal_px", "start_s", "exposure_s"},
@@ -236,8 +237,8 @@ class Calibration(MotionEstimate):
     def __repr__(self) -> str:
         path = self.best
         return (
-            f"<Calibration by {self.method}: path of {path.length_px:.1f} px, {path.extent_px:.1f} px wide, "
-            f"direction {path.direction}, confidence {self.confidence:.2f}>"
+            f"<Calibration by {self.method}: path of {path.length_px:.1f} px, {path.extent_px:.1f}"
+            f" px wide, direction {path.direction}, confidence {self.confidence:.2f}>"
         )
 
 
@@ -347,12 +348,15 @@ def check_several(method: str) -> None:
     """
     if method in METHODS and method not in _TOGETHER:
         raise ValueError(
-            f"method: {method} takes one photo; several of one motion go with {' or '.join(_TOGETHER)}"
+            f"method: {method} takes one photo; several of one motion go with"
+            f" {' or '.join(_TOGETHER)}"
         )
 
 
 def _photos(given: ArrayLike | Sequence[ArrayLike]) -> list[ArrayLike]:
-    """List the photos of a list or tuple of arrays; anything else, as an image of nested numbers, is one."""
+    """List the photos of a list or tuple of arrays; anything else, as an image of nested numbers,
+    is one.
+    """
     if (
         isinstance(given, list | tuple)
         and given
@@ -363,7 +367,8 @@ def _photos(given: ArrayLike | Sequence[ArrayLike]) -> list[ArrayLike]:
 
 
 def check_apart(photos: Sequence[ArrayLike]) -> None:
-    """Refuse a photo given twice: its noise would count as agreement, and no two codes take the same photo.
+    """Refuse a photo given twice: its noise would count as agreement, and no two codes take the
+    same photo.
 
     Raises
     ------
@@ -419,8 +424,8 @@ def check_times(codes: Sequence[ShutterCode]) -> None:
     for i, code in enumerate(codes, 1):
         if code.chip_ns != codes[0].chip_ns:
             raise ValueError(
-                f"code {i}: its chips last {code.chip_ns} ns, those of the first one {codes[0].chip_ns} ns; photos of "
-                "one motion need codes of one duration"
+                f"code {i}: its chips last {code.chip_ns} ns, those of the first one"
+                f" {codes[0].chip_ns} ns; photos of one motion need codes of one duration"
             )
 
 
@@ -431,7 +436,8 @@ def _as_light(photo: ArrayLike) -> FloatArray:
 
 
 def check_photo(photo: ArrayLike, method: str) -> None:
-    """Refuse a photo that is too small for a method, or without texture, before anything slow is loaded.
+    """Refuse a photo that is too small for a method, or without texture, before anything slow is
+    loaded.
 
     Parameters
     ----------
@@ -505,7 +511,8 @@ def write_calibration(
     bits: int = 8,
     gamma: str | float = "srgb",
 ) -> dict[str, Path]:
-    """Write a motion estimate: trajectory, PSF in three formats, HR map, preview, restored photo; all or nothing.
+    """Write a motion estimate: trajectory, PSF in three formats, HR map, preview, restored photo;
+    all or nothing.
 
     Parameters
     ----------

@@ -93,7 +93,8 @@ def calibrate_folder(
     """
     if method == "gyro":
         raise ValueError(
-            "method gyro: start_s is the opening of one photo; give the photos of a folder one by one"
+            "method gyro: start_s is the opening of one photo; give the photos of a folder one"
+            " by one"
         )
     check_options(method, {"samples": samples, "sharp": sharp})
     parse_gamma(gamma)
@@ -206,7 +207,8 @@ def describe_motion(
 
 
 def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...]:
-    """List the photos of a folder, sorted; no hidden files, no subfolders, and no pictures of PSFs.
+    """List the photos of a folder, sorted; no hidden files, no subfolders, and no pictures of
+    PSFs.
 
     A ``NAME_psf.png`` beside ``NAME_psf.npy`` is what ``cep simulate`` writes beside a photo.
 
@@ -235,7 +237,8 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
     ]
     if not found:
         raise ValueError(
-            f"{root}: holds no photos (.png, .tif, .jpg, .webp or RAW files; subfolders are left alone)"
+            f"{root}: holds no photos (.png, .tif, .jpg, .webp or RAW files; subfolders are left"
+            " alone)"
         )
     by_stem: dict[str, Path] = {}
     for path in found:
@@ -244,13 +247,16 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
         )  # some file systems do not tell A from a
         if other is not path:
             raise ValueError(
-                f"{root}: {other.name} and {path.name} would be written to one folder {path.stem}; rename one of them"
+                f"{root}: {other.name} and {path.name} would be written to one folder {path.stem};"
+                " rename one of them"
             )
     return tuple(found)
 
 
 def unreadable(photo: Path) -> str:
-    """Say why a photo cannot even be opened, empty where it can; and a name that no table can hold is refused."""
+    """Say why a photo cannot even be opened, empty where it can; and a name that no table can hold
+    is refused.
+    """
     if not is_spelled(photo.name):
         return "the name is no UTF-8, rename it"
     try:

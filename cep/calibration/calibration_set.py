@@ -1,4 +1,6 @@
-"""Codes with which to photograph one motion several times, so that its order in time can be told."""
+"""Codes with which to photograph one motion several times, so that its order in time can be
+told.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +36,8 @@ _MOST_PHOTOS = 8
 
 
 _RIGHT = {1: (3, 39), 2: (22, 51), 3: (8, 12), 4: (36, 39)}
-"""By number of photos: simulated walks of 60 px whose path was found within 1 px, in order, and all of them
-(docs/decisions/motion-estimation.md and benchmarks.md)."""
+"""By number of photos: simulated walks of 60 px whose path was found within 1 px, in order, and
+all of them (docs/decisions/motion-estimation.md and benchmarks.md)."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +101,9 @@ class CalibrationSet:
             for i, name in enumerate(self.sources, 1)
         )
         resolved = (
-            f"In {found.resolved} of {found.walks} simulated walks of {found.length_px:g} px each other order in time "
-            "that was tried, six at most, changes the photos by more than a blind search errs."
+            f"In {found.resolved} of {found.walks} simulated walks of {found.length_px:g} px each"
+            " other order in time that was tried, six at most, changes the photos by more than a"
+            " blind search errs."
         )
         right = _RIGHT.get(count)
         measured = (
@@ -108,10 +111,15 @@ class CalibrationSet:
             if right is None
             else f" So many photos told the order of {right[0]} of {right[1]} simulated walks."
         )
-        return f"Take {count} {'photo' if count == 1 else 'photos'} of the motion, {steps}.{measured} {resolved}"
+        return (
+            f"Take {count} {'photo' if count == 1 else 'photos'} of the motion, {steps}.{measured}"
+            f" {resolved}"
+        )
 
     def command(self, folder: Path | str) -> str:
-        """Return the command that finds the motion from the photos P1, P2, ..., with the set in ``folder``."""
+        """Return the command that finds the motion from the photos P1, P2, ..., with the set in
+        ``folder``.
+        """
         photos = " ".join(f"P{i}" for i in range(1, len(self.codes) + 1))
         codes = " ".join(
             f"--code {name if name == 'open' else quote(str(Path(folder) / name))}"
@@ -143,7 +151,8 @@ class CalibrationSet:
     def save(
         self, folder: Path | str, *, file_format: str = "csv", force: bool = False
     ) -> list[Path]:
-        """Write ``set.json``, and each code as a ``code.json`` and as a timed program; all files or none.
+        """Write ``set.json``, and each code as a ``code.json`` and as a timed program; all files
+        or none.
 
         Parameters
         ----------
@@ -195,7 +204,8 @@ def calibration_set(
     rng: np.random.Generator,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> CalibrationSet:
-    """Design the codes of photos of one motion, for :class:`motdiff.estimators.coded.estimator.CodedEstimator`.
+    """Design the codes of photos of one motion, for
+    :class:`motdiff.estimators.coded.estimator.CodedEstimator`.
 
     Parameters
     ----------

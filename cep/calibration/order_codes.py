@@ -34,7 +34,8 @@ def search_order_codes(
     rng: np.random.Generator,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Code, ...]:
-    """Search codes whose photos confuse orders of the fewest motions: the best of many codes, then edge by edge.
+    """Search codes whose photos confuse orders of the fewest motions: the best of many codes, then
+    edge by edge.
 
     Two photos or more begin with the open shutter where the limits allow it: it fixes the path, of
     which only the order is left to tell. At no time are all shutters closed for more than an
@@ -87,8 +88,8 @@ def search_order_codes(
             break
     if all(map(_is_own_mirror, chosen)):
         raise ValueError(
-            f"chips: every code of {limits.chips} chips within the limits is its own mirror image, which tells no "
-            "direction; more or shorter chips would do"
+            f"chips: every code of {limits.chips} chips within the limits is its own mirror image,"
+            " which tells no direction; more or shorter chips would do"
         )
     return (*given, *chosen)
 
@@ -108,7 +109,9 @@ class _Search:
         return self._separations[key]
 
     def score(self, codes: Sequence[Code]) -> tuple[int, float]:
-        """Score of a set, higher is better: no direction lost, nothing unseen for too long, few walks confused."""
+        """Score of a set, higher is better: no direction lost, nothing unseen for too long, few
+        walks confused.
+        """
         chips = self._limits.chips
         excess = max(0, longest_unseen(np.stack(codes)) - max(1, chips // _UNSEEN_PARTS))
         if all(map(_is_own_mirror, codes)):
@@ -126,7 +129,9 @@ class _Search:
         return max(codes, key=lambda code: self.score([*rest, code]))
 
     def neighbours(self, code: Code) -> list[Code]:
-        """Codes within the limits that have one edge moved by up to two chips, or all of them by up to three."""
+        """Codes within the limits that have one edge moved by up to two chips, or all of them by
+        up to three.
+        """
         made = [np.roll(code, by) for by in (-3, -1, 1, 3)]
         for edge in np.flatnonzero(np.diff(code)) + 1:
             for by in (-2, -1, 1, 2):

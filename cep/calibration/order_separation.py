@@ -1,4 +1,6 @@
-"""Separation of orders: how much the PSFs of coded photos change where a motion has another order in time."""
+"""Separation of orders: how much the PSFs of coded photos change where a motion has another order
+in time.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,12 @@ ComplexArray = NDArray[np.complex64]
 IntArray = NDArray[np.intp]
 
 BAND_CY_PX = 0.1
-"""Frequencies up to this one are compared, cycles/px: a blind search finds kernels to about 1 px."""
+"""Frequencies up to this one are compared, cycles/px: a blind search finds kernels to about 1
+px."""
 
 BLIND_ERROR = 0.02
-"""Squared error of a blind search's kernel over the kernel's, in the band: docs/decisions/motion-estimation.md."""
+"""Squared error of a blind search's kernel over the kernel's, in the band:
+docs/decisions/motion-estimation.md."""
 
 # frequencies up to the band's end, 1 / 120 cycles/px apart: orders of a path may lie 120 px apart
 _STEPS = 12
@@ -100,7 +104,9 @@ class OrderSeparation:
         return least
 
     def conditioning(self, codes: ArrayLike) -> FloatArray:
-        """Smallest rms MTF of codes (I, n) within the band along each motion (M,), each code's 1 at zero frequency."""
+        """Smallest rms MTF of codes (I, n) within the band along each motion (M,), each code's 1
+        at zero frequency.
+        """
         chips = np.asarray(codes, dtype=np.float32)
         shares = chips / chips.mean(axis=1, keepdims=True)
         power = sum(

@@ -33,7 +33,8 @@ def estimate_photo(
     seed: int = 0,
     sharp: Path | None = None,
 ) -> dict[str, Figure]:
-    """Estimate the motion in a photo on one thread: the work of a cell, see :mod:`cep.jobs.engine`.
+    """Estimate the motion in a photo on one thread: the work of a cell, see
+    :mod:`cep.jobs.engine`.
 
     Parameters
     ----------

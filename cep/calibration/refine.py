@@ -157,8 +157,9 @@ def refine_motion(
     if is_unexplained:
         kept = trajectory
         warnings.append(
-            f"the given path is kept as it is, as none near it explains the photos: the best leaves {best.misfit:.1f} "
-            "times the noise; was the motion the same in each photo, and are the codes given in the photos' order?"
+            "the given path is kept as it is, as none near it explains the photos: the best"
+            f" leaves {best.misfit:.1f} times the noise; was the motion the same in each photo,"
+            " and are the codes given in the photos' order?"
         )
     elif best.values and _stands_alone(found, least_gain=NOISE_GAIN):
         kept = Trajectory(kept.t, kept.xy, direction="known")
@@ -179,7 +180,9 @@ def refine_motion(
 def _likeliest_order(
     photos: Sequence[ArrayLike], codes: Sequence[ShutterCode], trajectory: Trajectory
 ) -> Trajectory:
-    """Return the order in time that the first photo whose code tells both directions apart shows."""
+    """Return the order in time that the first photo whose code tells both directions apart
+    shows.
+    """
     if trajectory.direction == "known":
         return trajectory
     i = next(i for i, code in enumerate(codes) if code.bits != code.bits[::-1])
@@ -194,7 +197,9 @@ def _best_by_test(
     baseline: Trajectory,
     found: Sequence[RefinedPath],
 ) -> tuple[RefinedPath, float]:
-    """Return the refined path that the photos prefer, and the probability that it is better than the baseline."""
+    """Return the refined path that the photos prefer, and the probability that it is better than
+    the baseline.
+    """
 
     def log_odds(path: Trajectory, other: Trajectory) -> float:
         total = 0.0

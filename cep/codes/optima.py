@@ -1,4 +1,6 @@
-"""Codes with the largest minimum of |P| on the unit circle, proven: the tables of docs/optima.md."""
+"""Codes with the largest minimum of |P| on the unit circle, proven: the tables of
+docs/optima.md.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,8 @@ from typing import NamedTuple
 
 
 class ProvenCode(NamedTuple):
-    """The code with the largest minimum of |P| among all codes of a range of lengths and open chips.
+    """The code with the largest minimum of |P| among all codes of a range of lengths and open
+    chips.
 
     Attributes
     ----------
@@ -92,4 +95,5 @@ OPTIMA = (
         "1110110001101111010111101000101000011010011010001", 52, 26, 26, "docs/proofs/52-26.jsonl"
     ),
 )
-"""Of any number of open chips, shortest first; of three to 28 open chips; and of 26 open chips of 52."""
+"""Of any number of open chips, shortest first; of three to 28 open chips; and of 26 open chips of
+52."""

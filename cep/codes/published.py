@@ -45,10 +45,12 @@ CLAIMS: Mapping[str, tuple[int, float]] = MappingProxyType(
         "merl-64-t192": (192, 0.049499),
     }
 )
-"""Minima that their authors claim, relative to DC, with the points of the DFT they were read from."""
+"""Minima that their authors claim, relative to DC, with the points of the DFT they were read
+from."""
 
 DCE_CODE = ShutterCode("11000001010011111111010010001100")
-"""One code for all motions, learned with a restoration network after Zhang et al., DCE, Photonics Research 2023.
+"""One code for all motions, learned with a restoration network after Zhang et al., DCE, Photonics
+Research 2023.
 
 The paper publishes no code: this one comes from our training (``lab/trainings/dce``) and is no
 entry of the registry.
@@ -128,7 +130,9 @@ def published(name: str) -> PublishedCode:
 
 
 def published_works(name: str) -> tuple[str, ...]:
-    """Keys of the works that a code comes from; its best rotation is not searched, unlike in :func:`published`."""
+    """Keys of the works that a code comes from; its best rotation is not searched, unlike in
+    :func:`published`.
+    """
     return _registry()[name].works
 
 
@@ -145,7 +149,9 @@ def best_for(chips: int) -> PublishedCode | None:
 
 
 def m_sequence(chips: int) -> ShutterCode:
-    """Maximum-length sequence from a shift register that starts all ones; 15, 31, 63 or 127 chips."""
+    """Maximum-length sequence from a shift register that starts all ones; 15, 31, 63 or 127
+    chips.
+    """
     if chips not in _TAPS:
         raise ValueError(
             f"chips: m-sequences of 15, 31, 63 or 127 chips are known here, got {chips}"
@@ -168,7 +174,9 @@ def legendre(prime: int) -> ShutterCode:
 
 
 def best_rotation(code: ShutterCode) -> ShutterCode:
-    """Rotation with the largest minimum on the circle: one exposure is not periodic, so rotations differ."""
+    """Rotation with the largest minimum on the circle: one exposure is not periodic, so rotations
+    differ.
+    """
     rotations = [
         ShutterCode(code.bits[i:] + code.bits[:i], code.chip_ns) for i in range(code.chips)
     ]
@@ -207,7 +215,9 @@ def _registry() -> Mapping[str, PublishedCode]:
 
 @cache
 def _rotated(name: str) -> PublishedCode:
-    """Return the entry of a name, a periodic sequence in its best rotation (1 s for all of them)."""
+    """Return the entry of a name, a periodic sequence in its best rotation (1 s for all of
+    them).
+    """
     entry = _registry()[name]
     return replace(entry, code=best_rotation(entry.code)) if entry.periodic else entry
 

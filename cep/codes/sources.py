@@ -45,15 +45,19 @@ def load_codes(sources: Sequence[str]) -> tuple[ShutterCode, ...]:
         (time_ns for time_ns in stated if time_ns is not None), ShutterCode("1").chip_ns
     )
     return tuple(
-        code
-        if code is not None and time_ns is not None
-        else ShutterCode(code.bits if code else "1" * chips, chip_ns)
+        (
+            code
+            if code is not None and time_ns is not None
+            else ShutterCode(code.bits if code else "1" * chips, chip_ns)
+        )
         for code, time_ns in zip(known, stated, strict=True)
     )
 
 
 def stated_chip_ns(source: str, code: ShutterCode) -> int | None:
-    """Return the chip time, ns, that comes with a code; None for bits and published names, which state none."""
+    """Return the chip time, ns, that comes with a code; None for bits and published names, which
+    state none.
+    """
     return code.chip_ns if code_file(source) is not None or is_reference(source) else None
 
 
@@ -88,8 +92,8 @@ def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
             stored = StoredCode(published(source).code)
         except ValueError:
             raise ValueError(
-                f"{source[:40]!r} is no code: give bits as 1011, a code.json file, a published code's name as "
-                "raskar-52, or module:name"
+                f"{source[:40]!r} is no code: give bits as 1011, a code.json file, a published"
+                " code's name as raskar-52, or module:name"
             ) from None
     return (
         stored if chip_ns is None else replace(stored, code=ShutterCode(stored.code.bits, chip_ns))

@@ -48,8 +48,11 @@ def advise(
         typer.Option(
             "--code",
             metavar="CODE",
-            help="A code to judge as well: bits, code.json or a name; may be repeated. A file's chip time sets the "
-            "exposure.",
+            help=(
+                "A code to judge as well: bits, code.json or a name; may be repeated. A file's"
+                " chip time sets the "
+                "exposure."
+            ),
         ),
     ] = None,
     direction: Direction = "auto",
@@ -74,7 +77,8 @@ def advise(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Say whether to leave the shutter open, expose for a shorter time, pulse it evenly or code it.
+    """Say whether to leave the shutter open, expose for a shorter time, pulse it evenly or code
+    it.
 
     Each way may be open for any part of the exposure that the shutter's limits allow, and the
     scene is as bright for all. What counts is the expected error of the restored photo, with the
@@ -189,15 +193,17 @@ def _chip_time_ns(
     times_ns = sorted(time_ns for time_ns in stated if time_ns is not None)
     if len(times_ns) > 1:
         raise ValueError(
-            f"--code: the files state chips of {' and '.join(duration(t * 1e-9) for t in times_ns)}"
+            "--code: the files state chips of"
+            f" {' and '.join(duration(t * 1e-9) for t in times_ns)}"
         )
     if not times_ns or chips is None:
         return None
     whole_s = chips * times_ns[0] * 1e-9
     if exposure_s is not None and abs(whole_s - exposure_s) > _SAME_TIME * exposure_s:
         raise ValueError(
-            f"--exposure: {duration(exposure_s)} contradicts the file of --code, whose {chips} chips of "
-            f"{duration(times_ns[0] * 1e-9)} take {duration(whole_s)}; leave --exposure out"
+            f"--exposure: {duration(exposure_s)} contradicts the file of --code, whose {chips}"
+            f" chips of {duration(times_ns[0] * 1e-9)} take {duration(whole_s)}; leave"
+            " --exposure out"
         )
     return times_ns[0]
 

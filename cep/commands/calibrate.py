@@ -22,7 +22,8 @@ _ESTIMATE = {
     "point": (0.35, 0.55),
     "gyro": (0.45, 0.5),
 }
-"""Where in the time of the command a photo's estimate begins and ends; the preview takes most of the rest."""
+"""Where in the time of the command a photo's estimate begins and ends; the preview takes most of
+the rest."""
 _OWN_ESTIMATE = (0.2, 0.8)
 _SEVERAL_END = 0.96
 
@@ -36,7 +37,10 @@ def calibrate(
         list[Path],
         typer.Argument(
             metavar="IMAGE...",
-            help="Blurred photo: PNG, TIFF, JPEG, WebP or RAW; several of one motion; or a folder, each by itself.",
+            help=(
+                "Blurred photo: PNG, TIFF, JPEG, WebP or RAW; several of one motion; or a folder,"
+                " each by itself."
+            ),
         ),
     ],
     output: Annotated[
@@ -48,8 +52,11 @@ def calibrate(
         typer.Option(
             "--code",
             metavar="CODE",
-            help="Code that the photo was taken through: bits, code.json, a published name, or open; once for each "
-            "photo, in order. The path is then found with its order in time.",
+            help=(
+                "Code that the photo was taken through: bits, code.json, a published name, or"
+                " open; once for each "
+                "photo, in order. The path is then found with its order in time."
+            ),
         ),
     ] = None,
     method: Annotated[
@@ -58,9 +65,13 @@ def calibrate(
             "--method",
             metavar="NAME",
             show_default="motdiff; coded with --code",
-            help="motdiff (blind, diffusion model), pmp (blind, classical), reference (beside a sharp photo), "
-            "point (of a small light; with --code in its order in time), gyro (from a recording), coded (with --code), "
-            "or module:name of an estimator of your own.",
+            help=(
+                "motdiff (blind, diffusion model), pmp (blind, classical), reference (beside a"
+                " sharp photo), "
+                "point (of a small light; with --code in its order in time), gyro (from a"
+                " recording), coded (with --code), "
+                "or module:name of an estimator of your own."
+            ),
         ),
     ] = None,
     sharp: Annotated[
@@ -69,7 +80,10 @@ def calibrate(
             "--sharp",
             metavar="PATH",
             rich_help_panel="With --method reference",
-            help="A sharp photo of the same scene, needed; or a folder with one for each photo, by name.",
+            help=(
+                "A sharp photo of the same scene, needed; or a folder with one for each photo, by"
+                " name."
+            ),
         ),
     ] = None,
     gyro: Annotated[
@@ -111,9 +125,14 @@ def calibrate(
             "--gyro-axes",
             metavar="X,Y,Z",
             show_default="right,down,forward, as a camera's",
-            help="Directions of the recording's x, y and z axes, seen from behind the camera with the photo upright: "
-            "right, left, up, down, forward or back. A phone held upright: right,up,back; sideways, its top to the "
-            "left: up,left,back, to the right: down,right,back. Wrong axes mirror or turn the path.",
+            help=(
+                "Directions of the recording's x, y and z axes, seen from behind the camera with"
+                " the photo upright: "
+                "right, left, up, down, forward or back. A phone held upright: right,up,back;"
+                " sideways, its top to the "
+                "left: up,left,back, to the right: down,right,back. Wrong axes mirror or turn the"
+                " path."
+            ),
             rich_help_panel=_WITH_GYRO,
         ),
     ] = None,
@@ -145,7 +164,8 @@ def calibrate(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Estimate the motion in one blurred photo, in each photo of a folder, or in several photos of one motion.
+    """Estimate the motion in one blurred photo, in each photo of a folder, or in several photos of
+    one motion.
 
     A photo with an open shutter shows the path, but neither its order nor its direction in time.
     Several, of any scenes, show it more surely: motdiff and pmp search them together, and say how
@@ -317,8 +337,8 @@ def _repeatability(length_px: float, details: Mapping[str, Any]) -> list[str]:
         squares / (seen - 1)
     ) ** 0.5  # one of the paths may be the one that they are compared with
     return [
-        f"One motion of {length_px:.0f} px, seen alike in {seen} of {photos} photos: their paths differ by "
-        f"{apart_px:.2g} px."
+        f"One motion of {length_px:.0f} px, seen alike in {seen} of {photos} photos: their paths"
+        f" differ by {apart_px:.2g} px."
     ]
 
 

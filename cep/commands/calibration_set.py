@@ -1,4 +1,6 @@
-"""``cep calibration-set``: codes with which to photograph one motion, so that its order in time can be told."""
+"""``cep calibration-set``: codes with which to photograph one motion, so that its order in time
+can be told.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,8 @@ def calibration_set(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Design the codes of photos of one motion that tell its order in time, which one open photo cannot.
+    """Design the codes of photos of one motion that tell its order in time, which one open photo
+    cannot.
 
     Writes set.json, which says in which order to take the photos and how to find the motion from
     them, and for each photo code_N.json and its timed program. Two photos or more begin with the

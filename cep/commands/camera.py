@@ -103,7 +103,9 @@ def estimate(
         list[Path],
         typer.Argument(
             metavar="FLAT...",
-            help="Frames of an evenly lit surface, two of each level of light, one after the other.",
+            help=(
+                "Frames of an evenly lit surface, two of each level of light, one after the other."
+            ),
         ),
     ],
     dark: Annotated[

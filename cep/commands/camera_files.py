@@ -1,4 +1,6 @@
-"""A camera's figures from frames that it took: gain, read noise and full well by the photon-transfer method."""
+"""A camera's figures from frames that it took: gain, read noise and full well by the
+photon-transfer method.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ class CameraEstimate:
     def save(
         self, path: Path, figure: Path | None = None, *, force: bool = False
     ) -> tuple[Path, Path]:
-        """Write the camera's file and the curve as a figure, beside it as .png when omitted; returns both paths."""
+        """Write the camera's file and the curve as a figure, beside it as .png when omitted;
+        returns both paths.
+        """
         figure = path.with_suffix(".png") if figure is None else figure
         check_figure_name(figure)
         with claim([path, figure], force=force).written() as made:
@@ -109,7 +113,8 @@ def estimate_camera(
         raise ValueError("black_dn and dark: give one of them, dark frames show the black level")
     if len(flats) < 2 or len(flats) % 2:
         raise ValueError(
-            f"flats: must be two frames of each level of light, got {len(flats)}; each in a file of its own"
+            f"flats: must be two frames of each level of light, got {len(flats)}; each in a file"
+            " of its own"
         )
     if len(dark) not in (0, 2):
         raise ValueError(f"dark: must be two frames, got {len(dark)}")
@@ -125,7 +130,8 @@ def estimate_camera(
         kinds |= {(frame.file_bits, frame.raw) for frame in frames}
         if len(kinds) > 1:
             raise ValueError(
-                f"{second}: is of another kind than the frames before it: bits, black or white differ"
+                f"{second}: is of another kind than the frames before it: bits, black or white"
+                " differ"
             )
         pairs.append(_pair(first, second, frames, response))
         progress((done + 1) / len(files))
@@ -146,7 +152,10 @@ def estimate_camera(
     except ValueError as error:
         raise ValueError(_with_files(str(error), files)) from None
     black = "a pair of dark frames" if dark else "no dark frames"
-    source = f"photon-transfer curve of {levels} pair{'s' if levels > 1 else ''} of flat frames and {black}"
+    source = (
+        f"photon-transfer curve of {levels} pair{'s' if levels > 1 else ''} of flat frames and"
+        f" {black}"
+    )
     camera = found.camera(name=name, source=source)
     return CameraEstimate(camera, replace(found, warnings=(*warnings, *found.warnings)))
 
@@ -174,7 +183,8 @@ def _read_frame(path: Path) -> _Frame:
     if codes.ndim == 3:
         if (codes != codes[:, :, :1]).any():
             raise ValueError(
-                f"{path}: is a colour picture, whose pixels are interpolated; give grey or RAW files"
+                f"{path}: is a colour picture, whose pixels are interpolated; give grey or RAW"
+                " files"
             )
         codes = codes[:, :, 0]
     return _Frame(codes.astype(np.uint16), 8 * codes.dtype.itemsize, warnings=warnings)

@@ -1,4 +1,6 @@
-"""Which published works are behind a method, a code, a restoration or a figure, by the names that commands use."""
+"""Which published works are behind a method, a code, a restoration or a figure, by the names that
+commands use.
+"""
 
 from __future__ import annotations
 

@@ -21,8 +21,11 @@ def cite(
         list[str] | None,
         typer.Argument(
             metavar="METHOD",
-            help="Names as commands use them: estimators, published codes, ways to choose a code, objectives, "
-            "restorations, figures; or keys of entries. All works when omitted.",
+            help=(
+                "Names as commands use them: estimators, published codes, ways to choose a code,"
+                " objectives, "
+                "restorations, figures; or keys of entries. All works when omitted."
+            ),
         ),
     ] = None,
     output: Annotated[Path | None, output_option("File to write instead, as works.bib.")] = None,

@@ -52,7 +52,10 @@ def audit(
             metavar="N",
             min=0,
             max=3,
-            help="Look for better codes up to this many flips away; 3 when omitted, for more than 256 chips 2.",
+            help=(
+                "Look for better codes up to this many flips away; 3 when omitted, for more than"
+                " 256 chips 2."
+            ),
         ),
     ] = None,
     chip_ns: ChipNs = None,
@@ -75,7 +78,8 @@ def audit(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Measure a code: its proven minimum and true zeros, the grids that hide them, and better codes a few flips away.
+    """Measure a code: its proven minimum and true zeros, the grids that hide them, and better
+    codes a few flips away.
 
     Along a motion it is said first whether the code is the exposure to take with this camera:
     verdict, choice and gains_db of --json, as of cep advise. Without a motion these are null, and
@@ -173,7 +177,8 @@ def audit(
         and not _covers(stored.certificate, minimum.directions)
     ):
         warnings.append(
-            f"{code}: its certificate does not cover this motion, {' and '.join(minimum.directions)}"
+            f"{code}: its certificate does not cover this motion,"
+            f" {' and '.join(minimum.directions)}"
         )
     said = None if judged is None else judged.sentence
     advised = {
@@ -237,8 +242,8 @@ def _audit_proof(
         if verdict.fewest_open == verdict.most_open:
             opened = str(verdict.most_open)
         console.print(
-            f"holds: no code of at most {verdict.chips} chips with {opened} open has a larger minimum of |P| than "
-            f"{verdict.minimum:.6f}, of {verdict.bits}"
+            f"holds: no code of at most {verdict.chips} chips with {opened} open has a larger"
+            f" minimum of |P| than {verdict.minimum:.6f}, of {verdict.bits}"
         )
         for reason in verdict.reasons:
             console.print(f"  {reason}")
@@ -269,7 +274,8 @@ def _show(console: Console, found: Audit, verdict: Verdict | None, *, said: str 
     minimum = found.certificate
     straight = found.along is None
     console.print(
-        f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings: {shutter.bits}"
+        f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings:"
+        f" {shutter.bits}"
     )
     console.print(
         f"motion: {motion.length_px:.1f} px, direction {motion.direction}"

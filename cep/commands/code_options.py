@@ -1,4 +1,6 @@
-"""Declarations of the options that say which code is searched, shared by ``cep optimize`` and ``python -m lab pareto``."""
+"""Declarations of the options that say which code is searched, shared by ``cep optimize`` and
+``python -m lab pareto``.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +61,8 @@ Each = Annotated[
         MOTION,
         "--each",
         "FOLDER",
-        "A code for each motion of a folder, FOLDER/*/trajectory.json, as cep calibrate FOLDER writes them.",
+        "A code for each motion of a folder, FOLDER/*/trajectory.json, as cep calibrate FOLDER"
+        " writes them.",
     ),
 ]
 
@@ -92,7 +95,8 @@ Frames = Annotated[
         _CODE,
         "--frames",
         "N",
-        "Exposures restored together, each with its own code: code_1.json, ... With --method anneal.",
+        "Exposures restored together, each with its own code: code_1.json, ... With --method"
+        " anneal.",
         min=1,
     ),
 ]
@@ -103,8 +107,9 @@ Objective = Annotated[
         _OBJECTIVE,
         "--objective",
         "NAME",
-        "mse (expected error of the restored photo), min-mtf, flatness, noise, or a mix as min-mtf:0.15,noise:1. When "
-        "omitted: mse; min-mtf with --method exact along a uniform straight motion.",
+        "mse (expected error of the restored photo), min-mtf, flatness, noise, or a mix as"
+        " min-mtf:0.15,noise:1. When omitted: mse; min-mtf with --method exact along a uniform"
+        " straight motion.",
     ),
 ]
 Direction = Annotated[
@@ -123,7 +128,8 @@ Device = Annotated[
         _LIMITS,
         "--device",
         "NAME|FILE",
-        "What this shutter can play: a built-in profile or a .toml file. Stricter limits may be added.",
+        "What this shutter can play: a built-in profile or a .toml file. Stricter limits may be"
+        " added.",
     ),
 ]
 MinOpen = Annotated[int, _limit("--min-open", "Shortest open run, chips.")]
@@ -190,6 +196,7 @@ Effort = Annotated[
         SEARCH,
         "--bound",
         "NAME",
-        "quick; or sdp: half a minute for a tighter bound, and starts drawn from it, along curved motion.",
+        "quick; or sdp: half a minute for a tighter bound, and starts drawn from it, along curved"
+        " motion.",
     ),
 ]

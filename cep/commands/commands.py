@@ -1,4 +1,6 @@
-"""Commands and groups of ``cep``: help that ends with examples, and errors that name the option as it is typed."""
+"""Commands and groups of ``cep``: help that ends with examples, and errors that name the option as
+it is typed.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,8 @@ _SET_BY = {
     "sigma_chips": ("jitter",),
     "trajectory": ("trajectory", "linear", "each"),
 }
-"""Options and arguments that set a parameter of another name: of those given, the first is meant."""
+"""Options and arguments that set a parameter of another name: of those given, the first is
+meant."""
 
 _NAME = r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*"
 _NAMED = re.compile(rf"(?:^|(?<=, )|(?<= and )|(?<= or ))({_NAME})(?=[ ,]|$)")
@@ -41,7 +44,8 @@ _WITHIN = re.compile(r"""(?<![\w.'"/-])([a-z][a-z0-9]*(?:_[a-z0-9]+)+)(?![\w.'"/
 
 
 def in_options(message: str, context: Any) -> str:
-    """Translate the Python parameters that an error names into the command's options and arguments.
+    """Translate the Python parameters that an error names into the command's options and
+    arguments.
 
     Parameters
     ----------
@@ -79,7 +83,9 @@ class _Page:
     examples: tuple[str, ...]
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """List the parameters for the help page: a switch has no value, and what all commands share comes last."""
+        """List the parameters for the help page: a switch has no value, and what all commands
+        share comes last.
+        """
         params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
         for param in params:
             if getattr(param, "is_flag", False) and param.metavar is None:
@@ -89,7 +95,9 @@ class _Page:
         return sorted(params, key=lambda param: _panel(param) == COMMON)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Print the page, and the examples below it as they can be copied: a panel would pad their lines."""
+        """Print the page, and the examples below it as they can be copied: a panel would pad their
+        lines.
+        """
         super().format_help(ctx, formatter)  # type: ignore[misc]
         if self.examples:
             width = shutil.get_terminal_size().columns
@@ -122,7 +130,9 @@ class Group(_Page, TyperGroup):
         super().__init__(help=about, **options)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the group's own work or the command that was named, which has translated its errors already."""
+        """Run the group's own work or the command that was named, which has translated its errors
+        already.
+        """
         try:
             return super().invoke(ctx)
         except ValueError as error:

@@ -1,4 +1,6 @@
-"""How commands talk: one JSON object or a page for people on stdout; progress and one-line errors on stderr."""
+"""How commands talk: one JSON object or a page for people on stdout; progress and one-line errors
+on stderr.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,8 @@ def finish(
     tables: Path | None = None,
     summary: str = "",
 ) -> None:
-    """Write a command's outputs, all or none, and print its result: as strict JSON, or through ``show`` for people.
+    """Write a command's outputs, all or none, and print its result: as strict JSON, or through
+    ``show`` for people.
 
     Parameters
     ----------
@@ -89,7 +92,9 @@ def finish(
 
 
 def page() -> Console:
-    """Make the console of a page for people: texts are no markup, and a terminal's commands in them can be seen."""
+    """Make the console of a page for people: texts are no markup, and a terminal's commands in
+    them can be seen.
+    """
     from rich.console import Console
     from rich.text import Text
 
@@ -136,7 +141,8 @@ def complain(message: str) -> None:
 
 
 def explain(error: BaseException) -> int:
-    """Print one line for ``error`` and return the exit code: 2 for what the user can mend, 1 for a failure.
+    """Print one line for ``error`` and return the exit code: 2 for what the user can mend, 1 for a
+    failure.
 
     ``CEP_DEBUG=1`` in the environment prints the traceback too.
     """
@@ -216,7 +222,9 @@ def progress(task: str) -> Iterator[Tick]:
 
 
 def part(tick: Tick, begins: float, ends: float) -> Tick:
-    """Return the tick of a part of the work, which begins and ends at these fractions of the whole."""
+    """Return the tick of a part of the work, which begins and ends at these fractions of the
+    whole.
+    """
 
     def tell(fraction: float, note: str = "", /) -> None:
         tick((1 - fraction) * begins + fraction * ends, note)
@@ -226,7 +234,8 @@ def part(tick: Tick, begins: float, ends: float) -> Tick:
 
 @dataclass(frozen=True)
 class Table:
-    """A table that fits the console: heads and texts wrap first, then columns are left out, and named below it.
+    """A table that fits the console: heads and texts wrap first, then columns are left out, and
+    named below it.
 
     Attributes
     ----------
@@ -275,7 +284,10 @@ class Table:
             if index not in shown
         ]
         if left_out:
-            told = f"left out, as {options.max_width} columns are too narrow: {'; '.join(left_out)} (all are in --json)"
+            told = (
+                f"left out, as {options.max_width} columns are too narrow: {'; '.join(left_out)}"
+                " (all are in --json)"
+            )
             yield Text(told)
 
     def _fitted(
@@ -285,9 +297,11 @@ class Table:
         cells = [_longest(texts, index) for index in range(len(self.columns))]
         natural = [max(cell, len(head)) for cell, head in zip(cells, self.columns, strict=True)]
         least = [
-            min(whole, _WIDE)
-            if index == 0 or cell > _WIDE
-            else max(cell, *map(len, head.split() or [""]))
+            (
+                min(whole, _WIDE)
+                if index == 0 or cell > _WIDE
+                else max(cell, *map(len, head.split() or [""]))
+            )
             for index, (whole, cell, head) in enumerate(
                 zip(natural, cells, self.columns, strict=True)
             )
@@ -310,12 +324,15 @@ class Table:
 def table(
     title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, kept: int = 0
 ) -> Table:
-    """Make a table: the first column is text, the others figures or texts; None is printed as a dash."""
+    """Make a table: the first column is text, the others figures or texts; None is printed as a
+    dash.
+    """
     return Table(title, columns, rows, kept)
 
 
 def photo_named(line: str, images: Sequence[Path]) -> str:
-    """Return an error of several photos with the file's name for ``photo 2``; other errors as they are.
+    """Return an error of several photos with the file's name for ``photo 2``; other errors as they
+    are.
 
     Examples
     --------

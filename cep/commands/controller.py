@@ -119,7 +119,8 @@ def load(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Load a code; the controller confirms its CRC-32. Nothing is read back or armed: see cep upload.
+    """Load a code; the controller confirms its CRC-32. Nothing is read back or armed: see cep
+    upload.
 
     Example: cep hw load code.json --port /dev/ttyACM0
     """
@@ -144,7 +145,8 @@ def load(
         result,
         as_json=as_json,
         show=lambda console: console.print(
-            f"{port}: {program.chips} chips of {program.chip_ns} ns loaded, trust B: acknowledged only"
+            f"{port}: {program.chips} chips of {program.chip_ns} ns loaded, trust B: acknowledged"
+            " only"
         ),
     )
 
@@ -241,7 +243,10 @@ def calibrate(
         raise ValueError(f"--seconds: must be above 0 and below 3600, got {seconds:g}")
     with open_port(port) as controller, progress("comparing clocks") as tick:
         fit = measure_clock(controller, seconds=seconds, progress=tick)
-    drifts = "a crystal is within 100 ppm, so this is a ceramic resonator, which drifts with temperature: calibrate it warm"
+    drifts = (
+        "a crystal is within 100 ppm, so this is a ceramic resonator, which drifts with"
+        " temperature: calibrate it warm"
+    )
     warnings = [drifts] if abs(fit.ppm) > 200 + fit.uncertainty_ppm else []
     result = {
         "port": port,
@@ -255,8 +260,8 @@ def calibrate(
         result,
         as_json=as_json,
         show=lambda console: console.print(
-            f"{port}: clock is {abs(fit.ppm):.0f} ppm {'fast' if fit.ppm >= 0 else 'slow'} (± {fit.uncertainty_ppm:.0f}); "
-            f"--clock-ppm {fit.ppm:.0f} takes it out"
+            f"{port}: clock is {abs(fit.ppm):.0f} ppm {'fast' if fit.ppm >= 0 else 'slow'} (±"
+            f" {fit.uncertainty_ppm:.0f}); --clock-ppm {fit.ppm:.0f} takes it out"
         ),
     )
 
@@ -299,8 +304,9 @@ def monitor(
                 changes.append(change)
                 if not as_json:
                     console.print(
-                        f"{change['after_s']:9.3f} s  {_name(status):7s} plays {status.runs}  "
-                        f"missed edges {status.late}  bad frames {status.bad_frames}  CRC32 0x{status.stored_crc32:08x}"
+                        f"{change['after_s']:9.3f} s  {_name(status):7s} plays {status.runs} "
+                        f" missed edges {status.late}  bad frames {status.bad_frames}  CRC32"
+                        f" 0x{status.stored_crc32:08x}"
                     )
             last = shown
             time.sleep(

@@ -62,8 +62,11 @@ def deblur(
         typer.Option(
             "--method",
             metavar="NAME",
-            help="wiener, inverse, tv, l0, tv-ring, pnp (a trained denoiser), or module:name; auto is wiener, and of a "
-            "photo alone what suits it.",
+            help=(
+                "wiener, inverse, tv, l0, tv-ring, pnp (a trained denoiser), or module:name; auto"
+                " is wiener, and of a "
+                "photo alone what suits it."
+            ),
         ),
     ] = "auto",
     gamma: Gamma = "srgb",
@@ -77,7 +80,8 @@ def deblur(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Restore a photo along a trajectory, with a PSF, or with neither: the PSF is then searched in the photo itself.
+    """Restore a photo along a trajectory, with a PSF, or with neither: the PSF is then searched in
+    the photo itself.
 
     Of an ordinary photo alone the blur is estimated, and the photo restored with what suits it; a
     photo without motion blur, or one that no restoration improves, is written as it was, and the
@@ -204,8 +208,8 @@ def deblur(
         motion_line = f"{target}: {method}, direction {direction}{sure}"
     else:
         motion_line = (
-            f"{target}: restored with the PSF found in this photo alone, which is good with probability "
-            f"{restored.psf_confidence:.2f}; its order in time is not known; {method}"
+            f"{target}: restored with the PSF found in this photo alone, which is good with"
+            f" probability {restored.psf_confidence:.2f}; its order in time is not known; {method}"
         )
     finish(
         result,
@@ -232,8 +236,8 @@ def _finish_alone(
         "summary": sharpened.summary,
         "kept": sharpened.kept,
         "method": sharpened.method,
-        "psf_source": {"psf": "photo", "trajectory": "path in the photo"}.get(
-            sharpened.psf_source or ""
+        "psf_source": (
+            {"psf": "photo", "trajectory": "path in the photo"}.get(sharpened.psf_source or "")
         ),
         "psf_confidence": sharpened.psf_confidence,
         "direction": "unknown",
@@ -249,7 +253,8 @@ def _finish_alone(
         ""
         if sharpened.kept
         else (
-            f"; residual {sharpened.residual:.3g} of full scale, the outer {sharpened.unreliable_px} px lean on a guess"
+            f"; residual {sharpened.residual:.3g} of full scale, the outer"
+            f" {sharpened.unreliable_px} px lean on a guess"
         )
     )
     lines = (f"{sharpened.summary}.", f"{target}{figures}")

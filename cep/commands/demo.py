@@ -45,7 +45,10 @@ def demo(
             "-n",
             metavar="N",
             min=2,
-            help="Number of chips; one for each px of the path when omitted, with --device as many as pay.",
+            help=(
+                "Number of chips; one for each px of the path when omitted, with --device as many"
+                " as pay."
+            ),
         ),
     ] = None,
     device: Device = None,
@@ -56,7 +59,8 @@ def demo(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Say whether to code an exposure, and show it: everything on one photo, to OUTPUT/report.html.
+    """Say whether to code an exposure, and show it: everything on one photo, to
+    OUTPUT/report.html.
 
     The bundled photo is a public-domain picture blurred by a simulated hand shake, and taken with
     8-bit video when no camera is named. With --photo the motion is estimated from your own blurred
@@ -119,7 +123,8 @@ def demo(
         console.print(chain.advice.here.sentence)
         for shot in chain.shots:
             console.print(
-                f"{shot.kind:9} {shot.way.code.duty:5.0%} of the light, restored to {shot.psnr_db:.2f} dB"
+                f"{shot.kind:9} {shot.way.code.duty:5.0%} of the light, restored to"
+                f" {shot.psnr_db:.2f} dB"
             )
         console.print(f"The report is {figures['report']} ({result['seconds']:.0f} s)")
 
@@ -127,8 +132,8 @@ def demo(
 
 
 _UNNAMED = (
-    "No camera was named (--camera): the figures are those of a camera with 10,000 photo-electrons at full scale and 5 "
-    "e⁻ of read noise. Yours may be another case."
+    "No camera was named (--camera): the figures are those of a camera with 10,000 photo-electrons"
+    " at full scale and 5 e⁻ of read noise. Yours may be another case."
 )
 
 

@@ -79,11 +79,11 @@ def emulate(
     port = uno.port
     try:
         with _linked(link, port):
-            print(
+            print(  # noqa: T201
                 terminal_line(f"{board} is at {link or port}; Ctrl-C ends it"),
                 file=sys.stderr,
                 flush=True,
-            )  # noqa: T201
+            )
             _run(uno, seconds)
     finally:
         uno.stop()

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 
 def optimize_frames(task: Task, frames: int, run: SearchRun) -> Callable[[], None]:
-    """Search and write the codes of several frames, beside the best single code played in every frame.
+    """Search and write the codes of several frames, beside the best single code played in every
+    frame.
 
     Parameters
     ----------

@@ -33,7 +33,10 @@ def export(
         typer.Option(
             "-o",
             "--output",
-            help="File to write; CODE.SUFFIX when omitted (json: CODE.program.json, rp2: CODE_rp2.py).",
+            help=(
+                "File to write; CODE.SUFFIX when omitted (json: CODE.program.json, rp2:"
+                " CODE_rp2.py)."
+            ),
         ),
     ] = None,
     chip_ns: ChipNs = None,
@@ -79,8 +82,9 @@ def export(
         "seed": seed,
     }
     said = (
-        f"{target}: {program.chips} chips of {program.chip_ns} ns, {program.pulses} openings, "
-        f"{program.duration_ns / 1e6:.4g} ms; read back, edges identical; trust C: {Trust.C.meaning}"
+        f"{target}: {program.chips} chips of {program.chip_ns} ns, {program.pulses} openings,"
+        f" {program.duration_ns / 1e6:.4g} ms; read back, edges identical; trust C:"
+        f" {Trust.C.meaning}"
     )
     finish(
         result,
@@ -119,7 +123,8 @@ def upload(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Load a code into a shutter controller, read it back where it can be, and arm or play it if wanted.
+    """Load a code into a shutter controller, read it back where it can be, and arm or play it if
+    wanted.
 
     Only cxp reads back, has a lease and takes --clock-ppm; the others stay armed until the next
     upload.

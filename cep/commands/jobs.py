@@ -1,4 +1,6 @@
-"""What commands share that do one thing for everything in a folder: the run, its table, and how it ends."""
+"""What commands share that do one thing for everything in a folder: the run, its table, and how it
+ends.
+"""
 
 from __future__ import annotations
 
@@ -93,7 +95,8 @@ def finish_folder(
 
 
 def end(*, missing: int, failed: int) -> None:
-    """End a command of many parts, whose outputs are written, with the exit code that tells how it went.
+    """End a command of many parts, whose outputs are written, with the exit code that tells how it
+    went.
 
     Raises
     ------
@@ -107,7 +110,9 @@ def end(*, missing: int, failed: int) -> None:
 
 
 def _state(row: Mapping[str, object]) -> str:
-    """Say in a word how a row came out; the reasons and the warnings themselves are told on stderr."""
+    """Say in a word how a row came out; the reasons and the warnings themselves are told on
+    stderr.
+    """
     from cep.jobs.folders import NOT_REACHED
 
     failure = row.get("failure")
@@ -136,7 +141,10 @@ Dask = Annotated[
         "--dask",
         metavar="ADDRESS",
         rich_help_panel=MANY,
-        help="Scheduler of a Dask cluster to run on, as tcp://host:8786; photos must lie at the same paths there.",
+        help=(
+            "Scheduler of a Dask cluster to run on, as tcp://host:8786; photos must lie at the"
+            " same paths there."
+        ),
     ),
 ]
 Cache = Annotated[

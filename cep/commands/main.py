@@ -45,7 +45,10 @@ class _Commands(Group):
 app = typer.Typer(
     name="cep",
     cls=_Commands,
-    help="Coded exposure: from one blurred photo to the shutter code for its motion, and back to a sharp photo.",
+    help=(
+        "Coded exposure: from one blurred photo to the shutter code for its motion, and back to a"
+        " sharp photo."
+    ),
     epilog="Begin with: cep demo -o demo",
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",

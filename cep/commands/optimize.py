@@ -113,7 +113,10 @@ def optimize(
         int | None,
         chips_option(
             least=1,
-            help="Number of chips; when omitted as many as pay for one code searched by mse, 52 otherwise.",
+            help=(
+                "Number of chips; when omitted as many as pay for one code searched by mse, 52"
+                " otherwise."
+            ),
         ),
     ] = None,
     open_chips: OpenChips = None,
@@ -147,8 +150,11 @@ def optimize(
             "--time",
             metavar="S",
             rich_help_panel=SEARCH,
-            help="Search each code for so many seconds, however many moves that is: the code depends on the machine. "
-            "The choice of the number of chips is within it.",
+            help=(
+                "Search each code for so many seconds, however many moves that is: the code"
+                " depends on the machine. "
+                "The choice of the number of chips is within it."
+            ),
         ),
     ] = None,
     steps: Annotated[
@@ -158,8 +164,12 @@ def optimize(
             metavar="N",
             min=1,
             rich_help_panel=SEARCH,
-            help="Make so many moves, however long it takes: the same seed and moves give the same code. With --time "
-            "whichever ends first; without either as many as suit the motion, for 60 s at most.",
+            help=(
+                "Make so many moves, however long it takes: the same seed and moves give the same"
+                " code. With --time "
+                "whichever ends first; without either as many as suit the motion, for 60 s at"
+                " most."
+            ),
         ),
     ] = None,
     effort: Effort = "quick",
@@ -170,7 +180,8 @@ def optimize(
     output: Annotated[
         Path | None,
         output_option(
-            "File to write, code.json when omitted; with --each a folder, the motions' own when omitted.",
+            "File to write, code.json when omitted; with --each a folder, the motions' own when"
+            " omitted.",
             metavar="PATH",
         ),
     ] = None,
@@ -179,7 +190,8 @@ def optimize(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Search the shutter code whose coded photo restores best along a motion; Ctrl-C keeps the best so far.
+    """Search the shutter code whose coded photo restores best along a motion; Ctrl-C keeps the
+    best so far.
 
     The code is compared with what would be used instead, and never loses to what of it keeps the
     limits, by the objective. Its minimum is certified, and a bound says how far from the best it
@@ -347,7 +359,8 @@ def optimize(
         elif each is not None:
             if trajectory is not None or linear is not None or frames > 1:
                 raise ValueError(
-                    "--each: takes the place of --trajectory and --linear, and searches one frame for each"
+                    "--each: takes the place of --trajectory and --linear, and searches one frame"
+                    " for each"
                 )
             from cep.search.optimize_folder import optimize_folder
 
@@ -391,13 +404,15 @@ def optimize(
                 elif workers is not None or dask is not None:
                     option = "--dask" if workers is None else "--workers"
                     raise ValueError(
-                        f"{option}: a proof in blocks needs --cache DIR, the folder that keeps them"
+                        f"{option}: a proof in blocks needs --cache DIR, the folder that keeps"
+                        " them"
                     )
             else:
                 only_of_folders("--each", workers, dask, cache)
             if trajectory is not None and trajectory.is_dir():
                 raise ValueError(
-                    f"{trajectory}: is a folder; --each FOLDER searches a code for each motion in it"
+                    f"{trajectory}: is a folder; --each FOLDER searches a code for each motion"
+                    " in it"
                 )
             stored = load_motion(trajectory, linear)
             if frames > 1:
@@ -492,7 +507,10 @@ def _show(console: Console, *, best: Optimum, others: Mapping[int, float], file:
     console.print(best.verdict.sentence)
     console.print(f"{file}: {code.bits}")
     chip, whole = (duration(time_ns * 1e-9) for time_ns in (code.chip_ns, code.duration_ns))
-    light = f"{code.open_chips} of {code.chips} chips open, {openings(code)}; {chip} a chip, {whole} in all"
+    light = (
+        f"{code.open_chips} of {code.chips} chips open, {openings(code)}; {chip} a chip, {whole}"
+        " in all"
+    )
     console.print(f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}")
     if others:
         console.print(in_words_of_chips(others))
@@ -527,5 +545,6 @@ def _show(console: Console, *, best: Optimum, others: Mapping[int, float], file:
         )
     elif best.bound is not None:
         console.print(
-            f"{best.figure}: no code with so many open chips can do better than {number(best.bound)}"
+            f"{best.figure}: no code with so many open chips can do better than"
+            f" {number(best.bound)}"
         )

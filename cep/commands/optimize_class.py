@@ -27,7 +27,10 @@ All = Annotated[
         "--all",
         metavar="FOLDER",
         rich_help_panel=MOTION,
-        help="One code for all motions of a folder, FOLDER/*/trajectory.json, best in their mean decibels.",
+        help=(
+            "One code for all motions of a folder, FOLDER/*/trajectory.json, best in their mean"
+            " decibels."
+        ),
     ),
 ]
 ClassName = Annotated[
@@ -36,8 +39,11 @@ ClassName = Annotated[
         "--class",
         metavar="walks|FILE",
         rich_help_panel=MOTION,
-        help="One code for a class of motions, without calibration: walks (simulated hand shakes), or shakes cut from "
-        "a gyro recording (its z axis along the line of sight), each as long as the exposure.",
+        help=(
+            "One code for a class of motions, without calibration: walks (simulated hand shakes),"
+            " or shakes cut from a gyro recording (its z axis along the line of sight), each as"
+            " long as the exposure."
+        ),
     ),
 ]
 PathLength = Annotated[
@@ -57,7 +63,10 @@ ClassSize = Annotated[
         min=2,
         max=256,
         rich_help_panel=MOTION,
-        help="With --class: motions to draw for the search; 100 when omitted. It is judged on 300 others.",
+        help=(
+            "With --class: motions to draw for the search; 100 when omitted. It is judged on 300"
+            " others."
+        ),
     ),
 ]
 

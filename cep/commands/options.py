@@ -103,8 +103,10 @@ Figures = Annotated[
     typer.Option(
         "--figure",
         metavar="MODULE:NAME",
-        help="Also a figure of merit of your own: a function of (trajectory, code) that returns a number; may be "
-        "repeated.",
+        help=(
+            "Also a figure of merit of your own: a function of (trajectory, code) that returns a"
+            " number; may be repeated."
+        ),
     ),
 ]
 Photons = Annotated[
@@ -127,7 +129,8 @@ def output_option(help: str, *, metavar: str = "FILE") -> Any:
 
 
 def table_files(table: Path | None) -> list[Path]:
-    """Return the file of ``--table``, to be claimed with the other outputs; none where it is not given.
+    """Return the file of ``--table``, to be claimed with the other outputs; none where it is not
+    given.
 
     Raises
     ------
@@ -169,7 +172,9 @@ def load_camera(
     read_noise: float | None,
     standard: Camera | None = None,
 ) -> Camera:
-    """Return the camera of ``--camera``, changed by ``--photons`` and ``--read-noise``; the standard one without."""
+    """Return the camera of ``--camera``, changed by ``--photons`` and ``--read-noise``; the
+    standard one without.
+    """
     from dataclasses import replace
 
     from cep.optics.camera import Camera

@@ -1,4 +1,6 @@
-"""What the hardware commands share: options, the controller on a port, and a code as a timed program."""
+"""What the hardware commands share: options, the controller on a port, and a code as a timed
+program.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,10 @@ Port = Annotated[
     typer.Option(
         "--port",
         "-p",
-        help="Serial port of the controller, as /dev/ttyACM0 or COM3; its USB serial number; or auto.",
+        help=(
+            "Serial port of the controller, as /dev/ttyACM0 or COM3; its USB serial number; or"
+            " auto."
+        ),
     ),
 ]
 LeaseMs = Annotated[
@@ -40,8 +45,10 @@ Device = Annotated[
     typer.Option(
         "--device",
         metavar="NAME|FILE",
-        help="Check against this profile: a built-in name or a .toml file. When omitted the one that the code was "
-        "searched for; generic has no limits.",
+        help=(
+            "Check against this profile: a built-in name or a .toml file. When omitted the one"
+            " that the code was searched for; generic has no limits."
+        ),
     ),
 ]
 
@@ -68,7 +75,8 @@ def timed_program(source: str, *, chip_ns: int | None) -> tuple[Program, StoredC
 def load_program(
     source: str, *, chip_ns: int | None, device: str | None
 ) -> tuple[Program, DeviceProfile | None]:
-    """Return the program of a code, and the profile of ``--device`` or else the one that the code was searched for.
+    """Return the program of a code, and the profile of ``--device`` or else the one that the code
+    was searched for.
 
     Raises
     ------
@@ -89,7 +97,10 @@ def checked_profile(
 
     profile = stored_device(stored, source=source) if device is None else load_profile(device)
     if profile is not None and (problems := profile.check(program)):
-        whose = f"; {source} was searched for {profile.name}, --device says which other shutter it is for"
+        whose = (
+            f"; {source} was searched for {profile.name}, --device says which other shutter it"
+            " is for"
+        )
         raise ValueError(
             f"the program cannot be played: {'; '.join(problems)}{'' if device else whose}"
         )

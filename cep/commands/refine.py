@@ -24,7 +24,10 @@ def refine(
         typer.Option(
             "--code",
             metavar="CODE",
-            help="Code of the photo: bits, code.json, a published name, or open; once for each photo, in order.",
+            help=(
+                "Code of the photo: bits, code.json, a published name, or open; once for each"
+                " photo, in order."
+            ),
         ),
     ] = None,
     trajectory: Annotated[
@@ -38,7 +41,10 @@ def refine(
         typer.Option(
             "--uncertainty",
             metavar="PX",
-            help="Expected error of the calibration, px rms over time; what its file says when omitted, else 1.",
+            help=(
+                "Expected error of the calibration, px rms over time; what its file says when"
+                " omitted, else 1."
+            ),
         ),
     ] = None,
     gamma: Gamma = "srgb",
@@ -49,7 +55,8 @@ def refine(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Improve a calibrated path by coded photos of that motion; the given path is kept where they show no better one.
+    """Improve a calibrated path by coded photos of that motion; the given path is kept where they
+    show no better one.
 
     Two or more photos of one scene show the order in time too, and the path to a tenth of a pixel.
     From a single photo the gain is smaller, and in some photos there is none.
@@ -136,18 +143,19 @@ def refine(
         said = f"the given path is kept, as the photos show no better one{order}"
     elif found.confidence is not None:
         said = (
-            f"refined by {found.moved_px:.2g} px rms; it explains the photos better with probability "
-            f"{found.confidence:.2f}"
+            f"refined by {found.moved_px:.2g} px rms; it explains the photos better with"
+            f" probability {found.confidence:.2f}"
         )
     else:
         said = (
-            f"refined by {found.moved_px:.2g} px rms; the photos' misfit fell from {found.given_misfit:.2f} to "
-            f"{found.misfit:.2f} times the noise"
+            f"refined by {found.moved_px:.2g} px rms; the photos' misfit fell from"
+            f" {found.given_misfit:.2f} to {found.misfit:.2f} times the noise"
         )
     finish(
         result,
         as_json=as_json,
         show=lambda console: console.print(
-            f"{target}: {said}; direction {motion.direction}, error about {found.uncertainty_px:.2g} px"
+            f"{target}: {said}; direction {motion.direction}, error about"
+            f" {found.uncertainty_px:.2g} px"
         ),
     )

@@ -1,4 +1,6 @@
-"""How ``cep optimize`` runs a search, and where its result goes: the same for one code, frames and classes."""
+"""How ``cep optimize`` runs a search, and where its result goes: the same for one code, frames and
+classes.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ class SearchRun:
     tick: Tick
 
     def outputs(self, *files: Path, inputs: Sequence[Path] = ()) -> Outputs:
-        """Return the files that are written: the codes', :attr:`output` when omitted, and the tables'."""
+        """Return the files that are written: the codes', :attr:`output` when omitted, and the
+        tables'.
+        """
         from cep.files.outputs import Outputs
 
         return Outputs(
@@ -59,7 +63,8 @@ class SearchRun:
 
     @contextmanager
     def keeping(self, *files: Path) -> Iterator[Keep]:
-        """Lose no codes that were found while they are compared: Ctrl-C writes them, another error tells them.
+        """Lose no codes that were found while they are compared: Ctrl-C writes them, another error
+        tells them.
 
         Parameters
         ----------
@@ -104,7 +109,9 @@ class SearchRun:
         save: Write,
         codes: Sequence[ShutterCode],
     ) -> Callable[[], None]:
-        """Return the function that writes the outputs and prints a result, see :func:`cep.commands.console.finish`."""
+        """Return the function that writes the outputs and prints a result, see
+        :func:`cep.commands.console.finish`.
+        """
         from functools import partial
 
         return partial(

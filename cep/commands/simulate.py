@@ -105,6 +105,7 @@ def simulate(
         result,
         as_json=as_json,
         show=lambda console: console.print(
-            f"{target}: {taken.shape[1]} x {taken.shape[0]} px, {shutter.duty:.0%} of the light; PSF in {psf_file}"
+            f"{target}: {taken.shape[1]} x {taken.shape[0]} px, {shutter.duty:.0%} of the light;"
+            f" PSF in {psf_file}"
         ),
     )

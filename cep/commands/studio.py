@@ -35,7 +35,10 @@ def studio(
         typer.Option(
             "--extract",
             metavar="FOLDER",
-            help="Instead of the page: write the trajectory.json, code.json and commands.sh of FILE's state.",
+            help=(
+                "Instead of the page: write the trajectory.json, code.json and commands.sh of"
+                " FILE's state."
+            ),
         ),
     ] = None,
     force: Force = False,
@@ -86,7 +89,8 @@ def studio(
             sys.stdout.flush()
         else:
             print(  # noqa: T201
-                f"The studio is at {address}\nThis address opens it once, in one browser. Ctrl-C ends it.",
+                f"The studio is at {address}\nThis address opens it once, in one browser. Ctrl-C"
+                " ends it.",
                 file=sys.stderr,
                 flush=True,
             )

@@ -1,4 +1,6 @@
-"""``cep hw verify``: what the controller holds, and what the shutter played, against what was asked for."""
+"""``cep hw verify``: what the controller holds, and what the shutter played, against what was
+asked for.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,8 @@ def verify(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Compare a code with what the controller holds (--port), or with what its shutter really played (--capture).
+    """Compare a code with what the controller holds (--port), or with what its shutter really
+    played (--capture).
 
     A recording gives each play's chips, clock error and jitter, and with a motion the PSF as
     achieved, which cep deblur takes. Exit code 1 when anything differs.
@@ -167,6 +170,7 @@ def _held(program: Program, port: str, *, clock_ppm: float, as_json: bool) -> No
         result,
         as_json=as_json,
         show=lambda console: console.print(
-            f"{port}: holds this code, {program.chips} chips of {program.chip_ns} ns, bit for bit, trust {trust}"
+            f"{port}: holds this code, {program.chips} chips of {program.chip_ns} ns, bit for bit,"
+            f" trust {trust}"
         ),
     )

@@ -106,7 +106,8 @@ def read_code(path: Path | str) -> StoredCode:
 
 
 def stored_device(stored: StoredCode, *, source: str) -> DeviceProfile | None:
-    """Return the profile of the shutter that a code was searched for, as its file has it; None where it names none.
+    """Return the profile of the shutter that a code was searched for, as its file has it; None
+    where it names none.
 
     Parameters
     ----------
@@ -176,7 +177,8 @@ def _versioned(path: Path | str, schema: str) -> dict[str, Any]:
 
 
 def plain(value: object) -> Any:
-    """Turn arrays, dataclasses, paths and NumPy numbers into types of JSON; NaN and infinities become null.
+    """Turn arrays, dataclasses, paths and NumPy numbers into types of JSON; NaN and infinities
+    become null.
 
     Examples
     --------
@@ -218,7 +220,8 @@ def json_text(value: object, *, ascii_only: bool = False) -> str:
 
 
 def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple[Path, Path, Path]:
-    """Write a PSF as ``.npy`` (float32), ``.mat`` (variable ``psf``) and, for people, ``.png``, all three or none.
+    """Write a PSF as ``.npy`` (float32), ``.mat`` (variable ``psf``) and, for people, ``.png``,
+    all three or none.
 
     In the ``.png`` the largest value is white.
 
@@ -317,16 +320,17 @@ def _psf_doubts(kernel: NDArray[np.float64]) -> list[str]:
         _OFF_MIDDLE_PX if light > _OPEN_LIGHT else max(_OFF_MIDDLE_PX, extent * _CODED_OFF)
     ):
         doubts.append(
-            f"its centre of mass is ({x:+.1f}, {y:+.1f}) px (x, y) off its middle, which stands for no displacement: "
-            f"the restored photo moves by ({-x:+.1f}, {-y:+.1f}) px; centre it if that is not meant"
+            f"its centre of mass is ({x:+.1f}, {y:+.1f}) px (x, y) off its middle, which stands"
+            f" for no displacement: the restored photo moves by ({-x:+.1f}, {-y:+.1f}) px; centre"
+            " it if that is not meant"
         )
     rim = np.concatenate([kernel[0], kernel[-1], kernel[1:-1, 0], kernel[1:-1, -1]])
     level = float(np.median(rim))
     veil = level * kernel.size / light
     if veil > _VEIL and level < _VEIL_LEVEL * kernel.max():
         doubts.append(
-            f"its rim is not 0 but {level:.2g}: such a veil over all of it is {veil:.0%} of its light; subtract the "
-            "background, or give the whole PSF if it is cut off"
+            f"its rim is not 0 but {level:.2g}: such a veil over all of it is {veil:.0%} of its"
+            " light; subtract the background, or give the whole PSF if it is cut off"
         )
     return doubts
 

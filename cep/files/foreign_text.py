@@ -1,4 +1,5 @@
-"""Text that others wrote, made safe for each output: names of files, cameras, devices and methods, and their messages.
+"""Text that others wrote, made safe for each output: names of files, cameras, devices and methods,
+and their messages.
 
 Such a text may hold what the output takes for a command. Every output writes it through its
 function here, so that a reader sees the characters themselves. Rich's markup, JSON and HTML need
@@ -58,7 +59,8 @@ def terminal_line(text: object) -> str:
 
 
 def csv_text(text: str) -> str:
-    r"""Write the text of a CSV cell, which a spreadsheet must not take for a formula; numbers stay numbers.
+    r"""Write the text of a CSV cell, which a spreadsheet must not take for a formula; numbers stay
+    numbers.
 
     Examples
     --------
@@ -109,7 +111,8 @@ def latex_text(text: str) -> str:
 
 
 def plot_text(text: str) -> str:
-    r"""Write a text into a figure: dollars begin no formula, and an underscore hides no label from the legend.
+    r"""Write a text into a figure: dollars begin no formula, and an underscore hides no label from
+    the legend.
 
     Examples
     --------

@@ -1,4 +1,6 @@
-"""Numbers and times in text for people, and times as people write them; JSON and files keep full precision."""
+"""Numbers and times in text for people, and times as people write them; JSON and files keep full
+precision.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Photographs in and out: PNG, TIFF, JPEG, WebP, RAW and .mat files as linear light, 0..1; 16 bit stays 16 bit."""
+"""Photographs in and out: PNG, TIFF, JPEG, WebP, RAW and .mat files as linear light, 0..1; 16 bit
+stays 16 bit.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ from motdiff.simulate import to_display, to_linear
 from motdiff.types import FloatArray
 
 LARGE_PX = 2**24
-"""Photos of more pixels are held in single precision: half the memory, and finer than any sensor."""
+"""Photos of more pixels are held in single precision: half the memory, and finer than any
+sensor."""
 
 MIN_SIDE_PX = 16
 """Smallest side of a photo, px: below it there is no blur to speak of."""
@@ -55,7 +58,8 @@ _RAW_OPTIONS: dict[str, Any] = {
     "adjust_maximum_thr": 0.0,  # full scale is the sensor's, not the brightest pixel of this photo
 }
 PHOTO_SUFFIXES = (*PICTURE_SUFFIXES, ".webp", *RAW_SUFFIXES)
-"""Photos of a folder: what :func:`read_photo` reads, but for .mat files, which hold other things as well."""
+"""Photos of a folder: what :func:`read_photo` reads, but for .mat files, which hold other things
+as well."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +173,8 @@ def read_codes(
     _check_side(source, codes, min_side_px)
     if codes.dtype not in (np.uint8, np.uint16):
         raise ValueError(
-            f"{source}: holds floating-point numbers, and no code values; give files of 8 or 16 bits"
+            f"{source}: holds floating-point numbers, and no code values; give files of 8 or 16"
+            " bits"
         )
     return codes, warnings
 
@@ -177,7 +182,8 @@ def read_codes(
 def read_detail(
     path: Path | str, *, side_px: int, preview_px: int, gamma: str | float = "srgb"
 ) -> tuple[Photo, FloatArray, tuple[int, int]]:
-    """Read the part of a photo that has most detail, and all of it small, without all of it in floating point.
+    """Read the part of a photo that has most detail, and all of it small, without all of it in
+    floating point.
 
     Parameters
     ----------
@@ -270,7 +276,8 @@ def _check_side(source: Path, decoded: NDArray[Any], min_side_px: int) -> None:
     height, width = decoded.shape[:2]
     if min(height, width) < min_side_px:
         raise ValueError(
-            f"{source}: {width} x {height} px is too small, at least {min_side_px} px a side is needed"
+            f"{source}: {width} x {height} px is too small, at least {min_side_px} px a side is"
+            " needed"
         )
 
 
@@ -279,7 +286,9 @@ def _bits(decoded: NDArray[Any]) -> int:
 
 
 def check_image_name(path: Path | str) -> None:
-    """Check, before any work is done, that :func:`write_image` writes such files; raises ValueError as it does."""
+    """Check, before any work is done, that :func:`write_image` writes such files; raises
+    ValueError as it does.
+    """
     suffix = Path(path).suffix.lower()
     if suffix not in PICTURE_SUFFIXES:
         raise ValueError(
@@ -290,7 +299,8 @@ def check_image_name(path: Path | str) -> None:
 def write_image(
     path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str | float = "srgb"
 ) -> None:
-    """Write linear light as PNG, TIFF or JPEG, whole or not at all; values outside 0..1 are clipped.
+    """Write linear light as PNG, TIFF or JPEG, whole or not at all; values outside 0..1 are
+    clipped.
 
     Parameters
     ----------
@@ -374,12 +384,15 @@ def encode_image(
 
 @cache
 def _srgb_bytes() -> NDArray[np.uint8]:
-    """8-bit sRGB of linear light in 16 bits, 20 of whose steps are one of sRGB's near black: quicker than the power."""
+    """8-bit sRGB of linear light in 16 bits, 20 of whose steps are one of sRGB's near black:
+    quicker than the power.
+    """
     return np.rint(255 * to_display(np.arange(0x10000) / 0xFFFF)).astype(np.uint8)
 
 
 def parse_gamma(text: str | float) -> str | float:
-    """Check a response curve: ``"srgb"``, ``"linear"``, or a number in 1..4 (also as text, from a command line).
+    """Check a response curve: ``"srgb"``, ``"linear"``, or a number in 1..4 (also as text, from a
+    command line).
 
     Examples
     --------
@@ -427,7 +440,8 @@ def _read_mat(source: Path, variable: str) -> NDArray[Any]:
     samples = read_mat(source, [variable])[variable]
     if samples.ndim not in (2, 3) or samples.shape[2:] not in ((), (3,)) or not samples.size:
         raise ValueError(
-            f"{source}: its variable {variable} has the shape {samples.shape}, wanted (H, W) or (H, W, 3)"
+            f"{source}: its variable {variable} has the shape {samples.shape}, wanted (H, W) or"
+            " (H, W, 3)"
         )
     check_px(samples.shape[1], samples.shape[0], source)
     return samples

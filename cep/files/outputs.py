@@ -1,4 +1,6 @@
-"""Output paths of commands: existing files are refused; new files appear together, whole or not at all."""
+"""Output paths of commands: existing files are refused; new files appear together, whole or not at
+all.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ class Outputs:
     inputs: tuple[Path | str, ...] = ()
 
     def check(self) -> None:
-        """Check, before any work is done, that the files may be written; raises as :func:`claim` does."""
+        """Check, before any work is done, that the files may be written; raises as :func:`claim`
+        does.
+        """
         read = [path for path in map(Path, self.inputs) if path.is_file()]
         known: set[Path] = set()
         for path in self.paths:
@@ -56,14 +60,18 @@ class Outputs:
 
     @contextmanager
     def written(self, *, summary: str = "") -> Iterator[dict[Path, Path]]:
-        """Yield a temporary name for each file, as :func:`new_files`; where that fails, the error says the summary."""
+        """Yield a temporary name for each file, as :func:`new_files`; where that fails, the error
+        says the summary.
+        """
         with summary_on_failure(summary), new_files(self.paths, force=self.force) as made:
             yield made
 
 
 @contextmanager
 def summary_on_failure(summary: str) -> Iterator[None]:
-    """Add a result's summary to the error of writing it, as of a full disk: the result must not be lost."""
+    """Add a result's summary to the error of writing it, as of a full disk: the result must not be
+    lost.
+    """
     try:
         yield
     except (OSError, ValueError) as error:
@@ -82,7 +90,7 @@ def claim(
     paths : files about to be written
     force : bool
         Whether existing files may be replaced.
-    inputs : files that are read, which are not replaced in any case; what is no file counts for nothing
+    inputs : files that are read, which are never replaced; folders are ignored
 
     Raises
     ------
@@ -97,7 +105,8 @@ def claim(
 
 
 def claim_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -> None:
-    """Check, before any work is done, that files may be written into a folder, which is made when missing.
+    """Check, before any work is done, that files may be written into a folder, which is made when
+    missing.
 
     Parameters
     ----------

@@ -71,7 +71,8 @@ def check_table_name(path: Path | str) -> None:
     """
     if Path(path).suffix.lower() not in TABLE_SUFFIXES:
         raise ValueError(
-            f"{path}: tables are written as {', '.join(TABLE_SUFFIXES[:-1])} or {TABLE_SUFFIXES[-1]}"
+            f"{path}: tables are written as {', '.join(TABLE_SUFFIXES[:-1])} or"
+            f" {TABLE_SUFFIXES[-1]}"
         )
 
 
@@ -139,7 +140,9 @@ def _latex_cell(value: object) -> str:
 
 
 def _csv(sheets: Sequence[Sheet]) -> str:
-    """Lay out tables as CSV, numbers in full; several stand below their titles with an empty line between."""
+    """Lay out tables as CSV, numbers in full; several stand below their titles with an empty line
+    between.
+    """
     titled = len(sheets) > 1
     return "\n".join(
         csv_lines([*([[sheet.title]] if titled else []), sheet.columns, *sheet.rows])
@@ -168,7 +171,9 @@ def markdown(sheets: Sequence[Sheet]) -> str:
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay out cells as a Markdown table: the first column to the left, the others, figures, to the right."""
+    """Lay out cells as a Markdown table: the first column to the left, the others, figures, to the
+    right.
+    """
     lines = [[_markdown_cell(value) for value in row] for row in (head, *rows)]
     rule = ("---", *("---:",) * (len(head) - 1))
     return "\n".join("| " + " | ".join(line) + " |" for line in (lines[0], rule, *lines[1:]))

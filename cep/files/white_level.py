@@ -1,4 +1,6 @@
-"""Code value of white in a photo's file: cameras of fewer bits than their files have, or full below their last code."""
+"""Code value of white in a photo's file: cameras of fewer bits than their files have, or full
+below their last code.
+"""
 
 from __future__ import annotations
 
@@ -73,12 +75,15 @@ def white_level(codes: NDArray[Any]) -> WhiteLevel:
     bits = next((depth for depth in _DEPTHS if largest < 2**depth), None)
     if bits is None:
         times = 2 ** (16 - _UNSURE_DEPTH)
-        hint = f"if its camera has {_UNSURE_DEPTH} bits, it is {times} times brighter: multiply its values by {times}"
+        hint = (
+            f"if its camera has {_UNSURE_DEPTH} bits, it is {times} times brighter: multiply its"
+            f" values by {times}"
+        )
         return WhiteLevel(full, f"no value exceeds {largest} of {full}; {hint}")
     return WhiteLevel(
         2**bits - 1,
-        f"no value exceeds {largest} of {full}: taken as {bits}-bit values, white at {2**bits - 1}; "
-        "if it is so dark, save it as floating point",
+        f"no value exceeds {largest} of {full}: taken as {bits}-bit values, white at"
+        f" {2**bits - 1}; if it is so dark, save it as floating point",
     )
 
 

@@ -1,4 +1,6 @@
-"""Published works behind methods, codes and figures of merit: BibTeX entries, and citations in one line."""
+"""Published works behind methods, codes and figures of merit: BibTeX entries, and citations in one
+line.
+"""
 
 from __future__ import annotations
 
@@ -88,7 +90,10 @@ class Work:
         'Glover: *Tabu search, part I.* ORSA Journal on Computing 1, 1989.'
         """
         title = self.text("title")
-        return f"{', '.join(self.authors)}: *{title}{'' if title[-1] in '.?!' else '.'}* {self.venue}."
+        return (
+            f"{', '.join(self.authors)}: *{title}{'' if title[-1] in '.?!' else '.'}*"
+            f" {self.venue}."
+        )
 
     @property
     def short(self) -> str:

@@ -1,1 +1,3 @@
-"""Jobs made of cells: cached results, executors on processes or a Dask cluster, fingerprints of sources."""
+"""Jobs made of cells: cached results, executors on processes or a Dask cluster, fingerprints of
+sources.
+"""

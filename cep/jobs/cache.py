@@ -46,7 +46,8 @@ class Cache:
     def warnings(self) -> list[str]:
         """Reasons why files were not used, one line each."""
         return [
-            f"{self._folder}: {count} finished {'cell' if count == 1 else 'cells'} {reason}: made again"
+            f"{self._folder}: {count} finished {'cell' if count == 1 else 'cells'} {reason}: made"
+            " again"
             for reason, count in self._distrusted.items()
         ]
 
@@ -109,7 +110,9 @@ def _check(document: dict[str, Any]) -> str:
 
 
 def _stored(figure: Figure) -> Any:
-    """Encode infinities and NaN, for which JSON has no number: a code with a zero has an infinite noise gain."""
+    """Encode infinities and NaN, for which JSON has no number: a code with a zero has an infinite
+    noise gain.
+    """
     return (
         {"not finite": str(figure)}
         if isinstance(figure, float) and not math.isfinite(figure)

@@ -66,7 +66,8 @@ class Cell:
             is not self.work
         ):
             raise ValueError(
-                f"work: must be a function at the top of an importable module, got {self.work!r} for {self.label}"
+                f"work: must be a function at the top of an importable module, got {self.work!r}"
+                f" for {self.label}"
             )
         # workers may have another current folder
         located = {
@@ -137,7 +138,8 @@ class _Pinned:
 
 
 def pinned(cells: Iterable[Cell]) -> list[dict[str, Any]]:
-    """Arguments of cells with the hash of each file's content: later, or on another machine, the file may differ.
+    """Arguments of cells with the hash of each file's content: later, or on another machine, the
+    file may differ.
 
     Raises
     ------

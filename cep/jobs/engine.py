@@ -1,4 +1,6 @@
-"""Run of cells in this process, in worker processes or on a Dask cluster; finished cells are cached at once."""
+"""Run of cells in this process, in worker processes or on a Dask cluster; finished cells are
+cached at once.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,9 @@ class Outcome:
 
     @property
     def machines(self) -> list[Mapping[str, Any]]:
-        """Machines that computed the results, the busiest first; cached results may come from other machines."""
+        """Machines that computed the results, the busiest first; cached results may come from
+        other machines.
+        """
         counts: list[tuple[int, Mapping[str, Any]]] = []
         for result in self.results:
             known = next(
@@ -70,13 +74,14 @@ def run_cells(
     progress: Callable[[float, str], None] = lambda _fraction, _note: None,
     finished: Callable[[Result], None] = lambda _result: None,
 ) -> Outcome:
-    """Run every cell that is not cached; one that raises counts as failed, and the others continue.
+    """Run every cell that is not cached; one that raises counts as failed, and the others
+    continue.
 
     Parameters
     ----------
     cells : sequence of Cell
         Each with a name of its own. Those with the same work and arguments run once.
-    cache : folder of finished cells, made where it is missing, and not left behind empty by what is raised
+    cache : folder of finished cells, made if missing; none is left empty after an error
         Failed ones are not kept: they are tried again next time.
     workers : int
         Processes; 1 runs in this one.
@@ -128,7 +133,9 @@ class Engine:
     def of(
         cls, output: Path, *, cache: Path | None, workers: int | None, dask: str | None
     ) -> Self:
-        """Fill in what is None: cells in the folder ``output``, as many workers as there are cores."""
+        """Fill in what is None: cells in the folder ``output``, as many workers as there are
+        cores.
+        """
         return cls(cache or output / "cells", workers or machine()["cores"] or 1, dask)
 
     def run(

@@ -1,4 +1,6 @@
-"""Executors of cells: processes or threads of this machine or a Dask cluster, in order of completion."""
+"""Executors of cells: processes or threads of this machine or a Dask cluster, in order of
+completion.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,8 @@ _INSTALL = "install there what is installed here, and start it again"
 
 
 def in_threads(tasks: Iterator[Task], workers: int) -> Generator[tuple[str, Finished]]:
-    """Yield keys with finished work, from threads of this process: for compiled work that runs side by side there.
+    """Yield keys with finished work, from threads of this process: for compiled work that runs
+    side by side there.
 
     A task is drawn just before a thread is free for it, so that its arguments may depend on what
     has finished.
@@ -92,7 +95,8 @@ def in_processes(tasks: Tasks, workers: int) -> Generator[tuple[str, Finished]]:
 
 
 def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
-    """Yield fingerprints with finished cells, from the Dask cluster whose scheduler is at ``address``.
+    """Yield fingerprints with finished cells, from the Dask cluster whose scheduler is at
+    ``address``.
 
     Dask runs the cells of a lost worker again on another one; a result sent twice counts once.
     Workers must have the sources and weights that are here, and so must those that join later:
@@ -151,12 +155,15 @@ def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
             ) as error:  # an error of the cluster: cells return reasons instead of raising
                 reason = " ".join(f"{type(error).__name__}: {error}".split())
                 raise RuntimeError(
-                    f"dask: the cluster at {address} failed ({reason}); finished cells are kept, run again to go on"
+                    f"dask: the cluster at {address} failed ({reason}); finished cells are kept,"
+                    " run again to go on"
                 ) from None
 
 
 class _ClusterBackend(DaskDistributedBackend):  # type: ignore[misc]
-    """Joblib's backend without its shortcut, which runs cells in this process while one thread is connected."""
+    """Joblib's backend without its shortcut, which runs cells in this process while one thread is
+    connected.
+    """
 
     def effective_n_jobs(self, n_jobs: int = -1) -> int:
         return max(2, int(super().effective_n_jobs(n_jobs)))
@@ -182,15 +189,17 @@ def _refuse_other_sources(client: Any) -> None:
     }
     if others := sorted(worker for worker, state in reported.items() if state != all_sources()):
         raise ValueError(
-            f"dask: the worker at {others[0]} has another state of this program ({len(others)} of {len(states)} "
-            f"workers): {_INSTALL}"
+            f"dask: the worker at {others[0]} has another state of this program ({len(others)} of"
+            f" {len(states)} workers): {_INSTALL}"
         )
 
 
 def _spread(
     tasks: Tasks, call: Callable[..., tuple[str, Finished]], *, pre_dispatch: int | str
 ) -> Generator[tuple[str, Finished]]:
-    """Run the tasks with joblib's backend of the moment, each a batch of its own: none waits for another to be kept."""
+    """Run the tasks with joblib's backend of the moment, each a batch of its own: none waits for
+    another to be kept.
+    """
     # arguments go as one dict: joblib would put each large array on a single Dask worker, and it
     # would die with it; nor are they mapped into files, which fill /dev/shm and are read-only
     parallel = Parallel(
@@ -211,7 +220,9 @@ def _one(
 def _of_these_sources(
     sources: str, key: str, work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, Any]
 ) -> tuple[str, Finished]:
-    """Refuse on a worker that joined after the check of all workers; an exception here ends the run."""
+    """Refuse on a worker that joined after the check of all workers; an exception here ends the
+    run.
+    """
     if all_sources() != sources:
         from distributed import get_worker
 

@@ -1,4 +1,6 @@
-"""Fingerprints of source code: of a module with the project's modules that it imports, and of the whole project."""
+"""Fingerprints of source code: of a module with the project's modules that it imports, and of the
+whole project.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ _COUNTING = (".py", ".safetensors", ".toml")
 def source_version(
     modules: Iterable[str], *, alone: Iterable[str] = (), files: Iterable[Path] = ()
 ) -> str:
-    """Fingerprint of modules: 16 hexadecimal digits, independent of comments, docstrings and layout.
+    """Fingerprint of modules: 16 hexadecimal digits, independent of comments, docstrings and
+    layout.
 
     Parameters
     ----------

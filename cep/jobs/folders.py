@@ -135,7 +135,9 @@ def run_folder(
 
 
 def is_spelled(name: str) -> bool:
-    """Whether a file's name is a text; other bytes, which Python keeps as lone surrogates, no table can hold."""
+    """Whether a file's name is a text; other bytes, which Python keeps as lone surrogates, no
+    table can hold.
+    """
     try:
         name.encode("utf-8")
     except UnicodeEncodeError:
@@ -144,7 +146,9 @@ def is_spelled(name: str) -> bool:
 
 
 def _in_words(figures: Mapping[str, Any]) -> dict[str, float | str | None]:
-    """Lay out figures of the user's own, as JSON has them, for a line of the table: forward / backward."""
+    """Lay out figures of the user's own, as JSON has them, for a line of the table: forward /
+    backward.
+    """
     return {
         name: " / ".join("–" if one is None else f"{one:.6g}" for one in value)
         if isinstance(value, list)

@@ -33,7 +33,8 @@ def achieved_code(played: Verification, *, chip_ns: int) -> ShutterCode:
 def achieved_psf(
     trajectory: Trajectory, played: Verification, *, chip_ns: int, size: int = PSF_PX
 ) -> FloatArray:
-    """PSF of the played code, (size, size), light-true: it sums to the open part of the commanded exposure.
+    """PSF of the played code, (size, size), light-true: it sums to the open part of the commanded
+    exposure.
 
     A shutter with a slow clock plays the same chips over a longer stretch of the motion. Openings
     that were longer than the fitted clock says count as closing late.

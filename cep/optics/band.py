@@ -42,7 +42,9 @@ class BandSamples:
 
 
 def band(size: int = 64) -> tuple[FloatArray, FloatArray]:
-    """Grids (fx, fy), each (size, size) cycles/px, of an FFT over [-0.5, 0.5)^2, zero frequency at ``size // 2``."""
+    """Grids (fx, fy), each (size, size) cycles/px, of an FFT over [-0.5, 0.5)^2, zero frequency at
+    ``size // 2``.
+    """
     axis = np.fft.fftshift(np.fft.fftfreq(size))
     fx, fy = np.meshgrid(axis, axis)
     return fx, fy
@@ -82,7 +84,9 @@ def grid_samples(side: int) -> BandSamples:
 
 
 def circle_samples(chips: int, *, oversampling: int = 64) -> BandSamples:
-    """Make a quadrature over the unit circle of a code's polynomial: ``fx`` in cycles/chip, one chip a px."""
+    """Make a quadrature over the unit circle of a code's polynomial: ``fx`` in cycles/chip, one
+    chip a px.
+    """
     return _along(np.array([1.0, 0.0]), float(chips), oversampling, ACROSS)
 
 
@@ -100,7 +104,9 @@ def stays_in_place(trajectory: Trajectory) -> bool:
 
 
 def straight_axis(trajectory: Trajectory) -> FloatArray | None:
-    """Find the unit vector (2,) of a straight motion, whatever its speed, or None for a curved one; (1, 0) for none."""
+    """Find the unit vector (2,) of a straight motion, whatever its speed, or None for a curved
+    one; (1, 0) for none.
+    """
     if stays_in_place(trajectory):
         return np.array([1.0, 0.0])
     extent = trajectory.extent_px

@@ -1,4 +1,6 @@
-"""Camera model: photon noise, read noise, clipping, quantisation; its files, and profiles of known cameras."""
+"""Camera model: photon noise, read noise, clipping, quantisation; its files, and profiles of known
+cameras.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ from motdiff.types import FloatArray
 SCHEMA = "cep.camera/1"
 
 LIGHT_LEVELS = (100.0, 1_000.0, 10_000.0, 100_000.0)
-"""Photo-electrons at full scale at which coding is compared with not coding: from starlight to studio."""
+"""Photo-electrons at full scale at which coding is compared with not coding: from starlight to
+studio."""
 
 _LARGEST_PHOTONS = 1e9  # Poisson draws stay exact in float64 and int64 far above any full well
 _LEVELS = (1.0, 1e7)  # light levels that can be asked for, photo-electrons
@@ -36,7 +39,8 @@ _STATED = (
     "dark_current_e_s",
     "least_exposure_s",
 )
-"""Fields written only where they are stated: a camera without them keeps its document, which caches are keyed by."""
+"""Fields written only where they are stated: a camera without them keeps its document, which
+caches are keyed by."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +88,8 @@ class Camera:
     >>> Camera(bits=2).quantise([0.1, 0.5, 2.0]).tolist()
     [0.0, 0.6666666666666666, 1.0]
     >>> dim = Camera.load("sony-imx250").at(500, exposure_s=0.01)
-    >>> print(f"{dim.photons_full_scale:g} e-, read noise {dim.read_noise_e:g} e-, {dim.code_steps:.0f} code values")
-    500 e-, read noise 2.4 e-, 189 code values
+    >>> dim.photons_full_scale, round(dim.read_noise_e, 2), round(dim.code_steps)
+    (500.0, 2.39, 189)
     """
 
     photons_full_scale: float = 10_000.0
@@ -115,11 +119,13 @@ class Camera:
                 object.__setattr__(self, name, value := _number(name, given))
                 if not (math.isfinite(value) and value > 0):
                     raise ValueError(
-                        f"{name}: must be above 0 electrons, got {value}; leave it out where not known"
+                        f"{name}: must be above 0 electrons, got {value}; leave it out where not"
+                        " known"
                     )
         if not 0 < self.photons_full_scale <= _LARGEST_PHOTONS:
             raise ValueError(
-                f"photons_full_scale: must lie within 0..1e9 and above 0, got {self.photons_full_scale}"
+                "photons_full_scale: must lie within 0..1e9 and above 0, got"
+                f" {self.photons_full_scale}"
             )
         if not (np.isfinite(self.read_noise_e) and self.read_noise_e >= 0):
             raise ValueError(f"read_noise_e: must be 0 or more electrons, got {self.read_noise_e}")
@@ -151,14 +157,17 @@ class Camera:
 
     @property
     def code_steps(self) -> float:
-        """Steps of the code values between light 0 and 1; a fraction where one of them ends above 1."""
+        """Steps of the code values between light 0 and 1; a fraction where one of them ends above
+        1.
+        """
         if self.gain_e_per_dn is None:
             return float(2**self.bits - 1)
         return self.photons_full_scale / self.gain_e_per_dn
 
     @property
     def saturation_e(self) -> float:
-        """Electrons, of light and dark current, at which the pixel or its code range is full, whichever is first.
+        """Electrons, of light and dark current, at which the pixel or its code range is full,
+        whichever is first.
 
         The pedestal is added after the pixel: it takes from the code range and not from the full
         well. Infinite where neither is known. A light level above it cannot be recorded: expose
@@ -208,12 +217,16 @@ class Camera:
         return camera.with_dark_noise(time_s)
 
     def with_dark_noise(self, integration_s: float) -> Camera:
-        """Return the camera with the noise of so many seconds of dark current in its read noise, and no more of it."""
+        """Return the camera with the noise of so many seconds of dark current in its read noise,
+        and no more of it.
+        """
         noise_e = math.sqrt(self.read_noise_e**2 + float(self.dark_e(integration_s)))
         return replace(self, read_noise_e=noise_e, dark_current_e_s=0.0)
 
     def dark_e(self, integration_s: ArrayLike) -> FloatArray:
-        """Electrons of dark current after (...) seconds: their mean, and the variance of their number."""
+        """Electrons of dark current after (...) seconds: their mean, and the variance of their
+        number.
+        """
         return np.asarray(self.dark_current_e_s * np.asarray(integration_s, dtype=np.float64))
 
     # -- noise ------------------------------------------------------------------------------------
@@ -225,7 +238,8 @@ class Camera:
         return {"photons_full_scale": self.photons_full_scale, "read_sigma": read_sigma}
 
     def noise_variance(self, signal: ArrayLike, *, integration_s: ArrayLike = 0.0) -> FloatArray:
-        """Variance of a pixel whose mean is ``signal``: shot + read + dark + quantisation, in full-scale units squared.
+        """Variance of a pixel whose mean is ``signal``: shot + read + dark + quantisation, in
+        full-scale units squared.
 
         Parameters
         ----------
@@ -247,7 +261,8 @@ class Camera:
         )
 
     def expose(self, light: ArrayLike, *, rng: np.random.Generator) -> FloatArray:
-        """Record ``light``: Poisson shot noise, Gaussian read noise, clipping, rounding to code values.
+        """Record ``light``: Poisson shot noise, Gaussian read noise, clipping, rounding to code
+        values.
 
         Parameters
         ----------
@@ -262,7 +277,9 @@ class Camera:
         return self.quantise(add_noise(clean, rng, **self.noise))
 
     def quantise(self, light: ArrayLike) -> FloatArray:
-        """Clip (...) linear light to ``-black_level``..1 and round it to the nearest code value."""
+        """Clip (...) linear light to ``-black_level``..1 and round it to the nearest code
+        value.
+        """
         steps = self.code_steps
         bounded = np.clip(np.asarray(light, dtype=np.float64), -self.black_level, 1.0)
         if self.response == "linear":
@@ -275,13 +292,16 @@ class Camera:
     # -- files ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Fields as a JSON document with its schema; of a profile's fields those that are stated."""
+        """Fields as a JSON document with its schema; of a profile's fields those that are
+        stated.
+        """
         stated = {key: value for key, value in asdict(self).items() if key not in _STATED or value}
         return {"schema": SCHEMA, **stated}
 
     @classmethod
     def load(cls, name_or_file: str | Path) -> Camera:
-        """Load a profile by its name, or a camera of one's own by the path of its ``.json`` or ``.toml`` file.
+        """Load a profile by its name, or a camera of one's own by the path of its ``.json`` or
+        ``.toml`` file.
 
         Raises
         ------
@@ -302,12 +322,14 @@ class Camera:
         near = get_close_matches(name_or_file.lower(), names, n=3, cutoff=0.5)
         right = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(names)}."
         raise ValueError(
-            f"camera: {one_line(name_or_file)!r} is not known; {right} Or name a .json or .toml file"
+            f"camera: {one_line(name_or_file)!r} is not known; {right} Or name a .json or .toml"
+            " file"
         )
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Camera:
-        """Make a camera from a document; missing fields take their defaults, ``schema`` may be left out.
+        """Make a camera from a document; missing fields take their defaults, ``schema`` may be
+        left out.
 
         Raises
         ------

@@ -1,4 +1,6 @@
-"""The photo that a camera takes of a scene while it moves along a path and its shutter plays a code."""
+"""The photo that a camera takes of a scene while it moves along a path and its shutter plays a
+code.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,8 @@ def capture(
     Examples
     --------
     >>> path = Trajectory.straight(20.0)
-    >>> photo = capture(np.full((64, 64), 0.8), path, ShutterCode("1010"), rng=np.random.default_rng(0))
+    >>> rng = np.random.default_rng(0)
+    >>> photo = capture(np.full((64, 64), 0.8), path, ShutterCode("1010"), rng=rng)
     >>> photo.shape, round(float(photo.mean()), 2)
     ((42, 42), 0.4)
     """
@@ -74,7 +77,8 @@ def capture(
         raise ValueError(f"psf: must be finite, non-negative (S, S), got shape {kernel.shape}")
     if min(light.shape[:2]) < max(kernel.shape):
         raise ValueError(
-            f"scene: {light.shape[1]} x {light.shape[0]} px is smaller than the PSF frame of {kernel.shape[0]} px"
+            f"scene: {light.shape[1]} x {light.shape[0]} px is smaller than the PSF frame of"
+            f" {kernel.shape[0]} px"
         )
     return photograph(
         light, kernel, rng=rng, borders=borders, record=sensor.quantise, **sensor.noise

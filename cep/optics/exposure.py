@@ -1,4 +1,5 @@
-"""A code along a trajectory: the chip basis, and the coded OTF and PSF (light-true: their DC is the open time).
+"""A code along a trajectory: the chip basis, and the coded OTF and PSF (light-true: their DC is
+the open time).
 
 Chips may be played off their time (``edges``), and the shutter may have ramps (``response``). With
 c_k = 0 outside the code, the OTF is ``sum_k c_k B_k + c_k (1 - c_{k-1}) O_k + c_k (1 - c_{k+1})
@@ -42,7 +43,9 @@ class OpenPath:
     b: FloatArray
 
     def otf(self, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> ComplexArray:
-        """Exact OTF at (...) frequencies: the sum of ``dt exp(-i pi f.(a + b)) sinc(f.(b - a))``."""
+        """Exact OTF at (...) frequencies: the sum of ``dt exp(-i pi f.(a + b)) sinc(f.(b -
+        a))``.
+        """
         fx, fy = np.broadcast_arrays(
             np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64)
         )
@@ -110,7 +113,8 @@ def chip_basis(
     *,
     edges: ArrayLike | None = None,
 ) -> ComplexArray:
-    """OTF of every chip, ``B_k(f)``: the coded OTF is ``sum_k c_k B_k(f)`` while the shutter follows at once.
+    """OTF of every chip, ``B_k(f)``: the coded OTF is ``sum_k c_k B_k(f)`` while the shutter
+    follows at once.
 
     Parameters
     ----------
@@ -139,7 +143,8 @@ def chip_parts(
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Terms ``B_k``, ``O_k`` and ``C_k`` of the coded OTF, each (n, ...); see the head of this module.
+    """Terms ``B_k``, ``O_k`` and ``C_k`` of the coded OTF, each (n, ...); see the head of this
+    module.
 
     Parameters and errors are those of :func:`open_path` and :func:`chip_basis`.
     """
@@ -168,7 +173,8 @@ def chip_rows(
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
 ) -> ComplexArray:
-    """Change of the coded OTF when chip k opens between neighbours in the states l and r, ``rows[k, l, r]``.
+    """Change of the coded OTF when chip k opens between neighbours in the states l and r,
+    ``rows[k, l, r]``.
 
     ``rows[k, l, r] = B_k + (1 - l) O_k + (1 - r) C_k - l C_{k-1} - r O_{k+1}``: an open neighbour
     needs no edge towards chip k any more. Closing chip k is the negative. Outside the code every
@@ -198,7 +204,9 @@ def chip_rows(
 
 
 def chip_psfs(trajectory: Trajectory, chips: int, size: int = PSF_PX) -> FloatArray:
-    """PSF of every chip, (n, size, size); each sums to 1/n. Raises ValueError if the path leaves the frame."""
+    """PSF of every chip, (n, size, size); each sums to 1/n. Raises ValueError if the path leaves
+    the frame.
+    """
     return trajectory.slice_psfs(checked_edges(None, chips), size)
 
 
@@ -211,7 +219,8 @@ def coded_otf(
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
 ) -> ComplexArray:
-    """Exact OTF of the coded exposure at (...) frequencies; at zero frequency it is the light that came in.
+    """Exact OTF of the coded exposure at (...) frequencies; at zero frequency it is the light that
+    came in.
 
     Parameters
     ----------
@@ -228,7 +237,8 @@ def coded_otf(
 def mtf(
     trajectory: Trajectory, code: ShutterCode | None, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike
 ) -> FloatArray:
-    """Exact, light-true MTF of the exposure at (...) frequencies: the modulus of :func:`coded_otf`.
+    """Exact, light-true MTF of the exposure at (...) frequencies: the modulus of
+    :func:`coded_otf`.
 
     Parameters
     ----------
@@ -243,7 +253,8 @@ def mtf(
     chips keeps it:
 
     >>> path = Trajectory.straight(20.0)
-    >>> print(f"{float(mtf(path, None, 0.05, 0.0)):.3f}  {float(mtf(path, ShutterCode('1100'), 0.05, 0.0)):.3f}")
+    >>> code = ShutterCode("1100")
+    >>> print(f"{float(mtf(path, None, 0.05, 0.0)):.3f}  {float(mtf(path, code, 0.05, 0.0)):.3f}")
     0.000  0.318
     """
     return np.abs(coded_otf(trajectory, code or ShutterCode("1"), fx_cy_px, fy_cy_px))
@@ -257,7 +268,8 @@ def coded_psf(
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
 ) -> FloatArray:
-    """Light-true coded PSF (size, size): it sums to the light, zero displacement at index ``size // 2``.
+    """Light-true coded PSF (size, size): it sums to the light, zero displacement at index ``size
+    // 2``.
 
     ``response`` and ``edges`` are those of :func:`open_path`.
 

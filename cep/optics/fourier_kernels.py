@@ -1,4 +1,6 @@
-"""Fourier sums of many short straight pieces, compiled: equal pieces in a row cost one rotation each."""
+"""Fourier sums of many short straight pieces, compiled: equal pieces in a row cost one rotation
+each.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ def chip_sums(
     chips: int,
     f: FloatArray,
 ) -> NDArray[np.complex128]:
-    """Sum the weighted transforms of pieces, ``exp(-i pi f.(a + b)) sinc(f.(b - a))``, chip by chip.
+    """Sum the weighted transforms of pieces, ``exp(-i pi f.(a + b)) sinc(f.(b - a))``, chip by
+    chip.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""Noise and error of a restoration from its MTF: noise gain, noise variance, expected Wiener error, reference scene."""
+"""Noise and error of a restoration from its MTF: noise gain, noise variance, expected Wiener
+error, reference scene.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,15 @@ from motdiff.types import FloatArray
 SCENE_MEAN = 0.25
 SCENE_STD = 0.2
 HOPELESS_DB = 100.0
-"""Noise gains above this say that a sample met a zero, and how closely rounding let it: tables print "> 100"."""
+"""Noise gains above this say that a sample met a zero, and how closely rounding let it: tables
+print "> 100"."""
 
 _LOWEST_CY_PX = 1 / 256  # the 1/f^2 law stops here, or its variance would be infinite
 
 
 def chip_noise_db(code: ShutterCode) -> float:
-    """``10 log10 mean 1/|P|^2`` over the unit circle on 512 points a chip; add 20 log10 k for the DC-normalised one.
+    """``10 log10 mean 1/|P|^2`` over the unit circle on 512 points a chip; add 20 log10 k for the
+    DC-normalised one.
 
     A zero on the circle makes it infinite; a grid near one gives a finite figure that proves
     nothing: see :func:`min_chip`.
@@ -38,7 +42,8 @@ def chip_noise_db(code: ShutterCode) -> float:
 def noise_variance(
     camera: Camera, duty: ArrayLike, *, integration_s: ArrayLike = 0.0
 ) -> FloatArray:
-    """Variance per pixel of photos of the reference scene through shutters open for (...) ``duty`` of the exposure.
+    """Variance per pixel of photos of the reference scene through shutters open for (...) ``duty``
+    of the exposure.
 
     Dark current counts for ``integration_s``, as :meth:`cep.optics.camera.Camera.noise_variance`
     has it.
@@ -50,7 +55,9 @@ def noise_variance(
 
 @lru_cache(maxsize=1)
 def scene_strength() -> float:
-    """Constant A of the reference scene's power spectrum ``A / (f^2 + f0^2)``, which integrates to its variance."""
+    """Constant A of the reference scene's power spectrum ``A / (f^2 + f0^2)``, which integrates to
+    its variance.
+    """
     # the inner integral of 1 / (f^2 + f0^2) has a closed form; u = asinh(fx / f0) makes the outer
     # one smooth
     u = np.linspace(0, np.arcsinh(0.5 / _LOWEST_CY_PX), 2001)
@@ -64,7 +71,8 @@ def inverse_scene(samples: BandSamples) -> FloatArray:
 
 
 def wiener_mse(power: FloatArray, samples: BandSamples, noise: float) -> float:
-    r"""Mean over the band of ``S N / (S |H|^2 + N)``, the least mean square error of any linear restoration.
+    r"""Mean over the band of ``S N / (S |H|^2 + N)``, the least mean square error of any linear
+    restoration.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""Limits on paths: too wide or too dense to be measured, or too short to tell so many chips apart."""
+"""Limits on paths: too wide or too dense to be measured, or too short to tell so many chips
+apart.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +8,16 @@ from cep.optics.band import stays_in_place, straight_axis, uniform_length_px
 from motdiff.trajectory import Trajectory, check_length
 
 FINEST_CHIP_PX = 0.25
-"""Shortest mean displacement per chip, px: the pitch of the HR map. Chips below it differ by nothing a pixel sees."""
+"""Shortest mean displacement per chip, px: the pitch of the HR map. Chips below it differ by
+nothing a pixel sees."""
 
 LARGEST_FRAME_PX = 1024
-"""Widest PSF frame, px, of a bent path that is measured: the work grows with its area, to minutes and a gigabyte."""
+"""Widest PSF frame, px, of a bent path that is measured: the work grows with its area, to minutes
+and a gigabyte."""
 
 MOST_SAMPLES = 20_000
-"""Most samples of a bent path that is measured: the work grows with them, to half a minute of a code's figures."""
+"""Most samples of a bent path that is measured: the work grows with them, to half a minute of a
+code's figures."""
 
 _MOST_WORK = 2**29  # samples times pixels of the frame: minutes of a code's figures
 
@@ -33,13 +38,14 @@ def check_frame(trajectory: Trajectory) -> None:
     frame = 1 if straight_axis(trajectory) is not None else trajectory.frame_size()
     if frame > LARGEST_FRAME_PX:
         raise ValueError(
-            f"trajectory: the path needs a PSF of {frame} px around its zero, at most {LARGEST_FRAME_PX} can be handled"
+            f"trajectory: the path needs a PSF of {frame} px around its zero, at most"
+            f" {LARGEST_FRAME_PX} can be handled"
         )
     most = min(MOST_SAMPLES, _MOST_WORK // frame**2)
     if trajectory.t.size > most:
         raise ValueError(
-            f"trajectory: the path has {trajectory.t.size} samples, at most {most} of such a path can be measured; "
-            "give fewer, the noise between them is not the camera's motion"
+            f"trajectory: the path has {trajectory.t.size} samples, at most {most} of such a path"
+            " can be measured; give fewer, the noise between them is not the camera's motion"
         )
 
 
@@ -54,8 +60,8 @@ def check_resolved(trajectory: Trajectory, chips: int) -> None:
     """
     if chips > 1 and stays_in_place(trajectory):
         raise ValueError(
-            f"trajectory: the path stays in place, a code of {chips} chips needs a motion of at least "
-            f"{chips * FINEST_CHIP_PX:g} px ({FINEST_CHIP_PX} px each)"
+            f"trajectory: the path stays in place, a code of {chips} chips needs a motion of at"
+            f" least {chips * FINEST_CHIP_PX:g} px ({FINEST_CHIP_PX} px each)"
         )
     most = max(1, int(trajectory.length_px / FINEST_CHIP_PX))
     if chips > most:

@@ -1,4 +1,5 @@
-"""Photon-transfer curve: gain, read noise and full well of a camera, from pairs of evenly lit frames.
+"""Photon-transfer curve: gain, read noise and full well of a camera, from pairs of evenly lit
+frames.
 
 The difference of two frames of the same light, scaled to the same mean, holds noise alone: what is
 fixed to the pixels cancels. Over the mean the variance is a line, ``variance = (mean - black) /
@@ -86,7 +87,9 @@ class FramePair:
         return found if found > _ROUNDING * self.covariance.trace() else 0.0
 
     def banding(self, black: float) -> float:
-        """Part of the variance that rows or columns of differing light make up; 0 where it is not significant."""
+        """Part of the variance that rows or columns of differing light make up; 0 where it is not
+        significant.
+        """
         scale = self._scale(black)
         variance = self.variance(black)
         parts = [0.0]
@@ -134,9 +137,11 @@ class FramePair:
         return cls(
             means=means,
             covariance=np.array([[da @ da, da @ db], [da @ db, db @ db]]) / max(da.size - 1, 1),
-            lines=tuple(np.stack([a.mean(axis=axis), b.mean(axis=axis)]) for axis in (1, 0))
-            if a.ndim == 2
-            else (),
+            lines=(
+                tuple(np.stack([a.mean(axis=axis), b.mean(axis=axis)]) for axis in (1, 0))
+                if a.ndim == 2
+                else ()
+            ),
             histogram=np.bincount(one.ravel(), minlength=65536)
             + np.bincount(two.ravel(), minlength=65536),
             pixels=one.size,
@@ -239,12 +244,15 @@ class PhotonTransfer:
             )
             well = f"{end} at {_round(self.full_well_e, 4):.0f} e-"
         return (
-            f"{self.gain_e_per_dn:.3g} e- per code value, read noise {self.read_noise_e:.3g} e-, {well}; "
-            f"standard errors {self.gain_error / self.gain_e_per_dn:.1%} and {self.read_noise_error:.2g} e-."
+            f"{self.gain_e_per_dn:.3g} e- per code value, read noise {self.read_noise_e:.3g} e-,"
+            f" {well}; standard errors {self.gain_error / self.gain_e_per_dn:.1%} and"
+            f" {self.read_noise_error:.2g} e-."
         )
 
     def camera(self, *, name: str = "", source: str = "") -> Camera:
-        """Make the camera with these figures; value 1 is where it saturates, or the end of its code range."""
+        """Make the camera with these figures; value 1 is where it saturates, or the end of its
+        code range.
+        """
         linear = self.response == "linear"
         range_e = (self.codes.top_dn - (self.black_dn if linear else 0.0)) * self.gain_e_per_dn
         full = min(range_e, self.full_well_e or range_e)
@@ -253,9 +261,9 @@ class PhotonTransfer:
             read_noise_e=_round(self.read_noise_e),
             bits=self.codes.bits,
             response=self.response,
-            black_level=_round(min(self.black_dn * self.gain_e_per_dn / full, 1.0))
-            if linear
-            else 0.0,
+            black_level=(
+                _round(min(self.black_dn * self.gain_e_per_dn / full, 1.0)) if linear else 0.0
+            ),
             name=name,
             source=source,
             full_well_e=None if self.full_well_e is None else _round(self.full_well_e),
@@ -317,7 +325,10 @@ def find_code_range(
         if gap == 1 and file_bits == 16:
             bits = next(depth for depth in _DEPTHS if largest < 2**depth)
             if largest < 2**bits - 1:
-                assumed = f"taken as a camera of {bits} bits, as no value exceeds {largest}; state them if it has more"
+                assumed = (
+                    f"taken as a camera of {bits} bits, as no value exceeds {largest}; state them"
+                    " if it has more"
+                )
     if largest < 2**bits:
         return CodeRange(bits, assumed=assumed)
     shift = 2 ** (file_bits - bits)
@@ -386,8 +397,8 @@ def photon_transfer(
             pair, codes
         ):
             warnings.append(
-                f"pair {number}: the light of its frames differs from line to line, by {banding:.0%} of their noise: "
-                "the light flickers, and the gain is too small"
+                f"pair {number}: the light of its frames differs from line to line, by"
+                f" {banding:.0%} of their noise: the light flickers, and the gain is too small"
             )
     order = sorted(flats, key=lambda pair: pair.mean)
     signal = np.array([pair.mean for pair in order]) / codes.spacing - black
@@ -412,7 +423,8 @@ def photon_transfer(
     gain = 1 / slope
     if floor < -4 * floor_error:
         raise ValueError(
-            f"the noise at black would be below 0: black is not code value {black:g}; give dark frames or its value"
+            f"the noise at black would be below 0: black is not code value {black:g}; give dark"
+            " frames or its value"
         )
     if floor_error > 0.2 * max(floor, 0.0):
         warnings.append(
@@ -420,7 +432,8 @@ def photon_transfer(
         )
     if bent:
         warnings.append(
-            f"the noise is off the line by up to {bent:.0%}: the response is bent or noise was filtered"
+            f"the noise is off the line by up to {bent:.0%}: the response is bent or noise was"
+            " filtered"
         )
     noise_dn2 = max(floor, floor_error)
     full_well, kind = _full_well(
@@ -451,7 +464,9 @@ def photon_transfer(
 def _variance(
     pair: FramePair, codes: CodeRange, response: str, black: float | None = None
 ) -> float:
-    """Variance over time at the same light above black without the quantisation's, code values squared."""
+    """Variance over time at the same light above black without the quantisation's, code values
+    squared.
+    """
     step = 1.0
     if response == "srgb":
         half = 0.5 / codes.top_dn
@@ -466,13 +481,15 @@ def _check_dark(dark: FramePair, variance_dn2: float) -> list[str]:
     at_zero = dark.histogram[0] / (2 * dark.pixels)
     if at_zero > _BLACK_CLIPPED:
         raise ValueError(
-            f"dark: {at_zero:.0%} of its pixels are at code value 0; raise the camera's black level"
+            f"dark: {at_zero:.0%} of its pixels are at code value 0; raise the camera's black"
+            " level"
         )
     if dark.variance() == 0:
         raise ValueError("dark: its frames are the same in every pixel; two exposures are needed")
     if at_zero > _CLIPPED:
         return [
-            f"{at_zero:.1%} of the dark pixels are at code value 0: the read noise is larger than stated"
+            f"{at_zero:.1%} of the dark pixels are at code value 0: the read noise is larger than"
+            " stated"
         ]
     if variance_dn2 < _EMVA_LEAST_NOISE_DN**2:
         return [
@@ -487,12 +504,13 @@ def _check_flat(number: int, pair: FramePair, black: float, dark: FramePair | No
     if light <= 5 * error:
         of = f"the dark frames, {black:g}" if dark is not None else f"black, {black:g}"
         raise ValueError(
-            f"pair {number}: its mean of {pair.mean:.5g} is not above that of {of}; flats need light"
+            f"pair {number}: its mean of {pair.mean:.5g} is not above that of {of}; flats need"
+            " light"
         )
     if abs(pair.difference) > _UNEQUAL * light + 5 * error:
         raise ValueError(
-            f"pair {number}: its frames differ in light by {abs(pair.difference) / light:.0%}; give the two frames of "
-            "each level one after the other"
+            f"pair {number}: its frames differ in light by {abs(pair.difference) / light:.0%};"
+            " give the two frames of each level one after the other"
         )
 
 
@@ -517,7 +535,9 @@ def _saturated(
 def _line(
     x: FloatArray, y: FloatArray, n: NDArray[np.int64]
 ) -> tuple[float, float, float, float, float]:
-    """Fit ``y = slope x + floor`` to variances of ``n`` pixels: both, their errors, and a misfit worth a warning."""
+    """Fit ``y = slope x + floor`` to variances of ``n`` pixels: both, their errors, and a misfit
+    worth a warning.
+    """
     if x.size < 2 or np.ptp(x) < 0.1 * x.max():
         raise ValueError(
             "the frames have one level of light: give dark frames, or flats of other levels too"
@@ -538,7 +558,8 @@ def _line(
         )
     if slope_error > _UNSURE * slope:
         raise ValueError(
-            "the noise hardly grows with the light: its levels are too alike, or the frames too small, for a gain"
+            "the noise hardly grows with the light: its levels are too alike, or the frames too"
+            " small, for a gain"
         )
     off = np.abs(basis @ (slope, floor) - y)
     bent = off[(off > 5 * error) & (off > 0.05 * y)] / y[(off > 5 * error) & (off > 0.05 * y)]
@@ -546,7 +567,8 @@ def _line(
 
 
 def _scatter(variance: FloatArray, n: NDArray[np.int64]) -> FloatArray:
-    """Add the standard error of variances of ``n`` pixels and what rounding to code values may do to small ones.
+    """Add the standard error of variances of ``n`` pixels and what rounding to code values may do
+    to small ones.
 
     Rounding adds 1/12 to a variance, and for a Gaussian of variance v up to (4 v + 1 / pi^2)
     exp(-2 pi^2 v) more or less, by where its mean lies between two code values.

@@ -1,4 +1,6 @@
-"""Response of a shutter to its commands: linear ramps, delay and bias after each transition of the code."""
+"""Response of a shutter to its commands: linear ramps, delay and bias after each transition of the
+code.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,8 @@ from numpy.typing import ArrayLike
 from motdiff.types import FloatArray
 
 RAMP_STEPS = 16
-"""Steps that stand for a ramp. Each has the ramp's light; a ramp over d px at f cycles/px is off by at most
-``pi f d / (6 RAMP_STEPS^2)`` of its duration: 2e-3 at f d = 1."""
+"""Steps that stand for a ramp. Each has the ramp's light; a ramp over d px at f cycles/px is off
+by at most ``pi f d / (6 RAMP_STEPS^2)`` of its duration: 2e-3 at f d = 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +64,8 @@ class ShutterResponse:
                 )
         if self.on_delay_ns == self.chip_ns:
             raise ValueError(
-                f"on_delay_ns: {self.on_delay_ns:g} ns leaves nothing of a chip of {self.chip_ns:g} ns"
+                f"on_delay_ns: {self.on_delay_ns:g} ns leaves nothing of a chip of"
+                f" {self.chip_ns:g} ns"
             )
 
     @property
@@ -85,7 +88,9 @@ class ShutterResponse:
         return replace(self, chip_ns=chip_ns)
 
     def opening(self, after_chips: ArrayLike) -> FloatArray:
-        """Transmission (...) at times after an opening edge, in chips; a ramp is a stair of :data:`RAMP_STEPS`."""
+        """Transmission (...) at times after an opening edge, in chips; a ramp is a stair of
+        :data:`RAMP_STEPS`.
+        """
         return self._ramp(after_chips, self.opening_cuts)
 
     def closing(self, after_chips: ArrayLike) -> FloatArray:
@@ -103,7 +108,8 @@ class ShutterResponse:
         return self._cuts(self.on_bias_ns, self.fall_ns)
 
     def open_time(self, codes: ArrayLike) -> FloatArray:
-        """Light of (R, n) codes played on time, (R,): a fraction of the exposure, the duty for an instant shutter.
+        """Light of (R, n) codes played on time, (R,): a fraction of the exposure, the duty for an
+        instant shutter.
 
         Examples
         --------

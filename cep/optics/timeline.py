@@ -13,12 +13,14 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 FARTHEST = 0.5
-"""How far before and after the exposure a code may be played, as a fraction of it: nothing is known there."""
+"""How far before and after the exposure a code may be played, as a fraction of it: nothing is
+known there."""
 
 
 @dataclass(frozen=True)
 class Timeline:
-    """A played exposure cut at every sample of the path, chip edge, and step of the shutter's ramps.
+    """A played exposure cut at every sample of the path, chip edge, and step of the shutter's
+    ramps.
 
     Attributes
     ----------
@@ -56,7 +58,9 @@ class Timeline:
         )
 
     def frame_size(self) -> int:
-        """Smallest PSF frame, px, that holds the played path (zero displacement at index ``size // 2``)."""
+        """Smallest PSF frame, px, that holds the played path (zero displacement at index ``size //
+        2``).
+        """
         points = np.concatenate([self.a, self.b[-1:]])
         low = np.floor(points.min())
         high = np.floor(points.max()) + 1
@@ -83,7 +87,8 @@ def checked_edges(edges: ArrayLike | None, chips: int) -> FloatArray:
         raise ValueError("edges: must be finite and strictly increasing")
     if cuts[0] < -FARTHEST or cuts[-1] > 1 + FARTHEST:
         raise ValueError(
-            f"edges: must lie within {-FARTHEST:g}..{1 + FARTHEST:g} exposures, got {cuts[0]:g}..{cuts[-1]:g}"
+            f"edges: must lie within {-FARTHEST:g}..{1 + FARTHEST:g} exposures, got"
+            f" {cuts[0]:g}..{cuts[-1]:g}"
         )
     return cuts
 
@@ -100,7 +105,8 @@ def check_lengths(edges: FloatArray, response: ShutterResponse) -> None:
 
 
 def extended(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Continue a path by one exposure either way, ``p(1 + d) = 2 p(1) - p(1 - d)``: (T',) times and (T', 2) px.
+    """Continue a path by one exposure either way, ``p(1 + d) = 2 p(1) - p(1 - d)``: (T',) times
+    and (T', 2) px.
 
     The last stretch of the motion is repeated, turned by 180 degrees: velocity and speed go on
     without a jump, a uniform straight motion simply goes on, and one noisy last sample cannot

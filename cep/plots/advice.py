@@ -15,7 +15,8 @@ _NAMES = {"snapshot": "best single exposure", "strobe": "best even pulses", "cod
 
 
 def advice_figure(advice: Advice) -> Figure:
-    """Draw expected gains over the open shutter against the light; ranges where a code or pulses pay are shaded.
+    """Draw expected gains over the open shutter against the light; ranges where a code or pulses
+    pay are shaded.
 
     Parameters
     ----------

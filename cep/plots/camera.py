@@ -20,7 +20,8 @@ _MARKS: dict[str, dict[str, Any]] = {
 
 
 def photon_transfer_figure(found: PhotonTransfer) -> Figure:
-    """Draw variance against mean, both axes logarithmic, with the fit, its two terms and the saturation.
+    """Draw variance against mean, both axes logarithmic, with the fit, its two terms and the
+    saturation.
 
     Parameters
     ----------

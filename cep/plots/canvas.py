@@ -44,7 +44,9 @@ def least_pt(width_in: float) -> float:
 
 
 def in_lines(text: str, width_in: float, size_pt: float) -> str:
-    """Break a text into lines that fit a width, at a letter's mean width of two thirds of its size."""
+    """Break a text into lines that fit a width, at a letter's mean width of two thirds of its
+    size.
+    """
     return textwrap.fill(text, max(int(width_in * 72 * 1.5 / size_pt), 8), break_long_words=False)
 
 
@@ -81,7 +83,9 @@ def png_bytes(figure: Figure, *, dpi: int = _DPI) -> bytes:
 
 
 def check_figure_name(path: Path | str) -> None:
-    """Check, before any work is done, that :func:`save` writes such files; raises ValueError as it does."""
+    """Check, before any work is done, that :func:`save` writes such files; raises ValueError as it
+    does.
+    """
     if Path(path).suffix.lower() not in (".png", ".pdf", ".svg"):
         raise ValueError(f"{path}: figures are written as .png, .pdf or .svg")
 
@@ -138,7 +142,9 @@ def show_photo(axes: Axes, image: FloatArray) -> None:
 
 
 def show_inset(axes: Axes, psf: FloatArray, *, share: float, cmap: str) -> None:
-    """Draw a PSF in the upper left corner, ``share`` of the axes wide, by the square root that shows faint parts."""
+    """Draw a PSF in the upper left corner, ``share`` of the axes wide, by the square root that
+    shows faint parts.
+    """
     corner = axes.inset_axes((0, 1 - share, share, share))
     corner.imshow(np.sqrt(np.maximum(psf, 0)), cmap=cmap, interpolation="nearest")
     corner.set_xticks([])
@@ -146,7 +152,9 @@ def show_inset(axes: Axes, psf: FloatArray, *, share: float, cmap: str) -> None:
 
 
 def thumbnail(image: ArrayLike, longest_px: int) -> FloatArray:
-    """Shrink by whole-number box means: linear light, so the thumbnail is as bright as the photo."""
+    """Shrink by whole-number box means: linear light, so the thumbnail is as bright as the
+    photo.
+    """
     pixels = np.asarray(image, dtype=np.float64)
     factor = -(-max(pixels.shape[:2]) // longest_px)
     if factor == 1:

@@ -60,7 +60,8 @@ def code_strips(codes: Mapping[str, ShutterCode]) -> Figure:
             color="0.3",
         )
     rows[-1].set_xlabel(
-        f"time, chips of {duration(next(iter(codes.values())).chip_ns * 1e-9, digits=4)}; yellow = open"
+        f"time, chips of {duration(next(iter(codes.values())).chip_ns * 1e-9, digits=4)}; yellow ="
+        " open"
     )
     return figure
 
@@ -97,7 +98,8 @@ def mtf_curve(
 def mtf_figure(
     trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], *, grid: int = 101
 ) -> Figure:
-    """Draw MTFs: a curve per code along the motion's main axis, and below it a map of the whole band per code.
+    """Draw MTFs: a curve per code along the motion's main axis, and below it a map of the whole
+    band per code.
 
     Parameters
     ----------
@@ -122,7 +124,10 @@ def mtf_figure(
     curves.set(
         xlim=(0, 0.5),
         ylim=(1e-3, 1.2),
-        xlabel=f"frequency along the motion's main axis ({angle_deg:.0f} deg from x towards y), cycles/px",
+        xlabel=(
+            f"frequency along the motion's main axis ({angle_deg:.0f} deg from x towards y),"
+            " cycles/px"
+        ),
         ylabel="MTF, light-true",
         title="MTF along the main axis: a dip is detail that no restoration brings back",
     )

@@ -85,7 +85,8 @@ def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = 
 
 
 def psf_figure(psfs: Mapping[str, ArrayLike]) -> Figure:
-    """Draw PSFs side by side, cut to the largest one, each on its own scale and with the zero displacement marked.
+    """Draw PSFs side by side, cut to the largest one, each on its own scale and with the zero
+    displacement marked.
 
     Parameters
     ----------

@@ -42,7 +42,9 @@ class MtfRow:
     figures: Mapping[str, OwnFigure] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """Fields for JSON: bits, curve, metrics, and the user's own as ``figures`` where there are any."""
+        """Fields for JSON: bits, curve, metrics, and the user's own as ``figures`` where there are
+        any.
+        """
         return {
             "bits": None if self.code is None else self.code.bits,
             "freq_cy_px": self.freq_cy_px,

@@ -71,7 +71,9 @@ def _centred(image: FloatArray, height: int, width: int) -> FloatArray:
 
 
 def _busiest(image: FloatArray, side: int) -> tuple[int, int]:
-    """Corner of the window with most gradient, in steps of a quarter window, clear of the restoration's borders."""
+    """Corner of the window with most gradient, in steps of a quarter window, clear of the
+    restoration's borders.
+    """
     grey = luminance(image)
     energy = sum(np.abs(part) for part in np.gradient(grey))
     totals = np.pad(np.cumsum(np.cumsum(energy, axis=0), axis=1), ((1, 0), (1, 0)))

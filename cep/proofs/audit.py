@@ -1,4 +1,6 @@
-"""Audit of a code: its zeros, frequency grids that miss them, and better codes within a few flips."""
+"""Audit of a code: its zeros, frequency grids that miss them, and better codes within a few
+flips.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +113,9 @@ class Audit:
 
     @property
     def no_inverse(self) -> bool:
-        """Whether the inverse filter amplifies noise without bound: a proven zero lies within the band."""
+        """Whether the inverse filter amplifies noise without bound: a proven zero lies within the
+        band.
+        """
         return math.isinf(self.metrics.noise_gain_db)
 
     @property
@@ -157,7 +161,8 @@ class Audit:
 def with_proven_zero(
     code: ShutterCode, along: Trajectory | None, metrics: CodeMetrics
 ) -> CodeMetrics:
-    """Return the figures of a code, its noise gains infinite where a straight motion has a proven zero within the band.
+    """Return the figures of a code, its noise gains infinite where a straight motion has a proven
+    zero within the band.
 
     The samples of the band miss the line of the zero, whose share of 1/|H|^2 has no bound.
     """
@@ -180,7 +185,8 @@ def audit(
     progress: Callable[[float, str], None] = lambda _share, _note: None,
     on_checked: Callable[[], None] = lambda: None,
 ) -> Audit:
-    """Measure a code, prove its minimum, list its zeros and the grids that hide them, and look for better neighbours.
+    """Measure a code, prove its minimum, list its zeros and the grids that hide them, and look for
+    better neighbours.
 
     Parameters
     ----------
@@ -240,7 +246,9 @@ def null_threshold(code: ShutterCode, trajectory: Trajectory | None) -> float:
 
 
 def zeros_by_direction(code: ShutterCode, trajectory: Trajectory | None) -> dict[str, Zeros]:
-    """List the true zeros of each direction that counts; "both" where the directions have the same."""
+    """List the true zeros of each direction that counts; "both" where the directions have the
+    same.
+    """
     if trajectory is None:
         return {"both": zeros_of_code(code.bits)}
     if trajectory.direction == "known":
@@ -385,7 +393,8 @@ def _scan(
     scores: FloatArray,
     places: NDArray[np.int64],
 ) -> None:
-    """Keep the combinations of ``count`` rows whose sum with the start has the largest smallest power.
+    """Keep the combinations of ``count`` rows whose sum with the start has the largest smallest
+    power.
 
     ``scores`` are ascending and hold what must be beaten; ``places`` the rows.
     """

@@ -1,4 +1,6 @@
-"""Figures of a code along a trajectory: smallest MTF with a proven bound, noise gain, Wiener error; and one's own."""
+"""Figures of a code along a trajectory: smallest MTF with a proven bound, noise gain, Wiener
+error; and one's own.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,9 @@ class CodeMetrics:
     mse_db: float
 
     def to_dict(self) -> dict[str, float | None]:
-        """Fields for JSON; noise gains above :data:`HOPELESS_DB` are None, which JSON writes as null."""
+        """Fields for JSON; noise gains above :data:`HOPELESS_DB` are None, which JSON writes as
+        null.
+        """
         figures = asdict(self)
         for name in ("noise_gain_db", "dnf_db"):
             if not figures[name] <= HOPELESS_DB:
@@ -86,7 +90,8 @@ def measure(
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
 ) -> CodeMetrics:
-    """Measure a code along a trajectory taken as given; measure ``trajectory.reversed()`` for the other direction.
+    """Measure a code along a trajectory taken as given; measure ``trajectory.reversed()`` for the
+    other direction.
 
     Parameters
     ----------
@@ -154,7 +159,9 @@ def worst_of(*metrics: CodeMetrics) -> CodeMetrics:
 def measure_worst(
     trajectory: Trajectory, code: ShutterCode, *, camera: Camera | None = None
 ) -> CodeMetrics:
-    """Measure a code along a trajectory; when its direction is unknown, each figure is that of the worse one."""
+    """Measure a code along a trajectory; when its direction is unknown, each figure is that of the
+    worse one.
+    """
     forward = measure(trajectory, code, camera=camera)
     mirror_image = trajectory.direction == "known" or uniform_length_px(trajectory) is not None
     if mirror_image or code.bits == code.bits[::-1]:
@@ -166,11 +173,13 @@ FigureOfMerit = Callable[[Trajectory, ShutterCode], float]
 """A figure of merit of the user's own, along a trajectory taken as given."""
 
 OwnFigure = float | tuple[float, float]
-"""What it comes to: one number, or those of both directions, forward and backward, where the direction is unknown."""
+"""What it comes to: one number, or those of both directions, forward and backward, where the
+direction is unknown."""
 
 
 def find_figures(references: Iterable[str]) -> dict[str, FigureOfMerit]:
-    """Import figures of merit of the user's own, each ``module:name``; returns them by these names.
+    """Import figures of merit of the user's own, each ``module:name``; returns them by these
+    names.
 
     Raises
     ------
@@ -187,7 +196,8 @@ def find_figures(references: Iterable[str]) -> dict[str, FigureOfMerit]:
 def own_figures(
     figures: Mapping[str, FigureOfMerit], trajectory: Trajectory, code: ShutterCode
 ) -> dict[str, OwnFigure]:
-    """Evaluate figures of merit of the user's own; both directions where it is unknown, as none is known to be worse.
+    """Evaluate figures of merit of the user's own; both directions where it is unknown, as none is
+    known to be worse.
 
     Parameters
     ----------

@@ -41,8 +41,8 @@ DEMO_FILES = (
     *_PROGRAMS,
     *CALIBRATION_FILES,
 )
-"""What :func:`write_demo` writes; the code, its programs and pictures only where a code is advised, the
-further photos of the calibration only where they were taken."""
+"""What :func:`write_demo` writes; the code, its programs and pictures only where a code is
+advised, the further photos of the calibration only where they were taken."""
 
 
 def write_demo(
@@ -107,7 +107,9 @@ def write_demo(
 
 
 def _guide(folder: Path) -> str:
-    """Address of docs/hardware.md from a folder; empty where the package is installed without the documents."""
+    """Address of docs/hardware.md from a folder; empty where the package is installed without the
+    documents.
+    """
     guide = Path(__file__).resolve().parents[2] / "docs" / "hardware.md"
     try:
         return (
@@ -148,7 +150,9 @@ def _figures(chain: Chain) -> dict[str, object]:
 
 
 def _open_photo_alone(chain: Chain) -> dict[str, object] | None:
-    """Figures of what the calibration photo with an open shutter would have given without the others."""
+    """Figures of what the calibration photo with an open shutter would have given without the
+    others.
+    """
     if chain.alone is None or chain.found.alone is None:
         return None
     return {

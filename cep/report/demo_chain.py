@@ -1,4 +1,6 @@
-"""The chain itself: photos of a motion in, verdict, exposures, restorations and, where it pays, a code out."""
+"""The chain itself: photos of a motion in, verdict, exposures, restorations and, where it pays, a
+code out.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 STANDARD_CAMERA = "video-8bit"
-"""Profile of the bundled case: its fixed noise is large enough for a code to be the best exposure."""
+"""Profile of the bundled case: its fixed noise is large enough for a code to be the best
+exposure."""
 CONTRAST = "sony-imx250"
 """Profile that a code is compared on as well: a modern sensor whose fixed noise is small."""
 EXPOSURE_S = 1 / 30
@@ -315,7 +318,9 @@ def _problem(
 
 
 def _ways(advice: Advice) -> dict[str, Way]:
-    """Ways to expose that are photographed: the open shutter, the best single exposure, the best code."""
+    """Ways to expose that are photographed: the open shutter, the best single exposure, the best
+    code.
+    """
     here = advice.here
     coded = here.advised if advice.choice in ("strobe", "code") else here.best("code")
     ways = {"open": here.ways[0], "snapshot": here.best("snapshot"), "coded": coded}
@@ -345,7 +350,9 @@ def _shots(
     camera: Camera,
     reference: FloatArray,
 ) -> tuple[Shot, ...]:
-    """Restore every photo in the same way, and judge all of them on the same part of the picture."""
+    """Restore every photo in the same way, and judge all of them on the same part of the
+    picture.
+    """
 
     def restored(kind: str, path: Trajectory) -> Restoration:
         code = None if kind == "open" else ways[kind].code

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from motdiff.trajectory import Trajectory
 
 DEMO_PICTURES = ("advice", "code_strip", "mtf", "photos", "scene_at_rest")
-"""Pictures of the report that are files of their own too; the code strip where a code is advised."""
+"""Pictures of the report that are files of their own too; the code strip where a code is
+advised."""
 
 _AGREES_DB = 0.3
 _INTERVALS = 128
@@ -52,8 +53,9 @@ def demo_report(chain: Chain, *, options: str = "", guide: str = "") -> Report:
         Address of docs/hardware.md; the page names it without a link when empty.
     """
     colophon = (
-        f"coded-exposure {_version('coded-exposure')}, numpy {_version('numpy')}, torch {_version('torch')}, "
-        f"Python {platform.python_version()}; seed {chain.seed}. demo.json holds all figures of the camera. "
+        f"coded-exposure {_version('coded-exposure')}, numpy {_version('numpy')}, torch"
+        f" {_version('torch')}, Python {platform.python_version()}; seed {chain.seed}. demo.json"
+        " holds all figures of the camera. "
         + "Seconds: "
         + ", ".join(f"{what} {seconds:.1f}" for what, seconds in chain.seconds)
         + "."
@@ -82,7 +84,8 @@ def demo_report(chain: Chain, *, options: str = "", guide: str = "") -> Report:
 
 
 def share_below_noise(path: Trajectory, code: ShutterCode | None, camera: Camera) -> float:
-    """Share of the band, 0..1, in which the reference scene's detail lies below the camera's noise.
+    """Share of the band, 0..1, in which the reference scene's detail lies below the camera's
+    noise.
 
     There the exposure records less power of a 1/f² scene than of noise.
 
@@ -108,9 +111,10 @@ def _setting(chain: Chain) -> str:
     kind = f" ({camera.kind})" if camera.kind else ""
     device = "any shutter" if chain.device is None else f"the shutter {chain.device.name}"
     return (
-        f"For {named}{kind}: {camera.photons_full_scale:,.0f} photo-electrons at full scale, {camera.read_noise_e:.3g} "
-        f"e- of read noise, {camera.bits} bit; an exposure of {duration(chain.exposure_s)}, {chain.problem.chips} "
-        f"chips, {device}; motion of {chain.estimate.best.length_px:.0f} px."
+        f"For {named}{kind}: {camera.photons_full_scale:,.0f} photo-electrons at full scale,"
+        f" {camera.read_noise_e:.3g} e- of read noise, {camera.bits} bit; an exposure of"
+        f" {duration(chain.exposure_s)}, {chain.problem.chips} chips, {device}; motion of"
+        f" {chain.estimate.best.length_px:.0f} px."
     )
 
 
@@ -118,9 +122,12 @@ def _scene_remark(chain: Chain) -> tuple[str, ...]:
     if chain.scene.sharp is not None:
         return ()
     return (
-        "The true scene of your photo is not known: its own restoration (TV) stands in for the scene, and every photo "
-        "here is simulated from it along the estimated motion. The figures compare ways to expose; they do not measure "
-        "how well your photo was restored.",
+        (
+            "The true scene of your photo is not known: its own restoration (TV) stands in for the"
+            " scene, and every photo here is simulated from it along the estimated motion. The"
+            " figures compare ways to expose; they do not measure how well your photo was"
+            " restored."
+        ),
     )
 
 
@@ -157,30 +164,36 @@ def _difference(chain: Chain) -> str:
     simulated = chain.gains_db()
     advised = chain.advised_shot.kind
     off = {
-        other.kind: (simulated[advised] - simulated[other.kind])
-        - (expected[advised] - expected[other.kind])
+        other.kind: (
+            (simulated[advised] - simulated[other.kind])
+            - (expected[advised] - expected[other.kind])
+        )
         for other in _others(chain)
     }
     against = [
         other for other in _others(chain) if simulated[other.kind] > simulated[advised] + WORTH_DB
     ]
     contrary = "".join(
-        f" In this photo the {_NAMES[other.kind]} restores {simulated[other.kind] - simulated[advised]:.1f} dB better "
-        "than the exposure advised."
+        f" In this photo the {_NAMES[other.kind]} restores"
+        f" {simulated[other.kind] - simulated[advised]:.1f} dB better than the exposure advised."
         for other in against
     )
     far = {kind: value for kind, value in off.items() if abs(value) >= _AGREES_DB}
     if not far:
-        return f"The simulated gains of this photo agree with the expected ones within {_AGREES_DB:g} dB.{contrary}"
+        return (
+            f"The simulated gains of this photo agree with the expected ones within {_AGREES_DB:g}"
+            f" dB.{contrary}"
+        )
     said = " and ".join(
         f"{abs(value):.1f} dB {'more' if value > 0 else 'less'} over the {_NAMES[kind]}"
         for kind, value in far.items()
     )
     mean = float(luminance(chain.reference).mean())
     return (
-        f"In this photo the gain is {said} than expected. Expected gains are those of a typical scene (1/f² spectrum, "
-        f"mean light {SCENE_MEAN:g}) along a motion known {_how_exactly(chain)}. This picture has detail of its own, "
-        f"borders, a mean light of {mean:.2f}, and {_known_in_words(chain)}.{contrary}"
+        f"In this photo the gain is {said} than expected. Expected gains are those of a typical"
+        f" scene (1/f² spectrum, mean light {SCENE_MEAN:g}) along a motion known"
+        f" {_how_exactly(chain)}. This picture has detail of its own, borders, a mean light of"
+        f" {mean:.2f}, and {_known_in_words(chain)}.{contrary}"
     )
 
 
@@ -211,8 +224,8 @@ def _gain(chain: Chain) -> Section:
         (
             picture(
                 advice_figure(advice),
-                "Expected gain of each way to expose over the open shutter, at each light level. Each is restored in "
-                "the best linear way.",
+                "Expected gain of each way to expose over the open shutter, at each light level."
+                " Each is restored in the best linear way.",
                 f"gain over the light: {advice.sentence}",
                 name="advice",
             ),
@@ -237,8 +250,10 @@ def _gains_table(advice: Advice) -> Table:
         ("best of each kind", "open for", "openings", "expected gain, dB"),
         tuple(rows),
         highlight=advised,
-        note=f"At {light} and {here.camera.read_noise_e:.3g} e- of read noise; of the worse direction where the "
-        "motion's is not known. The marked line is advised.",
+        note=(
+            f"At {light} and {here.camera.read_noise_e:.3g} e- of read noise; of the worse"
+            " direction where the motion's is not known. The marked line is advised."
+        ),
     )
 
 
@@ -267,9 +282,11 @@ def _photos(chain: Chain) -> Section:
         _photo(
             chain.reference,
             "Scene at rest" if chain.scene.sharp is not None else "Scene assumed",
-            "What a camera at rest would see."
-            if chain.scene.sharp is not None
-            else "The restoration of your photo that the photos here are simulated from.",
+            (
+                "What a camera at rest would see."
+                if chain.scene.sharp is not None
+                else "The restoration of your photo that the photos here are simulated from."
+            ),
             "the scene without motion",
             name="scene_at_rest",
         ),
@@ -292,8 +309,11 @@ def _photos(chain: Chain) -> Section:
             for shot in chain.shots
         ),
         highlight=chain.shots.index(chain.advised_shot),
-        note="Every photo is simulated with the same light on the scene and the same motion, and restored by the same "
-        "Wiener filter with this camera's noise. PSNR of grey values in linear light, up to a shift, borders left out.",
+        note=(
+            "Every photo is simulated with the same light on the scene and the same motion, and"
+            " restored by the same Wiener filter with this camera's noise. PSNR of grey values in"
+            " linear light, up to a shift, borders left out."
+        ),
     )
     return Section(
         "Photos",
@@ -368,8 +388,10 @@ def _exposure(chain: Chain) -> Section:
             for profile, broken in checks
         ),
         highlight=None if chain.device is None else profiles.index(chain.device),
-        note="By the typical figures of each profile; a file of your own device replaces them (--device FILE). With "
-        "--device only codes are searched that it can play.",
+        note=(
+            "By the typical figures of each profile; a file of your own device replaces them"
+            " (--device FILE). With --device only codes are searched that it can play."
+        ),
     )
     return Section(
         "Code",
@@ -410,22 +432,27 @@ def _mtf(chain: Chain) -> Section:
         ("exposure", "smallest MTF, proven", "band below the noise, %"),
         rows,
         highlight=shots.index(chain.advised_shot),
-        note="Of all detail that the pixels could show, the share that is below the noise of this camera at this "
-        "light; along the estimated motion, the worse direction where it is not known.",
+        note=(
+            "Of all detail that the pixels could show, the share that is below the noise of this"
+            " camera at this light; along the estimated motion, the worse direction where it is"
+            " not known."
+        ),
     )
     size = path.frame_size(PSF_PX)
     psfs = {_NAMES[shot.kind]: coded_psf(path, shot.way.code, size) for shot in shots}
     advised = chain.advised_shot.kind
     opened = below["open"]
     paragraphs = [
-        "The MTF says how much contrast the motion leaves to detail of each size. Where it dips below the noise the "
-        "detail is lost, and no restoration brings it back.",
+        (
+            "The MTF says how much contrast the motion leaves to detail of each size. Where it"
+            " dips below the noise the detail is lost, and no restoration brings it back."
+        ),
         _dips(certificates[advised]),
     ]
     if advised != "open":
         paragraphs.append(
-            f"The open shutter records {opened:.0%} of the band below the noise, the exposure advised "
-            f"{below[advised]:.0%}."
+            f"The open shutter records {opened:.0%} of the band below the noise, the exposure"
+            f" advised {below[advised]:.0%}."
         )
     return Section(
         "MTF",
@@ -434,7 +461,8 @@ def _mtf(chain: Chain) -> Section:
         (
             picture(
                 mtf_figure(path, {_NAMES[shot.kind]: shot.way.code for shot in shots}),
-                "Above: along the motion's main axis. Below: the whole band, all maps on one scale.",
+                "Above: along the motion's main axis. Below: the whole band, all maps on one"
+                " scale.",
                 "modulation transfer functions of the exposures",
                 name="mtf",
             ),
@@ -467,12 +495,13 @@ def _dips(certificate: Certificate) -> str:
     )
     if certificate.upper < 1e-4:
         return (
-            f"The MTF of the exposure advised touches zero, at {where} for one. Along a curved motion such zeros are "
-            "single points of the band. Their number and width count: the table says what share they take."
+            f"The MTF of the exposure advised touches zero, at {where} for one. Along a curved"
+            " motion such zeros are single points of the band. Their number and width count: the"
+            " table says what share they take."
         )
     return (
-        f"The MTF of the exposure advised is nowhere in the band below {certificate.lower:.4f} (proven), and lowest at "
-        f"{where}."
+        f"The MTF of the exposure advised is nowhere in the band below {certificate.lower:.4f}"
+        f" (proven), and lowest at {where}."
     )
 
 
@@ -500,8 +529,8 @@ def _agreement(chain: Chain) -> Section:
     paragraphs = [_difference(chain)]
     if chain.problem.response is not None:
         paragraphs.append(
-            "The expected gains count the time that the shutter takes to open and close; in the simulated photos it "
-            "opens and closes at once."
+            "The expected gains count the time that the shutter takes to open and close; in the"
+            " simulated photos it opens and closes at once."
         )
     return Section("Expected and simulated gain", tuple(paragraphs), (table,))
 
@@ -514,8 +543,11 @@ def _contrast(advice: Advice) -> Section:
         (
             f"The same motion and exposure with another camera, {camera.name} ({camera.kind}).",
             advice.sentence,
-            "A code closes the shutter for part of the time and so loses light. That pays only where read noise, or a "
-            "noise like it as that of compression, is large beside the noise of the light itself.",
+            (
+                "A code closes the shutter for part of the time and so loses light. That pays only"
+                " where read noise, or a noise like it as that of compression, is large beside the"
+                " noise of the light itself."
+            ),
         ),
         (_gains_table(advice),),
         (
@@ -534,16 +566,27 @@ def _wiring(chain: Chain, guide: str) -> Section:
     return Section(
         "Shutter and wiring",
         (
-            f"The shutter must open for {duration(shortest)} at the shortest and close as fast; the table of the code "
-            "lists devices that can.",
-            "A liquid-crystal shutter before the lens (ferro-electric for chips below 1 ms), or an LED strobe in the "
-            "dark, follows a TTL line. An Arduino Uno or Nano with the project's firmware plays the code on that line; "
-            "chips below 50 us need a Raspberry Pi Pico. Keep a resistor of 10 kOhm from the line to ground: closed is "
-            "low. The camera exposes for the whole time, and its trigger output starts the code.",
-            "Cameras with several exposures in one frame (FLIR trigger mode 5, Sony Pregius burst) need no shutter: "
-            "cep export --format camera writes the code as a list of widths and gaps.",
-            "docs/hardware.md of the project lists devices to buy, the firmware, and how to check the edges with a "
-            "logic analyser.",
+            (
+                f"The shutter must open for {duration(shortest)} at the shortest and close as"
+                " fast; the table of the code lists devices that can."
+            ),
+            (
+                "A liquid-crystal shutter before the lens (ferro-electric for chips below 1 ms),"
+                " or an LED strobe in the dark, follows a TTL line. An Arduino Uno or Nano with"
+                " the project's firmware plays the code on that line; chips below 50 us need a"
+                " Raspberry Pi Pico. Keep a resistor of 10 kOhm from the line to ground: closed is"
+                " low. The camera exposes for the whole time, and its trigger output starts the"
+                " code."
+            ),
+            (
+                "Cameras with several exposures in one frame (FLIR trigger mode 5, Sony Pregius"
+                " burst) need no shutter: cep export --format camera writes the code as a list of"
+                " widths and gaps."
+            ),
+            (
+                "docs/hardware.md of the project lists devices to buy, the firmware, and how to"
+                " check the edges with a logic analyser."
+            ),
         ),
         links=(("docs/hardware.md", guide),) if guide else (),
     )
@@ -564,7 +607,10 @@ def _commands(chain: Chain, options: str) -> Section:
         )
     )
     commands = [f"cep calibrate {_calibration(chain)} -o motion", f"cep advise {along}"]
-    kept = "The folder of this page holds the blurred photo and the motion (trajectory.json, psf.npy, psf.mat)."
+    kept = (
+        "The folder of this page holds the blurred photo and the motion (trajectory.json, psf.npy,"
+        " psf.mat)."
+    )
     if chain.coded:
         refine = (
             f"cep refine blurred.png coded.png --code {'1' * count} --code code.json "
@@ -577,12 +623,18 @@ def _commands(chain: Chain, options: str) -> Section:
             *([] if chain.found.codes else [refine]),
             f"cep deblur coded.png --trajectory {path} --code code.json -o sharp.png",
         ]
-        kept += " It also holds the code (code.json) and the shutter program (shutter_code.h, .csv and .json)."
+        kept += (
+            " It also holds the code (code.json) and the shutter program (shutter_code.h, .csv and"
+            " .json)."
+        )
     elif chain.choice == "open":
         commands.append("cep deblur blurred.png --trajectory motion/trajectory.json -o sharp.png")
     else:
         commands.append("cep deblur shorter.png -o sharp.png")
-    again = "cep demo --photo FILE makes this page of a blurred photo of yours, --camera NAME of another camera."
+    again = (
+        "cep demo --photo FILE makes this page of a blurred photo of yours, --camera NAME of"
+        " another camera."
+    )
     return Section("With your own camera", (kept, again), commands=tuple(commands))
 
 

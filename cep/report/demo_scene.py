@@ -78,7 +78,9 @@ class FoundMotion:
 
 
 def bundled_picture() -> FloatArray:
-    """Return the public-domain picture that scikit-image carries, (512, 512, 3) linear light 0..1."""
+    """Return the public-domain picture that scikit-image carries, (512, 512, 3) linear light
+    0..1.
+    """
     from skimage import data
 
     return to_linear(data.astronaut() / 255)
@@ -105,12 +107,17 @@ def bundled_scene(
         rng, min_length_px=_LENGTH_PX[0], max_length_px=_LENGTH_PX[1], max_bend=_BEND
     )
     photo = capture(sharp, motion.psf(motion.frame_size() | 1), camera=camera, rng=rng)
-    name = "Astronaut Eileen Collins (NASA, public domain; skimage.data.astronaut), blurred by a simulated hand shake"
+    name = (
+        "Astronaut Eileen Collins (NASA, public domain; skimage.data.astronaut), blurred by a"
+        " simulated hand shake"
+    )
     return Scene(name, photo, sharp, motion)
 
 
 def own_photo(name: str, photo: FloatArray, *, warnings: tuple[str, ...] = ()) -> Scene:
-    """Start from a blurred photo (H, W) or (H, W, 3), linear light 0..1, whose motion nobody knows."""
+    """Start from a blurred photo (H, W) or (H, W, 3), linear light 0..1, whose motion nobody
+    knows.
+    """
     return Scene(name, photo, warnings=warnings)
 
 
@@ -123,7 +130,8 @@ def find_motion(
     seed: int = 0,
     tell: Callable[[float, str], None] = lambda _fraction, _what: None,
 ) -> FoundMotion:
-    """Find a scene's motion: by a set of photos through known codes where it can be photographed again.
+    """Find a scene's motion: by a set of photos through known codes where it can be photographed
+    again.
 
     Of one's own photo there are no others, and neither are there through a device that cannot play
     the codes.

@@ -1,4 +1,6 @@
-"""Section of the demo's report on the motion: what the photos told, and what the open photo alone would have told."""
+"""Section of the demo's report on the motion: what the photos told, and what the open photo alone
+would have told.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +36,8 @@ def motion_section(chain: Chain) -> Section:
         (
             picture(
                 trajectory_figure(chain.scene.photo, motion),
-                "The photo and the estimated motion. Dots mark equal steps of time: where they crowd, the camera "
-                "dwelt.",
+                "The photo and the estimated motion. Dots mark equal steps of time: where they"
+                " crowd, the camera dwelt.",
                 "blurred photo with the motion path, and the path enlarged, coloured by time",
             ),
             picture(
@@ -52,15 +54,15 @@ def _found(chain: Chain) -> str:
     motion = chain.estimate.best
     estimate = chain.estimate
     path = (
-        f"found a path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, with confidence "
-        f"{estimate.confidence:.2f}"
+        f"found a path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, with"
+        f" confidence {estimate.confidence:.2f}"
     )
     if not chain.found.codes:
         return f"The method {estimate.method} {path}."
     return (
-        f"The motion was photographed {len(chain.found.codes)} times, with the shutter open and through known codes, "
-        f"which write the time onto the path. Together these photos {path}, and expect it to be "
-        f"{estimate.path_error_px:.2f} px off."
+        f"The motion was photographed {len(chain.found.codes)} times, with the shutter open and"
+        f" through known codes, which write the time onto the path. Together these photos {path},"
+        f" and expect it to be {estimate.path_error_px:.2f} px off."
     )
 
 
@@ -75,8 +77,11 @@ def _truth(chain: Chain) -> tuple[str, ...]:
         else f"{path_distance_px(motion, truth):.2f} px off on average"
     )
     return (
-        "The true motion is known here: the estimated PSF matches it with an MNC of "
-        f"{mnc_subpixel(chain.estimate.psf, true_psf):.3f} (1 is perfect), the path lies {off}.",
+        (
+            "The true motion is known here: the estimated PSF matches it with an MNC of"
+            f" {mnc_subpixel(chain.estimate.psf, true_psf):.3f} (1 is perfect), the path lies"
+            f" {off}."
+        ),
     )
 
 
@@ -84,14 +89,14 @@ def _direction(chain: Chain) -> tuple[str, ...]:
     said = []
     if chain.estimate.best.direction == "unknown":
         said.append(
-            "One ordinary photo cannot tell the direction: a path and its reverse give the same photo. So the exposure "
-            "is chosen for the worse of the two."
+            "One ordinary photo cannot tell the direction: a path and its reverse give the same"
+            " photo. So the exposure is chosen for the worse of the two."
         )
     if chain.coded and not chain.found.codes:
         said.append(
-            "Two to four photos of the same motion through known codes would tell its direction and order in time, and "
-            "the error of the path: cep calibration-set designs the codes. Once a coded photo is taken, cep refine "
-            "improves the path by it."
+            "Two to four photos of the same motion through known codes would tell its direction"
+            " and order in time, and the error of the path: cep calibration-set designs the codes."
+            " Once a coded photo is taken, cep refine improves the path by it."
         )
     return tuple(said)
 
@@ -106,9 +111,11 @@ def _alone(chain: Chain) -> tuple[Table, ...]:
         (
             photos,
             estimate.best.direction,
-            f"{timed_distance_px(estimate.best, truth):.2f}"
-            if estimate.best.direction == "known"
-            else f"{path_distance_px(estimate.best, truth):.2f}",
+            (
+                f"{timed_distance_px(estimate.best, truth):.2f}"
+                if estimate.best.direction == "known"
+                else f"{path_distance_px(estimate.best, truth):.2f}"
+            ),
             shot.way.label,
             f"{shot.psnr_db:.2f}",
         )
@@ -128,8 +135,10 @@ def _alone(chain: Chain) -> tuple[Table, ...]:
             ),
             rows,
             highlight=0,
-            note="Each exposure is photographed with the true motion and restored along the path of its row. A path "
-            "without a direction is compared as a shape, without its timing.",
+            note=(
+                "Each exposure is photographed with the true motion and restored along the path of"
+                " its row. A path without a direction is compared as a shape, without its timing."
+            ),
         ),
     )
 

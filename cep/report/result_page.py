@@ -84,14 +84,17 @@ class Table:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Whether each column holds numbers, which are aligned to the right; the first one never does."""
+        """Whether each column holds numbers, which are aligned to the right; the first one never
+        does.
+        """
         columns = [[_cell(row[i]) for row in self.rows] for i in range(1, len(self.columns))]
         return (False, *(all(_NUMBER.match(cell) for cell in column) for column in columns))
 
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a report: text, links, warnings, a gallery, pictures, tables, commands, in this order.
+    """A section of a report: text, links, warnings, a gallery, pictures, tables, commands, in this
+    order.
 
     Attributes
     ----------

@@ -1,4 +1,6 @@
-"""Restoration of blurred photos: inverse, Wiener, TV, L0, a denoiser; borders, clipping; blind PSFs; orders in time."""
+"""Restoration of blurred photos: inverse, Wiener, TV, L0, a denoiser; borders, clipping; blind
+PSFs; orders in time.
+"""
 
 from cep.restoration.blind import FoundPsf, find_psf
 from cep.restoration.clipping import fill_clipped

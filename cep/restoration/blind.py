@@ -68,7 +68,7 @@ def find_psf(
     if found.confidence < _LOST:
         warnings.insert(
             0,
-            f"the PSF is probably lost (confidence {found.confidence:.2f}), and the restored photo may be worse than "
-            "the one given: calibrate the motion, and give its trajectory",
+            f"the PSF is probably lost (confidence {found.confidence:.2f}), and the restored photo"
+            " may be worse than the one given: calibrate the motion, and give its trajectory",
         )
     return FoundPsf(duty * found.psf, found.confidence, tuple(warnings))

@@ -20,14 +20,18 @@ _SMALLEST_POWER = 1e-12
 
 
 def extended_shape(shape: tuple[int, int], psf_size: int) -> tuple[int, int]:
-    """FFT-friendly size that leaves a gap of at least the PSF's reach on both sides of the photo."""
+    """FFT-friendly size that leaves a gap of at least the PSF's reach on both sides of the
+    photo.
+    """
     gap = max(psf_size - 1, _SMALLEST_GAP_PX)
     rows, columns = (int(fft.next_fast_len(side + gap, real=True)) for side in shape)
     return rows, columns
 
 
 def working_shape(shape: tuple[int, int], psf_size: int, border: Border) -> tuple[int, int]:
-    """Size to restore a photo at: its own when it is periodic, else with room to join its real borders."""
+    """Size to restore a photo at: its own when it is periodic, else with room to join its real
+    borders.
+    """
     return shape if border == "periodic" else extended_shape(shape, psf_size)
 
 
@@ -76,8 +80,9 @@ def reblurred_extension(
 ) -> FloatArray:
     """Extend ``image`` by its Wiener restoration, blurred again.
 
-    The scene minimises ``|M (K x - y)|^2 + noise_to_scene |f X|^2``, M being 1 on the photo; it is found by conjugate
-    gradients, preconditioned with the periodic Wiener filter and started from the membrane.
+    The scene minimises ``|M (K x - y)|^2 + noise_to_scene |f X|^2``, M being 1 on the photo; it is
+    found by conjugate gradients, preconditioned with the periodic Wiener filter and started from
+    the membrane.
 
     Parameters
     ----------

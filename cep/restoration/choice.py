@@ -1,4 +1,5 @@
-"""Choice of the PSF that a photo is restored with, or of none: tried on a crop, compared without the sharp photo.
+"""Choice of the PSF that a photo is restored with, or of none: tried on a crop, compared without
+the sharp photo.
 
 Two things give a wrong PSF away. It leaves a residual, however it is restored. And its ringing
 dips below black or rises above full scale, where there can be no light. A restoration with less
@@ -107,7 +108,8 @@ def choose_psf(
 
 
 def restore_chosen(photo: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, str]:
-    """Restore a whole photo: by TV with a weight for its noise; above :data:`LARGE_PX` pixels by the Wiener filter.
+    """Restore a whole photo: by TV with a weight for its noise; above :data:`LARGE_PX` pixels by
+    the Wiener filter.
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""Clipped pixels of a photo, replaced by the light that its other pixels and the PSF make likely there.
+"""Clipped pixels of a photo, replaced by the light that its other pixels and the PSF make likely
+there.
 
 Where a photo is clipped, ``blur * scene = photo`` does not hold, and every restoration rings. With
 these pixels replaced it does, so any method can follow.
@@ -38,12 +39,14 @@ _LIGHT_PENALTY = 3e-3
 def fill_clipped(
     photo: ArrayLike, psf: ArrayLike, *, clipped: ArrayLike | None = None
 ) -> NDArray[np.floating]:
-    r"""Replace the clipped pixels of a photo by the blurred light of the scene that the other pixels show.
+    r"""Replace the clipped pixels of a photo by the blurred light of the scene that the other
+    pixels show.
 
-    The scene x minimises ``|M (K x - y)|^2 / 2 + 1e-3 (|Dx x|_1 + |Dy x|_1)``, M being 1 on the photo's other pixels,
-    with ``x >= 0`` and with ``K x`` at :data:`motdiff.crops.CLIPPED_LEVEL` or more where the photo
-    is clipped. ADMM splits ``K x``, so that the mask is applied pixel by pixel and x is solved for
-    in the Fourier domain. Light from beyond the border is unknown in the same way.
+    The scene x minimises ``|M (K x - y)|^2 / 2 + 1e-3 (|Dx x|_1 + |Dy x|_1)``, M being 1 on the
+    photo's other pixels, with ``x >= 0`` and with ``K x`` at :data:`motdiff.crops.CLIPPED_LEVEL`
+    or more where the photo is clipped. ADMM splits ``K x``, so that the mask is applied pixel by
+    pixel and x is solved for in the Fourier domain. Light from beyond the border is unknown in the
+    same way.
 
     Parameters
     ----------

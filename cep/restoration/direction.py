@@ -1,4 +1,5 @@
-"""Test of the order in time of a motion in a coded photo: the code makes the PSFs of its orders differ.
+"""Test of the order in time of a motion in a coded photo: the code makes the PSFs of its orders
+differ.
 
 A path may have been run forward, in reverse, or, where it meets itself, with some of its loops the
 other way round. Two clues are weighed. Frequencies that the code passes along one order and stops
@@ -104,7 +105,8 @@ def detect_direction(  # a test of directions, not a test
     >>> from cep.optics.capture import capture
     >>> rng = np.random.default_rng(0)
     >>> scene = np.kron(rng.random((12, 12)), np.ones((8, 8)))
-    >>> path, code = Trajectory.from_samples([[0, 0], [8, 1], [12, 9]]), ShutterCode("1101000101101111")
+    >>> path = Trajectory.from_samples([[0, 0], [8, 1], [12, 9]])
+    >>> code = ShutterCode("1101000101101111")
     >>> detect_direction(capture(scene, path.reversed(), code, rng=rng), path, code).direction
     'reverse'
     """
@@ -145,7 +147,9 @@ def orders_in_time(trajectory: Trajectory) -> list[Trajectory]:
 
 
 def _compared(photo: ArrayLike, psfs: Sequence[FloatArray]) -> tuple[DirectionResult, int]:
-    """Return the result and the index of the chosen PSF; those that an earlier one equals are left out of account."""
+    """Return the result and the index of the chosen PSF; those that an earlier one equals are left
+    out of account.
+    """
     kernels = [trimmed_psf(psf) for psf in psfs]
     image = _middle(channels_first(photo).mean(axis=0))
     spectra = [fit_spectrum(image, kernel, shaped=True) for kernel in kernels]

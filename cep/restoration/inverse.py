@@ -19,7 +19,8 @@ def inverse_filter(
     border: Border = "real",
     border_rounds: int = 10,
 ) -> FloatArray:
-    """Divide the photo's spectrum by the OTF, whose modulus is raised to a floor where it falls below.
+    """Divide the photo's spectrum by the OTF, whose modulus is raised to a floor where it falls
+    below.
 
     Parameters
     ----------

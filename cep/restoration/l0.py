@@ -29,7 +29,8 @@ def l0(
     border: Border = "real",
     border_rounds: int = 10,
 ) -> FloatArray:
-    """Minimise ``|K x - y|^2 + weight (number of pixels with a gradient)``, the channels sharing their edges.
+    """Minimise ``|K x - y|^2 + weight (number of pixels with a gradient)``, the channels sharing
+    their edges.
 
     Gradients are split off with a penalty beta that doubles from ``2 weight`` to 1e5; a pixel's
     gradient is kept where its square, summed over channels, is at least ``weight / beta``. The

@@ -1,4 +1,6 @@
-"""Restoration of a photo by one of the methods: along a trajectory, with a PSF or blindly; checks of the result."""
+"""Restoration of a photo by one of the methods: along a trajectory, with a PSF or blindly; checks
+of the result.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +88,9 @@ class Restoration:
     seconds: float
 
     def save(self, path: Path | str, *, bits: int = 8, gamma: str | float = "srgb") -> None:
-        """Write the restored photo; parameters and errors are those of :func:`cep.files.images.write_image`."""
+        """Write the restored photo; parameters and errors are those of
+        :func:`cep.files.images.write_image`.
+        """
         write_image(path, self.image, bits=bits, gamma=gamma)
 
     def _repr_png_(self) -> bytes:
@@ -108,7 +112,8 @@ def restore(
     progress: Callable[[float, str], None] = lambda _share, _what: None,
     **options: Any,
 ) -> Restoration:
-    """Restore a photo with a PSF, along the trajectory that it was exposed on, or with neither: from the photo alone.
+    """Restore a photo with a PSF, along the trajectory that it was exposed on, or with neither:
+    from the photo alone.
 
     Along a trajectory of unknown direction a coded photo is tested for its orders in time, see
     :func:`cep.restoration.direction.detect_direction`. Without trajectory and PSF the PSF is
@@ -190,8 +195,8 @@ def restore(
         _check_reach("psf", len(kernel), channels)
         if kernel.sum() > _FULL_LIGHT:
             notes.append(
-                f"the PSF sums to {kernel.sum():.4g}, a light-true one to the open share of the exposure, at most 1; "
-                "the photo comes out darker by that factor"
+                f"the PSF sums to {kernel.sum():.4g}, a light-true one to the open share of the"
+                " exposure, at most 1; the photo comes out darker by that factor"
             )
     reach = kernel.shape[0] // 2
     clipped = float(clipped_mask(photo).mean())
@@ -205,7 +210,8 @@ def restore(
         notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: {meaning}")
     if 4 * reach > min(channels.shape[1:]):
         notes.append(
-            f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x {channels.shape[1]} px"
+            f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x"
+            f" {channels.shape[1]} px"
         )
     restored = apply(fill_clipped(photo, psf) if fills else photo, psf, **options)
     if isinstance(restored, Restoration):  # of a function that calls this one
@@ -262,14 +268,16 @@ def _check_reach(name: str, reach_px: int, channels: FloatArray) -> None:
     side = min(channels.shape[1:])
     if reach_px > side:
         raise ValueError(
-            f"{name}: the motion spans {reach_px} px around its zero, the photo is only {side} px on its shorter side"
+            f"{name}: the motion spans {reach_px} px around its zero, the photo is only {side} px"
+            " on its shorter side"
         )
 
 
 def misfit(
     photo: ArrayLike, restored: ArrayLike, psf: ArrayLike, *, clipped: ArrayLike | None = None
 ) -> float:
-    """RMS of ``restored`` reblurred minus ``photo``, over the pixels that the PSF reaches from inside; NaN if none.
+    """RMS of ``restored`` reblurred minus ``photo``, over the pixels that the PSF reaches from
+    inside; NaN if none.
 
     Clipped pixels are left out: the (H, W) bool ``clipped``, or those of each channel at the
     clipped level.

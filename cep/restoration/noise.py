@@ -1,4 +1,6 @@
-"""Power spectra of scene and noise in a blurred photo, by maximum likelihood on its periodogram."""
+"""Power spectra of scene and noise in a blurred photo, by maximum likelihood on its
+periodogram.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +99,9 @@ def fit_spectrum(
 def _periodogram(
     image: FloatArray, psf: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Hann-windowed periodogram, |H|^2, log |f| and angle, each (n,), without the window's own lobe around DC."""
+    """Hann-windowed periodogram, |H|^2, log |f| and angle, each (n,), without the window's own
+    lobe around DC.
+    """
     window = np.outer(np.hanning(image.shape[0] + 2)[1:-1], np.hanning(image.shape[1] + 2)[1:-1])
     mean = float((image * window).sum() / window.sum())
     density = np.abs(fft.rfft2((image - mean) * window)) ** 2 / (window**2).sum()
@@ -115,7 +119,9 @@ def _periodogram(
 
 
 def _smooth_terms(log_f: FloatArray, angle: FloatArray) -> FloatArray:
-    """Factors of a smooth log spectrum, (9, n): power of f, its curvature, and even angular harmonics."""
+    """Factors of a smooth log spectrum, (9, n): power of f, its curvature, and even angular
+    harmonics.
+    """
     u = log_f + 2
     c2 = np.cos(2 * angle)
     s2 = np.sin(2 * angle)

@@ -38,12 +38,13 @@ def pnp(
     border: Border = "real",
     border_rounds: int = 10,
 ) -> FloatArray:
-    r"""Minimise ``|K x - y|^2 / 2N + 0.4 R(z)`` with x = z, noise variance N, the prior R being a denoiser's.
+    r"""Minimise ``|K x - y|^2 / 2N + 0.4 R(z)`` with x = z, noise variance N, the prior R being a
+    denoiser's.
 
-    Eight times, x is found in closed form in the Fourier domain, ``|K x - y|^2 + a |x - z|^2`` with
-    ``a = 0.4 N / s^2``, and z is x denoised at the level s, which falls log-evenly from 0.1 to the
-    photo's noise. The first x is the Wiener filter's. Photo and PSF are first divided by the PSF's
-    sum.
+    Eight times, x is found in closed form in the Fourier domain, ``|K x - y|^2 + a |x - z|^2``
+    with ``a = 0.4 N / s^2``, and z is x denoised at the level s, which falls log-evenly from 0.1
+    to the photo's noise. The first x is the Wiener filter's. Photo and PSF are first divided by
+    the PSF's sum.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""The user's own photo, sharpened: restored with what suits it of the motion found in it, or kept as it was."""
+"""The user's own photo, sharpened: restored with what suits it of the motion found in it, or kept
+as it was.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ from motdiff.types import FloatArray
 
 _LEAST_CONFIDENCE = 0.5  # more likely good than not
 _PRIOR_DB = {"psf": 0.6, "trajectory": 0.0}
-"""Mean advantage of the PSF found over that of the path traced through it: docs/decisions/restoration.md."""
+"""Mean advantage of the PSF found over that of the path traced through it:
+docs/decisions/restoration.md."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,8 @@ class Sharpened:
 
 
 def sharpen(photo: ArrayLike, estimate: MotionEstimate) -> Sharpened:
-    """Restore a photo taken with an open shutter from the photo alone, or keep it where that would not help.
+    """Restore a photo taken with an open shutter from the photo alone, or keep it where that would
+    not help.
 
     Parameters
     ----------
@@ -100,7 +104,8 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate) -> Sharpened:
         return kept(f"{estimate.warnings[0]}: the photo is kept as it is")
     if _psf_confidence(estimate) < _LEAST_CONFIDENCE:
         return kept(
-            f"The blur could not be found with confidence ({_psf_confidence(estimate):.2f}): the photo is kept as it is"
+            f"The blur could not be found with confidence ({_psf_confidence(estimate):.2f}): the"
+            " photo is kept as it is"
         )
     path = estimate.best
     psfs = {"psf": estimate.psf, "trajectory": path.psf(path.frame_size(PSF_PX))}
@@ -124,18 +129,21 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate) -> Sharpened:
         )
     if method == "wiener":
         notes.append(
-            "the photo is large: it was restored by the Wiener filter, which is fast; --method tv takes longer"
+            "the photo is large: it was restored by the Wiener filter, which is fast; --method tv"
+            " takes longer"
         )
     if clipped > FEW_CLIPPED:
         notes.append(
-            f"{100 * clipped:.1f} % of the pixels are clipped: their light was inferred from the other pixels"
+            f"{100 * clipped:.1f} % of the pixels are clipped: their light was inferred from the"
+            " other pixels"
         )
     image = image / gain
     reach = trimmed_psf(psf).shape[0] // 2
     found = "the blur kernel found in it" if choice.name == "psf" else "the path found in it"
     return Sharpened(
         image,
-        f"The photo was restored with {found} (confidence {_psf_confidence(estimate):.2f}), by {method}",
+        f"The photo was restored with {found} (confidence {_psf_confidence(estimate):.2f}), by"
+        f" {method}",
         False,
         choice.name,
         method,

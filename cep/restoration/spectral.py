@@ -1,4 +1,6 @@
-"""Common parts of the restorations: checked input, the OTF of a PSF on an FFT grid, spectra of gradients."""
+"""Common parts of the restorations: checked input, the OTF of a PSF on an FFT grid, spectra of
+gradients.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,8 @@ def trimmed_psf(psf: ArrayLike) -> FloatArray:
         or not kernel.any()
     ):
         raise ValueError(
-            f"psf: must be a finite, non-negative (S, S) array with some light, got shape {kernel.shape}"
+            "psf: must be a finite, non-negative (S, S) array with some light, got shape"
+            f" {kernel.shape}"
         )
     rows, columns = np.nonzero(kernel)
     centre = (kernel.shape[0] // 2, kernel.shape[1] // 2)
@@ -66,7 +69,9 @@ def trimmed_psf(psf: ArrayLike) -> FloatArray:
 
 
 def otf_on_grid(psf: FloatArray, shape: tuple[int, int]) -> ComplexArray:
-    """``rfft2`` of the PSF wrapped onto a periodic grid of ``shape``, zero displacement at index (0, 0)."""
+    """``rfft2`` of the PSF wrapped onto a periodic grid of ``shape``, zero displacement at index
+    (0, 0).
+    """
     rows, columns = np.nonzero(psf)
     grid = np.zeros(shape)
     wrapped = ((rows - psf.shape[0] // 2) % shape[0], (columns - psf.shape[1] // 2) % shape[1])
@@ -82,7 +87,9 @@ def gradient_power(shape: tuple[int, int]) -> FloatArray:
 
 
 def power_law(shape: tuple[int, int]) -> FloatArray:
-    """Squared frequency |f|^2, (cy/px)^2, on the ``rfft2`` grid of ``shape``: a 1/f^2 scene's inverse spectrum."""
+    """Squared frequency |f|^2, (cy/px)^2, on the ``rfft2`` grid of ``shape``: a 1/f^2 scene's
+    inverse spectrum.
+    """
     fy = np.fft.fftfreq(shape[0])[:, None]
     fx = np.fft.rfftfreq(shape[1])[None, :]
     return np.asarray(fy**2 + fx**2, dtype=np.float64)

@@ -96,7 +96,9 @@ def tv(
 
 
 def shrink_gradients(image: FloatArray, threshold: float) -> tuple[FloatArray, FloatArray]:
-    """Periodic forward differences of (..., H, W), across and down, drawn towards 0 by ``threshold``."""
+    """Periodic forward differences of (..., H, W), across and down, drawn towards 0 by
+    ``threshold``.
+    """
     across = np.roll(image, -1, axis=-1) - image
     down = np.roll(image, -1, axis=-2) - image
     for difference in (across, down):

@@ -29,7 +29,8 @@ def wiener(
     border: Border = "real",
     border_rounds: int = 10,
 ) -> FloatArray:
-    r"""Restore with ``conj(H) / (|H|^2 + N f^2 / A)``, noise variance N and scene spectrum A / f^2.
+    r"""Restore with ``conj(H) / (|H|^2 + N f^2 / A)``, noise variance N and scene spectrum A /
+    f^2.
 
     Parameters
     ----------
@@ -107,7 +108,9 @@ def _noise_to_scene(
 def _wiener_gain(
     transfer: NDArray[np.complex128], ratio: float, law: FloatArray
 ) -> NDArray[np.complex128]:
-    """Wiener filter on the grid; zero frequency is divided by H alone, so that the mean light is exact."""
+    """Wiener filter on the grid; zero frequency is divided by H alone, so that the mean light is
+    exact.
+    """
     penalty = np.multiply(ratio, law, out=np.zeros_like(law), where=law > 0)
     divisor = np.abs(transfer) ** 2 + penalty
     blind = divisor <= np.finfo(float).tiny

@@ -1,4 +1,6 @@
-"""Whether to code an exposure: open shutter, best snapshot, best strobe and best code, over the light."""
+"""Whether to code an exposure: open shutter, best snapshot, best strobe and best code, over the
+light.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ from cep.search.ways import (
 )
 
 LEVELS = (100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
-"""Photo-electrons at full scale at which the ways to expose are compared: from starlight to studio."""
+"""Photo-electrons at full scale at which the ways to expose are compared: from starlight to
+studio."""
 
 _LEAST_LEVEL = 1.0
 _MOST_LEVEL = 1e7
@@ -77,7 +80,9 @@ class Verdict:
         return self.ways[0].saturates
 
     def best(self, kind: Choice, *, equal_light: bool = False) -> Way | None:
-        """Return the best possible way of a kind, None where there is none; even pulses are a code as well."""
+        """Return the best possible way of a kind, None where there is none; even pulses are a code
+        as well.
+        """
         kinds = CODED if kind == "code" else (kind,)
         found = [way for way in self.possible if way.kind in kinds]
         figure = attrgetter("equal_light_db" if equal_light else "psnr_db")
@@ -95,7 +100,9 @@ class Verdict:
 
     @property
     def outside(self) -> Way | None:
-        """The way to take without the limits, where it is better by :data:`cep.search.expected.WORTH_DB`; else None."""
+        """The way to take without the limits, where it is better by
+        :data:`cep.search.expected.WORTH_DB`; else None.
+        """
         best = simplest([way for way in self.ways if not way.saturates])
         return best if best.psnr_db > self.advised.psnr_db + WORTH_DB else None
 
@@ -114,7 +121,8 @@ class Verdict:
 
     @property
     def equal_light_gains_db(self) -> dict[Choice, float]:
-        """The same where a brighter lamp makes up for the closed chips; the best ways may be others there.
+        """The same where a brighter lamp makes up for the closed chips; the best ways may be
+        others there.
 
         Empty where the open shutter saturates: with as much light every way does.
         """
@@ -129,7 +137,8 @@ class Verdict:
 
     @property
     def code_gain_db(self) -> float | None:
-        """Gain of the best code over the better of open shutter and best snapshot, of those that are possible.
+        """Gain of the best code over the better of open shutter and best snapshot, of those that
+        are possible.
 
         None where no code is possible, infinite where nothing else is.
         """
@@ -149,7 +158,10 @@ class Verdict:
             else [_gain(way.psnr_db - self.ways[0].psnr_db, "the open shutter")]
         )
         if way.kind == "open":
-            said = f"Leave the shutter open: no shorter exposure and no code found gains {WORTH_DB:g} dB"
+            said = (
+                "Leave the shutter open: no shorter exposure and no code found gains"
+                f" {WORTH_DB:g} dB"
+            )
         elif way.kind == "snapshot":
             said = f"Coding does not pay here: expose {_share(way.code)}"
             if code is not None and self.code_name:
@@ -180,7 +192,10 @@ class Verdict:
         if self.open_saturates:
             said += " The open shutter saturates at this light."
         if (other := self.outside) is not None:
-            said += f" If the limits can be loosened, {_run(other)} gains {_amount(other.psnr_db - way.psnr_db)} more."
+            said += (
+                f" If the limits can be loosened, {_run(other)} gains"
+                f" {_amount(other.psnr_db - way.psnr_db)} more."
+            )
         return said
 
     @property
@@ -242,7 +257,8 @@ class Advice:
 
     @property
     def crossover(self) -> tuple[tuple[float | None, float | None], ...]:
-        """Ranges of light, photo-electrons at full scale, in which coding gains :data:`cep.search.expected.WORTH_DB`.
+        """Ranges of light, photo-electrons at full scale, in which coding gains
+        :data:`cep.search.expected.WORTH_DB`.
 
         Even pulses count as a code; the gain is that over the better of open shutter and best
         snapshot.
@@ -322,7 +338,8 @@ class Advice:
 
 
 def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 0.0) -> Verdict:
-    """Judge codes beside the open shutter, the best snapshot and the best strobe, by the expected restoration.
+    """Judge codes beside the open shutter, the best snapshot and the best strobe, by the expected
+    restoration.
 
     Parameters
     ----------
@@ -355,7 +372,9 @@ def verdict_of(
     *,
     path_error_px: float = 0.0,
 ) -> Verdict:
-    """Return the verdict of ways that were judged already, the codes among them; see :func:`verdict`."""
+    """Return the verdict of ways that were judged already, the codes among them; see
+    :func:`verdict`.
+    """
     best_possible(ways)
     judged = Verdict(problem.camera, ways, "", path_error_px=path_error_px)
     bits = {code.bits for code in codes}
@@ -375,7 +394,8 @@ def advise(
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> Advice:
-    """Compare open shutter, best snapshot, best strobe and best code, at the camera's light and at other levels.
+    """Compare open shutter, best snapshot, best strobe and best code, at the camera's light and at
+    other levels.
 
     Each way may be open for any part of the exposure within the problem's limits; the scene is as
     bright for all. A code is searched at each level. Its gain is what the best linear restoration
@@ -409,7 +429,8 @@ def advise(
     --------
     >>> from motdiff.trajectory import Trajectory
     >>> path = Trajectory.straight(40.0)
-    >>> problem = SearchProblem.along(path, chips=40, camera=Camera(photons_full_scale=3_000, read_noise_e=2))
+    >>> camera = Camera(photons_full_scale=3_000, read_noise_e=2)
+    >>> problem = SearchProblem.along(path, chips=40, camera=camera)
     >>> advise(problem, levels=[300, 30_000]).choice
     'snapshot'
     """

@@ -1,4 +1,6 @@
-"""Proven codes that come with the package: the answer to a problem that a proof covers, else starts of its search."""
+"""Proven codes that come with the package: the answer to a problem that a proof covers, else
+starts of its search.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,8 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
 
 
 def proven_starts(problem: SearchProblem) -> list[ShutterCode]:
-    """Return the proven codes within a problem's limits where the smallest MTF of straight motions counts; else none.
+    """Return the proven codes within a problem's limits where the smallest MTF of straight motions
+    counts; else none.
 
     Examples
     --------
@@ -79,7 +82,9 @@ def proven_starts(problem: SearchProblem) -> list[ShutterCode]:
 
 
 def _within_limits(problem: SearchProblem, entry: ProvenCode) -> ShutterCode | None:
-    """Place a proven code, or else its mirror image, at the first chip where it keeps the limits."""
+    """Place a proven code, or else its mirror image, at the first chip where it keeps the
+    limits.
+    """
     room = problem.chips - len(entry.bits)
     for bits in (entry.bits, entry.bits[::-1]):
         for first in range(room + 1):

@@ -1,4 +1,6 @@
-"""Number of chips of a code: the fewest with which the best way to expose is as good as with more."""
+"""Number of chips of a code: the fewest with which the best way to expose is as good as with
+more.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,8 @@ def choose_chips(
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> ChipCount:
-    """Choose the number of chips: the fewest with which the best way is within ``WORTH_DB`` of the best.
+    """Choose the number of chips: the fewest with which the best way is within ``WORTH_DB`` of the
+    best.
 
     Anytime: the time or Ctrl-C ends the choice with the numbers tried so far.
 
@@ -122,7 +125,8 @@ def suited_chips(
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> tuple[int, Mapping[int, float]]:
-    """Return the number of chips of :func:`choose_chips` and the gains of the others, once all have been tried.
+    """Return the number of chips of :func:`choose_chips` and the gains of the others, once all
+    have been tried.
 
     Raises
     ------
@@ -146,7 +150,8 @@ def suited_chips(
 
 
 def in_words_of_chips(gains_db: Mapping[int, float]) -> str:
-    """Say what other numbers of chips would gain or lose, as :func:`choose_chips` finds it; empty for none.
+    """Say what other numbers of chips would gain or lose, as :func:`choose_chips` finds it; empty
+    for none.
 
     Examples
     --------

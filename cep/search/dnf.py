@@ -1,9 +1,10 @@
-"""DNF: the code of least deconvolution noise for a straight blur of the path's length, its direction ignored.
+"""DNF: the code of least deconvolution noise for a straight blur of the path's length, its
+direction ignored.
 
-The deconvolution noise factor of a code is ``sqrt(mean(max|H|^2 / |H|^2))``; since |H| is largest at frequency 0, it is
-the noise of the inverse filter relative to the light that came through. A single open chip has the
-least there is, 1, whatever the light it loses: among codes of different light the noise itself is
-compared, which for codes of equal light is the same.
+The deconvolution noise factor of a code is ``sqrt(mean(max|H|^2 / |H|^2))``; since |H| is largest
+at frequency 0, it is the noise of the inverse filter relative to the light that came through. A
+single open chip has the least there is, 1, whatever the light it loses: among codes of different
+light the noise itself is compared, which for codes of equal light is the same.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Expected PSNR of the restoration through codes: at any light, and for a path known to so many pixels."""
+"""Expected PSNR of the restoration through codes: at any light, and for a path known to so many
+pixels.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ _TOLERANCE_PX = 0.003  # of a path of thousands of samples, which takes as many 
 def open_share(
     codes: Sequence[ShutterCode], response: ShutterResponse | None = None
 ) -> FloatArray:
-    """Share of the exposure that each code lets in, (R,), with the shutter's ramps where there are any."""
+    """Share of the exposure that each code lets in, (R,), with the shutter's ramps where there are
+    any.
+    """
     chips = np.array([code.array for code in codes])
     return np.asarray(
         chips.mean(axis=1) if response is None else response.open_time(chips), dtype=np.float64
@@ -52,7 +56,9 @@ def light_noise(
 def collected_e(
     camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None
 ) -> FloatArray:
-    """Electrons that a pixel of value 1 collects through each code, (R,): of light and of dark current."""
+    """Electrons that a pixel of value 1 collects through each code, (R,): of light and of dark
+    current.
+    """
     light_e = camera.photons_full_scale * open_share(codes, response)
     return np.asarray(light_e + camera.dark_e(_integration_s(codes)), dtype=np.float64)
 
@@ -60,7 +66,8 @@ def collected_e(
 def equal_light_noise(
     camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None
 ) -> FloatArray:
-    """Variance of the noise through each code, (R,), where a brighter lamp makes up for the closed time.
+    """Variance of the noise through each code, (R,), where a brighter lamp makes up for the closed
+    time.
 
     A pixel collects as many photo-electrons through every code as with the shutter open, and has
     the same photon noise. It is given relative to what the lamp would give an open shutter, as the
@@ -73,7 +80,8 @@ def equal_light_noise(
 
 
 class ExpectedPsnr:
-    """Expected PSNR of codes along a problem's motions; what does not depend on the code may be kept for the next.
+    """Expected PSNR of codes along a problem's motions; what does not depend on the code may be
+    kept for the next.
 
     Where the path is known to ``path_error_px`` only, the filter knows the mean and the scatter of
     the OTF H over such paths, each shifted so that the code's light stays in place: a shift of the
@@ -148,7 +156,9 @@ def expected_psnr_db(
     path_error_px: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> FloatArray:
-    """Return the expected PSNR of codes, (codes, L), as :class:`ExpectedPsnr` does, once; it has the parameters."""
+    """Return the expected PSNR of codes, (codes, L), as :class:`ExpectedPsnr` does, once; it has
+    the parameters.
+    """
     return ExpectedPsnr(problem, path_error_px=path_error_px, rng=rng).psnr_db(codes, noise=noise)
 
 
@@ -206,7 +216,9 @@ def _thinned_ways(problem: SearchProblem, scenario: Scenario) -> list[Scenario]:
 
 
 def _psnr_db(problem: SearchProblem, errors: Sequence[Sequence[FloatArray]]) -> FloatArray:
-    """PSNR from the mean square errors along every motion and direction: the worse direction counts."""
+    """PSNR from the mean square errors along every motion and direction: the worse direction
+    counts.
+    """
     errors_db = [10 * np.log10(np.max(along, axis=0)) for along in errors]
     if problem.rule == "mean":
         weights = np.array([scenario.weight for scenario in problem.scenarios])
@@ -298,7 +310,8 @@ def _rows(
 
 
 def _samples(path: Trajectory, *, exact: bool) -> BandSamples:
-    """Return samples finer than those of a search, which may have found a code with its valleys between them.
+    """Return samples finer than those of a search, which may have found a code with its valleys
+    between them.
 
     An error of a curved path fills such valleys; one of a straight path bends it.
     """

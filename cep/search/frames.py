@@ -1,4 +1,6 @@
-"""Codes of several exposures of one motion, restored together: the search, and the best single code in every frame."""
+"""Codes of several exposures of one motion, restored together: the search, and the best single
+code in every frame.
+"""
 
 from __future__ import annotations
 
@@ -112,7 +114,9 @@ class FramesOptimum:
         }
 
     def save(self, files: Sequence[Path], *, described: Mapping[str, Any]) -> None:
-        """Write a ``code.json`` for each frame, all of them or none; ``described`` is what they say of the problem."""
+        """Write a ``code.json`` for each frame, all of them or none; ``described`` is what they
+        say of the problem.
+        """
         figures = [metrics.to_dict() for metrics in self.metrics]
         write_frames(
             files, self.found, described=described, metrics=figures, joint=asdict(self.joint)
@@ -127,7 +131,9 @@ def write_frames(
     metrics: Sequence[Mapping[str, Any]] | None = None,
     joint: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write the codes that were found, with their figures where these are known: all files or none."""
+    """Write the codes that were found, with their figures where these are known: all files or
+    none.
+    """
     about = {
         **described,
         "frames": len(found.codes),
@@ -153,7 +159,8 @@ def optimize_frames(
     on_checked: Callable[[], None] = lambda: None,
     on_found: Callable[[FramesResult], None] = lambda _found: None,
 ) -> FramesOptimum:
-    """Search the codes of several frames, and measure them beside the best single code played in every frame.
+    """Search the codes of several frames, and measure them beside the best single code played in
+    every frame.
 
     Parameters
     ----------
@@ -210,7 +217,8 @@ def optimize_frames(
 
 
 def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verdict:
-    """Judge the codes of several frames beside one exposure repeated in every frame: open, single or pulsed evenly.
+    """Judge the codes of several frames beside one exposure repeated in every frame: open, single
+    or pulsed evenly.
 
     Parameters
     ----------
@@ -269,7 +277,9 @@ def _search(
     length_px: float,
     progress: Callable[[float, str], None],
 ) -> tuple[ShutterCode, FramesResult]:
-    """Search the best single code, then all frames' from it; what ended either search has ended both."""
+    """Search the best single code, then all frames' from it; what ended either search has ended
+    both.
+    """
     moves = how.moves(problem)
     time_s = how.limit_s
     progress(0.0, "a single code")

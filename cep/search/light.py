@@ -129,7 +129,8 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
 
 
 def best_strobe(objective: Objective, *, within_limits: bool = False) -> ShutterCode | None:
-    """Find the best periodic pulses: ``width`` chips open out of every ``period``, two pulses or more.
+    """Find the best periodic pulses: ``width`` chips open out of every ``period``, two pulses or
+    more.
 
     The first pulse begins with the exposure and the last is cut off with it. Every period and
     width is tried, of long codes 64 periods and 32 widths each. Along a uniform straight motion a
@@ -187,7 +188,9 @@ def _strobes(chips: int) -> Codes:
 
 
 def _strobes_within(problem: SearchProblem) -> Codes:
-    """Strobes of whole pulses within the limits: some widths and numbers of pulses, and for each some periods."""
+    """Strobes of whole pulses within the limits: some widths and numbers of pulses, and for each
+    some periods.
+    """
     limits = problem.limits
     n = problem.chips
     low, high = limits.open_range

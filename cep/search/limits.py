@@ -95,15 +95,19 @@ class RunLimits:
 
     @property
     def says_nothing(self) -> bool:
-        """Whether every code keeps the limits on runs, pulses and their period, whatever chips are forced."""
+        """Whether every code keeps the limits on runs, pulses and their period, whatever chips are
+        forced.
+        """
         return replace(self, fixed=None) == RunLimits()
 
     def tightened(self, other: RunLimits) -> RunLimits:
-        """Return the limits of codes that keep these and those of ``other``, whose mask counts where there is none.
+        """Return the limits of codes that keep these and those of ``other``, whose mask counts
+        where there is none.
 
         Examples
         --------
-        >>> RunLimits(min_open=2, max_open=9).tightened(RunLimits(min_closed=3, max_open=5)).max_open
+        >>> limits = RunLimits(min_open=2, max_open=9)
+        >>> limits.tightened(RunLimits(min_closed=3, max_open=5)).max_open
         5
         """
 
@@ -318,7 +322,8 @@ def checked_mask(fixed: str | None, chips: int) -> str | None:
         return None
     if not isinstance(fixed, str) or set(fixed) - set("01?"):
         raise ValueError(
-            f"fixed: must be a string of 0 (forced closed), 1 (forced open) and ? (free), got {fixed!r}"
+            "fixed: must be a string of 0 (forced closed), 1 (forced open) and ? (free), got"
+            f" {fixed!r}"
         )
     if len(fixed) != chips:
         raise ValueError(
@@ -352,7 +357,9 @@ def feasible(limits: Limits) -> bool:
 
 
 def conflicting(limits: Limits) -> tuple[str, ...]:
-    """Name limits that no code keeps together, though it could if any one of them were dropped; none if feasible."""
+    """Name limits that no code keeps together, though it could if any one of them were dropped;
+    none if feasible.
+    """
     if feasible(limits):
         return ()
     kept = []
@@ -418,7 +425,9 @@ def _fewest_free_pulses(limits: Limits) -> NDArray[np.int64]:
 
 @lru_cache(maxsize=8)
 def _fewest_pulses(limits: Limits) -> NDArray[np.int64]:
-    """Fewest pulses of a code with each number of open chips, (n + 1,): a shortest walk from the end."""
+    """Fewest pulses of a code with each number of open chips, (n + 1,): a shortest walk from the
+    end.
+    """
     n = limits.chips
     steps = limits.steps()
     fewest = np.full(
@@ -439,7 +448,8 @@ def _fewest_pulses(limits: Limits) -> NDArray[np.int64]:
 
 
 def nearest(limits: Limits, code: NDArray[np.integer] | BoolArray) -> NDArray[np.int8] | None:
-    """Find the code within feasible limits that differs from a code (n,) in the fewest chips: a cheapest walk.
+    """Find the code within feasible limits that differs from a code (n,) in the fewest chips: a
+    cheapest walk.
 
     Returns
     -------

@@ -94,7 +94,8 @@ class Objective:
                 if turned and scenario.edges is None and not ramps:
                     rows = rows[
                         ::-1
-                        # the forward ones, which come first: the chips are met in the opposite order
+                        # the forward ones, which come first: the chips are met in the opposite
+                        # order
                     ]
                 else:
                     rows = scenario_rows(
@@ -128,7 +129,9 @@ class Objective:
         return self.for_problem(replace(self.problem, objective=objective))
 
     def for_problem(self, problem: SearchProblem) -> Objective:
-        """Judge by a problem of the same motions and shutter, with another objective, camera or limits."""
+        """Judge by a problem of the same motions and shutter, with another objective, camera or
+        limits.
+        """
         other = copy(self)
         other.problem = problem
         other._set_noise()
@@ -154,7 +157,9 @@ class Objective:
         )
 
     def noise_of(self, codes: RealArray) -> NDArray[np.float64]:
-        """(R,) variance of the noise through (R, n) codes; that of a single opening has its own dark current alone."""
+        """(R,) variance of the noise through (R, n) codes; that of a single opening has its own
+        dark current alone.
+        """
         chips = self.problem.chips
         on = np.asarray(codes) != 0
         single = on[:, 0] + (on[:, 1:] & ~on[:, :-1]).sum(axis=1) == 1
@@ -169,7 +174,8 @@ class Objective:
     def cost(
         self, otf: RealArray, duty: NDArray[np.float64], noise: NDArray[np.float64] | None = None
     ) -> NDArray[np.float64]:
-        """Cost (R,) in dB, lower is better, of (R, 2, F) OTFs whose codes are open for (R,) of the time.
+        """Cost (R,) in dB, lower is better, of (R, 2, F) OTFs whose codes are open for (R,) of the
+        time.
 
         The variance (R,) of the noise is that of :attr:`noise` when omitted, as for codes of many
         openings.
@@ -188,7 +194,8 @@ class Objective:
         return self.cost(self.otf(codes), self.duty(codes), self.noise_of(codes))
 
     def exact_cost(self, code: ShutterCode) -> float:
-        """Cost of one code with every minimum taken over the continuum; meant for the finest samples and float64.
+        """Cost of one code with every minimum taken over the continuum; meant for the finest
+        samples and float64.
 
         A curved path's H is a complex function of two frequencies: for nearly every code it has
         isolated true zeros, which no code can flip away. Such codes cost 60 dB more than their
@@ -258,7 +265,9 @@ class Objective:
 
 
 def sample_count(problem: SearchProblem, *, oversampling: int) -> int:
-    """Columns that an objective has, all scenarios and directions together, without making its tables."""
+    """Columns that an objective has, all scenarios and directions together, without making its
+    tables.
+    """
     if not problem.scenarios:
         return circle_samples(problem.chips, oversampling=oversampling).fx.size
     return sum(
@@ -279,7 +288,8 @@ def _stacked(tables: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 def continuum_minimum(
     problem: SearchProblem, way: tuple[Scenario, bool] | None, code: ShutterCode
 ) -> float:
-    """Smallest |H| that was found over the continuum one way, as :meth:`SearchProblem.ways` names it.
+    """Smallest |H| that was found over the continuum one way, as :meth:`SearchProblem.ways` names
+    it.
 
     None is the unit circle.
     """

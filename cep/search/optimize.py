@@ -1,4 +1,6 @@
-"""From a search problem to a code and what it is worth: the search or proof, baselines, certificate, bound."""
+"""From a search problem to a code and what it is worth: the search or proof, baselines,
+certificate, bound.
+"""
 
 from __future__ import annotations
 
@@ -159,12 +161,14 @@ class Optimum:
             *ended_early(self.how, found.stopped, moves),
             *_kept_blocks(found),
             *(
-                f"the search of the {name} was stopped early, by the time or Ctrl-C: another run may give another"
+                f"the search of the {name} was stopped early, by the time or Ctrl-C: another run"
+                " may give another"
                 for name in (early if repeats else ())
             ),
             *certificate_warnings(self.problem),
             *(
-                "the code saturates at this light: search with fewer open chips, or give what can be recorded"
+                "the code saturates at this light: search with fewer open chips, or give what can"
+                " be recorded"
                 for way in self.verdict.ways
                 if way.saturates and way.code.bits == self.code.bits
             ),
@@ -196,13 +200,15 @@ class Optimum:
             "stopped": found.stopped,
             "interrupted": found.stopped == "interrupted",
             "baselines": {
-                row.name: {
-                    "bits": row.code.bits,
-                    "open": row.code.open_chips,
-                    "within_limits": row.within_limits,
-                    "stopped_early": row.stopped_early,
-                }
-                | row.to_dict()
+                row.name: (
+                    {
+                        "bits": row.code.bits,
+                        "open": row.code.open_chips,
+                        "within_limits": row.within_limits,
+                        "stopped_early": row.stopped_early,
+                    }
+                    | row.to_dict()
+                )
                 for row in self.comparison[1:]
             },
         }
@@ -230,7 +236,8 @@ class Optimum:
         ]
         if self.bound is not None:
             lines.append(
-                f"no code with so many open chips has a {self.figure.split(',')[0]} beyond {self.bound:.4g}"
+                f"no code with so many open chips has a {self.figure.split(',')[0]} beyond"
+                f" {self.bound:.4g}"
             )
         return "\n".join([*lines, *self.warnings])
 
@@ -260,7 +267,8 @@ def optimize(
     on_found: Callable[[ShutterCode, Found], None] = lambda _code, _found: None,
     on_best: Callable[[ShutterCode], None] = lambda _code: None,
 ) -> Optimum:
-    """Search the code that is best along a problem's motions, certify it, and compare it with what is used instead.
+    """Search the code that is best along a problem's motions, certify it, and compare it with what
+    is used instead.
 
     No code of the comparison that keeps the problem's limits is better by its objective. Whether
     to use the code at all is decided by the expected restoration, see
@@ -351,7 +359,9 @@ def optimize(
 
 
 def searched_problem(problem: SearchProblem) -> SearchProblem:
-    """Return what is searched for a problem: the unit circle where only the code's polynomial matters."""
+    """Return what is searched for a problem: the unit circle where only the code's polynomial
+    matters.
+    """
     return (
         replace(problem, scenarios=())
         if problem.on_circle and problem.objective == "min-mtf"
@@ -372,7 +382,8 @@ def ended_early(how: Search, stopped: str, moves: int | None) -> list[str]:
     if stopped == "time" and moves is not None:
         limit = f"the limit of {how.limit_s:g} s"
         return [
-            f"{limit} ended the search before its {moves:,} moves: another run may give another code"
+            f"{limit} ended the search before its {moves:,} moves: another run may give another"
+            " code"
         ]
     return []
 
@@ -395,7 +406,8 @@ def certificate_warnings(problem: SearchProblem) -> list[str]:
     ):
         return []
     return [
-        "the certificate is for a shutter that opens at once and on time, along the motion as it was given"
+        "the certificate is for a shutter that opens at once and on time, along the motion as it"
+        " was given"
     ]
 
 
@@ -468,7 +480,8 @@ def search(
 def optimize_motion(
     *, problem: SearchProblem, along: Trajectory, how: Search, figures: Sequence[str] = ()
 ) -> dict[str, str]:
-    """Search a code with :func:`optimize` on one thread: the work of a cell, see :mod:`cep.jobs.engine`.
+    """Search a code with :func:`optimize` on one thread: the work of a cell, see
+    :mod:`cep.jobs.engine`.
 
     Parameters
     ----------
@@ -502,7 +515,8 @@ def optimize_motion(
 def code_from_figures(
     figures: Mapping[str, Figure], described: Mapping[str, Any]
 ) -> tuple[dict[str, Any], StoredCode]:
-    """Return the report of a code with its warnings, and what its file holds, from :func:`optimize_motion`'s texts.
+    """Return the report of a code with its warnings, and what its file holds, from
+    :func:`optimize_motion`'s texts.
 
     Parameters
     ----------
@@ -534,7 +548,9 @@ def described_search(problem: SearchProblem, how: Search) -> dict[str, Any]:
 
 
 def _rounded(problem: SearchProblem, seed: int) -> list[ShutterCode]:
-    """Codes drawn from the relaxation along a path; on the unit circle it knows nothing of the code."""
+    """Codes drawn from the relaxation along a path; on the unit circle it knows nothing of the
+    code.
+    """
     from cep.search.bounding.bounds import relaxed_minimum
     from cep.search.bounding.relaxation import rounded_codes
 

@@ -34,7 +34,8 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 CLASS_OBJECTIVES = ("noise", "mse")
-"""Objectives whose mean over a class says something: along most curved paths a minimum is a true zero."""
+"""Objectives whose mean over a class says something: along most curved paths a minimum is a true
+zero."""
 
 DRAWN = 100
 OTHERS = 300
@@ -134,7 +135,8 @@ class ClassOptimum:
 
     @property
     def verdict(self) -> str:
-        """What to do, and what it gains over the best snapshot and over the best published code: one or two sentences.
+        """What to do, and what it gains over the best snapshot and over the best published code:
+        one or two sentences.
 
         Nothing is recommended that loses to a row of the table.
         """
@@ -147,8 +149,9 @@ class ClassOptimum:
                 else f"{self.how.limit_s:g} s passed"
             )
             return (
-                f"Nothing was searched: {ended} before the first move. This code is only the best of those that "
-                "it is compared with; give the search more time by --time, or moves by --steps."
+                f"Nothing was searched: {ended} before the first move. This code is only the best"
+                " of those that it is compared with; give the search more time by --time, or"
+                " moves by --steps."
             )
         where = f"in the mean over {self.others or self.motions} motions"
         where += " that the search has not seen" if self.others else ""
@@ -164,12 +167,16 @@ class ClassOptimum:
         if better is not None and better.behind_db < 0:
             kept = f": {' and '.join(gains)}" if gains else ""
             return (
-                f"Use {_in_words(better.code, better.name)} instead if the limits can be loosened: it is "
-                f"{_amount(better)} better than this code, {where}. Within the limits use this code{kept}."
+                f"Use {_in_words(better.code, better.name)} instead if the limits can be loosened:"
+                f" it is {_amount(better)} better than this code, {where}. Within the limits use"
+                f" this code{kept}."
             )
         said = f": {' and '.join(gains)}, {where}" if gains else ""
         if code.pulses == 1:
-            return f"A short exposure is best, {_in_words(code, 'one opening')}{said}. No code that was found beats it."
+            return (
+                f"A short exposure is best, {_in_words(code, 'one opening')}{said}. No code that"
+                " was found beats it."
+            )
         return f"Use this code{said}."
 
     @property
@@ -177,7 +184,8 @@ class ClassOptimum:
         """What the user should know besides the figures, one sentence each."""
         few = (
             [
-                f"{self.motions} motions are few for a class, the code may suit no others; {_FEW} or more are better"
+                f"{self.motions} motions are few for a class, the code may suit no others; {_FEW}"
+                " or more are better"
             ]
             if self.motions < _FEW
             else []
@@ -209,7 +217,9 @@ class ClassOptimum:
         }
 
     def save(self, path: Path | str, *, described: Mapping[str, Any] | None = None) -> None:
-        """Write a ``code.json``, whole or not at all; it has no certificate, which is for a single motion."""
+        """Write a ``code.json``, whole or not at all; it has no certificate, which is for a single
+        motion.
+        """
         own = self.rows[0]
         about = stored_search(described or described_search(self.problem, self.how), self.found)
         figures = {"mean_db": own.mean_db, "others_db": own.others_db}
@@ -376,7 +386,8 @@ def check_class(problem: SearchProblem) -> None:
     for name, _ in problem.objective_mix:
         if name not in CLASS_OBJECTIVES:
             raise ValueError(
-                f"objective: a class is searched by {' or '.join(CLASS_OBJECTIVES)} alone, got {name}"
+                f"objective: a class is searched by {' or '.join(CLASS_OBJECTIVES)} alone, got"
+                f" {name}"
             )
     paths = [one.trajectory for one in problem.scenarios]
     for path in paths:
@@ -394,7 +405,8 @@ def optimize_class(
     progress: Callable[[float, str], None] = lambda _share, _note: None,
     on_found: Callable[[ShutterCode, Found], None] = lambda _code, _found: None,
 ) -> ClassOptimum:
-    """Search the code whose mean decibels over a class of motions are best, and judge it on others.
+    """Search the code whose mean decibels over a class of motions are best, and judge it on
+    others.
 
     Where a code of the comparison that keeps the limits is better on the others, that one is
     returned.
@@ -427,7 +439,8 @@ def optimize_class(
     >>> walks, unseen = (draw_motions(count, length_px=20.0, rng=rng) for count in (4, 2))
     >>> problem = SearchProblem(chips=8, open_range=(4, 4), objective="mse")
     >>> best = optimize_class(walks, problem, Search(steps=500), others=unseen)
-    >>> best.code.open_chips, best.rows[0].others_db <= min(row.others_db for row in best.rows if row.within_limits)
+    >>> others_db = [row.others_db for row in best.rows if row.within_limits]
+    >>> best.code.open_chips, best.rows[0].others_db <= min(others_db)
     (4, True)
     """
     problem = replace(
@@ -475,7 +488,9 @@ def optimize_class(
 def per_motion_db(
     problem: SearchProblem, motions: Iterable[Trajectory], codes: Sequence[ShutterCode]
 ) -> FloatArray:
-    """Judge codes by a problem's objective on each motion, (motions, codes) dB; ways of unknown direction averaged."""
+    """Judge codes by a problem's objective on each motion, (motions, codes) dB; ways of unknown
+    direction averaged.
+    """
     paths = list(motions)
     chips = np.array([code.array for code in codes], dtype=np.int8)
     costs: list[FloatArray] = []

@@ -139,7 +139,8 @@ def optimize_folder(
 
 
 def motions_in(folder: Path | str) -> dict[str, Path]:
-    """List the motions that ``cep calibrate FOLDER`` wrote, ``FOLDER/NAME/trajectory.json``, by name, sorted.
+    """List the motions that ``cep calibrate FOLDER`` wrote, ``FOLDER/NAME/trajectory.json``, by
+    name, sorted.
 
     Raises
     ------
@@ -149,7 +150,8 @@ def motions_in(folder: Path | str) -> dict[str, Path]:
     root = Path(folder)
     if not root.is_dir():
         raise ValueError(
-            f"{root}: {'is a file, a folder of motions is needed' if root.exists() else 'no such folder'}"
+            f"{root}:"
+            f" {'is a file, a folder of motions is needed' if root.exists() else 'no such folder'}"
         )
     found = {
         path.parent.name: path for path in sorted(root.glob(f"*/{_MOTION}")) if not path.is_dir()
@@ -168,7 +170,9 @@ def motions_in(folder: Path | str) -> dict[str, Path]:
 def _tasks(
     folder: Path, motions: dict[str, Path], task: Callable[[StoredMotion, Path], Task]
 ) -> tuple[dict[str, Task], dict[str, str]]:
-    """Make every search, or tell why not; what suits no motion whatever is wrong with the options, and raised."""
+    """Make every search, or tell why not; what suits no motion whatever is wrong with the options,
+    and raised.
+    """
     stored: dict[str, StoredMotion] = {}
     failures: dict[str, str] = {}
     for name, path in motions.items():

@@ -1,4 +1,6 @@
-"""Codes that a device can play: its limits on times as limits on chips, its rise and fall, and its check of a code."""
+"""Codes that a device can play: its limits on times as limits on chips, its rise and fall, and its
+check of a code.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,8 @@ def within_device(
     open_range: tuple[int, int],
     runs: RunLimits,
 ) -> Playable:
-    """Tighten limits by those of a device, see :func:`limits_of_device` and :func:`response_of_device`.
+    """Tighten limits by those of a device, see :func:`limits_of_device` and
+    :func:`response_of_device`.
 
     Raises
     ------
@@ -52,7 +55,8 @@ def within_device(
     low, high = open_range
     if most < low:
         raise ValueError(
-            f"{profile.name}: at most {most} of {chips} chips may be open, at least {low} were asked for"
+            f"{profile.name}: at most {most} of {chips} chips may be open, at least {low} were"
+            " asked for"
         )
     return Playable(
         runs.tightened(limits), (low, min(high, most)), response_of_device(profile, chip_ns)
@@ -69,8 +73,8 @@ def within_camera(camera: Camera, *, chips: int, chip_ns: int, runs: RunLimits) 
     """
     if camera.least_exposure_s * 1e9 > chips * chip_ns:
         raise ValueError(
-            f"exposure: the camera exposes for at least {camera.least_exposure_s * 1e3:g} ms, a code of {chips} chips "
-            f"lasts {chips * chip_ns / 1e6:g} ms"
+            f"exposure: the camera exposes for at least {camera.least_exposure_s * 1e3:g} ms, a"
+            f" code of {chips} chips lasts {chips * chip_ns / 1e6:g} ms"
         )
     return runs.tightened(
         RunLimits(min_open=max(1, math.ceil(camera.least_exposure_s * 1e9 / chip_ns - 1e-9)))
@@ -78,7 +82,8 @@ def within_camera(camera: Camera, *, chips: int, chip_ns: int, runs: RunLimits) 
 
 
 def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tuple[RunLimits, int]:
-    """Translate a device's limits on times into limits on chips, for :class:`cep.search.problem.SearchProblem`.
+    """Translate a device's limits on times into limits on chips, for
+    :class:`cep.search.problem.SearchProblem`.
 
     A code within them is one that :meth:`hw.device.DeviceProfile.check` passes, and the other way
     round.
@@ -111,8 +116,9 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tup
     max_open = None
     if min_open > chips:
         raise ValueError(
-            f"chips: {profile.name} opens for at least {least_open_ns / 1e6:g} ms, a code of {chips} chips lasts "
-            f"{chips * chip_ns / 1e6:g} ms; longer chips, or a faster shutter, would do"
+            f"chips: {profile.name} opens for at least {least_open_ns / 1e6:g} ms, a code of"
+            f" {chips} chips lasts {chips * chip_ns / 1e6:g} ms; longer chips, or a faster"
+            " shutter, would do"
         )
     if profile.max_on_ns is not None:
         max_open = profile.max_on_ns // chip_ns
@@ -155,7 +161,8 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tup
 
 
 def response_of_device(profile: DeviceProfile, chip_ns: int) -> ShutterResponse | None:
-    """Describe how a device's shutter opens and closes around its edges, or None when it does so at once.
+    """Describe how a device's shutter opens and closes around its edges, or None when it does so
+    at once.
 
     The response does not contain ``on_bias_ns``, the time by which the device lengthens every
     opening. Commands to the device are to be shorter by this time, as those of
@@ -199,7 +206,9 @@ def chip_time_ns(exposure_s: float, chips: int, profile: DeviceProfile | None = 
 
 
 def _check_chip(profile: DeviceProfile, chip_ns: int) -> None:
-    """Refuse a chip time that is no whole number of ticks, or out of range; name the nearest that would do."""
+    """Refuse a chip time that is no whole number of ticks, or out of range; name the nearest that
+    would do.
+    """
     tick = profile.tick_ns
     least = -(-(profile.min_chip_ns or 1) // tick) * tick
     most = None if profile.max_chip_ns is None else profile.max_chip_ns // tick * tick

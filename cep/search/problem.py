@@ -1,4 +1,6 @@
-"""Search problem: motions, number of chips, light, objective, direction rule and the shutter's limits."""
+"""Search problem: motions, number of chips, light, objective, direction rule and the shutter's
+limits.
+"""
 
 from __future__ import annotations
 
@@ -114,7 +116,8 @@ class SearchProblem:
             raise ValueError("scenarios: every weight must be above 0")
         if self.response is not None and not self.scenarios:
             raise ValueError(
-                "response: needs a motion (scenarios), the unit circle of a polynomial has no ramps"
+                "response: needs a motion (scenarios), the unit circle of a polynomial has no"
+                " ramps"
             )
         for scenario in self.scenarios:
             edges = checked_edges(scenario.edges, self.chips)
@@ -165,7 +168,9 @@ class SearchProblem:
         Examples
         --------
         >>> path = Trajectory.straight(40.0)
-        >>> problem = SearchProblem.along(path, chips=40, duty=(0.4, 0.6), exposure_s=0.004, device="flc")
+        >>> problem = SearchProblem.along(
+        ...     path, chips=40, duty=(0.4, 0.6), exposure_s=0.004, device="flc"
+        ... )
         >>> problem.open_range, problem.chip_ns, problem.runs.min_open
         ((16, 24), 100000, 1)
         """
@@ -204,7 +209,8 @@ class SearchProblem:
 
     @property
     def on_circle(self) -> bool:
-        """Whether the code's polynomial alone decides: one uniform straight motion, chips on time, no ramps.
+        """Whether the code's polynomial alone decides: one uniform straight motion, chips on time,
+        no ramps.
 
         Zeros that come from the chip itself are no fault of the code.
         """
@@ -228,7 +234,9 @@ class SearchProblem:
 
     @property
     def limits_runs(self) -> bool:
-        """Whether runs, pulses or their period are limited, so that few single flips and swaps are allowed."""
+        """Whether runs, pulses or their period are limited, so that few single flips and swaps are
+        allowed.
+        """
         return not self.runs.says_nothing
 
     @property
@@ -243,7 +251,9 @@ class SearchProblem:
         return Limits(self.chips, (low, high), self.runs)
 
     def both_directions(self, trajectory: Trajectory) -> bool:
-        """Whether the reversed path is designed for as well; a uniform straight one is its own mirror image."""
+        """Whether the reversed path is designed for as well; a uniform straight one is its own
+        mirror image.
+        """
         unknown = self.direction == "unknown" or (
             self.direction == "auto" and trajectory.direction == "unknown"
         )
@@ -275,11 +285,14 @@ class SearchProblem:
         return bool(self.satisfied(code.array[None].astype(np.int8))[0])
 
     def random_codes(self, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
-        """Draw ``count`` codes within the limits, all equally likely, (count, n) of 0 and 1; see :func:`draw`."""
+        """Draw ``count`` codes within the limits, all equally likely, (count, n) of 0 and 1; see
+        :func:`draw`.
+        """
         return draw(self.limits, count, rng=rng)
 
     def measure(self, code: ShutterCode, *, budget: int = 20_000) -> CodeMetrics:
-        """Worst of each figure over all scenarios and directions; on the unit circle, along ``chips`` px straight.
+        """Worst of each figure over all scenarios and directions; on the unit circle, along
+        ``chips`` px straight.
 
         The shutter opens and closes by :attr:`response`, and the chips are played at each
         scenario's edges. They last as long as the problem's, whatever the code says.
@@ -316,7 +329,8 @@ class SearchProblem:
             )
         if high < shortest:
             raise ValueError(
-                f"min_open: runs of {shortest} open chips conflict with at most {high} open chips (open_range)"
+                f"min_open: runs of {shortest} open chips conflict with at most {high} open chips"
+                " (open_range)"
             )
         check_feasible(self.limits)
 

@@ -1,4 +1,5 @@
-"""The one recipe of a search: codes that would be used anyway, annealing or a count of all codes, the best of all.
+"""The one recipe of a search: codes that would be used anyway, annealing or a count of all codes,
+the best of all.
 
 What a code is compared with is computed first. The annealing starts from whatever of it keeps the
 problem's limits, and from the nearest code to each other one. The code returned is the best of
@@ -239,7 +240,9 @@ def prove_code(
 
 
 def _starts(problem: SearchProblem, known: Iterable[Baseline]) -> list[ShutterCode]:
-    """Return the baselines within the limits, and of each other one the nearest code that keeps them."""
+    """Return the baselines within the limits, and of each other one the nearest code that keeps
+    them.
+    """
     codes = []
     for one in known:
         near = (
@@ -255,7 +258,9 @@ def _starts(problem: SearchProblem, known: Iterable[Baseline]) -> list[ShutterCo
 def _best_of(
     code: ShutterCode, cost_db: float, known: Iterable[Baseline]
 ) -> tuple[ShutterCode, float]:
-    """Return the best, with its cost, of a code and the baselines within the limits; the code where none is better."""
+    """Return the best, with its cost, of a code and the baselines within the limits; the code
+    where none is better.
+    """
     best = min(
         (one for one in known if one.within_limits), key=lambda one: one.cost_db, default=None
     )

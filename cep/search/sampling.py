@@ -50,7 +50,9 @@ def _free(limits: Limits) -> bool:
 
 @lru_cache(maxsize=4)
 def _free_table(limits: Limits) -> FloatArray:
-    """Logarithm of the number of codes with k open chips (row k) in p pulses (column p), (n + 1, p + 1)."""
+    """Logarithm of the number of codes with k open chips (row k) in p pulses (column p), (n + 1, p
+    + 1).
+    """
     n = limits.chips
     low = max(limits.open_range[0], 1)
     high = min(limits.open_range[1], limits.chips)
@@ -93,7 +95,9 @@ def _draw_free(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[
 def _compositions(
     total: IntArray, parts: IntArray, most: int, rng: np.random.Generator
 ) -> IntArray:
-    """Split each of (R,) totals into (R,) parts, all splits equally likely: (R, most), zero after the last part."""
+    """Split each of (R,) totals into (R,) parts, all splits equally likely: (R, most), zero after
+    the last part.
+    """
     slots = total + parts - 1
     width = int(slots.max(initial=0))
     keys = np.where(np.arange(width) < slots[:, None], rng.random((len(total), width)), 2.0)
@@ -133,7 +137,8 @@ class _StepTables(NamedTuple):
 
 @dataclass(frozen=True)
 class _Walks:
-    """Logarithms of the number of ways to go on, per state, position, open chips to come, and pulses that may come.
+    """Logarithms of the number of ways to go on, per state, position, open chips to come, and
+    pulses that may come.
 
     Where the open chips or the pulses are free, their axis has length 1 and nothing moves along
     it.
@@ -149,7 +154,9 @@ class _Walks:
 
     @property
     def by_count(self) -> FloatArray:
-        """Logarithms of the number of codes for each number of open chips in their range, or for all together."""
+        """Logarithms of the number of codes for each number of open chips in their range, or for
+        all together.
+        """
         low, high = self.limits.open_range if self.opens else (0, 0)
         return self.ways[CLOSED, 0, low : high + 1, -1]
 
@@ -221,7 +228,9 @@ def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
 
 
 def _add(total: FloatArray, ways: FloatArray, opens: int, pulses: int) -> None:
-    """Add ways that are ``opens`` open chips and ``pulses`` pulses short of ``total``, in logarithms, in place."""
+    """Add ways that are ``opens`` open chips and ``pulses`` pulses short of ``total``, in
+    logarithms, in place.
+    """
     rows = max(len(total) - opens, 0)
     columns = total.shape[1] - pulses
     target = total[opens:, pulses:]
@@ -235,7 +244,9 @@ def _size(limits: Limits) -> int:
 
 
 def _draw_tilted(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
-    """Draw with a weight per pulse, leave out codes of too many: small weights concentrate on the fewest pulses."""
+    """Draw with a weight per pulse, leave out codes of too many: small weights concentrate on the
+    fewest pulses.
+    """
     walks = _walks(limits, False, _tilt(limits))
     kept = np.empty((0, limits.chips), dtype=np.int8)
     while len(kept) < count:
@@ -246,7 +257,9 @@ def _draw_tilted(limits: Limits, count: int, rng: np.random.Generator) -> NDArra
 
 @lru_cache(maxsize=16)
 def _tilt(limits: Limits) -> float:
-    """Weight per pulse, in logarithms, with which a good share of the walks keeps the limit on pulses."""
+    """Weight per pulse, in logarithms, with which a good share of the walks keeps the limit on
+    pulses.
+    """
     tilt = 0.0
     rng = np.random.default_rng(0)
     while (

@@ -57,7 +57,9 @@ class Scenario:
             object.__setattr__(self, "edges", edges)
 
     def path(self, *, reversed_path: bool) -> Trajectory:
-        """Return the motion, or the same run backwards in time; the chips are played in their order either way."""
+        """Return the motion, or the same run backwards in time; the chips are played in their
+        order either way.
+        """
         return self.trajectory.reversed() if reversed_path else self.trajectory
 
 
@@ -66,7 +68,8 @@ Base = Trajectory | Scenario | Iterable[Scenario]
 
 
 def alternatives(motion: StoredMotion) -> tuple[Scenario, ...]:
-    """Motions that may explain a photo, as ``trajectory.json`` stores them, with their probabilities as weights.
+    """Motions that may explain a photo, as ``trajectory.json`` stores them, with their
+    probabilities as weights.
 
     Those without any probability are left out.
     """
@@ -76,7 +79,8 @@ def alternatives(motion: StoredMotion) -> tuple[Scenario, ...]:
 
 
 def class_scenarios(motions: Iterable[Trajectory]) -> tuple[Scenario, ...]:
-    """Make a class of motions of equal weight; one of unknown direction is in it both ways, with half of it each.
+    """Make a class of motions of equal weight; one of unknown direction is in it both ways, with
+    half of it each.
 
     For a problem of the rule "mean" and the direction "forward": over a class the ways of a motion
     are averaged as its motions are, while the other problems count the worse one.
@@ -88,7 +92,8 @@ def class_scenarios(motions: Iterable[Trajectory]) -> tuple[Scenario, ...]:
 
     Examples
     --------
-    >>> bent, straight = Trajectory.from_samples([[0, 0], [9, 3], [14, 12]]), Trajectory.straight(20.0)
+    >>> bent = Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])
+    >>> straight = Trajectory.straight(20.0)
     >>> [one.weight for one in class_scenarios([bent, straight])]
     [0.5, 0.5, 1.0]
     """
@@ -104,7 +109,8 @@ def class_scenarios(motions: Iterable[Trajectory]) -> tuple[Scenario, ...]:
 
 
 def speed_range(base: Base, low: float, high: float, count: int) -> tuple[Scenario, ...]:
-    """Scale every path by ``count`` factors, evenly spaced from ``low`` to ``high``: the same time, another length.
+    """Scale every path by ``count`` factors, evenly spaced from ``low`` to ``high``: the same
+    time, another length.
 
     Raises
     ------
@@ -125,7 +131,8 @@ def speed_range(base: Base, low: float, high: float, count: int) -> tuple[Scenar
 
 
 def drifted(base: Base, chips: int, amounts: float | Sequence[float]) -> tuple[Scenario, ...]:
-    """Play the code ``1 + amount`` times as slowly as meant, for each amount: its chips cover another part of the path.
+    """Play the code ``1 + amount`` times as slowly as meant, for each amount: its chips cover
+    another part of the path.
 
     Code and exposure begin together. A slow code (amount above 0) outlasts the exposure, see
     :func:`cep.optics.timeline.extended`; a fast one leaves its end unused. Give 0 as well to keep
@@ -139,7 +146,8 @@ def drifted(base: Base, chips: int, amounts: float | Sequence[float]) -> tuple[S
     each = [float(amount) for amount in np.atleast_1d(amounts)]
     if not each or not all(-0.5 <= amount <= 0.5 for amount in each):
         raise ValueError(
-            f"amounts: must lie within -0.5..0.5, got {', '.join(f'{a:g}' for a in each) or 'none'}"
+            "amounts: must lie within -0.5..0.5, got"
+            f" {', '.join(f'{a:g}' for a in each) or 'none'}"
         )
     return _varied(
         base,
@@ -151,7 +159,8 @@ def drifted(base: Base, chips: int, amounts: float | Sequence[float]) -> tuple[S
 def jittered(
     base: Base, chips: int, sigma_chips: float, count: int, *, rng: np.random.Generator
 ) -> tuple[Scenario, ...]:
-    """Move every edge on its own by a normal draw of standard deviation ``sigma_chips``, ``count`` times.
+    """Move every edge on its own by a normal draw of standard deviation ``sigma_chips``, ``count``
+    times.
 
     An edge moves by less than half of the shorter chip beside it, so that the edges stay in order.
 
@@ -188,7 +197,8 @@ def scenario_rows(
     response: ShutterResponse | None = None,
     reversed_path: bool = False,
 ) -> NDArray[np.complex128]:
-    """Rows (n, 2, 2, ...) of :func:`cep.optics.exposure.chip_rows` along a scenario, or along its path run backwards.
+    """Rows (n, 2, 2, ...) of :func:`cep.optics.exposure.chip_rows` along a scenario, or along its
+    path run backwards.
 
     The code is played in its own order either way. Only for chips of equal length and an instant
     shutter are the rows of the reversed path those of the path in the opposite order.
@@ -242,7 +252,8 @@ def _counted(scenarios: tuple[Scenario, ...]) -> tuple[Scenario, ...]:
 
 def _refuse(count: int) -> None:
     raise ValueError(
-        f"scenarios: {count} are too many, at most {MOST_SCENARIOS}; take fewer speeds, draws or motions"
+        f"scenarios: {count} are too many, at most {MOST_SCENARIOS}; take fewer speeds, draws or"
+        " motions"
     )
 
 

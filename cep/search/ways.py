@@ -1,4 +1,6 @@
-"""Ways to expose for a motion: those that are tried, and the restoration expected of each at every light level."""
+"""Ways to expose for a motion: those that are tried, and the restoration expected of each at every
+light level.
+"""
 
 from __future__ import annotations
 
@@ -134,7 +136,8 @@ class WayFinder:
         )
 
     def ordinary(self, camera: Camera, *, every_length: bool = False) -> list[ShutterCode]:
-        """Return single exposures and even pulses to judge: the best by the expected error that do not saturate.
+        """Return single exposures and even pulses to judge: the best by the expected error that do
+        not saturate.
 
         Of all, and within the limits. Also the shortest exposures, which may be the best with a
         brighter lamp; or exposures of every length, where they are judged otherwise: for a path
@@ -170,7 +173,8 @@ class WayFinder:
     def codes(
         self, camera: Camera, starts: Sequence[ShutterCode], *, seed: int, threads: int | None
     ) -> list[ShutterCode]:
-        """Return the code that :meth:`search` finds, in a list; an empty one where every code would saturate.
+        """Return the code that :meth:`search` finds, in a list; an empty one where every code
+        would saturate.
 
         Raises
         ------
@@ -191,7 +195,8 @@ class WayFinder:
         threads: int | None,
         time_s: float = math.inf,
     ) -> SearchResult | None:
-        """Search the code of least expected error within the limits; None where every code would saturate.
+        """Search the code of least expected error within the limits; None where every code would
+        saturate.
 
         A snapshot may have less noise from dark current. It is charged that of a code here, or the
         search would end on it. The time or Ctrl-C ends the search with the best code so far.
@@ -214,7 +219,8 @@ class WayFinder:
 
 
 def recordable(problem: SearchProblem, *, single: bool) -> SearchProblem | None:
-    """Rule out codes that would saturate, by their open chips: a problem with fewer of them, or the same.
+    """Rule out codes that would saturate, by their open chips: a problem with fewer of them, or
+    the same.
 
     Parameters
     ----------
@@ -269,9 +275,10 @@ def check_light(problem: SearchProblem) -> None:
         camera = problem.camera
         shortest = max(problem.open_limits[0], 1) / problem.chips
         raise ValueError(
-            f"photons_full_scale: this camera is full at {camera.saturation_e:,.0f} electrons, and at a light level of "
-            f"{camera.photons_full_scale:,.0f} the shortest opening, {shortest:.2g} of the exposure, collects "
-            f"{camera.photons_full_scale * shortest:,.0f}; give less light"
+            f"photons_full_scale: this camera is full at {camera.saturation_e:,.0f} electrons, and"
+            f" at a light level of {camera.photons_full_scale:,.0f} the shortest opening,"
+            f" {shortest:.2g} of the exposure, collects"
+            f" {camera.photons_full_scale * shortest:,.0f}; give less light"
         )
 
 
@@ -284,7 +291,8 @@ def judged_ways(
     frames: int = 1,
     expected: ExpectedPsnr | None = None,
 ) -> list[tuple[Way, ...]]:
-    """Judge every code, used in so many frames, at the light of every camera; the open shutter is added, and first.
+    """Judge every code, used in so many frames, at the light of every camera; the open shutter is
+    added, and first.
 
     One that is ``expected`` of this problem and error already need not be made.
     """
@@ -332,7 +340,9 @@ def best_possible(ways: Sequence[Way]) -> Way:
 
 
 def simplest(ways: Sequence[Way]) -> Way:
-    """Return the best way of the simplest kind that none beats by :data:`cep.search.expected.WORTH_DB`."""
+    """Return the best way of the simplest kind that none beats by
+    :data:`cep.search.expected.WORTH_DB`.
+    """
     highest = max(way.psnr_db for way in ways)
     near = [way for way in ways if way.psnr_db > highest - WORTH_DB]
     kind = min(KINDS.index(way.kind) for way in near)

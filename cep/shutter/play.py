@@ -1,4 +1,6 @@
-"""A code on its way to the shutter: as a file, into a controller by its port, or played on an emulated one."""
+"""A code on its way to the shutter: as a file, into a controller by its port, or played on an
+emulated one.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from hw.export import export_program, file_name, find_exporter
 from hw.program import Program
 
 MOST_ROUNDING = 0.005
-"""Share of a chip by which it may be rounded to a device's ticks: with that 52 chips end a quarter of a chip off."""
+"""Share of a chip by which it may be rounded to a device's ticks: with that 52 chips end a quarter
+of a chip off."""
 
 Timed = TypeVar("Timed", ShutterCode, Program)
 _LAST_EDGE_S = 2.0  # an emulated clock may lag behind
@@ -149,13 +152,15 @@ def open_shutter(port: str, *, driver: str = "cxp") -> Shutter:
 
 
 def on_ticks(code: Timed, tick_ns: int) -> tuple[Timed, tuple[str, ...]]:
-    """Return a code or program with chips of whole ticks, the nearest, and a warning where they were of another time.
+    """Return a code or program with chips of whole ticks, the nearest, and a warning where they
+    were of another time.
 
     One that would last more than :data:`MOST_ROUNDING` longer or shorter is left as it is.
 
     Examples
     --------
-    >>> on_ticks(ShutterCode("101", 641_026), 500)[0].chip_ns, on_ticks(ShutterCode("101", 641_026), 50_000)[0].chip_ns
+    >>> code = ShutterCode("101", 641_026)
+    >>> on_ticks(code, 500)[0].chip_ns, on_ticks(code, 50_000)[0].chip_ns
     (641000, 641026)
     """
     chip_ns = max(1, round(code.chip_ns / tick_ns)) * tick_ns
@@ -190,7 +195,8 @@ class ExportedCode:
 def export_code(
     code: ShutterCode, file_format: str, *, device: DeviceProfile | str | None = None
 ) -> ExportedCode:
-    """Write a code as a timed program, its chips in the ticks of the format, and read it back to prove its edges.
+    """Write a code as a timed program, its chips in the ticks of the format, and read it back to
+    prove its edges.
 
     Raises
     ------
@@ -213,7 +219,9 @@ def export_code(
 
 
 def shutter_profile(name: str) -> DeviceProfile:
-    """Return the limits of a shutter by its name; errors are those of :func:`hw.device.load_profile`."""
+    """Return the limits of a shutter by its name; errors are those of
+    :func:`hw.device.load_profile`.
+    """
     return load_profile(name)
 
 

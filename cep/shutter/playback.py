@@ -1,4 +1,6 @@
-"""A recording of a shutter compared with what it should have played, and the code and PSF as achieved."""
+"""A recording of a shutter compared with what it should have played, and the code and PSF as
+achieved.
+"""
 
 from __future__ import annotations
 
@@ -51,9 +53,13 @@ class Playback:
     def warnings(self) -> list[str]:
         """What was assumed of the recording, one sentence each."""
         short = sum(play.glitches for play in self.plays)
+        others = ", ".join(self.others)
+        most_edges = (
+            f"{self.signal} is taken for the shutter's, with most edges; {others} has some as"
+            " well, --signal names the right one"
+        )
         assumed = {
-            f"{self.signal} is taken for the shutter's, with most edges; {', '.join(self.others)} has some as well, "
-            "--signal names the right one": bool(self.others),
+            most_edges: bool(others),
             f"{self.signal} rests high: low is taken for open": self.plays[0].inverted,
             f"{short} pulses of {self.signal} too short for a chip were passed over": short > 0,
         }
@@ -65,7 +71,8 @@ class Playback:
         return achieved_code(self.plays[0], chip_ns=self.program.chip_ns)
 
     def psf(self, motion: Trajectory, *, size: int = PSF_PX) -> FloatArray:
-        """PSF of the first play along a motion, (size, size), light-true: :func:`cep.optics.as_played.achieved_psf`.
+        """PSF of the first play along a motion, (size, size), light-true:
+        :func:`cep.optics.as_played.achieved_psf`.
 
         Raises
         ------
@@ -87,7 +94,8 @@ class Playback:
         device: DeviceProfile | None = None,
         force: bool = False,
     ) -> Sequence[Path]:
-        """Write the first play's code, and along a motion its PSF: all of :func:`playback_files` or none.
+        """Write the first play's code, and along a motion its PSF: all of :func:`playback_files`
+        or none.
 
         The code's file carries the profile of the shutter, where one is given.
 
@@ -157,7 +165,8 @@ def read_playback(
     >>> code = ShutterCode("110100100011", chip_ns=200_000)
     >>> with TemporaryDirectory() as folder:
     ...     file = Path(folder, "played.vcd")
-    ...     _ = file.write_text(EXPORTERS["vcd"].export(Program.from_bits(code.bits, chip_ns=code.chip_ns)))
+    ...     program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
+    ...     _ = file.write_text(EXPORTERS["vcd"].export(program))
     ...     found = read_playback(file, code)
     >>> found.code == code, round(float(found.psf(Trajectory.straight(20.0)).sum()), 6)
     (True, 0.5)

@@ -1,1 +1,3 @@
-"""Studio: a page on this machine on which codes are dragged, searched, compared, exported and played."""
+"""Studio: a page on this machine on which codes are dragged, searched, compared, exported and
+played.
+"""

@@ -1,4 +1,6 @@
-"""What can be chosen by name: cameras, shutters, published codes, example motions, export formats, serial ports."""
+"""What can be chosen by name: cameras, shutters, published codes, example motions, export formats,
+serial ports.
+"""
 
 from __future__ import annotations
 

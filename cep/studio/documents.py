@@ -1,4 +1,6 @@
-"""Documents that a page opens: motions, codes and studio files, and gyroscope recordings, as the page keeps them."""
+"""Documents that a page opens: motions, codes and studio files, and gyroscope recordings, as the
+page keeps them.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,8 @@ _PATH_PX = 0.01  # by which a motion may differ that another version of the libr
 
 
 def opened_document(file: Path) -> dict[str, Any]:
-    """Return what of a document the page takes over: ``paths`` of a motion, ``bits`` of a code, or a whole ``state``.
+    """Return what of a document the page takes over: ``paths`` of a motion, ``bits`` of a code, or
+    a whole ``state``.
 
     With the bits comes ``device``, the name of the shutter they were searched for, or a
     ``warning`` where it has none.
@@ -146,7 +149,10 @@ def _opened_code(stored: StoredCode) -> dict[str, Any]:
     name = shutter_name(profile)
     if name is not None:
         return {**found, "device": name}
-    warning = f"its code was searched for the shutter {profile.name}, whose limits the studio cannot check: use cep export"
+    warning = (
+        f"its code was searched for the shutter {profile.name}, whose limits the studio cannot"
+        " check: use cep export"
+    )
     return {**found, "device": "", "warning": warning}
 
 

@@ -1,4 +1,6 @@
-"""Fields of what a page sends, each checked: what is wrong is one line, shown beside the field of the page."""
+"""Fields of what a page sends, each checked: what is wrong is one line, shown beside the field of
+the page.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +61,8 @@ def disk_error(field: str, error: OSError) -> FieldError:
     reason = (error.strerror or str(error)).lower()
     return FieldError(
         field,
-        f"the studio's folder cannot be written ({reason}); free space there, or set TMPDIR and start it again",
+        f"the studio's folder cannot be written ({reason}); free space there, or set TMPDIR and"
+        " start it again",
     )
 
 
@@ -87,7 +90,9 @@ def is_text(value: object, most: int) -> TypeGuard[str]:
 
 
 def is_number(value: object) -> TypeGuard[int | float]:
-    """Whether a value is a number that a double holds: JSON has integers of any size, and Python reads NaN."""
+    """Whether a value is a number that a double holds: JSON has integers of any size, and Python
+    reads NaN.
+    """
     return (
         isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
     )
@@ -130,7 +135,8 @@ def read_whole(
 def read_choice(
     document: Mapping[str, Any], field: str, choices: Sequence[str], *, default: str
 ) -> str:
-    """Read one of the choices that the server gave; the default where there is none, or an empty text.
+    """Read one of the choices that the server gave; the default where there is none, or an empty
+    text.
 
     Raises
     ------

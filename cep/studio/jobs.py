@@ -1,4 +1,6 @@
-"""Long work for the page: one job at a time, in its own process, which can be ended and does not outlive its page."""
+"""Long work for the page: one job at a time, in its own process, which can be ended and does not
+outlive its page.
+"""
 
 from __future__ import annotations
 
@@ -105,7 +107,8 @@ class Jobs:
             forkserver.ensure_running()
 
     def start(self, page: str, kind: str, order: Mapping[str, Any]) -> Job:
-        """Start a job for a page; an automatic one gives way. It ends where the page does not listen soon.
+        """Start a job for a page; an automatic one gives way. It ends where the page does not
+        listen soon.
 
         Raises
         ------
@@ -139,7 +142,9 @@ class Jobs:
         return job
 
     def stop(self, page: str) -> None:
-        """Ask the job of a page to come to its end: a search keeps the best so far, and has a while for it."""
+        """Ask the job of a page to come to its end: a search keeps the best so far, and has a
+        while for it.
+        """
         job = self._job
         if job is None or job.page != page or job.state != "running" or self._stopping is not None:
             return

@@ -1,4 +1,5 @@
-"""Figures, MTFs and simulated photos of one code after another along one motion, fast enough to follow a hand.
+"""Figures, MTFs and simulated photos of one code after another along one motion, fast enough to
+follow a hand.
 
 What a code does not change is computed once and kept: the OTFs of the chips, and the ways to
 expose without a code.
@@ -36,7 +37,8 @@ from motdiff.types import FloatArray
 
 MAP_COLUMNS = 97
 MAP_ROWS = 49
-"""Frequencies of the MTF's map: x from -0.5 to 0.5, y from 0 to 0.5 cycles/px; the other half is its mirror image."""
+"""Frequencies of the MTF's map: x from -0.5 to 0.5, y from 0 to 0.5 cycles/px; the other half is
+its mirror image."""
 
 _CURVE = 241  # frequencies along the main axis, 0..0.5 cycles/px
 _BORDER_ROUNDS = 4  # of the filter: the photo is looked at, not measured
@@ -138,7 +140,8 @@ class LiveBench:
         return self.figures(ShutterCode("1" * self.problem.chips))
 
     def verdict(self, code: ShutterCode, *, path_error_px: float = 0.0) -> Verdict:
-        """Judge a code beside the ways to expose without one, as :func:`cep.search.advise.verdict` does.
+        """Judge a code beside the ways to expose without one, as :func:`cep.search.advise.verdict`
+        does.
 
         The first call for a motion and an error finds and judges these ways, which takes some
         seconds; later ones judge the code alone.
@@ -168,7 +171,9 @@ class LiveBench:
         return verdict_of(self.problem, ways, [code], path_error_px=path_error_px)
 
     def psnr_db(self, codes: Sequence[ShutterCode], *, path_error_px: float = 0.0) -> list[float]:
-        """Return the expected PSNR of photos restored along a path that is known to such an error."""
+        """Return the expected PSNR of photos restored along a path that is known to such an
+        error.
+        """
         with self._finding:
             judged = {way.code.bits: way.psnr_db for way in self._judged(codes, path_error_px)}
         return [judged[code.bits] for code in codes]
@@ -195,7 +200,8 @@ class LiveBench:
         return coded_psf(path, code, size=path.frame_size() | 1, response=self.problem.response)
 
     def photo(self, code: ShutterCode, scene: LiveScene, *, side_px: int) -> FloatArray:
-        """Simulate the photo of the middle of a scene, at most so many px a side: a coded photo is darker.
+        """Simulate the photo of the middle of a scene, at most so many px a side: a coded photo is
+        darker.
 
         Raises
         ------
@@ -205,7 +211,9 @@ class LiveBench:
         return scene.photo(self.psf(code), self._camera(code), side_px=side_px)
 
     def restored(self, code: ShutterCode, photo: ArrayLike) -> FloatArray:
-        """Restore such a photo by a Wiener filter with the same PSF: what a motion that is known exactly allows."""
+        """Restore such a photo by a Wiener filter with the same PSF: what a motion that is known
+        exactly allows.
+        """
         return wiener(
             photo, self.psf(code), camera=self._camera(code), border_rounds=_BORDER_ROUNDS
         )

@@ -1,4 +1,6 @@
-"""Motions out of files: a trajectory with its alternatives, and one exposure of a gyroscope recording."""
+"""Motions out of files: a trajectory with its alternatives, and one exposure of a gyroscope
+recording.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,8 @@ from motdiff.trajectory import Trajectory, check_length
 
 
 def stored_paths(file: Path | str) -> tuple[tuple[tuple[float, Trajectory], ...], float | None]:
-    """Return the paths of a ``trajectory.json`` with their weights, the likeliest first, and their error where stated.
+    """Return the paths of a ``trajectory.json`` with their weights, the likeliest first, and their
+    error where stated.
 
     The error is px rms over time.
 

@@ -1,4 +1,6 @@
-"""Gate in front of the studio: who may ask, from where and how much, and what a browser may do with the answer."""
+"""Gate in front of the studio: who may ask, from where and how much, and what a browser may do
+with the answer.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +33,8 @@ _MOST_UPLOADED = {
 _MOST_BODY_S = 60.0
 _HEADERS = {
     "Content-Security-Policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
-        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:;"
+        " connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     ),
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
@@ -42,7 +44,10 @@ _HEADERS = {
     "Cache-Control": "no-store",
 }
 _NO_KEY = "open the address that cep studio printed: it has the key to this page"
-_SPENT = "the key has been used, and works once: go on in the browser that used it, or start cep studio again"
+_SPENT = (
+    "the key has been used, and works once: go on in the browser that used it, or start cep studio"
+    " again"
+)
 _LEADING = """<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -91,7 +96,8 @@ class Keys:
         return True
 
     def page_in(self, folder: Path) -> Path:
-        """Write a page that leads to the studio, for this user's eyes alone; it goes when the token is spent.
+        """Write a page that leads to the studio, for this user's eyes alone; it goes when the
+        token is spent.
 
         Raises
         ------
@@ -117,7 +123,9 @@ class Keys:
 
     @property
     def hosts(self) -> tuple[str, str]:
-        """What the Host header may say; any other name, and it was a foreign page that led here."""
+        """What the Host header may say; any other name, and it was a foreign page that led
+        here.
+        """
         return f"127.0.0.1:{self.port}", f"localhost:{self.port}"
 
 
@@ -160,7 +168,9 @@ class Gate:
         await self._app(scope, _limited(receive, self._most(scope)), guarded)
 
     def _refusal(self, scope: Scope) -> Response | None:
-        """Return the answer to a request that is not let in, and to the one that brings the token; None else."""
+        """Return the answer to a request that is not let in, and to the one that brings the token;
+        None else.
+        """
         headers = Headers(scope=scope)
         keys = self._keys
         if headers.get("host", "") not in keys.hosts:
@@ -202,7 +212,9 @@ class Gate:
         return None
 
     def _with_cookie(self, *, linked: bool) -> Response:
-        """Lead on to the page, from another page's link by a page: redirected, a browser would hold the cookie back."""
+        """Lead on to the page, from another page's link by a page: redirected, a browser would
+        hold the cookie back.
+        """
         answer = HTMLResponse(_leading("/")) if linked else RedirectResponse("/", 303)
         answer.set_cookie(
             self._keys.cookie, self._keys.session, httponly=True, samesite="strict", path="/"
@@ -242,7 +254,9 @@ def too_large(most: int) -> Response:
 
 
 def _limited(receive: Receive, most: int) -> Receive:
-    """Count the bytes of a body as they come, and the time: a length may be a lie, and the rest never come."""
+    """Count the bytes of a body as they come, and the time: a length may be a lie, and the rest
+    never come.
+    """
     seen = 0
     whole = False
     ends = asyncio.get_running_loop().time() + _MOST_BODY_S

@@ -1,4 +1,6 @@
-"""Server of the studio: its addresses, each a few lines, behind the gate; and its start on 127.0.0.1."""
+"""Server of the studio: its addresses, each a few lines, behind the gate; and its start on
+127.0.0.1.
+"""
 
 from __future__ import annotations
 
@@ -307,7 +309,9 @@ def serve(
     from uvicorn.protocols.http.h11_impl import H11Protocol
 
     class Impatient(H11Protocol):
-        """Closes connections that ask nothing: anybody on the computer can open as many as the server has files."""
+        """Closes connections that ask nothing: anybody on the computer can open as many as the
+        server has files.
+        """
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
@@ -333,7 +337,9 @@ def serve(
     )
 
     class Server(uvicorn.Server):
-        """Ends the streams of news when it is asked to stop: it would wait for them and break them off."""
+        """Ends the streams of news when it is asked to stop: it would wait for them and break them
+        off.
+        """
 
         def handle_exit(self, sig: int, frame: FrameType | None) -> None:
             app.state.studio.jobs.dismiss()
@@ -406,7 +412,9 @@ class _News(StreamingResponse):
 
 
 async def _events(jobs: Jobs, queue: asyncio.Queue[Job | None]) -> AsyncIterator[str]:
-    """Tell of a job as it goes on; an idle line now and then shows whether the page is still there."""
+    """Tell of a job as it goes on; an idle line now and then shows whether the page is still
+    there.
+    """
     while True:
         try:
             job: Job | None = await asyncio.wait_for(queue.get(), _BEAT_S)

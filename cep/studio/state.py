@@ -1,4 +1,6 @@
-"""State of the page as the server reads it: checked field by field, then as a problem, as documents and as commands."""
+"""State of the page as the server reads it: checked field by field, then as a problem, as
+documents and as commands.
+"""
 
 from __future__ import annotations
 
@@ -112,7 +114,9 @@ class Setting:
 
     @property
     def key(self) -> str:
-        """Text that differs where anything but the bits and the path's error differs, the number of bits included."""
+        """Text that differs where anything but the bits and the path's error differs, the number
+        of bits included.
+        """
         light = (self.camera, self.photons, self.read_noise)
         limits = (self.device, self.open_range, sorted(self.limits.items()))
         return repr((self.chips, self.motion, self.exposure, light, limits))
@@ -214,7 +218,8 @@ class Setting:
         return words
 
     def commands(self, *, steps: int | None = None, seed: int = 0) -> list[str]:
-        """Return the command lines that give what the page shows, in a folder with its trajectory.json and code.json.
+        """Return the command lines that give what the page shows, in a folder with its
+        trajectory.json and code.json.
 
         Parameters
         ----------
@@ -366,7 +371,8 @@ def saved_setting(state: Mapping[str, Any]) -> Setting:
 
 
 def path_fields(trajectory: cep.Trajectory, *, most: int = 160) -> dict[str, Any]:
-    """Return a motion as the page keeps it in its address: thinned to at most so many samples, times in 16 bits.
+    """Return a motion as the page keeps it in its address: thinned to at most so many samples,
+    times in 16 bits.
 
     Samples of a fast jump that fall on the same time are moved to the next ones.
     """

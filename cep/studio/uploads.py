@@ -1,4 +1,6 @@
-"""Files that pages send: streamed into a folder of the server's own, under names of its own making, few at a time."""
+"""Files that pages send: streamed into a folder of the server's own, under names of its own
+making, few at a time.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,9 @@ class Uploads:
         return key
 
     async def text(self, chunks: AsyncIterator[bytes], suffix: str, *, field: str) -> Path:
-        """Keep a text for as long as it is read; the caller removes it. An error is one of the field."""
+        """Keep a text for as long as it is read; the caller removes it. An error is one of the
+        field.
+        """
         partial = self.folder / f"{secrets.token_hex(16)}{suffix}"
         try:
             await _streamed(chunks, partial)

@@ -1,4 +1,6 @@
-"""Content of the page as JSON: the picture of a code, the verdict, restored photos, documents to save."""
+"""Content of the page as JSON: the picture of a code, the verdict, restored photos, documents to
+save.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ _WORDS = {
 
 
 class Views:
-    """Views of settings; what only depends on motion, camera and shutter is kept from one code to the next."""
+    """Views of settings; what only depends on motion, camera and shutter is kept from one code to
+    the next.
+    """
 
     def __init__(self) -> None:
         self._benches: OrderedDict[str, LiveBench] = OrderedDict()
@@ -51,7 +55,8 @@ class Views:
     def picture(
         self, setting: Setting, *, steps: int | None = None, seed: int = 0
     ) -> dict[str, Any]:
-        """Return all that follows a chip: figures, MTF in one and two dimensions, limits that it breaks, commands.
+        """Return all that follows a chip: figures, MTF in one and two dimensions, limits that it
+        breaks, commands.
 
         Parameters
         ----------
@@ -103,7 +108,8 @@ class Views:
     def photos(
         self, setting: Setting, scene: Path | None, codes: Mapping[str, str], *, restored: bool
     ) -> dict[str, Any]:
-        """Return simulated photos of a scene through codes, or what is restored from them, by the codes' names.
+        """Return simulated photos of a scene through codes, or what is restored from them, by the
+        codes' names.
 
         The scene is a .npy file, or the bundled picture.
         """
@@ -125,7 +131,9 @@ class Views:
         return found
 
     def verdict(self, setting: Setting) -> dict[str, Any]:
-        """Return what to do with this code at this light, and the ways to expose that it is compared with."""
+        """Return what to do with this code at this light, and the ways to expose that it is
+        compared with.
+        """
         bench, error = self._bench(setting)
         if error is not None:
             raise FieldError(error["field"], error["message"])
@@ -175,7 +183,9 @@ class Views:
         return _plain({"pins": rows})
 
     def exported(self, setting: Setting, file_format: object) -> dict[str, Any]:
-        """Return the code as a timed program: the name of the file, its text, and in what it differs from the code."""
+        """Return the code as a timed program: the name of the file, its text, and in what it
+        differs from the code.
+        """
         if file_format not in (names := [choice.name for choice in catalogue.formats()]):
             raise FieldError("format", f"must be one of {', '.join(names)}")
         try:
@@ -185,7 +195,8 @@ class Views:
         return {"name": made.name, "text": made.text, "warnings": made.warnings}
 
     def saved(self, setting: Setting, state: Mapping[str, Any]) -> dict[str, Any]:
-        """Return everything as one document: the page's state, motion, code with its certificate, and the commands.
+        """Return everything as one document: the page's state, motion, code with its certificate,
+        and the commands.
 
         Raises
         ------
@@ -244,7 +255,9 @@ class Views:
             return self._own[2]
 
     def _bench(self, setting: Setting) -> tuple[LiveBench, dict[str, str] | None]:
-        """Return the bench of a setting, and the error of its limits where there is one: codes are measured anyway."""
+        """Return the bench of a setting, and the error of its limits where there is one: codes are
+        measured anyway.
+        """
         error = None
         try:
             problem = setting.problem()

@@ -1,4 +1,6 @@
-"""Work of the jobs, each in its own process: the motion of a photo, a search, the verdict over the light, a play."""
+"""Work of the jobs, each in its own process: the motion of a photo, a search, the verdict over the
+light, a play.
+"""
 
 from __future__ import annotations
 
@@ -137,7 +139,8 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     notes = list(photo.warnings)
     if pixels.shape[:2] != (height, width):
         notes.append(
-            f"The motion was searched in the {pixels.shape[1]} x {pixels.shape[0]} px of the photo with most detail."
+            f"The motion was searched in the {pixels.shape[1]} x {pixels.shape[0]} px of the photo"
+            " with most detail."
         )
     tell(0.02, "searching the motion", best={"preview": True, "width": width, "height": height})
     try:

@@ -1,4 +1,6 @@
-"""Pages written by the build: the command line from the commands, the works, and the README with its links."""
+"""Pages written by the build: the command line from the commands, the works, and the README with
+its links.
+"""
 
 import re
 from collections.abc import Iterator
@@ -51,9 +53,8 @@ def _row(parameter: Any) -> str | None:
     else:
         names = ", ".join([*parameter.opts, *parameter.secondary_opts])
         value = "" if parameter.is_flag else f" {_metavar(parameter)}"
-    return f"| `{names}{value}` | {_escaped(parameter.help or '').replace('|', chr(92) + '|')} |".replace(
-        "\n", " "
-    )
+    meaning = _escaped(parameter.help or "").replace("|", "\\|")
+    return f"| `{names}{value}` | {meaning} |".replace("\n", " ")
 
 
 def _metavar(parameter: Any) -> str:
@@ -61,7 +62,9 @@ def _metavar(parameter: Any) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Keep Markdown from reading file names and brackets as markup; placeholders such as <x> stay text."""
+    """Keep Markdown from reading file names and brackets as markup; placeholders such as <x> stay
+    text.
+    """
     for mark in "\\*_[]<>$":
         text = text.replace(mark, f"\\{mark}")
     return text
@@ -71,9 +74,12 @@ def works_page() -> str:
     """Lay out the works behind each name, and their BibTeX, as Markdown."""
     blocks = [
         "# Works",
-        "`cep cite METHOD` prints the BibTeX of the works behind methods, published codes, restorations and figures; "
-        "`cep cite -o works.bib` writes all of them. Please cite what you use, and the software (`CITATION.cff`). "
-        "A name without a work is of this project.",
+        (
+            "`cep cite METHOD` prints the BibTeX of the works behind methods, published codes,"
+            " restorations and figures; `cep cite -o works.bib` writes all of them. Please cite"
+            " what you use, and the software (`CITATION.cff`). A name without a work is of this"
+            " project."
+        ),
     ]
     for kind, named in citable().items():
         rows = [f"| `{name}` | {_behind(keys)} |" for name, keys in named.items()]
@@ -86,7 +92,9 @@ def _behind(keys: tuple[str, ...]) -> str:
 
 
 def _overview(readme: str) -> str:
-    """Turn the links of the README, which lies one folder up, into those of a page in ``docs/``."""
+    """Turn the links of the README, which lies one folder up, into those of a page in
+    ``docs/``.
+    """
     inside = readme.replace("](docs/", "](")
     return re.sub(
         r"\]\((?=(?:hw|cep|motdiff|notebooks|benchmarks|tests|CONTRIBUTING|CITATION)\b)",

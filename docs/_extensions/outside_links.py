@@ -1,4 +1,5 @@
-"""Links of documents to files outside ``docs/`` become the names of these files: the site does not hold them.
+"""Links of documents to files outside ``docs/`` become the names of these files: the site does not
+hold them.
 
 Links to pages that the site copies as they are (``html_extra_path``) and to JSON Schemas stay
 links, where Sphinx would offer a download.
@@ -23,7 +24,8 @@ def _named(app: Sphinx, document: str, source: list[str]) -> None:
         if target in copied:
             return f'<a href="{os.path.relpath(target, folder)}">{match[1]}</a>'
         if target.parent.name == "schemas":  # schema_tables copies them
-            return f'<a href="{os.path.relpath(root / "schemas" / target.name, folder)}">{match[1]}</a>'
+            schema = os.path.relpath(root / "schemas" / target.name, folder)
+            return f'<a href="{schema}">{match[1]}</a>'
         if target.is_relative_to(root) and not target.is_dir():
             return match[0]
         path = f"`{target.relative_to(root.parent)}`"

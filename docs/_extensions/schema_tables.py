@@ -1,4 +1,5 @@
-"""Tables of the files' fields, made from their JSON Schemas, which the site holds under ``schemas/``.
+"""Tables of the files' fields, made from their JSON Schemas, which the site holds under
+``schemas/``.
 
 python docs/_extensions/schema_tables.py     writes the tables into docs/files.md
 """

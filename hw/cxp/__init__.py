@@ -1,1 +1,3 @@
-"""CXP1, the protocol of the shutter controllers: frames, requests, programs in ticks, link, and clock calibration."""
+"""CXP1, the protocol of the shutter controllers: frames, requests, programs in ticks, link, and
+clock calibration.
+"""

@@ -1,4 +1,6 @@
-"""Calibration of a controller's clock against the host's: ceramic resonators are off by thousands of ppm."""
+"""Calibration of a controller's clock against the host's: ceramic resonators are off by thousands
+of ppm.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,8 @@ def fit_clock(readings: Sequence[tuple[float, float, int]]) -> ClockFit:
         drift_s = device_us * 1e-6 - host_s
         if abs(drift_s) > _LARGEST_PPM * 1e-6 * host_s + 0.5:
             raise ValueError(
-                "the device's clock jumped: it was restarted meanwhile, or is no clock; measure again"
+                "the device's clock jumped: it was restarted meanwhile, or is no clock; measure"
+                " again"
             )
         points.append((received_s - sent_s, host_s, drift_s))
     row = max(1, min(_IN_A_ROW, len(points) // _LEAST))

@@ -54,7 +54,9 @@ class Framing:
         return body
 
     def split(self, buffer: bytes) -> tuple[list[bytes], bytes]:
-        """Split received bytes into complete frames without their ends (empty ones dropped) and the unfinished rest."""
+        """Split received bytes into complete frames without their ends (empty ones dropped) and
+        the unfinished rest.
+        """
         *frames, rest = buffer.split(self.end)
         return [frame for frame in frames if frame], rest
 
@@ -143,4 +145,5 @@ def _from_text(line: bytes) -> bytes:
 BINARY = Framing("binary", b"\0", cobs_encode, cobs_decode)
 """Byte stuffing (COBS) and 0x00."""
 TEXT = Framing("text", b"\n", _to_text, _from_text)
-"""``:``, upper-case hexadecimal digits, newline: nothing that a console would take for a command."""
+"""``:``, upper-case hexadecimal digits, newline: nothing that a console would take for a
+command."""

@@ -53,7 +53,8 @@ class Link:
     ) -> None:
         if not timeout_s > 0 or attempts < 1:
             raise ValueError(
-                f"timeout_s is {timeout_s} and attempts is {attempts}: above 0 and at least 1 are needed"
+                f"timeout_s is {timeout_s} and attempts is {attempts}: above 0 and at least 1 are"
+                " needed"
             )
         self.name = name
         self.framing = BINARY
@@ -104,7 +105,8 @@ class Link:
         )
 
     def hello(self, *, hello_s: float = 3.0) -> Hello:
-        """Request the device's HELLO for `hello_s` seconds: a board that resets on opening answers late.
+        """Request the device's HELLO for `hello_s` seconds: a board that resets on opening answers
+        late.
 
         Both framings are tried in turn, and the one that is answered is kept.
 
@@ -130,14 +132,18 @@ class Link:
         heard = self.received_bytes - received
         if heard:
             raise PortError(
-                f"{self.name} sends {heard} bytes but no CXP1 reply: wrong baud rate, or not a shutter controller"
+                f"{self.name} sends {heard} bytes but no CXP1 reply: wrong baud rate, or not a"
+                " shutter controller"
             )
         raise PortError(
-            f"{self.name} is silent for {hello_s:g} s: check power and firmware, or name another port"
+            f"{self.name} is silent for {hello_s:g} s: check power and firmware, or name another"
+            " port"
         )
 
     def abort(self) -> bool:
-        """Close the shutter and disarm, never raising; False unless the device's status is then at rest."""
+        """Close the shutter and disarm, never raising; False unless the device's status is then at
+        rest.
+        """
         if not self._port.is_open:
             return False
         try:
@@ -165,7 +171,9 @@ class Link:
         self.close()
 
     def abort_after(self, error: BaseException) -> None:
-        """Send ABORT because of `error`, and note on it when the device is not known to be at rest afterwards."""
+        """Send ABORT because of `error`, and note on it when the device is not known to be at rest
+        afterwards.
+        """
         note = f"{self.name} did not confirm ABORT: the shutter may still be open"
         if not self.abort() and note not in getattr(error, "__notes__", ()):
             error.add_note(note)

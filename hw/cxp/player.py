@@ -1,4 +1,6 @@
-"""Requests to the player of a CXP1 controller, each confirmed by the controller's status afterwards."""
+"""Requests to the player of a CXP1 controller, each confirmed by the controller's status
+afterwards.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ class RemotePlayer:
         self.announced = hello
 
     def load(self, program: Program, *, clock_ppm: float = 0.0) -> Stored:
-        """Store a program in the device, which must be neither armed nor playing; its limits are not checked here.
+        """Store a program in the device, which must be neither armed nor playing; its limits are
+        not checked here.
 
         Returns
         -------
@@ -88,11 +91,13 @@ class RemotePlayer:
         stored = self.read()
         if stored != wanted:
             raise VerifyError(
-                f"{self.link.name} holds another program than it was sent: {wanted.difference(stored)}"
+                f"{self.link.name} holds another program than it was sent:"
+                f" {wanted.difference(stored)}"
             )
 
     def arm(self, *, lease_ms: int = 10_000) -> Status:
-        """Let the next trigger play the program; without one the device disarms itself after `lease_ms`.
+        """Let the next trigger play the program; without one the device disarms itself after
+        `lease_ms`.
 
         Returns
         -------
@@ -111,7 +116,9 @@ class RemotePlayer:
             return self._armed(payload, before)
 
     def trigger(self) -> None:
-        """Play the program once; a lost reply never plays it twice. The device acknowledges, and no more is known."""
+        """Play the program once; a lost reply never plays it twice. The device acknowledges, and
+        no more is known.
+        """
         with self._closed_on_doubt():
             self.link.request(Op.TRIG)
 

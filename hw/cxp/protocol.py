@@ -1,4 +1,5 @@
-"""CXP1, the shutter controller's protocol: requests, replies and their payloads as pure functions on bytes.
+"""CXP1, the shutter controller's protocol: requests, replies and their payloads as pure functions
+on bytes.
 
 ``docs/cxp1.md`` is its definition. Bodies are ``op, seq, payload...`` and ``op | 0x80, seq, error,
 data...``; numbers are little endian; :mod:`hw.cxp.framing` puts bodies on a line,
@@ -60,7 +61,9 @@ class ResetCause(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """A parsed reply: the request's `op` and `seq`, the `error` byte (0 is success) and its `data`."""
+    """A parsed reply: the request's `op` and `seq`, the `error` byte (0 is success) and its
+    `data`.
+    """
 
     op: int
     seq: int
@@ -107,7 +110,9 @@ class Hello:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """State of the player: chips begun, plays ended, edges missed, bad frames, time since boot, program's CRC-32."""
+    """State of the player: chips begun, plays ended, edges missed, bad frames, time since boot,
+    program's CRC-32.
+    """
 
     state: State
     pos: int
@@ -182,7 +187,8 @@ def unpack_hello(data: bytes) -> Hello:
     )
     if not chips or not tick_ns or not 1 <= least <= most:
         raise FrameError(
-            f"HELLO reply has {chips} chips of {least}..{most} ticks of {tick_ns} ns: all must be at least 1, in order"
+            f"HELLO reply has {chips} chips of {least}..{most} ticks of {tick_ns} ns: all must be"
+            " at least 1, in order"
         )
     return Hello(
         version=version,
@@ -195,9 +201,9 @@ def unpack_hello(data: bytes) -> Hello:
         max_on_ticks=on or None,
         max_duty=duty / 1000 if 0 < duty < 1000 else None,
         lead_ns=lead_ns,
-        reset_cause=ResetCause(cause)
-        if cause in ResetCause._value2member_map_
-        else ResetCause.UNKNOWN,
+        reset_cause=(
+            ResetCause(cause) if cause in ResetCause._value2member_map_ else ResetCause.UNKNOWN
+        ),
         firmware=data[_HELLO.size :].decode("ascii", "replace").split("\0")[0],
     )
 

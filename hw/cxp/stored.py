@@ -16,7 +16,9 @@ _STORED = struct.Struct("<IHH")
 
 @dataclass(frozen=True, slots=True)
 class Stored:
-    """A program as a device stores it: `bits`, each for ``ticks + fraction / 65536`` ticks of the device."""
+    """A program as a device stores it: `bits`, each for ``ticks + fraction / 65536`` ticks of the
+    device.
+    """
 
     bits: str
     ticks: int
@@ -73,14 +75,16 @@ def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) ->
     """
     if not abs(clock_ppm) <= 100_000:
         raise ValueError(
-            f"clock_ppm is {clock_ppm}: a clock is off by at most 100000 ppm, anything else is not its clock"
+            f"clock_ppm is {clock_ppm}: a clock is off by at most 100000 ppm, anything else is not"
+            " its clock"
         )
     exact = Fraction(program.chip_ns, hello.tick_ns) * (1 + Fraction(clock_ppm) / 10**6)
     units = round(exact * 65536) if hello.fractions else round(exact) * 65536
     ticks, fraction = divmod(units, 65536)
     if not clock_ppm and program.chip_ns % hello.tick_ns:
         raise ValueError(
-            f"chip of {program.chip_ns} ns is not a whole number of the device's {hello.tick_ns} ns ticks"
+            f"chip of {program.chip_ns} ns is not a whole number of the device's {hello.tick_ns}"
+            " ns ticks"
         )
     if not hello.min_ticks <= ticks <= hello.max_ticks - (fraction > 0):
         least = hello.min_ticks * hello.tick_ns
@@ -90,7 +94,8 @@ def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) ->
         )
     if program.chips > hello.max_chips:
         raise ValueError(
-            f"code of {program.chips} chips is too long: the device plays at most {hello.max_chips}"
+            f"code of {program.chips} chips is too long: the device plays at most"
+            f" {hello.max_chips}"
         )
     return Stored(program.bits, ticks, fraction)
 

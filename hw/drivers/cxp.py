@@ -50,7 +50,9 @@ class Controller(RemotePlayer):
         attempts: int = 12,
         hello_s: float = 3.0,
     ) -> Self:
-        """Open the controller on a serial port; parameters and errors as `hw.cxp.link.open_link`."""
+        """Open the controller on a serial port; parameters and errors as
+        `hw.cxp.link.open_link`.
+        """
         return cls(
             *open_link(port, baud=baud, timeout_s=timeout_s, attempts=attempts, hello_s=hello_s)
         )
@@ -72,17 +74,24 @@ class Controller(RemotePlayer):
 
     @property
     def trust(self) -> Trust:
-        """Trust that :meth:`verify` proves of a program: A with firmware of :data:`PROVEN_FIRMWARE`, else B."""
+        """Trust that :meth:`verify` proves of a program: A with firmware of
+        :data:`PROVEN_FIRMWARE`, else B.
+        """
         return Trust.A if self.announced.firmware in PROVEN_FIRMWARE else Trust.B
 
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
-        """List every limit that the program breaks: those the device announced, and those of `profile`."""
+        """List every limit that the program breaks: those the device announced, and those of
+        `profile`.
+        """
         found = self.limits.check(program)
         if profile is None:
             return found
         if profile.closed_level:
             found += (
-                f"{profile.name}: closed at a high level, but this controller rests low; put an inverter between",
+                (
+                    f"{profile.name}: closed at a high level, but this controller rests low; put"
+                    " an inverter between"
+                ),
             )
         return found + profile.check(program)
 
@@ -180,6 +189,9 @@ def _warnings(profile: DeviceProfile | None) -> tuple[str, ...]:
     if profile is None or not profile.on_bias_ns:
         return ()
     return (
-        f"{profile.name} makes every opening {profile.on_bias_ns} ns longer, which a controller of whole chips cannot "
-        "take back; the camera recipe (cep export --format camera) does",
+        (
+            f"{profile.name} makes every opening {profile.on_bias_ns} ns longer, which a"
+            " controller of whole chips cannot take back; the camera recipe (cep export --format"
+            " camera) does"
+        ),
     )

@@ -9,7 +9,8 @@ from hw.port import LinkError, PortError, PortInfo, list_ports
 
 
 def ask_ports(*, hello_s: float = 2.5) -> tuple[tuple[PortInfo, Hello | str], ...]:
-    """Request a HELLO on every serial port; returns each HELLO, or the reason why there is none in one line.
+    """Request a HELLO on every serial port; returns each HELLO, or the reason why there is none in
+    one line.
 
     Opening a port resets many boards, and other devices receive unexpected bytes.
     """
@@ -44,7 +45,8 @@ def open_controller(port: str) -> Controller:
     names = [info.port for info, answer in ask_ports() if isinstance(answer, Hello)]
     if not names:
         raise PortError(
-            "auto finds no shutter controller, no serial port answers as one: plug it in, or name its port"
+            "auto finds no shutter controller, no serial port answers as one: plug it in, or name"
+            " its port"
         )
     if len(names) > 1:
         raise PortError(

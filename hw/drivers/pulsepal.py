@@ -69,7 +69,9 @@ class PulsePal(WriteOnlyDevice):
         timeout_s: float = 0.5,
         hello_s: float = 3.0,
     ) -> Self:
-        """Open the Pulse Pal on a serial port; see the class and `hw.drivers.pulsepal_link.open_pulsepal`."""
+        """Open the Pulse Pal on a serial port; see the class and
+        `hw.drivers.pulsepal_link.open_pulsepal`.
+        """
         _check_options(channel, trigger_input, high_volts)
         link = open_pulsepal(port, timeout_s=timeout_s, hello_s=hello_s)
         return cls(link, channel=channel, trigger_input=trigger_input, high_volts=high_volts)
@@ -84,12 +86,17 @@ class PulsePal(WriteOnlyDevice):
         """Warnings for the user about this device, one sentence each."""
         if self.link.firmware == 20:
             return (
-                "firmware 20 has a fault in gated triggers, which are not used here: update the Pulse Pal to 21",
+                (
+                    "firmware 20 has a fault in gated triggers, which are not used here: update"
+                    " the Pulse Pal to 21"
+                ),
             )
         return ()
 
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
-        """List the reasons why the Pulse Pal, or a shutter with the limits of `profile`, cannot play the program."""
+        """List the reasons why the Pulse Pal, or a shutter with the limits of `profile`, cannot
+        play the program.
+        """
         own: tuple[str, ...] = ()
         try:
             pulse_train(program)

@@ -1,4 +1,6 @@
-"""Serial protocol of the Pulse Pal: a menu byte, an op and its data; some ops are acknowledged by one byte."""
+"""Serial protocol of the Pulse Pal: a menu byte, an op and its data; some ops are acknowledged by
+one byte.
+"""
 
 from __future__ import annotations
 
@@ -99,7 +101,8 @@ class PulsePalLink:
         heard = self._greet(hello_s)
         if not heard:
             raise PortError(
-                f"{self.name} is silent for {hello_s:g} s: plug the Pulse Pal out and in again, or name another port"
+                f"{self.name} is silent for {hello_s:g} s: plug the Pulse Pal out and in again, or"
+                " name another port"
             )
         firmware = _firmware(heard)
         if firmware is None:
@@ -136,7 +139,8 @@ class PulsePalLink:
             )
 
     def set(self, parameter: Parameter, channel: int, value: int) -> None:
-        """Set a parameter of an output channel, or of a trigger input for `Parameter.TRIGGER_MODE`.
+        """Set a parameter of an output channel, or of a trigger input for
+        `Parameter.TRIGGER_MODE`.
 
         Raises
         ------
@@ -215,14 +219,17 @@ class PulsePalLink:
         return heard
 
     def _quiet(self) -> None:
-        """Let the answers to earlier handshakes pass, which would be taken for acknowledgements."""
+        """Let the answers to earlier handshakes pass, which would be taken for
+        acknowledgements.
+        """
         heard_s = start_s = time.monotonic()
         while time.monotonic() - heard_s < self.timeout_s:
             if self._port.read():
                 heard_s = time.monotonic()
             if heard_s - start_s > 10 * self.timeout_s:
                 raise LinkError(
-                    f"{self.name} never stops sending: not a Pulse Pal, or plug it out and in again"
+                    f"{self.name} never stops sending: not a Pulse Pal, or plug it out and in"
+                    " again"
                 )
 
     def _acknowledged(self, what: str, seconds: float) -> None:
@@ -233,7 +240,8 @@ class PulsePalLink:
             )
         if reply != 1:
             raise LinkError(
-                f"{self.name} answers 0x{reply:02x} to {what}: does another program talk to it? load again"
+                f"{self.name} answers 0x{reply:02x} to {what}: does another program talk to it?"
+                " load again"
             )
 
     def _take(self, size: int, what: str, seconds: float) -> bytes:

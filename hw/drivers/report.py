@@ -10,7 +10,8 @@ class Trust(StrEnum):
     """Level of evidence that a shutter plays the program."""
 
     A = "A"
-    """The device sent its stored program back identical, and its firmware's edges are proven on emulated hardware."""
+    """The device sent its stored program back identical, and its firmware's edges are proven on
+    emulated hardware."""
     B = "B"
     """The device acknowledged the program, and no more is known."""
     C = "C"

@@ -1,4 +1,6 @@
-"""Driver of SCPI arbitrary-waveform generators of the 33500 class: a code as a triggered burst of one cycle."""
+"""Driver of SCPI arbitrary-waveform generators of the 33500 class: a code as a triggered burst of
+one cycle.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ _ONE_CODE_A_TRIGGER = {
     "TRIG:SOUR?": re.compile("EXT"),
     "BURS:STAT?": _ON,
 }
-"""Answers of an instrument that plays at a trigger only, and once: with any other it plays again and again."""
+"""Answers of an instrument that plays at a trigger only, and once: with any other it plays again
+and again."""
 _CLOCK = 1e-6  # clock error of such an instrument
 
 
@@ -62,7 +65,9 @@ class ScpiAwg(WriteOnlyDevice):
 
     @classmethod
     def open(cls, resource: str, *, backend: str = "@py", timeout_s: float = 3.0) -> Self:
-        """Open an instrument and check its identity; parameters and errors as `hw.drivers.scpi_link.open_scpi`."""
+        """Open an instrument and check its identity; parameters and errors as
+        `hw.drivers.scpi_link.open_scpi`.
+        """
         link = open_scpi(resource, backend=backend, timeout_s=timeout_s)
         try:
             return cls(link)
@@ -76,7 +81,9 @@ class ScpiAwg(WriteOnlyDevice):
         return self._firmware
 
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
-        """List the reasons why the waveform, or a shutter with the limits of `profile`, cannot play the program."""
+        """List the reasons why the waveform, or a shutter with the limits of `profile`, cannot
+        play the program.
+        """
         own: tuple[str, ...] = ()
         for limited in (samples, sample_rate):
             try:
@@ -100,7 +107,9 @@ class ScpiAwg(WriteOnlyDevice):
         super().trigger()
 
     def play(self) -> None:
-        """Play the program once, now, and wait until it must be over; one that was not armed is not left armed."""
+        """Play the program once, now, and wait until it must be over; one that was not armed is
+        not left armed.
+        """
         if self._armed:
             super().play()
             return
@@ -130,7 +139,8 @@ class ScpiAwg(WriteOnlyDevice):
             ) from None
         if not abs(got - wanted) <= _CLOCK * wanted:
             raise DeviceError(
-                f"{self.name} would play at {got:.9g} Sa/s: chips of {program.chip_ns} ns need {wanted:.9g} Sa/s"
+                f"{self.name} would play at {got:.9g} Sa/s: chips of {program.chip_ns} ns need"
+                f" {wanted:.9g} Sa/s"
             )
 
     def _arm(self) -> None:
@@ -156,7 +166,8 @@ class ScpiAwg(WriteOnlyDevice):
         answer = self.link.ask("OUTP?")
         if not _OFF.fullmatch(answer):
             raise LinkError(
-                f"{self.name} says {answer[:40]!r} to OUTP?: its output must be off, look at the instrument"
+                f"{self.name} says {answer[:40]!r} to OUTP?: its output must be off, look at the"
+                " instrument"
             )
 
     def _disconnect(self) -> None:
@@ -166,7 +177,8 @@ class ScpiAwg(WriteOnlyDevice):
         answer = self.link.ask(question)
         if not right.fullmatch(answer):
             raise DeviceError(
-                f"{self.name} says {answer[:40]!r} to {question}: it is not armed, look at the instrument"
+                f"{self.name} says {answer[:40]!r} to {question}: it is not armed, look at the"
+                " instrument"
             )
 
 
@@ -179,13 +191,16 @@ def _identity(link: ScpiLink) -> str:
     fields = [part.strip() for part in answer.split(",")]
     if len(fields) != 4 or not _MODEL.fullmatch(fields[1]):
         raise PortError(
-            f"{link.name} is {answer[:60]!r}: a 33500-class generator (335xx, 336xx, EDU3321x) is needed"
+            f"{link.name} is {answer[:60]!r}: a 33500-class generator (335xx, 336xx, EDU3321x) is"
+            " needed"
         )
     return f"{fields[1]} {fields[3]}"
 
 
 def _block(values: tuple[int, ...]) -> bytes:
-    """IEEE 488.2 definite-length block of little-endian 32-bit floats: its length makes a cut transfer an error."""
+    """IEEE 488.2 definite-length block of little-endian 32-bit floats: its length makes a cut
+    transfer an error.
+    """
     data = struct.pack(f"<{len(values)}f", *values)
     length = str(len(data))
     return f"#{len(length)}{length}".encode("ascii") + data

@@ -63,7 +63,8 @@ class ScpiLink:
             return str(self._opened().read()).strip()
         except Exception as error:
             raise LinkError(
-                f"{self.name} does not answer {question} ({one_line(error)}): check power and cable, open it again"
+                f"{self.name} does not answer {question} ({one_line(error)}): check power and"
+                " cable, open it again"
             ) from error
 
     def do(self, command: str, data: bytes = b"") -> None:

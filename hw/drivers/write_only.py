@@ -50,7 +50,9 @@ class WriteOnlyDevice(ABC):
 
     @abstractmethod
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
-        """List the reasons why the device, or a shutter with the limits of `profile`, cannot play the program."""
+        """List the reasons why the device, or a shutter with the limits of `profile`, cannot play
+        the program.
+        """
 
     def upload(
         self, program: Program, *, profile: DeviceProfile | None = None, arm: bool = False
@@ -108,7 +110,8 @@ class WriteOnlyDevice(ABC):
         )
 
     def arm(self) -> None:
-        """Let each rising edge of the trigger input play the program, until `abort`: these devices have no lease.
+        """Let each rising edge of the trigger input play the program, until `abort`: these devices
+        have no lease.
 
         Raises
         ------
@@ -146,7 +149,8 @@ class WriteOnlyDevice(ABC):
         time.sleep(max(0.0, self._over_s - time.monotonic()))
 
     def play(self) -> None:
-        """Play the program once, now, and wait until it must be over; one that was not armed is not left armed.
+        """Play the program once, now, and wait until it must be over; one that was not armed is
+        not left armed.
 
         Raises
         ------

@@ -1,4 +1,6 @@
-"""Compile the simavr board on the user's machine: linked with simavr (GPL) its binary is never shipped."""
+"""Compile the simavr board on the user's machine: linked with simavr (GPL) its binary is never
+shipped.
+"""
 
 from __future__ import annotations
 

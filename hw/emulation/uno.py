@@ -141,7 +141,8 @@ class EmulatedUno:
             self._line()
 
     def trigger(self, *, pulses: int = 1, hertz: float = 5000.0) -> None:
-        """Give rising edges on the trigger input, the first at any moment within half a millisecond.
+        """Give rising edges on the trigger input, the first at any moment within half a
+        millisecond.
 
         Pulses of an earlier call that are still to come are dropped.
 
@@ -164,11 +165,15 @@ class EmulatedUno:
         self._command(f"trigger {pulses} {round(CLOCK_HZ / hertz)}")
 
     def hang(self) -> int:
-        """Make the program stop where it is, interrupts off, until it is reset; the cycle since start is returned."""
+        """Make the program stop where it is, interrupts off, until it is reset; the cycle since
+        start is returned.
+        """
         return int(self._command("hang"))
 
     def cycle(self) -> int:
-        """Return how many clock cycles it has run, which may lag behind real time on a busy computer."""
+        """Return how many clock cycles it has run, which may lag behind real time on a busy
+        computer.
+        """
         return int(self._command("cycle"))
 
     def unplug(self) -> None:
@@ -180,7 +185,9 @@ class EmulatedUno:
         self._port = self._command("plug")
 
     def edges(self, signal: str = "shutter") -> tuple[tuple[int, int], ...]:
-        """Return the changes of a pin since the start as (time in clock cycles, level); all pins begin low."""
+        """Return the changes of a pin since the start as (time in clock cycles, level); all pins
+        begin low.
+        """
         if signal not in SIGNALS:
             raise ValueError(f"signal is {signal!r}: one of {', '.join(SIGNALS)} is needed")
         return tuple(
@@ -188,7 +195,9 @@ class EmulatedUno:
         )
 
     def write_vcd(self, path: str | Path) -> None:
-        """Write the edges of the pins as the recording of an ideal logic analyser, in units of 100 ps."""
+        """Write the edges of the pins as the recording of an ideal logic analyser, in units of 100
+        ps.
+        """
         marks = dict(zip(SIGNALS, "sbt", strict=True))
         lines = ["$timescale 100 ps $end", "$scope module uno $end"]
         lines += [f"$var wire 1 {mark} {name} $end" for name, mark in marks.items()]

@@ -44,7 +44,9 @@ class Exporter(Protocol):
         """Write the program as text; ValueError when the format cannot represent it."""
 
     def parse_back(self, text: str, /) -> Program:
-        """Read the text back to the identical program; ValueError in one line when it was altered."""
+        """Read the text back to the identical program; ValueError in one line when it was
+        altered.
+        """
 
 
 EXPORTERS: Mapping[str, Exporter] = MappingProxyType(

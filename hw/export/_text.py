@@ -67,11 +67,14 @@ def whole(table: dict[str, Any], key: str, *, source: str) -> int:
 
 
 def verified(program: Program, crc: str, *, source: str) -> Program:
-    """Return the program if its CRC-32, as ``0x`` and 8 hexadecimal digits, is the one stated in the text."""
+    """Return the program if its CRC-32, as ``0x`` and 8 hexadecimal digits, is the one stated in
+    the text.
+    """
     right = f"0x{program.code_crc32:08x}"
     if crc != right:
         raise ValueError(
-            f"{source} says CRC32 {crc[:20]!r} but its code has {right}: the text was altered, export again"
+            f"{source} says CRC32 {crc[:20]!r} but its code has {right}: the text was altered,"
+            " export again"
         )
     return program
 
@@ -86,7 +89,7 @@ def unaltered(program: Program, text: str, again: str, *, source: str) -> Progra
     for number, (found, right) in enumerate(pairs, start=1):
         if found != right:
             raise ValueError(
-                f"{source} line {number} is {found[:40]!r} where export writes {right[:40]!r}: it was altered, "
-                "export again"
+                f"{source} line {number} is {found[:40]!r} where export writes {right[:40]!r}: it"
+                " was altered, export again"
             )
     return program

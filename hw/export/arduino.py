@@ -1,4 +1,6 @@
-"""Arduino sketch: the code played by the timer's output compare of an Uno or Nano, without a host."""
+"""Arduino sketch: the code played by the timer's output compare of an Uno or Nano, without a
+host.
+"""
 
 from __future__ import annotations
 
@@ -153,8 +155,9 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
     if rest or not _LEAST_TICKS <= ticks <= _MOST_TICKS:
         near = min(max(ticks, _LEAST_TICKS), _MOST_TICKS) * tick_ns
         raise ValueError(
-            f"chip of {program.chip_ns} ns cannot be played by the sketch: it must be a multiple of {tick_ns} ns in "
-            f"{_LEAST_TICKS * tick_ns}..{_MOST_TICKS * tick_ns} ns; {near} ns would do"
+            f"chip of {program.chip_ns} ns cannot be played by the sketch: it must be a multiple"
+            f" of {tick_ns} ns in {_LEAST_TICKS * tick_ns}..{_MOST_TICKS * tick_ns} ns; {near} ns"
+            " would do"
         )
     if program.chips > _MOST_CHIPS:
         raise ValueError(

@@ -1,4 +1,6 @@
-"""Recipe for cameras that integrate several exposures into one frame: the sensor is the shutter, no optics needed."""
+"""Recipe for cameras that integrate several exposures into one frame: the sensor is the shutter,
+no optics needed.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ _PER_LINE = 8
 
 
 def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
-    """Write the trigger pulses that the camera must get, and the settings that make it integrate them all.
+    """Write the trigger pulses that the camera must get, and the settings that make it integrate
+    them all.
 
     A camera that adds ``device.on_bias_ns`` to each exposure by itself gets pulses shorter by
     that; the openings remain where the code has them.
@@ -42,8 +45,8 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
     widths = [end - start - bias for start, end in zip(times[::2], times[1::2], strict=True)]
     if min(widths) <= 0:
         raise ValueError(
-            f"shortest opening is {min(widths) + bias} ns: the camera adds {bias} ns to every pulse by itself, so "
-            "every opening must be longer"
+            f"shortest opening is {min(widths) + bias} ns: the camera adds {bias} ns to every"
+            " pulse by itself, so every opening must be longer"
         )
     gaps = [after - before + bias for before, after in pairwise(times[1:-1])][::2]
     active = "low" if device.closed_level else "high"
@@ -103,7 +106,8 @@ def parse_back(text: str, /) -> Program:
     gaps = _all_ns(pulses.get("gaps_us"), source)
     if len(gaps) != len(widths) - 1:
         raise ValueError(
-            f"{source} has {len(widths)} widths and {len(gaps)} gaps: one gap less than widths is needed"
+            f"{source} has {len(widths)} widths and {len(gaps)} gaps: one gap less than widths is"
+            " needed"
         )
     time_ns = _ns(pulses.get("first_delay_us"), source)
     edges: list[tuple[int, int]] = []
@@ -125,7 +129,10 @@ def _matrix_vision(widths_ns: list[int]) -> str:
         "[matrix_vision]  # Balluff, MATRIX VISION: GenICam names, each pulse starts one exposure"
     )
     if len(set(widths_ns)) > 1:
-        return "# Balluff, MATRIX VISION: mvMultiExposureCount is documented for openings of one length only.\n"
+        return (
+            "# Balluff, MATRIX VISION: mvMultiExposureCount is documented for openings of one"
+            " length only.\n"
+        )
     return f"""\
 {head}
 ExposureMode = "Timed"

@@ -1,4 +1,6 @@
-"""CSV of edges: `time_us,level` rows, exact to the nanosecond, with a closing row at the end of the last chip."""
+"""CSV of edges: `time_us,level` rows, exact to the nanosecond, with a closing row at the end of
+the last chip.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,8 @@ def parse_back(text: str, /) -> Program:
         elif not columns_seen:
             if line != _COLUMNS:
                 raise ValueError(
-                    f"CSV line {number} is {line[:40]!r}: the column line {_COLUMNS!r} is needed there"
+                    f"CSV line {number} is {line[:40]!r}: the column line {_COLUMNS!r} is needed"
+                    " there"
                 )
             columns_seen = True
         else:
@@ -76,7 +79,8 @@ def parse_back(text: str, /) -> Program:
     chips = integer(header["chips"], "CSV chips")
     if not rows or rows[-1] != (chip_ns * chips, 0):
         raise ValueError(
-            f"CSV does not end with a closing row at {chips} x {chip_ns} ns: it was cut short or altered"
+            f"CSV does not end with a closing row at {chips} x {chip_ns} ns: it was cut short or"
+            " altered"
         )
     if len(rows) > chips + 1:
         raise ValueError(f"CSV has {len(rows)} rows: {chips} chips have at most {chips + 1}")
@@ -92,5 +96,6 @@ def _limit(chips: int, chip_ns: int) -> None:
     # An altered count must not allocate gigabytes before the CRC is checked.
     if chips > 10**7 or not chip_ns:
         raise ValueError(
-            f"CSV has {chips} chips of {chip_ns} ns: at most 10000000 chips of at least 1 ns can be read"
+            f"CSV has {chips} chips of {chip_ns} ns: at most 10000000 chips of at least 1 ns can"
+            " be read"
         )

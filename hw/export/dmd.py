@@ -1,4 +1,6 @@
-"""Pattern list for a digital micromirror device: one pattern per opening, with its exposure and dark time."""
+"""Pattern list for a digital micromirror device: one pattern per opening, with its exposure and
+dark time.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,8 @@ def export(program: Program, _device: DeviceProfile = GENERIC, /) -> str:
     if program.chip_ns % tick_ns:
         near = max(program.chip_ns // 1000, 1) * 1000
         raise ValueError(
-            f"chip of {program.chip_ns} ns cannot be written for a DMD: it must be a multiple of 1000 ns; {near} ns "
-            "would do"
+            f"chip of {program.chip_ns} ns cannot be written for a DMD: it must be a multiple of"
+            f" 1000 ns; {near} ns would do"
         )
     times = [time_ns for time_ns, _ in program.edges] + [program.duration_ns]
     starts = times[:-1:2]

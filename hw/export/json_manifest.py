@@ -54,7 +54,8 @@ def parse_back(text: str, /) -> Program:
         # Compared as text: in Python True == 1 == 1.0, in the file they differ.
         if key in found and json.dumps(found[key]) != json.dumps(value):
             raise ValueError(
-                f"JSON field {key!r} disagrees with its bits and chip_ns: it was altered, export again"
+                f"JSON field {key!r} disagrees with its bits and chip_ns: it was altered, export"
+                " again"
             )
         if key not in found:
             raise ValueError(f"JSON has no field {key!r}: schema {_SCHEMA!r} needs it")

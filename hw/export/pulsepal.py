@@ -69,8 +69,9 @@ def pulse_train(program: Program, /) -> PulseTrain:
     if rest or phase < _LEAST_CYCLES:
         near = max(_LEAST_CYCLES, phase)
         raise ValueError(
-            f"chip of {program.chip_ns} ns cannot be played by a Pulse Pal: it must be a multiple of {CYCLE_NS} ns, "
-            f"at least {_LEAST_CYCLES * CYCLE_NS} ns; {near * CYCLE_NS} ns would do"
+            f"chip of {program.chip_ns} ns cannot be played by a Pulse Pal: it must be a multiple"
+            f" of {CYCLE_NS} ns, at least {_LEAST_CYCLES * CYCLE_NS} ns; {near * CYCLE_NS} ns"
+            " would do"
         )
     onsets = [index * phase for index, bit in enumerate(program.bits) if bit == "1"]
     if len(onsets) > MAX_PULSES:
@@ -80,14 +81,16 @@ def pulse_train(program: Program, /) -> PulseTrain:
     end = (program.chips + 1) * phase
     if end > _MOST_CYCLES:
         raise ValueError(
-            f"code lasts {program.duration_ns / 1e9:.6g} s: with one chip more a Pulse Pal plays at most 3600 s"
+            f"code lasts {program.duration_ns / 1e9:.6g} s: with one chip more a Pulse Pal plays"
+            " at most 3600 s"
         )
     first = onsets[0]
     return PulseTrain(phase, tuple(onset - first for onset in onsets), first, end, end)
 
 
 def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
-    """Write the train and the settings of its output channel as TOML, with the device's parameter numbers.
+    """Write the train and the settings of its output channel as TOML, with the device's parameter
+    numbers.
 
     Raises
     ------
@@ -149,7 +152,8 @@ def parse_back(text: str, /) -> Program:
     train = table.get("train")
     if not isinstance(channel, dict) or not isinstance(train, dict):
         raise ValueError(
-            f"{source} has no table [channel] or no [train]: it was cut short or altered, export again"
+            f"{source} has no table [channel] or no [train]: it was cut short or altered, export"
+            " again"
         )
     phase = whole(channel, "phase1_cycles", source=source)
     delay = whole(channel, "delay_cycles", source=source)
@@ -167,7 +171,8 @@ def parse_back(text: str, /) -> Program:
     for onset in onsets:
         if type(onset) is not int or onset % phase or not 0 <= (onset + delay) // phase < chips:
             raise ValueError(
-                f"{source} has onset {str(onset)[:20]!r}: multiples of phase1_cycles in the code are needed"
+                f"{source} has onset {str(onset)[:20]!r}: multiples of phase1_cycles in the code"
+                " are needed"
             )
         bits[(onset + delay) // phase] = ord("1")
     program = verified(

@@ -102,13 +102,14 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
     if rest or not _LEAST_CYCLES <= cycles <= _MOST_CYCLES:
         near = min(max(cycles, _LEAST_CYCLES), _MOST_CYCLES) * tick_ns
         raise ValueError(
-            f"chip of {program.chip_ns} ns cannot be played by the rp2 script: it must be a multiple of {tick_ns} ns "
-            f"in {_LEAST_CYCLES * tick_ns}..{_MOST_CYCLES * tick_ns} ns; {near} ns would do"
+            f"chip of {program.chip_ns} ns cannot be played by the rp2 script: it must be a"
+            f" multiple of {tick_ns} ns in {_LEAST_CYCLES * tick_ns}..{_MOST_CYCLES * tick_ns} ns;"
+            f" {near} ns would do"
         )
     if program.chips > _MOST_CHIPS:
         raise ValueError(
-            f"code of {program.chips} chips is too long for the rp2 script: its queue holds {_MOST_CHIPS}, and a queue "
-            "refilled by software could run dry"
+            f"code of {program.chips} chips is too long for the rp2 script: its queue holds"
+            f" {_MOST_CHIPS}, and a queue refilled by software could run dry"
         )
     opened = 1 - device.closed_level
     # At least one closed level behind the code: the state machine stalls on it when the queue is

@@ -1,4 +1,6 @@
-"""SCPI script for arbitrary-waveform generators of the 33500 class: the code as a burst of one cycle."""
+"""SCPI script for arbitrary-waveform generators of the 33500 class: the code as a burst of one
+cycle.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ _DATA = re.compile(rf"^DATA:ARB {WAVEFORM},([-1,]+)$", re.MULTILINE)
 
 
 def samples(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[int, ...]:
-    """Make the waveform's samples, one per chip and each -1 (0 V) or 1 (5 V), a closed one before and after.
+    """Make the waveform's samples, one per chip and each -1 (0 V) or 1 (5 V), a closed one before
+    and after.
 
     Between bursts the instrument holds the voltage of the first sample, hence the closed one
     before: the code begins one chip after the trigger. More closed ones follow up to the least
@@ -39,7 +42,8 @@ def samples(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[int, 
     """
     if program.chips + 2 > _MOST_SAMPLES:
         raise ValueError(
-            f"code of {program.chips} chips is too long for SCPI: at most {_MOST_SAMPLES - 2} chips"
+            f"code of {program.chips} chips is too long for SCPI: at most {_MOST_SAMPLES - 2}"
+            " chips"
         )
     padded = f"0{program.bits}0".ljust(_LEAST_SAMPLES, "0")
     opened = 1 if device.closed_level == 0 else -1
@@ -57,12 +61,14 @@ def sample_rate(program: Program, /) -> str:
     """
     if program.chip_ns < _LEAST_CHIP_NS:
         raise ValueError(
-            f"chip of {program.chip_ns} ns is too short for SCPI: at least {_LEAST_CHIP_NS} ns (62.5 MSa/s)"
+            f"chip of {program.chip_ns} ns is too short for SCPI: at least {_LEAST_CHIP_NS} ns"
+            " (62.5 MSa/s)"
         )
     micro = (2 * 10**15 + program.chip_ns) // (2 * program.chip_ns)
     if abs(micro * program.chip_ns - 10**15) > 10**9:
         raise ValueError(
-            f"chip of {program.chip_ns} ns has no sample rate on the 1 uSa/s grid within 1 ppm: at most 2 s always have"
+            f"chip of {program.chip_ns} ns has no sample rate on the 1 uSa/s grid within 1 ppm: at"
+            " most 2 s always have"
         )
     return f"{micro // 10**6}.{micro % 10**6:06d}"
 
@@ -101,7 +107,8 @@ def commands(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[str,
 
 
 def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
-    """Write the commands one per line; lines that begin with ``#`` are for people and are not sent.
+    """Write the commands one per line; lines that begin with ``#`` are for people and are not
+    sent.
 
     Raises
     ------
@@ -110,9 +117,18 @@ def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
     """
     closed = _HIGH_V if device.closed_level else 0
     head = [
-        "# SCPI script written by coded-exposure for arbitrary-waveform generators of the 33500 class.",
-        "# Send it line by line without the lines that begin with '#'; a line that ends with '?' is answered.",
-        f"# The output rests closed at {closed} V; the code begins one chip after the trigger's rising edge.",
+        (
+            "# SCPI script written by coded-exposure for arbitrary-waveform generators of the"
+            " 33500 class."
+        ),
+        (
+            "# Send it line by line without the lines that begin with '#'; a line that ends with"
+            " '?' is answered."
+        ),
+        (
+            f"# The output rests closed at {closed} V; the code begins one chip after the"
+            " trigger's rising edge."
+        ),
         "# format: hw.scpi/1",
         f"# chip_ns: {program.chip_ns}",
         f"# chips: {program.chips}",
@@ -136,7 +152,8 @@ def parse_back(text: str, /) -> Program:
     levels = only(_DATA, text, f"DATA:ARB {WAVEFORM}", source=source).split(",")
     if not set(levels) <= {"1", "-1"} or len(levels) < max(_LEAST_SAMPLES, chips + 2):
         raise ValueError(
-            f"{source} DATA:ARB has not {chips + 2} samples of 1 or -1: it was altered, export again"
+            f"{source} DATA:ARB has not {chips + 2} samples of 1 or -1: it was altered, export"
+            " again"
         )
     closed = levels[0]
     bits = "".join("0" if level == closed else "1" for level in levels[1 : chips + 1])

@@ -11,7 +11,8 @@ from hw.recordings.vcd import parse_vcd
 
 
 def read_capture(path: str | Path) -> Recording:
-    """Read a VCD file, or a digital CSV export of Saleae Logic, in UTF-8, UTF-16 or the alphabet of a Windows program.
+    """Read a VCD file, or a digital CSV export of Saleae Logic, in UTF-8, UTF-16 or the alphabet
+    of a Windows program.
 
     All that matters in them is ASCII but the signals' names: those in an 8-bit alphabet are read
     as Windows-1252.
@@ -25,7 +26,8 @@ def read_capture(path: str | Path) -> Recording:
         text = decoded(content(path))
     except UnicodeDecodeError:
         raise ValueError(
-            f"{path} is no text: save or export the capture as VCD (value change dump), or from Saleae Logic as CSV"
+            f"{path} is no text: save or export the capture as VCD (value change dump), or from"
+            " Saleae Logic as CSV"
         ) from None
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)

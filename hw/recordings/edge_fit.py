@@ -131,7 +131,9 @@ def _nearest(moments: Sequence[float], time_ns: float, reach_ns: float) -> float
 
 
 def _clock(pairs: Sequence[tuple[int, float, int]]) -> tuple[float, float, float]:
-    """Least squares of time = (open_at or close_at) + scale * nominal: one slope, one offset per kind of edge."""
+    """Least squares of time = (open_at or close_at) + scale * nominal: one slope, one offset per
+    kind of edge.
+    """
     kinds = [[(at, time_ns) for at, time_ns, level in pairs if level == kind] for kind in (1, 0)]
     if all(len(kind) < 2 for kind in kinds):
         kinds = [

@@ -73,8 +73,8 @@ class Verification:
             return "; ".join(self.problems)
         rest = ", signal inverted" if self.inverted else ""
         return (
-            f"the code was played: {len(self.achieved)} chips, clock {self.scale_ppm:+.1f} ppm, jitter "
-            f"{self.jitter_ns:.1f} ns rms, worst edge {self.worst_ns:.1f} ns{rest}"
+            f"the code was played: {len(self.achieved)} chips, clock {self.scale_ppm:+.1f} ppm,"
+            f" jitter {self.jitter_ns:.1f} ns rms, worst edge {self.worst_ns:.1f} ns{rest}"
         )
 
 
@@ -120,8 +120,9 @@ def align(
     ]
     if not readings:
         raise ValueError(
-            f"signal {trace.name!r} has only pulses shorter than {_GLITCH * program.chip_ns / 1000:g} us in this "
-            "recording: nothing was played into it, or the chip time is wrong"
+            f"signal {trace.name!r} has only pulses shorter than"
+            f" {_GLITCH * program.chip_ns / 1000:g} us in this recording: nothing was played into"
+            " it, or the chip time is wrong"
         )
     return min(readings, key=_differing)
 
@@ -147,7 +148,8 @@ def _with_rest(
 
 
 def _rests(trace: Trace) -> tuple[int, ...]:
-    """Levels at which the signal may be closed, the likelier one first: that before and after its edges.
+    """Levels at which the signal may be closed, the likelier one first: that before and after its
+    edges.
 
     A recording that begins or ends at an edge has two of them.
     """
@@ -160,7 +162,9 @@ def _rests(trace: Trace) -> tuple[int, ...]:
 
 
 def _differing(plays: tuple[Verification, ...]) -> tuple[int, int, int]:
-    """How many plays have other chips than the program, how many openings were lost or added, and other problems."""
+    """How many plays have other chips than the program, how many openings were lost or added, and
+    other problems.
+    """
     return (
         sum(not play.same_bits for play in plays),
         sum(play.missing + play.extra for play in plays),
@@ -171,7 +175,9 @@ def _differing(plays: tuple[Verification, ...]) -> tuple[int, int, int]:
 def _without_glitches(
     edges: Sequence[tuple[float, int]], shortest_ns: float
 ) -> tuple[list[tuple[float, int]], list[float]]:
-    """Drop pulses of either level that are too short; return what is left and the moments of the dropped ones."""
+    """Drop pulses of either level that are too short; return what is left and the moments of the
+    dropped ones.
+    """
     kept: list[tuple[float, int]] = []
     dropped: list[float] = []
     for edge in edges:
@@ -288,7 +294,9 @@ def _nothing(program: Program, inverted: bool, glitches: int, trigger_ns: float)
 def _explained(
     fit: EdgeFit, edges: Sequence[tuple[float, int]], program: Program
 ) -> tuple[EdgeFit, str]:
-    """Describe how a wrong code differs; known firmware errors are recognised when they explain every edge."""
+    """Describe how a wrong code differs; known firmware errors are recognised when they explain
+    every edge.
+    """
     padded = program.bits.ljust(-(-program.chips // 8) * 8, "0")
     swapped = "".join(padded[8 * (k // 8) + 7 - k % 8] for k in range(program.chips))
     mistakes = {
@@ -309,5 +317,8 @@ def _explained(
     )
     return (
         fit,
-        f"another code was played: {fit.wrong} of {program.chips} chips differ, first chip {first}",
+        (
+            f"another code was played: {fit.wrong} of {program.chips} chips differ, first chip"
+            f" {first}"
+        ),
     )

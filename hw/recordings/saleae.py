@@ -69,7 +69,8 @@ def parse_saleae(text: str, *, source: str = "CSV") -> Recording:
         now_ns = time_ns
         if len(values) != len(names):
             raise ValueError(
-                f"{source}: line {number} has {len(values)} levels: {len(names)} are needed, export the capture again"
+                f"{source}: line {number} has {len(values)} levels: {len(names)} are needed,"
+                " export the capture again"
             )
         for name, signal, value in zip(names, signals, values, strict=True):
             if value not in ("0", "1", "X"):
@@ -105,8 +106,8 @@ def _channels(header: list[str], source: str) -> list[str]:
         raise ValueError(f"{source} is empty: a digital export of Saleae Logic is needed")
     if not _TIME_COLUMN.fullmatch(header[0]):
         raise ValueError(
-            f"{source} begins with {header[0][:40]!r}: a digital export of Saleae Logic begins with 'Time [s]' and the "
-            "names of its channels"
+            f"{source} begins with {header[0][:40]!r}: a digital export of Saleae Logic begins"
+            " with 'Time [s]' and the names of its channels"
         )
     if len(header) == 1:
         raise ValueError(

@@ -63,7 +63,8 @@ class Recording:
             busiest = max(self.traces, key=lambda trace: len(trace.edges))
             if not busiest.edges:
                 raise ValueError(
-                    f"{self.source} has no edges on any signal ({names}): nothing was played into it"
+                    f"{self.source} has no edges on any signal ({names}): nothing was played"
+                    " into it"
                 )
             return busiest
         found = [
@@ -76,14 +77,17 @@ class Recording:
 
 
 class Signal:
-    """A signal while it is being read. Before its first value it counts as 0, since a shutter rests closed."""
+    """A signal while it is being read. Before its first value it counts as 0, since a shutter
+    rests closed.
+    """
 
     def __init__(self) -> None:
         self._first = self._level = 0
         self._edges: list[tuple[float, int]] = []
 
     def set(self, value: str, time_ns: float, *, initial: bool) -> None:
-        """Take the value at a moment not earlier than the last one; what is neither 0 nor 1 leaves the level as it is.
+        """Take the value at a moment not earlier than the last one; what is neither 0 nor 1 leaves
+        the level as it is.
 
         Parameters
         ----------

@@ -71,7 +71,9 @@ def parse_vcd(text: str, *, source: str = "VCD") -> Recording:
 
 
 def _header(words: Iterator[str], source: str) -> tuple[float, list[tuple[str, str]], set[str]]:
-    """Read up to $enddefinitions: the time unit, (name, code) of the one-bit signals, and the codes of all."""
+    """Read up to $enddefinitions: the time unit, (name, code) of the one-bit signals, and the
+    codes of all.
+    """
     unit_ns = 0.0
     scopes: list[str] = []
     names: list[tuple[str, str]] = []
@@ -102,7 +104,8 @@ def _header(words: Iterator[str], source: str) -> tuple[float, list[tuple[str, s
         elif word == "$var":
             if len(body) < 4:
                 raise ValueError(
-                    f"{source} declares {' '.join(body)[:40]!r}: type, size, code and name are needed"
+                    f"{source} declares {' '.join(body)[:40]!r}: type, size, code and name are"
+                    " needed"
                 )
             known.add(body[2])
             if body[1] == "1" and body[0] in _ONE_BIT:

@@ -1,4 +1,6 @@
-"""Published codes against searched ones of the same length and open chips: smallest |P| and deconvolution noise."""
+"""Published codes against searched ones of the same length and open chips: smallest |P| and
+deconvolution noise.
+"""
 
 from __future__ import annotations
 
@@ -142,7 +144,8 @@ def code_row(name: str, code: ShutterCode, figures: Mapping[str, Figure]) -> Cod
 def code_rows(
     codes: Sequence[tuple[str, ShutterCode]], *, time_s: float, seed: int = 0
 ) -> list[CodeRow]:
-    """Search against every code for ``time_s`` on all cores, one after the other; nothing is kept on disk.
+    """Search against every code for ``time_s`` on all cores, one after the other; nothing is kept
+    on disk.
 
     Parameters
     ----------
@@ -261,9 +264,11 @@ def write_codes_report(
         "",
         machines_markdown(machines) or "- no machine",
         "",
-        "Straight uniform motion: the smallest |P| over the unit circle, in chips, and the noise of deconvolution "
-        f"relative to DC. Ours is searched for {time_s:g} s at the same number of chips, as many of them open, one "
-        "code for both.",
+        (
+            "Straight uniform motion: the smallest |P| over the unit circle, in chips, and the"
+            f" noise of deconvolution relative to DC. Ours is searched for {time_s:g} s at the"
+            " same number of chips, as many of them open, one code for both."
+        ),
         *(f"\n- {markdown_text(warning)}" for warning in warnings),
         "",
     ]

@@ -1,4 +1,6 @@
-"""Photos for benchmarks: folders, layouts of published data sets, or scikit-image's photos; scenes cut from them."""
+"""Photos for benchmarks: folders, layouts of published data sets, or scikit-image's photos; scenes
+cut from them.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ BUNDLED_WARNING = (
 
 
 def bundled_photos() -> tuple[Path, ...]:
-    """Ten photos of scikit-image, for a run without a folder: too few and too unusual for a claim."""
+    """Ten photos of scikit-image, for a run without a folder: too few and too unusual for a
+    claim.
+    """
     found = find_spec("skimage")
     assert found is not None
     assert found.origin is not None
@@ -76,7 +80,8 @@ def layout_of(folder: Path | str) -> Layout:
 
 
 def photo_folder(folder: Path | str) -> tuple[Path, ...]:
-    """List the sharp photos of a folder, sorted: all of them, or the sharp halves of GoPro's and RSBlur's layouts.
+    """List the sharp photos of a folder, sorted: all of them, or the sharp halves of GoPro's and
+    RSBlur's layouts.
 
     Pictures written by the project's own commands are left out: see :mod:`lab.bench.own_files`.
 
@@ -95,7 +100,8 @@ def photo_folder(folder: Path | str) -> tuple[Path, ...]:
     layout = layout_of(root)
     if layout == "levin":
         raise ValueError(
-            f"{root}: holds Levin's .mat files, blurred already; a folder of sharp photos is needed"
+            f"{root}: holds Levin's .mat files, blurred already; a folder of sharp photos is"
+            " needed"
         )
     if layout == "koehler":
         raise ValueError(
@@ -124,7 +130,8 @@ def photo_folder(folder: Path | str) -> tuple[Path, ...]:
 
 
 def pick(photos: Sequence[Path], count: int, *, least_px: int) -> tuple[Path, ...]:
-    """Choose photos evenly over the list (neighbours are often frames of one film), all of them where there are fewer.
+    """Choose photos evenly over the list (neighbours are often frames of one film), all of them
+    where there are fewer.
 
     For one that is too small the next in the list is taken.
 
@@ -190,7 +197,8 @@ def _folder(folder: Path | str) -> Path:
     root = Path(folder)
     if not root.is_dir():
         raise ValueError(
-            f"{root}: {'is a file, a folder of photos is needed' if root.exists() else 'no such folder'}"
+            f"{root}:"
+            f" {'is a file, a folder of photos is needed' if root.exists() else 'no such folder'}"
         )
     return root
 
@@ -216,14 +224,16 @@ def _sharp_of_gopro(root: Path) -> tuple[Path, ...]:
         blurred = [half for half in halves if half.parent == sequence and half.name in _BLURRED]
         if not (sequence / "sharp").is_dir():
             raise ValueError(
-                f"{sequence}: has {blurred[0].name} but no folder sharp beside it, as GoPro's layout has"
+                f"{sequence}: has {blurred[0].name} but no folder sharp beside it, as GoPro's"
+                " layout has"
             )
         found = {path.name: path for path in _photos((sequence / "sharp").glob("*"))}
         for half in blurred:
             others = {path.name: path for path in _photos(half.glob("*"))}
             if odd := sorted(found.keys() ^ others.keys()):
                 raise ValueError(
-                    f"{sequence}: {odd[0]} is in only one of {half.name} and sharp, which must be pairs"
+                    f"{sequence}: {odd[0]} is in only one of {half.name} and sharp, which must be"
+                    " pairs"
                 )
             pairs += [(others[name], found[name]) for name in found]
         sharp += found.values()
@@ -234,7 +244,9 @@ def _sharp_of_gopro(root: Path) -> tuple[Path, ...]:
 
 
 def _check_some(root: Path, pairs: Sequence[tuple[Path, Path]]) -> None:
-    """Refuse where of a few pairs, evenly chosen, one differs in size, or most are sharper on the blurred side."""
+    """Refuse where of a few pairs, evenly chosen, one differs in size, or most are sharper on the
+    blurred side.
+    """
     count = min(_COMPARED, len(pairs))
     swapped = 0
     for blurred, sharp in (pairs[i * len(pairs) // count] for i in range(count)):
@@ -249,7 +261,8 @@ def _check_some(root: Path, pairs: Sequence[tuple[Path, Path]]) -> None:
         swapped += _detail(images[0]) > _detail(images[1])
         if 2 * swapped > count:
             raise ValueError(
-                f"{root}: blurred and sharp photos seem to be swapped: {names[0]} is sharper than {names[1]}"
+                f"{root}: blurred and sharp photos seem to be swapped: {names[0]} is sharper than"
+                f" {names[1]}"
             )
 
 
@@ -272,7 +285,8 @@ def _large_enough(path: Path, image: FloatArray, least_px: int) -> None:
 
 
 RSBLUR_LIST = "RSBlur_real_test.txt"
-"""RSBlur's own list of the pairs to test on; where a folder holds it, the other pairs do not count."""
+"""RSBlur's own list of the pairs to test on; where a folder holds it, the other pairs do not
+count."""
 
 _BLURRED_OF_PAIRS = "real_blur/real_blur.png"
 _SHARP = "gt/gt_sharp.png"
@@ -284,7 +298,8 @@ _FRAME = re.compile(r"GroundTruth\d+_\d+_(\d+)\.png")
 
 
 def rsblur_pairs(root: Path) -> list[tuple[Path, Path]]:
-    """List RSBlur's blurred and sharp photos, ``SCENE/NUMBER/real_blur/real_blur.png`` and ``.../gt/gt_sharp.png``.
+    """List RSBlur's blurred and sharp photos, ``SCENE/NUMBER/real_blur/real_blur.png`` and
+    ``.../gt/gt_sharp.png``.
 
     Parameters
     ----------
@@ -320,7 +335,8 @@ def rsblur_pairs(root: Path) -> list[tuple[Path, Path]]:
 
 
 def koehler_pairs(root: Path) -> list[tuple[Path, Path | None]]:
-    """List Koehler's photos ``BlurryI_J.png``, image I shaken by J, each with a sharp frame where there are frames.
+    """List Koehler's photos ``BlurryI_J.png``, image I shaken by J, each with a sharp frame where
+    there are frames.
 
     The frames are those of the camera stepped through the same shake,
     ``ImageI/KernelJ/GroundTruthI_J_K.png``. The one in the middle is taken; the benchmark's own
@@ -353,7 +369,8 @@ def koehler_pairs(root: Path) -> list[tuple[Path, Path | None]]:
     if without and len(without) < len(shots):
         image, shake = without[0]
         raise ValueError(
-            f"{root}: Blurry{image}_{shake}.png has no frames in Image{image}/Kernel{shake}, others have"
+            f"{root}: Blurry{image}_{shake}.png has no frames in Image{image}/Kernel{shake},"
+            " others have"
         )
     return [
         (shots[key], frames[key][(len(frames[key]) - 1) // 2] if frames[key] else None)
@@ -372,7 +389,8 @@ def _listed(path: Path) -> list[str]:
             names.append(found[1])
         elif line.strip():
             raise ValueError(
-                f"{path}: line {number}: wanted 0001/000022/{_SHARP} 0001/000022/{_BLURRED_OF_PAIRS}, got {line[:80]!r}"
+                f"{path}: line {number}: wanted 0001/000022/{_SHARP}"
+                f" 0001/000022/{_BLURRED_OF_PAIRS}, got {line[:80]!r}"
             )
     if not names:
         raise ValueError(f"{path}: names no pair")
@@ -430,7 +448,9 @@ def _read(photo: Path, cut: Cut, _state: tuple[int, int]) -> FloatArray:
 
 
 def labels_of(photos: Sequence[Path]) -> tuple[str, ...]:
-    """Name photos: by their stems where these differ, otherwise by their paths below the folder they share."""
+    """Name photos: by their stems where these differ, otherwise by their paths below the folder
+    they share.
+    """
     stems = [path.stem for path in photos]
     if len(set(stems)) == len(stems):
         return tuple(stems)

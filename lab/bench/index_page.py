@@ -18,7 +18,8 @@ INDEX = "README.md"
 def write_index(
     folder: Path, parts: Sequence[Part], *, command: str, unmade: Sequence[str] = ()
 ) -> Path:
-    """Write :data:`INDEX`: commands, machines, and for each part its first figures, its picture and links to its files.
+    """Write :data:`INDEX`: commands, machines, and for each part its first figures, its picture
+    and links to its files.
 
     Parameters
     ----------

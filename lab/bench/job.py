@@ -1,4 +1,6 @@
-"""A table of ``python -m lab bench`` before it is measured, and after: what was asked for, and what was written."""
+"""A table of ``python -m lab bench`` before it is measured, and after: what was asked for, and
+what was written.
+"""
 
 from __future__ import annotations
 
@@ -122,13 +124,16 @@ def outcome_warnings(outcome: Outcome) -> list[str]:
         warnings.append(f"{count} of {total} cells failed, the first: {'/'.join(name)}: {reason}")
     if outcome.missing:
         warnings.append(
-            f"stopped early: {outcome.missing} cells are left out; the same command with --force goes on"
+            f"stopped early: {outcome.missing} cells are left out; the same command with --force"
+            " goes on"
         )
     return warnings
 
 
 def spelled(name: str, given: Mapping[str, object], *, quick: bool) -> str:
-    """Spell ``python -m lab bench NAME`` with the options given, an empty one for arguments, without anybody's folders."""
+    """Spell ``python -m lab bench NAME`` with the options given, an empty one for arguments,
+    without anybody's folders.
+    """
     words = [f"{option} {value}".strip() for option, value in given.items() if value]
     return " ".join(
         filter(None, ["python -m lab bench", name, *words, "--quick" if quick else ""])

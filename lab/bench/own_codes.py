@@ -39,7 +39,9 @@ def load_own_codes(given: Sequence[str]) -> dict[str, ShutterCode]:
 
 
 def spelled_own_codes(given: Sequence[str], codes: Mapping[str, ShutterCode]) -> str:
-    """Spell the options ``--code`` of codes that :func:`load_own_codes` read, without anybody's folders."""
+    """Spell the options ``--code`` of codes that :func:`load_own_codes` read, without anybody's
+    folders.
+    """
     sources = (text.partition("=")[2] for text in given)
     named = (file.name if (file := code_file(source)) else source for source in sources)
     return " ".join(f"--code {name}={source}" for name, source in zip(codes, named, strict=True))

@@ -26,7 +26,9 @@ _PRINT_DPI = 300
 
 
 def tables_markdown(tables: Sequence[Table]) -> str:
-    """Lay out tables as Markdown; a row is bold where a paired test finds it better than the next one."""
+    """Lay out tables as Markdown; a row is bold where a paired test finds it better than the next
+    one.
+    """
     return markdown(_sheets(tables))
 
 
@@ -48,17 +50,19 @@ def means_in_words(tables: Sequence[Table]) -> str:
         for entry in entries
     ):
         return (
-            "Means. There are too few photos or motions for intervals, and for a paired test that would make the best "
-            "bold."
+            "Means. There are too few photos or motions for intervals, and for a paired test that"
+            " would make the best bold."
         )
     return (
-        "Means, and in brackets their 95 % intervals for other photos and other motions alike; the best is bold only "
-        "where a paired test tells it from the next one."
+        "Means, and in brackets their 95 % intervals for other photos and other motions alike; the"
+        " best is bold only where a paired test tells it from the next one."
     )
 
 
 def machines_markdown(machines: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown list of the machines that made the figures: hardware, system and package versions."""
+    """Markdown list of the machines that made the figures: hardware, system and package
+    versions.
+    """
     lines = []
     for machine in machines:
         versions = ", ".join(
@@ -66,8 +70,8 @@ def machines_markdown(machines: Sequence[Mapping[str, Any]]) -> str:
         )
         memory = f", {machine['memory_gib']:g} GiB" if machine["memory_gib"] else ""
         lines.append(
-            f"- {machine['processor']}, {machine['cores']} cores{memory}, {machine['system']}, Python "
-            f"{machine['python']}: {versions}"
+            f"- {machine['processor']}, {machine['cores']} cores{memory}, {machine['system']},"
+            f" Python {machine['python']}: {versions}"
         )
     return "\n".join(lines)
 
@@ -173,7 +177,9 @@ def made_json(
 
 
 def report_files(name: str, cells: str) -> tuple[str, ...]:
-    """Name the files of a report and its figure; ``cells`` ends the name of the file of single figures."""
+    """Name the files of a report and its figure; ``cells`` ends the name of the file of single
+    figures.
+    """
     return (
         *(f"{name}{ending}" for ending in (*_TABLE_ENDINGS, cells)),
         *(f"{name}{suffix}" for suffix in FIGURE_SUFFIXES),
@@ -220,7 +226,8 @@ def write_report_files(
 
 
 def write_figure(figure: Figure, folder: Path, stem: str) -> None:
-    """Write ``STEM.png``, ``.pdf`` and ``.svg`` into a folder; the same figure gives the same bytes.
+    """Write ``STEM.png``, ``.pdf`` and ``.svg`` into a folder; the same figure gives the same
+    bytes.
 
     Raises
     ------

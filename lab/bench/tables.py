@@ -1,4 +1,6 @@
-"""Benchmark tables: mean and interval per row and figure; the best row is bold if a paired test confirms it."""
+"""Benchmark tables: mean and interval per row and figure; the best row is bold if a paired test
+confirms it.
+"""
 
 from __future__ import annotations
 
@@ -112,7 +114,9 @@ class Table:
         return (self.cells[label], *(numbers[label] for numbers in self.counts.values()))
 
     def lines(self) -> list[tuple[str | Bold, ...]]:
-        """Lay out the rows: mean and its interval, and how many cells have the figure where some do not."""
+        """Lay out the rows: mean and its interval, and how many cells have the figure where some
+        do not.
+        """
         return [
             (
                 label,
@@ -216,7 +220,8 @@ def tabulate(
 def differences(
     figures: Figures, reference: str, *, row: int = 0
 ) -> dict[Name, dict[str, Figure]]:
-    """Differences of the reference row from every row, pair by pair; a figure that one of them lacks is None.
+    """Differences of the reference row from every row, pair by pair; a figure that one of them
+    lacks is None.
 
     Parameters
     ----------
@@ -242,7 +247,9 @@ def differences(
 
 
 def _values(figures: Figures, figure: str, row: int, label: str) -> dict[Name, float]:
-    """Return a row's values by the name without the row's label; those not measured are left out."""
+    """Return a row's values by the name without the row's label; those not measured are left
+    out.
+    """
     values = {}
     for name, own in figures.items():
         value = own.get(figure) if name[row] == label else None

@@ -1,4 +1,6 @@
-"""``python -m lab bench``: comparisons with what others published, run again here, one by one or all of them."""
+"""``python -m lab bench``: comparisons with what others published, run again here, one by one or
+all of them.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +25,12 @@ Methods = Annotated[
     typer.Option(
         "--methods",
         metavar="NAME,...",
-        help="Estimators, as pmp,motdiff; all that take seconds when omitted. Others: selfdeblur (hours), "
-        "blinddps:FOLDER of weights, network:ddpm:1000, network:ddim:10:8 (eight draws), networks:ddim:10:8 "
-        "(corrected ones), motdiff@FILE and network:ddim:10@FILE of other weights, "
-        "module:name of an estimator of your own.",
+        help=(
+            "Estimators, as pmp,motdiff; all that take seconds when omitted. Others: selfdeblur"
+            " (hours), blinddps:FOLDER of weights, network:ddpm:1000, network:ddim:10:8 (eight"
+            " draws), networks:ddim:10:8 (corrected ones), motdiff@FILE and network:ddim:10@FILE"
+            " of other weights, module:name of an estimator of your own."
+        ),
     ),
 ]
 ProtocolName = Annotated[
@@ -95,7 +99,8 @@ def speed(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Measure what an estimate costs: processor time, time and memory per photo, one after the other on one thread.
+    """Measure what an estimate costs: processor time, time and memory per photo, one after the
+    other on one thread.
 
     Cells are those of python -m lab bench blind with the same protocol, one motion per photo: a
     common --cache has them already.
@@ -132,7 +137,10 @@ OwnCodes = Annotated[
     typer.Option(
         "--code",
         metavar="NAME=SOURCE",
-        help="Also a code of your own: bits, code.json, a name or module:name, as my=1011; may be repeated.",
+        help=(
+            "Also a code of your own: bits, code.json, a name or module:name, as my=1011; may be"
+            " repeated."
+        ),
     ),
 ]
 
@@ -153,8 +161,12 @@ def cep(
         typer.Option(
             "--designs",
             metavar="NAME,...",
-            help="Ways to choose the code, as open,dnf,both-ways; when omitted all but those that take long: "
-            "calibrated-1, calibrated-2, calibrated-4 (from so many coded photos), calibrated-point, class-snapshot.",
+            help=(
+                "Ways to choose the code, as open,dnf,both-ways; when omitted all but those that"
+                " take long: "
+                "calibrated-1, calibrated-2, calibrated-4 (from so many coded photos),"
+                " calibrated-point, class-snapshot."
+            ),
         ),
     ] = "",
     code: OwnCodes = None,
@@ -163,8 +175,11 @@ def cep(
         typer.Option(
             "--set",
             metavar="FIELD=VALUE",
-            help="Another value of the protocol's field, as motions=20, photons=[10000,100000], read_noise_e=50 or "
-            "restored_by=blind; may be repeated.",
+            help=(
+                "Another value of the protocol's field, as motions=20, photons=[10000,100000],"
+                " read_noise_e=50 or "
+                "restored_by=blind; may be repeated."
+            ),
         ),
     ] = None,
     quick: Quick = False,
@@ -177,7 +192,8 @@ def cep(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Compare codes by the photos they give: the paper's table III, and ours with real borders, light and directions.
+    """Compare codes by the photos they give: the paper's table III, and ours with real borders,
+    light and directions.
 
     Every row takes the same sharp photos along the same motions, and every search has the same
     budget. Finished cells are kept: stopped by Ctrl-C, the same command with --force goes on.
@@ -234,7 +250,8 @@ def codes(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Search against published codes, each at its own number of chips and open chips; one code for both figures.
+    """Search against published codes, each at its own number of chips and open chips; one code for
+    both figures.
 
     Finished searches are kept: stopped by Ctrl-C, the same command with --force goes on.
 
@@ -283,7 +300,8 @@ def everything(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Compare with what others published: one table by its name, or with options alone all of them in one folder.
+    """Compare with what others published: one table by its name, or with options alone all of them
+    in one folder.
 
     Finished cells are kept: stopped by Ctrl-C, the same command with --force goes on. Exit code 1
     when a cell failed, 130 when stopped; what is finished is written either way. Costs are

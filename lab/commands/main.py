@@ -14,7 +14,10 @@ from lab.commands import bench, pareto
 app = typer.Typer(
     name="lab",
     cls=Group,
-    help="The laboratory of coded-exposure: comparisons with what others published, proofs and studies.",
+    help=(
+        "The laboratory of coded-exposure: comparisons with what others published, proofs and"
+        " studies."
+    ),
     epilog="Begin with: python -m lab bench --quick -o bench",
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",

@@ -73,7 +73,10 @@ def pareto(
             "--time",
             metavar="S",
             rich_help_panel=SEARCH,
-            help="Search for so many seconds, 60 when --steps is omitted too: the front depends on the machine.",
+            help=(
+                "Search for so many seconds, 60 when --steps is omitted too: the front depends on"
+                " the machine."
+            ),
         ),
     ] = None,
     steps: Annotated[
@@ -83,8 +86,11 @@ def pareto(
             metavar="N",
             min=0,
             rich_help_panel=SEARCH,
-            help="Make so many moves, however long it takes: the same seed and moves give the same front. With --time "
-            "whichever ends first.",
+            help=(
+                "Make so many moves, however long it takes: the same seed and moves give the same"
+                " front. With --time "
+                "whichever ends first."
+            ),
         ),
     ] = None,
     output: Annotated[Path, output_option("File to write.")] = Path("front.json"),
@@ -94,7 +100,8 @@ def pareto(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Search the codes that no other beats in minimum, noise and light together; Ctrl-C keeps what is found so far.
+    """Search the codes that no other beats in minimum, noise and light together; Ctrl-C keeps what
+    is found so far.
 
     A code is beaten when another is at least as good in all three and better in one: its smallest
     |H|, larger is better; its noise gain, 10 log10 mean 1/|H|^2, smaller is better; its open
@@ -190,7 +197,8 @@ def _show(console: Console, found: FrontComparison, output: Path, picture: Path)
     named = found.knees
     if found.verdict is None:
         console.print(
-            "Whether to code at all depends on the motion and the camera: cep advise --linear PX says it."
+            "Whether to code at all depends on the motion and the camera: cep advise --linear PX"
+            " says it."
         )
     else:
         console.print(found.verdict.sentence)

@@ -1,1 +1,3 @@
-"""Measuring estimators on data sets: simulated shakes and Levin's photos, floors and ceilings, tables and pictures."""
+"""Measuring estimators on data sets: simulated shakes and Levin's photos, floors and ceilings,
+tables and pictures.
+"""

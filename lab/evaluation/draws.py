@@ -1,4 +1,6 @@
-"""Figures of several draws of one kernel: the best, how alike they are, and whether the truth is among them."""
+"""Figures of several draws of one kernel: the best, how alike they are, and whether the truth is
+among them.
+"""
 
 from __future__ import annotations
 

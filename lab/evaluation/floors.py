@@ -78,13 +78,16 @@ def path_kernel(trajectory: Trajectory) -> FloatArray:
 
 
 def quadratic_kernel(trajectory: Trajectory) -> FloatArray:
-    """PSF, 64 px or larger, of the quadratic path whose PSF is most like the trajectory's (2 CPU-s)."""
+    """PSF, 64 px or larger, of the quadratic path whose PSF is most like the trajectory's (2
+    CPU-s).
+    """
     quadratic = most_alike_quadratic(trajectory, size=PSF_PX).trajectory()
     return quadratic.psf(quadratic.frame_size(PSF_PX))
 
 
 def floors(mean: FloatArray | None = None) -> dict[str, FloatArray]:
-    """Kernels independent of the photo, by name: "delta", "gaussian" and, where it is given, "mean-kernel".
+    """Kernels independent of the photo, by name: "delta", "gaussian" and, where it is given,
+    "mean-kernel".
 
     Parameters
     ----------

@@ -45,8 +45,8 @@ _WEIGHT_PER_VARIANCE = 2.5
 _NAN = math.nan
 
 RESTORATION = (
-    f"L0 gradients, whose weight is {_WEIGHT_PER_VARIANCE:g} times the variance of the noise found in the photo, "
-    f"{_LEAST_WEIGHT:g} (PMP's) at least and {_MOST_WEIGHT:g} at most"
+    f"L0 gradients, whose weight is {_WEIGHT_PER_VARIANCE:g} times the variance of the noise found"
+    f" in the photo, {_LEAST_WEIGHT:g} (PMP's) at least and {_MOST_WEIGHT:g} at most"
 )
 """What :func:`restored` does, in words for a report."""
 
@@ -148,7 +148,8 @@ def measure_estimator(case: Case, estimator: Estimator, *, restore: bool = True)
 
 
 def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:
-    """Restore a photo with a known kernel: L0 gradients on a periodic extension, weighted by the photo's noise.
+    """Restore a photo with a known kernel: L0 gradients on a periodic extension, weighted by the
+    photo's noise.
 
     Parameters
     ----------

@@ -18,19 +18,19 @@ SLOW_METHODS = ("selfdeblur", "blinddps")
 """Hours per photo on a CPU: run only where they are named."""
 
 METHODS = ("pmp", "motdiff", "network", "networks", "parametric", "psf-diffusion", *SLOW_METHODS)
-"""Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both take one DDIM step where
-none are named), ``network:SAMPLER:STEPS:DRAWS``, which measures that many draws of each photo as
-well, ``networks`` with the same additions, whose draws are corrected by the second network,
-``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps tells only
-what it needs. ``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE``, or ``networks``, take other
-weights of MoTDiff than the
-package's."""
+"""Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both
+take one DDIM step where none are named), ``network:SAMPLER:STEPS:DRAWS``, which measures that many
+draws of each photo as well, ``networks`` with the same additions, whose draws are corrected by the
+second network, ``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which
+blinddps tells only what it needs. ``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE``, or
+``networks``, take other weights of MoTDiff than the package's."""
 
 _WITH_WEIGHTS = ("motdiff", "network", "networks")
 
 
 class NetworkAlone:
-    """The network's output: no scoring, no refinement, no fall-back; unchanged, or corrected by the second network.
+    """The network's output: no scoring, no refinement, no fall-back; unchanged, or corrected by
+    the second network.
 
     The paper measures draws of many steps; one step, as MoTDiff takes here, gives the mean guess
     and a higher MNC.
@@ -126,7 +126,9 @@ class NetworkAlone:
 
 
 def split_weights(method: str) -> tuple[str, Path | None]:
-    """Split ``motdiff@FILE`` or ``network@FILE`` into the method and its file of weights, None where there is none."""
+    """Split ``motdiff@FILE`` or ``network@FILE`` into the method and its file of weights, None
+    where there is none.
+    """
     name, at, file = method.partition("@")
     return (name, Path(file)) if at and name.split(":")[0] in _WITH_WEIGHTS else (method, None)
 
@@ -190,7 +192,8 @@ def _psf_diffusion(steps: str) -> Estimator:
 
     if steps and not steps.isdigit():
         raise ValueError(
-            f"method: must be psf-diffusion or psf-diffusion:STEPS, got {'psf-diffusion:' + steps!r}"
+            "method: must be psf-diffusion or psf-diffusion:STEPS, got"
+            f" {'psf-diffusion:' + steps!r}"
         )
     return PsfDiffusionEstimator(steps=int(steps)) if steps else PsfDiffusionEstimator()
 
@@ -200,7 +203,8 @@ def _selfdeblur(iterations: str) -> Estimator:
 
     if iterations and not iterations.isdigit():
         raise ValueError(
-            f"method: must be selfdeblur or selfdeblur:ITERATIONS, got {'selfdeblur:' + iterations!r}"
+            "method: must be selfdeblur or selfdeblur:ITERATIONS, got"
+            f" {'selfdeblur:' + iterations!r}"
         )
     config = SelfDeblurConfig(iterations=int(iterations)) if iterations else SelfDeblurConfig()
     # an interrupted evaluation resumes in the middle of its photo
@@ -223,5 +227,8 @@ def _of_network(method: str, weights: Path | None) -> Estimator:
             steps.isdigit() and count.isdigit() and int(count) > 0
         ):
             return alone(sampler=sampler, steps=int(steps), count=int(count))
-    known = "network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS, or networks with the same additions"
+    known = (
+        "network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS, or networks with the same"
+        " additions"
+    )
     raise ValueError(f"method: must be {known}, got {method!r}")

@@ -34,7 +34,8 @@ class Case:
 
 
 def levin_photo(path: Path) -> Case:
-    """Read one of Levin's real camera shakes, a ``.mat`` file of ``x`` sharp, ``y`` blurred and ``f`` kernel.
+    """Read one of Levin's real camera shakes, a ``.mat`` file of ``x`` sharp, ``y`` blurred and
+    ``f`` kernel.
 
     The true PSF is ``f`` turned by 180 degrees, see :func:`motdiff.files.mat_files.levin_psf`.
 
@@ -51,7 +52,8 @@ def levin_photo(path: Path) -> Case:
     data = read_mat(path, "xyf")
     if missing := [name for name in "xyf" if name not in data]:
         raise ValueError(
-            f"{path}: lacks the variable {missing[0]}; wanted x (sharp), y (blurred) and f (kernel)"
+            f"{path}: lacks the variable {missing[0]}; wanted x (sharp), y (blurred) and f"
+            " (kernel)"
         )
     for name, table in data.items():
         if (

@@ -53,10 +53,10 @@ class Front:
         For every number of open chips the codes not beaten by others of the same light, by
         minimum.
     unit : {"chips", "light-true", "light-true, sampled"}
-        Of the minimum. In chips: of |P| over the whole unit circle. Light-true: of |H| over the band's continuum.
-        Sampled: along a curved path nearly every code has true zeros between the samples, so that
-        the minimum over the continuum does not distinguish codes. The one over the samples is
-        shown, but the front is over noise and light alone.
+        Of the minimum. In chips: of |P| over the whole unit circle. Light-true: of |H| over the
+        band's continuum. Sampled: along a curved path nearly every code has true zeros between the
+        samples, so that the minimum over the continuum does not distinguish codes. The one over
+        the samples is shown, but the front is over noise and light alone.
     problem : SearchProblem
     seconds : float
     steps : int
@@ -81,7 +81,8 @@ class Front:
 
 
 def non_dominated(values: ArrayLike) -> BoolArray:
-    """Mask of the non-dominated rows: no other row is at least as good in every column and better in one.
+    """Mask of the non-dominated rows: no other row is at least as good in every column and better
+    in one.
 
     Parameters
     ----------
@@ -215,9 +216,9 @@ class Judge:
             FrontPoint(
                 ShutterCode.from_array(code),
                 unit * 10 ** (low / 20),
-                -quiet
-                if np.isfinite(low)
-                else np.inf,  # samples may well miss a zero, the mean over all does not
+                (
+                    -quiet if np.isfinite(low) else np.inf
+                ),  # samples may well miss a zero, the mean over all does not
                 int(code.sum()),
                 -mse,
             )
@@ -288,7 +289,9 @@ class Archive:
             hopes = np.delete(hopes, chosen, axis=0)
 
     def look_around(self, rng: np.random.Generator) -> bool:
-        """Offer all swaps of one code whose neighbours are not yet evaluated; False when there is none."""
+        """Offer all swaps of one code whose neighbours are not yet evaluated; False when there is
+        none.
+        """
         code = next((c for c in self.codes if c.tobytes() not in self._looked_around), None)
         if code is None:
             return False

@@ -34,7 +34,8 @@ Codes = NDArray[np.int8]
 Progress = Callable[[float, str], None]
 
 NOISE_SHARES = (0.0, 0.8, 1.0)
-"""Shares of the noise's decibels in the mixes searched, the rest the minimum's: a decibel of noise is worth several."""
+"""Shares of the noise's decibels in the mixes searched, the rest the minimum's: a decibel of noise
+is worth several."""
 
 _MOST_COUNTS = 64
 _LEEWAY_DB = np.array([1.5, 0.6])  # by which a count's codes may be beaten before it is given up
@@ -60,7 +61,8 @@ def pareto_front(
     progress: Progress | None = None,
     threads: int | None = None,
 ) -> Front:
-    """Search codes that no other beats; anytime: the time limit or Ctrl-C returns the front so far.
+    """Search codes that no other beats; anytime: the time limit or Ctrl-C returns the front so
+    far.
 
     Parameters
     ----------
@@ -170,7 +172,9 @@ class _Search:
             self._settle(count, _FIRST_LOOKS)
 
     def rounds(self, shares: tuple[float, ...]) -> None:
-        """Anneal with every mix for every count that is not given up, longer from round to round."""
+        """Anneal with every mix for every count that is not given up, longer from round to
+        round.
+        """
         moves = _FIRST_MOVES
         while self._free.size and (self.steps is None or self.moves < self.steps):
             counts = self._promising()
@@ -239,7 +243,9 @@ class _Search:
             done += 1
 
     def _anneal(self, count: int, share: float, moves: int) -> None:
-        """Run chains from the count's codes, from neighbours' and from random ones, and offer their codes."""
+        """Run chains from the count's codes, from neighbours' and from random ones, and offer
+        their codes.
+        """
         archive = self.archives[count]
         found = list[Codes]()
         near = sorted((k for k in self.archives if k != count), key=lambda k: (abs(k - count), k))[
@@ -277,7 +283,9 @@ class _Search:
             archive.offer(np.concatenate([*found, archive.codes[:0]]))
 
     def _tables_of(self, share: float) -> tuple[Tables, float]:
-        """Tables of a mix for the compiled loops, cached, and the first temperature of its chains, dB."""
+        """Tables of a mix for the compiled loops, cached, and the first temperature of its chains,
+        dB.
+        """
         if share not in self._tables:
             mix = tuple(
                 (name, weight)
@@ -311,7 +319,9 @@ class _Search:
 def _problems_by_count(
     problem: SearchProblem, counts: Sequence[int] | None
 ) -> dict[int, SearchProblem]:
-    """Narrow the problem to each count; of those not asked for by name, to the ones that some code keeps."""
+    """Narrow the problem to each count; of those not asked for by name, to the ones that some code
+    keeps.
+    """
     low, high = problem.open_limits
     if counts is not None:
         outside = [count for count in counts if not low <= count <= high]

@@ -35,7 +35,8 @@ _UNITS = {
 def pareto_figure(
     front: Front, published: Mapping[str, FrontPoint] | None = None, *, title: str = ""
 ) -> Figure:
-    """Draw minimum against noise gain, coloured by light; along curved paths light against noise gain.
+    """Draw minimum against noise gain, coloured by light; along curved paths light against noise
+    gain.
 
     Thin lines join the best codes of equal light, large dots are the front, crosses the published
     codes.
@@ -207,7 +208,9 @@ def _label(
     labels: Sequence[tuple[str, FrontPoint, str]],
     dots: Sequence[FrontPoint],
 ) -> None:
-    """Write labels beside their points, each where it covers no point, no other label and as few lines as can be."""
+    """Write labels beside their points, each where it covers no point, no other label and as few
+    lines as can be.
+    """
     figure.draw_without_rendering()
     frame = axes.get_window_extent()
     everything = [*front.points, *dots, *(point for _, point, _ in labels)]

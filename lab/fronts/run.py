@@ -1,4 +1,6 @@
-"""From a search problem to its front: the codes that no other beats, and the published codes beside them."""
+"""From a search problem to its front: the codes that no other beats, and the published codes
+beside them.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,8 @@ class FrontComparison:
             )
         if self.front.sampled:
             warnings.append(
-                "along a curved path minima over samples prove nothing: the front is over noise and light"
+                "along a curved path minima over samples prove nothing: the front is over noise"
+                " and light"
             )
         return tuple(warnings)
 
@@ -126,7 +129,9 @@ class FrontComparison:
     def save(
         self, path: Path | str, plot: Path | str, *, source: Mapping[str, object] | None = None
     ) -> None:
-        """Write :meth:`stored` as a ``front.json``, and its figure as .png, .pdf or .svg: both or neither."""
+        """Write :meth:`stored` as a ``front.json``, and its figure as .png, .pdf or .svg: both or
+        neither.
+        """
         document = Path(path)
         figure = Path(plot)
         with new_files([document, figure]) as made:
@@ -144,7 +149,8 @@ def pareto(
     progress: Callable[[float, str], None] | None = None,
     on_checked: Callable[[], None] = lambda: None,
 ) -> FrontComparison:
-    """Search the codes that no other beats in minimum, noise and light, and measure the published ones beside them.
+    """Search the codes that no other beats in minimum, noise and light, and measure the published
+    ones beside them.
 
     Parameters
     ----------
@@ -181,7 +187,8 @@ def pareto(
     )
     if not front.points:
         raise ValueError(
-            "open_range: every code found of so many open chips has a zero, allow others or search longer"
+            "open_range: every code found of so many open chips has a zero, allow others or search"
+            " longer"
         )
     entries = for_chips(problem.chips)
     points = front_points(problem, (entry.code for entry in entries))

@@ -1,4 +1,6 @@
-"""U-Net of "ablated diffusion models" with the parameter names of guided-diffusion, whose weights BlindDPS uses."""
+"""U-Net of "ablated diffusion models" with the parameter names of guided-diffusion, whose weights
+BlindDPS uses.
+"""
 
 from __future__ import annotations
 
@@ -74,12 +76,14 @@ class AdmConfig:
             len(self.multipliers) - 1
         ):
             raise ValueError(
-                f"multipliers: must be 1..{_DEEPEST} levels that halve {self.size} px, got {self.multipliers}"
+                f"multipliers: must be 1..{_DEEPEST} levels that halve {self.size} px, got"
+                f" {self.multipliers}"
             )
         widths = [self.width * multiplier for multiplier in self.multipliers]
         if self.width % _GROUPS or not all(0 < width <= _WIDEST for width in widths):
             raise ValueError(
-                f"width: must be a multiple of {_GROUPS}, with levels up to {_WIDEST}, got {self.width}"
+                f"width: must be a multiple of {_GROUPS}, with levels up to {_WIDEST}, got"
+                f" {self.width}"
             )
         if any(
             width % _HEAD
@@ -87,7 +91,8 @@ class AdmConfig:
             if self.attends(level) or level == len(widths) - 1
         ):
             raise ValueError(
-                f"width: levels with attention must be a multiple of {_HEAD} wide, got {self.width}"
+                f"width: levels with attention must be a multiple of {_HEAD} wide, got"
+                f" {self.width}"
             )
 
     def attends(self, level: int) -> bool:
@@ -96,7 +101,8 @@ class AdmConfig:
 
 
 class AdmUNet(nn.Module):
-    """Noise (and variance) in noisy images, by residual blocks with scales and shifts that depend on the timestep.
+    """Noise (and variance) in noisy images, by residual blocks with scales and shifts that depend
+    on the timestep.
 
     Parameters
     ----------
@@ -152,7 +158,9 @@ class AdmUNet(nn.Module):
         )
 
     def forward(self, x: Tensor, t: Tensor) -> Tensor:
-        """Noise in images (B, C, S, S) at timesteps (B,), (B, C, S, S), then the channels of the variance."""
+        """Noise in images (B, C, S, S) at timesteps (B,), (B, C, S, S), then the channels of the
+        variance.
+        """
         time = self.time_embed(timestep_embedding(t, self.width))
         skips = []
         for stage in self.input_blocks:

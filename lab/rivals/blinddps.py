@@ -63,7 +63,8 @@ class Prior:
 
 
 class BlindDpsEstimator:
-    """Blind estimator that samples photo and kernel from their approximate posterior under two diffusion priors.
+    """Blind estimator that samples photo and kernel from their approximate posterior under two
+    diffusion priors.
 
     Parameters
     ----------
@@ -106,7 +107,8 @@ class BlindDpsEstimator:
         self._priors = priors
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Draw the kernel of ``photo``, (H, W) or (H, W, 3), linear light 0..1, in its best crop of S - K + 1 px.
+        """Draw the kernel of ``photo``, (H, W) or (H, W, 3), linear light 0..1, in its best crop
+        of S - K + 1 px.
 
         Its centroid lies at index 32, to whole pixels. The draw is not scored: ``confidence`` is
         0.
@@ -148,7 +150,8 @@ class BlindDpsEstimator:
 
 
 def load_priors(folder: Path | str, *, device: torch.device | str = "cpu") -> tuple[Prior, Prior]:
-    """Load the priors of the photo and of the kernel from ``image.safetensors`` and ``kernel.safetensors``.
+    """Load the priors of the photo and of the kernel from ``image.safetensors`` and
+    ``kernel.safetensors``.
 
     Raises
     ------
@@ -203,7 +206,8 @@ def write_prior(state: Mapping[str, Tensor], target: Path | str, config: AdmConf
 
 
 def linear_alpha_bar() -> tuple[float, ...]:
-    """Share of the signal's power left at timestep 0..999, with noise of variance 1e-4 to 0.02 added at each.
+    """Share of the signal's power left at timestep 0..999, with noise of variance 1e-4 to 0.02
+    added at each.
 
     References
     ----------
@@ -299,7 +303,7 @@ def _check_pair(image: Prior, kernel: Prior) -> None:
             )
     if image.shape[1] not in (1, 3) or kernel.shape[1] != 1 or kernel.shape[-1] >= image.shape[-1]:
         raise ValueError(
-            f"priors: need an image prior of 1 or 3 channels and a smaller kernel prior of 1, "
+            "priors: need an image prior of 1 or 3 channels and a smaller kernel prior of 1, "
             f"got {image.shape} and {kernel.shape}"
         )
     if image.device != kernel.device:
@@ -332,7 +336,8 @@ def _window(photo: ArrayLike, size: int, channels: int) -> NDArray[np.float64]:
     grey = luminance(photo)
     if min(grey.shape) < size:
         raise ValueError(
-            f"photo: these weights need at least {size} x {size} px, got {grey.shape[1]} x {grey.shape[0]}"
+            f"photo: these weights need at least {size} x {size} px, got {grey.shape[1]} x"
+            f" {grey.shape[0]}"
         )
     if np.ptp(grey) == 0:
         raise ValueError("photo: is constant; motion shows only where the scene has texture")
@@ -352,6 +357,8 @@ def _kernel_of(signal: Tensor) -> Tensor:
 
 
 def _to_linear(display: Tensor) -> Tensor:
-    """Decode sRGB values 0..1; blur happens in linear light, while photos for priors are encoded for display."""
+    """Decode sRGB values 0..1; blur happens in linear light, while photos for priors are encoded
+    for display.
+    """
     high = ((display.clamp(min=_SRGB_KNEE) + 0.055) / 1.055) ** 2.4
     return torch.where(display <= _SRGB_KNEE, display / 12.92, high)

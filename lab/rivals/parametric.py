@@ -13,7 +13,8 @@ from motdiff.tracing.quadratic import QuadraticPath
 
 
 class ParametricEstimator:
-    """Blind estimator of Motion-ETR's class: one quadratic path, predicted directly and not refined.
+    """Blind estimator of Motion-ETR's class: one quadratic path, predicted directly and not
+    refined.
 
     It has the condition network of the shipped MoTDiff and started from its former weights. Its
     output and its training differ: the shipped one saw 16,016 samples drawn from 704 prepared
@@ -38,7 +39,8 @@ class ParametricEstimator:
         self._network = load_path_network(PATH_WEIGHTS if weights is None else weights)
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Predict the path in ``photo``, (H, W) or (H, W, 3), linear light 0..1; see :func:`conditioning_maps`.
+        """Predict the path in ``photo``, (H, W) or (H, W, 3), linear light 0..1; see
+        :func:`conditioning_maps`.
 
         The path is not scored: ``confidence`` is 0.
         """

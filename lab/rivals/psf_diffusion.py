@@ -12,7 +12,8 @@ from motdiff.estimators.from_kernel import estimate_from_kernel
 
 
 class PsfDiffusionEstimator:
-    """Blind estimator in Kernel-Diff's representation: one PSF sampled by conditional diffusion, not refined.
+    """Blind estimator in Kernel-Diff's representation: one PSF sampled by conditional diffusion,
+    not refined.
 
     It has the condition network of the shipped MoTDiff and started from its former weights. Its
     output and its training differ: the shipped one saw 12,816 samples drawn from 704 prepared
@@ -50,7 +51,8 @@ class PsfDiffusionEstimator:
         self._seed = seed
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Draw the PSF of ``photo``, (H, W) or (H, W, 3), linear light 0..1; see :func:`conditioning_maps`.
+        """Draw the PSF of ``photo``, (H, W) or (H, W, 3), linear light 0..1; see
+        :func:`conditioning_maps`.
 
         Its centroid lies at the middle of its frame, to whole pixels. The draw is not scored:
         ``confidence`` is 0.

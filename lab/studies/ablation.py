@@ -1,4 +1,5 @@
-"""Ablation of MoTDiff at an equal small budget: the paper's rows (f2, f4, loss, STPD) and, beside them, physics maps.
+"""Ablation of MoTDiff at an equal small budget: the paper's rows (f2, f4, loss, STPD) and, beside
+them, physics maps.
 
     python -m lab.studies.ablation PHOTOS [--runs FOLDER] [--samples 1600] [--seeds 2]
     python -m lab.studies.ablation PREPARED PREPARED_VALIDATION --physics [--samples 9600]
@@ -99,9 +100,14 @@ def read_rows(file: Path, *, samples: int) -> Scores:
 
 
 def table(scores: Scores) -> Iterator[str]:
-    """Lines of the table: each row's mean, and its paired difference from the complete network with its interval."""
+    """Lines of the table: each row's mean, and its paired difference from the complete network
+    with its interval.
+    """
     count = max(len(row) for row in scores.values())
-    yield f"| seed | row | MNC, mean of {count} | less complete, 95 % over photos |\n|---:|---|---:|---:|"
+    yield (
+        f"| seed | row | MNC, mean of {count} | less complete, 95 % over photos"
+        " |\n|---:|---|---:|---:|"
+    )
     for (seed, name), row in scores.items():
         difference = ""
         if name != _COMPLETE and (seed, _COMPLETE) in scores:

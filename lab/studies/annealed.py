@@ -1,4 +1,5 @@
-"""The annealing against the proven optima of docs/optima.md, which it is not given: smallest |P| and its share.
+"""The annealing against the proven optima of docs/optima.md, which it is not given: smallest |P|
+and its share.
 
     python -m lab.studies.annealed [--chips 40 44 48 52] [--seeds 0 1] [--seconds 60]
 
@@ -59,8 +60,8 @@ def main() -> None:
             lowest = min_chip(found.code)
             share = 100 * lowest / proven.minimum.upper
             print(
-                f"| {chips} | {found.code.open_chips} | {proven.minimum.upper:.4f} | {lowest:.4f} | {share:.1f} "
-                f"| {found.steps / 1e6:,.0f} | {seconds:.1f} | {seed} |",
+                f"| {chips} | {found.code.open_chips} | {proven.minimum.upper:.4f} | {lowest:.4f}"
+                f" | {share:.1f} | {found.steps / 1e6:,.0f} | {seconds:.1f} | {seed} |",
                 flush=True,
             )
 

@@ -58,7 +58,9 @@ def wall_times(
     seed: int,
     estimator: Estimator,
 ) -> None:
-    """Wall time of each estimate, after loading, of photos of 256 x 256 px; the first is not counted."""
+    """Wall time of each estimate, after loading, of photos of 256 x 256 px; the first is not
+    counted.
+    """
     side = CROP_PX + PSF_PX  # the kernel's frame is lost at the borders
     scenes = [
         scene[:side, :side] for scene in sharp_photos(folder) if min(scene.shape[:2]) >= side
@@ -92,7 +94,9 @@ def sharp_photos(folder: Path | None) -> list[FloatArray]:
 def shaken(
     scenes: list[FloatArray], trace: GyroTrace, count: int, sigma: float, seed: int
 ) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """Photos with real borders and white noise: Boracchi-Foi (60 px) and gyro motions (12-36 px, 50-500 ms) in turn."""
+    """Photos with real borders and white noise: Boracchi-Foi (60 px) and gyro motions (12-36 px,
+    50-500 ms) in turn.
+    """
     for i in range(count):
         rng = np.random.default_rng([seed, i])
         sharp = scenes[(i // 2) % len(scenes)]

@@ -1,10 +1,11 @@
-"""Bounds: what no code can exceed, by which argument, how long it takes, and how far the best code found stays below.
+"""Bounds: what no code can exceed, by which argument, how long it takes, and how far the best code
+found stays below.
 
     python -m lab.studies.bounds [--seconds 5] [--skip-curve-noise]
 
-min |P| in chips on the unit circle; min |H| times n along a motion, so that both count open chips; noise in dB,
-10 log10 mean 1/|H|^2, light-true. "found" anneals for each objective for so many seconds, one
-core.
+min |P| in chips on the unit circle; min |H| times n along a motion, so that both count open chips;
+noise in dB, 10 log10 mean 1/|H|^2, light-true. "found" anneals for each objective for so many
+seconds, one core.
 """
 
 from __future__ import annotations
@@ -77,8 +78,8 @@ def rounding(name: str, problem: SearchProblem) -> None:
     ours = judge.cost_of(rounded_codes(relaxation, 2000, rng=rng))
     chance = judge.cost_of(problem.random_codes(2000, rng=rng))
     print(
-        f"{name:18s} -20 log10 min |H|: rounded median {np.median(ours):6.2f} best {ours.min():6.2f} dB, "
-        f"random {np.median(chance):6.2f} and {chance.min():6.2f} dB"
+        f"{name:18s} -20 log10 min |H|: rounded median {np.median(ours):6.2f} best"
+        f" {ours.min():6.2f} dB, random {np.median(chance):6.2f} and {chance.min():6.2f} dB"
     )
 
 

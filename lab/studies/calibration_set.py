@@ -1,4 +1,5 @@
-"""How well sets of calibration codes tell orders in time, and how exact blind kernels are in the band compared.
+"""How well sets of calibration codes tell orders in time, and how exact blind kernels are in the
+band compared.
 
 Run with ``python -m lab.studies.calibration_set separation`` or ``... blind``.
 """
@@ -64,7 +65,8 @@ def separation() -> None:
                 limits, count, measure=design, rng=np.random.default_rng(2)
             )
     print(
-        "| codes | walks resolved | median | worst tenth | conditioning |\n|---|---:|---:|---:|---:|"
+        "| codes | walks resolved | median | worst tenth | conditioning"
+        " |\n|---|---:|---:|---:|---:|"
     )
     for name, codes in rows.items():
         apart = np.sum([test.of(code) for code in codes], axis=0)
@@ -109,12 +111,15 @@ def blind() -> None:
         errors += row
         print(f"| {name} | " + " | ".join(f"{error:.3f}" for error in row) + " |", flush=True)
     print(
-        f"median {np.median(errors):.3f}, quartiles {np.quantile(errors, [0.25, 0.75]).round(3).tolist()}"
+        f"median {np.median(errors):.3f}, quartiles"
+        f" {np.quantile(errors, [0.25, 0.75]).round(3).tolist()}"
     )
 
 
 def _error(psf: FloatArray, found: FloatArray, grid_px: int = 240) -> float:
-    """Energy of the difference within the band, the kernels laid on each other as they fit best."""
+    """Energy of the difference within the band, the kernels laid on each other as they fit
+    best.
+    """
     f = np.fft.fftfreq(grid_px)
     band = np.hypot(f[:, None], f) <= BAND_CY_PX
     true, other = (np.fft.fft2(one / one.sum(), (grid_px, grid_px)) * band for one in (psf, found))

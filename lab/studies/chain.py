@@ -1,4 +1,5 @@
-"""The whole chain on simulated hand shakes: (estimate ->) optimise -> capture -> restore, coded against uncoded.
+"""The whole chain on simulated hand shakes: (estimate ->) optimise -> capture -> restore, coded
+against uncoded.
 
     python -m lab.studies.chain [--estimate true|pmp] [--shakes 10] [--chips 52] [--seconds 8]
     [--objective mse]
@@ -61,7 +62,9 @@ def scene(name: str) -> np.ndarray:
 
 
 def snapshot_psf(path: Trajectory) -> np.ndarray:
-    """PSF of the longest single opening around mid-exposure that moves the image by at most SHARP_PX."""
+    """PSF of the longest single opening around mid-exposure that moves the image by at most
+    SHARP_PX.
+    """
     low = 0.0
     high = 0.5
     for _ in range(40):
@@ -171,9 +174,10 @@ def main() -> None:
     print(f"  {'PSNR difference, dB':<26}{'mean':>8}{'sd':>8}{'min':>8}{'max':>8}")
     for level, table in results.items():
         print(
-            f"{level:g} photons at full scale: uncoded {np.mean(table['uncoded']):.2f} dB, coded "
-            f"{np.mean(table['coded']):.2f} dB, snapshot {np.mean(table['snapshot']):.2f} dB; direction "
-            f"{len(table['forward'])} right, {len(table['reverse'])} wrong, {len(table['undecidable'])} undecidable"
+            f"{level:g} photons at full scale: uncoded {np.mean(table['uncoded']):.2f} dB, coded"
+            f" {np.mean(table['coded']):.2f} dB, snapshot {np.mean(table['snapshot']):.2f} dB;"
+            f" direction {len(table['forward'])} right, {len(table['reverse'])} wrong,"
+            f" {len(table['undecidable'])} undecidable"
         )
         for label in (
             "coded - uncoded",

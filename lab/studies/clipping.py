@@ -89,12 +89,14 @@ def main() -> None:
         without, with_fill = np.array(pairs).T
         gain = with_fill - without
         print(
-            f"{kind:12} {method:8} {without.mean():6.2f} {with_fill.mean():6.2f} dB, least gain {gain.min():5.2f}"
+            f"{kind:12} {method:8} {without.mean():6.2f} {with_fill.mean():6.2f} dB, least gain"
+            f" {gain.min():5.2f}"
         )
     for kind, values in likeness.items():
         mnc, stated = np.array(values).T
         print(
-            f"{kind:12} MNC of pmp {mnc.mean():.3f}, least {mnc.min():.3f}, stated {stated.mean():.2f}"
+            f"{kind:12} MNC of pmp {mnc.mean():.3f}, least {mnc.min():.3f}, stated"
+            f" {stated.mean():.2f}"
         )
 
 

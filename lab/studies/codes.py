@@ -1,4 +1,5 @@
-"""Shutter codes, measured: the published ones, the annealer's, and what an unknown direction costs on curved paths.
+"""Shutter codes, measured: the published ones, the annealer's, and what an unknown direction costs
+on curved paths.
 
     python -m lab.studies.codes [--seconds 40] [--curved-seconds 10] [--motions 8]
                                [--only league|certificates|straight|curved] [--table league.tex]
@@ -32,14 +33,16 @@ def chip_row(name: str, code: ShutterCode, seconds: float) -> None:
     found = chip_minimum(code)
     noise = chip_noise_db(code)
     print(
-        f"{name:22s} {code.chips:4d} {code.open_chips:4d} {found.upper:8.4f} {found.lower:8.4f} "
-        f"{found.upper / code.open_chips:7.4f} {noise:8.2f} {noise + 20 * np.log10(code.open_chips):8.2f}  "
-        f"{seconds:.1f} s"
+        f"{name:22s} {code.chips:4d} {code.open_chips:4d} {found.upper:8.4f} {found.lower:8.4f}"
+        f" {found.upper / code.open_chips:7.4f} {noise:8.2f}"
+        f" {noise + 20 * np.log10(code.open_chips):8.2f}  {seconds:.1f} s"
     )
 
 
 def league(file: Path | None) -> None:
-    """Print the tables of docs/league.md, and write them to a .tex, .csv or .md file where one is named."""
+    """Print the tables of docs/league.md, and write them to a .tex, .csv or .md file where one is
+    named.
+    """
     measured = []
     claimed = []
     for name in names():
@@ -103,7 +106,8 @@ def certificates() -> None:
     """Print how tight certificates are, what they cost, and what checking them costs."""
     print("\nCertificates: CPU seconds of the proof and of the second opinion, after compiling")
     print(
-        f"{'code and motion':36s} {'lower':>12} {'upper':>12} {'width':>8} {'proof':>7} {'check':>7}  method, verdict"
+        f"{'code and motion':36s} {'lower':>12} {'upper':>12} {'width':>8} {'proof':>7}"
+        f" {'check':>7}  method, verdict"
     )
     shakes = [boracchi_foi(np.random.default_rng(seed), max_length_px=60.0) for seed in range(3)]
     drawn = np.random.default_rng(0)
@@ -135,8 +139,9 @@ def certificates() -> None:
         verdict = verify(found.to_dict(), bits=code.bits)
         checked = time.process_time()
         print(
-            f"{name:36s} {found.lower:12.8f} {found.upper:12.8f} {found.relative_width:8.1e} {proven - began:7.3f} "
-            f"{checked - proven:7.3f}  {found.method}, {'confirmed' if verdict.holds else verdict.reasons[-1]}"
+            f"{name:36s} {found.lower:12.8f} {found.upper:12.8f} {found.relative_width:8.1e}"
+            f" {proven - began:7.3f} {checked - proven:7.3f}  {found.method},"
+            f" {'confirmed' if verdict.holds else verdict.reasons[-1]}"
         )
 
 
@@ -158,8 +163,8 @@ def straight(seconds: float) -> None:
         )
         chip_row(f"anneal {objective}", found.code, found.seconds)
         print(
-            f"  {found.code.bits}  {found.steps / found.seconds:,.0f} moves/s; no code of 26 ones exceeds "
-            f"min |P| {bound(problem).min_chip:.2f}"
+            f"  {found.code.bits}  {found.steps / found.seconds:,.0f} moves/s; no code of 26 ones"
+            f" exceeds min |P| {bound(problem).min_chip:.2f}"
         )
 
 
@@ -168,10 +173,12 @@ def curved(seconds: float, motions: int) -> None:
     from cep.search.problem import SearchProblem
 
     print(
-        f"\nCurved paths (Boracchi-Foi, 60 px), 52 chips, {seconds:g} s a search; noise gain dB, light-true (DC)"
+        f"\nCurved paths (Boracchi-Foi, 60 px), 52 chips, {seconds:g} s a search; noise gain dB,"
+        " light-true (DC)"
     )
     print(
-        f"{'path':>6} {'no code':>15} {'one-way, along':>15} {'one-way, back':>15} {'both ways':>15} {'true min':>10}"
+        f"{'path':>6} {'no code':>15} {'one-way, along':>15} {'one-way, back':>15}"
+        f" {'both ways':>15} {'true min':>10}"
     )
     table = []
     for seed in range(motions):

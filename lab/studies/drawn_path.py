@@ -1,4 +1,5 @@
-"""Paths that the network draws, followed as they are drawn or traced anew from the kernels that they become.
+"""Paths that the network draws, followed as they are drawn or traced anew from the kernels that
+they become.
 
     python -m lab.studies.drawn_path [--photos FOLDER] [--count 16] [--seed 0]
 

@@ -26,7 +26,8 @@ def timed(problem: SearchProblem, threads: int) -> tuple[ExactResult, float]:
 
 def free(most: int, threads: int) -> None:
     print(
-        "| n | largest min &#124;P&#124; | k | length | code | codes | cpu s |\n|--:|--:|--:|--:|:--|--:|--:|"
+        "| n | largest min &#124;P&#124; | k | length | code | codes | cpu s"
+        " |\n|--:|--:|--:|--:|:--|--:|--:|"
     )
     for chips in range(8, most + 1):
         found, seconds = timed(SearchProblem(chips=chips), threads)
@@ -71,7 +72,9 @@ def speed(threads: int) -> None:
 
 
 def compare(chips: int) -> None:
-    """Print processor seconds of the scan with bit tables and of the folded one, both with the optimum as bound."""
+    """Print processor seconds of the scan with bit tables and of the folded one, both with the
+    optimum as bound.
+    """
     problem = SearchProblem(chips=chips)
     known, seconds = timed(problem, 1)
     plan = plan_blocks(problem)

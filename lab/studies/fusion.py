@@ -1,4 +1,5 @@
-"""How much better one motion is found in several photos of it together than in each alone, and who is left out.
+"""How much better one motion is found in several photos of it together than in each alone, and who
+is left out.
 
     python -m lab.studies.fusion [--method motdiff] [--count 8] [--photos 3] [--noise 0.01 0.02]
     [--scaled 0]
@@ -119,7 +120,8 @@ def main() -> None:
             rows.append(row := figures_of(given, index, noise))
             singles = " ".join(f"{one:.3f}" for one in row.singles)
             print(
-                f"{index} {noise:g}: {singles} fused {row.fused:.3f} seen {row.seen_in} without {row.left_out}",
+                f"{index} {noise:g}: {singles} fused {row.fused:.3f} seen {row.seen_in} without"
+                f" {row.left_out}",
                 flush=True,
             )
         strangers = set(range(given.photos + 1, given.photos + given.strangers + 1))
@@ -130,7 +132,8 @@ def main() -> None:
             np.mean([getattr(row, name) for row in rows]) for name in ("surest", "fused")
         )
         print(
-            "| noise | single, mean | surest | single best | fused | strangers left out | others left out |"
+            "| noise | single, mean | surest | single best | fused | strangers left out | others"
+            " left out |"
         )
         print(
             f"| {100 * noise:g} % | {mean:.3f} | {surest:.3f} | {best:.3f} | {fused:.3f} "

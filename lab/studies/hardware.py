@@ -1,4 +1,5 @@
-"""The AVR firmware on the emulated Uno: time to load and verify, latency of the trigger input, error of the edges.
+"""The AVR firmware on the emulated Uno: time to load and verify, latency of the trigger input,
+error of the edges.
 
     python -m lab.studies.hardware [--loads 200] [--triggers 400] [--codes 60]
 
@@ -51,7 +52,9 @@ def trigger_latencies(triggers: int) -> list[int]:
 
 
 def edge_errors(codes: int) -> tuple[list[int], int]:
-    """Errors of all edges against the first of their code, clock cycles, and the number of chips played."""
+    """Errors of all edges against the first of their code, clock cycles, and the number of chips
+    played.
+    """
     rng = random.Random(1)
     errors = []
     chips = 0
@@ -85,7 +88,8 @@ def main() -> None:
         return
     times = load_times_s(wanted.loads)
     print(
-        f"load and verify, 52 chips: median {statistics.median(times) * 1e3:.1f} ms, worst {times[-1] * 1e3:.1f} ms"
+        f"load and verify, 52 chips: median {statistics.median(times) * 1e3:.1f} ms, worst"
+        f" {times[-1] * 1e3:.1f} ms"
     )
     cycles = trigger_latencies(wanted.triggers)
     told = [
@@ -99,7 +103,8 @@ def main() -> None:
     print(f"trigger input to first chip, {len(cycles)} triggers: {', '.join(told)}")
     errors, chips = edge_errors(wanted.codes)
     print(
-        f"edges: {len(errors)} of {chips} chips are {min(errors):+d}..{max(errors):+d} cycles of 62.5 ns off"
+        f"edges: {len(errors)} of {chips} chips are {min(errors):+d}..{max(errors):+d} cycles of"
+        " 62.5 ns off"
     )
 
 

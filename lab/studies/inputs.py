@@ -1,4 +1,6 @@
-"""What the benchmarks share: photos (a folder, or scikit-image's own), a gyroscope trace, results of an ended run."""
+"""What the benchmarks share: photos (a folder, or scikit-image's own), a gyroscope trace, results
+of an ended run.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""How exactly the motion is found when something besides the photo is known: a sharp photo, or a gyroscope.
+"""How exactly the motion is found when something besides the photo is known: a sharp photo, or a
+gyroscope.
 
     python -m lab.studies.known_motion [--photos DIR] [--pairs 24] [--gyro-trace FILE] [--seed 0]
 
@@ -33,7 +34,10 @@ SIGMA = 0.01
 
 def spread(values: list[float]) -> str:
     low, middle, high = np.percentile(values, [10, 50, 90])
-    return f"{np.mean(values):.4f} {np.std(values):.4f} {min(values):.4f} {low:.4f} {middle:.4f} {high:.4f}"
+    return (
+        f"{np.mean(values):.4f} {np.std(values):.4f} {min(values):.4f} {low:.4f} {middle:.4f}"
+        f" {high:.4f}"
+    )
 
 
 def reference_rows(folder: Path | None, pairs: int, trace: GyroTrace, seed: int) -> None:
@@ -42,7 +46,8 @@ def reference_rows(folder: Path | None, pairs: int, trace: GyroTrace, seed: int)
     seconds = []
     scenes = photos(folder)
     print(
-        f"{'photo':24s} {'motion':13s} {'extent px':>9s} {'MNC':>7s} {'confidence':>10s} {'uniformity':>10s} CPU-s"
+        f"{'photo':24s} {'motion':13s} {'extent px':>9s} {'MNC':>7s} {'confidence':>10s}"
+        f" {'uniformity':>10s} CPU-s"
     )
     for index in range(pairs):
         rng = np.random.default_rng([seed, index])
@@ -68,15 +73,17 @@ def reference_rows(folder: Path | None, pairs: int, trace: GyroTrace, seed: int)
         scores[kind].append(score)
         confidences.append(estimate.confidence)
         print(
-            f"{name[:24]:24s} {kind:13s} {motion.extent_px:9.1f} {score:7.4f} {estimate.confidence:10.3f} "
-            f"{estimate.details['uniformity']:10.3f} {seconds[-1]:5.1f}  {' '.join(estimate.warnings)}"
+            f"{name[:24]:24s} {kind:13s} {motion.extent_px:9.1f} {score:7.4f}"
+            f" {estimate.confidence:10.3f} {estimate.details['uniformity']:10.3f}"
+            f" {seconds[-1]:5.1f}  {' '.join(estimate.warnings)}"
         )
     print(f"\n{'reference, MNC':24s} mean   std    min    p10    median p90")
     for kind, values in scores.items():
         print(f"{kind:24s} {spread(values)}  n={len(values)}")
     everything = [value for values in scores.values() for value in values]
     print(
-        f"{'all':24s} {spread(everything)}  n={len(everything)}  {np.mean(seconds):.1f} CPU-s a pair"
+        f"{'all':24s} {spread(everything)}  n={len(everything)}  {np.mean(seconds):.1f} CPU-s a"
+        " pair"
     )
     print(
         f"confidence against MNC: correlation {np.corrcoef(confidences, everything)[0, 1]:.2f}\n"
@@ -84,7 +91,9 @@ def reference_rows(folder: Path | None, pairs: int, trace: GyroTrace, seed: int)
 
 
 def gyro_rows(count: int, seed: int) -> None:
-    """Print PSF MNC of the estimator fed sampled, noisy rates against the path of the 4 kHz rates."""
+    """Print PSF MNC of the estimator fed sampled, noisy rates against the path of the 4 kHz
+    rates.
+    """
     print(f"{'gyro, PSF MNC':24s} mean   std    min    p10    median p90")
     focal_px = 3000.0
     fine_hz = 4000.0

@@ -1,4 +1,5 @@
-"""What the two networks add to ``pmp`` in ``cep calibrate``: paired MNC, by motion, noise and detail.
+"""What the two networks add to ``pmp`` in ``cep calibrate``: paired MNC, by motion, noise and
+detail.
 
     python -m lab.studies.motdiff_gain rows FILE --prepared CONFIG [--draws 8]       # held-out
     photos of a run python -m lab.studies.motdiff_gain rows FILE --data DIR --protocol NAME [--gyro
@@ -76,7 +77,9 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class Photo:
-    """A photo of a known motion: its name, kind of motion and scene, and the network's conditions where prepared."""
+    """A photo of a known motion: its name, kind of motion and scene, and the network's conditions
+    where prepared.
+    """
 
     name: str
     kind: str
@@ -87,7 +90,9 @@ class Photo:
 
 
 class PmpCorrected(PmpEstimator):
-    """PMP whose three likeliest different kernels are refined and judged again, and the best of these corrected."""
+    """PMP whose three likeliest different kernels are refined and judged again, and the best of
+    these corrected.
+    """
 
     method = "pmp+"
 
@@ -126,7 +131,8 @@ class Uncorrected(MotDiffEstimator):
 
 
 class SharedSearch:
-    """PMP's search, run once for the crops of a photo whatever the number of estimators that need it.
+    """PMP's search, run once for the crops of a photo whatever the number of estimators that need
+    it.
 
     Attributes
     ----------
@@ -142,7 +148,9 @@ class SharedSearch:
     def kernels(
         self, estimator: PmpEstimator, crops: FloatArray, **options: object
     ) -> list[FloatArray]:
-        """Search as :meth:`motdiff.estimators.pmp.PmpEstimator.kernels`, or give what was found before."""
+        """Search as :meth:`motdiff.estimators.pmp.PmpEstimator.kernels`, or give what was found
+        before.
+        """
         key = crops.tobytes()
         if key in self._found:
             self.spared_s += self._found[key][1]
@@ -233,7 +241,9 @@ def _chosen(details: object) -> dict[str, object]:
 def drawn(
     network: MotDiffNetwork, correction: CorrectionNetwork, photo: Photo, count: int, number: int
 ) -> dict[str, object]:
-    """Draws of the network alone, told of the kernels prepared with the photo, and the same corrected."""
+    """Draws of the network alone, told of the kernels prepared with the photo, and the same
+    corrected.
+    """
     figures: dict[str, object] = {}
     crops = luminance(photo.light)[None]
     others = list(photo.conditions[:2])
@@ -299,7 +309,9 @@ def read_rows(files: Iterable[Path]) -> list[dict]:
 
 
 def groups(rows: list[dict]) -> Iterator[tuple[str, list[dict]]]:
-    """All rows, and those of each kind of motion, level of noise, third of detail, and confidence of ``pmp``."""
+    """All rows, and those of each kind of motion, level of noise, third of detail, and confidence
+    of ``pmp``.
+    """
     yield "all", rows
     for kind in dict.fromkeys(_KINDS.values()):
         yield kind, [row for row in rows if _KINDS[row["kind"]] == kind]
@@ -329,7 +341,9 @@ def difference(rows: list[dict], first: str, second: str) -> str:
 
 
 def line(name: str, rows: list[dict]) -> str:
-    """Line of the table: means, paired differences, and the photos whose kernel became clearly better or worse."""
+    """Line of the table: means, paired differences, and the photos whose kernel became clearly
+    better or worse.
+    """
     means = " | ".join(
         format(np.mean([row[method]["mnc"] for row in rows]), ".3f") for method in METHODS
     )
@@ -364,8 +378,8 @@ def table(rows: list[dict]) -> Iterator[str]:
             for key in ("mnc", "best", "alike", "covered")
         )
         yield (
-            f"\nDraws, {name}, {len(of)} photos: one draw {one:.3f}, "
-            f"best of {len(of[0]['mnc'])} {best:.3f}, two draws alike {alike:.3f}, truth among them {covered:.3f}"
+            f"\nDraws, {name}, {len(of)} photos: one draw {one:.3f}, best of {len(of[0]['mnc'])}"
+            f" {best:.3f}, two draws alike {alike:.3f}, truth among them {covered:.3f}"
         )
 
 

@@ -53,7 +53,9 @@ def off(
 
 
 def restored_db(true: Trajectory, given: Trajectory, code: ShutterCode) -> tuple[float, float]:
-    """Error of a Wiener filter with a path that is off: with the camera's noise, and with what noise suits it best."""
+    """Error of a Wiener filter with a path that is off: with the camera's noise, and with what
+    noise suits it best.
+    """
     samples = band_samples(true)
     passed, taken = (coded_otf(path, code, samples.fx, samples.fy) for path in (true, given))
     inverse = inverse_scene(samples)[:, 0]
@@ -125,7 +127,8 @@ def main() -> None:
                 f"{m:+.2f} +- {s:.2f}" for m, s in zip(less.mean(axis=0)[:4], spread, strict=False)
             )
             print(
-                f"{error_px:5.2f} px  {row:9} {means}   {compared}   {found[row][:, 4].mean():.1f} s",
+                f"{error_px:5.2f} px  {row:9} {means}   {compared}  "
+                f" {found[row][:, 4].mean():.1f} s",
                 flush=True,
             )
 

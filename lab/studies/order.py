@@ -1,4 +1,5 @@
-"""How often the order in time of a motion is found from photos taken through known codes, and how well that is known.
+"""How often the order in time of a motion is found from photos taken through known codes, and how
+well that is known.
 
     python -m lab.studies.order [--photos FOLDER] [--gyro FILE] [--set open+gray3 open+one one]
         [--motions walks arcs gyro] [--count 4] [--noise 0 0.005 0.02] [--moved 2] [--results
@@ -53,7 +54,9 @@ SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".bmp"}
 
 @dataclass(frozen=True)
 class Case:
-    """One motion photographed through one set of codes: all that its figures depend on but the estimator."""
+    """One motion photographed through one set of codes: all that its figures depend on but the
+    estimator.
+    """
 
     set: str
     codes: tuple[str, ...]
@@ -277,7 +280,8 @@ def numbers(rows: Sequence[dict[str, object]], name: str) -> FloatArray:
 
 def order_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
     print(
-        "\n| motions | noise | set | count | right | error, px: median | p90 | backwards | any given | s | CPU s |"
+        "\n| motions | noise | set | count | right | error, px: median | p90 | backwards | any"
+        " given | s | CPU s |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|---|")
     for motions, noise, name in sorted({(case.motions, case.noise, case.set) for case, _ in rows}):
@@ -300,8 +304,8 @@ def order_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
         else:
             line += "| - | - | - | - "
         print(
-            line
-            + f"| {numbers(chosen, 'seconds').mean():.0f} | {numbers(chosen, 'cpu_s').mean():.0f} |"
+            line + f"| {numbers(chosen, 'seconds').mean():.0f} |"
+            f" {numbers(chosen, 'cpu_s').mean():.0f} |"
         )
 
 
@@ -317,13 +321,15 @@ def confidence_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
                 right = np.mean([is_right(row) for row in within])
                 mean = numbers(within, "confidence").mean()
                 print(
-                    f"| {name} | {low:.2f} to {low + 0.25:.2f} | {len(within)} | {mean:.2f} | {right:.2f} |"
+                    f"| {name} | {low:.2f} to {low + 0.25:.2f} | {len(within)} | {mean:.2f} |"
+                    f" {right:.2f} |"
                 )
 
 
 def uncertainty_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
     print(
-        "\nof the right ones\n| set | motions | stated, px: median | true | true / stated: median | p90 |"
+        "\nof the right ones\n| set | motions | stated, px: median | true | true / stated: median"
+        " | p90 |"
     )
     print("|---|---|---|---|---|---|")
     for name in sorted({case.set for case, _ in rows}):
@@ -333,8 +339,8 @@ def uncertainty_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
             true = numbers(right, "error_px")
             ratio = true / np.maximum(stated, 1e-3)
             print(
-                f"| {name} | {len(right)} | {np.median(stated):.2f} | {np.median(true):.2f} | {np.median(ratio):.2f} "
-                f"| {np.percentile(ratio, 90):.2f} |"
+                f"| {name} | {len(right)} | {np.median(stated):.2f} | {np.median(true):.2f} |"
+                f" {np.median(ratio):.2f} | {np.percentile(ratio, 90):.2f} |"
             )
 
 
@@ -433,7 +439,8 @@ def main() -> None:
             )
             refused = row.get("refused", "")
             print(
-                f"{case.motions} {case.index} {case.noise:g} {case.set}: {verdict}  {figures}{refused}",
+                f"{case.motions} {case.index} {case.noise:g} {case.set}: {verdict} "
+                f" {figures}{refused}",
                 flush=True,
             )
     except KeyboardInterrupt:

@@ -57,7 +57,8 @@ def main() -> None:
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
     print(
-        "chips  objective   code, dB   lost, dB  to                               lost free, dB  to"
+        "chips  objective   code, dB   lost, dB  to                               lost free,"
+        " dB  to"
     )
     losses = []
     for index in range(given.problems):
@@ -71,8 +72,8 @@ def main() -> None:
         free = min(costs, key=costs.__getitem__)
         losses.append((own - costs[kept], own - costs[free]))
         print(
-            f"{problem.chips:5d}  {problem.objective!s:10s} {own:9.3f}  {losses[-1][0]:9.3f}  {kept:31s}  "
-            f"{losses[-1][1]:13.3f}  {free}",
+            f"{problem.chips:5d}  {problem.objective!s:10s} {own:9.3f}  {losses[-1][0]:9.3f} "
+            f" {kept:31s}  {losses[-1][1]:13.3f}  {free}",
             flush=True,
         )
     table = np.array(losses)

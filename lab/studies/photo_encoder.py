@@ -1,4 +1,5 @@
-"""What a photo encoder and a global view of the map add to the shipped weights, at an equal number of updates.
+"""What a photo encoder and a global view of the map add to the shipped weights, at an equal number
+of updates.
 
     python -m lab.studies.photo_encoder CONFIG [--runs FOLDER] [--updates 128]
 
@@ -69,7 +70,9 @@ def held_out(config: TrainingConfig) -> dict[str, list[Batch]]:
 
 @torch.no_grad()
 def measured(trainer: Trainer, batches: list[Batch]) -> tuple[float, np.ndarray]:
-    """Loss of the averaged weights, and each photo's whole-pixel MNC in one DDIM step and in ten, (2, N)."""
+    """Loss of the averaged weights, and each photo's whole-pixel MNC in one DDIM step and in ten,
+    (2, N).
+    """
     network = trainer.average
     assert isinstance(network, MotDiffNetwork)
     sampler = deepcopy(network)

@@ -1,4 +1,5 @@
-"""Restoration methods side by side, with the true PSF and with a slightly wrong one (docs/decisions/restoration.md).
+"""Restoration methods side by side, with the true PSF and with a slightly wrong one
+(docs/decisions/restoration.md).
 
 Motions, light and noise are those of ``python -m lab bench cep --protocol ours``, shutter open and
 Raskar-52. The wrong PSF is that of the path, bent and sped up at random until its open PSF is 0.9

@@ -1,6 +1,8 @@
-"""The code search against the best codes known, on straight and curved motion; side by side, in one run.
+"""The code search against the best codes known, on straight and curved motion; side by side, in
+one run.
 
-    python -m lab.studies.search [--only frontier|jeon|exact|speed|direction|long] [--seconds 60] [--seed 0]
+    python -m lab.studies.search [--only frontier|jeon|exact|speed|direction|long] [--seconds 60]
+    [--seed 0]
 
 frontier   52 chips, 26 open: smallest |P| and noise of deconvolution (DC-normalised), and one code
 with both jeon       each length and light of Jeon's table: one code that is better on both figures
@@ -85,8 +87,8 @@ def proven(seconds: float, seed: int) -> None:
         count = codes_to_count(problem)
         rate = count / found.seconds / 1e9
         print(
-            f"| {chips} | {found.minimum.lower:.6f} | {found.code.open_chips} | {count:.3g} | {found.seconds:.2f} "
-            f"| {rate:.3g} |",
+            f"| {chips} | {found.minimum.lower:.6f} | {found.code.open_chips} | {count:.3g} |"
+            f" {found.seconds:.2f} | {rate:.3g} |",
             flush=True,
         )
     print("first code with min P > 2:")

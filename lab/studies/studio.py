@@ -1,4 +1,5 @@
-"""The studio, measured in a headless Chromium: paint, changes until shown, memory, a large photo, attacks requests.
+"""The studio, measured in a headless Chromium: paint, changes until shown, memory, a large photo,
+attacks requests.
 
 Times are from the hand's event until strip, MTFs, figures and the simulated photo of this state
 are on the page. The memory is the proportional share (PSS) of the server and all its processes:
@@ -125,7 +126,8 @@ def in_browser(netloc: str, cookie: str, changes: int, peak: Peak) -> None:
         wait(page)
         whole = time.perf_counter() - begun
         print(
-            f"page: first paint {paint or float('nan'):.0f} ms, all of its first state {1000 * whole:.0f} ms"
+            f"page: first paint {paint or float('nan'):.0f} ms, all of its first state"
+            f" {1000 * whole:.0f} ms"
         )
         for name, state in STATES.items():
             page.evaluate("state => { location.hash = state; }", state)
@@ -150,7 +152,8 @@ def in_browser(netloc: str, cookie: str, changes: int, peak: Peak) -> None:
         )
         running = page.locator("#stop").is_visible()
         print(
-            f"the search was {'still running' if running else 'over already'}; memory so far {peak.now():.0f} MB"
+            f"the search was {'still running' if running else 'over already'}; memory so far"
+            f" {peak.now():.0f} MB"
         )
         if running:
             page.locator("#stop").click()
@@ -184,7 +187,8 @@ def large_photo(page: object, peak: Peak) -> None:
         megapixels = photo.shape[0] * photo.shape[1] / 1e6
         seconds = time.perf_counter() - begun
         print(
-            f"photo of {megapixels:.1f} MP: motion after {seconds:.1f} s, memory at most {peak.most:.0f} MB"
+            f"photo of {megapixels:.1f} MP: motion after {seconds:.1f} s, memory at most"
+            f" {peak.most:.0f} MB"
         )
 
 
@@ -207,10 +211,12 @@ def refused(netloc: str, cookie: str, count: int) -> None:
     alive = send(netloc, "GET", "/", {"host": netloc, "cookie": cookie}, [])[0]
     wrong = {status for status in codes if status is not None and not 400 <= status < 500}
     print(
-        f"{count} hostile requests: {dict(sorted(codes.items(), key=str))} (None: half an upload, broken off)"
+        f"{count} hostile requests: {dict(sorted(codes.items(), key=str))} (None: half an upload,"
+        " broken off)"
     )
     print(
-        f"answers other than 4xx: {wrong or 'none'}; files left: {left() - before or 'none'}; the page then: {alive}"
+        f"answers other than 4xx: {wrong or 'none'}; files left: {left() - before or 'none'}; the"
+        f" page then: {alive}"
     )
 
 
@@ -258,14 +264,19 @@ def left() -> set[str]:
 
 def wait(page: object) -> None:
     ends = time.monotonic() + 120
-    names = "['picture', 'photo', 'verdict'].every((one) => document.body.dataset[one] === document.body.dataset.asked)"
+    names = (
+        "['picture', 'photo', 'verdict'].every((one) => document.body.dataset[one] ==="
+        " document.body.dataset.asked)"
+    )
     while not page.evaluate(f"document.body.dataset.asked !== undefined && {names}"):  # type: ignore[attr-defined]
         assert time.monotonic() < ends
         time.sleep(0.01)
 
 
 def row(name: str, page: object, script: str, changes: int, server: int) -> None:
-    """Print the times of changes, and the processor time that each took: the server's, and the browser's."""
+    """Print the times of changes, and the processor time that each took: the server's, and the
+    browser's.
+    """
     before = cpu_s(server)
     median, high = np.percentile(page.evaluate(script, changes), [50, 95])  # type: ignore[attr-defined]
     took = [
@@ -273,14 +284,17 @@ def row(name: str, page: object, script: str, changes: int, server: int) -> None
         for begun, after in zip(before, cpu_s(server), strict=True)
     ]
     print(
-        f"{name}: median {median:.0f} ms, p95 {high:.0f} ms; processor {took[0]:.0f} ms in the server, "
-        f"{took[1]:.0f} ms in the browser; {changes} changes, load {os.getloadavg()[0]:.1f}",
+        f"{name}: median {median:.0f} ms, p95 {high:.0f} ms; processor {took[0]:.0f} ms in the"
+        f" server, {took[1]:.0f} ms in the browser; {changes} changes, load"
+        f" {os.getloadavg()[0]:.1f}",
         flush=True,
     )
 
 
 def cpu_s(server: int) -> tuple[float, float]:
-    """Processor seconds of the server itself, without its jobs, and of the browser with all its processes."""
+    """Processor seconds of the server itself, without its jobs, and of the browser with all its
+    processes.
+    """
 
     def of(pid: int) -> float:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()

@@ -29,7 +29,9 @@ NOISE = 0.05  # of the PSF's maximum
 
 
 def draws_the_same(path: np.ndarray, hr_map: np.ndarray) -> bool:
-    """Tell whether a path covers every drawn pixel, and nothing else, within 1.5 pixels of the map."""
+    """Tell whether a path covers every drawn pixel, and nothing else, within 1.5 pixels of the
+    map.
+    """
     steps = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
     fine = np.linspace(0, steps[-1], int(steps[-1] * 8) + 2)
     on_path = MAP_CENTRE + MAP_PITCH * np.stack(
@@ -43,7 +45,9 @@ def draws_the_same(path: np.ndarray, hr_map: np.ndarray) -> bool:
 
 
 def bending(path: np.ndarray) -> float:
-    """Sum of squared turns, rad^2, at 1-px spacing: what little order a map can show goes by this."""
+    """Sum of squared turns, rad^2, at 1-px spacing: what little order a map can show goes by
+    this.
+    """
     steps = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
     where = np.linspace(0, steps[-1], int(steps[-1]) + 1)
     points = np.stack([np.interp(where, steps, path[:, axis]) for axis in (0, 1)], axis=-1)
@@ -72,19 +76,23 @@ def order_table(maps: int, seed: int) -> None:
     smooth = np.array(shorter)
     wrong = d > 1
     print(
-        f"order, {maps} Boracchi-Foi maps (60 px of path; distance = best monotone matching, up to reversal)"
+        f"order, {maps} Boracchi-Foi maps (60 px of path; distance = best monotone matching, up to"
+        " reversal)"
     )
     print(f"  right (<= 1 HR px)            {np.mean(~wrong):.3f}")
     print(f"  distance, HR px               mean {d.mean():.2f}  median {np.median(d):.2f}")
     print(f"  distance of the right ones    mean {d[~wrong].mean():.2f}")
     print(
-        f"  wrong, same pixels, no more bending than the truth (unobservable)  {np.mean(wrong & same & smooth):.3f}"
+        "  wrong, same pixels, no more bending than the truth (unobservable) "
+        f" {np.mean(wrong & same & smooth):.3f}"
     )
     print(
-        f"  wrong, same pixels, more bending than the truth                    {np.mean(wrong & same & ~smooth):.3f}"
+        "  wrong, same pixels, more bending than the truth                   "
+        f" {np.mean(wrong & same & ~smooth):.3f}"
     )
     print(
-        f"  wrong, other pixels                                                {np.mean(wrong & ~same):.3f}"
+        "  wrong, other pixels                                               "
+        f" {np.mean(wrong & ~same):.3f}"
     )
     print(f"  cpu per map {seconds / maps:.3f} s")
     print("  right, by pixels drawn per HR px of arc (little = strands share pixels)")
@@ -97,10 +105,12 @@ def order_table(maps: int, seed: int) -> None:
 
 def dwell_table(motions: int, trace: GyroTrace, seed: int) -> None:
     print(
-        f"\nPSF MNC, sub-pixel, {motions} gyro-driven motions of 24 px per exposure; noise {NOISE:.0%} of the maximum"
+        f"\nPSF MNC, sub-pixel, {motions} gyro-driven motions of 24 px per exposure; noise"
+        f" {NOISE:.0%} of the maximum"
     )
     print(
-        "  exposure   bare map   map + dwell (p5)   + noise   PSF traced (p5)   + noise   map's order right"
+        "  exposure   bare map   map + dwell (p5)   + noise   PSF traced (p5)   + noise   map's"
+        " order right"
     )
     for exposure_s in EXPOSURES_S:
         rows = []
@@ -127,8 +137,8 @@ def dwell_table(motions: int, trace: GyroTrace, seed: int) -> None:
         mean = np.mean(rows, axis=0)
         low = np.percentile(rows, 5, axis=0)
         print(
-            f"  {1000 * exposure_s:5.0f} ms   {mean[0]:8.3f}   {mean[1]:.3f} ({low[1]:.3f})      {mean[2]:.3f}"
-            f"     {mean[3]:.3f} ({low[3]:.3f})     {mean[4]:.3f}     {mean[5]:.2f}"
+            f"  {1000 * exposure_s:5.0f} ms   {mean[0]:8.3f}   {mean[1]:.3f} ({low[1]:.3f})     "
+            f" {mean[2]:.3f}     {mean[3]:.3f} ({low[3]:.3f})     {mean[4]:.3f}     {mean[5]:.2f}"
         )
 
 

@@ -1,4 +1,5 @@
-"""When coding pays: the map over light and read noise, and expected gains beside simulated captures.
+"""When coding pays: the map over light and read noise, and expected gains beside simulated
+captures.
 
     python -m lab.studies.verdict map [--walks 5] [--workers 2] [--image
     docs/images/verdict-map.png] python -m lab.studies.verdict check [--captures 1000] [--workers
@@ -157,7 +158,9 @@ def check_cases() -> list[tuple[str, Trajectory, Camera]]:
 
 
 def checked(case: tuple[int, int]) -> tuple[float, float, float]:
-    """Return the gain of the best code over the best snapshot, expected and simulated with its standard error, dB."""
+    """Return the gain of the best code over the best snapshot, expected and simulated with its
+    standard error, dB.
+    """
     index, captures = case
     _, path, camera = check_cases()[index]
     known = replace(path, direction="known")
@@ -209,7 +212,9 @@ def squared_errors(
 
 
 def scenes_of(inverse: FloatArray) -> Callable[[np.random.Generator], FloatArray]:
-    """Make a drawing of log-normal scenes: none is darker than black, and their spectrum is the reference scene's."""
+    """Make a drawing of log-normal scenes: none is darker than black, and their spectrum is the
+    reference scene's.
+    """
     covariance = np.fft.ifft2(1 / inverse).real
     log_spectrum = np.maximum(np.fft.fft2(np.log1p(covariance / SCENE_MEAN**2)).real, 0)
     variance = log_spectrum.mean()
@@ -227,7 +232,8 @@ def check(captures: int, run: Callable[..., Iterable[tuple[float, float, float]]
     cases = check_cases()
     print("gain of the best code over the best single exposure, dB, 24 chips")
     print(
-        "| motion | photo-electrons | read noise, e- | dark current, e-/s | expected | simulated | difference |"
+        "| motion | photo-electrons | read noise, e- | dark current, e-/s | expected | simulated |"
+        " difference |"
     )
     print("|---|---:|---:|---:|---:|---:|---:|")
     worst = 0.0

@@ -1,1 +1,3 @@
-"""Trainings outside the installed packages: the learned code DCE, and the denoiser of plug-and-play restoration."""
+"""Trainings outside the installed packages: the learned code DCE, and the denoiser of
+plug-and-play restoration.
+"""

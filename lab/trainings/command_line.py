@@ -10,7 +10,8 @@ from motdiff.files.inputs import printable
 
 
 def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> int:
-    """Parse the arguments and call the chosen command, which is the default ``command`` of its parser.
+    """Parse the arguments and call the chosen command, which is the default ``command`` of its
+    parser.
 
     Returns
     -------

@@ -1,1 +1,3 @@
-"""Estimators of the motion: one file each, all behind :class:`motdiff.estimators.base.Estimator`."""
+"""Estimators of the motion: one file each, all behind
+:class:`motdiff.estimators.base.Estimator`.
+"""

@@ -1,4 +1,6 @@
-"""Results of the estimators: the motion, the kernels of a blind search; and the protocol that estimators keep."""
+"""Results of the estimators: the motion, the kernels of a blind search; and the protocol that
+estimators keep.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,9 @@ class MotionEstimate:
 
     @property
     def path_error_px(self) -> float | None:
-        """Expected error of the likeliest trajectory, px rms over time; None where the method does not say."""
+        """Expected error of the likeliest trajectory, px rms over time; None where the method does
+        not say.
+        """
         stated = self.details.get("path_uncertainty_px")
         return stated if isinstance(stated, float) and stated > 0 else None
 
@@ -106,7 +110,9 @@ class FoundKernels:
 
 @runtime_checkable
 class Estimator(Protocol):
-    """Anything that turns a blurred photo into a motion estimate; one of the user's own may return a PSF instead."""
+    """Anything that turns a blurred photo into a motion estimate; one of the user's own may return
+    a PSF instead.
+    """
 
     def estimate(self, photo: NDArray[np.float64]) -> MotionEstimate:
         """Estimate the motion from ``photo``, (H, W) or (H, W, 3) float, linear light 0..1."""

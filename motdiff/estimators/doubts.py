@@ -1,4 +1,5 @@
-"""Doubts about the motion found in a photo, from the photo's edges, lights and texture: first of all, that it has none.
+"""Doubts about the motion found in a photo, from the photo's edges, lights and texture: first of
+all, that it has none.
 
 Edges narrower than the path found could leave them contradict it. Where they are narrow in every
 direction, or the kernel found is no wider than a lens's spot, the photo shows no motion.
@@ -36,7 +37,8 @@ _CONTRADICTED = 0.25
 def doubted(
     estimate: MotionEstimate, crops: FloatArray, *, uneven: bool, outgrown: bool
 ) -> MotionEstimate:
-    """Test an estimate on the crops it was found in: it becomes that of a photo without motion, or has its doubts.
+    """Test an estimate on the crops it was found in: it becomes that of a photo without motion, or
+    has its doubts.
 
     Parameters
     ----------
@@ -64,14 +66,15 @@ def doubted(
     if outgrown:
         most = _DOUBTED
         doubts.append(
-            f"the path found is as wide as the search reaches ({estimate.best.extent_px:.0f} px): the true one "
-            "may be longer"
+            f"the path found is as wide as the search reaches ({estimate.best.extent_px:.0f} px):"
+            " the true one may be longer"
         )
     if narrow:
         most = _CONTRADICTED
         doubts.append(
-            f"the photo has edges {edges.sharpest_px:.1f} px wide, which a motion along the path found would have "
-            f"blurred to {edges.sharpest_px / edges.share_of(expected_px):.1f} px"
+            f"the photo has edges {edges.sharpest_px:.1f} px wide, which a motion along the path"
+            " found would have blurred to"
+            f" {edges.sharpest_px / edges.share_of(expected_px):.1f} px"
         )
     if np.isnan(edges.widest_px):
         most = _CONTRADICTED
@@ -86,7 +89,8 @@ def doubted(
     if spot or _is_round(estimate.psf):
         most_of_path = min(most, _CONTRADICTED)
         of_the_path.append(
-            "the blur found is a round spot, as of a lens out of focus: it shows no path of a motion"
+            "the blur found is a round spot, as of a lens out of focus: it shows no path of a"
+            " motion"
         )
     limited = {
         name: min(float(value), limit)

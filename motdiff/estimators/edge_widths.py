@@ -1,4 +1,5 @@
-"""Widths of a photo's steepest edges, and those that a blur kernel would leave: the evidence of a photo without motion.
+"""Widths of a photo's steepest edges, and those that a blur kernel would leave: the evidence of a
+photo without motion.
 
 A step edge in the scene becomes, in the photo, the kernel's sum along that edge: no edge across a
 motion of 20 px can stay 1 px wide. So narrow edges in several directions bound any motion,
@@ -60,18 +61,24 @@ class EdgeWidths:
 
     @property
     def widest_px(self) -> float:
-        """Width of the sharpest edges in the direction where they are widest, which bounds any motion; NaN without."""
+        """Width of the sharpest edges in the direction where they are widest, which bounds any
+        motion; NaN without.
+        """
         return float(self._known.max(initial=-np.inf)) if self._known.size else float("nan")
 
     @property
     def bound_motion(self) -> bool:
-        """Whether the edges lie in two directions at least a quarter of a turn's half apart: no motion escapes both."""
+        """Whether the edges lie in two directions at least a quarter of a turn's half apart: no
+        motion escapes both.
+        """
         seen = np.flatnonzero(np.isfinite(self.widths_px))
         apart = np.abs(seen[:, None] - seen)
         return bool((np.minimum(apart, DIRECTIONS - apart) >= DIRECTIONS // 4).any())
 
     def share_of(self, expected_px: FloatArray) -> float:
-        """Geometric mean of these widths over ``expected_px`` (8,), those that a kernel leaves; NaN without edges."""
+        """Geometric mean of these widths over ``expected_px`` (8,), those that a kernel leaves;
+        NaN without edges.
+        """
         seen = np.isfinite(self.widths_px)
         return (
             float(np.exp(np.mean(np.log(self.widths_px[seen] / expected_px[seen]))))
@@ -114,7 +121,8 @@ def edge_widths(crops: Iterable[ArrayLike]) -> EdgeWidths:
 
 
 def kernel_edge_widths(psf: ArrayLike, normals_rad: ArrayLike) -> FloatArray:
-    """Widths (N,), px, of sharp edges blurred by a PSF, measured as :func:`edge_widths` measures a photo's.
+    """Widths (N,), px, of sharp edges blurred by a PSF, measured as :func:`edge_widths` measures a
+    photo's.
 
     Parameters
     ----------

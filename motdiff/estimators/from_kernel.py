@@ -1,4 +1,6 @@
-"""Estimates from results of other kinds: a kernel, which is cleaned, centred and traced, or a path."""
+"""Estimates from results of other kinds: a kernel, which is cleaned, centred and traced, or a
+path.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,8 @@ def estimate_from_kernel(
 
 
 def as_estimate(found: MotionEstimate | Trajectory | ArrayLike, method: str) -> MotionEstimate:
-    """Return the estimate that an estimator, perhaps of the user's own, gave: whole, as a trajectory or as a PSF.
+    """Return the estimate that an estimator, perhaps of the user's own, gave: whole, as a
+    trajectory or as a PSF.
 
     Parameters
     ----------
@@ -74,8 +77,8 @@ def as_estimate(found: MotionEstimate | Trajectory | ArrayLike, method: str) -> 
         psf = np.empty(0)
     if psf.ndim != 2 or not np.isfinite(psf).all() or psf.min(initial=0) < 0 or not psf.any():
         raise ValueError(
-            "estimate(photo) must return a PSF (k x k, non-negative, with some light), a Trajectory or a "
-            f"MotionEstimate, got {_kind(found)}"
+            "estimate(photo) must return a PSF (k x k, non-negative, with some light), a"
+            f" Trajectory or a MotionEstimate, got {_kind(found)}"
         )
     return estimate_from_kernel(method, psf, {})
 

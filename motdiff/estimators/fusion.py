@@ -1,4 +1,6 @@
-"""Fusion of several photos of one motion: their joint kernel, and how far each photo agrees with it."""
+"""Fusion of several photos of one motion: their joint kernel, and how far each photo agrees with
+it.
+"""
 
 from __future__ import annotations
 
@@ -101,7 +103,9 @@ def fuse(
     judges = [Judge(one) for one in crops]
 
     def fused(kept: Sequence[int]) -> tuple[Fusion, dict[int, float]]:
-        """Fuse some of the photos; with how much better those of another motion are explained by their own kernel."""
+        """Fuse some of the photos; with how much better those of another motion are explained by
+        their own kernel.
+        """
         together = np.concatenate([crops[i] for i in kept])
         found = _chosen(
             search(together),
@@ -124,7 +128,10 @@ def fuse(
         result, others = fused([i for i in result.kept if i != clearest])
     if others:  # no majority agrees
         listed = " and ".join(f"{i + 1} (MNC {everything.repeatability[i]:.2f})" for i in suspects)
-        warning = f"photo{'s' * (len(suspects) > 1)} {listed} may show another motion, but no majority agrees: kept"
+        warning = (
+            f"photo{'s' * (len(suspects) > 1)} {listed} may show another motion, but no majority"
+            " agrees: kept"
+        )
         doubted = np.minimum(everything.found.probabilities, _DOUBTED)
         return _warned(
             replace(everything, found=replace(everything.found, probabilities=doubted)), [warning]
@@ -132,7 +139,8 @@ def fuse(
     return _warned(
         result,
         [
-            f"photo {i + 1} shows another motion (MNC {result.repeatability[i]:.2f} with the others): left out"
+            f"photo {i + 1} shows another motion (MNC {result.repeatability[i]:.2f} with the"
+            " others): left out"
             for i in result.left_out
         ],
     )
@@ -151,7 +159,9 @@ def _chosen(
     *,
     refine: Callable[[FloatArray], FloatArray],
 ) -> FoundKernels:
-    """Put the kernel of a photo, or its refinement, in place of the joint search's best where its score is higher."""
+    """Put the kernel of a photo, or its refinement, in place of the joint search's best where its
+    score is higher.
+    """
     singles = [found.kernels[found.best] for found in own]
     candidates = [joint.kernels[joint.best], *singles, *(refine(kernel) for kernel in singles)]
     evidence = np.mean([judge.evidence(candidates) for judge in judges], axis=0)

@@ -68,9 +68,10 @@ class GyroEstimator:
         needed = trajectory.frame_size()
         if needed > max(height, width):  # before anything of that size is made
             raise ValueError(
-                f"rate_unit: the rates move the image by {trajectory.extent_px:.4g} px during the exposure; the frame "
-                f"of {needed} px that this needs is larger than the photo ({width} x {height} px): are they in deg/s "
-                "(rate_unit='deg'), or is the focal length or the unit of the times another?"
+                f"rate_unit: the rates move the image by {trajectory.extent_px:.4g} px during the"
+                f" exposure; the frame of {needed} px that this needs is larger than the photo"
+                f" ({width} x {height} px): are they in deg/s (rate_unit='deg'), or is the focal"
+                " length or the unit of the times another?"
             )
         check_length(trajectory)
         roll = roll_rad(self.trace, axes=axes, **window)
@@ -83,8 +84,8 @@ class GyroEstimator:
         warnings = [*self.trace.warnings]
         if self.axes is None:
             warnings.append(
-                f"axes: taken as {axes} (x, y, z as seen from behind the camera); other axes, as right,up,back of an "
-                "upright phone, give a mirrored or turned path"
+                f"axes: taken as {axes} (x, y, z as seen from behind the camera); other axes, as"
+                " right,up,back of an upright phone, give a mirrored or turned path"
             )
         if roll * corner_px > _ROLL_LIMIT_PX:
             warnings.append(
@@ -93,13 +94,14 @@ class GyroEstimator:
             )
         if readings < 2 or step_s > _TRUSTED_STEP_S:
             warnings.append(
-                f"Only {readings} gyro readings during the exposure ({1 / step_s:.0f} Hz): faster shake is not seen."
+                f"Only {readings} gyro readings during the exposure ({1 / step_s:.0f} Hz): faster"
+                " shake is not seen."
             )
         frame = max(self.size, needed)
         if frame > self.size:
             warnings.append(
-                f"The path needs a PSF frame of {frame} px, more than the {self.size} px asked for; "
-                "if that is too long, the rates may be in deg/s."
+                f"The path needs a PSF frame of {frame} px, more than the {self.size} px asked"
+                " for; if that is too long, the rates may be in deg/s."
             )
         lost = roll * corner_px / max(trajectory.extent_px + roll * corner_px, 1e-9)
         sampled = max(0.0, 1 - step_s / self.exposure_s) if readings else 0.0

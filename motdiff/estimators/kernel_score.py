@@ -53,7 +53,8 @@ class Ranking:
 
 
 def noise_sigma(photo: FloatArray) -> float:
-    """Estimate the standard deviation of white noise in a photo (H, W) from its mixed second differences.
+    """Estimate the standard deviation of white noise in a photo (H, W) from its mixed second
+    differences.
 
     References
     ----------
@@ -66,16 +67,18 @@ def noise_sigma(photo: FloatArray) -> float:
 
 
 def shared_sigma(crops: FloatArray) -> float:
-    """Estimate the standard deviation of the noise that crops (C, H, W) share: the median of :func:`noise_sigma`."""
+    """Estimate the standard deviation of the noise that crops (C, H, W) share: the median of
+    :func:`noise_sigma`.
+    """
     return float(np.median([noise_sigma(crop) for crop in crops]))
 
 
 class Spectrum:
     r"""A photo's power spectrum, prepared to be compared with those of kernels.
 
-    The model of the spectrum is ``A |K(f)|^2 / |f|^2 + sigma^2``, A at its maximum likelihood. A smooth scene spectrum
-    (a power law with curvature, and two harmonics of orientation) is regressed out of both sides,
-    so that what remains are the dips that only the kernel makes.
+    The model of the spectrum is ``A |K(f)|^2 / |f|^2 + sigma^2``, A at its maximum likelihood. A
+    smooth scene spectrum (a power law with curvature, and two harmonics of orientation) is
+    regressed out of both sides, so that what remains are the dips that only the kernel makes.
 
     Parameters
     ----------
@@ -115,7 +118,9 @@ class Spectrum:
         self._seen = self._ripples(power)
 
     def fit(self, kernel: FloatArray) -> float:
-        """Correlation, -1..1, of the photo's log power spectrum with that of ``kernel``, (k, k), sum 1."""
+        """Correlation, -1..1, of the photo's log power spectrum with that of ``kernel``, (k, k),
+        sum 1.
+        """
         scene = np.abs(fft.rfft2(kernel, s=self._shape)) ** 2 / self._radius2
         inside = scene[self._used]
         start = np.exp(self._log_median - np.median(np.log(inside + 1e-12)))
@@ -136,7 +141,8 @@ class Spectrum:
 
 
 class Phase:
-    """A photo prepared to distinguish kernels from their point reflections, which have the same power.
+    """A photo prepared to distinguish kernels from their point reflections, which have the same
+    power.
 
     Parameters
     ----------
@@ -163,7 +169,8 @@ class Phase:
         self._penalty = (noise_to_scene * radius2 + 1e-12).astype(np.float32)
 
     def evidence(self, kernel: FloatArray) -> float:
-        """Log ratio of gradient sparsity after restoring with the reflected kernel, and with the kernel itself.
+        """Log ratio of gradient sparsity after restoring with the reflected kernel, and with the
+        kernel itself.
 
         Positive when the phase of ``kernel``, (k, k) of odd k, is right: the reflected one rings.
         """
@@ -191,7 +198,8 @@ class Phase:
 
 
 class Judge:
-    """Crops of a photo, prepared to score kernels by spectrum and phase, which the search does not use.
+    """Crops of a photo, prepared to score kernels by spectrum and phase, which the search does not
+    use.
 
     Parameters
     ----------
@@ -240,7 +248,8 @@ _DRAWN = (12.5, -8.5)
 
 
 def kernel_score(evidence: FloatArray, agreement: FloatArray | float = 0.0) -> FloatArray:
-    """Quality (K,) of kernels from their :meth:`Judge.evidence` (K, 3) and their agreement (K,) with other candidates.
+    """Quality (K,) of kernels from their :meth:`Judge.evidence` (K, 3) and their agreement (K,)
+    with other candidates.
 
     Agreement is a mean MNC; omit it to compare by the photo alone.
     """
@@ -250,7 +259,8 @@ def kernel_score(evidence: FloatArray, agreement: FloatArray | float = 0.0) -> F
 
 
 def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
-    """Choose among kernels that classical searches have found; each agrees by its mean MNC with the three most alike.
+    """Choose among kernels that classical searches have found; each agrees by its mean MNC with
+    the three most alike.
 
     Parameters
     ----------
@@ -274,7 +284,8 @@ def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
 def candidate_probabilities(
     evidence: FloatArray, alike: FloatArray, *, samples: int, classical: int
 ) -> FloatArray:
-    """Probability (K,) of each of K kernels to be good: first the drawn ones, then the classical ones, then others.
+    """Probability (K,) of each of K kernels to be good: first the drawn ones, then the classical
+    ones, then others.
 
     A kernel agrees by its mean MNC with the drawn ones and that with the classical ones, half
     each, without itself.
@@ -301,7 +312,8 @@ def candidate_probabilities(
 def distinct(
     alike: FloatArray, first: Iterable[int], order: Iterable[int], *, most: int
 ) -> list[int]:
-    """Choose those of ``first``, then the first of ``order`` that are not the same kernel as one chosen before.
+    """Choose those of ``first``, then the first of ``order`` that are not the same kernel as one
+    chosen before.
 
     Parameters
     ----------
@@ -361,12 +373,14 @@ def uneven_blur_warning(
         return None
     mutual = uniformity([kernels[best], *(kernels[1 + i] for i in differing)])
     return (
-        f"The blur differs across the photo ({differing.size} of {len(crops)} crops have another one, mutual MNC "
-        f"{mutual:.2f}): no single trajectory fits."
+        f"The blur differs across the photo ({differing.size} of {len(crops)} crops have another"
+        f" one, mutual MNC {mutual:.2f}): no single trajectory fits."
     )
 
 
 def _odd(kernel: FloatArray) -> FloatArray:
-    """Cut an even frame, whose first row and column are beyond the reach of its centre, to an odd one; sum 1."""
+    """Cut an even frame, whose first row and column are beyond the reach of its centre, to an odd
+    one; sum 1.
+    """
     cut = in_frame(kernel, (len(kernel) - 1) | 1)
     return np.asarray(cut / max(float(cut.sum()), 1e-12), dtype=np.float64)

@@ -1,4 +1,6 @@
-"""Clipped lights taken out of a photo before its blur is searched: they outshine its edges, by an unknown amount."""
+"""Clipped lights taken out of a photo before its blur is searched: they outshine its edges, by an
+unknown amount.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +11,15 @@ from scipy import ndimage, sparse
 from motdiff.types import FloatArray
 
 MOST_LIGHTS = 0.05
-"""Share of clipped pixels up to which they are lights: more are a sky, a wall or paper, whose edges show the blur."""
+"""Share of clipped pixels up to which they are lights: more are a sky, a wall or paper, whose
+edges show the blur."""
 _MARGIN_PX = 8  # around clipped pixels: the bright flanks of a streak
 _MOST_SPANNED = 0.5  # of a photo: of more, too little is left to search in
 
 
 def without_lights(photo: FloatArray, clipped: NDArray[np.bool_]) -> FloatArray:
-    """Span the clipped pixels of a photo, and 8 px around them, by a membrane: hardly any gradients, so no evidence.
+    """Span the clipped pixels of a photo, and 8 px around them, by a membrane: hardly any
+    gradients, so no evidence.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""Blind estimation in a photo of any size: crops, kernel search and choice, at half size where that is better."""
+"""Blind estimation in a photo of any size: crops, kernel search and choice, at half size where
+that is better.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,8 @@ _TANGLED_RIGHT = 0.1
 
 
 class BlindEstimator(ABC):
-    """Estimator from the blurred photo alone: its subclasses search the kernel of crops, at one scale.
+    """Estimator from the blurred photo alone: its subclasses search the kernel of crops, at one
+    scale.
 
     Where the blur is lost in a photo with clipped lights, it is searched again without them. Where
     it outgrows the search, or is lost in a large photo, the photo is halved and tried again.
@@ -96,11 +99,15 @@ class BlindEstimator(ABC):
         """Search each crop alone, in the cheapest way, to test whether the blur is uniform."""
 
     def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:  # noqa: ARG002
-        """Fit a kernel (k, k), found in one photo, to the crops (C, H, W) of several; unchanged by default."""
+        """Fit a kernel (k, k), found in one photo, to the crops (C, H, W) of several; unchanged by
+        default.
+        """
         return kernel
 
     def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:  # noqa: ARG002
-        """Improve the kernels found in the crops (C, H, W) at last, each in its place; unchanged by default."""
+        """Improve the kernels found in the crops (C, H, W) at last, each in its place; unchanged
+        by default.
+        """
         return found
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
@@ -217,7 +224,9 @@ class BlindEstimator(ABC):
         return _Level(factor, fusion.crops, fusion.found, kept, fusion, tuple(own))
 
     def _searched(self, cut: _Cut) -> tuple[FloatArray, FoundKernels]:
-        """Search crops, a lost blur once more without their clipped lights; the likelier one, after its crops."""
+        """Search crops, a lost blur once more without their clipped lights; the likelier one,
+        after its crops.
+        """
         found = self.search(cut.crops)
         if found.confidence >= _LOST or not 0 < cut.clipped.mean() <= MOST_LIGHTS:
             return cut.crops, found
@@ -255,7 +264,9 @@ class _Cut:
 
 @dataclass(frozen=True)
 class _Level:
-    """Result at one scale of the photo: the crops as searched, and as photographed, with their lights."""
+    """Result at one scale of the photo: the crops as searched, and as photographed, with their
+    lights.
+    """
 
     factor: int
     crops: FloatArray
@@ -268,7 +279,9 @@ class _Level:
 def _textured_crops(
     photo: tuple[FloatArray, NDArray[np.bool_]], *, factor: int, count: int
 ) -> _Cut:
-    """Crops, at most ``count``, of a photo (H, W) and its clipped pixels, made smaller by the factor."""
+    """Crops, at most ``count``, of a photo (H, W) and its clipped pixels, made smaller by the
+    factor.
+    """
     grey, clipped = photo
     if factor > 1:
         # pixels of which any part is clipped
@@ -283,7 +296,8 @@ def _textured_crops(
     textured = np.ptp(crops, axis=(1, 2)) > 0  # a clipped sky has no texture and no noise
     if not textured.any():
         raise ValueError(
-            "photo: has edges of one direction at most; motion shows only where the scene has texture"
+            "photo: has edges of one direction at most; motion shows only where the scene has"
+            " texture"
         )
     return _Cut(crops[textured], hidden[textured])
 
@@ -329,13 +343,14 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
     ):  # the limit is in pixels of what was searched
         confidence = min(confidence, _WEB_CONFIDENCE)
         warnings.append(
-            f"the path found is {length_px:.0f} px long within {extent_px:.0f} px: more a web of noise than a motion"
+            f"the path found is {length_px:.0f} px long within {extent_px:.0f} px: more a web of"
+            " noise than a motion"
         )
     elif confidence >= _LOST and tangled:
         warnings.append(
-            f"the path found is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a blur kernel does "
-            "not tell the order of crossing strands: a code searched along it may be no better than a published one; "
-            "the method gyro tells the order"
+            f"the path found is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a blur"
+            " kernel does not tell the order of crossing strands: a code searched along it may be"
+            " no better than a published one; the method gyro tells the order"
         )
     if confidence < _LOST:
         warnings.append(
@@ -343,7 +358,10 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
             "take a photo with more texture, or use the methods reference or point"
         )
     if level.factor > 1:
-        smaller = f"the motion was estimated on the photo at 1/{level.factor} of its size, where it shows better"
+        smaller = (
+            f"the motion was estimated on the photo at 1/{level.factor} of its size, where it"
+            " shows better"
+        )
         warnings.append(smaller)
         of_the_psf.append(smaller)
     return MotionEstimate(
@@ -368,7 +386,9 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
 
 
 def _repeatability(level: _Level) -> dict[str, object]:
-    """Figures of how far each of several photos shows the motion that they share, all before their correction."""
+    """Figures of how far each of several photos shows the motion that they share, all before their
+    correction.
+    """
     fusion = level.fusion
     if fusion is None:
         return {}
@@ -398,7 +418,8 @@ def _path_share(path: Trajectory, *, tangled: bool) -> float:
 
 
 def without_faint_parts(kernel: FloatArray) -> FloatArray:
-    """Drop values below 5 % of the peak, and specks: noise there adds side branches that lengthen the path.
+    """Drop values below 5 % of the peak, and specks: noise there adds side branches that lengthen
+    the path.
 
     Parameters
     ----------

@@ -100,8 +100,8 @@ class PointEstimator:
             )
         if len(comparable) >= 2 and len(agreeing) < len(comparable) / 2:
             warnings.append(
-                f"Of {1 + len(comparable)} streaks only {1 + len(agreeing)} agree: the blur differs across the photo, "
-                "or some are not lights."
+                f"Of {1 + len(comparable)} streaks only {1 + len(agreeing)} agree: the blur"
+                " differs across the photo, or some are not lights."
             )
         details: dict[str, object] = {
             "streaks": len(streaks),
@@ -180,7 +180,9 @@ def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_St
 
 
 def background_light(light: FloatArray, size: int) -> FloatArray:
-    """Estimate the light behind the streaks: medians of blocks a few times the frame, joined smoothly."""
+    """Estimate the light behind the streaks: medians of blocks a few times the frame, joined
+    smoothly.
+    """
     block = 2 * size
     rows, columns = (np.array_split(np.arange(n), max(1, n // block)) for n in light.shape)
     medians = np.array(

@@ -1,4 +1,6 @@
-"""Non-negative least squares for a PSF between pairs of sharp and blurred patches, at any valid pixels."""
+"""Non-negative least squares for a PSF between pairs of sharp and blurred patches, at any valid
+pixels.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ class PatchPair:
 
 
 class _Operator:
-    """``A k = sharp * k`` on the valid pixels of one pair, its adjoint, and the Toeplitz model of ``A' W A``."""
+    """``A k = sharp * k`` on the valid pixels of one pair, its adjoint, and the Toeplitz model of
+    ``A' W A``.
+    """
 
     def __init__(self, pair: PatchPair, size: int) -> None:
         self.pair = pair
@@ -62,7 +66,9 @@ class _Operator:
         return np.asarray(full[: self.size, : self.size], dtype=np.float64)
 
     def toeplitz_lags(self) -> FloatArray:
-        """Autocorrelation (2 S - 1, 2 S - 1) of the sharp patch, scaled to the pixels that count."""
+        """Autocorrelation (2 S - 1, 2 S - 1) of the sharp patch, scaled to the pixels that
+        count.
+        """
         padded = tuple(fft.next_fast_len(n + self.size, real=True) for n in self.pair.sharp.shape)
         power = np.abs(fft.rfft2(self.pair.sharp, padded)) ** 2
         lags = np.roll(fft.irfft2(power, padded), (self.size - 1, self.size - 1), axis=(0, 1))
@@ -145,14 +151,17 @@ def residual_variance(pairs: Sequence[PatchPair], psf: FloatArray) -> float:
 
 
 def explained_share(pairs: Sequence[PatchPair], psf: FloatArray) -> float:
-    """Share of the blurred patches' variance that ``psf`` explains, at most 1; negative for a wrong one."""
+    """Share of the blurred patches' variance that ``psf`` explains, at most 1; negative for a
+    wrong one.
+    """
     total = sum(float((pair.weight * pair.blurred**2).sum()) for pair in pairs)
     left = residual_variance(pairs, psf) * sum(pair.pixels for pair in pairs)
     return 1 - left / total if total > 0 else 0.0
 
 
 def _constrained_step(start: FloatArray, gradient: FloatArray, model: FloatArray) -> FloatArray:
-    """Minimise ``gradient . (k - start) + (k - start) H (k - start) / 2`` over k >= 0 in its frame.
+    """Minimise ``gradient . (k - start) + (k - start) H (k - start) / 2`` over k >= 0 in its
+    frame.
 
     ``model`` is the spectrum of H on a frame of twice the size. ADMM splits the quadratic, solved
     exactly there, from the constraint; unlike projected gradients it converges although scenes

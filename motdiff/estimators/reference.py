@@ -203,8 +203,9 @@ class ReferenceEstimator:
         extent = [h - lo for h, lo in zip(high, low, strict=True)]
         if min(extent) < _LEAST_CROP_PX:
             raise ValueError(
-                f"sharp: overlaps the photo by {max(0, extent[1])} x {max(0, extent[0])} px inside margins, "
-                f"wanted at least {_LEAST_CROP_PX} each way; give larger photos or a smaller size than {self.size}"
+                f"sharp: overlaps the photo by {max(0, extent[1])} x {max(0, extent[0])} px inside"
+                f" margins, wanted at least {_LEAST_CROP_PX} each way; give larger photos or a"
+                f" smaller size than {self.size}"
             )
         rows = slice(low[0], high[0])
         columns = slice(low[1], high[1])
@@ -294,7 +295,9 @@ class _Photo:
 def _clean_channels(
     sharp: ArrayLike, photo: ArrayLike
 ) -> tuple[tuple[str, FloatArray], tuple[str, FloatArray]]:
-    """Leave out colour channels that are clipped more than others and not much richer in texture."""
+    """Leave out colour channels that are clipped more than others and not much richer in
+    texture.
+    """
     a = np.asarray(sharp, dtype=np.float64)
     b = np.asarray(photo, dtype=np.float64)
     if a.ndim == b.ndim == 3 and a.shape[2] == b.shape[2] and a.size and b.size:
@@ -309,7 +312,9 @@ def _clean_channels(
 
 
 def _noise_variance(light: FloatArray) -> float:
-    """Estimate white noise from the finest diagonal detail, of which a scene has little in most places."""
+    """Estimate white noise from the finest diagonal detail, of which a scene has little in most
+    places.
+    """
     diagonal = 0.5 * (light[1:, 1:] - light[:-1, 1:] - light[1:, :-1] + light[:-1, :-1])
     return float((np.median(np.abs(diagonal)) / 0.6745) ** 2)
 

@@ -1,1 +1,3 @@
-"""Files: photos, trajectories, gyroscope recordings, MATLAB files; checks of inputs, atomic outputs."""
+"""Files: photos, trajectories, gyroscope recordings, MATLAB files; checks of inputs, atomic
+outputs.
+"""

@@ -1,4 +1,5 @@
-"""Process of its own in which SciPy reads a .mat file: see :mod:`motdiff.files.mat_files`, which starts it as a script.
+"""Process of its own in which SciPy reads a .mat file: see :mod:`motdiff.files.mat_files`, which
+starts it as a script.
 
     python -P _mat_reader.py FILE MIB SECONDS NAME...
 
@@ -38,7 +39,9 @@ def _limit(most_mib: int, most_s: int) -> None:
 
 
 def _read(path: str, names: list[str]) -> tuple[dict[str, Any], list[str]]:
-    """Arrays of those names; and, where there are none, the names of the file's other variables."""
+    """Arrays of those names; and, where there are none, the names of the file's other
+    variables.
+    """
     from numpy import asarray
     from scipy.io import loadmat, whosmat
 
@@ -52,7 +55,8 @@ def _read(path: str, names: list[str]) -> tuple[dict[str, Any], list[str]]:
     for name, array in arrays.items():
         if array.dtype.hasobject or array.dtype.fields is not None:
             raise ValueError(
-                f"variable {name} is a struct, a cell array or sparse, wanted a full array of numbers"
+                f"variable {name} is a struct, a cell array or sparse, wanted a full array of"
+                " numbers"
             )
     return arrays, found
 

@@ -1,4 +1,6 @@
-"""Decoding of image files to samples, upright: TIFF by tifffile, others by OpenCV; decoders' messages are captured."""
+"""Decoding of image files to samples, upright: TIFF by tifffile, others by OpenCV; decoders'
+messages are captured.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ _TURN = threading.Lock()  # there is one standard error for all threads
 
 
 def decode(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
-    """Decode an image of :func:`motdiff.files.photo_files.photo_bytes`, upright as the camera was held.
+    """Decode an image of :func:`motdiff.files.photo_files.photo_bytes`, upright as the camera was
+    held.
 
     Of a TIFF file with several pages the largest is decoded, the first of equals; previews and
     masks do not count.
@@ -90,7 +93,9 @@ def _decoded_by_opencv(data: bytes, name: object) -> tuple[Samples, tuple[str, .
 
 
 def _opencv_samples(data: bytes) -> Samples | None:
-    """Return samples as OpenCV has them, blue green red, not turned upright; None if they cannot be decoded."""
+    """Return samples as OpenCV has them, blue green red, not turned upright; None if they cannot
+    be decoded.
+    """
     import cv2
 
     try:
@@ -130,7 +135,10 @@ def _decoded_tiff(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
     if pages > 1:
         which = "the first" if number == 1 else f"the largest, number {number},"
         warnings += (
-            f"{name}: holds {pages} pages, {which} was read; save the others as files of their own",
+            (
+                f"{name}: holds {pages} pages, {which} was read; save the others as files of"
+                " their own"
+            ),
         )
     return _turned(colours, tiff_orientation(page)), warnings
 
@@ -140,7 +148,8 @@ def _decoded_tiff(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
 
 @contextmanager
 def decoder_output() -> Iterator[list[str]]:
-    """Capture standard error of C libraries: OpenCV and LibRaw do not pass on the messages of their decoders.
+    """Capture standard error of C libraries: OpenCV and LibRaw do not pass on the messages of
+    their decoders.
 
     Yields
     ------

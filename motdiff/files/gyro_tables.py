@@ -32,7 +32,10 @@ _RATE_UNITS: dict[RateUnit, str] = {
 }
 _TIME = "t|ts|time|timestamps?|(gyro|motion)timestamp_sincereboot|elapsed(_time)?"
 _NAMED_TIMES: dict[str, TimeUnit] = {"seconds_elapsed": "s", "cts": "ms", "timeus": "us"}
-_RATE = "w|g|gyro|gyr|gyroscope|gyrorotation|omega|rate|rot|(motion)?rotation_?rate|(.*_)?angular_(velocity|rate)|w_rs_s|"
+_RATE = (
+    "w|g|gyro|gyr|gyroscope|gyrorotation|omega|rate|rot|(motion)?rotation_?rate|"
+    "(.*_)?angular_(velocity|rate)|w_rs_s|"
+)
 _GYROSCOPE = re.compile("gyr|angular_?(vel|rate)|rotation_?rate|omega", re.IGNORECASE)
 _OTHER_SENSOR = re.compile(
     "accel|(^|_)acc(_|$)|magnet|(^|_)mag(_|$)|gravity|baro|gps|orientation", re.IGNORECASE
@@ -51,7 +54,9 @@ _Row = tuple[int, list[str]]
 
 @dataclass(frozen=True)
 class _Columns:
-    """Columns of the time and of the rates about x, y and z, their names, and their units where the header has them."""
+    """Columns of the time and of the rates about x, y and z, their names, and their units where
+    the header has them.
+    """
 
     index: tuple[int, int, int, int]
     names: tuple[str, ...]
@@ -63,7 +68,8 @@ class _Columns:
 def read_gyro(
     path: Path | str, *, time_unit: TimeUnit | None = None, rate_unit: RateUnit | None = None
 ) -> GyroTrace:
-    """Read a recording: a timestamp and three angular rates per row, comma, semicolon, tab or space separated.
+    """Read a recording: a timestamp and three angular rates per row, comma, semicolon, tab or
+    space separated.
 
     With a header, columns are found by name in any order (``t_ns``, ``time [s]``, ``timestamp``,
     ...; ``wx``, ``gyro_y (deg/s)``, ``gyro_rad[2]``, ``z``, ...). Lines above it are passed over,
@@ -100,7 +106,8 @@ def read_gyro(
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:
     ...     log = Path(folder, "gyro.csv")
-    ...     np.savetxt(log, [[0, 0, 90, 0], [5, 0, 90, 0]], header="t_ms gx_dps gy_dps gz_dps", comments="")
+    ...     header = "t_ms gx_dps gy_dps gz_dps"
+    ...     np.savetxt(log, [[0, 0, 90, 0], [5, 0, 90, 0]], header=header, comments="")
     ...     trace = read_gyro(log)
     >>> round(trace.sample_rate_hz), trace.rate_rad_s[0].round(4).tolist()
     (200, [0.0, 1.5708, 0.0])
@@ -154,7 +161,10 @@ def read_gyro(
             f"{path}: line {repeats[0]} repeats the time of the row before and is left out{others}"
         )
     time, *rates = (one_line(columns.names[index]) for index in columns.index)
-    read = f"time: {time}, in {seconds}; rates: {', '.join(rates)}, in {stated_rate or 'rad'}/s{sensor}"
+    read = (
+        f"time: {time}, in {seconds}; rates: {', '.join(rates)}, in"
+        f" {stated_rate or 'rad'}/s{sensor}"
+    )
     try:
         return GyroTrace(
             values[:, 0] * _SECONDS[seconds],
@@ -170,7 +180,9 @@ def read_gyro(
 
 
 def _header(lines: list[tuple[int, str]]) -> tuple[int, list[str], _Columns] | None:
-    """Find the line that names the columns, above the first row of numbers: its number, the names, the columns."""
+    """Find the line that names the columns, above the first row of numbers: its number, the names,
+    the columns.
+    """
     for number, line in lines[:_LONGEST_HEAD]:
         cells = _fields(line)
         if line[0] != "#" and _is_row(cells):
@@ -190,13 +202,16 @@ def _with_units(names: Sequence[str], row: _Row, path: Path | str) -> _Columns:
     )
     if columns is None:
         raise ValueError(
-            f"{path}: line {number} holds no numbers, and no units of time and rates that are known"
+            f"{path}: line {number} holds no numbers, and no units of time and rates that are"
+            " known"
         )
     return columns
 
 
 def _rows_without_header(table: list[_Row], path: Path | str) -> list[_Row]:
-    """Return the rows from the first one of numbers on; a line above it that looks like a header is refused."""
+    """Return the rows from the first one of numbers on; a line above it that looks like a header
+    is refused.
+    """
     first = next((i for i, (_, cells) in enumerate(table) if _is_row(cells)), None)
     width = 0 if first is None else len(table[first][1])
     above = (
@@ -207,19 +222,22 @@ def _rows_without_header(table: list[_Row], path: Path | str) -> list[_Row]:
     for number, cells in above:
         if sum(map(_is_number, cells)) >= _FEWEST_NUMBERS:
             raise ValueError(
-                f"{path}: line {number} begins with {one_line(cells[0])!r}, which is not a number, and no header names "
-                "the columns, as t_s,wx,wy,wz would"
+                f"{path}: line {number} begins with {one_line(cells[0])!r}, which is not a number,"
+                " and no header names the columns, as t_s,wx,wy,wz would"
             )
         names = _names(one_line(", ".join(cells)))
         raise ValueError(
-            f"{path}: missing column {', '.join(_missing(names))}; the header is {', '.join(names)}"
+            f"{path}: missing column {', '.join(_missing(names))}; the header is"
+            f" {', '.join(names)}"
         )
     assert first is not None
     return table[first:]
 
 
 def _ordered(rows: list[_Row], path: Path | str, time_unit: TimeUnit | None) -> _Columns:
-    """Find the time among columns without names: the first one, or the only one that rises as a clock does."""
+    """Find the time among columns without names: the first one, or the only one that rises as a
+    clock does.
+    """
     width = len(rows[0][1])
     if width < 4:
         raise ValueError(
@@ -240,11 +258,13 @@ def _ordered(rows: list[_Row], path: Path | str, time_unit: TimeUnit | None) -> 
     if len(likely) > 1 and not (counters and time == 0):
         which = " and ".join(str(place + 1) for place in likely)
         raise ValueError(
-            f"{path}: columns {which} rise as a time does; a header such as t_s,wx,wy,wz must name them"
+            f"{path}: columns {which} rise as a time does; a header such as t_s,wx,wy,wz must name"
+            " them"
         )
     if time and width > 4:
         raise ValueError(
-            f"{path}: column {time + 1} of {width} rises as a time does; a header such as t_s,wx,wy,wz must name them"
+            f"{path}: column {time + 1} of {width} rises as a time does; a header such as"
+            " t_s,wx,wy,wz must name them"
         )
     rates = [place for place in range(width) if place != time][:3]
     x, y, z = rates
@@ -256,19 +276,23 @@ def _ordered(rows: list[_Row], path: Path | str, time_unit: TimeUnit | None) -> 
 
 
 def _check_first_rises(rows: list[_Row], path: Path | str) -> None:
-    """Refuse a table whose first column is no time while another rises, in a unit that its steps do not tell."""
+    """Refuse a table whose first column is no time while another rises, in a unit that its steps
+    do not tell.
+    """
     rising = [
         place for place in range(len(rows[0][1])) if _clock_step(rows, place, "ms") is not None
     ]
     if rising and rising[0] > 0:
         raise ValueError(
-            f"{path}: column {rising[0] + 1} rises as a time does, and the first one does not; a header such as "
-            "wx,wy,wz,t_ms must name them, and the unit of the time"
+            f"{path}: column {rising[0] + 1} rises as a time does, and the first one does not; a"
+            " header such as wx,wy,wz,t_ms must name them, and the unit of the time"
         )
 
 
 def _clock_step(rows: list[_Row], place: int, time_unit: TimeUnit | None) -> float | None:
-    """Median step of a column that rises, but for a few repeats, at the rate of a gyroscope; None of others."""
+    """Median step of a column that rises, but for a few repeats, at the rate of a gyroscope; None
+    of others.
+    """
     try:
         with np.errstate(invalid="ignore"):  # infinite less infinite
             steps = np.diff([_number(cells[place]) for _, cells in rows])
@@ -281,7 +305,9 @@ def _clock_step(rows: list[_Row], place: int, time_unit: TimeUnit | None) -> flo
 
 
 def _columns(header: Sequence[str]) -> _Columns | None:
-    """Find the time and the first three rates of one kind, named before bare x, y, z; None where some are missing."""
+    """Find the time and the first three rates of one kind, named before bare x, y, z; None where
+    some are missing.
+    """
     times = [(index, unit) for index, unit in enumerate(map(_as_time, header)) if unit is not None]
     kinds: dict[str, dict[str, tuple[int, RateUnit | None]]] = {}
     for index, name in enumerate(header):
@@ -301,7 +327,9 @@ def _columns(header: Sequence[str]) -> _Columns | None:
 
 
 def _as_time(name: str) -> TimeUnit | Literal[""] | None:
-    """Return the unit of a column of times (``t_ns``, ``time [s]``), empty if unnamed; None for other columns."""
+    """Return the unit of a column of times (``t_ns``, ``time [s]``), empty if unnamed; None for
+    other columns.
+    """
     plain = _plain(name)
     units = "|".join(f"(?P<{unit}>{spelled})" for unit, spelled in _TIME_UNITS.items())
     if plain in _NAMED_TIMES:
@@ -311,7 +339,9 @@ def _as_time(name: str) -> TimeUnit | Literal[""] | None:
 
 
 def _as_rate(name: str) -> tuple[str, str, RateUnit | None] | None:
-    """Recognise a column of rates by kind, axis and unit, as ``wx``, ``gyro_y [rad/s]``, ``gyro_rad[2]``."""
+    """Recognise a column of rates by kind, axis and unit, as ``wx``, ``gyro_y [rad/s]``,
+    ``gyro_rad[2]``.
+    """
     name = re.sub(
         r"^(.+?)(_rad|_deg)?\[([012])\]$", lambda m: f"{m[1]}_{'xyz'[int(m[3])]}{m[2] or ''}", name
     )
@@ -346,7 +376,9 @@ def _names(line: str) -> list[str]:
 
 
 def _fields(line: str) -> list[str]:
-    """Split a row; between commas, semicolons and tabs names may hold spaces, and empty cells are seen."""
+    """Split a row; between commas, semicolons and tabs names may hold spaces, and empty cells are
+    seen.
+    """
     line = line.strip()
     separator = next((mark for mark in ";\t," if mark in line), None)
     if separator is None:
@@ -374,18 +406,22 @@ def _is_row(cells: list[str]) -> bool:
 
 
 def _check_widths(rows: list[_Row], width: int, path: Path | str) -> None:
-    """Refuse rows with more or fewer cells than there are columns; empty ones at the end do no harm."""
+    """Refuse rows with more or fewer cells than there are columns; empty ones at the end do no
+    harm.
+    """
     for number, cells in rows:
         if len(cells) < width or any(cells[width:]):
             raise ValueError(
-                f"{path}: line {number} has {len(cells)} columns, wanted {width} as in the lines above"
+                f"{path}: line {number} has {len(cells)} columns, wanted {width} as in the lines"
+                " above"
             )
 
 
 def _gyroscope_rows(
     rows: list[_Row], names: Sequence[str], columns: _Columns, path: Path | str
 ) -> tuple[list[_Row], str]:
-    """Return the gyroscope's rows of a table of several sensors, and which they are; all rows of other tables.
+    """Return the gyroscope's rows of a table of several sensors, and which they are; all rows of
+    other tables.
 
     Raises
     ------
@@ -410,7 +446,8 @@ def _gyroscope_rows(
         if gyroscopes or named or any(_OTHER_SENSOR.search(label) for label in texts):
             listed = one_line(", ".join(sorted(labels)))
             raise ValueError(
-                f"{path}: column {one_line(names[place])} holds {listed}: leave the rows of one gyroscope alone"
+                f"{path}: column {one_line(names[place])} holds {listed}: leave the rows of one"
+                " gyroscope alone"
             )
     return rows, ""
 
@@ -418,15 +455,18 @@ def _gyroscope_rows(
 def _numbers(
     rows: list[_Row], columns: _Columns, path: Path | str
 ) -> tuple[FloatArray, list[int]]:
-    """Return times and rates (N, 4), and the numbers of the lines left out because they repeat a time."""
+    """Return times and rates (N, 4), and the numbers of the lines left out because they repeat a
+    time.
+    """
     values: list[list[float]] = []
     repeats: list[int] = []
     for number, cells in rows:
         for place in columns.index:
             if not _is_number(cells[place]):
                 raise ValueError(
-                    f"{path}: line {number} holds something that is not a number in column "
-                    f"{one_line(columns.names[place]).removeprefix('column ')}: {one_line(cells[place])!r}"
+                    f"{path}: line {number} holds something that is not a number in column"
+                    f" {one_line(columns.names[place]).removeprefix('column ')}:"
+                    f" {one_line(cells[place])!r}"
                 )
         row = [_number(cells[place]) for place in columns.index]
         if not np.isfinite(row).all():
@@ -441,14 +481,17 @@ def _numbers(
             values.append(row)
     if len(repeats) > _MOST_REPEATS * len(rows):
         raise ValueError(
-            f"{path}: timestamps must strictly increase, but line {repeats[0]} does not; {len(repeats)} of {len(rows)} "
-            "rows repeat the time of the row before: are there two sensors?"
+            f"{path}: timestamps must strictly increase, but line {repeats[0]} does not;"
+            f" {len(repeats)} of {len(rows)} rows repeat the time of the row before: are there two"
+            " sensors?"
         )
     return np.array(values).reshape(-1, 4), repeats
 
 
 def _unit_of_step(step: float) -> TimeUnit | None:
-    """Return the unit of times with this median step, where only one of ns, us and s gives 10 Hz .. 10 kHz."""
+    """Return the unit of times with this median step, where only one of ns, us and s gives 10 Hz
+    .. 10 kHz.
+    """
     if 1e5 <= step <= 1e8:
         return "ns"
     if _LEAST_US <= step < 1e5:
@@ -461,6 +504,6 @@ def _guessed_unit(times: FloatArray, path: Path | str) -> TimeUnit:
     if unit := _unit_of_step(step):
         return unit
     raise ValueError(
-        f"{path}: a median step of {step:g} fits neither ns, us nor s; name the unit in the header, as t_ms, "
-        "or by time_unit"
+        f"{path}: a median step of {step:g} fits neither ns, us nor s; name the unit in the"
+        " header, as t_ms, or by time_unit"
     )

@@ -1,4 +1,6 @@
-"""Input files: regular files only, of a limited size, as text, JSON or TOML; errors are one short line."""
+"""Input files: regular files only, of a limited size, as text, JSON or TOML; errors are one short
+line.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 JSON_BYTES = 16 * 2**20
-"""Largest JSON file that is read: a path of 100,000 samples with an alternative. Parsed it may take 30 times more."""
+"""Largest JSON file that is read: a path of 100,000 samples with an alternative. Parsed it may
+take 30 times more."""
 TOML_BYTES = 2**20
 """Largest TOML file that is read: a settings file has a few kilobytes."""
 TEXT_BYTES = 32 * 2**20
@@ -28,7 +31,8 @@ _KINDS = (
 
 
 def regular_file(path: Path | str) -> Path:
-    """Check that an input is a regular file: reading a pipe may block for ever, reading a device may never end.
+    """Check that an input is a regular file: reading a pipe may block for ever, reading a device
+    may never end.
 
     Every reader of a file that a user names begins with this.
 
@@ -128,7 +132,9 @@ def _content(path: Path | str, *, most_bytes: int) -> bytes:
 
 
 def _shallow(document: _Document) -> _Document:
-    """Return a document whose lists and objects are not nested too deeply: later work on it would run out of stack."""
+    """Return a document whose lists and objects are not nested too deeply: later work on it would
+    run out of stack.
+    """
     level: list[Any] = [document]
     for _ in range(_DEEPEST):
         inner = (
@@ -152,7 +158,8 @@ def _reason(error: ValueError | RecursionError) -> str:
 
 
 def one_line(text: object) -> str:
-    r"""Shorten a message to one printable line: a damaged file may put a megabyte, or a terminal's commands, into it.
+    r"""Shorten a message to one printable line: a damaged file may put a megabyte, or a terminal's
+    commands, into it.
 
     Parameters
     ----------
@@ -169,7 +176,8 @@ def one_line(text: object) -> str:
 
 
 def printable(text: str) -> str:
-    r"""Write what cannot be seen as its escape: control characters, marks that change the direction, lone surrogates.
+    r"""Write what cannot be seen as its escape: control characters, marks that change the
+    direction, lone surrogates.
 
     Examples
     --------

@@ -1,4 +1,6 @@
-"""Segments of JPEG data: size of the frame, completeness, and what is stored before the first scan."""
+"""Segments of JPEG data: size of the frame, completeness, and what is stored before the first
+scan.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ _FRAME_MARKERS = {*range(0xC0, 0xD0)} - {
 
 
 def jpeg_complete(data: bytes) -> bool:
-    """Look for the end marker behind the first scan's header: a thumbnail's own end does not count."""
+    """Look for the end marker behind the first scan's header: a thumbnail's own end does not
+    count.
+    """
     scan = next((end for marker, _, end in jpeg_segments(data) if marker == 0xDA), None)
     return scan is not None and data.find(b"\xff\xd9", scan) >= 0
 
@@ -37,7 +41,9 @@ def jpeg_size(data: bytes) -> tuple[int, int]:
 
 
 def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield marker, start and end of each segment's body (its length included) up to the first scan's header."""
+    """Yield marker, start and end of each segment's body (its length included) up to the first
+    scan's header.
+    """
     at = 2
     while at + 4 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]

@@ -1,4 +1,6 @@
-"""MATLAB's .mat files, read by SciPy in a separate process: a damaged file may make it crash, hang or fill memory."""
+"""MATLAB's .mat files, read by SciPy in a separate process: a damaged file may make it crash, hang
+or fill memory.
+"""
 
 from __future__ import annotations
 

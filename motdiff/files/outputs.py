@@ -13,7 +13,8 @@ from pathlib import Path
 
 @contextmanager
 def new_files(paths: Iterable[Path | str], *, force: bool = True) -> Iterator[dict[Path, Path]]:
-    """Yield a temporary name for each file; on success all files appear together, otherwise none does.
+    """Yield a temporary name for each file; on success all files appear together, otherwise none
+    does.
 
     Temporary names end in the file names. A symbolic link stays: the file it leads to is replaced.
 
@@ -66,7 +67,9 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write ``text`` as UTF-8 through :func:`new_file`; bytes of names that are no UTF-8 are written as escapes."""
+    """Write ``text`` as UTF-8 through :func:`new_file`; bytes of names that are no UTF-8 are
+    written as escapes.
+    """
     with new_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="")
 
@@ -93,7 +96,8 @@ def check_file(path: Path | str) -> None:
 
 
 def check_folder(path: Path | str) -> None:
-    """Check, before any work is done, that files can be written into a folder, or that it can be made.
+    """Check, before any work is done, that files can be written into a folder, or that it can be
+    made.
 
     Raises
     ------
@@ -115,7 +119,8 @@ def check_folder(path: Path | str) -> None:
 def replace_all(
     new: Mapping[Path, Path], *, remove: Iterable[Path] = (), force: bool = True
 ) -> None:
-    """Rename files to their places and remove others; when a step fails, the earlier files are restored.
+    """Rename files to their places and remove others; when a step fails, the earlier files are
+    restored.
 
     All files are on the disk before the first is renamed: a full one is noticed while nothing has
     changed.
@@ -223,7 +228,9 @@ def _restore(place: Path, kept: Path | None, temporary: Path | None) -> None:
 
 @contextmanager
 def hidden_folder(folder: Path, shown: Path | str) -> Iterator[Path]:
-    """Make a temporary folder within ``folder`` and remove it in the end; an OSError of making it names ``shown``."""
+    """Make a temporary folder within ``folder`` and remove it in the end; an OSError of making it
+    names ``shown``.
+    """
     made = _hidden(folder, shown)
     try:
         yield made

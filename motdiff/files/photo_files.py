@@ -1,4 +1,6 @@
-"""Image files before they are decoded: kind, completeness, orientation, and size in pixels, which is limited."""
+"""Image files before they are decoded: kind, completeness, orientation, and size in pixels, which
+is limited.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from motdiff.files.jpeg_files import JPEG, jpeg_complete, jpeg_segments, jpeg_si
 from motdiff.files.tiff_files import TIFF, exif_orientation, photo_page
 
 MOST_PX = 120_000_000
-"""Pixels of the largest photo that is read: in colour 2.9 GB as float64, and restoring it takes several times that."""
+"""Pixels of the largest photo that is read: in colour 2.9 GB as float64, and restoring it takes
+several times that."""
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _EXIF = b"Exif\0\0"  # before EXIF data in JPEG, and by mistake in some WebP files
@@ -87,8 +90,8 @@ def check_px(width: int, height: int, name: object) -> None:
     """
     if width * height > MOST_PX:
         raise ValueError(
-            f"{name}: {width} x {height} px are {width * height / 1e6:.0f} megapixels, at most {MOST_PX / 1e6:.0f} are "
-            "read; crop the photo or scale it down"
+            f"{name}: {width} x {height} px are {width * height / 1e6:.0f} megapixels, at most"
+            f" {MOST_PX / 1e6:.0f} are read; crop the photo or scale it down"
         )
 
 

@@ -11,7 +11,9 @@ from motdiff.files.inputs import one_line
 
 
 def is_reference(text: str) -> bool:
-    """Whether a text has the form ``module:name``, as ``mymodule:MyEstimator`` or ``package.module:name``."""
+    """Whether a text has the form ``module:name``, as ``mymodule:MyEstimator`` or
+    ``package.module:name``.
+    """
     module, colon, name = text.partition(":")
     return (
         bool(colon)
@@ -21,7 +23,8 @@ def is_reference(text: str) -> bool:
 
 
 def load_object(reference: str) -> Any:
-    """Import an object by its reference; modules in the current folder are found too, from then on.
+    """Import an object by its reference; modules in the current folder are found too, from then
+    on.
 
     Parameters
     ----------

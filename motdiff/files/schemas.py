@@ -33,10 +33,12 @@ KEYWORDS = _NOTES | {
     "exclusiveMaximum",
     "anyOf",
 }
-"""Keywords that :func:`fault` knows; others would be passed over, so :func:`load_schema` refuses them."""
+"""Keywords that :func:`fault` knows; others would be passed over, so :func:`load_schema` refuses
+them."""
 
 _LARGEST = 1e300
-"""Limits from here on keep numbers within a double, and are named only where a number exceeds them."""
+"""Limits from here on keep numbers within a double, and are named only where a number exceeds
+them."""
 
 _END = re.compile(r"\$$")  # in Python also before a last line feed, unlike in JSON Schema
 
@@ -86,7 +88,8 @@ def fault(value: object, schema: Mapping[str, Any], *, where: str = "") -> str |
 
     Examples
     --------
-    >>> fault({"bits": 17}, {"properties": {"bits": {"type": "integer", "minimum": 1, "maximum": 16}}})
+    >>> bits = {"type": "integer", "minimum": 1, "maximum": 16}
+    >>> fault({"bits": 17}, {"properties": {"bits": bits}})
     'bits: must be a whole number within 1..16, got 17'
     """
     if "anyOf" in schema and all(
@@ -113,7 +116,10 @@ def _object_fault(value: Mapping[str, Any], schema: Mapping[str, Any], where: st
         if name in known:
             wrong = fault(item, known[name], where=f"{inside}{name}")
         elif others is False:
-            return f"unknown field {one_line(repr(inside + name))}; there are {', '.join(sorted(known))}"
+            return (
+                f"unknown field {one_line(repr(inside + name))}; there are"
+                f" {', '.join(sorted(known))}"
+            )
         else:
             wrong = (
                 None if others is True else fault(item, others, where=f"{inside}{one_line(name)}")

@@ -1,4 +1,6 @@
-"""TIFF files by tifffile: which page is the photo, what is not read, and its samples as red green blue or grey."""
+"""TIFF files by tifffile: which page is the photo, what is not read, and its samples as red green
+blue or grey.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ _ALPHA = (1, 2)  # extra samples: associated, unassociated
 
 
 class _Directories(BytesIO):
-    """A file of which a limited number of bytes is read: its directories may name the same bytes many times."""
+    """A file of which a limited number of bytes is read: its directories may name the same bytes
+    many times.
+    """
 
     limit: float = _MOST_DIRECTORY_BYTES
 
@@ -128,13 +132,17 @@ def _is_photo(page: TiffPage) -> bool:
 
 
 def tiff_orientation(page: TiffPage) -> int:
-    """How a page is turned upright, 1 to 8 (TIFF 6.0, section 8); 1, as it is, where nothing valid is said."""
+    """How a page is turned upright, 1 to 8 (TIFF 6.0, section 8); 1, as it is, where nothing valid
+    is said.
+    """
     orientation = page.tags.valueof(274)
     return int(orientation) if orientation in range(1, 9) else 1
 
 
 def exif_orientation(exif: bytes) -> int:
-    """Orientation in EXIF data, a TIFF file without an image; 1, as it is, where there is none or they are damaged."""
+    """Orientation in EXIF data, a TIFF file without an image; 1, as it is, where there is none or
+    they are damaged.
+    """
     try:
         return tiff_orientation(_opened(_Directories(exif)).pages.first) if exif else 1
     except Exception:  # of many kinds
@@ -162,7 +170,10 @@ def refusal(page: TiffPage) -> str:
     kind = int(page.sampleformat)
     if photometric not in (_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, _PALETTE, _YCBCR):
         names = {colours.value: colours.name for colours in PHOTOMETRIC} | _COLOURS
-        return f"its colours are {names.get(photometric, f'of kind {photometric}')}, save it as RGB or grey"
+        return (
+            f"its colours are {names.get(photometric, f'of kind {photometric}')}, save it as RGB"
+            " or grey"
+        )
     if compression not in _COMPRESSIONS or compression not in TIFF.DECOMPRESSORS:
         method = getattr(page.compression, "name", f"method {compression}")
         return f"is compressed by {method}, save it uncompressed, or by LZW or Deflate"
@@ -178,14 +189,21 @@ def refusal(page: TiffPage) -> str:
     if isinstance(bits, tuple):
         return "its channels differ in kind, save it with 8 or 16 bits in each"
     if not (bits in (16, 32, 64) if kind == 3 else kind not in _SAMPLES and 1 <= bits <= 16):
-        return f"has {bits}-bit {_SAMPLES.get(kind, 'integers')}, save it as 8 or 16 bit, or as floating point of 32"
+        return (
+            f"has {bits}-bit {_SAMPLES.get(kind, 'integers')}, save it as 8 or 16 bit, or as"
+            " floating point of 32"
+        )
     if photometric == _YCBCR and (bits != 8 or (page.is_subsampled and compression != _JPEG)):
-        return "its colours are YCbCr of fewer samples than pixels, or not of 8 bits; save it as RGB or grey"
+        return (
+            "its colours are YCbCr of fewer samples than pixels, or not of 8 bits; save it as RGB"
+            " or grey"
+        )
     return ""
 
 
 def channels(page: TiffPage) -> tuple[Samples, Samples]:
-    """Read the samples of a page that is not refused: (H, W) or (H, W, 3), 0 is black, and what is beside them.
+    """Read the samples of a page that is not refused: (H, W) or (H, W, 3), 0 is black, and what is
+    beside them.
 
     Returns
     -------
@@ -229,7 +247,9 @@ def channels(page: TiffPage) -> tuple[Samples, Samples]:
 
 
 def _check_segments(page: TiffPage) -> None:
-    """Check strips or tiles: those that are missing would be black, and those of a small file may be gigabytes."""
+    """Check strips or tiles: those that are missing would be black, and those of a small file may
+    be gigabytes.
+    """
     file = page.parent.filehandle
     number = math.prod(page.chunked)
     px = math.prod(page.chunks)

@@ -1,4 +1,6 @@
-"""``trajectory.json``: a motion with its alternatives and where it came from (schema ``cep.trajectory/1``)."""
+"""``trajectory.json``: a motion with its alternatives and where it came from (schema
+``cep.trajectory/1``).
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,8 @@ def trajectory_text(trajectory: Trajectory) -> str:
 
 
 def read_motion(path: Path | str) -> StoredMotion:
-    """Read a trajectory file; paths of more than 2000 samples are thinned to within 1e-4 px at any time.
+    """Read a trajectory file; paths of more than 2000 samples are thinned to within 1e-4 px at any
+    time.
 
     Parameters
     ----------
@@ -107,7 +110,8 @@ def read_motion(path: Path | str) -> StoredMotion:
 
 
 def stated_uncertainty_px(motion: StoredMotion, path: Path | str) -> float | None:
-    """Return the expected error of a stored motion, px rms over time; None where its source does not say.
+    """Return the expected error of a stored motion, px rms over time; None where its source does
+    not say.
 
     Parameters
     ----------
@@ -128,7 +132,8 @@ def stated_uncertainty_px(motion: StoredMotion, path: Path | str) -> float | Non
         or not 0 < stated < _FARTHEST_PX
     ):
         raise ValueError(
-            f"{path}: source path_uncertainty_px must be a number of px above 0, got {one_line(repr(stated))}"
+            f"{path}: source path_uncertainty_px must be a number of px above 0, got"
+            f" {one_line(repr(stated))}"
         )
     return float(stated)
 

@@ -1,4 +1,5 @@
-"""The MoTDiff network: a blurred photo (or physics maps of it) conditions a small diffusion denoiser of path maps.
+"""The MoTDiff network: a blurred photo (or physics maps of it) conditions a small diffusion
+denoiser of path maps.
 
 Two baselines draw from the same condition: a denoiser of PSFs, and one quadratic path.
 """

@@ -1,4 +1,6 @@
-"""Aggregation of features at four scales, coarse to fine, to one condition z1 at a quarter of the photo's size."""
+"""Aggregation of features at four scales, coarse to fine, to one condition z1 at a quarter of the
+photo's size.
+"""
 
 from __future__ import annotations
 

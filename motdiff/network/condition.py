@@ -1,4 +1,6 @@
-"""Condition network: a photo and its physics maps to one condition on the PSF's grid, shared by all samples."""
+"""Condition network: a photo and its physics maps to one condition on the PSF's grid, shared by
+all samples.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ PHOTO_PX = _CONDITION_STRIDE * PSF_PX
 
 
 class PhotoEncoder(nn.Module):
-    """Photo (B, 3, H, W), display values 0..1, to z1 (B, width, H / 4, W / 4): PVT v2, local emphasis, aggregation.
+    """Photo (B, 3, H, W), display values 0..1, to z1 (B, width, H / 4, W / 4): PVT v2, local
+    emphasis, aggregation.
 
     Parameters
     ----------
@@ -52,7 +55,9 @@ class PhotoEncoder(nn.Module):
         self.register_buffer("std", torch.tensor(_IMAGENET_STD)[:, None, None], persistent=False)
 
     def forward(self, photo: Tensor) -> Tensor:
-        """Encode photos (B, 3, H, W), sides multiples of 32 `photo_pool`, as z1; ValueError for another shape."""
+        """Encode photos (B, 3, H, W), sides multiples of 32 `photo_pool`, as z1; ValueError for
+        another shape.
+        """
         sides = photo.shape[-2:]
         unit = _STRIDE * self.pool
         if (
@@ -144,7 +149,8 @@ class ConditionNetwork(nn.Module):
         _check_presence("physics", physics, wanted=self.physics is not None)
         if photo is not None and physics is not None and photo.shape[-2:] != (PHOTO_PX, PHOTO_PX):
             raise ValueError(
-                f"photo has shape {tuple(photo.shape)}; with physics maps it must be (B, 3, {PHOTO_PX}, {PHOTO_PX})"
+                f"photo has shape {tuple(photo.shape)}; with physics maps it must be (B, 3,"
+                f" {PHOTO_PX}, {PHOTO_PX})"
             )
         parts: list[Tensor] = []
         if self.physics is not None:
@@ -158,5 +164,6 @@ class ConditionNetwork(nn.Module):
 def _check_presence(name: str, value: Tensor | None, *, wanted: bool) -> None:
     if (value is not None) != wanted:
         raise ValueError(
-            f"{name} {'is None; this network needs it' if wanted else 'must be None for this network'}"
+            f"{name}"
+            f" {'is None; this network needs it' if wanted else 'must be None for this network'}"
         )

@@ -87,7 +87,8 @@ class NetworkConfig:
             _multiple("denoiser_width", self.denoiser_width, 8)
         if not isinstance(self.decoder_widths, tuple) or len(self.decoder_widths) != 2:
             raise ValueError(
-                f"decoder_widths is {self.decoder_widths!r}; it must be a tuple of two whole numbers"
+                f"decoder_widths is {self.decoder_widths!r}; it must be a tuple of two whole"
+                " numbers"
             )
         _multiple("decoder_widths[0]", self.decoder_widths[0], 4)
         _multiple("decoder_widths[1]", self.decoder_widths[1], 1)
@@ -102,11 +103,13 @@ class NetworkConfig:
         _multiple("time_width", self.time_width, 2)
         if self.dwell and self.target != "map":
             raise ValueError(
-                f"dwell is True; it must be False for target {self.target!r}, which holds the time already"
+                f"dwell is True; it must be False for target {self.target!r}, which holds the time"
+                " already"
             )
         if self.backbone == "none" and self.physics_channels == 0:
             raise ValueError(
-                "physics_channels is 0; a network without a photo encoder (backbone 'none') needs some"
+                "physics_channels is 0; a network without a photo encoder (backbone 'none') needs"
+                " some"
             )
 
     def as_dict(self) -> dict[str, Any]:

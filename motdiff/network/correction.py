@@ -1,4 +1,5 @@
-"""Correction of a kernel that a search found, by a network that sees what the photo tells of each of its pixels.
+"""Correction of a kernel that a search found, by a network that sees what the photo tells of each
+of its pixels.
 
 A search ends with sparse non-negative kernels: faint parts of the path are cut with the noise. The
 maps here hold the least-squares kernel before any constraint, and where the photo contradicts the
@@ -35,7 +36,8 @@ _LATENT_RANGE = (-0.5, 1.5)  # a restoration by a wrong kernel rings far beyond 
 
 
 class CorrectionNetwork(nn.Module):
-    """Maps (B, 11, 64, 64) of kernels to corrected kernels (B, 64, 64), over a peak of about 1, with small negatives.
+    """Maps (B, 11, 64, 64) of kernels to corrected kernels (B, 64, 64), over a peak of about 1,
+    with small negatives.
 
     The kernel, which is the first map, plus what a U-Net on the 64 x 64 grid finds; nothing at
     first.
@@ -165,7 +167,9 @@ def _wiener(wrapped: Tensor, kernels: Tensor, sigma: float) -> Tensor:
 def _least_squares(
     latent: list[Tensor], blurred: list[Tensor], ridges: tuple[float, ...], frame: tuple[int, int]
 ) -> Tensor:
-    """Unconstrained kernels (R, 64, 64) that turn latent gradients into blurred ones, from their spectra."""
+    """Unconstrained kernels (R, 64, 64) that turn latent gradients into blurred ones, from their
+    spectra.
+    """
     cross = _cross(latent, blurred)
     power = sum(
         (spectrum.abs().square().sum(dim=0) for spectrum in latent), torch.zeros_like(cross.real)

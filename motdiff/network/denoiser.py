@@ -1,4 +1,6 @@
-"""Asymmetric denoiser: logits of the clean map from a noisy one, by one encoding and two decoding blocks."""
+"""Asymmetric denoiser: logits of the clean map from a noisy one, by one encoding and two decoding
+blocks.
+"""
 
 from __future__ import annotations
 
@@ -142,7 +144,8 @@ class Denoiser(nn.Module):
 
 
 def timestep_embedding(t: Tensor, width: int) -> Tensor:
-    """Cosines and sines of the timestep at `width / 2` periods from 2 pi to 20000 pi steps, (B,) -> (B, width).
+    """Cosines and sines of the timestep at `width / 2` periods from 2 pi to 20000 pi steps, (B,)
+    -> (B, width).
 
     References
     ----------
@@ -172,7 +175,9 @@ class _TimeNetwork(nn.Module):
 
 
 class _Modulation(nn.Module):
-    """Scale and shift of each channel by the time: x (1 + scale) + shift; both small at the start."""
+    """Scale and shift of each channel by the time: x (1 + scale) + shift; both small at the
+    start.
+    """
 
     def __init__(self, time_width: int, channels: int) -> None:
         super().__init__()
@@ -187,7 +192,9 @@ class _Modulation(nn.Module):
 
 
 class _ResidualBlock(nn.Module):
-    """ResNet's basic block, 3x3 convolutions with batch norm, modulated by the time: (B, C, h, w) -> the same."""
+    """ResNet's basic block, 3x3 convolutions with batch norm, modulated by the time: (B, C, h, w)
+    -> the same.
+    """
 
     def __init__(self, channels: int, time_width: int) -> None:
         super().__init__()
@@ -203,7 +210,9 @@ class _ResidualBlock(nn.Module):
 
 
 def _output_layer(inputs: int, outputs: int) -> nn.Conv2d:
-    """1x1 convolution whose first channel starts at the path's share of the pixels, so that no loss is lost on it."""
+    """1x1 convolution whose first channel starts at the path's share of the pixels, so that no
+    loss is lost on it.
+    """
     layer = nn.Conv2d(inputs, outputs, 1)
     bias = torch.zeros(outputs)
     bias[0] = math.log(_PATH_SHARE / (1 - _PATH_SHARE))

@@ -1,4 +1,5 @@
-"""Diffusion process of trajectory maps: schedules, noising, and samplers (DDPM, DDIM, DPM-Solver++).
+"""Diffusion process of trajectory maps: schedules, noising, and samplers (DDPM, DDIM,
+DPM-Solver++).
 
 Everything is in x0 form. At the last timestep of the cosine schedule ``alpha_bar`` is 2.4e-9,
 where a guess of x0 is still well defined but one of the noise would be divided by 5e-5.
@@ -168,11 +169,13 @@ def q_sample(schedule: Schedule, signal: Tensor, t: Tensor, noise: Tensor) -> Te
     """
     if t.shape != signal.shape[:1]:
         raise ValueError(
-            f"t must hold one timestep per sample, shape {tuple(signal.shape[:1])}; got {tuple(t.shape)}"
+            f"t must hold one timestep per sample, shape {tuple(signal.shape[:1])}; got"
+            f" {tuple(t.shape)}"
         )
     if noise.shape != signal.shape:
         raise ValueError(
-            f"noise must be shaped like the signal, {tuple(signal.shape)}; got {tuple(noise.shape)}"
+            f"noise must be shaped like the signal, {tuple(signal.shape)}; got"
+            f" {tuple(noise.shape)}"
         )
     per_sample = (-1, *(1 for _ in signal.shape[1:]))
     kept = (
@@ -207,7 +210,8 @@ def samples(
     device: torch.device | str | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> Iterator[Tensor]:
-    """Draw signals from noise; yields the estimate of x0 at each step, and the last one is the result.
+    """Draw signals from noise; yields the estimate of x0 at each step, and the last one is the
+    result.
 
     Runs without gradients: a ``predict_x0`` that needs them turns them on itself
     (``torch.enable_grad``).

@@ -57,7 +57,9 @@ def structure_loss(logits: Tensor, x0: Tensor, *, path_weight: float, iou: float
 
 
 def weighted_bce(logits: Tensor, x0: Tensor, weight: Tensor) -> Tensor:
-    """Cross-entropy (B,) of each sample: the mean over its pixels with weights ``weight`` (see `structure_loss`)."""
+    """Cross-entropy (B,) of each sample: the mean over its pixels with weights ``weight`` (see
+    `structure_loss`).
+    """
     # F3Net's code passes `reduce='none'`, which PyTorch reads as reduce=True: it then returns the
     # batch's plain mean, the weights cancel and thin paths count for nothing. Many copies inherit
     # it. `reduction` is the right name.
@@ -68,7 +70,9 @@ def weighted_bce(logits: Tensor, x0: Tensor, weight: Tensor) -> Tensor:
 
 
 def weighted_iou(logits: Tensor, x0: Tensor, weight: Tensor) -> Tensor:
-    """One minus the soft intersection over union (B,) of each sample, weighted by pixels (see `structure_loss`)."""
+    """One minus the soft intersection over union (B,) of each sample, weighted by pixels (see
+    `structure_loss`).
+    """
     p = torch.sigmoid(logits)
     intersection = (weight * p * x0).flatten(1).sum(1)  # (B,)
     total = (weight * (p + x0)).flatten(1).sum(1)  # (B,)
@@ -76,7 +80,8 @@ def weighted_iou(logits: Tensor, x0: Tensor, weight: Tensor) -> Tensor:
 
 
 def denoising_loss(logits: Tensor, x0: Tensor) -> Tensor:
-    """Mean squared error of the signal, ``2 sigmoid(logits) - 1`` against ``2 x0 - 1``: plain DDPM, for the ablation.
+    """Mean squared error of the signal, ``2 sigmoid(logits) - 1`` against ``2 x0 - 1``: plain
+    DDPM, for the ablation.
 
     Parameters
     ----------
@@ -139,13 +144,16 @@ def dwell_loss(logits: Tensor, dwell: Tensor, x0: Tensor) -> Tensor:
 
 
 def _full_precision(logits: Tensor, *targets: Tensor) -> tuple[Tensor, ...]:
-    """Tensors in at least float32, the targets in the logits' type; sums over 65,536 pixels overflow float16."""
+    """Tensors in at least float32, the targets in the logits' type; sums over 65,536 pixels
+    overflow float16.
+    """
     for target in targets:
         if (
             target.shape != logits.shape
         ):  # (B, H, W) would broadcast against (B, 1, H, W) to (B, B, H, W)
             raise ValueError(
-                f"logits must be shaped like the target, {tuple(target.shape)}; got {tuple(logits.shape)}"
+                f"logits must be shaped like the target, {tuple(target.shape)}; got"
+                f" {tuple(logits.shape)}"
             )
     dtype = torch.float32 if logits.dtype in (torch.float16, torch.bfloat16) else logits.dtype
     return logits.to(dtype), *(target.to(dtype) for target in targets)

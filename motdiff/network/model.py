@@ -11,7 +11,8 @@ from motdiff.psf_frame import MAP_PITCH
 
 
 class MotDiffNetwork(ConditionNetwork):
-    """Photo, physics maps, noisy map and timestep to logits of the path map (or of the PSF, see `pitch`).
+    """Photo, physics maps, noisy map and timestep to logits of the path map (or of the PSF, see
+    `pitch`).
 
     `condition` depends on the photo only: call it once, then `denoise` at every step.
 
@@ -48,7 +49,9 @@ class MotDiffNetwork(ConditionNetwork):
         )
 
     def denoise(self, x_t: Tensor, t: Tensor, condition: Tensor) -> Tensor:
-        """Logits (B, 1 or 2, H, W) of x0 (and dwell) from x_t (B, 1, H, W), t (B,) in 0..999 and a condition."""
+        """Logits (B, 1 or 2, H, W) of x0 (and dwell) from x_t (B, 1, H, W), t (B,) in 0..999 and a
+        condition.
+        """
         logits: Tensor = self.denoiser(x_t, t, condition)
         return logits
 

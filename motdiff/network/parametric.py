@@ -1,4 +1,6 @@
-"""Network of the parametric baseline: one quadratic path predicted from the condition (Motion-ETR's class)."""
+"""Network of the parametric baseline: one quadratic path predicted from the condition
+(Motion-ETR's class).
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ _HIDDEN = 128
 
 
 class PathHead(nn.Module):
-    """Condition (B, C, 64, 64) to the coefficients (B, 2, 2) of a path, px; three strided convolutions, two layers.
+    """Condition (B, C, 64, 64) to the coefficients (B, 2, 2) of a path, px; three strided
+    convolutions, two layers.
 
     A path and its reverse, ``a -> -a``, look the same. So it is the complex square ``a^2 / |a|``
     that is predicted, which they share: a network cannot jump from one sign to the other between
@@ -58,7 +61,8 @@ class PathHead(nn.Module):
 
 
 class PathNetwork(ConditionNetwork):
-    """Photo and physics maps to a quadratic path, through the condition that a `MotDiffNetwork` of the sizes has.
+    """Photo and physics maps to a quadratic path, through the condition that a `MotDiffNetwork` of
+    the sizes has.
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""Physics maps of a photo's blur on the PSF's 64 x 64 grid: correlations, cepstrum, quick classical kernels.
+"""Physics maps of a photo's blur on the PSF's 64 x 64 grid: correlations, cepstrum, quick
+classical kernels.
 
 The network sees these maps beside the photo's features (or instead of them): they lie on the same
 grid as the path.
@@ -62,13 +63,16 @@ def physics_maps(photos: Tensor, kernels: Tensor) -> Tensor:
 
 
 def stacked_maps(spectral: Tensor, kernels: Tensor) -> Tensor:
-    """Stack :func:`physics_maps` from spectral maps (B, 2, 64, 64) known already, and kernels (B, K, 64, 64)."""
+    """Stack :func:`physics_maps` from spectral maps (B, 2, 64, 64) known already, and kernels (B,
+    K, 64, 64).
+    """
     peaks = kernels.amax(dim=(-2, -1), keepdim=True).clamp(min=1e-12)
     return torch.cat([spectral, kernels / peaks, autocorrelation(kernels)], dim=1)
 
 
 def display_photo(grey: Tensor) -> Tensor:
-    """Photo (B, 3, H, W) for the photo encoder: display values 0..1 of grey linear light (B, 1, H, W).
+    """Photo (B, 3, H, W) for the photo encoder: display values 0..1 of grey linear light (B, 1, H,
+    W).
 
     Grey in all channels: the blur is the same in every colour.
     """
@@ -166,7 +170,9 @@ def spectral_maps(photos: Tensor) -> Tensor:
 
 
 def autocorrelation(kernels: Tensor) -> Tensor:
-    """Autocorrelations of kernels (..., 64, 64) at lags of -32..31 px, zero lag at index 32, 1 there."""
+    """Autocorrelations of kernels (..., 64, 64) at lags of -32..31 px, zero lag at index 32, 1
+    there.
+    """
     frame = (2 * PSF_PX, 2 * PSF_PX)
     found = lags(torch.fft.irfft2(torch.fft.rfft2(kernels, s=frame).abs().square(), s=frame))
     return found / found[..., PSF_PX // 2, PSF_PX // 2][..., None, None].clamp(min=1e-12)

@@ -83,7 +83,8 @@ class PyramidVisionTransformer(nn.Module):
         self.apply(_initialise)
 
     def forward(self, photo: Tensor) -> list[Tensor]:
-        """Features (B, C_s, H / 2^(s+1), W / 2^(s+1)), s = 1..4, of photos (B, 3, H, W) whose sides are 32 n.
+        """Features (B, C_s, H / 2^(s+1), W / 2^(s+1)), s = 1..4, of photos (B, 3, H, W) whose
+        sides are 32 n.
 
         The photo is normalised by ImageNet's mean and standard deviation, by the caller.
         """
@@ -110,7 +111,9 @@ class _PatchEmbedding(nn.Module):
 
 
 class _Stage(nn.Module):
-    """One scale: patch embedding (not in the first stage, whose embedding is the network's), blocks, norm."""
+    """One scale: patch embedding (not in the first stage, whose embedding is the network's),
+    blocks, norm.
+    """
 
     def __init__(
         self,
@@ -140,7 +143,9 @@ class _Stage(nn.Module):
 
 
 class _Block(nn.Module):
-    """Attention and feed-forward layer, each normalised first and added to its input; tokens (B, h, w, C)."""
+    """Attention and feed-forward layer, each normalised first and added to its input; tokens (B,
+    h, w, C).
+    """
 
     def __init__(self, channels: int, heads: int, reduction: int, mlp_ratio: int) -> None:
         super().__init__()
@@ -156,7 +161,9 @@ class _Block(nn.Module):
 
 
 class _Attention(nn.Module):
-    """Self-attention whose keys and values come from a grid made coarser by a strided convolution."""
+    """Self-attention whose keys and values come from a grid made coarser by a strided
+    convolution.
+    """
 
     def __init__(self, channels: int, heads: int, reduction: int) -> None:
         super().__init__()
@@ -185,7 +192,9 @@ class _Attention(nn.Module):
 
 
 class _FeedForward(nn.Module):
-    """Two linear layers around a depthwise 3x3 convolution, whose zero padding encodes the position of each token."""
+    """Two linear layers around a depthwise 3x3 convolution, whose zero padding encodes the
+    position of each token.
+    """
 
     def __init__(self, channels: int, hidden: int) -> None:
         super().__init__()
@@ -200,7 +209,9 @@ class _FeedForward(nn.Module):
 
 
 def _initialise(module: nn.Module) -> None:
-    """As upstream: truncated normal for linear layers, He by outputs for convolutions, biases 0."""
+    """As upstream: truncated normal for linear layers, He by outputs for convolutions, biases
+    0.
+    """
     if isinstance(module, nn.Linear):
         nn.init.trunc_normal_(module.weight, std=0.02)
     elif isinstance(module, nn.Conv2d):
@@ -213,7 +224,8 @@ def _initialise(module: nn.Module) -> None:
 
 
 def load_backbone(model: PyramidVisionTransformer, path: str | Path) -> None:
-    """Load timm's PVT v2 weights into `model`, in place; `head.*` and stages that `model` lacks are ignored.
+    """Load timm's PVT v2 weights into `model`, in place; `head.*` and stages that `model` lacks
+    are ignored.
 
     Parameters
     ----------
@@ -242,7 +254,8 @@ def load_backbone(model: PyramidVisionTransformer, path: str | Path) -> None:
     wanted = f"it must hold timm's pvt_v2_{model.variant}"
     if missing := sorted(own.keys() - weights.keys()):
         raise ValueError(
-            f"path {path} lacks {len(missing)} of {len(own)} parameters, first {missing[0]}; {wanted}"
+            f"path {path} lacks {len(missing)} of {len(own)} parameters, first {missing[0]};"
+            f" {wanted}"
         )
     if extra := sorted(weights.keys() - own.keys()):
         raise ValueError(

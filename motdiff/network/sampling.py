@@ -13,7 +13,8 @@ from motdiff.network.diffusion import Schedule, from_signal, samples, to_signal
 from motdiff.psf_frame import MAP_PITCH
 
 DOUBT = 0.02
-"""Share of the peak below which a network's output is taken for 0: off the path it never quite is."""
+"""Share of the peak below which a network's output is taken for 0: off the path it never quite
+is."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,8 @@ def sample_paths(
 
 
 def psfs_of_maps(maps: Tensor) -> Tensor:
-    """PSFs (..., 64, 64), sum 1, of non-negative HR maps (..., 256, 256), seen through each PSF pixel's bilinear hat.
+    """PSFs (..., 64, 64), sum 1, of non-negative HR maps (..., 256, 256), seen through each PSF
+    pixel's bilinear hat.
 
     The hat makes them those of :meth:`motdiff.trajectory.Trajectory.psf`: with a true map of path
     and dwell the MNC is over 0.99, with plain 4 x 4 means 0.92 to 0.97. An empty map becomes a

@@ -8,7 +8,8 @@ SYMMETRIES = 8
 
 
 def mirrored(maps: Tensor, symmetry: int, *, pitch: int) -> Tensor:
-    """Turn or mirror maps (B, C, H, W) about the zero displacement, one of the 8 symmetries of the square.
+    """Turn or mirror maps (B, C, H, W) about the zero displacement, one of the 8 symmetries of the
+    square.
 
     The zero lies at index ``H // 2`` of a PSF's grid and at ``129.5`` of the HR map, half a PSF
     pixel off the array's middle: a flipped axis must be moved by one PSF pixel.
@@ -30,5 +31,7 @@ def mirrored(maps: Tensor, symmetry: int, *, pitch: int) -> Tensor:
 
 
 def inverse_symmetry(symmetry: int) -> int:
-    """Symmetry that undoes ``symmetry`` of :func:`mirrored`: with a transposition the two flips change places."""
+    """Symmetry that undoes ``symmetry`` of :func:`mirrored`: with a transposition the two flips
+    change places.
+    """
     return symmetry if symmetry < 4 else 4 + 2 * (symmetry & 1) + (symmetry >> 1 & 1)

@@ -74,7 +74,8 @@ class GridUNet(nn.Module):
         """
         if maps.shape[1:] != (self.channels, PSF_PX, PSF_PX):
             raise ValueError(
-                f"maps has shape {tuple(maps.shape)}; it must be (B, {self.channels}, {PSF_PX}, {PSF_PX})"
+                f"maps has shape {tuple(maps.shape)}; it must be (B, {self.channels}, {PSF_PX},"
+                f" {PSF_PX})"
             )
         x: Tensor = self.fine(self.stem(self.fold(maps)) + self.position)  # (B, width, side, side)
         skips = []
@@ -91,7 +92,9 @@ class GridUNet(nn.Module):
 
 
 def silence(layer: nn.Module) -> None:
-    """Set a layer's parameters to zero: a sum with it is unchanged at first, and the layer still learns."""
+    """Set a layer's parameters to zero: a sum with it is unchanged at first, and the layer still
+    learns.
+    """
     for parameter in layer.parameters():
         nn.init.zeros_(parameter)
 
@@ -140,7 +143,9 @@ def _group_norm(channels: int) -> nn.GroupNorm:
 
 
 def _waves(width: int, side: int) -> Tensor:
-    """Sines and cosines of x and of y, periods 4 to 2 side px, (1, width, side, side): initial position embedding."""
+    """Sines and cosines of x and of y, periods 4 to 2 side px, (1, width, side, side): initial
+    position embedding.
+    """
     freq_cy_px = torch.logspace(math.log2(0.5 / side), math.log2(1 / 4), width // 4, base=2)
     angle = (
         2 * math.pi * freq_cy_px[:, None] * (torch.arange(side) - (side - 1) / 2)

@@ -22,7 +22,8 @@ _SHORTEST_PX = 0.05  # a path must lead somewhere, even for a point
 def fit_dwell(
     path_px: ArrayLike, psf: ArrayLike, *, smoothness: float = 0.01, extend_px: float = 1.0
 ) -> Trajectory:
-    """Fit the time spent along a path, and its global sub-pixel shift, so that the exact PSF matches ``psf``.
+    """Fit the time spent along a path, and its global sub-pixel shift, so that the exact PSF
+    matches ``psf``.
 
     Parameters
     ----------
@@ -53,7 +54,9 @@ def fit_dwell(
 
 
 def _fit(nodes: FloatArray, psf: FloatArray, smoothness: float) -> Trajectory:
-    """Minimise ``|| K' w - psf ||^2`` over dwells w, and the path's shift, in turn; the PSF's side is odd."""
+    """Minimise ``|| K' w - psf ||^2`` over dwells w, and the path's shift, in turn; the PSF's side
+    is odd.
+    """
     moved = nodes
     for turn in range(_ROUNDS):
         pieces, target = _piece_psfs(moved, psf)
@@ -69,7 +72,8 @@ def _fit(nodes: FloatArray, psf: FloatArray, smoothness: float) -> Trajectory:
 
 
 def _piece_psfs(nodes: FloatArray, psf: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """PSF of each piece between nodes (n, S, S), summing to 1 each, and the target in the same frame.
+    """PSF of each piece between nodes (n, S, S), summing to 1 each, and the target in the same
+    frame.
 
     The frame just holds the path: no dwell explains light of the target further out.
     """
@@ -141,7 +145,9 @@ def _trajectory(nodes: FloatArray, dwell: FloatArray) -> Trajectory:
 
 
 def checked_psf(psf: ArrayLike) -> FloatArray:
-    """Return a PSF as float64, or raise ValueError if it is not finite, non-negative, (H, W) and with light."""
+    """Return a PSF as float64, or raise ValueError if it is not finite, non-negative, (H, W) and
+    with light.
+    """
     light = np.asarray(psf, dtype=np.float64)
     if (
         light.ndim != 2
@@ -150,6 +156,7 @@ def checked_psf(psf: ArrayLike) -> FloatArray:
         or light.sum() <= 0
     ):
         raise ValueError(
-            f"psf: must be a finite, non-negative (H, W) array with some light, got shape {light.shape}"
+            "psf: must be a finite, non-negative (H, W) array with some light, got shape"
+            f" {light.shape}"
         )
     return light

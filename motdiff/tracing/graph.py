@@ -52,7 +52,8 @@ class BranchGraph:
 
 
 def drawn_pixels(hr_map: ArrayLike) -> BoolArray:
-    """Mask of the path's pixels in a binary or soft map (hysteresis threshold relative to its maximum).
+    """Mask of the path's pixels in a binary or soft map (hysteresis threshold relative to its
+    maximum).
 
     Raises
     ------
@@ -77,7 +78,8 @@ def drawn_pixels(hr_map: ArrayLike) -> BoolArray:
 def branch_graph(
     drawn: BoolArray, *, gap_px: float = 6.0, speck_px: int = 4, spur_px: float = 0.0
 ) -> BranchGraph:
-    """Skeletonise the drawn pixels, join their parts and split them into branches at ends and crossings.
+    """Skeletonise the drawn pixels, join their parts and split them into branches at ends and
+    crossings.
 
     Parameters
     ----------
@@ -113,7 +115,9 @@ def _without_pinholes(drawn: BoolArray) -> BoolArray:
 
 
 def _joined_parts(skeleton: BoolArray, gap_px: float, speck_px: int) -> BoolArray:
-    """Keep the largest part, and every part that short straight bridges can reach, with the bridges drawn."""
+    """Keep the largest part, and every part that short straight bridges can reach, with the
+    bridges drawn.
+    """
     labels, count = ndimage.label(skeleton, structure=_EIGHT)
     if count <= 1:
         return skeleton
@@ -159,7 +163,9 @@ def _neighbours(skeleton: BoolArray, pixels: NDArray[np.intp]) -> list[list[int]
 
 
 def _spurs(nodes: FloatArray, branches: list[Branch], spur_px: float) -> list[Branch]:
-    """Find the shortest short dead end at each crossing, turned so that it starts at the crossing."""
+    """Find the shortest short dead end at each crossing, turned so that it starts at the
+    crossing.
+    """
     degree = np.bincount([end for branch in branches for end in branch.ends], minlength=len(nodes))
     shortest: dict[int, Branch] = {}
     for branch in branches:

@@ -61,7 +61,8 @@ def trace_map(hr_map: ArrayLike) -> FloatArray:
 
 
 def trace_psf(psf: ArrayLike) -> FloatArray:
-    """Trace the ordered path under a grey PSF: its ridges at a quarter of a pixel, joined as in :func:`trace_map`.
+    """Trace the ordered path under a grey PSF: its ridges at a quarter of a pixel, joined as in
+    :func:`trace_map`.
 
     Parameters
     ----------
@@ -100,7 +101,8 @@ def trace_psf_to_trajectory(psf: ArrayLike) -> Trajectory:
 
 
 def _ridges(light: FloatArray) -> tuple[BoolArray, float]:
-    """Mark the crests of the ridges on a padded grid of pitch 1/4 px; also the length of spurs to expect, fine pixels.
+    """Mark the crests of the ridges on a padded grid of pitch 1/4 px; also the length of spurs to
+    expect, fine pixels.
 
     A crest is a local maximum across the ridge, so that a fast, faint stretch next to a slow,
     bright one is found.
@@ -145,7 +147,9 @@ def _ridges(light: FloatArray) -> tuple[BoolArray, float]:
 
 
 def _with_worth(graph: BranchGraph, light: FloatArray) -> BranchGraph:
-    """Let a line count by the square of its light over the median line's, and 1 at most: faint ones may be noise."""
+    """Let a line count by the square of its light over the median line's, and 1 at most: faint
+    ones may be noise.
+    """
     if not graph.branches:
         return graph
     soft = ndimage.gaussian_filter(np.pad(light, _MARGIN_PX), _CREST_PX)
@@ -191,7 +195,9 @@ _STEP_PX = 0.25
 
 
 def is_tangled(path: Trajectory) -> bool:
-    """Whether a path is so long within its extent, and crosses itself so often, that its order is uncertain."""
+    """Whether a path is so long within its extent, and crosses itself so often, that its order is
+    uncertain.
+    """
     return path.length_px > _LENGTH_PER_EXTENT * path.extent_px and crossings(path) > _CROSSINGS
 
 

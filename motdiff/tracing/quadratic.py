@@ -1,4 +1,6 @@
-"""Quadratic paths (constant acceleration): the best fit to a trajectory, to its PSF, or to an estimated PSF."""
+"""Quadratic paths (constant acceleration): the best fit to a trajectory, to its PSF, or to an
+estimated PSF.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ _MOST_POINTS = 500  # a path has fewer; of noise all over the frame the brightes
 
 @dataclass(frozen=True)
 class QuadraticPath:
-    """Motion ``p(t) = a (t - 1/2) + b ((t - 1/2)^2 - 1/12)`` for t in 0..1, with its time-mean at (0, 0).
+    """Motion ``p(t) = a (t - 1/2) + b ((t - 1/2)^2 - 1/12)`` for t in 0..1, with its time-mean at
+    (0, 0).
 
     Parameters
     ----------
@@ -60,7 +63,8 @@ class QuadraticPath:
 
 
 def nearest_quadratic(truth: Trajectory) -> QuadraticPath:
-    """Quadratic path with the least mean square distance to ``truth`` at equal times; a closed form.
+    """Quadratic path with the least mean square distance to ``truth`` at equal times; a closed
+    form.
 
     For coded exposure, where the timing of the motion matters. Its reverse is the nearest of the
     reverse.
@@ -88,7 +92,8 @@ def nearest_quadratic(truth: Trajectory) -> QuadraticPath:
 
 
 def most_alike_quadratic(truth: Trajectory, *, size: int = PSF_PX) -> QuadraticPath:
-    """Quadratic path whose PSF is most alike to that of ``truth`` (sub-pixel MNC): the oracle of the parametric class.
+    """Quadratic path whose PSF is most alike to that of ``truth`` (sub-pixel MNC): the oracle of
+    the parametric class.
 
     Climbed from 13 starts twice each, on PSFs blurred less and less: a local optimum, but at least
     as good as :func:`nearest_quadratic`, which is a candidate. Of its two directions it has the
@@ -124,7 +129,8 @@ def most_alike_quadratic(truth: Trajectory, *, size: int = PSF_PX) -> QuadraticP
 
 
 def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
-    """Quadratic path whose PSF is most alike to ``psf``, one of the two that are each other's reverse.
+    """Quadratic path whose PSF is most alike to ``psf``, one of the two that are each other's
+    reverse.
 
     Climbed from seven starts that have the PSF's second moments: straight, bent, sped up and bent
     back motions.
@@ -183,7 +189,9 @@ def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
 
 
 def _points(coefficients: FloatArray, t: FloatArray) -> FloatArray:
-    """Points (N, 2), px, of the path with coefficients (4,), ``a`` before ``b``, at times t (N,)."""
+    """Points (N, 2), px, of the path with coefficients (4,), ``a`` before ``b``, at times t
+    (N,).
+    """
     tau = t - 0.5
     return np.asarray(
         np.outer(tau, coefficients[:2]) + np.outer(tau**2 - 1 / 12, coefficients[2:4]),
@@ -207,7 +215,8 @@ def _starts(nearest: QuadraticPath, target: FloatArray) -> list[FloatArray]:
 def _climbed(
     start: FloatArray, target: FloatArray, weight: FloatArray, *, variance_px2: float
 ) -> tuple[FloatArray, float]:
-    """Coefficients and shift (6,) of a local optimum of the correlation with the target's points (M, 2), and its loss.
+    """Coefficients and shift (6,) of a local optimum of the correlation with the target's points
+    (M, 2), and its loss.
 
     The points' weights (M,) sum to 1.
     """
@@ -232,7 +241,9 @@ def _climbed(
 def _overlap(
     points: FloatArray, others: FloatArray, weight: FloatArray, width: float
 ) -> tuple[float, FloatArray]:
-    """Weighted mean over pairs of exp(-distance^2 / width), with its gradient (N, 2) in the first points."""
+    """Weighted mean over pairs of exp(-distance^2 / width), with its gradient (N, 2) in the first
+    points.
+    """
     distance2 = (
         np.square(points).sum(axis=1)[:, None]
         + np.square(others).sum(axis=1)
@@ -247,7 +258,8 @@ _EXPLAINED_MNC = 0.86  # docs/decisions/tracing.md
 
 
 def simplest_trajectory(psf: ArrayLike) -> Trajectory:
-    """Turn an estimated PSF into a trajectory: a quadratic path where that explains the PSF, else a walk.
+    """Turn an estimated PSF into a trajectory: a quadratic path where that explains the PSF, else
+    a walk.
 
     A walk covers all that is drawn, so the blotches of a blind kernel make it several times too
     long and lose its order in time, which a shutter code depends on. A straight or evenly bent

@@ -27,7 +27,9 @@ _MOST_PASSES = 3
 
 @dataclass(frozen=True)
 class _Line:
-    """A branch in one direction: where it leads, and its bends (changes of the unit tangent) along its length."""
+    """A branch in one direction: where it leads, and its bends (changes of the unit tangent) along
+    its length.
+    """
 
     start: int
     stop: int
@@ -175,7 +177,9 @@ def _felt(distance_px: FloatArray) -> FloatArray:
 def _turn(
     lines: list[_Line], recent: tuple[int, ...], following: int
 ) -> tuple[float, tuple[int, ...]]:
-    """Cost of going on along ``following``, and the directed branches that still influence the turn after it."""
+    """Cost of going on along ``following``, and the directed branches that still influence the
+    turn after it.
+    """
     cost = _turn_cost([lines[j] for j in recent], lines[following])
     recent = (*recent, following)
     while len(recent) > 1 and sum(lines[j].length for j in recent[1:]) >= _MEMORY_PX:
@@ -184,7 +188,9 @@ def _turn(
 
 
 def _turn_cost(recent: list[_Line], following: _Line) -> float:
-    """Bending energy that joining a line adds: the corner with everything near, and the two sides with each other."""
+    """Bending energy that joining a line adds: the corner with everything near, and the two sides
+    with each other.
+    """
     if not recent:
         return 0.0
     corner = following.first - recent[-1].last

@@ -54,7 +54,8 @@ class Checkpoint:
 
 
 def write_checkpoint(folder: Path | str, checkpoint: Checkpoint) -> None:
-    """Write a checkpoint as ``index.json`` and ``part_*.safetensors`` of at most 15 MiB (or one tensor).
+    """Write a checkpoint as ``index.json`` and ``part_*.safetensors`` of at most 15 MiB (or one
+    tensor).
 
     The old one stays whole until the new one is complete.
     """
@@ -98,7 +99,8 @@ def write_checkpoint(folder: Path | str, checkpoint: Checkpoint) -> None:
 def read_checkpoint(
     folder: Path | str, *, device: str | torch.device = "cpu"
 ) -> Checkpoint | None:
-    """Read a checkpoint, or the one before where a kill came between the two renames; None where there is none.
+    """Read a checkpoint, or the one before where a kill came between the two renames; None where
+    there is none.
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""Configuration of a training run: one TOML file, one frozen record; an unknown or wrong entry is an error."""
+"""Configuration of a training run: one TOML file, one frozen record; an unknown or wrong entry is
+an error.
+"""
 
 from __future__ import annotations
 
@@ -197,7 +199,8 @@ class TrainingConfig:
         if self.network.denoiser_view and self.optimiser.window != PSF_PX:
             given = self.optimiser.window
             raise ValueError(
-                f"optimiser.window: must be {PSF_PX} for a denoiser that sees the whole map, got {given}"
+                f"optimiser.window: must be {PSF_PX} for a denoiser that sees the whole map, got"
+                f" {given}"
             )
         if self.optimiser.only == "photo" and self.network.backbone == "none":
             raise ValueError(

@@ -25,7 +25,8 @@ _EVERY_STEPS = 50
 
 
 class RunLog:
-    """Log of a run; a later piece goes on in the same files, as if there had been one piece only: see :meth:`resume`.
+    """Log of a run; a later piece goes on in the same files, as if there had been one piece only:
+    see :meth:`resume`.
 
     Parameters
     ----------
@@ -85,17 +86,21 @@ class RunLog:
             ]
         )
         left_min = (self._steps - step) * batch / rate / 60
-        text = f"step {step}/{self._steps}  loss {losses.smoothed:.4f}  MNC {self._last_mnc:.3f}  {rate:.1f} samples/s"
+        text = (
+            f"step {step}/{self._steps}  loss {losses.smoothed:.4f}  MNC {self._last_mnc:.3f} "
+            f" {rate:.1f} samples/s"
+        )
         text += f"  {seconds / 60:.0f} min done, {left_min:.0f} left"
-        print(
+        print(  # noqa: T201
             f"{_cleared(self._live)}{text}",
             end="" if self._live else "\n",
             file=sys.stderr,
             flush=True,
-        )  # noqa: T201
+        )
 
     def resume(self, step: int, *, between: bool) -> bool:
-        """Leave out the rows of steps that are to be done again; returns whether there is a validation of ``step``.
+        """Leave out the rows of steps that are to be done again; returns whether there is a
+        validation of ``step``.
 
         Parameters
         ----------
@@ -189,7 +194,9 @@ def read_log(path: Path | str) -> list[dict[str, float]]:
 
 
 def last_validation(path: Path | str) -> float | None:
-    """Return the MNC of the last validation in a ``log.csv``; None where there is no file, or none was made."""
+    """Return the MNC of the last validation in a ``log.csv``; None where there is no file, or none
+    was made.
+    """
     if not Path(path).is_file():
         return None
     _, scores = _curve(read_log(path), "validation_mnc")

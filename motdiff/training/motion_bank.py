@@ -78,8 +78,8 @@ class MotionMix:
             raise ValueError("gyro_trace: motions.gyro > 0 needs a gyroscope recording")
         if not 0 < self.min_length_px <= self.max_length_px:
             raise ValueError(
-                f"min_length_px: must be positive and at most max_length_px, got {self.min_length_px} "
-                f"and {self.max_length_px}"
+                "min_length_px: must be positive and at most max_length_px, got"
+                f" {self.min_length_px} and {self.max_length_px}"
             )
 
     @property
@@ -163,7 +163,9 @@ def draw_motion(
 
 
 def drawn_kinds(mix: MotionMix, *, count: int, seed: int, first: int = 0) -> list[str]:
-    """Kinds of the motions that :func:`build_bank` draws, by the name of their share in the mix; same arguments."""
+    """Kinds of the motions that :func:`build_bank` draws, by the name of their share in the mix;
+    same arguments.
+    """
     trace = _trace(mix)
     indices = range(first, first + count)
     return [
@@ -206,7 +208,8 @@ def _draw(
 
 
 def dwell_on_map(motion: Trajectory, hr_map: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Time spent at each path pixel of the HR map, relative to the mean, in row-major order of the path pixels.
+    """Time spent at each path pixel of the HR map, relative to the mean, in row-major order of the
+    path pixels.
 
     Parameters
     ----------
@@ -230,7 +233,8 @@ def dwell_on_map(motion: Trajectory, hr_map: NDArray[np.uint8]) -> NDArray[np.fl
 def build_bank(
     mix: MotionMix, *, count: int, seed: int, first: int = 0, workers: int = 1
 ) -> MotionBank:
-    """Draw ``count`` motions; motion i depends on (seed, first + i) only, whatever the number of workers.
+    """Draw ``count`` motions; motion i depends on (seed, first + i) only, whatever the number of
+    workers.
 
     Parameters
     ----------
@@ -270,8 +274,8 @@ def _trace(mix: MotionMix) -> GyroTrace | None:
         return None
     if not Path(mix.gyro_trace).exists():
         raise ValueError(
-            f"motions.gyro_trace: there is no {mix.gyro_trace!r} here; name a gyroscope recording of your own, or set "
-            "motions.gyro = 0"
+            f"motions.gyro_trace: there is no {mix.gyro_trace!r} here; name a gyroscope recording"
+            " of your own, or set motions.gyro = 0"
         )
     try:
         return read_gyro(mix.gyro_trace)

@@ -1,4 +1,6 @@
-"""Sharp photos for training: read from a folder or a pack of JPEGs, cropped at random on the training device."""
+"""Sharp photos for training: read from a folder or a pack of JPEGs, cropped at random on the
+training device.
+"""
 
 from __future__ import annotations
 
@@ -113,8 +115,9 @@ def load_scenes(
     """
     if not Path(source).exists():
         raise ValueError(
-            f"data.photos: there is no {source!r} here; name a folder, or a .zip of python -m motdiff pack, of some "
-            "hundred sharp photos: your own, or a public set such as BSDS500"
+            f"data.photos: there is no {source!r} here; name a folder, or a .zip of python -m"
+            " motdiff pack, of some hundred sharp photos: your own, or a public set such as"
+            " BSDS500"
         )
     try:
         photos = load_photos(source, least_px=least_px, device=device)
@@ -122,7 +125,8 @@ def load_scenes(
         raise ValueError(f"data.photos: {error}") from None
     if not 2 <= held_out <= len(photos):
         raise ValueError(
-            f"data.held_out: must lie within 2..{len(photos)}, the number of photos; got {held_out}"
+            f"data.held_out: must lie within 2..{len(photos)}, the number of photos; got"
+            f" {held_out}"
         )
     return [photo for i, photo in enumerate(photos) if i % held_out], list(photos[::held_out])
 
@@ -152,7 +156,8 @@ def crops(
     shortest = min(min(photo.shape[1:]) for photo in photos)
     if shortest < size:
         raise ValueError(
-            f"photos: must be at least {size} x {size} px for such crops, got a side of {shortest} px"
+            f"photos: must be at least {size} x {size} px for such crops, got a side of"
+            f" {shortest} px"
         )
     which = torch.randint(len(photos), (count,), generator=generator).tolist()
     place = torch.rand(count, 2, generator=generator).tolist()

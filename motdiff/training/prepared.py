@@ -36,7 +36,8 @@ def prepare(
     seed: int,
     on_shard: Callable[[int], None] = lambda _shard: None,
 ) -> None:
-    """Write the missing ones of the ``shards`` (64 samples each); each depends on its number and the seed only.
+    """Write the missing ones of the ``shards`` (64 samples each); each depends on its number and
+    the seed only.
 
     Parameters
     ----------
@@ -100,7 +101,9 @@ def simulated_shard(
 
 @dataclass(frozen=True)
 class Source:
-    """What samples are simulated from: scenes, motions, photography, and the seed of the scenes' part."""
+    """What samples are simulated from: scenes, motions, photography, and the seed of the scenes'
+    part.
+    """
 
     scenes: Sequence[Tensor]
     mix: MotionMix
@@ -109,7 +112,8 @@ class Source:
 
 
 def read_source(config_file: Path | str, *, held_out: bool) -> Source:
-    """Read what the samples of a run's TOML file are simulated from, with the scenes to train on or those held out.
+    """Read what the samples of a run's TOML file are simulated from, with the scenes to train on
+    or those held out.
 
     Raises
     ------

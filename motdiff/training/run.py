@@ -1,4 +1,6 @@
-"""One piece of a training run: sources, steps, checkpoints, progress; it ends by steps, time or a signal."""
+"""One piece of a training run: sources, steps, checkpoints, progress; it ends by steps, time or a
+signal.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ _SLACK_S = 5.0  # by which a last validation may exceed the minutes of a piece
 
 @dataclass(frozen=True)
 class Sources:
-    """Batches to learn from, and the fixed ones to validate on, of other photos and other motions."""
+    """Batches to learn from, and the fixed ones to validate on, of other photos and other
+    motions.
+    """
 
     training: BatchSource
     validation: tuple[Batch, ...]
@@ -140,7 +144,8 @@ def train(
     pace: Pace | None = None,
     workers: int = 1,
 ) -> Trainer:
-    """Train, or go on training, until the configured steps are done, the time is up, or a signal asks to stop.
+    """Train, or go on training, until the configured steps are done, the time is up, or a signal
+    asks to stop.
 
     Parameters
     ----------
@@ -174,7 +179,8 @@ def train(
         resumed = trainer.resume(place / "checkpoint")
         log = RunLog(place, steps=config.optimiser.steps, enabled=trainer.leads)
         log.say(
-            f"{'resumed at' if resumed else 'new run, from'} step {trainer.step} of {config.optimiser.steps}"
+            f"{'resumed at' if resumed else 'new run, from'} step {trainer.step} of"
+            f" {config.optimiser.steps}"
         )
         sources = make_sources(config, device=device, workers=workers)
 
@@ -219,7 +225,8 @@ def train(
                 validate()
             else:
                 log.say(
-                    f"step {trainer.step}: not validated, which takes about {validation_s / 60:.1f} min"
+                    f"step {trainer.step}: not validated, which takes about"
+                    f" {validation_s / 60:.1f} min"
                 )
         if trainer.leads:
             log.close()
@@ -230,7 +237,9 @@ def train(
 
 
 def _validation_time_s(trainer: Trainer, batches: tuple[Batch, ...]) -> float:
-    """Seconds that a validation takes, as a few photos predict; twice, for the first time may load code."""
+    """Seconds that a validation takes, as a few photos predict; twice, for the first time may load
+    code.
+    """
     few = batches[0].split(_TRIAL_PHOTOS)[0]
     seconds = []
     for _ in range(2):
@@ -250,7 +259,8 @@ def validation_mnc(
 def validation_scores(
     trainer: Trainer, batches: tuple[Batch, ...], *, steps: int = _SAMPLING_STEPS
 ) -> NDArray[np.float64]:
-    """MNC (whole-pixel shifts) of one sample per photo (N,), drawn with the averaged weights, over the batches.
+    """MNC (whole-pixel shifts) of one sample per photo (N,), drawn with the averaged weights, over
+    the batches.
 
     The truth is the time-weighted HR map's own PSF.
     """
@@ -281,12 +291,15 @@ def _check_channels(config: TrainingConfig, kernels: int) -> None:
     wanted = config.network.physics_channels
     if wanted not in (0, there):
         raise ValueError(
-            f"network.physics_channels: must be {there}, as many as there are physics maps, got {wanted}"
+            f"network.physics_channels: must be {there}, as many as there are physics maps, got"
+            f" {wanted}"
         )
 
 
 def _agreed(over: bool, *, device: torch.device) -> bool:
-    """Whether any process wants to end: all must do so after the same step, or the others wait for it for ever."""
+    """Whether any process wants to end: all must do so after the same step, or the others wait for
+    it for ever.
+    """
     if not torch.distributed.is_initialized():
         return over
     wish = torch.tensor(float(over), device=device)
@@ -296,7 +309,9 @@ def _agreed(over: bool, *, device: torch.device) -> bool:
 
 @contextmanager
 def _asked_to_stop() -> Iterator[Callable[[], bool]]:
-    """Note SIGINT and SIGTERM instead of dying: the step is finished and the state saved. A second one kills."""
+    """Note SIGINT and SIGTERM instead of dying: the step is finished and the state saved. A second
+    one kills.
+    """
     seen: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:

@@ -1,4 +1,6 @@
-"""Training samples: a simulated photo, its quick classical kernels, and the motion registered to them."""
+"""Training samples: a simulated photo, its quick classical kernels, and the motion registered to
+them.
+"""
 
 from __future__ import annotations
 
@@ -125,7 +127,9 @@ def registration(kernels: Tensor, dwell: Tensor) -> Tensor:
 
 
 def shifted(maps: Tensor, move: Tensor) -> Tensor:
-    """Move each map (B, C, H, W) by whole pixels (B, 2), down and right; pixels that leave the frame are lost."""
+    """Move each map (B, C, H, W) by whole pixels (B, 2), down and right; pixels that leave the
+    frame are lost.
+    """
     batch, channels, height, width = maps.shape
     row = torch.arange(height, device=maps.device)[None, :] - move[:, :1]
     column = torch.arange(width, device=maps.device)[None, :] - move[:, 1:]

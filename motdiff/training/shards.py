@@ -17,7 +17,8 @@ _Loaded = TypeVar("_Loaded")
 
 
 def shard_range(text: str) -> range:
-    """Read the numbers of shards, ``FIRST:LAST`` or ``FIRST:LAST:STEP``, as the option ``--shards`` has them.
+    """Read the numbers of shards, ``FIRST:LAST`` or ``FIRST:LAST:STEP``, as the option
+    ``--shards`` has them.
 
     Raises
     ------

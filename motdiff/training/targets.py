@@ -47,7 +47,8 @@ def path_psfs(coefficients: Tensor, centre_px: Tensor, *, variance_px2: float) -
 
 
 def path_loss(coefficients: Tensor, dwell: Tensor) -> Tensor:
-    """One minus the correlation of the paths' PSFs with the true ones, best over shifts; the mean over three blurs.
+    """One minus the correlation of the paths' PSFs with the true ones, best over shifts; the mean
+    over three blurs.
 
     A path and its reverse have the same PSF, so the loss does not depend on the direction.
 

@@ -33,7 +33,8 @@ DEFAULT_WEIGHTS = Path(__file__).with_name("motdiff.safetensors")
 MOTDIFF_FILES = (DEFAULT_WEIGHTS, CORRECTION_WEIGHTS)
 """All that the method ``motdiff`` reads: what is cached of it depends on them."""
 PHOTO_PARTS = ("photo.", "fusion.")
-"""First parts of the names of a photo encoder's parameters, and of the layer that adds its features to others."""
+"""First parts of the names of a photo encoder's parameters, and of the layer that adds its
+features to others."""
 _SCHEMA = "motdiff.weights/1"
 _OUTPUT_BIAS = "denoiser.output.1.bias"
 _PHOTO_FIELDS = ("backbone", "features", "photo_pool", "width")
@@ -109,7 +110,9 @@ def export_weights(
 
 
 def _earlier(config: Mapping[str, Any]) -> list[dict[str, float | None]]:
-    """History of the weights that a run started from; none where it started from random ones, or they are gone."""
+    """History of the weights that a run started from; none where it started from random ones, or
+    they are gone.
+    """
     start = str(config.get("optimiser", {}).get("start", ""))
     if not start or not Path(start).is_file():
         return []
@@ -170,7 +173,9 @@ def load_network(
 
 
 def load_path_network(path: Path | str, *, device: str | torch.device = "cpu") -> PathNetwork:
-    """Build the network of quadratic paths that a weights file belongs to; otherwise as :func:`load_network`."""
+    """Build the network of quadratic paths that a weights file belongs to; otherwise as
+    :func:`load_network`.
+    """
     network = _loaded(path, device)
     if not isinstance(network, PathNetwork):
         raise ValueError(
@@ -180,7 +185,8 @@ def load_path_network(path: Path | str, *, device: str | torch.device = "cpu") -
 
 
 def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
-    """Copy a weights file into ``network``: all of it where both are the same network, else its condition network.
+    """Copy a weights file into ``network``: all of it where both are the same network, else its
+    condition network.
 
     A photo encoder or a global view that the file lacks makes no other network: it keeps its
     values, which are silent.
@@ -239,7 +245,8 @@ def _loaded(path: Path | str, device: str | torch.device) -> MotDiffNetwork | Pa
 
 
 def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
-    """Read the header of a weights file: ``config``, ``card``, and ``run`` (steps, seconds, offset, history).
+    """Read the header of a weights file: ``config``, ``card``, and ``run`` (steps, seconds,
+    offset, history).
 
     The history has a line for each run that led to the weights, from the first: ``samples``,
     ``hours`` and ``validation_mnc``. It is empty in files of before.
@@ -271,7 +278,9 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
 
 
 def _in_order(data: bytes, header: Mapping[str, str]) -> bytes:
-    """Put the header's entries in their order, which safetensors shuffles: the same run gives the same bytes."""
+    """Put the header's entries in their order, which safetensors shuffles: the same run gives the
+    same bytes.
+    """
     start = 8 + int.from_bytes(data[:8], "little")
     text = json.dumps(
         json.loads(data[8:start]) | {"__metadata__": header}, separators=(",", ":")

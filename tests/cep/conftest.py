@@ -67,7 +67,8 @@ class Cep:
 
 @pytest.fixture(scope="session")
 def commands_built_once():
-    """Typer builds the parsers of all commands anew at every call, which takes longer than most commands that fail."""
+    """Typer builds the parsers of all commands anew at every call, which takes longer than most
+    commands that fail."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(typer.main, "get_command", functools.cache(typer.main.get_command))
         yield
@@ -80,7 +81,8 @@ def cep(capfd, commands_built_once):
 
 @pytest.fixture(scope="session")
 def small_inputs(tmp_path_factory):
-    """A folder with a sharp and a blurred photo, a bent trajectory, and a code, to be copied from."""
+    """A folder with a sharp and a blurred photo, a bent trajectory, and a code, to be copied
+    from."""
     folder = tmp_path_factory.mktemp("inputs")
     rng = np.random.default_rng(0)
     blocks = np.kron(rng.random((24, 28)), np.ones((8, 8)))
@@ -105,7 +107,8 @@ def workplace(small_inputs, tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def browser():
-    """A headless Chromium; without one the test is skipped, or fails where all tools were promised.
+    """A headless Chromium; without one the test is skipped, or fails where all tools were
+    promised.
 
     Not of the whole session: Playwright keeps an event loop running, in which other tests fail.
     """

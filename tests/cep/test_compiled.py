@@ -91,7 +91,8 @@ print(_cache_folder(), double.stats.cache_misses)
     ],
 )
 def test_without_a_folder_that_can_be_written(tmp_path, settings, kept):
-    """A service user: a read-only installation, which a file in the folder's place stands for, and no home."""
+    """A service user: a read-only installation, which a file in the folder's place stands for, and
+    no home."""
     (tmp_path / "cep").mkdir()
     (tmp_path / "temporary").mkdir()
     (tmp_path / "cep" / "__init__.py").write_text("")

@@ -97,7 +97,10 @@ def test_nothing_else_is_there():
 
 
 def test_import_loads_nothing_but_the_standard_library():
-    program = "import sys, cep; print([name for name in ('numpy', 'torch', 'hw', 'motdiff', 'typer') if name in sys.modules])"
+    program = (
+        "import sys, cep; print([name for name in ('numpy', 'torch', 'hw', 'motdiff', 'typer') if"
+        " name in sys.modules])"
+    )
     told = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )

@@ -1,4 +1,5 @@
-"""The ATmega328P firmware under test: built from its sources, played on an emulated Uno, checked to the clock cycle.
+"""The ATmega328P firmware under test: built from its sources, played on an emulated Uno, checked
+to the clock cycle.
 
 Every check here is one that the shipped firmware passes and that a firmware with a fault must
 fail.
@@ -92,7 +93,8 @@ class RawPort:
 def build(
     folder: Path, *changes: tuple[str, str, str], on_us: int = 0, duty_permille: int = 1000
 ) -> Path:
-    """Build the firmware in `folder`, with changes (file, old text, new text) of its sources; its hex file."""
+    """Build the firmware in `folder`, with changes (file, old text, new text) of its sources; its
+    hex file."""
     sources = folder / "sources"
     shutil.copytree(FOLDER, sources, ignore=shutil.ignore_patterns("*.hex*", "*.elf"))
     for name, old, new in changes:
@@ -110,7 +112,8 @@ def build(
 
 
 def ideal_edges(stored: Stored) -> tuple[tuple[int, int], ...]:
-    """Edges of a program in ticks of the controller, rounded to whole ones as the protocol says (halves up)."""
+    """Edges of a program in ticks of the controller, rounded to whole ones as the protocol says
+    (halves up)."""
     half = Fraction(1, 2)
     return tuple(
         (int(chip * stored.chip_ticks + half), level)
@@ -120,7 +123,8 @@ def ideal_edges(stored: Stored) -> tuple[tuple[int, int], ...]:
 
 @contextmanager
 def one_play(uno: Uno) -> Iterator[list[Play]]:
-    """Collect what the pins do in the context as one play; it is appended to the list when the context ends."""
+    """Collect what the pins do in the context as one play; it is appended to the list when the
+    context ends."""
     before = len(uno.edges())
     busy_before = len(uno.edges("busy"))
     plays: list[Play] = []
@@ -165,7 +169,8 @@ def check_edges(play: Play, stored: Stored) -> None:
 
 
 def on_grid(play: Play, stored: Stored) -> tuple[tuple[int, int], ...]:
-    """Edges in whole ticks since the program's beginning: a simulator's grain is less than a tick and falls away."""
+    """Edges in whole ticks since the program's beginning: a simulator's grain is less than a tick
+    and falls away."""
     begin = min(_lateness(play, stored))
     return tuple(((cycle - begin) // TICK_CYCLES, level) for cycle, level in play.edges)
 

@@ -1,4 +1,5 @@
-"""An arbitrary-waveform generator of the 33500 class on a TCP socket, written from its manual (nothing of `hw`).
+"""An arbitrary-waveform generator of the 33500 class on a TCP socket, written from its manual
+(nothing of `hw`).
 
 Messages are parsed as IEEE 488.2 and SCPI say: units joined by semicolons that carry the header
 path on, long and short forms, optional nodes, numbers with units, quoted strings, definite-length
@@ -104,7 +105,8 @@ class Awg:
 
     @property
     def rest_volts(self) -> float | None:
-        """Voltage at a high-impedance load while a burst waits for its trigger; None with the output off."""
+        """Voltage at a high-impedance load while a burst waits for its trigger; None with the
+        output off."""
         return self._volts(self.arbs[self.arb][0]) if self.output else None
 
     def trigger_input(self) -> None:
@@ -433,7 +435,8 @@ def short(word: str) -> str:
 
 
 def matches(long: str, nodes: list[str]) -> bool:
-    """Whether header nodes are this command, in long or short form, with optional nodes left out, channel 1 named."""
+    """Whether header nodes are this command, in long or short form, with optional nodes left out,
+    channel 1 named."""
     pattern = ""
     for optional, node in re.findall(r"(\[)?:?([A-Za-z]+):?\]?", long):
         words = f"(?:{node.upper()}|{short(node)})1?:"
@@ -442,7 +445,8 @@ def matches(long: str, nodes: list[str]) -> bool:
 
 
 def _skipped(data: bytes, index: int) -> int | None:
-    """Index behind the string or block that begins here, `index` itself if none does, None if it is not all there."""
+    """Index behind the string or block that begins here, `index` itself if none does, None if it
+    is not all there."""
     if data[index : index + 1] in (b'"', b"'"):
         end = data.find(data[index : index + 1], index + 1)
         return None if end < 0 else end + 1
@@ -458,7 +462,8 @@ def _skipped(data: bytes, index: int) -> int | None:
 
 
 def message_end(data: bytes) -> int | None:
-    """Index behind the newline that ends the first message; newlines in strings and blocks do not count."""
+    """Index behind the newline that ends the first message; newlines in strings and blocks do not
+    count."""
     index = 0
     while index < len(data):
         after = _skipped(data, index)

@@ -92,7 +92,8 @@ def require_dask():
 
 @contextmanager
 def cluster_in(folder, monkeypatch):
-    """Start a cluster without workers, whose files lie in a folder, and stop it and its workers at the end."""
+    """Start a cluster without workers, whose files lie in a folder, and stop it and its workers at
+    the end."""
     require_dask()
     monkeypatch.setattr(
         "cep.jobs.executors._WORKERS_S", 60.0
@@ -106,7 +107,8 @@ def cluster_in(folder, monkeypatch):
 
 
 def killing_one(log, *, from_share):
-    """Return a progress callback that kills one process in the midst of its work, and the list of those it killed."""
+    """Return a progress callback that kills one process in the midst of its work, and the list of
+    those it killed."""
     killed = []
 
     def kill_one(share, _note):

@@ -22,7 +22,8 @@ class Device(Protocol):
     """A device that has just started."""
 
     def send(self, body: bytes, *, spoil: int = 0) -> bytes | None:
-        """Send a frame whose CRC is xored with `spoil`; return the body of the reply, None when none comes."""
+        """Send a frame whose CRC is xored with `spoil`; return the body of the reply, None when
+        none comes."""
 
     def sleep(self, seconds: float) -> None:
         """Let time pass on the device."""
@@ -366,7 +367,8 @@ def check_announced_limits(device: Device) -> None:
 
 
 def check_closed_time_is_owed(device: Device) -> None:
-    """Only for a device that announces a limit of the open fraction: a play cut short delays the next one."""
+    """Only for a device that announces a limit of the open fraction: a play cut short delays the
+    next one."""
     host = Host(device)
     assert host.hello()["duty"] < 1000
     ticks = host.ticks(0.01)

@@ -1,4 +1,5 @@
-"""A small CXP1 controller on a pseudo-terminal, written from docs/cxp1.md alone (nothing of `hw` is imported).
+"""A small CXP1 controller on a pseudo-terminal, written from docs/cxp1.md alone (nothing of `hw`
+is imported).
 
 It plays in real time, logs what it did, and breaks on demand: noise, lost or wrong replies, a dead
 or strange device, a stored bit gone wrong, an unplugged cable.

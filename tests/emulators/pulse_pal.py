@@ -1,4 +1,5 @@
-"""A Pulse Pal v2 on a pseudo-terminal, written from its protocol alone (nothing of `hw` is imported).
+"""A Pulse Pal v2 on a pseudo-terminal, written from its protocol alone (nothing of `hw` is
+imported).
 
 It keeps what the real one keeps: two train memories that are never cleared, parameters per
 channel, links from the trigger inputs. What a channel puts out is computed as edges in 50 us
@@ -62,7 +63,8 @@ class Faults:
 
 @dataclass
 class Play:
-    """One run of a channel: its edges as (cycle after the trigger, DAC code), and when it ends (None: never)."""
+    """One run of a channel: its edges as (cycle after the trigger, DAC code), and when it ends
+    (None: never)."""
 
     channel: int
     start: int
@@ -282,7 +284,8 @@ class PulsePal:
         self._plays.append(channel.play)
 
     def output(self, values: dict[int, int]) -> tuple[list[tuple[int, int]], int | None]:
-        """What a channel with these parameters puts out after a trigger; only what a code needs is modelled."""
+        """What a channel with these parameters puts out after a trigger; only what a code needs is
+        modelled."""
         if values[1] or values[15] or values[8] or values[16]:
             raise NotImplementedError("biphasic pulses, bursts and loops")
         delay = values[11]

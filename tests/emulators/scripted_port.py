@@ -8,7 +8,8 @@ from pathlib import Path
 
 
 class ScriptedPort:
-    """Expects exactly the bytes written, hands out the replies, in order; each exchange is (sent, reply) in hex."""
+    """Expects exactly the bytes written, hands out the replies, in order; each exchange is (sent,
+    reply) in hex."""
 
     def __init__(self, *exchanges):
         self.exchanges = [(bytes.fromhex(sent), bytes.fromhex(reply)) for sent, reply in exchanges]

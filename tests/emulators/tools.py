@@ -1,4 +1,5 @@
-"""Emulators and compilers that tests need: a clear skip where one is absent, a failure where all are promised."""
+"""Emulators and compilers that tests need: a clear skip where one is absent, a failure where all
+are promised."""
 
 from __future__ import annotations
 

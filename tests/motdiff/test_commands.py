@@ -1,4 +1,5 @@
-"""``python -m motdiff``: the whole way from photos to weights, and one line and exit code 2 for what can be mended."""
+"""``python -m motdiff``: the whole way from photos to weights, and one line and exit code 2 for
+what can be mended."""
 
 import json
 import os
@@ -62,8 +63,8 @@ batch = 1
 window = 8
 """
 PREPARED = (
-    '[data]\nphotos = "photos.zip"\nheld_out = 2\nprepared = "seen"\nprepared_validation = "unseen"\n'
-    + PHYSICS
+    '[data]\nphotos = "photos.zip"\nheld_out = 2\nprepared = "seen"\nprepared_validation ='
+    ' "unseen"\n' + PHYSICS
 )
 
 
@@ -148,7 +149,8 @@ def test_from_photos_to_weights(photos, motdiff):
     assert code == 0
     score = read_log("run/log.csv")[-1]["validation_mnc"]
     assert re.fullmatch(
-        rf"weights\.safetensors: [\d.]+ MiB; 4 samples in 0\.0 h, 1 run, validation MNC {score:.3f}\n",
+        r"weights\.safetensors: [\d.]+ MiB; 4 samples in 0\.0 h, 1 run, validation MNC"
+        rf" {score:.3f}\n",
         told,
     )
     assert read_card("weights.safetensors")["run"]["steps"] == 2
@@ -168,7 +170,8 @@ def test_training_on_simulated_photos(photos, motdiff):
 
 
 def small(name, **changes):
-    """Text of a shipped configuration with changed entries: every key and value that stays is the shipped one."""
+    """Text of a shipped configuration with changed entries: every key and value that stays is the
+    shipped one."""
     table = tomllib.loads(
         (ROOT / "motdiff" / "configs" / f"{name}.toml").read_text(encoding="utf-8")
     )
@@ -217,7 +220,8 @@ def test_the_papers_first_minute_on_a_gpu(photos, motdiff):
 
 
 def test_a_gpus_first_minute(photos, motdiff):
-    """gpu.toml in small sizes, from photos to a sheet of draws and an estimate with the exported weights."""
+    """gpu.toml in small sizes, from photos to a sheet of draws and an estimate with the exported
+    weights."""
     shakes = np.cumsum(np.random.default_rng(0).standard_normal((1500, 3)), axis=0)
     rows = [
         f"{i / 200},{x},{y},{z}"
@@ -277,7 +281,10 @@ def test_it_is_a_module_with_help():
 
 
 def test_help_needs_no_torch():
-    code = "import sys; from motdiff.commands import run\ntry: run(['train', '--help'])\nexcept SystemExit: pass\n"
+    code = (
+        "import sys; from motdiff.commands import run\ntry: run(['train', '--help'])\nexcept"
+        " SystemExit: pass\n"
+    )
     code += "print('torch' in sys.modules, file=sys.stderr)"
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(

@@ -1,4 +1,5 @@
-"""Crops land on texture of several directions, off saturation and apart; uniformity tells one blur from two."""
+"""Crops land on texture of several directions, off saturation and apart; uniformity tells one blur
+from two."""
 
 import numpy as np
 import pytest

@@ -53,7 +53,8 @@ RIGHT_HANDED = [
 def test_a_pinhole_camera_sees_the_path_whatever_the_axes_of_its_gyroscope(
     names: tuple[str, str, str],
 ) -> None:
-    """A far point ahead, in the axes of a camera turned about each axis of the sensor by Rodrigues' formula."""
+    """A far point ahead, in the axes of a camera turned about each axis of the sensor by
+    Rodrigues' formula."""
     angle = 1e-4
     for axis, name in enumerate(names):
         a, b, c = DIRECTIONS[name]
@@ -260,15 +261,27 @@ LOGGERS = {
     "plain": "wz,ax,wy,wx,t_s",
     "brackets": "wz [rad/s],ax [m/s^2],wy [rad/s],wx [rad/s],time [s]",
     "round brackets": "gyro_z(rad/s),acc_x(m/s2),gyro_y(rad/s),gyro_x(rad/s),timestamp(s)",
-    "phyphox": '"Gyroscope z (rad/s)","Absolute (rad/s)","Gyroscope y (rad/s)","Gyroscope x (rad/s)","Time (s)"',
+    "phyphox": (
+        '"Gyroscope z (rad/s)","Absolute (rad/s)","Gyroscope y (rad/s)","Gyroscope x'
+        ' (rad/s)","Time (s)"'
+    ),
     "Sensor Logger": "z,accuracy,y,x,seconds_elapsed",
-    "EuRoC": "#w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],w_RS_S_y [rad s^-1],w_RS_S_x [rad s^-1],timestamp [s]",
-    "SensorLog": "gyroRotationZ(rad/s),accelerometerX(G),gyroRotationY(rad/s),gyroRotationX(rad/s),"
-    "gyroTimestamp_sinceReboot(s)",
-    "motion": "motionRotationRateZ(rad/s),motionYaw(rad),motionRotationRateY(rad/s),motionRotationRateX(rad/s),"
-    "motionTimestamp_sinceReboot(s)",
-    "ROS": "field.angular_velocity.z,field.linear_acceleration.x,field.angular_velocity.y,field.angular_velocity.x,"
-    "%time_secs",
+    "EuRoC": (
+        "#w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],w_RS_S_y [rad s^-1],w_RS_S_x [rad"
+        " s^-1],timestamp [s]"
+    ),
+    "SensorLog": (
+        "gyroRotationZ(rad/s),accelerometerX(G),gyroRotationY(rad/s),gyroRotationX(rad/s),"
+        "gyroTimestamp_sinceReboot(s)"
+    ),
+    "motion": (
+        "motionRotationRateZ(rad/s),motionYaw(rad),motionRotationRateY(rad/s),motionRotationRateX(rad/s),"
+        "motionTimestamp_sinceReboot(s)"
+    ),
+    "ROS": (
+        "field.angular_velocity.z,field.linear_acceleration.x,field.angular_velocity.y,field.angular_velocity.x,"
+        "%time_secs"
+    ),
     "capitals": "GYRO_Z,ACC_X,GYRO_Y,GYRO_X,TIME_S",
     "a remark": "# gz ax gy gx time_sec",
     "spaces": "wz (rad/s) ax (g) wy (rad/s) wx (rad/s) t (s)",
@@ -345,7 +358,8 @@ RATES = np.round(0.1 * np.random.default_rng(1).standard_normal((COUNT, 3)), 5)
 
 
 def write(path: Path, header: str, row: str, *, per_s: float = 1.0, decimals: int = 4) -> Path:
-    """Write rows with ``t``, ``x``, ``y`` and ``z`` in place of the names, below lines of ``header``."""
+    """Write rows with ``t``, ``x``, ``y`` and ``z`` in place of the names, below lines of
+    ``header``."""
     cells = [
         row.format(t=f"{t * per_s:.{decimals}f}", x=x, y=y, z=z)
         for t, (x, y, z) in zip(CLOCK_S, RATES.tolist(), strict=True)

@@ -13,8 +13,14 @@ CELLS = """
 import bench_work, numpy as np
 from cep.jobs.cells import Cell
 from cep.jobs.engine import run_cells
-cells = [Cell((str(n),), bench_work.total, {{"pixels": n * np.ones((2, 2)), "log": {log!r}, "slow_s": 600.0}})
-         for n in range(3)]
+cells = [
+    Cell(
+        (str(n),),
+        bench_work.total,
+        {{"pixels": n * np.ones((2, 2)), "log": {log!r}, "slow_s": 600.0}},
+    )
+    for n in range(3)
+]
 run_cells(cells, cache={cache!r}, workers=2)
 """
 

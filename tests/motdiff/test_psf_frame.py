@@ -1,4 +1,5 @@
-"""The frame of PSFs: zero displacement keeps its index, whatever the kernel's size; whole-pixel moves; faint light."""
+"""The frame of PSFs: zero displacement keeps its index, whatever the kernel's size; whole-pixel
+moves; faint light."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""Jobs side by side: the order of their results, their threads and gradients, and what happens when one fails."""
+"""Jobs side by side: the order of their results, their threads and gradients, and what happens
+when one fails."""
 
 import subprocess
 import sys
@@ -107,7 +108,10 @@ def test_one_thread_holds_for_jobs_within_jobs(monkeypatch):
 
 
 def test_whoever_only_imports_it_waits_for_no_torch():
-    code = "import sys, motdiff.threads, cep.calibration.calibrate_folder; assert 'torch' not in sys.modules"
+    code = (
+        "import sys, motdiff.threads, cep.calibration.calibrate_folder; assert 'torch' not in"
+        " sys.modules"
+    )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
 
 

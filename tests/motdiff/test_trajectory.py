@@ -20,7 +20,8 @@ def wiggle(seed: int, *, samples: int = 40, size_px: float = 16.0) -> Trajectory
 def quadrature_otf(
     motion: Trajectory, fx: np.ndarray, fy: np.ndarray, lo: float = 0.0, hi: float = 1.0
 ) -> np.ndarray:
-    """Composite 24-point Gauss-Legendre: good to 1e-13 while a quarter of a straight piece turns the phase < 8 rad."""
+    """Composite 24-point Gauss-Legendre: good to 1e-13 while a quarter of a straight piece turns
+    the phase < 8 rad."""
     nodes, weights = np.polynomial.legendre.leggauss(24)
     u = np.union1d(motion.t[(motion.t > lo) & (motion.t < hi)], [lo, hi])
     u = np.unique(np.concatenate([u, *(u[:-1] + np.diff(u) * k / 4 for k in (1, 2, 3))]))

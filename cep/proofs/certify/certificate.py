@@ -1,4 +1,6 @@
-"""Certificates of a code's smallest |H|: data that :mod:`cep.proofs.verify` checks with independent arithmetic."""
+"""Certificates of a code's smallest |H|: data that :mod:`cep.proofs.verify` checks with
+independent arithmetic.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,8 @@ class Certificate:
     Attributes
     ----------
     unit : str
-        "chips": |P| on the unit circle, DC is the number of open chips; "light-true": |H| over the band, DC is the
-        duty.
+        "chips": |P| on the unit circle, DC is the number of open chips; "light-true": |H| over the
+        band, DC is the duty.
     lower, upper : float
         The minimum lies between them; both 0 for a proven zero.
     at : tuple of float

@@ -12,7 +12,9 @@ _STEPS = 60
 
 
 def polish(pieces: Pieces, starts: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Descend from (F, 2) frequencies: the local minima (F, 2) of |H| within the box, and |H| there (F,)."""
+    """Descend from (F, 2) frequencies: the local minima (F, 2) of |H| within the box, and |H|
+    there (F,).
+    """
     points = np.array(starts, dtype=np.float64)
     lowest = np.empty(len(points))
     _descend(points, pieces.box, pieces.weight, pieces.middle, pieces.delta, lowest)
@@ -28,7 +30,9 @@ def _expand(
     delta: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Write H, its gradient and second derivatives xx, xy, yy as real and imaginary parts: (12,)."""
+    """Write H, its gradient and second derivatives xx, xy, yy as real and imaginary parts:
+    (12,).
+    """
     mx = middle[0]
     my = middle[1]
     dx = delta[0]

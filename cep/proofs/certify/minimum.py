@@ -71,7 +71,8 @@ class Minimum:
 
 
 def min_chip(code: ShutterCode) -> float:
-    """Smallest |P| over the whole unit circle, P the code's 0/1 polynomial, in chips (its DC is ``open_chips``).
+    """Smallest |P| over the whole unit circle, P the code's 0/1 polynomial, in chips (its DC is
+    ``open_chips``).
 
     Examples
     --------
@@ -94,7 +95,9 @@ def min_chip(code: ShutterCode) -> float:
 
 
 def chip_minimum(code: ShutterCode, *, budget: int = 2_000_000) -> Minimum:
-    """Bounds of :func:`min_chip`, within a millionth of it; zeros are decided in exact arithmetic."""
+    """Bounds of :func:`min_chip`, within a millionth of it; zeros are decided in exact
+    arithmetic.
+    """
     found = _bounded(
         pieces_of_code(code), _CHIP_GAP, budget, lambda _: _first(zeros_of_code(code.bits).found)
     )
@@ -109,7 +112,8 @@ def mtf_minimum(
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
 ) -> Minimum:
-    """Bounds of the smallest |H| over the band [-0.5, 0.5]^2 along a trajectory, light-true (DC is the duty).
+    """Bounds of the smallest |H| over the band [-0.5, 0.5]^2 along a trajectory, light-true (DC is
+    the duty).
 
     Parameters
     ----------
@@ -146,7 +150,9 @@ def mtf_minimum(
 def _bounded(
     pieces: Pieces, gap: float, budget: int, prove: Callable[[FloatArray], Zero | None]
 ) -> Minimum:
-    """Bound the minimum by a first grid, refinement, and subdivision of the cells that could hold less."""
+    """Bound the minimum by a first grid, refinement, and subdivision of the cells that could hold
+    less.
+    """
     dc = float(pieces.weight.sum())
     plane = pieces.box[1, 1] > pieces.box[1, 0]
     points_only = not pieces.delta.any()

@@ -21,14 +21,17 @@ _CELLS = 200_000
 
 @dataclass(frozen=True)
 class SignChange:
-    """A frequency, cycles per chip, around which a real function on the circle changes sign within ``radius``."""
+    """A frequency, cycles per chip, around which a real function on the circle changes sign within
+    ``radius``.
+    """
 
     at: float
     radius: float
 
 
 def vanishing_orders(coefficients: IntArray) -> tuple[int, ...]:
-    """Orders d of the roots of unity at which an integer polynomial (lowest degree first) vanishes, in rising order.
+    """Orders d of the roots of unity at which an integer polynomial (lowest degree first)
+    vanishes, in rising order.
 
     Examples
     --------
@@ -76,7 +79,8 @@ def divided(coefficients: IntArray, order: int) -> IntArray:
 
 
 def circle_rest(coefficients: IntArray) -> IntArray | None:
-    """Factor that holds every zero on the circle which is no root of unity; (1,) where there is none.
+    """Factor that holds every zero on the circle which is no root of unity; (1,) where there is
+    none.
 
     Parameters
     ----------
@@ -105,7 +109,8 @@ def circle_rest(coefficients: IntArray) -> IntArray | None:
 
 
 def real_form(factor: IntArray, cycles: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Real function of a self-reciprocal factor on the circle, its slope, and a bound of its rounding error.
+    """Real function of a self-reciprocal factor on the circle, its slope, and a bound of its
+    rounding error.
 
     Parameters
     ----------
@@ -125,7 +130,8 @@ def real_form(factor: IntArray, cycles: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def sign_changes(factor: IntArray) -> tuple[tuple[SignChange, ...], bool]:
-    """All changes of sign of a self-reciprocal factor for 0..1/2 cycles per chip, and whether these are all its zeros.
+    """All changes of sign of a self-reciprocal factor for 0..1/2 cycles per chip, and whether
+    these are all its zeros.
 
     On every cell the function either keeps away from zero or is monotone, by its value, slope and
     curvature.

@@ -1,4 +1,5 @@
-"""Taylor bounds: H and its derivatives at many frequencies, and a lower bound of |H| on a cell around each.
+"""Taylor bounds: H and its derivatives at many frequencies, and a lower bound of |H| on a cell
+around each.
 
 With the path measured from the centroid of its open part, Taylor's theorem gives on the cell
 ``|d_i| <= h_i``::
@@ -72,7 +73,9 @@ def pieces_of_path(path: OpenPath) -> Pieces:
 
 
 def pieces_along(path: OpenPath, axis: FloatArray) -> Pieces:
-    """Prepare a path on a straight line along the unit vector ``axis``: frequencies count along it."""
+    """Prepare a path on a straight line along the unit vector ``axis``: frequencies count along
+    it.
+    """
     reach = 0.5 * float(np.abs(axis).sum())
     a, b = (np.stack([ends @ axis, np.zeros(len(ends))], axis=1) for ends in (path.a, path.b))
     return _pieces(path.dt, a, b, np.array([[0.0, reach], [0.0, 0.0]]))
@@ -131,7 +134,9 @@ def _pieces(weight: FloatArray, a: FloatArray, b: FloatArray, box: FloatArray) -
 
 
 def jets(pieces: Pieces, points: FloatArray) -> FloatArray:
-    """Real and imaginary parts of H, dH/dfx and dH/dfy, (F, 6), at (F, 2) frequencies of the box."""
+    """Real and imaginary parts of H, dH/dfx and dH/dfy, (F, 6), at (F, 2) frequencies of the
+    box.
+    """
     if pieces.extended:
         return _long_jets(pieces, points)
     out = np.empty((len(points), 6))
@@ -158,7 +163,9 @@ def _long_jets(pieces: Pieces, points: FloatArray) -> FloatArray:
 
 
 def floors(pieces: Pieces, jet: FloatArray, half: FloatArray) -> FloatArray:
-    """Lower bounds (F,) of |H| on the cells of half-sides ``half`` (2,) around the points that ``jet`` belongs to."""
+    """Lower bounds (F,) of |H| on the cells of half-sides ``half`` (2,) around the points that
+    ``jet`` belongs to.
+    """
     m = pieces.moment
     corner = m[0, 0] * half[0] ** 2 + 2 * abs(m[0, 1]) * half[0] * half[1] + m[1, 1] * half[1] ** 2
     loss = 2 * np.pi**2 * float(corner) + pieces.slack + pieces.gradient_slack * float(half.sum())
@@ -168,7 +175,9 @@ def floors(pieces: Pieces, jet: FloatArray, half: FloatArray) -> FloatArray:
 
 
 def first_cells(pieces: Pieces, *, cells_per_px: float = 1.5) -> tuple[FloatArray, FloatArray]:
-    """Centres (F, 2) and half-sides (2,) of a first grid: finer along an axis where the path spreads wider."""
+    """Centres (F, 2) and half-sides (2,) of a first grid: finer along an axis where the path
+    spreads wider.
+    """
     spread = np.sqrt(np.diag(pieces.moment) / pieces.weight.sum())
     sides = np.ptp(pieces.box, axis=1)
     # powers of two: the centres of all later cells are then short binary fractions of the sides
@@ -202,8 +211,27 @@ def _jets(
             # call, so it vectorises
             v = np.pi * (turn - np.floor(turn + 0.5))
             q = v * v
-            sine = v * (1.0 - q / 6 * (1.0 - q / 20 * (1.0 - q / 42 * (1.0 - q / 72 * (1.0 - q / 110 * (1.0 - q / 156 * (1.0 - q / 210 * (1.0 - q / 272 * (1.0 - q / 342)))))))))  # fmt: skip # noqa: E501
-            cosine = 1.0 - q / 2 * (1.0 - q / 12 * (1.0 - q / 30 * (1.0 - q / 56 * (1.0 - q / 90 * (1.0 - q / 132 * (1.0 - q / 182 * (1.0 - q / 240 * (1.0 - q / 306 * (1.0 - q / 380)))))))))  # fmt: skip # noqa: E501
+            series = 1.0 - q / 342
+            series = 1.0 - q / 272 * series
+            series = 1.0 - q / 210 * series
+            series = 1.0 - q / 156 * series
+            series = 1.0 - q / 110 * series
+            series = 1.0 - q / 72 * series
+            series = 1.0 - q / 42 * series
+            series = 1.0 - q / 20 * series
+            series = 1.0 - q / 6 * series
+            sine = v * series
+            series = 1.0 - q / 380
+            series = 1.0 - q / 306 * series
+            series = 1.0 - q / 240 * series
+            series = 1.0 - q / 182 * series
+            series = 1.0 - q / 132 * series
+            series = 1.0 - q / 90 * series
+            series = 1.0 - q / 56 * series
+            series = 1.0 - q / 30 * series
+            series = 1.0 - q / 12 * series
+            series = 1.0 - q / 2 * series
+            cosine = series
             re = 1.0 - 2.0 * sine * sine
             im = -2.0 * sine * cosine
             x = np.pi * (fx * dx[s] + fy * dy[s])
@@ -211,7 +239,12 @@ def _jets(
             gain = weight[s] * (
                 1.0 - z / 6 * (1.0 - z / 20 * (1.0 - z / 42 * (1.0 - z / 72 * (1.0 - z / 110))))
             )
-            slope = -np.pi * weight[s] * x / 3 * (1.0 - z / 10 * (1.0 - z / 28 * (1.0 - z / 54 * (1.0 - z / 88 * (1.0 - z / 130)))))  # fmt: skip # noqa: E501
+            series = 1.0 - z / 130
+            series = 1.0 - z / 88 * series
+            series = 1.0 - z / 54 * series
+            series = 1.0 - z / 28 * series
+            series = 1.0 - z / 10 * series
+            slope = -np.pi * weight[s] * x / 3 * series
             # d/df of exp(-2 pi i f.m) sinc(f.d): -2 pi i m times the term, and d times the slope
             # of sinc
             hr += gain * re

@@ -1,4 +1,6 @@
-"""Proven zeros of a code: in exact arithmetic on the unit circle, by Newton-Kantorovich along a curved path."""
+"""Proven zeros of a code: in exact arithmetic on the unit circle, by Newton-Kantorovich along a
+curved path.
+"""
 
 from __future__ import annotations
 
@@ -93,7 +95,8 @@ class Zeros:
 
 @lru_cache(maxsize=256)
 def zeros_of_code(bits: str) -> Zeros:
-    """All zeros of a code's polynomial on the unit circle, 0..1/2 cycles per chip, in exact arithmetic.
+    """All zeros of a code's polynomial on the unit circle, 0..1/2 cycles per chip, in exact
+    arithmetic.
 
     Examples
     --------
@@ -168,21 +171,24 @@ def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_
 
 
 def kantorovich(pieces: Pieces, point: FloatArray) -> Zero | None:
-    """Prove a zero of H beside a refined point (2,), within the box of frequencies; None where that fails.
+    """Prove a zero of H beside a refined point (2,), within the box of frequencies; None where
+    that fails.
 
     References
     ----------
     Ortega, "The Newton-Kantorovich theorem", American Mathematical Monthly 75, 1968: with the
-    Jacobian J at the point,
-    a Lipschitz constant L of the derivative, ``eta = |J^-1 H|`` and ``h = |J^-1| L eta <= 1/2``, a zero lies within
-    ``(1 - sqrt(1 - 2 h)) / (|J^-1| L)`` and no other within ``(1 + sqrt(1 - 2 h)) / (|J^-1| L)``.
+    Jacobian J at the point, a Lipschitz constant L of the derivative, ``eta = |J^-1 H|`` and ``h =
+    |J^-1| L eta <= 1/2``, a zero lies within ``(1 - sqrt(1 - 2 h)) / (|J^-1| L)`` and no other
+    within ``(1 + sqrt(1 - 2 h)) / (|J^-1| L)``.
     """
     zero = next(iter(_newton(pieces, point[None])), None)
     return zero if zero is not None and _place_in(pieces.box, zero) else None
 
 
 def _radii(pieces: Pieces, jet: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Radii (F,) within which a zero lies, infinite where none is proven, and within which it is the only one."""
+    """Radii (F,) within which a zero lies, infinite where none is proven, and within which it is
+    the only one.
+    """
     lipschitz = 4 * np.pi**2 * float(np.linalg.eigvalsh(pieces.moment)[-1])
     residual = np.hypot(jet[:, 0], jet[:, 1]) + pieces.slack
     # smallest singular value of the 2 x 2 Jacobian, less what rounding may have added
@@ -221,7 +227,9 @@ def _newton(pieces: Pieces, points: FloatArray) -> list[Zero]:
 
 
 def _place_in(box: FloatArray, zero: Zero) -> bool | None:
-    """Whether the zero lies in the box, mirrored at the origin; None where it is too close to the edge to tell."""
+    """Whether the zero lies in the box, mirrored at the origin; None where it is too close to the
+    edge to tell.
+    """
     edge = float((0.5 - np.abs(np.array(zero.at))).min())
     if abs(edge) <= zero.radius:
         return None

@@ -1,4 +1,5 @@
-"""Independent check of a proof in blocks: its file, its count of codes, every survivor, and folds drawn at random.
+"""Independent check of a proof in blocks: its file, its count of codes, every survivor, and folds
+drawn at random.
 
 Nothing of the search is used: other arithmetic (float64, Fourier transforms of whole rings), other
 enumeration. The format and the argument are in docs/proofs/README.md.
@@ -95,7 +96,8 @@ def verify_proof(
     rng: np.random.Generator,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> ProofVerdict:
-    """Check a proof: that no block is missing or counted twice, every survivor, and a random sample of folds.
+    """Check a proof: that no block is missing or counted twice, every survivor, and a random
+    sample of folds.
 
     Parameters
     ----------
@@ -126,7 +128,8 @@ def verify_proof(
     try:
         codes = _check_count(header, records)
         reasons.append(
-            f"{len(records)} blocks follow each other without a gap, and hold all {codes:.6g} codes once"
+            f"{len(records)} blocks follow each other without a gap, and hold all {codes:.6g}"
+            " codes once"
         )
         survivors = _check_survivors(header, records, progress)
         if not survivors:
@@ -137,7 +140,8 @@ def verify_proof(
         highest = max(float(record["bound"]) for record in records)
         if highest > survivors[bits] * (1 + _CLOSE):
             raise RefusedError(
-                f"a bound of {highest:.9g} is above the best code's {survivors[bits]:.9g}: it hides codes"
+                f"a bound of {highest:.9g} is above the best code's {survivors[bits]:.9g}: it"
+                " hides codes"
             )
         reasons.append(
             f"{len(survivors)} survivors have the minima stated, and lie in their blocks"
@@ -150,7 +154,8 @@ def verify_proof(
             folds = folds + more[0]
             judged = judged + more[1]
         reasons.append(
-            f"{len(drawn)} blocks counted out anew; {folds} of their folds leave the same survivors"
+            f"{len(drawn)} blocks counted out anew; {folds} of their folds leave the same"
+            " survivors"
         )
     except RefusedError as error:
         return ProofVerdict(False, (*reasons, str(error)), **about, blocks=len(records))
@@ -216,7 +221,8 @@ def _check_count(header: Mapping[str, Any], records: Sequence[Mapping[str, Any]]
     prefixes = range(max(1, quarter - _LONGEST_SUFFIX), min(quarter, _LONGEST_PREFIX + 1))
     if ring % 4 or not 12 <= ring <= 64 or ring < header["chips"] or prefix not in prefixes:
         raise RefusedError(
-            f"a ring of {ring} chips with a prefix of {prefix} is not valid for {header['chips']} chips"
+            f"a ring of {ring} chips with a prefix of {prefix} is not valid for {header['chips']}"
+            " chips"
         )
     at = 0
     for record in records:
@@ -282,7 +288,9 @@ def _check_survivors(
 def _check_block(
     header: Mapping[str, Any], record: Mapping[str, Any], rng: np.random.Generator, budget: int
 ) -> tuple[int, int]:
-    """Count a block out, and judge folds drawn from it; return how many, and the codes judged one by one."""
+    """Count a block out, and judge folds drawn from it; return how many, and the codes judged one
+    by one.
+    """
     quarter = header["ring"] // 4
     folds = _folds(header, record)
     turns = product((1, -1), range(quarter))
@@ -308,7 +316,8 @@ def _check_block(
         if left != listed.get(fold, set()):
             other = sorted(left ^ listed.get(fold, set()))[0]
             raise RefusedError(
-                f"block {record['first']}: {other} is a survivor in one count and none in the other"
+                f"block {record['first']}: {other} is a survivor in one count and none in the"
+                " other"
             )
         done = done + 1
         judged = judged + more
@@ -338,7 +347,9 @@ def _folds(header: Mapping[str, Any], record: Mapping[str, Any]) -> NDArray[np.i
 
 
 def _judged(fold: NDArray[np.int64], chips: int, bound: float) -> tuple[set[str], int]:
-    """Judge all codes of a fold; return the cores of those that reach the bound, and the number of rings judged."""
+    """Judge all codes of a fold; return the cores of those that reach the bound, and the number of
+    rings judged.
+    """
     least = bound * (1 - 1e-9) - 1e-9
     quarter = fold.size
     if np.abs(np.fft.fft(fold))[1:].min() < least:
@@ -389,7 +400,9 @@ def _turned(ring: NDArray[np.int64], chips: int, bound: float) -> set[str]:
 
 
 def _minimum(bits: str) -> float:
-    """Smallest |P| on the unit circle, by sampling and golden sections about the lowest samples."""
+    """Smallest |P| on the unit circle, by sampling and golden sections about the lowest
+    samples.
+    """
     code = np.array([int(bit) for bit in bits])
     size = 64 * len(bits)
     sampled = np.abs(np.fft.rfft(code, size))

@@ -1,4 +1,6 @@
-"""Sums of the independent check: H and its gradient, directly from the vertices, with numpy only."""
+"""Sums of the independent check: H and its gradient, directly from the vertices, with numpy
+only.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ class RefusedError(Exception):
 
 @dataclass(frozen=True)
 class Lines:
-    """Straight pieces of the open path, about their centroid: weights (S,), middles and extents (S, 2)."""
+    """Straight pieces of the open path, about their centroid: weights (S,), middles and extents
+    (S, 2).
+    """
 
     weight: FloatArray
     middle: FloatArray
@@ -54,7 +58,8 @@ class Lines:
     def bound_cells(
         self, cells: FloatArray, half: FloatArray, used: NDArray[np.bool_]
     ) -> tuple[FloatArray, FloatArray]:
-        """|H| at the centres of cells (F, 2), and by how much it may be lower within them, but for rounding, (F,) each.
+        """|H| at the centres of cells (F, 2), and by how much it may be lower within them, but for
+        rounding, (F,) each.
 
         The cells have half-sides ``half``, (2,); an axis that is not ``used`` has none.
         """
@@ -70,7 +75,9 @@ class Lines:
         ) + 2 * pi**2 * self.principal * radius**2
 
     def _look_at_points(self, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Sum open chips in the machine's longest floating point: a minimum may be a millionth of their number."""
+        """Sum open chips in the machine's longest floating point: a minimum may be a millionth of
+        their number.
+        """
         value = np.empty(len(f), np.complex128)
         slope = np.zeros((len(f), 2), np.complex128)
         step = max(1, _CHUNK // len(self.weight))

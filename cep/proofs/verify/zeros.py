@@ -1,4 +1,6 @@
-"""Independent check of claimed zeros: integer division, a change of sign, the winding number of H."""
+"""Independent check of claimed zeros: integer division, a change of sign, the winding number of
+H.
+"""
 
 from __future__ import annotations
 
@@ -102,14 +104,19 @@ def _encircled(lines: Lines, at: FloatArray, alone_within: float) -> str:
         if (np.abs(value) > steepest * pi * radius / points * 1.01 + lines.slack).all():
             steps = np.angle(np.roll(value, -1) / value)
             if abs(round(float(steps.sum()) / (2 * pi))) >= 1:
-                return f"H turns once around 0 on the circle of {radius:.2e} cycles/px about {named(at)}"
+                return (
+                    f"H turns once around 0 on the circle of {radius:.2e} cycles/px about"
+                    f" {named(at)}"
+                )
             raise RefusedError(f"H does not turn around 0 near {named(at)}: no zero there")
         points *= 2
     raise RefusedError(f"the zero at {named(at)} could not be encircled within the band")
 
 
 def _cyclotomic(order: int) -> list[int]:
-    """Coefficients, lowest first: one prime at a time, Phi_mp(z) = Phi_m(z^p) / Phi_m(z), then z -> z^(d / radical)."""
+    """Coefficients, lowest first: one prime at a time, Phi_mp(z) = Phi_m(z^p) / Phi_m(z), then z
+    -> z^(d / radical).
+    """
     found = [-1, 1]
     radical = 1
     rest = order
@@ -133,7 +140,9 @@ def _remainder(whole: list[int], factor: list[int]) -> list[int]:
 
 
 def _long_division(whole: list[int], factor: list[int]) -> tuple[list[int], list[int]]:
-    """Quotient and remainder by a polynomial whose leading coefficient is 1 or -1, in Python's exact integers."""
+    """Quotient and remainder by a polynomial whose leading coefficient is 1 or -1, in Python's
+    exact integers.
+    """
     rest = list(whole)
     quotient = []
     size = len(factor)

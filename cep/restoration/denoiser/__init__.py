@@ -1,1 +1,3 @@
-"""Denoiser of the plug-and-play restoration; white Gaussian noise of a known level (see README.md)."""
+"""Denoiser of the plug-and-play restoration; white Gaussian noise of a known level (see
+README.md).
+"""

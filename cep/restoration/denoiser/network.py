@@ -1,4 +1,6 @@
-"""Denoising network: a small residual U-Net on half the resolution, with the noise level as input, without biases."""
+"""Denoising network: a small residual U-Net on half the resolution, with the noise level as input,
+without biases.
+"""
 
 from __future__ import annotations
 

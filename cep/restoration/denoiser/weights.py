@@ -45,7 +45,8 @@ def read_card(path: Path | str = SHIPPED) -> dict[str, Any]:
 
 
 def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], FloatArray]:
-    """Return a weights file's denoiser: a function of an (H, W) image in linear light and its noise's sigma.
+    """Return a weights file's denoiser: a function of an (H, W) image in linear light and its
+    noise's sigma.
 
     Levels above the trained ones are equivalent to a darker photo, see :class:`DenoisingNetwork`.
 

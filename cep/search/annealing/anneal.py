@@ -1,4 +1,6 @@
-"""Annealing search of a code: rounds of chains on all cores, each longer than the last, then a polish."""
+"""Annealing search of a code: rounds of chains on all cores, each longer than the last, then a
+polish.
+"""
 
 from __future__ import annotations
 
@@ -241,7 +243,9 @@ def _crews(
     threads: int | None,
     sweeping: SweepTables | None,
 ) -> list[Crew]:
-    """Return a crew for the objective; of a mix also one for each part, which judges a move many times as fast."""
+    """Return a crew for the objective; of a mix also one for each part, which judges a move many
+    times as fast.
+    """
     parts = [coarse.instead(name) for name, _ in problem.objective_mix]
     objectives = [coarse] if len(parts) == 1 else [*parts, coarse]
     return [
@@ -253,7 +257,9 @@ def _crews(
 def _plans(
     problem: SearchProblem, elites: _Elites, moves: int, rng: np.random.Generator, *, first: bool
 ) -> list[Cooling | Walks | Sweeps]:
-    """Plan a round: sweeps, or chains that cool from the best so far and from anywhere, and others that walk."""
+    """Plan a round: sweeps, or chains that cool from the best so far and from anywhere, and others
+    that walk.
+    """
     hot = hottest_db(problem)
     if swept(problem):
         return [Sweeps(moves, _SWEPT * hot, int(seed)) for seed in rng.integers(1, 2**62, CHAINS)]
@@ -282,7 +288,8 @@ def _plans(
 
 
 Stopped = Literal["steps", "time", "interrupted", "complete", "proven"]
-"""What ended a search: all its moves made, the time limit, Ctrl-C, that no other code keeps the limits, or a proof."""
+"""What ended a search: all its moves made, the time limit, Ctrl-C, that no other code keeps the
+limits, or a proof."""
 
 _Piece = TypeVar("_Piece")
 # of a round: enough for most machines' cores, and the outcome must not depend on their number
@@ -353,7 +360,8 @@ class Budget:
         *,
         stopped: Stopped,
     ) -> tuple[_Piece, Stopped]:
-        """Take the pieces of a closing polish until it ends or must: sooner where Ctrl-C has stopped the search.
+        """Take the pieces of a closing polish until it ends or must: sooner where Ctrl-C has
+        stopped the search.
 
         Parameters
         ----------

@@ -1,4 +1,5 @@
-"""Parallel chains of the search: simulated annealing and tabu walks, compiled, each on its own thread.
+"""Parallel chains of the search: simulated annealing and tabu walks, compiled, each on its own
+thread.
 
 The cost of a move is summed only as far as it can still beat the best one of the step: most are
 refused early.
@@ -127,7 +128,8 @@ class Crew:
         tick: Callable[[int], bool],
         offer: Callable[[Codes], None],
     ) -> None:
-        """Run the plans, and offer the codes that each chain found best, in the plans' order, whatever ends them.
+        """Run the plans, and offer the codes that each chain found best, in the plans' order,
+        whatever ends them.
 
         Parameters
         ----------

@@ -1,4 +1,5 @@
-"""Joint search of the codes of several exposures of one scene, whose spectra complement each other.
+"""Joint search of the codes of several exposures of one scene, whose spectra complement each
+other.
 
 The joint cost is in :mod:`cep.search.annealing.joint`.
 
@@ -88,7 +89,8 @@ def anneal_frames(
     progress: Progress | None = None,
     threads: int | None = None,
 ) -> FramesResult:
-    """Search the codes of several frames that restore best together; anytime, as :func:`cep.search.annealing.anneal`.
+    """Search the codes of several frames that restore best together; anytime, as
+    :func:`cep.search.annealing.anneal`.
 
     Every frame keeps all of the problem's limits.
 
@@ -187,7 +189,9 @@ class _Elites:
 
 @dataclass(frozen=True)
 class _Joint:
-    """A problem of several frames for the compiled loop, whose code is all frames' chips in a row."""
+    """A problem of several frames for the compiled loop, whose code is all frames' chips in a
+    row.
+    """
 
     problem: SearchProblem
     frames: int
@@ -234,7 +238,9 @@ def _round(
     pool: ThreadPoolExecutor,
     progress: Progress | None,
 ) -> None:
-    """Cool chains side by side, from the best and from anywhere, and offer what they found, whatever ends them."""
+    """Cool chains side by side, from the best and from anywhere, and offer what they found,
+    whatever ends them.
+    """
     best = elites.ranked(joint.frames)
     kept = min(len(best), CHAINS // 2 if round_number else CHAINS)
     drawn = joint.problem.random_codes(CHAINS * joint.frames, rng=rng).astype(np.int8)

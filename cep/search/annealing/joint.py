@@ -1,10 +1,9 @@
 """Joint restoration of several frames of one scene: cost, figures and polish of their codes.
 
 Frames taken along the same motion, each with its own code, are restored jointly: the inverse sees
-the sum of their
-|H|^2, so all that a single code does with |H| they do with the root of that sum. Their common noise gain is
-``10 log10 mean 1 / sum |H|^2``, and under the camera's noise the sum stands over the noise of a
-frame of mean light.
+the sum of their |H|^2, so all that a single code does with |H| they do with the root of that sum.
+Their common noise gain is ``10 log10 mean 1 / sum |H|^2``, and under the camera's noise the sum
+stands over the noise of a frame of mean light.
 
 References
 ----------
@@ -36,7 +35,8 @@ _ZERO_POWER = 1e-24  # smaller is rounding
 
 
 class JointFigures(NamedTuple):
-    """Figures of frames restored together, light-true, the worst over a problem's scenarios and directions.
+    """Figures of frames restored together, light-true, the worst over a problem's scenarios and
+    directions.
 
     Attributes
     ----------
@@ -52,7 +52,8 @@ class JointFigures(NamedTuple):
 
 
 def joint_cost(objective: Objective, codes: NDArray[Any]) -> FloatArray:
-    """Cost, dB, of frames restored together: of the root of sum |H|^2, in frames of their mean light.
+    """Cost, dB, of frames restored together: of the root of sum |H|^2, in frames of their mean
+    light.
 
     Parameters
     ----------
@@ -70,7 +71,9 @@ def joint_cost(objective: Objective, codes: NDArray[Any]) -> FloatArray:
 
 
 def joint_figures(problem: SearchProblem, codes: Sequence[ShutterCode]) -> JointFigures:
-    """Measure frames restored together on the fine grid; M times the same code gain 10 log10 M dB over one."""
+    """Measure frames restored together on the fine grid; M times the same code gain 10 log10 M dB
+    over one.
+    """
     fine = Objective(problem, oversampling=_FINE, dtype=np.float64)
     power = _power(fine, np.stack([code.array for code in codes])).sum(axis=0)
     power = np.where(power < _ZERO_POWER, 0.0, power)
@@ -94,7 +97,8 @@ def joint_tables(objective: Objective, frames: int) -> Tables:
 
 
 def polish_jointly(problem: SearchProblem, ranked: Codes) -> Iterator[tuple[Codes, float]]:
-    """Climb on the fine grid from the best of (R, M, n) codes, over flips and swaps within each frame.
+    """Climb on the fine grid from the best of (R, M, n) codes, over flips and swaps within each
+    frame.
 
     Yields
     ------
@@ -117,7 +121,9 @@ def polish_jointly(problem: SearchProblem, ranked: Codes) -> Iterator[tuple[Code
 
 
 def _climb(fine: Objective, codes: Codes, cost: float) -> Iterator[tuple[float, Codes]]:
-    """Change the codes in place until no neighbour is better; where they stand, after every piece of work."""
+    """Change the codes in place until no neighbour is better; where they stand, after every piece
+    of work.
+    """
     frames, chips = codes.shape
     step = max(1, _BATCH // fine.rows[0].size)
     swaps = chips**2 // 4 * fine.rows[0].size * chips <= _MOST_WORK

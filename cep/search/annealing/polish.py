@@ -1,4 +1,6 @@
-"""Polish of a search's best codes: costs over the continuum, and local search over all single flips and swaps."""
+"""Polish of a search's best codes: costs over the continuum, and local search over all single
+flips and swaps.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,8 @@ class Polished(NamedTuple):
 
 
 def polish(fine: Objective, ranked: Codes, *, swaps: bool = True) -> Iterator[Polished]:
-    """Evaluate (R, n) codes, best first, on the continuum, and climb from the leaders by flips, and by ``swaps``.
+    """Evaluate (R, n) codes, best first, on the continuum, and climb from the leaders by flips,
+    and by ``swaps``.
 
     Yields
     ------
@@ -69,7 +72,9 @@ def polish(fine: Objective, ranked: Codes, *, swaps: bool = True) -> Iterator[Po
 def _climb(
     fine: Objective, code: ShutterCode, cost: float, *, swaps: bool
 ) -> Iterator[tuple[float, ShutterCode]]:
-    """Go to the best neighbour until none is better; where it stands, after every piece of work."""
+    """Go to the best neighbour until none is better; where it stands, after every piece of
+    work.
+    """
     swaps = swaps and code.chips**2 // 4 * fine.rows[0].size * code.chips <= _MOST_WORK
     while True:
         bits = code.array.astype(np.int8)
@@ -91,7 +96,9 @@ def _climb(
 
 
 def neighbours(problem: SearchProblem, bits: Codes, *, swaps: bool) -> Codes:
-    """Codes within the limits that differ by one flip or, with ``swaps``, one open chip exchanged for a closed one."""
+    """Codes within the limits that differ by one flip or, with ``swaps``, one open chip exchanged
+    for a closed one.
+    """
     flips = np.repeat(bits[None], len(bits), axis=0)
     flips[np.arange(len(bits)), np.arange(len(bits))] ^= 1
     codes = [flips]
@@ -114,7 +121,9 @@ _SPARSE = 8  # one frequency in so many suffices to reject nearly every code
 
 
 def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) -> RealArray:
-    """OTF (R, 2, F) of (R, n) codes near a code (n,) whose OTF (2, F) is known, by the changed chips alone."""
+    """OTF (R, 2, F) of (R, n) codes near a code (n,) whose OTF (2, F) is known, by the changed
+    chips alone.
+    """
     chips, variants = objective.rows.shape[:2]
     change = codes - code
     which, chip = np.nonzero(change)
@@ -137,7 +146,8 @@ def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) 
 def cheapest(
     objective: Objective, code: Codes, codes: Codes, *, most: int, below: float
 ) -> Iterator[Indices]:
-    """Find the cheapest of (R, n) codes near a code (n,), as far as they cost less than ``below`` dB.
+    """Find the cheapest of (R, n) codes near a code (n,), as far as they cost less than ``below``
+    dB.
 
     Yields
     ------
@@ -168,7 +178,9 @@ def cheapest(
 
 
 def _judges(objective: Objective) -> list[Objective]:
-    """Return the objective, and before it a quick one that never costs more, where a minimum is all that counts."""
+    """Return the objective, and before it a quick one that never costs more, where a minimum is
+    all that counts.
+    """
     if any(name != "min-mtf" for name, _ in objective.problem.objective_mix):
         return [objective]
     kept = [np.arange(part.columns.start, part.columns.stop, _SPARSE) for part in objective.parts]

@@ -1,4 +1,6 @@
-"""Proposals of the annealer, compiled: flips, swaps, and under run limits blocks that are flipped or moved."""
+"""Proposals of the annealer, compiled: flips, swaps, and under run limits blocks that are flipped
+or moved.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ class Limits(NamedTuple):
 
 @inlined
 def uniform(random: Random) -> float:
-    """Draw from [0, 1): xorshift64* (Vigna, "An experimental exploration of Marsaglia's xorshift generators", 2016)."""
+    """Draw from [0, 1): xorshift64* (Vigna, "An experimental exploration of Marsaglia's xorshift
+    generators", 2016).
+    """
     x = random[0]
     x ^= x >> np.uint64(12)
     x ^= x << np.uint64(25)
@@ -57,7 +61,9 @@ def uniform(random: Random) -> float:
 def draw_any(
     code: Codes, free: Ints, limits: Any, opened: int, random: Random, changed: Ints
 ) -> int:
-    """Draw a flip or a swap into ``changed``; the number of chips, 0 if the draw found none that keeps the light."""
+    """Draw a flip or a swap into ``changed``; the number of chips, 0 if the draw found none that
+    keeps the light.
+    """
     if limits.low < limits.high and uniform(random) < 0.5:
         pick = free[int(uniform(random) * free.size)]
         if limits.low <= opened + 1 - 2 * code[pick] <= limits.high:
@@ -121,7 +127,9 @@ def draw_blocks(
 
 @compiled
 def keeps_runs(code: Codes, limits: Any) -> bool:
-    """Whether every frame keeps the limits on runs and pulses; before and after its pulses it is closed."""
+    """Whether every frame keeps the limits on runs and pulses; before and after its pulses it is
+    closed.
+    """
     chips = limits.chips
     for start in range(0, code.size, chips):
         run = 0

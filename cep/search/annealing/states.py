@@ -53,7 +53,9 @@ def fresh_otf(tables: Any, code: NDArray[np.int8], chips: int, otf: Floats) -> N
 
 @compiled
 def worst_first(tables: Any, otf: Floats) -> None:
-    """Sort each part's frequencies in place by their share of the cost: the worst ones reject most moves."""
+    """Sort each part's frequencies in place by their share of the cost: the worst ones reject most
+    moves.
+    """
     frames = otf.shape[0]
     rows = tables.rows
     scale = tables.scale
@@ -141,7 +143,9 @@ def smallest_power(tables: Any, otf: Floats) -> float:
 
 
 def new_chain(tables: Tables, code: NDArray[np.int8], seed: int, *, frames: int = 1) -> Chain:
-    """Make a chain at a code, all frames' chips in a row; :func:`refresh` gives it its OTF and cost."""
+    """Make a chain at a code, all frames' chips in a row; :func:`refresh` gives it its OTF and
+    cost.
+    """
     otf = np.empty((frames, tables.rows.shape[2], 2, BLOCK), np.float32)
     costs = np.array([np.inf, np.inf, 0.0])
     random = np.array([seed | 1], dtype=np.uint64)
@@ -166,5 +170,7 @@ def refresh(tables: Tables, chain: Chain, chips: int) -> None:
 
 
 def found_by(chain: Chain) -> NDArray[np.int8]:
-    """Codes (R, n) that a chain found best; the deepest is only kept for the minimum's objective."""
+    """Codes (R, n) that a chain found best; the deepest is only kept for the minimum's
+    objective.
+    """
     return np.stack([chain.best, chain.deepest] if chain.cost[2] > 0 else [chain.best])

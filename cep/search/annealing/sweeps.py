@@ -1,4 +1,5 @@
-"""Annealing of the smallest |P| at a constant temperature, by sweeps over all partners of a chip, compiled.
+"""Annealing of the smallest |P| at a constant temperature, by sweeps over all partners of a chip,
+compiled.
 
 For one chip the swaps with every other chip, and its flip, are judged side by side, at the dips of
 |P| alone. A move that deepens a dip beyond what is accepted is refused there. So a move costs a
@@ -77,7 +78,9 @@ class SweepTables(NamedTuple):
 
 
 def swept(problem: SearchProblem) -> bool:
-    """Whether sweeps search a problem: the smallest |H| one way along one straight motion, few chips, no run limits."""
+    """Whether sweeps search a problem: the smallest |H| one way along one straight motion, few
+    chips, no run limits.
+    """
     return (
         problem.chips <= _MOST_CHIPS
         and [name for name, _ in problem.objective_mix] == ["min-mtf"]
@@ -120,7 +123,9 @@ def sweep_tables(objective: Objective, judge: Objective) -> SweepTables:
 def sweeps(
     problem: SearchProblem, tables: SweepTables, plan: Sweeps
 ) -> Iterator[tuple[int, Codes]]:
-    """Yield the moves made and the (R, n) best codes after every slice of chains from random codes."""
+    """Yield the moves made and the (R, n) best codes after every slice of chains from random
+    codes.
+    """
     rng = np.random.default_rng(plan.seed)
     random = np.array([int(rng.integers(1, 2**62)) | 1], dtype=np.uint64)
     deepest = np.zeros(1)
@@ -151,7 +156,9 @@ def sweeps(
 def _term_sum(
     by_chip: Floats, otf: Floats, a: int, b: int, s: np.float32, t: np.float32
 ) -> np.float32:
-    """Sum of 1 / |P|^8 after the chips ``a`` and ``b`` have opened (1), closed (-1) or stayed (0)."""
+    """Sum of 1 / |P|^8 after the chips ``a`` and ``b`` have opened (1), closed (-1) or stayed
+    (0).
+    """
     one = np.float32(1)
     total = np.float32(0)
     for f in range(otf.shape[1]):
@@ -165,7 +172,9 @@ def _term_sum(
 
 @inlined
 def _find_dips(otf: Floats, power: Floats, dips: NDArray[np.int64]) -> int:
-    """Find the frequencies of the deepest local minima of |P|^2, from the first on; returns their number."""
+    """Find the frequencies of the deepest local minima of |P|^2, from the first on; returns their
+    number.
+    """
     size = otf.shape[1]
     lowest = np.float32(np.inf)
     for f in range(size):

@@ -1,4 +1,5 @@
-"""Cost terms of the compiled loops: sums over frequencies, updated by one row of the chip basis per changed chip.
+"""Cost terms of the compiled loops: sums over frequencies, updated by one row of the chip basis
+per changed chip.
 
 A code's cost is made of sums over frequencies of terms that are never negative, so a move is
 refused as soon as the terms seen exceed what would be accepted. Frequencies come in blocks of 64,
@@ -28,7 +29,8 @@ SMALLEST = np.float32(1e-8)  # of |P|^2: a chip has |P| of about 1
 
 
 class Tables(NamedTuple):
-    """Tables of a problem for the compiled loops; nb blocks of frequencies, those of one part side by side.
+    """Tables of a problem for the compiled loops; nb blocks of frequencies, those of one part side
+    by side.
 
     Attributes
     ----------
@@ -62,7 +64,9 @@ class Tables(NamedTuple):
 def _block_power(
     rows: Floats, otf: Floats, picked: Ints, count: int, chips: int, block: int, work: Floats
 ) -> None:
-    """|P|^2 of a changed code on one block, summed over frames, into work[2]; ``picked`` as :func:`turn` notes it."""
+    """|P|^2 of a changed code on one block, summed over frames, into work[2]; ``picked`` as
+    :func:`turn` notes it.
+    """
     for f in range(BLOCK):
         work[2, f] = SMALLEST
     for frame in range(otf.shape[0]):
@@ -98,7 +102,9 @@ def _pair_sum(
     picked: Ints,
     block: int,
 ) -> np.float32:
-    """One objective's terms on one block when two chips of a single frame change: the usual move, nothing stored."""
+    """One objective's terms on one block when two chips of a single frame change: the usual move,
+    nothing stored.
+    """
     one = np.float32(1)
     total = np.float32(0)
     a = picked[0, 0]
@@ -161,7 +167,9 @@ def sums_over(
     work: Floats,
     sums: NDArray[np.float64],
 ) -> bool:
-    """Sum the terms of every part and objective for a changed code; False as soon as the first exceeds ``limit``."""
+    """Sum the terms of every part and objective for a changed code; False as soon as the first
+    exceeds ``limit``.
+    """
     one = np.float32(1)
     for part in range(layout.shape[0]):
         for o in range(kinds.size):
@@ -197,7 +205,9 @@ def sums_over(
 
 @compiled
 def decibels(tables: Any, sums: NDArray[np.float64], opened: int) -> float:
-    """Cost of the sums: a scenario counts as its worse direction; scenarios as the worst, or by their shares."""
+    """Cost of the sums: a scenario counts as its worse direction; scenarios as the worst, or by
+    their shares.
+    """
     layout = tables.layout
     kinds = tables.kinds
     worst = -np.inf
@@ -406,7 +416,9 @@ def lay_out(objective: Objective) -> Tables:
 
 
 def work_space(tables: Tables, problem: SearchProblem) -> NDArray[np.float32] | None:
-    """Work space for the compiled loops: None where moves change two chips at most and one plain sum decides."""
+    """Work space for the compiled loops: None where moves change two chips at most and one plain
+    sum decides.
+    """
     usual = len(tables.kinds) == 1 and tables.kinds[0] != FLATNESS and tables.scale.shape[2] == 1
     return None if usual and not problem.limits_runs else np.empty((3, BLOCK), np.float32)
 

@@ -1,4 +1,5 @@
-r"""Bounds over all codes: upper bounds of the smallest |H| and |P|, and lower bounds of the noise gain.
+r"""Bounds over all codes: upper bounds of the smallest |H| and |P|, and lower bounds of the noise
+gain.
 
 Each figure is the best of several arguments, which :mod:`cep.search.bounding.motion_basis` and
 :mod:`cep.search.bounding.relaxation` prove; the relaxation only supplies multipliers. Every bound
@@ -114,7 +115,8 @@ def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") 
 
 
 def relaxed_minimum(problem: SearchProblem, open_chips: int) -> Relaxation:
-    """Relax the largest smallest |H| of a number of open chips; its ``rounded_codes`` are starts for a search.
+    """Relax the largest smallest |H| of a number of open chips; its ``rounded_codes`` are starts
+    for a search.
 
     Raises
     ------
@@ -131,7 +133,9 @@ def relaxed_minimum(problem: SearchProblem, open_chips: int) -> Relaxation:
 
 
 def _best(named: dict[str, FloatArray], *, upper: bool = True) -> tuple[str, FloatArray]:
-    """Best bound for each number of open chips, and the name of the one that decides where it is weakest."""
+    """Best bound for each number of open chips, and the name of the one that decides where it is
+    weakest.
+    """
     values = np.stack(list(named.values()))
     best = values.min(axis=0) if upper else values.max(axis=0)
     weakest = int(best.argmax() if upper else best.argmin())
@@ -144,7 +148,9 @@ def _decides(proofs: list[DualProof], open_chips: np.intp) -> bool:
 
 
 def _motions(problem: SearchProblem) -> tuple[list[MotionBasis], list[MotionBasis]]:
-    """Bases of all motions, for minima, where any frequencies will do, and for means, on those of the quadrature."""
+    """Bases of all motions, for minima, where any frequencies will do, and for means, on those of
+    the quadrature.
+    """
     chips = problem.chips
     if not problem.scenarios:
         samples = circle_grid(chips)
@@ -169,7 +175,9 @@ def _motions(problem: SearchProblem) -> tuple[list[MotionBasis], list[MotionBasi
 
 
 def _played(problem: SearchProblem) -> list[tuple[Trajectory, bool, FloatArray | None]]:
-    """Motions, whether both directions count, and chip edges; none for ramps, where |H|^2 is no quadratic form."""
+    """Motions, whether both directions count, and chip edges; none for ramps, where |H|^2 is no
+    quadratic form.
+    """
     if problem.response is not None and not problem.response.instant:
         return []
     found: list[tuple[Trajectory, bool, FloatArray | None]] = []
@@ -188,7 +196,9 @@ def _played(problem: SearchProblem) -> list[tuple[Trajectory, bool, FloatArray |
 
 
 def _light(problem: SearchProblem, counts: NDArray[np.intp]) -> FloatArray:
-    """Most light that so many open chips let through, (K,), a fraction of the exposure; the darkest scenario's."""
+    """Most light that so many open chips let through, (K,), a fraction of the exposure; the
+    darkest scenario's.
+    """
     if not problem.scenarios:
         return np.asarray(counts / problem.chips, dtype=np.float64)
     most = np.full(counts.size, np.inf)

@@ -1,8 +1,10 @@
-r"""Quick bounds, in closed form or from one eigenvalue: of |P| on the circle, |H| along a motion, and noise.
+r"""Quick bounds, in closed form or from one eigenvalue: of |P| on the circle, |H| along a motion,
+and noise.
 
 ======================
 =============================================================================================
-random-code            ``min |P|^2 <= k (n - k) / (n - 1)``: the mean of |P|^2 over the n-th roots of unity except 1.
+random-code            ``min |P|^2 <= k (n - k) / (n - 1)``: the mean of |P|^2 over the n-th roots
+of unity except 1.
                        No convex relaxation does better, as it admits the mean of all codes with k
                        ones, whose ``C`` gives just this.
 degree-38              every code of at most 38 chips has ``min |P| <= 2`` roots-of-unity
@@ -88,7 +90,9 @@ class MotionBasis:
 
 
 def chip_ceilings(chips: int, counts: Counts) -> dict[str, FloatArray]:
-    """Upper bounds of the smallest |P| on the unit circle for each number of ones, in chips, by name."""
+    """Upper bounds of the smallest |P| on the unit circle for each number of ones, in chips, by
+    name.
+    """
     if chips == 1:
         return {"light": counts.astype(np.float64)}
     found = {"random-code": np.sqrt(counts * (chips - counts) / (chips - 1)) * _UP}
@@ -100,7 +104,9 @@ def chip_ceilings(chips: int, counts: Counts) -> dict[str, FloatArray]:
 
 
 def mtf_ceilings(parts: list[MotionBasis], counts: Counts) -> dict[str, FloatArray]:
-    """Upper bounds of the smallest |H| over all motions for each number of ones, light-true, by name."""
+    """Upper bounds of the smallest |H| over all motions for each number of ones, light-true, by
+    name.
+    """
     found = dict[str, FloatArray]()
     for part in parts:
         closed = _uniform_ceilings(part, counts)
@@ -188,7 +194,9 @@ def _uniform_ceilings(part: MotionBasis, counts: Counts) -> dict[str, FloatArray
 
 @lru_cache(maxsize=64)
 def _class_ceilings(chips: int) -> FloatArray:
-    """Best smallest |P| at the m-th roots of unity, any counts of open chips in the classes mod m, by k = 0..n."""
+    """Best smallest |P| at the m-th roots of unity, any counts of open chips in the classes mod m,
+    by k = 0..n.
+    """
     best = np.full(chips + 1, np.inf)
     for classes in {min(m, chips) for m in _CLASSES}:
         roots = np.exp(

@@ -1,4 +1,6 @@
-"""Proofs from a relaxation: choice of frequencies, and bounds from its multipliers for all numbers of open chips."""
+"""Proofs from a relaxation: choice of frequencies, and bounds from its multipliers for all numbers
+of open chips.
+"""
 
 from __future__ import annotations
 
@@ -188,7 +190,8 @@ def _mean(
     shares = coarse.samples.weight
     if shares.size > _MOST_FREQUENCIES:
         raise ValueError(
-            f"samples: {shares.size} frequencies are too many to relax, at most {_MOST_FREQUENCIES}"
+            f"samples: {shares.size} frequencies are too many to relax, at most"
+            f" {_MOST_FREQUENCIES}"
         )
     # the ends of a straight band may weigh nothing
     seen = shares > 0
@@ -220,7 +223,9 @@ def _mean(
 
 
 def _columns(parts: Sequence[MotionBasis], chosen: Sequence[Counts]) -> FloatArray:
-    """``G_f = sum_r columns[:, f, r] columns[:, f, r]'``, (n, m, 2), or 4 where both directions count."""
+    """``G_f = sum_r columns[:, f, r] columns[:, f, r]'``, (n, m, 2), or 4 where both directions
+    count.
+    """
     rank = 4 if any(part.both for part in parts) else 2
     blocks = []
     for part, index in zip(parts, chosen, strict=True):

@@ -1,4 +1,5 @@
-"""Semidefinite relaxation of the search: its value bounds every code, and its solution suggests codes.
+"""Semidefinite relaxation of the search: its value bounds every code, and its solution suggests
+codes.
 
 The products ``C = c c'`` of all codes with k ones are relaxed to symmetric ``C >= 0`` with ``tr C
 = k`` and ``C 1 = k diag C``, which imply the lifted ``[[1, c'], [c, C]] >= 0`` with ``c = diag
@@ -129,7 +130,8 @@ def relax(
 def rounded_codes(
     relaxation: Relaxation, count: int, *, rng: np.random.Generator
 ) -> NDArray[np.int8]:
-    """Draw codes (count, n) whose first and second moments resemble the relaxed ones: Gaussian, k largest open.
+    """Draw codes (count, n) whose first and second moments resemble the relaxed ones: Gaussian, k
+    largest open.
 
     References
     ----------
@@ -340,8 +342,8 @@ class DualProof:
     Attributes
     ----------
     quantity : {"min", "noise"}
-        Upper bound of the smallest |H| over all motions and directions, or lower bound of 10 log10 mean 1/|H|^2 on
-        the one motion, the worse of its directions.
+        Upper bound of the smallest |H| over all motions and directions, or lower bound of 10 log10
+        mean 1/|H|^2 on the one motion, the worse of its directions.
     chips, open_chips : int
         n and k.
     motions : tuple of Trajectory or None
@@ -376,7 +378,8 @@ class DualProof:
     bound: float
 
     def check(self) -> bool:
-        """Whether the bound holds, recomputed from the motions: other code for the basis, Cholesky for the eigenvalue.
+        """Whether the bound holds, recomputed from the motions: other code for the basis, Cholesky
+        for the eigenvalue.
 
         A matrix whose Cholesky factor exists in floating point is positive definite up to
         rounding, which the bound has room for.
@@ -411,7 +414,9 @@ class DualProof:
         return True
 
     def _power_of_means(self) -> float:
-        """``(sum sqrt(w a))^2``, where the frequencies are the quadrature of the one motion; 0 where they are not."""
+        """``(sum sqrt(w a))^2``, where the frequencies are the quadrature of the one motion; 0
+        where they are not.
+        """
         (motion,) = self.motions
         samples = circle_grid(self.chips) if motion is None else band_samples(motion)
         if not np.array_equal(np.stack([samples.fx, samples.fy], axis=1), self.frequencies):
@@ -442,7 +447,8 @@ def largest_form(matrix: FloatArray, multipliers: FloatArray, open_chips: int) -
 
 
 def largest_forms(matrix: FloatArray, counts: NDArray[np.intp]) -> FloatArray:
-    """Upper bounds of ``c' G c`` for each number of ones, (K,), with the best equal multipliers ``v = x 1``.
+    """Upper bounds of ``c' G c`` for each number of ones, (K,), with the best equal multipliers
+    ``v = x 1``.
 
     With v = x 1 the matrix is ``G + x 1 1' - x k I``. Its largest eigenvalue lambda - x k has ``1
     / x = sum_i z_i^2 / (lambda - lambda_i)``, z the eigenvectors' sums: one decomposition serves
@@ -487,10 +493,11 @@ def circle_grid(chips: int) -> BandSamples:
 
 
 def circle_average(values: FloatArray, chips: int) -> FloatArray:
-    """Cut an even function on the circle's samples to a trigonometric polynomial, (F,), not negative, of low degree.
+    """Cut an even function on the circle's samples to a trigonometric polynomial, (F,), not
+    negative, of low degree.
 
-    Its square times any |P|^2 is then averaged without error by the samples; so a bound of mean 1/|P|^2 from it holds
-    for the mean over the whole circle, and on every finer grid.
+    Its square times any |P|^2 is then averaged without error by the samples; so a bound of mean
+    1/|P|^2 from it holds for the mean over the whole circle, and on every finer grid.
     """
     lags = np.fft.irfft(values)
     degree = (lags.size - chips) // 2 - 1

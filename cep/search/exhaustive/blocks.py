@@ -36,7 +36,8 @@ _CANDIDATES = 768  # frequencies that the scan looks at; the caller looks at the
 
 
 class Tables:
-    """Tables that depend on the limit alone: frequencies in order of trial, and the patterns that they leave.
+    """Tables that depend on the limit alone: frequencies in order of trial, and the patterns that
+    they leave.
 
     Parameters
     ----------
@@ -176,7 +177,9 @@ class Scanner:
         counts: NDArray[np.int64],
         halt: NDArray[np.bool_],
     ) -> NDArray[np.uint64]:
-        """Scan from ``span[0]``, ``span[2]`` on, as :func:`exhaust.scan` does; returns the codes found."""
+        """Scan from ``span[0]``, ``span[2]`` on, as :func:`exhaust.scan` does; returns the codes
+        found.
+        """
         tables = self.tables
         number = scan(
             self.head,
@@ -224,7 +227,8 @@ def _cut(chips: int) -> tuple[int, int, int]:
 
 
 def _order(basis: ComplexArray, limits: Limits, limit: float) -> NDArray[np.intp]:
-    """Order frequencies so that each discards most of the codes left by those before it, in a sample of random codes.
+    """Order frequencies so that each discards most of the codes left by those before it, in a
+    sample of random codes.
 
     Of very many frequencies only some are taken.
     """

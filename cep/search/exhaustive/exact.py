@@ -1,4 +1,5 @@
-"""Proven optimum by exhaustive search: a code is discarded at a frequency where its |H| is below the best minimum.
+"""Proven optimum by exhaustive search: a code is discarded at a frequency where its |H| is below
+the best minimum.
 
 On the unit circle a shift in time and the reversal change nothing, so the codes of n chips are
 those of every length up to n with both end chips open, one of each mirror pair, or both where the
@@ -53,7 +54,9 @@ _DARK = 1e-9  # |H| at which no code passes anything
 
 
 def codes_to_count(problem: SearchProblem) -> int:
-    """Count the codes that a proof goes through, mirror images mostly once; a core does billions a second."""
+    """Count the codes that a proof goes through, mirror images mostly once; a core does billions a
+    second.
+    """
     if problem.scenarios or problem.runs.fixed is not None:
         return int(2**problem.chips)
     return int(2 ** max(problem.chips - 1 - problem.mirrors, 0))
@@ -141,7 +144,8 @@ class _Proof:
         if resume is not None:
             if (resume.chips, resume.limits, resume.domain) != (n, self._limits(), self._domain()):
                 raise ValueError(
-                    f"resume: the log is of another problem, of {resume.chips} chips on {resume.domain}"
+                    f"resume: the log is of another problem, of {resume.chips} chips on"
+                    f" {resume.domain}"
                 )
             self.logs = {entry.length: entry for entry in resume.lengths}
             self.ceiling = resume.ceiling
@@ -179,7 +183,9 @@ class _Proof:
             self.value = max(value, self.value)
 
     def climb(self) -> None:
-        """Climb from random codes, for a good limit from the start; the outcome does not depend on it."""
+        """Climb from random codes, for a good limit from the start; the outcome does not depend on
+        it.
+        """
         if self.problem.chips < _CLIMBED:
             return
         rng = np.random.default_rng(0)

@@ -57,7 +57,9 @@ def all_patterns(chips: int) -> NDArray[np.int8]:
 
 
 def dot(patterns: NDArray[np.int8], basis: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Sum the chips' contributions, (R, Q); numpy multiplies mixed types without its fast routines."""
+    """Sum the chips' contributions, (R, Q); numpy multiplies mixed types without its fast
+    routines.
+    """
     chips, frequencies = basis.shape
     parts = patterns.astype(np.float64) @ np.ascontiguousarray(basis).view(np.float64).reshape(
         chips, 2 * frequencies
@@ -116,7 +118,8 @@ def fill_cells(
 
 
 def sums_by_byte(basis: NDArray[np.complex128]) -> NDArray[np.float32]:
-    """Sum every byte of a code at all frequencies, (Q / 16, 6, 256, 32) float32; the last sixteen repeat some.
+    """Sum every byte of a code at all frequencies, (Q / 16, 6, 256, 32) float32; the last sixteen
+    repeat some.
 
     Parameters
     ----------
@@ -331,7 +334,9 @@ _NONE = 64  # more than any code has
 
 
 class Limits(NamedTuple):
-    """Limits on light and on runs, as in a search problem; ``max_pulses`` and ``max_open`` are 64 for none."""
+    """Limits on light and on runs, as in a search problem; ``max_pulses`` and ``max_open`` are 64
+    for none.
+    """
 
     fewest: int
     most: int
@@ -365,7 +370,9 @@ def free_runs(limits: Limits) -> bool:
 
 @compiled
 def keeps_runs(code: np.uint64, limits: Limits) -> bool:
-    """Whether every run limit holds; closed chips before the first and after the last pulse do not count."""
+    """Whether every run limit holds; closed chips before the first and after the last pulse do not
+    count.
+    """
     pulses = 0
     run = limits.min_closed
     is_open = False
@@ -392,7 +399,9 @@ def keeps_runs(code: np.uint64, limits: Limits) -> bool:
 def possible(
     patterns: NDArray[np.int8], limits: Limits, ends: tuple[bool, bool]
 ) -> NDArray[np.bool_]:
-    """Which patterns may be part of a code that keeps the run limits; ``ends`` says whether the code ends there."""
+    """Which patterns may be part of a code that keeps the run limits; ``ends`` says whether the
+    code ends there.
+    """
     if (
         limits.min_open == limits.min_closed == limits.min_period == 1
         and limits.max_open >= patterns.shape[1]

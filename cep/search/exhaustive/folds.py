@@ -1,4 +1,5 @@
-"""Compiled scan of a proof in blocks: codes are judged by their folded sums, whole families of codes at once.
+"""Compiled scan of a proof in blocks: codes are judged by their folded sums, whole families of
+codes at once.
 
 On the N = 4 q roots of unity a code may be rotated: chips that leave at one end come in at the
 other, and no |P| changes. There P splits, as in a fast Fourier transform. At every fourth root it
@@ -38,7 +39,8 @@ COUNTS = (
     "turns",
     "turns_left",
 )
-"""Counters of :func:`scan_prefixes`: sums g, sums f, codes up to rotation, and codes; judged, and left."""
+"""Counters of :func:`scan_prefixes`: sums g, sums f, codes up to rotation, and codes; judged, and
+left."""
 
 _PREFIX = 6  # sums by which blocks are cut
 _INNER = 96  # combinations of d side by side, at least where there are so many
@@ -87,7 +89,9 @@ class Folding(NamedTuple):
 
 
 def folding(chips: int, open_range: tuple[int, int], limit: float) -> Folding:
-    """Set up a scan of codes of at most so many chips for those whose |P| may be nowhere below the limit."""
+    """Set up a scan of codes of at most so many chips for those whose |P| may be nowhere below the
+    limit.
+    """
     quarter = max(3, -(-chips // 4))
     ring = 4 * quarter
 
@@ -119,7 +123,8 @@ def folding(chips: int, open_range: tuple[int, int], limit: float) -> Folding:
 
 @compiled
 def _images(packed: int, quarter: int) -> int:
-    """Rotations and mirror images of a fold that differ from each other; 0 where another one is the larger.
+    """Rotations and mirror images of a fold that differ from each other; 0 where another one is
+    the larger.
 
     ``packed`` has three bits a sum, the first sum in the highest.
     """
@@ -147,7 +152,9 @@ def _images(packed: int, quarter: int) -> int:
 
 @compiled
 def _letters(index: int, count: int, into: Counts, at: int) -> bool:
-    """Write the sums of a prefix or suffix from ``at`` on; whether, at 0, the largest rotation may begin so."""
+    """Write the sums of a prefix or suffix from ``at`` on; whether, at 0, the largest rotation may
+    begin so.
+    """
     for place in range(count):
         into[at + count - 1 - place] = index % 5
         index //= 5
@@ -163,7 +170,8 @@ def _letters(index: int, count: int, into: Counts, at: int) -> bool:
 
 @compiled
 def _codes_of(g: Counts, ways: Counts, fewest: int, most: int) -> int:
-    """Codes that a fold accounts for; 0 where its open chips are out of range, or another of its images is the larger.
+    """Codes that a fold accounts for; 0 where its open chips are out of range, or another of its
+    images is the larger.
 
     ``ways`` has the number of four chips with each sum.
     """
@@ -184,7 +192,9 @@ def _codes_of(g: Counts, ways: Counts, fewest: int, most: int) -> int:
 
 @compiled
 def codes_by_prefix(quarter: int, prefix: int, fewest: int, most: int) -> Counts:
-    """Count the codes, of N = 4 q chips each way round, that each prefix accounts for, (5^prefix,) int64."""
+    """Count the codes, of N = 4 q chips each way round, that each prefix accounts for, (5^prefix,)
+    int64.
+    """
     total = np.zeros(5**prefix, np.int64)
     ways = np.array([1, 4, 6, 4, 1])
     g = np.zeros(quarter, np.int64)
@@ -227,7 +237,9 @@ def _spread(
 
 @inlined
 def _spread_signs(places: Counts, within: int, waves: Floats, signs: Floats, table: Floats) -> int:
-    """Sum the first places' waves, the first one's as it is, the others' with either sign; returns how many blocks."""
+    """Sum the first places' waves, the first one's as it is, the others' with either sign; returns
+    how many blocks.
+    """
     for j in range(table.shape[0]):
         for part in range(2):
             first = waves[places[0], part, j]
@@ -263,7 +275,9 @@ def _kept(
     keep: Floats,
     out: Counts,
 ) -> int:
-    """Find the combinations that with the outer sums, (2, F), are nowhere below the limit; returns how many."""
+    """Find the combinations that with the outer sums, (2, F), are nowhere below the limit; returns
+    how many.
+    """
     number = 0
     for block in range(blocks):
         some = np.float32(1)
@@ -347,7 +361,9 @@ def _turns(
     number: int,
     counts: Counts,
 ) -> int:
-    """Judge the codes that begin at each open chip of a ring; returns the number found so far, -1 for too many."""
+    """Judge the codes that begin at each open chip of a ring; returns the number found so far, -1
+    for too many.
+    """
     ring = 4 * fold.quarter
     between = fold.between
     limit2 = fold.limit2
@@ -390,7 +406,8 @@ def _turns(
 
 @compiled
 def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: Counts) -> int:
-    """Go through all codes whose folds have a prefix within a range; returns how many were written to ``found``.
+    """Go through all codes whose folds have a prefix within a range; returns how many were written
+    to ``found``.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""Logs of exhaustive proofs: discarded codes per length or per block, and the minimum of the best code."""
+"""Logs of exhaustive proofs: discarded codes per length or per block, and the minimum of the best
+code.
+"""
 
 from __future__ import annotations
 
@@ -193,7 +195,8 @@ class ExactResult:
     ----------
     code : ShutterCode
     minimum : Minimum
-        Of |P| on the unit circle in chips, or of |H| over the band along the worst of the problem's trajectories.
+        Of |P| on the unit circle in chips, or of |H| over the band along the worst of the
+        problem's trajectories.
     proof : ProofLog, BlockLog or BundledLog
     seconds : float
     proven : bool

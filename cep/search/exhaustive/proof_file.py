@@ -148,10 +148,14 @@ def _read(path: Path, plan: BlockPlan) -> tuple[list[dict[str, Any]], int]:
         raise ValueError(f"{path}: is no proof ({SCHEMA}); give another --cache")
     if header.get("version") != VERSION:
         raise ValueError(
-            f"{path}: a proof of version {header.get('version')}, not {VERSION}; give another --cache"
+            f"{path}: a proof of version {header.get('version')}, not {VERSION}; give another"
+            " --cache"
         )
     if {key: header.get(key) for key in plan.header()} != plan.header():
-        stored = f"{header.get('chips')} chips, {header.get('fewest_open')} to {header.get('most_open')} open"
+        stored = (
+            f"{header.get('chips')} chips, {header.get('fewest_open')} to"
+            f" {header.get('most_open')} open"
+        )
         asked = f"{plan.chips} chips, {plan.fewest} to {plan.most} open"
         raise ValueError(f"{path}: a proof for {stored}, not for {asked}; give another --cache")
     return lines[1:], end

@@ -1,4 +1,6 @@
-"""Proof of the best code in blocks, on the cores of this machine or a Dask cluster; finished blocks stay on disk."""
+"""Proof of the best code in blocks, on the cores of this machine or a Dask cluster; finished
+blocks stay on disk.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,8 @@ def prove(
     progress: Callable[[float, ShutterCode], None] | None = None,
     threads: int | None = None,
 ) -> ExactResult:
-    """Find the code with the largest minimum of |P| over the unit circle, and prove it block by block.
+    """Find the code with the largest minimum of |P| over the unit circle, and prove it block by
+    block.
 
     Parameters
     ----------
@@ -88,7 +91,9 @@ def prove(
 
 
 def best_of(plan: BlockPlan, records: Any) -> str:
-    """Return the best survivor of some records, closed chips added behind it; empty where there is none."""
+    """Return the best survivor of some records, closed chips added behind it; empty where there is
+    none.
+    """
     found: dict[str, float] = {}
     for record in records:
         found |= zip(
@@ -102,7 +107,9 @@ def best_of(plan: BlockPlan, records: Any) -> str:
 
 
 def _first(problem: SearchProblem, threads: int | None) -> str:
-    """Return a code to begin with, proven before or annealed; the outcome does not depend on it."""
+    """Return a code to begin with, proven before or annealed; the outcome does not depend on
+    it.
+    """
     found = search_code(
         problem, rng=np.random.default_rng(0), steps=_START_STEPS, time_s=math.inf, threads=threads
     )
@@ -128,7 +135,8 @@ def _judge(
         for key, finished in finishing:
             if finished.failure:
                 raise RuntimeError(
-                    f"block {key}: {finished.failure}; finished blocks are kept, run again to go on"
+                    f"block {key}: {finished.failure}; finished blocks are kept, run again to"
+                    " go on"
                 )
             proof.keep(finished.figures)
             done += plan.blocks[int(key)].codes
@@ -141,7 +149,9 @@ def _judge(
 
 
 def _in_rounds(tasks: Iterator[Task], dask: str) -> Generator[tuple[str, Finished]]:
-    """Yield the blocks of a cluster, which is given a whole round at once; each round is twice the one before."""
+    """Yield the blocks of a cluster, which is given a whole round at once; each round is twice the
+    one before.
+    """
     size = _FIRST_ROUND
     while now := dict(islice(tasks, size)):
         yield from run_tasks(now, workers=1, dask=dask)

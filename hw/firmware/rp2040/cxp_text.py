@@ -1,4 +1,6 @@
-"""CXP1's text framing for consoles: a colon, upper-case hexadecimal digits, a newline, and a CRC that guards them."""
+"""CXP1's text framing for consoles: a colon, upper-case hexadecimal digits, a newline, and a CRC
+that guards them.
+"""
 
 _DIGITS = b"0123456789ABCDEF"
 

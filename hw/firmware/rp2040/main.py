@@ -1,5 +1,7 @@
 # mypy: disable-error-code="import-not-found,attr-defined,no-untyped-call"
-"""Shutter controller CXP1 on a board with an RP2040: what is wired where, and the console it is spoken to by."""
+"""Shutter controller CXP1 on a board with an RP2040: what is wired where, and the console it is
+spoken to by.
+"""
 
 SHUTTER_PIN = 15  # high is open; 10 kOhm to ground
 TRIGGER_PIN = 14  # a rising edge plays what is armed
@@ -13,7 +15,9 @@ _OWED_MS = 0x4005800C  # its first scratch register, which its own resets leave 
 
 
 def run() -> None:
-    """Serve the console until it gets a carriage return and Ctrl-C, as mpremote sends; then the shutter is closed."""
+    """Serve the console until it gets a carriage return and Ctrl-C, as mpremote sends; then the
+    shutter is closed.
+    """
     import time
 
     import machine

@@ -1,6 +1,7 @@
 # mypy: disable-error-code="import-not-found,name-defined,no-untyped-call,untyped-decorator"
 # ruff: noqa: F821  (the names of PIO instructions exist only while rp2.asm_pio runs the function)
-"""Shutter played by a PIO state machine of an RP2040: every edge on its clock cycle, whatever the processor does.
+"""Shutter played by a PIO state machine of an RP2040: every edge on its clock cycle, whatever the
+processor does.
 
 The whole code lies in the state machine before it is armed. When the last word is used up the
 state machine stalls, and what it stalls on is a closed chip behind the code: neither a crash nor a
@@ -104,7 +105,9 @@ class PioShutter:
         machine.active(1)
 
     def start(self) -> None:
-        """Make the rising edge inside the chip: one that comes from outside at the same moment does no harm."""
+        """Make the rising edge inside the chip: one that comes from outside at the same moment
+        does no harm.
+        """
         registers = self._registers
         control = self._trigger_ctrl
         normal = registers[control] & ~_INPUT
@@ -138,7 +141,9 @@ class PioShutter:
 
 
 def reset_cause(registers: "dict[int, int]") -> int:
-    """Cause of the last reset as CXP1 counts: 0 power, 1 reset line, 3 watchdog, 255 unknown (software, too)."""
+    """Cause of the last reset as CXP1 counts: 0 power, 1 reset line, 3 watchdog, 255 unknown
+    (software, too).
+    """
     reason = registers[_REASON]
     if reason:
         return 3 if reason & 1 else 255

@@ -1,4 +1,6 @@
-"""Photos of the blind table: simulated from sharp scenes, or real ones with sharp references or kernels."""
+"""Photos of the blind table: simulated from sharp scenes, or real ones with sharp references or
+kernels.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,9 @@ def shot_of(
     photons: float | None,
     generator: Mapping[str, Any] | None = None,
 ) -> Shot:
-    """Return the settings of photo ``label`` with a motion in a protocol; independent of other photos and motions."""
+    """Return the settings of photo ``label`` with a motion in a protocol; independent of other
+    photos and motions.
+    """
     name = tuple(label.encode())
     return Shot(
         protocol.crop_px,
@@ -126,7 +130,8 @@ class RealPhoto:
 
 
 def real_photos(folder: Path | str, count: int) -> tuple[RealPhoto, ...]:
-    """List photos with real blur, at most ``count`` of them, evenly chosen; empty where the folder has another layout.
+    """List photos with real blur, at most ``count`` of them, evenly chosen; empty where the folder
+    has another layout.
 
     Levin's have sharp photos and kernels, RSBlur's sharp photos, Koehler's sharp frames; Koehler's
     photos as distributed with PMP have neither.
@@ -201,7 +206,8 @@ def _check_sizes(blurred: Path, sharp: Path) -> None:
     shapes = [read_image(path).shape for path in (blurred, sharp)]
     if shapes[0] != shapes[1]:
         raise ValueError(
-            f"{blurred}: has the shape {shapes[0]}, its sharp photo {shapes[1]}; they must be pairs"
+            f"{blurred}: has the shape {shapes[0]}, its sharp photo {shapes[1]}; they must be"
+            " pairs"
         )
 
 

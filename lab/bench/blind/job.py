@@ -1,4 +1,6 @@
-"""The tables of ``python -m lab bench blind`` and ``python -m lab bench speed``: planned, then measured and written."""
+"""The tables of ``python -m lab bench blind`` and ``python -m lab bench speed``: planned, then
+measured and written.
+"""
 
 from __future__ import annotations
 
@@ -84,7 +86,8 @@ def speed_job(
     quick: bool,
     force: bool,
 ) -> Job:
-    """Plan the table of what an estimate costs; parameters and errors are those of :func:`blind_job`.
+    """Plan the table of what an estimate costs; parameters and errors are those of
+    :func:`blind_job`.
 
     Cells that run beside others take longer: the engine should have one worker and no cluster.
     """
@@ -130,7 +133,9 @@ def _job(
     laid_out: _LaidOut,
     narrowed: Callable[[Plan], Plan] = lambda plan: plan,
 ) -> Job:
-    """Plan a table of estimators: :func:`blind_job`, with what its title and tables are and which cells it has."""
+    """Plan a table of estimators: :func:`blind_job`, with what its title and tables are and which
+    cells it has.
+    """
     claim_folder(output, outputs(name), force=force)
     names, whole = _plan(data, protocol, methods, gyro, quick)
     plan = narrowed(whole)

@@ -20,7 +20,8 @@ UNUSUAL = {"selfdeblur": "takes hours a photo", "blinddps": "needs weights, name
 OURS = ("motdiff", "networks", "network")
 """The first of these that is measured is what others are compared with."""
 SMALL_BUDGETS = {"parametric": 16_016, "psf-diffusion": 12_816}
-"""Samples that the shipped baselines were trained on, after a start from MoTDiff's condition network."""
+"""Samples that the shipped baselines were trained on, after a start from MoTDiff's condition
+network."""
 
 _WEIGHTS = {
     "motdiff": DEFAULT_WEIGHTS,
@@ -49,7 +50,8 @@ _TAKING = (
     "motdiff.files.decoding",
     "motdiff.threads",  # the one thread
 )
-"""Modules that take and measure a photo; what else they import has no part in it, or is followed."""
+"""Modules that take and measure a photo; what else they import has no part in it, or is
+followed."""
 
 
 def select_methods(names: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
@@ -93,7 +95,9 @@ def select_methods(names: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
 
 
 def budget_warning(methods: Iterable[str]) -> str | None:
-    """Warning that trained baselines among ``methods`` had less training than MoTDiff; None where there is none."""
+    """Warning that trained baselines among ``methods`` had less training than MoTDiff; None where
+    there is none.
+    """
     names = {method.split(":")[0] for method in methods}
     if not (
         small := [
@@ -102,18 +106,21 @@ def budget_warning(methods: Iterable[str]) -> str | None:
     ):
         return None
     return (
-        f"smaller training budgets than MoTDiff's 209,600 samples drawn from 13,376 prepared ones: "
-        f"{' and '.join(small)} from 704, after a start from its condition network at 62,400"
+        "smaller training budgets than MoTDiff's 209,600 samples drawn from 13,376 prepared ones:"
+        f" {' and '.join(small)} from 704, after a start from its condition network at 62,400"
     )
 
 
 def label_of(method: str) -> str:
-    """Label of a method in tables: a file or folder of weights by its own name, without its path."""
+    """Label of a method in tables: a file or folder of weights by its own name, without its
+    path.
+    """
     return _relocated(method, lambda path: path.name)
 
 
 def version_of(method: str) -> str:
-    """Cache version of a method: fingerprint of its code, its weights, and the code that measures it.
+    """Cache version of a method: fingerprint of its code, its weights, and the code that measures
+    it.
 
     Parameters
     ----------
@@ -148,7 +155,9 @@ def _folder(method: str) -> str:
 
 
 def _found_from_anywhere(method: str) -> str:
-    """Absolute form of a method with weights of its own: workers may have another current folder."""
+    """Absolute form of a method with weights of its own: workers may have another current
+    folder.
+    """
     return _relocated(method, lambda path: str(path.absolute()))
 
 

@@ -1,4 +1,6 @@
-"""Figure of blind estimates: photo, blurred photo, and each method's restoration with its kernel in the corner."""
+"""Figure of blind estimates: photo, blurred photo, and each method's restoration with its kernel
+in the corner.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,8 @@ class Shown:
 
 
 def shown(results: Sequence[Result], *, methods: Sequence[str], most: int = 4) -> list[Shown]:
-    """Select the rows of a figure: one motion of each of the first photos, which are simulated again.
+    """Select the rows of a figure: one motion of each of the first photos, which are simulated
+    again.
 
     Parameters
     ----------
@@ -95,7 +98,8 @@ def shown(results: Sequence[Result], *, methods: Sequence[str], most: int = 4) -
 
 
 def blind_figure(lines: Sequence[Shown], methods: Sequence[str]) -> Figure:
-    """Draw the figure in the MoTDiff paper's layout; photos are restored in grey, kernels lie where the true one does.
+    """Draw the figure in the MoTDiff paper's layout; photos are restored in grey, kernels lie
+    where the true one does.
 
     Parameters
     ----------
@@ -171,5 +175,7 @@ def _score(result: Result) -> str:
 
 
 def _inset(axes: Axes, psf: FloatArray) -> None:
-    """Draw the middle of a kernel, by the square root that shows faint parts, in the upper left corner."""
+    """Draw the middle of a kernel, by the square root that shows faint parts, in the upper left
+    corner.
+    """
     show_inset(axes, in_frame(psf), share=_INSET, cmap="gray")

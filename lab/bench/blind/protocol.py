@@ -47,7 +47,8 @@ class Motions:
     def __post_init__(self) -> None:
         if min(self.boracchi_foi, self.gyro) < 0 or self.boracchi_foi + self.gyro <= 0:
             raise ValueError(
-                f"boracchi_foi and gyro: must be shares of 0 or more, one above 0, got {self.boracchi_foi}, {self.gyro}"
+                "boracchi_foi and gyro: must be shares of 0 or more, one above 0, got"
+                f" {self.boracchi_foi}, {self.gyro}"
             )
         if not 1 <= self.max_length_px <= 1000:
             raise ValueError(
@@ -152,7 +153,9 @@ class Protocol:
 
     @property
     def least_px(self) -> int:
-        """Shortest side, px, of a sharp photo: with real borders the scene reaches beyond the photo."""
+        """Shortest side, px, of a sharp photo: with real borders the scene reaches beyond the
+        photo.
+        """
         return self.crop_px + border_px(self.borders, self.psf_px)
 
     @property
@@ -251,7 +254,8 @@ _FALL_HZ = 4.0
 def drawn_shakes(
     protocol: Protocol, trace: GyroTrace | None = None, *, stream: int = 0
 ) -> tuple[Trajectory, ...]:
-    """Draw the motions of a protocol; motion i depends on the protocol's seed and motions, and on i.
+    """Draw the motions of a protocol; motion i depends on the protocol's seed and motions, and on
+    i.
 
     Parameters
     ----------
@@ -277,7 +281,8 @@ def drawn_shakes(
 def paired_shakes(
     protocol: Protocol, trace: GyroTrace | None = None, *, others: int = 0
 ) -> tuple[tuple[Trajectory, Mapping[str, Any]], ...]:
-    """Draw the motions of a protocol whose photos have one motion each, and the generator of each photo.
+    """Draw the motions of a protocol whose photos have one motion each, and the generator of each
+    photo.
 
     One generator draws a motion, then the crop and the noise of its photo. The figures of the
     weights' cards are of such photos.
@@ -323,7 +328,9 @@ def paired_shakes(
 
 
 def synthetic_trace(seed: int = 0) -> GyroTrace:
-    """Synthetic hand shake: angular rates as noise of 1 to 12 Hz, 0.1 rad/s rms, one minute at 200 Hz."""
+    """Synthetic hand shake: angular rates as noise of 1 to 12 Hz, 0.1 rad/s rms, one minute at 200
+    Hz.
+    """
     rng = np.random.default_rng(seed)
     count = round(_DURATION_S * _RATE_HZ)
     freq_hz = np.fft.rfftfreq(count, 1 / _RATE_HZ)
@@ -349,5 +356,6 @@ def _drawn(protocol: Protocol, trace: GyroTrace | None, rng: np.random.Generator
         if motion.frame_size() <= protocol.psf_px:
             return motion
     raise ValueError(
-        f"motion: {_TRIES} drawn motions did not fit psf_px = {protocol.psf_px} px, make them shorter"
+        f"motion: {_TRIES} drawn motions did not fit psf_px = {protocol.psf_px} px, make them"
+        " shorter"
     )

@@ -51,7 +51,8 @@ def write_report(
     unmeasured: Mapping[str, str] | None = None,
     force: bool = False,
 ) -> dict[str, Path]:
-    """Write NAME.md .tex .csv .json, NAME-cells.csv, and NAME.png .pdf .svg where methods are pictured; all or none.
+    """Write NAME.md .tex .csv .json, NAME-cells.csv, and NAME.png .pdf .svg where methods are
+    pictured; all or none.
 
     Parameters
     ----------
@@ -121,7 +122,10 @@ def _introduction(
     head = [
         f"# The {name} table",
         "",
-        f"Made by {in_code_span(command)}, protocol {in_code_span(plan.protocol.name)}, seed {plan.protocol.seed}, on",
+        (
+            f"Made by {in_code_span(command)}, protocol {in_code_span(plan.protocol.name)}, seed"
+            f" {plan.protocol.seed}, on"
+        ),
         f"{machines or 'no machine'}.",
         f"{_counts(plan)}.",
         means_in_words(tables),
@@ -190,7 +194,8 @@ _OWN = ("confidence", "path_px")
 
 
 def blind_tables(figures: Figures, lights: Sequence[str], *, title: str, seed: int) -> list[Table]:
-    """Summarise per method: for each light level the methods, the ceilings, and the lead of ours over each method.
+    """Summarise per method: for each light level the methods, the ceilings, and the lead of ours
+    over each method.
 
     Parameters
     ----------

@@ -64,7 +64,8 @@ def blind_plan(
     folder: Path | None = None,
     trace: GyroTrace | None = None,
 ) -> Plan:
-    """List the cells of a blind table, ordered by photo and motion: an interrupted run has complete pairs.
+    """List the cells of a blind table, ordered by photo and motion: an interrupted run has
+    complete pairs.
 
     Parameters
     ----------
@@ -93,7 +94,9 @@ def blind_plan(
 
 
 def one_cell_each(plan: Plan) -> Plan:
-    """Keep one cell per photo and estimator, each photo with another motion, at the first light level."""
+    """Keep one cell per photo and estimator, each photo with another motion, at the first light
+    level.
+    """
     photos = list(dict.fromkeys(cell.name[1] for cell in plan.cells))
     shakes = {
         photo: list(dict.fromkeys(c.name[2] for c in plan.cells if c.name[1] == photo))
@@ -177,7 +180,8 @@ def _of_sharp(
         warnings.append(BUNDLED_WARNING)
     if len(photos) < protocol.photos:
         warnings.append(
-            f"{len(photos)} photos instead of the {protocol.photos} of the protocol: there are no more"
+            f"{len(photos)} photos instead of the {protocol.photos} of the protocol: there are no"
+            " more"
         )
     if protocol.motion.gyro > 0 and trace is None:
         warnings.append(

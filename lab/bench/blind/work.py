@@ -37,7 +37,8 @@ from motdiff.types import FloatArray
 FLOORS = ("delta", "gaussian", "mean-kernel")
 """Kernels that know nothing of the photo; the last is the mean of other motions of the kind."""
 CEILINGS = ("best-quadratic", "true-path", "true-kernel")
-"""Kernels that know all: what a quadratic path, a path without dwell, and the restoration can reach."""
+"""Kernels that know all: what a quadratic path, a path without dwell, and the restoration can
+reach."""
 
 # a blind kernel may be shifted, and in real photos the position of the true one is unknown
 _FARTHEST_PX = 10.0
@@ -73,7 +74,9 @@ def measure_simulated(
 
 
 def measure_levin(*, method: str, photo: Path) -> dict[str, Figure]:
-    """Estimate the motion in one of Levin's photos and restore it; otherwise as :func:`measure_simulated`."""
+    """Estimate the motion in one of Levin's photos and restore it; otherwise as
+    :func:`measure_simulated`.
+    """
     return _measured(method, levin_photo(photo), None)
 
 
@@ -201,7 +204,9 @@ class TimedEstimator:
 
 
 def _give_back() -> None:
-    """Return freed memory to the system (glibc only): kept, it would hide the need of the next estimate."""
+    """Return freed memory to the system (glibc only): kept, it would hide the need of the next
+    estimate.
+    """
     gc.collect()
     try:
         ctypes.CDLL(None).malloc_trim(0)

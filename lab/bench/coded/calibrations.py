@@ -1,4 +1,6 @@
-"""Calibrations of the table by photos that tell more than one open photo: through known codes, or of a point light."""
+"""Calibrations of the table by photos that tell more than one open photo: through known codes, or
+of a point light.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ CALIBRATIONS: Mapping[str, str] = {
     "open + one": "designed2",
     "open + three": "open+gray3",
 }
-"""Set of codes behind each kind of path that is found from coded photos; see :func:`codes_of_set`."""
+"""Set of codes behind each kind of path that is found from coded photos; see
+:func:`codes_of_set`."""
 POINT = "point"
 """Kind of path that is found from a point light."""
 
@@ -89,14 +92,17 @@ def _design_rng() -> np.random.Generator:
 
 
 def set_of_codes(*, name: str, chips: int) -> dict[str, str]:
-    """Return ``codes``, those of :func:`codes_of_set` with spaces between them: the figures of a cell."""
+    """Return ``codes``, those of :func:`codes_of_set` with spaces between them: the figures of a
+    cell.
+    """
     return {"codes": " ".join(codes_of_set(name, chips))}
 
 
 def moved_psfs(
     paths: Sequence[Trajectory], codes: Sequence[str], shifts_px: ArrayLike
 ) -> FloatArray:
-    """Light-true PSFs of photos of one motion, each through its own code and moved by its own shift.
+    """Light-true PSFs of photos of one motion, each through its own code and moved by its own
+    shift.
 
     Parameters
     ----------
@@ -221,7 +227,8 @@ def motion_from_codes(
 def motion_from_light(
     *, motion: str, camera: Mapping[str, Any], seed: int
 ) -> dict[str, float | str]:
-    """Calibrate by a point light's trail through Raskar's code; as :func:`motion_from_codes` otherwise.
+    """Calibrate by a point light's trail through Raskar's code; as :func:`motion_from_codes`
+    otherwise.
 
     The light is as bright as it may be without saturating.
     """

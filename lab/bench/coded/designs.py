@@ -1,4 +1,6 @@
-"""Code designs of the table, and the motion prior that each one has: none, the length, an estimate, or the truth."""
+"""Code designs of the table, and the motion prior that each one has: none, the length, an
+estimate, or the truth.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ class Design:
 
     @property
     def uses_truth(self) -> bool:
-        """Whether its prior is the true motion, which no camera has: such rows are limits, not rivals."""
+        """Whether its prior is the true motion, which no camera has: such rows are limits, not
+        rivals.
+        """
         return self.path in ("true", "parametric oracle")
 
 
@@ -87,7 +91,9 @@ USUAL_DESIGNS = tuple(name for name, design in DESIGNS.items() if not design.onl
 
 
 def design_of(name: str) -> Design:
-    """Return the design of a row: one of :data:`DESIGNS`, or a code of the user's own, which has no motion prior."""
+    """Return the design of a row: one of :data:`DESIGNS`, or a code of the user's own, which has
+    no motion prior.
+    """
     return DESIGNS.get(name) or Design(name, "none", compared=True)
 
 

@@ -127,7 +127,9 @@ def cep_job(
 def _photos(
     data: Path | None, protocol: CodedProtocol, *, calibrates: bool
 ) -> tuple[dict[str, Path], tuple[Path, ...], list[str]]:
-    """Pick the sharp photos and others to calibrate on, and list in what they are not as the protocol asks."""
+    """Pick the sharp photos and others to calibrate on, and list in what they are not as the
+    protocol asks.
+    """
     paths = datasets.bundled_photos() if data is None else datasets.photo_folder(data)
     picked = datasets.pick(paths, protocol.photos, least_px=scene_px(protocol))
     warnings = []
@@ -142,7 +144,8 @@ def _photos(
         scenes = _others(paths, picked, protocol)
         if not scenes:
             warnings.append(
-                "no other photos are large enough to calibrate on: calibrations show those restored"
+                "no other photos are large enough to calibrate on: calibrations show those"
+                " restored"
             )
     return dict(zip(datasets.labels_of(picked), picked, strict=True)), scenes, warnings
 

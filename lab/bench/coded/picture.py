@@ -1,4 +1,6 @@
-"""Figure of coded photos in the paper's layout: photo, coded photo with its code and PSF, restored photo, MTF."""
+"""Figure of coded photos in the paper's layout: photo, coded photo with its code and PSF, restored
+photo, MTF.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Protocols of the coded-exposure table, as TOML files: photos, motions, codes, light, restoration."""
+"""Protocols of the coded-exposure table, as TOML files: photos, motions, codes, light,
+restoration.
+"""
 
 from __future__ import annotations
 
@@ -137,7 +139,8 @@ class CodedProtocol:
         pair = self.open_range
         if not (_are(pair, int) and len(pair) == 2 and 1 <= pair[0] <= pair[1] <= self.chips):
             raise ValueError(
-                f"open_range: must be two numbers of chips within 1..{self.chips} in order, got {pair!r}"
+                f"open_range: must be two numbers of chips within 1..{self.chips} in order, got"
+                f" {pair!r}"
             )
         for name in ("photons", "quick_photons"):
             levels = getattr(self, name)
@@ -234,7 +237,8 @@ def coded_protocol(name: str, changes: Sequence[str] = ()) -> CodedProtocol:
     for what, names in (("unknown", set(table) - known), ("missing", known - set(table))):
         if names:
             raise ValueError(
-                f"{name}: field {min(names)[:40]!r} is {what}; the fields are {', '.join(sorted(known))}"
+                f"{name}: field {min(names)[:40]!r} is {what}; the fields are"
+                f" {', '.join(sorted(known))}"
             )
     for change in changes:
         table |= _change(change, known)
@@ -294,7 +298,9 @@ _MIXED_LENGTHS_PX = (20.0, 60.0)
 
 
 def drawn_motions(protocol: CodedProtocol, *, stream: int = 0) -> tuple[Trajectory, ...]:
-    """Draw the protocol's motions; only the oracle uses their direction. Each stream of random numbers has others."""
+    """Draw the protocol's motions; only the oracle uses their direction. Each stream of random
+    numbers has others.
+    """
     rng = np.random.default_rng([protocol.seed, stream])
     if protocol.shakes == "boracchi-foi":
         return tuple(boracchi_foi(rng) for _ in range(protocol.motions))
@@ -312,7 +318,9 @@ _TOLERANCE_PX = 0.01
 
 
 def class_motions(protocol: CodedProtocol) -> tuple[Trajectory, ...]:
-    """Draw other motions of the protocol's kind, from a seed of their own, for codes that know nothing but the kind."""
+    """Draw other motions of the protocol's kind, from a seed of their own, for codes that know
+    nothing but the kind.
+    """
     others = drawn_motions(replace(protocol, motions=_CLASS), stream=6)
     return tuple(path.thinned(_TOLERANCE_PX) for path in others)
 

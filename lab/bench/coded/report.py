@@ -1,4 +1,6 @@
-"""Report of the coded-exposure table: Markdown, CSV and JSON tables, the figures of every photo, and a picture."""
+"""Report of the coded-exposure table: Markdown, CSV and JSON tables, the figures of every photo,
+and a picture.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +36,14 @@ OUTPUTS = report_files(_NAME, _PHOTOS)
 
 _RESTORED_BY = {
     "psf": " with the true coded PSF.",
-    "path": ", which knows the true path but has to find in which direction the camera ran along it (with the oracles' "
-    "codes it knows that too).",
-    "estimate": ", which knows the path that the code was made for, but not in which direction the camera ran along it "
-    "(the oracle's: the truth; codes made for none: our estimate).",
+    "path": (
+        ", which knows the true path but has to find in which direction the camera ran along it"
+        " (with the oracles' codes it knows that too)."
+    ),
+    "estimate": (
+        ", which knows the path that the code was made for, but not in which direction the camera"
+        " ran along it (the oracle's: the truth; codes made for none: our estimate)."
+    ),
     "blind": " with the kernel that the search of PMP finds in that photo alone.",
 }
 _RIGHT_PX = 1.0
@@ -125,15 +131,18 @@ def _found(measured: CodedTable) -> list[str]:
         mncs, cpu_s = (
             [float(one[name] or 0) for one in found.values()] for name in ("mnc", "cpu_s")
         )
-        line = f"{len(found)} of mean MNC {mean(mncs):.3f}, {median(cpu_s):.1f} CPU-s each in the median"
+        line = (
+            f"{len(found)} of mean MNC {mean(mncs):.3f}, {median(cpu_s):.1f} CPU-s each in the"
+            " median"
+        )
         if kind in ESTIMATORS:
             lines.append(f"\nPaths estimated from an open photo by {ESTIMATORS[kind]}: {line}.")
         else:
             errors_px = [float(one["error_px"] or 0) for one in found.values()]
             right = sum(error_px <= _RIGHT_PX for error_px in errors_px)
             lines.append(
-                f"\nCalibrations, {kind}: {line}; {right} within {_RIGHT_PX:g} px of the truth at equal times, error "
-                f"{median(errors_px):.2f} px in the median."
+                f"\nCalibrations, {kind}: {line}; {right} within {_RIGHT_PX:g} px of the truth at"
+                f" equal times, error {median(errors_px):.2f} px in the median."
             )
     for name in dict.fromkeys(shot.design for shot in measured.shots):
         if mncs := [
@@ -142,8 +151,8 @@ def _found(measured: CodedTable) -> list[str]:
             if shot.design == name and (mnc := shot.figures.get(_MNC))
         ]:
             lines.append(
-                f"\nKernels found in the photos themselves, {markdown_text(name)}: {len(mncs)} of mean MNC "
-                f"{mean(mncs):.3f}."
+                f"\nKernels found in the photos themselves, {markdown_text(name)}: {len(mncs)} of"
+                f" mean MNC {mean(mncs):.3f}."
             )
     left_out = [name for name, design in DESIGNS.items() if design.only_named]
     if not {shot.design for shot in measured.shots} & set(left_out):
@@ -164,24 +173,36 @@ def _introduction(
     head = [
         "# The coded-exposure table",
         "",
-        f"Made by {in_code_span(command)}, protocol {in_code_span(protocol.name)}, seed {protocol.seed}, on "
-        f"{machines or 'no machine'}.",
-        f"{photos} photos, {protocol.motions} motions each{_light(protocol)}. {protocol.chips} chips (DCE: 32); "
-        f"searches keep {protocol.open_range[0]} to {protocol.open_range[1]} of them open and have "
-        f"{protocol.steps:,} moves each for `{protocol.objective}` (DNF: always `noise`, of a straight blur); "
-        "snapshots, strobes and published codes are as they are, and so are codes that were given. "
-        f"Restored by `{protocol.restoration}`{_RESTORED_BY[protocol.restored_by]}",
-        ""
-        if protocol.photons
-        else "Every photo has the light of the open shutter, as if coding cost none: snapshots and "
-        "strobes, which shut out the most, are shown apart.",
-        f"{means_in_words(tables)} PSNR and SSIM up to shift, 32 px of border left out. A noise gain is infinite where "
-        "the MTF has a zero on a line, as an open shutter's has on straight motion.",
+        (
+            f"Made by {in_code_span(command)}, protocol {in_code_span(protocol.name)}, seed"
+            f" {protocol.seed}, on {machines or 'no machine'}."
+        ),
+        (
+            f"{photos} photos, {protocol.motions} motions each{_light(protocol)}. {protocol.chips}"
+            f" chips (DCE: 32); searches keep {protocol.open_range[0]} to {protocol.open_range[1]}"
+            f" of them open and have {protocol.steps:,} moves each for `{protocol.objective}`"
+            " (DNF: always `noise`, of a straight blur); snapshots, strobes and published codes"
+            " are as they are, and so are codes that were given. Restored by"
+            f" `{protocol.restoration}`{_RESTORED_BY[protocol.restored_by]}"
+        ),
+        (
+            ""
+            if protocol.photons
+            else (
+                "Every photo has the light of the open shutter, as if coding cost none: snapshots"
+                " and strobes, which shut out the most, are shown apart."
+            )
+        ),
+        (
+            f"{means_in_words(tables)} PSNR and SSIM up to shift, 32 px of border left out. A"
+            " noise gain is infinite where the MTF has a zero on a line, as an open shutter's has"
+            " on straight motion."
+        ),
         *(f"\n- {markdown_text(warning)}" for warning in warnings),
         *_found(measured),
         *(
-            f"\n{markdown_text(name)}: noise gain in the worse direction above the open shutter's in {bad} of {count} "
-            "photos."
+            f"\n{markdown_text(name)}: noise gain in the worse direction above the open shutter's"
+            f" in {bad} of {count} photos."
             for name, (bad, count) in counts.items()
             if count
         ),

@@ -322,7 +322,9 @@ def _from_open_photo(
 def _from_other_photos(
     protocol: CodedProtocol, scene: Path, codes: str | None, index: int, motion: str
 ) -> _Task:
-    """Calibrate by other photos than an open one of the scene: the same work for every photo, done once a motion."""
+    """Calibrate by other photos than an open one of the scene: the same work for every photo, done
+    once a motion.
+    """
     common = {
         "motion": motion,
         "camera": protocol.calibration_camera.to_dict(),
@@ -410,7 +412,9 @@ def check_names(codes: Iterable[str]) -> None:
 
 
 def scene_px(protocol: CodedProtocol) -> int:
-    """Return the side of a scene, px: with real borders light comes in from beyond the photo, a PSF's frame less 1."""
+    """Return the side of a scene, px: with real borders light comes in from beyond the photo, a
+    PSF's frame less 1.
+    """
     return protocol.crop_px + border_px(protocol.borders)
 
 
@@ -475,7 +479,9 @@ def assumed_path(
     photo: str,
     index: int,
 ) -> str | None:
-    """Path given to the restoration; None when it has the true PSF or a kernel, empty when the estimate failed."""
+    """Path given to the restoration; None when it has the true PSF or a kernel, empty when the
+    estimate failed.
+    """
     if protocol.restored_by in ("psf", "blind") or design_of(design).path == "true":
         return None
     if protocol.restored_by == "path":
@@ -529,7 +535,9 @@ _CHOSEN = {
 
 
 def motion_version(kind: str) -> str:
-    """Cache version of the motions: fingerprint of what finds a kind of path, estimated or calibrated."""
+    """Cache version of the motions: fingerprint of what finds a kind of path, estimated or
+    calibrated.
+    """
     shared = ["motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
     if kind in ESTIMATORS:
         module, weights = _ESTIMATED[ESTIMATORS[kind]]
@@ -547,7 +555,9 @@ def kernel_version() -> str:
 
 
 def code_version(design: str) -> str:
-    """Cache version of the codes: fingerprint of a design of :data:`lab.bench.coded.designs.DESIGNS`."""
+    """Cache version of the codes: fingerprint of a design of
+    :data:`lab.bench.coded.designs.DESIGNS`.
+    """
     return source_version(
         _CHOSEN.get(design, _SEARCHED), alone=[_PATHS, f"{_HERE}.designs", f"{_HERE}.stages"]
     )

@@ -1,4 +1,6 @@
-"""Stages of the coded-exposure table as pure functions: estimate a motion, choose a code, take and restore a photo."""
+"""Stages of the coded-exposure table as pure functions: estimate a motion, choose a code, take and
+restore a photo.
+"""
 
 from __future__ import annotations
 
@@ -203,7 +205,8 @@ def find_kernel(
     camera: Mapping[str, Any],
     seed: int,
 ) -> dict[str, float | str]:
-    """Find the kernel in the photo of :func:`take_photo`, whose parameters these are, as ``cep deblur`` does.
+    """Find the kernel in the photo of :func:`take_photo`, whose parameters these are, as ``cep
+    deblur`` does.
 
     Returns
     -------
@@ -259,7 +262,9 @@ def choose_code(
     steps: int,
     seed: int,
 ) -> dict[str, float | str]:
-    """Choose the code of a design (:mod:`lab.bench.coded.designs`); returns ``bits`` and ``cpu_s``."""
+    """Choose the code of a design (:mod:`lab.bench.coded.designs`); returns ``bits`` and
+    ``cpu_s``.
+    """
     started = time.process_time()
     code = design_code(
         design,

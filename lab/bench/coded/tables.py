@@ -1,4 +1,6 @@
-"""Tables of coded exposure: quality of the photos, noise gain, and the share of photos that coding harms."""
+"""Tables of coded exposure: quality of the photos, noise gain, and the share of photos that coding
+harms.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ _FREE_LIGHT = ("snapshot", "class-snapshot", "strobe")
 
 
 def coded_tables(measured: CodedTable) -> list[Table]:
-    """Lay out the tables: per light level the quality, each compared row less every other one, and the noise gains.
+    """Lay out the tables: per light level the quality, each compared row less every other one, and
+    the noise gains.
 
     Compared are ours and codes of the user's own: :attr:`lab.bench.coded.designs.Design.compared`.
     """
@@ -67,7 +70,8 @@ def coded_tables(measured: CodedTable) -> list[Table]:
 
 
 def beyond_comparison(measured: CodedTable, design: str) -> bool:
-    """Whether a row is no rival of the others: its prior is the truth, or the light it blocks costs it nothing.
+    """Whether a row is no rival of the others: its prior is the truth, or the light it blocks
+    costs it nothing.
 
     Where coding costs no light, the shorter an exposure the better, and a snapshot is no code.
     """
@@ -76,7 +80,8 @@ def beyond_comparison(measured: CodedTable, design: str) -> bool:
 
 
 def harmed(measured: CodedTable, design: str) -> tuple[int, int]:
-    """Count photos where a design's noise gain, in its worse direction, is above the open shutter's.
+    """Count photos where a design's noise gain, in its worse direction, is above the open
+    shutter's.
 
     Returns
     -------

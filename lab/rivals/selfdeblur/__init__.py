@@ -1,4 +1,6 @@
-"""SelfDeblur: an untrained network for the photo and one for the kernel, fitted to one blurred photo."""
+"""SelfDeblur: an untrained network for the photo and one for the kernel, fitted to one blurred
+photo.
+"""
 
 from lab.rivals.selfdeblur.config import SelfDeblurConfig
 from lab.rivals.selfdeblur.estimator import SelfDeblurEstimator

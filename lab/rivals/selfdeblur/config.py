@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SelfDeblurConfig:
-    """Sizes and recipe; the defaults are the published ones, but for the kernel's frame, which is given there.
+    """Sizes and recipe; the defaults are the published ones, but for the kernel's frame, which is
+    given there.
 
     Attributes
     ----------

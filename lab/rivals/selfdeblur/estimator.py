@@ -66,7 +66,8 @@ class SelfDeblurEstimator:
         self._progress = progress
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Fit the kernel of ``photo``, (H, W) or (H, W, 3), linear light 0..1; of a large one, of its best crop.
+        """Fit the kernel of ``photo``, (H, W) or (H, W, 3), linear light 0..1; of a large one, of
+        its best crop.
 
         Its centroid lies at index 32, to whole pixels. The fit is not scored: ``confidence`` is 0.
         Processor time before a resumed checkpoint is ``details["earlier_cpu_s"]``.
@@ -107,7 +108,9 @@ class SelfDeblurEstimator:
         return estimate
 
     def _folder(self, window: NDArray[np.float64]) -> Path | None:
-        """Folder of this photo's checkpoint: another photo, recipe, size or code is another one."""
+        """Folder of this photo's checkpoint: another photo, recipe, size or code is another
+        one.
+        """
         if self._checkpoints is None:
             return None
         what = hashlib.sha256(f"{_code_version()} {self._config} {window.shape}".encode())

@@ -23,7 +23,8 @@ _C2 = 0.03**2
 
 
 class JointFit:
-    """Generators of the sharp photo and of the kernel, fitted together until their blur is the photo.
+    """Generators of the sharp photo and of the kernel, fitted together until their blur is the
+    photo.
 
     Parameters
     ----------
@@ -149,7 +150,8 @@ class JointFit:
 
 
 def structural_similarity(a: Tensor, b: Tensor) -> Tensor:
-    """Mean SSIM of two photos (H, W), 0..1, under a Gaussian window of 11 px, where the window is whole.
+    """Mean SSIM of two photos (H, W), 0..1, under a Gaussian window of 11 px, where the window is
+    whole.
 
     References
     ----------

@@ -50,7 +50,9 @@ class ImageGenerator(nn.Module):
         self.output = nn.Conv2d(wide, 1, 1)
 
     def forward(self, noise: Tensor) -> Tensor:
-        """Photo (1, 1, H, W) from noise (1, C, H, W); H and W are multiples of 2 to the number of levels."""
+        """Photo (1, 1, H, W) from noise (1, C, H, W); H and W are multiples of 2 to the number of
+        levels.
+        """
         skipped: list[Tensor] = []
         features = noise
         for skip, down in zip(self.skips, self.downs, strict=True):
@@ -64,7 +66,8 @@ class ImageGenerator(nn.Module):
 
 
 class KernelGenerator(nn.Module):
-    """Fully connected network with one hidden layer: from noise to a kernel, non-negative with sum 1 by its softmax.
+    """Fully connected network with one hidden layer: from noise to a kernel, non-negative with sum
+    1 by its softmax.
 
     Parameters
     ----------
@@ -87,7 +90,8 @@ class KernelGenerator(nn.Module):
 
 
 class _NonLocal(nn.Module):
-    """Non-local block with dot products: each place gathers from all others; the identity, before it is fitted.
+    """Non-local block with dot products: each place gathers from all others; the identity, before
+    it is fitted.
 
     References
     ----------

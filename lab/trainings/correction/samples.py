@@ -1,4 +1,6 @@
-"""Training samples: kernels that a search finds in simulated photos, what the photos tell of them, and the truth."""
+"""Training samples: kernels that a search finds in simulated photos, what the photos tell of them,
+and the truth.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,9 @@ class Kernels:
 
 
 def alike(kernels: Tensor, truth: Tensor) -> Tensor:
-    """MNC (B,) of kernels (B, 64, 64) with the true ones over shifts of up to 2 px; differentiable."""
+    """MNC (B,) of kernels (B, 64, 64) with the true ones over shifts of up to 2 px;
+    differentiable.
+    """
     padded = functional.pad(kernels, (_SHIFT_PX,) * 4)
     products = functional.conv2d(padded[None], truth[:, None], groups=len(truth))[0]
     norms = (kernels.square().sum(dim=(1, 2)) * truth.square().sum(dim=(1, 2))).sqrt()
@@ -61,7 +65,8 @@ def alike(kernels: Tensor, truth: Tensor) -> Tensor:
 
 
 def searched(samples: Samples, *, network: CorrectionNetwork | None = None) -> Kernels:
-    """Search the kernels of simulated photos as ``cep calibrate`` does, and lay the true ones on them.
+    """Search the kernels of simulated photos as ``cep calibrate`` does, and lay the true ones on
+    them.
 
     Lost ones are left out. The two others of each are the next ones in the order of the search's
     starts. With a ``network`` the kernels are those that it has corrected: samples of a second
@@ -98,7 +103,8 @@ def prepare(
     network: CorrectionNetwork | None = None,
     on_shard: Callable[[int], None] = lambda _shard: None,
 ) -> None:
-    """Write the missing ones of the ``shards`` (16 photos each); each depends on its number and the seed only.
+    """Write the missing ones of the ``shards`` (16 photos each); each depends on its number and
+    the seed only.
 
     Parameters
     ----------

@@ -89,7 +89,9 @@ class Trainer:
         return float(loss.detach())
 
     def _batch(self) -> tuple[Tensor, Tensor]:
-        """Draw maps (B, 11, 64, 64) and true PSFs (B, 64, 64) at random, all turned or mirrored the same way."""
+        """Draw maps (B, 11, 64, 64) and true PSFs (B, 64, 64) at random, all turned or mirrored
+        the same way.
+        """
         index = torch.randint(
             len(self._kernels), (self.settings.batch,), generator=self._generator
         )

@@ -1,4 +1,5 @@
-"""DCE, deep coded exposure: one code for all motions, learned together with the network that restores its photos.
+"""DCE, deep coded exposure: one code for all motions, learned together with the network that
+restores its photos.
 
 Zhang et al., "Deep coded exposure: end-to-end co-optimization of flutter shutter and deblurring
 processing for general motion blur removal", Photonics Research 11(10), 1678, 2023.

@@ -1,4 +1,5 @@
-"""A binary code that can be trained: open or closed forward, the gradient of the relaxed code backward.
+"""A binary code that can be trained: open or closed forward, the gradient of the relaxed code
+backward.
 
 Straight-through estimator: Bengio, Leonard and Courville, arXiv:1308.3432, 2013.
 """

@@ -7,7 +7,8 @@ from torch import Tensor
 
 
 def coded_photos(scenes: Tensor, chip_psfs: Tensor, chips: Tensor) -> Tensor:
-    """Take light-true photos with real borders: the mean over all chips' frames, the closed ones dark.
+    """Take light-true photos with real borders: the mean over all chips' frames, the closed ones
+    dark.
 
     A frame is the scene shifted along the path, averaged over the time of its chip, so that
     blurring with the chip's PSF is the same as adding up shifted scenes.

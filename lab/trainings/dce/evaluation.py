@@ -27,7 +27,8 @@ _MOST_PX = 5 * PSF_PX - 1
 
 @dataclass(frozen=True)
 class EvaluationRow:
-    """Mean PSNR, dB, over all photos taken with one code; linear light, full scale 1, borders left out.
+    """Mean PSNR, dB, over all photos taken with one code; linear light, full scale 1, borders left
+    out.
 
     Attributes
     ----------
@@ -52,7 +53,9 @@ class EvaluationRow:
 
 
 def scenes_of(photos: Path) -> list[FloatArray]:
-    """Green channel, linear light, of the middle (at most 319 x 319 px) of every photo of a folder, large enough."""
+    """Green channel, linear light, of the middle (at most 319 x 319 px) of every photo of a
+    folder, large enough.
+    """
     found = []
     for photo in load_photos(photos, least_px=_LEAST_PX):
         green = photo[1].numpy() / 255
@@ -72,7 +75,8 @@ def evaluate(
     sigma: float = 0.01,
     weights: Path = WEIGHTS,
 ) -> tuple[EvaluationRow, ...]:
-    """Take and restore ``count`` photos with each of: the learned code, the one it began with, the open shutter.
+    """Take and restore ``count`` photos with each of: the learned code, the one it began with, the
+    open shutter.
 
     Parameters
     ----------

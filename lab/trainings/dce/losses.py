@@ -1,4 +1,6 @@
-"""Losses of DCE between a restored and a sharp photo: Charbonnier, edges, and the Fourier transform."""
+"""Losses of DCE between a restored and a sharp photo: Charbonnier, edges, and the Fourier
+transform.
+"""
 
 from __future__ import annotations
 
@@ -32,12 +34,16 @@ def charbonnier(restored: Tensor, sharp: Tensor) -> Tensor:
 
 
 def edge_loss(restored: Tensor, sharp: Tensor) -> Tensor:
-    """:func:`charbonnier` of the finest level of a Laplacian pyramid: photos minus their 5 x 5 binomial blur."""
+    """:func:`charbonnier` of the finest level of a Laplacian pyramid: photos minus their 5 x 5
+    binomial blur.
+    """
     return charbonnier(_fine(restored), _fine(sharp))
 
 
 def spectral_loss(restored: Tensor, sharp: Tensor) -> Tensor:
-    """Mean modulus of the difference's discrete Fourier transform, not normalised: it grows with the photo's side."""
+    """Mean modulus of the difference's discrete Fourier transform, not normalised: it grows with
+    the photo's side.
+    """
     spectrum: Tensor = torch.fft.fft2(restored - sharp)
     return spectrum.abs().mean()
 

@@ -1,4 +1,6 @@
-"""The restoration network: a small residual U-Net on half the resolution, one channel at a time."""
+"""The restoration network: a small residual U-Net on half the resolution, one channel at a
+time.
+"""
 
 from __future__ import annotations
 

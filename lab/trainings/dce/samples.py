@@ -42,7 +42,8 @@ class Batch:
 
 
 def motion_mix(gyro: Path | None) -> MotionMix:
-    """Motions of the training: half of them random walks as in the MoTDiff paper, at full length and shorter.
+    """Motions of the training: half of them random walks as in the MoTDiff paper, at full length
+    and shorter.
 
     Parameters
     ----------

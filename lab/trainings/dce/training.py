@@ -153,7 +153,8 @@ class Trainer:
         if (settings := asdict(self.settings)) != found.config:
             name = next(name for name in settings if settings[name] != found.config.get(name))
             raise ValueError(
-                f"{name}: the run in {folder} has {found.config.get(name)!r}, got {settings[name]!r}"
+                f"{name}: the run in {folder} has {found.config.get(name)!r}, got"
+                f" {settings[name]!r}"
             )
         self.network.load_state_dict(found.part("model."))
         with torch.no_grad():
@@ -171,7 +172,9 @@ class Trainer:
 
 
 def photos_of(batch: Batch, chips: Tensor) -> Tensor:
-    """Noisy coded photos (B, 1, H, W) at the scale of the full open exposure: a dark code's noise grows with it."""
+    """Noisy coded photos (B, 1, H, W) at the scale of the full open exposure: a dark code's noise
+    grows with it.
+    """
     return (coded_photos(batch.scenes, batch.chip_psfs, chips) + batch.noise) / chips.mean()
 
 

@@ -1,4 +1,6 @@
-"""The weights file of DCE: network and code together, with a card of their training in the header."""
+"""The weights file of DCE: network and code together, with a card of their training in the
+header.
+"""
 
 from __future__ import annotations
 
@@ -117,7 +119,8 @@ def restore(
 def export_weights(
     checkpoint: Path | str, target: Path | str, *, notes: Mapping[str, object] | None = None
 ) -> int:
-    """Write a run's network as float16, and its code, as one .safetensors file; returns its size in bytes.
+    """Write a run's network as float16, and its code, as one .safetensors file; returns its size
+    in bytes.
 
     Parameters
     ----------

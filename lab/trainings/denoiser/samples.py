@@ -1,4 +1,6 @@
-"""Training samples of the denoiser: crops of sharp photos in linear light, with white noise of random level."""
+"""Training samples of the denoiser: crops of sharp photos in linear light, with white noise of
+random level.
+"""
 
 from __future__ import annotations
 

@@ -30,13 +30,16 @@ def check_codes(codes: Sequence[str], *, photos: int | None = None) -> None:
             )
         if len(code) != len(codes[0]):
             raise ValueError(
-                f"code {i}: has {len(code)} chips, the first one {len(codes[0])}; one motion is divided in one way"
+                f"code {i}: has {len(code)} chips, the first one {len(codes[0])}; one motion is"
+                " divided in one way"
             )
     if all("0" not in code for code in codes):
         raise ValueError(
-            "code: order cannot be known from photos with the shutter open throughout; take one through a code"
+            "code: order cannot be known from photos with the shutter open throughout; take one"
+            " through a code"
         )
     if all(code == code[::-1] for code in codes):
         raise ValueError(
-            "code: the direction cannot be known from codes that are their own mirror images; take one through another"
+            "code: the direction cannot be known from codes that are their own mirror images; take"
+            " one through another"
         )

@@ -33,7 +33,8 @@ _LEAST_EXTENTS = 5.0  # of a path, in units of its expected error
 
 
 class CodedEstimator:
-    """Find the motion that explains photos taken through known codes, with its order and direction in time.
+    """Find the motion that explains photos taken through known codes, with its order and direction
+    in time.
 
     The kernel of each photo is searched on its own. Paths decoded from them, orders of the traced
     path and random walks are fitted to the kernels, crossed with each other, and fitted to the
@@ -82,7 +83,9 @@ class CodedEstimator:
         self._tell = progress
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Estimate the motion from one coded photo, (H, W) or (H, W, 3) float, linear light 0..1."""
+        """Estimate the motion from one coded photo, (H, W) or (H, W, 3) float, linear light
+        0..1.
+        """
         return self.estimate_from([photo])
 
     def estimate_from(self, photos: Sequence[ArrayLike]) -> MotionEstimate:
@@ -123,7 +126,9 @@ class CodedEstimator:
 
 
 def _at_rest(still: MotionEstimate, *, photos: int) -> MotionEstimate:
-    """Estimate of photos without motion blur: no path, of which no order or error could be stated."""
+    """Estimate of photos without motion blur: no path, of which no order or error could be
+    stated.
+    """
     details = {**still.details, "order_confidence": None, "path_uncertainty_px": None}
     warnings = still.warnings if photos == 1 else ("The photos show no motion blur",)
     return replace(
@@ -152,8 +157,8 @@ def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> 
     if extent_px < _LEAST_EXTENTS * error_px:
         probability = min(probability, _KERNELS_ALONE)
         warnings.append(
-            f"the path found is {extent_px:.1f} px wide and its expected error {error_px:.1f} px: the camera may not "
-            "have moved"
+            f"the path found is {extent_px:.1f} px wide and its expected error {error_px:.1f} px:"
+            " the camera may not have moved"
         )
     return motion_of_paths(
         "coded",
@@ -172,7 +177,8 @@ def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> 
 
 
 def _order_probability(best: FoundPath, photos: int, *, times: int) -> float:
-    """Probability that a path is the true one to within 1 px: as often as with so many photos of one scene.
+    """Probability that a path is the true one to within 1 px: as often as with so many photos of
+    one scene.
 
     It is low where their kernels alone were fitted. It falls with what the path leaves
     unexplained; of two photos also where no other search ended at that path, or its expected error

@@ -1,4 +1,6 @@
-"""Photos of one motion through known codes, with what is known of each before a path is fitted to all."""
+"""Photos of one motion through known codes, with what is known of each before a path is fitted to
+all.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,9 @@ class Exposures:
     still: MotionEstimate | None = None
 
     def spectra(self) -> list[SceneSpectra]:
-        """Spectra of the photos on three grids, coarse to fine; none where the scene is not shared or too small."""
+        """Spectra of the photos on three grids, coarse to fine; none where the scene is not shared
+        or too small.
+        """
         if len(self.photos) < 2:
             return []
         y, x = (
@@ -149,7 +153,9 @@ def exposures_of(
 
 
 def _still(found: Sequence[MotionEstimate], codes: Sequence[str]) -> MotionEstimate | None:
-    """Return the estimate of a camera at rest where the photos that saw the whole exposure, else all, are sharp."""
+    """Return the estimate of a camera at rest where the photos that saw the whole exposure, else
+    all, are sharp.
+    """
     whole = [one for one, code in zip(found, codes, strict=True) if "0" not in code]
     seen = whole or found
     return seen[0] if all(one.details.get("motion_blur") is False for one in seen) else None

@@ -1,4 +1,6 @@
-"""Candidates beside coded photos: the terms that judge them, and how they are laid on the photos."""
+"""Candidates beside coded photos: the terms that judge them, and how they are laid on the
+photos.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,9 @@ class PhotoFit:
         ]
 
     def kernels(self, sigma_px: float, *, saturated: bool = False) -> KernelTerm:
-        """Term of the photos' kernels through a Gaussian; saturated, a kernel that is wrong costs little."""
+        """Term of the photos' kernels through a Gaussian; saturated, a kernel that is wrong costs
+        little.
+        """
         return KernelTerm(
             self.unknowns,
             self._otfs,
@@ -83,7 +87,9 @@ class PhotoFit:
         )
 
     def pack(self, paths: FloatArray) -> Tensor:
-        """Candidates of paths (B, K, 2), centred, with the kernels' shifts that lay centroid on centroid."""
+        """Candidates of paths (B, K, 2), centred, with the kernels' shifts that lay centroid on
+        centroid.
+        """
         centred = torch.tensor(paths - paths.mean(axis=1, keepdims=True), dtype=torch.float32)
         shifts = self._centroids - self._otfs.centroids(centred)
         gains = torch.tensor(np.tile(self.exposures.gains, (len(paths), 1)), dtype=torch.float32)
@@ -94,7 +100,9 @@ class PhotoFit:
         return self.scenes[0].registered(x) if self.scenes else x
 
     def misfit(self, x: Tensor) -> float:
-        """Misfit of the photos by a candidate (1, N), as a multiple of the noise; NaN without a scene."""
+        """Misfit of the photos by a candidate (1, N), as a multiple of the noise; NaN without a
+        scene.
+        """
         return (
             float(self.scenes[-1].cost(x)) / self.scenes[-1].values
             if self.scenes

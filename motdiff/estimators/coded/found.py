@@ -46,7 +46,9 @@ class FoundPath:
 
 
 def explained_share(misfit: float) -> float:
-    """Return what a probability falls to with what a path leaves unexplained, a misfit above 1: a guess."""
+    """Return what a probability falls to with what a path leaves unexplained, a misfit above 1: a
+    guess.
+    """
     return 1.0 if np.isnan(misfit) else min(1.0, misfit**-_MISFIT_POWER)
 
 
@@ -55,8 +57,8 @@ def unexplained_warnings(misfit: float) -> list[str]:
     if not misfit > UNEXPLAINED:
         return []
     return [
-        f"the path leaves {misfit:.1f} times the noise unexplained: was the motion the same in each photo, "
-        "and are the codes given in the order of the photos?"
+        f"the path leaves {misfit:.1f} times the noise unexplained: was the motion the same in"
+        " each photo, and are the codes given in the order of the photos?"
     ]
 
 
@@ -98,7 +100,9 @@ def merged(
 def expected_deviation_px(
     unknowns: Unknowns, terms: Sequence[Term], candidate: Tensor
 ) -> FloatArray:
-    """Return the standard deviation (K,) of each knot of a candidate (1, N), by the curvature of the terms."""
+    """Return the standard deviation (K,) of each knot of a candidate (1, N), by the curvature of
+    the terms.
+    """
     knots = unknowns.knots
     size = unknowns.size
     matrix = torch.zeros(1, size, size)
@@ -163,8 +167,8 @@ def motion_of_paths(
         Trajectory.from_samples(scale * path.path, direction="known") for path in (best, *others)
     )
     doubt = (
-        f"the order in time is uncertain (confidence {probability:.2f}): take more photos of this motion through "
-        "other codes, as cep calibration-set designs them"
+        f"the order in time is uncertain (confidence {probability:.2f}): take more photos of this"
+        " motion through other codes, as cep calibration-set designs them"
     )
     return MotionEstimate(
         method=method,

@@ -1,4 +1,6 @@
-"""How badly a path explains coded photos: terms of a sum of squares, and its descent for many paths at once."""
+"""How badly a path explains coded photos: terms of a sum of squares, and its descent for many
+paths at once.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ from motdiff.types import FloatArray
 
 @dataclass(frozen=True)
 class Unknowns:
-    """What is fitted, side by side in one vector per candidate: the path, and what differs from photo to photo.
+    """What is fitted, side by side in one vector per candidate: the path, and what differs from
+    photo to photo.
 
     Attributes
     ----------
@@ -53,7 +56,9 @@ class Unknowns:
         return self.gain(self.exposures) + 2 * photo
 
     def pack(self, paths: Tensor, gains: Tensor, kernel_shifts: Tensor) -> Tensor:
-        """Vectors of paths (B, K, 2), gains (B, I) with 1 first, kernels' shifts (B, I, 2); photos are not shifted."""
+        """Vectors of paths (B, K, 2), gains (B, I) with 1 first, kernels' shifts (B, I, 2); photos
+        are not shifted.
+        """
         still = torch.zeros(len(paths), 2 * (self.exposures - 1))
         return torch.cat(
             [paths.flatten(1), still, gains[:, 1:].log(), kernel_shifts.flatten(1)], 1
@@ -113,7 +118,8 @@ class Roughness:
 
 
 class KernelTerm:
-    """Difference between the path's PSFs and the kernels found in the photos, each on its own, through a Gaussian.
+    """Difference between the path's PSFs and the kernels found in the photos, each on its own,
+    through a Gaussian.
 
     Parameters
     ----------
@@ -279,7 +285,8 @@ def scene_spectra(
 
 
 class SceneTerm:
-    """Misfit of photos of one scene, the scene eliminated: what photo i shows through OTF j is what j shows through i.
+    """Misfit of photos of one scene, the scene eliminated: what photo i shows through OTF j is
+    what j shows through i.
 
     With equal noise in all photos, the least squares over all scenes leave ``sum over pairs |B_i
     H_j - B_j H_i|^2`` over ``sum |H|^2`` at each frequency (Lagrange's identity): a sum of squares
@@ -401,7 +408,8 @@ class SceneTerm:
 def descend(
     terms: Sequence[Term], x: Tensor, *, steps: int, tolerance: float = 1e-3
 ) -> tuple[Tensor, Tensor]:
-    """Lower the sum of the terms from each candidate, by damped Gauss-Newton steps that never raise it.
+    """Lower the sum of the terms from each candidate, by damped Gauss-Newton steps that never
+    raise it.
 
     Parameters
     ----------
@@ -497,7 +505,9 @@ def _spectrum(kernel: FloatArray, f: FloatArray) -> NDArray[np.complex128]:
 
 
 def _window(side: int, grid: int, margin_px: int) -> FloatArray:
-    """Window (grid, grid) over a photo of ``side`` px: 0 within the margin, and rising to 1 over as much again."""
+    """Window (grid, grid) over a photo of ``side`` px: 0 within the margin, and rising to 1 over
+    as much again.
+    """
     at = np.arange(grid) * side / grid
     inside = np.minimum(at, side - side / grid - at)
     edge = np.sin(0.5 * pi * np.clip((inside - margin_px + 0.5) / min(32, side // 8), 0, 1)) ** 2

@@ -1,4 +1,6 @@
-"""OTFs of exposures of one motion through known codes, for many paths at once, with their derivatives."""
+"""OTFs of exposures of one motion through known codes, for many paths at once, with their
+derivatives.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ _SMALL = 1e-2  # half phases below this are expanded: sin(h) / h loses digits th
 
 
 class CodedOtfs:
-    """Exact OTFs, normalised to 1 at zero frequency, of paths that are straight between knots evenly spaced in time.
+    """Exact OTFs, normalised to 1 at zero frequency, of paths that are straight between knots
+    evenly spaced in time.
 
     A straight, uniform piece from a to b that lasts dt has the OTF ``dt exp(-pi i f.(a + b))
     sinc(f.(b - a))``, as in :class:`motdiff.trajectory.Trajectory`; an exposure sums those of its
@@ -64,7 +67,9 @@ class CodedOtfs:
         return torch.einsum("is,bsd->bid", self._light, 0.5 * (cuts[:, 1:] + cuts[:, :-1]))
 
     def otfs(self, paths: Tensor, shifts: Tensor, frequencies: Tensor) -> Tensor:
-        """OTFs (B, I, F), complex, of paths (B, K, 2) px moved by shifts (B, I, 2) px, at (F, 2) cycles/px."""
+        """OTFs (B, I, F), complex, of paths (B, K, 2) px moved by shifts (B, I, 2) px, at (F, 2)
+        cycles/px.
+        """
         mean, fade, _ = self._pieces(paths, frequencies)
         still = torch.complex(
             torch.einsum("is,bsf->bif", self._light, fade * torch.cos(mean)),
@@ -75,7 +80,9 @@ class CodedOtfs:
     def with_slopes(
         self, paths: Tensor, shifts: Tensor, frequencies: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """OTFs, and their derivatives (B, I, F, K), complex, with respect to ``2 pi f.p`` of each knot's position p."""
+        """OTFs, and their derivatives (B, I, F, K), complex, with respect to ``2 pi f.p`` of each
+        knot's position p.
+        """
         mean, fade, slope = self._pieces(paths, frequencies)
         cos = torch.cos(mean)
         sin = torch.sin(mean)

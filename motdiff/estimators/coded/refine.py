@@ -207,7 +207,9 @@ class _RefiningFit(PhotoFit):
 
 
 class _PathPrior:
-    """Deviation from a path as a Gaussian process in time: smooth, of an expected size, and of any shift."""
+    """Deviation from a path as a Gaussian process in time: smooth, of an expected size, and of any
+    shift.
+    """
 
     def __init__(
         self,

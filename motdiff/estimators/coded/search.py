@@ -1,4 +1,6 @@
-"""Search for the path that explains coded photos: from many starts, coarse to fine, by crossing what was found."""
+"""Search for the path that explains coded photos: from many starts, coarse to fine, by crossing
+what was found.
+"""
 
 from __future__ import annotations
 
@@ -172,7 +174,9 @@ class _Search(PhotoFit):
         )
 
     def _evolved(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> tuple[Tensor, Tensor]:
-        """Cross the best candidates with each other and with decoded paths, and reverse their loops, while it helps."""
+        """Cross the best candidates with each other and with decoded paths, and reverse their
+        loops, while it helps.
+        """
         still = 0
         for done in range(_ROUNDS):
             new = self.pack(np.stack(self._children(x)))
@@ -226,7 +230,9 @@ def _found_widely(
     most: int,
     spend: Callable[[float], None],
 ) -> tuple[list[FoundPath], int]:
-    """Paths of the search beside the photos alone, best first, and how many of its searches ended at the best."""
+    """Paths of the search beside the photos alone, best first, and how many of its searches ended
+    at the best.
+    """
     wide, times = _widely_searched(
         search.exposures, spectra, search.rng, known=known, most=most, spend=spend
     )
@@ -274,7 +280,8 @@ def _widely_searched(
 def _wide_search(
     fit: PhotoFit, known: FloatArray, rng: np.random.Generator, *, spend: Callable[[float], None]
 ) -> tuple[Tensor, Tensor]:
-    """Candidates and their costs, best first, from known paths (N, K, 2), of few knots, and as many walks as usual.
+    """Candidates and their costs, best first, from known paths (N, K, 2), of few knots, and as
+    many walks as usual.
 
     Stretches of the best paths are drawn anew between their ends, turned, or taken from each
     other; on the middle grid, where the photos still allow an error of 0.3 px, but few wrong
@@ -307,7 +314,9 @@ def _wide_search(
 
 
 def _children_of(paths: FloatArray, walks: FloatArray, *, rng: np.random.Generator) -> FloatArray:
-    """As many changed paths as there are walks, of the paths (N, K, 2) that come first most often."""
+    """As many changed paths as there are walks, of the paths (N, K, 2) that come first most
+    often.
+    """
     chance = np.exp(-0.3 * np.arange(len(paths)))
     children = []
     for parent, walk in zip(

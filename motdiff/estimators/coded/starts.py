@@ -1,4 +1,6 @@
-"""Paths to begin a fit from: decoded from the photos' kernels, in other orders of a path, and crossed from two."""
+"""Paths to begin a fit from: decoded from the photos' kernels, in other orders of a path, and
+crossed from two.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,8 @@ def decoded_paths(
     rng: np.random.Generator,
     shifts: FloatArray | None = None,
 ) -> FloatArray:
-    """Draw paths whose every moment lies where the kernels have light at the codes' bits of that moment.
+    """Draw paths whose every moment lies where the kernels have light at the codes' bits of that
+    moment.
 
     The share of a point's light that an exposure holds tells whether its shutter was open when the
     path passed there. A hidden Markov model over the points of the first kernel with steps of
@@ -107,7 +110,8 @@ def decoded_paths(
 
 
 def orders(path: Trajectory, *, knots: int, most: int) -> FloatArray:
-    """Orders in time (N, knots, 2) that draw the same PSF: loops between two meetings reversed, and the whole.
+    """Orders in time (N, knots, 2) that draw the same PSF: loops between two meetings reversed,
+    and the whole.
 
     Parameters
     ----------
@@ -134,14 +138,17 @@ def orders(path: Trajectory, *, knots: int, most: int) -> FloatArray:
 
 
 def loop_reversals(points: FloatArray, *, most: int, rng: np.random.Generator) -> list[FloatArray]:
-    """Paths (K, 2) like ``points`` but for one loop, reversed; the whole path reversed where there is none."""
+    """Paths (K, 2) like ``points`` but for one loop, reversed; the whole path reversed where there
+    is none.
+    """
     loops = _meetings(points, Trajectory.from_samples(points))
     found = [_reversed_loop(points, start, stop) for start, stop in loops] or [points[::-1]]
     return [found[i] for i in rng.permutation(len(found))[:most]]
 
 
 def crossed(path: FloatArray, other: FloatArray, *, rng: np.random.Generator) -> FloatArray | None:
-    """Return a path (K, 2) with a stretch of another, between two times at which both are at one place, or None.
+    """Return a path (K, 2) with a stretch of another, between two times at which both are at one
+    place, or None.
 
     Parameters
     ----------
@@ -173,7 +180,8 @@ def crossed(path: FloatArray, other: FloatArray, *, rng: np.random.Generator) ->
 
 
 def bridged(path: FloatArray, walk: FloatArray, *, rng: np.random.Generator) -> FloatArray:
-    """Return a path with a stretch, 15 to 60 % of it, drawn anew: as in a walk, or run backwards, between its ends.
+    """Return a path with a stretch, 15 to 60 % of it, drawn anew: as in a walk, or run backwards,
+    between its ends.
 
     Parameters
     ----------
@@ -198,13 +206,17 @@ def bridged(path: FloatArray, walk: FloatArray, *, rng: np.random.Generator) -> 
 
 
 def _overlap(loop: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether one loop begins within the other and ends outside: reversed, it moves the other's meeting point."""
+    """Whether one loop begins within the other and ends outside: reversed, it moves the other's
+    meeting point.
+    """
     (first, first_end), (second, second_end) = sorted([loop, other])
     return first < second < first_end < second_end
 
 
 def _meetings(points: FloatArray, path: Trajectory) -> list[tuple[int, int]]:
-    """Pairs of indices at which a path of points evenly spaced in time meets itself, nearest first."""
+    """Pairs of indices at which a path of points evenly spaced in time meets itself, nearest
+    first.
+    """
     stride = max(1, len(points) // 240)
     fine = points[::stride]
     apart = np.linalg.norm(fine[:, None] - fine, axis=-1)

@@ -37,7 +37,8 @@ _ERROR_RATIO = 1.5
 
 
 class TrailEstimator:
-    """Find the motion that drew a small light's trail through a known code, with its order and direction in time.
+    """Find the motion that drew a small light's trail through a known code, with its order and
+    direction in time.
 
     The light, on a darker background and apart from others, is a Gaussian spot whose width is
     found. Each chip carries the same light, so one path must explain every pixel of the trail.
@@ -83,7 +84,9 @@ class TrailEstimator:
         self._tell = progress
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Estimate the motion from one coded photo, (H, W) or (H, W, 3) float, linear light 0..1."""
+        """Estimate the motion from one coded photo, (H, W) or (H, W, 3) float, linear light
+        0..1.
+        """
         return self.estimate_from([photo])
 
     def estimate_from(self, photos: Sequence[ArrayLike]) -> MotionEstimate:
@@ -131,7 +134,9 @@ class TrailEstimator:
 
 
 def _trail(photo: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Trail of the brightest light without the background, and the standard deviation of each pixel."""
+    """Trail of the brightest light without the background, and the standard deviation of each
+    pixel.
+    """
     light = crops.luminance(photo)
     above = light - background_light(light, PSF_PX)
     above = above - np.median(above)

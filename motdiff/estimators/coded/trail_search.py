@@ -199,7 +199,8 @@ class _TrailSearch:
         )
 
     def misfit(self, x: Tensor) -> float:
-        """Misfit of a candidate (1, N), as a multiple of what noise leaves; how rough the path is counts as well.
+        """Misfit of a candidate (1, N), as a multiple of what noise leaves; how rough the path is
+        counts as well.
 
         Where the shutter is closed a wrong path may run as it likes, but seldom smoothly.
         """
@@ -214,7 +215,9 @@ class _TrailSearch:
         return x
 
     def evolved(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Paths crossed with each other, their loops reversed and parts led another way, while it helps."""
+        """Paths crossed with each other, their loops reversed and parts led another way, while it
+        helps.
+        """
         best: list[Term] = [self.coarse[3], self.rough]
         x, costs = self.distinct(*descend(best, x, steps=6), keep=_POPULATION)
         still = 0
@@ -235,7 +238,9 @@ class _TrailSearch:
         return self.distinct(*descend([self.fine, self.rough], x[:6], steps=20), keep=_FOUND)
 
     def _traced(self) -> list[FloatArray]:
-        """Orders of the paths that are traced in the first photo, its gaps bridged by blur, run as its light tells."""
+        """Orders of the paths that are traced in the first photo, its gaps bridged by blur, run as
+        its light tells.
+        """
         from motdiff.tracing import trace_psf_to_trajectory
 
         found: list[FloatArray] = []
@@ -257,7 +262,9 @@ class _TrailSearch:
         return found
 
     def _walk(self) -> FloatArray:
-        """Random walk (K, 2) whose trail has the centroid and the covariance of the first photo's."""
+        """Random walk (K, 2) whose trail has the centroid and the covariance of the first
+        photo's.
+        """
         centre, spread = self.moments[0]
         spread = spread - (self.spot_px**2 + 1 / 12 - 0.05) * np.eye(2)
         values, axes = np.linalg.eigh(spread)
@@ -278,7 +285,9 @@ class _TrailSearch:
                 return np.asarray(path, dtype=np.float64)
 
     def _pack(self, paths: FloatArray) -> Tensor:
-        """Candidates of paths (B, K, 2), moved so that each trail has the centroid of its photo."""
+        """Candidates of paths (B, K, 2), moved so that each trail has the centroid of its
+        photo.
+        """
         middle = 0.5 * (paths[:, 1:] + paths[:, :-1])
         shifts = np.stack(
             [
@@ -348,7 +357,9 @@ def _moments(image: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _spot_px(image: FloatArray) -> float:
-    """Estimate the standard deviation of the light's spot, px, from how sharp the ridges of its trail are."""
+    """Estimate the standard deviation of the light's spot, px, from how sharp the ridges of its
+    trail are.
+    """
     blur_px = 0.7
     soft = ndimage.gaussian_filter(image, blur_px)
     xx, yy, xy = (

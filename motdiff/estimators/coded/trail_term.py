@@ -21,7 +21,8 @@ _AT_ONCE = 2**23  # values of the derivatives held at a time
 
 @dataclass(frozen=True)
 class TrailUnknowns(Unknowns):
-    """What is fitted to trails: the path, each photo's shift, light and offset, and the width of the light's spot.
+    """What is fitted to trails: the path, each photo's shift, light and offset, and the width of
+    the light's spot.
 
     Attributes
     ----------
@@ -50,7 +51,9 @@ class TrailUnknowns(Unknowns):
         return self.offset(self.exposures)
 
     def pack_trails(self, paths: Tensor, shifts: Tensor, light: Tensor, spot_px: Tensor) -> Tensor:
-        """Vectors of paths (B, K, 2), shifts (B, I, 2), light (B, I) and spots (B,); the offsets are 0."""
+        """Vectors of paths (B, K, 2), shifts (B, I, 2), light (B, I) and spots (B,); the offsets
+        are 0.
+        """
         return torch.cat(
             [
                 paths.flatten(1),
@@ -77,7 +80,8 @@ class TrailUnknowns(Unknowns):
 
 
 class TrailTerm:
-    """Difference between the trails of a path through codes and the photos of them, in units of their noise.
+    """Difference between the trails of a path through codes and the photos of them, in units of
+    their noise.
 
     The light is a Gaussian spot, seen by square pixels. The path is straight between knots, which
     divide each chip evenly, and its light is summed at Gauss-Legendre points: exact as long as a
@@ -212,7 +216,9 @@ class TrailTerm:
     def _responses(
         self, x: Tensor, photo: int
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, tuple[Tensor, Tensor]]:
-        """Responses of rows (B, S, Q, H) and columns (B, S, Q, W), their slopes in position and in log spot width."""
+        """Responses of rows (B, S, Q, H) and columns (B, S, Q, W), their slopes in position and in
+        log spot width.
+        """
         un = self._unknowns
         paths = un.paths(x) + un.shifts(x)[:, photo, None]
         start = paths[:, self._open[photo]]
@@ -230,7 +236,9 @@ class TrailTerm:
 
 
 def _response(apart: Tensor, width: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Response of a pixel to a Gaussian spot at a distance, and its slopes in the spot's place and log width."""
+    """Response of a pixel to a Gaussian spot at a distance, and its slopes in the spot's place and
+    log width.
+    """
     high = (apart + 0.5) / width
     low = (apart - 0.5) / width
     dense_high, dense_low = (torch.exp(-0.5 * z.square()) / sqrt(2 * pi) for z in (high, low))
@@ -239,7 +247,9 @@ def _response(apart: Tensor, width: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _blurred_response(apart: Tensor, width: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """As :func:`_response` where the spot is wider than a pixel: the pixel then widens it as a Gaussian would."""
+    """As :func:`_response` where the spot is wider than a pixel: the pixel then widens it as a
+    Gaussian would.
+    """
     spread = (width.square() + 1 / 12).sqrt()
     z = apart / spread
     within = torch.exp(-0.5 * z.square()) / (sqrt(2 * pi) * spread)

@@ -24,7 +24,8 @@ _PASSES = 2  # what the photo tells of a corrected kernel is more
 def corrected_choice(
     network: CorrectionNetwork, crops: FloatArray, found: FoundKernels, *, most: int, skip: int = 0
 ) -> FoundKernels:
-    """Correct the best kernel and the likeliest different ones, and choose among these by the photo alone.
+    """Correct the best kernel and the likeliest different ones, and choose among these by the
+    photo alone.
 
     Their probabilities, none above that of the best before, are handed out in the order of their
     scores. Kernels that are the same as one of these before the correction are superseded: their

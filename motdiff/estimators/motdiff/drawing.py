@@ -1,4 +1,6 @@
-"""Sampling of PSFs by the network from crops of a photo, over the eight symmetries of the square."""
+"""Sampling of PSFs by the network from crops of a photo, over the eight symmetries of the
+square.
+"""
 
 from __future__ import annotations
 
@@ -102,14 +104,18 @@ def _drawn(
 
 
 def quick_search(crops: FloatArray, *, sigma: float) -> FloatArray:
-    """Run the quick searches on crops (C, H, W) with noise ``sigma`` side by side, to kernels (Q, 64, 64), sum 1."""
+    """Run the quick searches on crops (C, H, W) with noise ``sigma`` side by side, to kernels (Q,
+    64, 64), sum 1.
+    """
     light = torch.from_numpy(crops.astype(np.float32))[None]
     jobs = [partial(quick_kernels, light, sigma=sigma, starts=(start,)) for start in QUICK_STARTS]
     return np.asarray(torch.cat(side_by_side(jobs), dim=1)[0].double().numpy(), dtype=np.float64)
 
 
 def _photo(crops: Tensor) -> Tensor:
-    """Display values (1, 3, 256, 256) of the best crop: its middle, or mirrored outwards where it is smaller."""
+    """Display values (1, 3, 256, 256) of the best crop: its middle, or mirrored outwards where it
+    is smaller.
+    """
     best = crops[:, :1]
     missing = [max(0, PHOTO_PX - n) for n in best.shape[-2:]]
     while any(missing):

@@ -1,4 +1,6 @@
-"""MoTDiff estimator: samples of the network, kernel scores, refinement, and a calibrated confidence."""
+"""MoTDiff estimator: samples of the network, kernel scores, refinement, and a calibrated
+confidence.
+"""
 
 from __future__ import annotations
 
@@ -182,7 +184,9 @@ class MotDiffEstimator(BlindEstimator):
         return better
 
     def _classical(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Search classical kernels (Q, 64, 64), and select those that condition the network (3, 64, 64)."""
+        """Search classical kernels (Q, 64, 64), and select those that condition the network (3,
+        64, 64).
+        """
         found = PmpEstimator().kernels(crops, progress=self._progress)
         framed = np.stack([in_frame(kernel) for kernel in found])
         return framed, framed[list(_TOLD_OF_ALL if len(found) > 2 else _TOLD_OF_TWO)]

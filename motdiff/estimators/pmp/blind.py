@@ -1,4 +1,6 @@
-"""Blind kernel estimation from coarse to fine with the patch-wise minimal pixels prior, batched in torch."""
+"""Blind kernel estimation from coarse to fine with the patch-wise minimal pixels prior, batched in
+torch.
+"""
 
 from __future__ import annotations
 
@@ -195,7 +197,8 @@ def estimate_kernels(
 
 
 def refine_kernel(photos: Tensor, kernel: Tensor, *, sigma: float) -> Tensor:
-    """Fit the kernel three times more at full size, to all gradients of a latent photo with fine detail.
+    """Fit the kernel three times more at full size, to all gradients of a latent photo with fine
+    detail.
 
     The search keeps only strong edges, for robustness; with the kernel found, the other gradients
     determine its faint parts better. Measured on 24 simulated photos: MNC + 0.015 and restored
@@ -238,7 +241,8 @@ def fine_latent(
     gradient_weight: float = _FINE_GRADIENT_FLOOR,
     coupling: Coupling = _FINE_COUPLING,
 ) -> Tensor:
-    """Restore a latent photo with fine detail: few gradients, fewer where the noise is large, no minimal pixels.
+    """Restore a latent photo with fine detail: few gradients, fewer where the noise is large, no
+    minimal pixels.
 
     Parameters
     ----------

@@ -1,4 +1,6 @@
-"""PMP estimator for photos of any size: several starts, kernel scores, and a calibrated confidence."""
+"""PMP estimator for photos of any size: several starts, kernel scores, and a calibrated
+confidence.
+"""
 
 from __future__ import annotations
 
@@ -118,7 +120,8 @@ class PmpEstimator(BlindEstimator):
         return FoundKernels(tuple(kernels), ranking.probabilities, ranking.best, details)
 
     def kernels(self, crops: FloatArray, *, progress: Progress | None = None) -> list[FloatArray]:
-        """Kernels of the starts on the crops (C, H, W), each (size, size), sum 1; of the first two where they agree.
+        """Kernels of the starts on the crops (C, H, W), each (size, size), sum 1; of the first two
+        where they agree.
 
         A start costs 1 of the ``progress``, :func:`planned` in all.
         """
@@ -166,14 +169,17 @@ class PmpEstimator(BlindEstimator):
 
 
 def planned(starts: int) -> float:
-    """Say how many of so many starts are run on average, as others than the first two are only where these disagree."""
+    """Say how many of so many starts are run on average, as others than the first two are only
+    where these disagree.
+    """
     return min(starts, 2) + _DISAGREE * max(starts - 2, 0)
 
 
 def refined(
     crops: FloatArray, kernel: FloatArray, sigma: float, *, device: str = "cpu"
 ) -> FloatArray:
-    """Refine a kernel (k, k) on the crops (C, H, W): :func:`motdiff.estimators.pmp.blind.refine_kernel`.
+    """Refine a kernel (k, k) on the crops (C, H, W):
+    :func:`motdiff.estimators.pmp.blind.refine_kernel`.
 
     Parameters
     ----------

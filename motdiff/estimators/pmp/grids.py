@@ -1,4 +1,6 @@
-"""Grids and frames of the multi-scale search: pyramids, periodic borders, OTFs; batched in torch."""
+"""Grids and frames of the multi-scale search: pyramids, periodic borders, OTFs; batched in
+torch.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ from torch.nn import functional
 
 
 def fast_size(size: int) -> int:
-    """Smallest even length >= ``size`` whose only prime factors are 2, 3 and 5: quick Fourier transforms."""
+    """Smallest even length >= ``size`` whose only prime factors are 2, 3 and 5: quick Fourier
+    transforms.
+    """
     candidate = size + size % 2
     while True:
         rest = candidate
@@ -33,7 +37,9 @@ def gradient_power(height: int, width: int, like: Tensor) -> Tensor:
 
 
 def psf_to_otf(kernel: Tensor, shape: tuple[int, int]) -> Tensor:
-    """Half-plane OTF (B, H, W // 2 + 1) of kernels (B, k, k) with zero displacement at ``k // 2``."""
+    """Half-plane OTF (B, H, W // 2 + 1) of kernels (B, k, k) with zero displacement at ``k //
+    2``.
+    """
     rows, columns = kernel.shape[-2:]
     padded = functional.pad(kernel, (0, shape[1] - columns, 0, shape[0] - rows))
     otf: Tensor = torch.fft.rfft2(padded.roll((-(rows // 2), -(columns // 2)), (-2, -1)))
@@ -41,7 +47,9 @@ def psf_to_otf(kernel: Tensor, shape: tuple[int, int]) -> Tensor:
 
 
 def downsampled(photo: Tensor, factor: float) -> Tensor:
-    """Shrink photos (B, H, W) by ``factor`` < 1: Gaussian of sigma ``1 / (2 factor)`` px, then bilinear samples."""
+    """Shrink photos (B, H, W) by ``factor`` < 1: Gaussian of sigma ``1 / (2 factor)`` px, then
+    bilinear samples.
+    """
     if factor == 1:
         return photo
     sigma = 1 / (2 * factor)
@@ -56,7 +64,9 @@ def downsampled(photo: Tensor, factor: float) -> Tensor:
 
 
 def resized_kernel(kernel: Tensor, factor: float, size: int) -> Tensor:
-    """Enlarge kernels (B, k, k) by ``factor`` into a frame of ``size`` px with the same centre; sum 1."""
+    """Enlarge kernels (B, k, k) by ``factor`` into a frame of ``size`` px with the same centre;
+    sum 1.
+    """
     offset = kernel.shape[-1] // 2 - (size // 2) / factor
     grown = _sampled(kernel[:, None], size, size, 1 / factor, offset, offset, "bicubic")[
         :, 0
@@ -65,7 +75,8 @@ def resized_kernel(kernel: Tensor, factor: float, size: int) -> Tensor:
 
 
 def periodic_extension(photo: Tensor, shape: tuple[int, int]) -> Tensor:
-    """Extend photos (B, H, W) to ``shape`` so that they wrap around smoothly: harmonic strips join opposite edges.
+    """Extend photos (B, H, W) to ``shape`` so that they wrap around smoothly: harmonic strips join
+    opposite edges.
 
     References
     ----------
@@ -102,7 +113,9 @@ def _joining_strip(first: Tensor, last: Tensor, thickness: int) -> Tensor:
 
 
 def _harmonic(frame: Tensor) -> Tensor:
-    """Interior (B, m, n) of the harmonic function with the border values of ``frame`` (B, m + 2, n + 2)."""
+    """Interior (B, m, n) of the harmonic function with the border values of ``frame`` (B, m + 2, n
+    + 2).
+    """
     rows = frame.shape[1] - 2
     columns = frame.shape[2] - 2
     source = frame.new_zeros(frame.shape[0], rows, columns)

@@ -1,4 +1,6 @@
-"""The blur kernel of one blind step: sparse non-negative least squares on gradients; batched in torch."""
+"""The blur kernel of one blind step: sparse non-negative least squares on gradients; batched in
+torch.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,14 @@ def fit_kernel(
     rounds: tuple[int, int],
     keep_share: float = 0.05,
 ) -> Tensor:
-    r"""Kernel (B, size, size) that turns latent gradients into blurred ones: a sparse non-negative least squares.
+    r"""Kernel (B, size, size) that turns latent gradients into blurred ones: a sparse non-negative
+    least squares.
 
-    Minimises ``|L k - b|^2 + ridge |k|^2 + smoothness |grad k|^2 + 2 s sum(k)`` over ``k >= 0`` by accelerated
-    projected gradients. ``s = sparsity * sigma * |L|`` scales with the noise that reaches the
-    normal equations: ``sigma`` is the rms residual of a first fit and ``|L|^2`` the energy of the
-    latent gradients. The normal equations are Toeplitz in the kernel, so they run on a frame of
-    twice the kernel's size instead of the photo's.
+    Minimises ``|L k - b|^2 + ridge |k|^2 + smoothness |grad k|^2 + 2 s sum(k)`` over ``k >= 0`` by
+    accelerated projected gradients. ``s = sparsity * sigma * |L|`` scales with the noise that
+    reaches the normal equations: ``sigma`` is the rms residual of a first fit and ``|L|^2`` the
+    energy of the latent gradients. The normal equations are Toeplitz in the kernel, so they run on
+    a frame of twice the kernel's size instead of the photo's.
 
     Parameters
     ----------
@@ -96,13 +99,17 @@ def fit_kernel(
 
 
 def without_faint_light(kernel: Tensor, *, below: float) -> Tensor:
-    """Kernels (B, k, k) with 0 wherever they lie below the share ``below`` of their peak; sum 1."""
+    """Kernels (B, k, k) with 0 wherever they lie below the share ``below`` of their peak; sum
+    1.
+    """
     peak = kernel.amax(dim=(1, 2), keepdim=True)
     return _normalised(torch.where(kernel < below * peak, torch.zeros_like(kernel), kernel))
 
 
 def without_specks(kernel: Tensor) -> Tensor:
-    """Kernels (B, k, k) without connected parts (8 neighbours) that hold less than a tenth of the light; sum 1."""
+    """Kernels (B, k, k) without connected parts (8 neighbours) that hold less than a tenth of the
+    light; sum 1.
+    """
     batch, rows, columns = kernel.shape
     lit = kernel > 0
     label = torch.arange(1, rows * columns + 1, device=kernel.device, dtype=torch.float32).view(
@@ -124,7 +131,9 @@ def without_specks(kernel: Tensor) -> Tensor:
 
 
 def centred(kernel: Tensor) -> Tensor:
-    """Kernels (B, k, k) moved by whole pixels so that the centroid is at the frame's centre; sum 1."""
+    """Kernels (B, k, k) moved by whole pixels so that the centroid is at the frame's centre; sum
+    1.
+    """
     batch, rows, columns = kernel.shape
     total = kernel.sum(dim=(1, 2)).clamp(min=1e-12)
     y = torch.arange(rows, device=kernel.device)

@@ -1,4 +1,6 @@
-"""The latent photo of one blind step: L0 gradients with the patch-wise minimal pixels prior, batched in torch."""
+"""The latent photo of one blind step: L0 gradients with the patch-wise minimal pixels prior,
+batched in torch.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ _INTENSITY_CAP = 0.1
 
 @dataclass(frozen=True)
 class Coupling:
-    """How the half-quadratic splitting of the gradients tightens; the defaults are those of Xu et al. 2013.
+    """How the half-quadratic splitting of the gradients tightens; the defaults are those of Xu et
+    al. 2013.
 
     Attributes
     ----------
@@ -51,7 +54,8 @@ def l0_pmp_latent(
     coarse: bool,
     coupling: Coupling,
 ) -> Tensor:
-    """Restore a latent photo that has few gradients and whose darkest pixel in each patch is near zero.
+    """Restore a latent photo that has few gradients and whose darkest pixel in each patch is near
+    zero.
 
     Half-quadratic splitting: the gradients are hard-thresholded, the minimal pixels shrunk, and
     the photo solved for in the Fourier domain, with a growing coupling.
@@ -97,7 +101,8 @@ def l0_pmp_latent(
 
 
 def start_threshold(photo: Tensor, *, size: int) -> Tensor:
-    """Squared gradient above which each of four orientations keeps at least ``20 size`` pixels, (B,).
+    """Squared gradient above which each of four orientations keeps at least ``20 size`` pixels,
+    (B,).
 
     Parameters
     ----------
@@ -140,7 +145,8 @@ def salient_gradients(photo: Tensor, threshold: Tensor) -> tuple[Tensor, Tensor]
 
 
 def _salient_divergence(photo: Tensor, threshold: float) -> Tensor:
-    """Divergence of the periodic gradients whose squared size reaches ``threshold``, the others set to 0.
+    """Divergence of the periodic gradients whose squared size reaches ``threshold``, the others
+    set to 0.
 
     In place and without truth values, which take torch longer than the arithmetic.
     """
@@ -168,7 +174,9 @@ def _forward_gradients(photo: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _shrink_minimal_pixels(photo: Tensor, weight: float, patch_px: int, *, soft: bool) -> Tensor:
-    """Shrink the darkest pixel of every patch: softly, or to zero where it is below an adaptive threshold."""
+    """Shrink the darkest pixel of every patch: softly, or to zero where it is below an adaptive
+    threshold.
+    """
     negative, index = functional.max_pool2d(
         -photo[:, None], patch_px, ceil_mode=True, return_indices=True
     )

@@ -133,9 +133,10 @@ def test_the_diffusion_model_gets_its_options(made):
 def test_the_share_told_begins_before_torch_is_loaded_and_goes_on_with_the_estimator_s(method):
     """In a fresh interpreter, for torch is loaded here."""
     script = (
-        "import json, sys; from cep.calibration.calibrate import make_estimator; "
-        "told = []; make_estimator(sys.argv[1], progress=lambda share, _what: told.append(('torch' in sys.modules, "
-        "f'motdiff.estimators.{sys.argv[1]}' in sys.modules, share))); print(json.dumps(told))"
+        "import json, sys; from cep.calibration.calibrate import make_estimator; told = [];"
+        " make_estimator(sys.argv[1], progress=lambda share, _what: told.append(('torch' in"
+        " sys.modules, f'motdiff.estimators.{sys.argv[1]}' in sys.modules, share)));"
+        " print(json.dumps(told))"
     )
     ran = subprocess.run(
         [sys.executable, "-c", script, method], capture_output=True, text=True, check=True
@@ -171,7 +172,10 @@ def test_a_steady_turn_gives_a_straight_path():
         (
             "magic",
             {},
-            "method: must be one of motdiff, pmp, reference, point, gyro, coded, or module:name, got .mag",
+            (
+                "method: must be one of motdiff, pmp, reference, point, gyro, coded, or"
+                " module:name, got .mag"
+            ),
         ),
         ("reference", {}, "sharp: needed with method='reference'"),
         ("gyro", GYRO | {"focal_px": None}, "focal_px: needed with method='gyro'"),
@@ -246,7 +250,7 @@ def test_nothing_is_replaced_or_half_written(tmp_path):
 
 def test_the_command_is_blind_by_the_diffusion_model_unless_told_otherwise(cep, workplace, made):
     found = cep.succeeds("calibrate", "blurred.png", "-o", "motion")
-    ((options),) = made
+    (options,) = made
     assert callable(options.pop("progress"))
     assert options == {"samples": 8, "seed": 0}
     assert found["length_px"] == pytest.approx(BENT.length_px)
@@ -255,7 +259,7 @@ def test_the_command_is_blind_by_the_diffusion_model_unless_told_otherwise(cep, 
 
 def test_the_command_passes_on_samples_and_seed(cep, workplace, made):
     cep.succeeds("calibrate", "blurred.png", "--samples", "3", "--seed", "7", "-o", "motion")
-    ((options),) = made
+    (options,) = made
     assert (options["samples"], options["seed"]) == (3, 7)
     assert read_motion(workplace / "motion/trajectory.json").source["seed"] == 7
 
@@ -286,8 +290,8 @@ def test_a_photo_that_is_too_small_is_refused_before_anything_slow_is_loaded(
 ):
     write_image("small.png", np.random.default_rng(0).random((30, 35)))
     script = (
-        "import sys; from cep.commands.main import main; code = main(sys.argv[1:]); "
-        "print(code, *{'torch', 'matplotlib', f'motdiff.estimators.{sys.argv[-1]}'} & {*sys.modules})"
+        "import sys; from cep.commands.main import main; code = main(sys.argv[1:]); print(code,"
+        " *{'torch', 'matplotlib', f'motdiff.estimators.{sys.argv[-1]}'} & {*sys.modules})"
     )
     command = [sys.executable, "-c", script, "calibrate", "small.png", "--method", method]
     ran = subprocess.run(command, capture_output=True, text=True, check=True)

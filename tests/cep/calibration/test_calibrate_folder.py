@@ -1,4 +1,5 @@
-"""``cep calibrate FOLDER``: the files of the single command for each photo, what fails is told, what stops goes on."""
+"""``cep calibrate FOLDER``: the files of the single command for each photo, what fails is told,
+what stops goes on."""
 
 import csv
 import json
@@ -41,7 +42,8 @@ WRITTEN = set(CALIBRATION_FILES) - {"sharpened.png"}
 
 @pytest.fixture
 def shots(workplace):
-    """A folder with photos of one scene, each with a motion of its own, and things that are no photos."""
+    """A folder with photos of one scene, each with a motion of its own, and things that are no
+    photos."""
     sharp = images.read_image("sharp.png")
     Path("shots/sub.png").mkdir(parents=True)
     for name, motion in MOTIONS.items():
@@ -136,7 +138,9 @@ def test_photos_that_fail_are_told_by_name_and_the_others_kept(cep, shots, guess
     failures = cep.json["failures"]
     assert failures == {
         "broken.png": f"the image is damaged or cut short after {len(whole) // 2} bytes",
-        "flat.png": "the photo is the same all over: motion shows only where the scene has texture",
+        "flat.png": (
+            "the photo is the same all over: motion shows only where the scene has texture"
+        ),
         "gone.jpg": "No such file or directory",
     }
     assert [line for line in cep.json["warnings"] if "broken" in line] == [
@@ -272,7 +276,8 @@ def test_stopped_it_writes_what_is_finished_and_goes_on(cep, shots, guesses):
 
 
 def test_each_photo_is_written_before_the_next_one_is_begun(cep, shots, guesses, monkeypatch):
-    """Whatever ends the command then, what is finished is there: a crash and a full disk as well as Ctrl-C."""
+    """Whatever ends the command then, what is finished is there: a crash and a full disk as well
+    as Ctrl-C."""
     real = guesses.estimate
     seen = []
 
@@ -293,7 +298,8 @@ def test_each_photo_is_written_before_the_next_one_is_begun(cep, shots, guesses,
 def test_stopped_while_processes_work_it_keeps_what_came_and_tells(
     cep, shots, monkeypatch, stopped_at
 ):
-    """Ctrl-C in the midst of writing: that photo is finished, the others of the pool are left out."""
+    """Ctrl-C in the midst of writing: that photo is finished, the others of the pool are left
+    out."""
     from cep.calibration import calibrate_folder
 
     real = calibrate_folder.write_calibration

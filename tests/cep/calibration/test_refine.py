@@ -101,8 +101,9 @@ class OfScenes:
         return self.beside.pop(0).estimate(photo)
 
 
-def test_of_photos_of_different_scenes_the_coded_one_tells_the_order_that_a_refined_path_must_beat():
-    """An open shutter shows no order: the true path, given backwards, would be bettered by its reverse."""
+def test_among_photos_of_different_scenes_the_coded_one_decides_the_order_to_beat():
+    """An open shutter shows no order: the true path, given backwards, would be bettered by its
+    reverse."""
     other = 0.1 + 0.8 * np.kron(np.random.default_rng(8).random((30, 30)), np.ones((8, 8)))
     codes = (ShutterCode("1" * CODES[0].chips), CODES[0])
     rng = np.random.default_rng(1)

@@ -1,4 +1,5 @@
-"""The bundled optima are those of the tables in the documentation, which name proofs that are there."""
+"""The bundled optima are those of the tables in the documentation, which name proofs that are
+there."""
 
 import re
 from pathlib import Path
@@ -16,7 +17,8 @@ SINGLE = r"^\| (52) \| (26) \| (\d\.\d{6}) \| (\d+) \| `([01]+)` \|"
 
 
 def rows():
-    """Return most chips, minimum, open chips, length and bits of each row with any number of open chips."""
+    """Return most chips, minimum, open chips, length and bits of each row with any number of open
+    chips."""
     found = re.findall(ROW, TABLE, re.MULTILINE)
     return [
         (int(n), float(least), int(opened), int(length), bits)
@@ -25,7 +27,8 @@ def rows():
 
 
 def by_open_chips():
-    """Return the last row of the table by open chips, as open chips -> minimum, and open chips -> bits."""
+    """Return the last row of the table by open chips, as open chips -> minimum, and open chips ->
+    bits."""
     chips, *cells = re.findall(r"^\| (\d+) \| (\d\.\d{4}) \|(.*)\|$", TABLE, re.MULTILINE)[-1]
     minima = [float(cell) for cell in " | ".join(cells).split(" | ")]
     codes = re.findall(r"^\| (\d+) \| `([01]+)` \|$", TABLE, re.MULTILINE)

@@ -1,4 +1,5 @@
-"""The registry, re-measured on the continuous circle: table of published codes, false claims included."""
+"""The registry, re-measured on the continuous circle: table of published codes, false claims
+included."""
 
 from pathlib import Path
 
@@ -77,7 +78,8 @@ def test_table_is_reproduced(name, chips, opened, minimum, noise_db):
 
 
 def test_false_claims_by_merl():
-    """0.088 and 0.119 of DC were claimed, on grids of 62 and 64 points; the truth is 0 and 0.0235."""
+    """0.088 and 0.119 of DC were claimed, on grids of 62 and 64 points; the truth is 0 and
+    0.0235."""
     for name, (points, claimed) in CLAIMS.items():
         code = PUBLISHED[name]
         assert np.abs(np.fft.fft(code.array, points)).min() / code.open_chips == pytest.approx(

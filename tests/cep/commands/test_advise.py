@@ -88,7 +88,8 @@ def test_codes_of_ones_own_are_judged(cep, workplace):
 
 
 def test_the_chip_time_of_a_code_file_counts(cep, workplace):
-    """1 e-/ms of dark current: the longer the file's chips, the worse its code; another exposure contradicts it."""
+    """1 e-/ms of dark current: the longer the file's chips, the worse its code; another exposure
+    contradicts it."""
     Path("warm.toml").write_text("read_noise_e = 2.0\ndark_current_e_s = 100000.0\n")
     given = (*ALONG, "--camera", "warm.toml", "--force", "-o", "advice.png")
     found = {}

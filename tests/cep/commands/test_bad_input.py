@@ -1,4 +1,5 @@
-"""Bad input of every kind, from the command line: one clear line, exit code 2, and nothing written."""
+"""Bad input of every kind, from the command line: one clear line, exit code 2, and nothing
+written."""
 
 import json
 import os
@@ -40,7 +41,8 @@ def everything(folder):
 
 @pytest.fixture
 def refused(cep, workplace):
-    """Run a command that must be refused and leave the folder untouched; return the line it printed."""
+    """Run a command that must be refused and leave the folder untouched; return the line it
+    printed."""
 
     def run(*arguments):
         before = everything(workplace)
@@ -158,7 +160,8 @@ def test_a_tiff_with_nan(refused, workplace, value):
 
 
 def test_good_photos_of_unusual_kinds_are_taken(cep, workplace):
-    """Sixteen bit, transparent, grey: read for what they are, with a word where something is lost."""
+    """Sixteen bit, transparent, grey: read for what they are, with a word where something is
+    lost."""
     rng = np.random.default_rng(1)
     for name, image in {
         "deep.png": rng.integers(0, 2**16, (64, 64, 3)).astype(np.uint16),
@@ -620,7 +623,8 @@ def test_a_small_file_of_a_very_large_photo(refused, workplace):
     ],
 )
 def test_mat_files_that_kill_scipy(refused, workplace, variable, arguments):
-    """The type of the numbers is one that there is none of: version 1.17 is ended by a segmentation fault."""
+    """The type of the numbers is one that there is none of: version 1.17 is ended by a
+    segmentation fault."""
     savemat("bad.mat", {variable: np.eye(64)})
     data = Path("bad.mat").read_bytes()
     at = data.index(b"\t\0\0\0", 168)  # behind the name: numbers of 8 bytes follow
@@ -668,7 +672,8 @@ def test_light_that_cannot_be_judged_is_refused_before_a_code_is_written(
 
 
 def path_of(length_px, *, turns=0):
-    """A trajectory.json of a path so long: straight, or to and fro within 8 px and so many times."""
+    """A trajectory.json of a path so long: straight, or to and fro within 8 px and so many
+    times."""
     t = np.linspace(0, 1, 2 if turns == 0 else 2 * turns + 1)
     x = length_px * (t - 0.5) if turns == 0 else np.arange(t.size) % 2 * (length_px / (2 * turns))
     y = 3 * t**2 if turns else 0 * t

@@ -1,4 +1,5 @@
-"""``cep calibrate --method gyro``: the path of the blur, whatever the axes of the recording, and how it was read."""
+"""``cep calibrate --method gyro``: the path of the blur, whatever the axes of the recording, and
+how it was read."""
 
 import re
 from pathlib import Path
@@ -30,7 +31,8 @@ GYRO = (
 
 
 def rates_about(*names):
-    """Rates (N, 3) about axes of these directions of a camera that pans right and shakes in tilt, and times (N,)."""
+    """Rates (N, 3) about axes of these directions of a camera that pans right and shakes in tilt,
+    and times (N,)."""
     t = np.arange(0, 0.5, 0.002)
     turn = {
         "right": SHAKE_RAD_S * np.cos(2 * np.pi * SHAKE_HZ * (t - START_S)),
@@ -41,7 +43,8 @@ def rates_about(*names):
 
 
 def path_of_the_image(share):
-    """Closed form (N, 2), px: of a camera that pans right the image runs left; of one that tilts up it runs down."""
+    """Closed form (N, 2), px: of a camera that pans right the image runs left; of one that tilts
+    up it runs down."""
     time_s = EXPOSURE_S * share
     turn = 2 * np.pi * SHAKE_HZ
     xy = FOCAL_PX * np.stack(
@@ -52,7 +55,8 @@ def path_of_the_image(share):
 
 @pytest.fixture
 def scene(workplace):
-    """Write blurred.png, of a scene under that motion with circular borders, and return the scene."""
+    """Write blurred.png, of a scene under that motion with circular borders, and return the
+    scene."""
     rng = np.random.default_rng(0)
     sharp = np.kron(rng.random((24, 24)), np.ones((8, 8)))
     fy, fx = np.meshgrid(*[np.fft.fftfreq(side) for side in sharp.shape], indexing="ij")
@@ -122,8 +126,8 @@ def test_axes_that_were_not_given_are_those_of_the_camera_and_the_user_is_told(c
     )
     page = cep("calibrate", "blurred.png", *GYRO, "-o", "told")
     assert (
-        "gyro.csv: time: t_s, in s; rates: wx_rad_s, wy_rad_s, wz_rad_s, in rad/s; axes: right,down,"
-        in page.out
+        "gyro.csv: time: t_s, in s; rates: wx_rad_s, wy_rad_s, wz_rad_s, in rad/s; axes:"
+        " right,down," in page.out
     )
     assert "warning: --gyro-axes: taken as right,down,forward" in page.err
 

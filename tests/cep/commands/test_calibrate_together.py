@@ -72,7 +72,10 @@ def test_several_photos_give_one_calibration_and_its_repeatability(cep, shots, s
         ),
         (
             {"seen_in": 1, "repeatability_px": [0.0, None, None]},
-            "One motion of 18 px; no two of 3 photos alone show it alike: whether it repeats is not known.",
+            (
+                "One motion of 18 px; no two of 3 photos alone show it alike: whether it repeats"
+                " is not known."
+            ),
         ),
     ],
 )

@@ -35,7 +35,8 @@ def test_a_file_is_written_whole_and_not_replaced(cep, tmp_path):
 def test_an_unknown_name_is_one_line(cep, tmp_path):
     line = cep.refuses("cite", "pmp", "raskar-25", "-o", tmp_path / "works.bib")
     assert line.startswith(
-        "cep: METHOD: no method, code, figure or work is called 'raskar-25'; did you mean raskar-52"
+        "cep: METHOD: no method, code, figure or work is called 'raskar-25'; did you mean"
+        " raskar-52"
     )
     assert not (tmp_path / "works.bib").exists()
 

@@ -1,4 +1,5 @@
-"""Tables for people: at any width the rows' names can be read whole, and what is left out is said."""
+"""Tables for people: at any width the rows' names can be read whole, and what is left out is
+said."""
 
 import io
 import re
@@ -30,7 +31,8 @@ def rendered(made, width):
 
 
 def check(made):
-    """Read every table at every width: names are whole, heads are there or named as left out, lines fit."""
+    """Read every table at every width: names are whole, heads are there or named as left out,
+    lines fit."""
     for width in WIDTHS:
         text = rendered(made, width)
         page, _, left_out = text.partition("left out, as ")

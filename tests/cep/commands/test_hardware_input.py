@@ -1,4 +1,5 @@
-"""Wrong values for the hardware commands: the option as it was typed, what would be right, and nothing overwritten."""
+"""Wrong values for the hardware commands: the option as it was typed, what would be right, and
+nothing overwritten."""
 
 import json
 import re
@@ -17,7 +18,8 @@ needs_terminals = pytest.mark.skipif(
 
 
 def names_the_option(cep, option, *arguments):
-    """Run, expect a refusal that names the option and no parameter of Python, and return the line."""
+    """Run, expect a refusal that names the option and no parameter of Python, and return the
+    line."""
     line = cep.refuses(*arguments)
     assert option in line
     assert not PARAMETER.search(line.replace(TOO_LONG, "")), line

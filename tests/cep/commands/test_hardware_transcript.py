@@ -1,4 +1,5 @@
-"""The transcript in docs/hardware.md, run from the shell as it stands there, against the emulated Uno."""
+"""The transcript in docs/hardware.md, run from the shell as it stands there, against the emulated
+Uno."""
 
 import json
 import signal

@@ -1,4 +1,5 @@
-"""Every command: its files, its JSON fields, its exit codes; and that the first page comes at once."""
+"""Every command: its files, its JSON fields, its exit codes; and that the first page comes at
+once."""
 
 import json
 import os
@@ -59,11 +60,13 @@ SHUTTER = tuple(
         "emulate",
     )
 )
-"""Talks with a device: nothing is drawn at random, and no file is written but those that an option names."""
+"""Talks with a device: nothing is drawn at random, and no file is written but those that an option
+names."""
 CAMERAS = ("camera list", "camera show")
 """Read a profile, and write no file."""
 BENCHES = ("bench blind", "bench cep", "bench speed")
-"""Their seed is part of the protocol's file: a table is made again from its protocol and photos alone."""
+"""Their seed is part of the protocol's file: a table is made again from its protocol and photos
+alone."""
 GROUPED = (*CAMERAS, "camera estimate", *SHUTTER, *BENCHES, "bench codes")
 METRICS = {"min_mtf", "min_chip", "noise_gain_db", "mse_db", "flatness_var", "dnf_db"}
 
@@ -74,9 +77,9 @@ METRICS = {"min_mtf", "min_chip", "noise_gain_db", "mse_db", "flatness_var", "dn
 def test_help_loads_nothing_heavy():
     """Instant help, shown by what is imported: no test asserts a wall time."""
     code = (
-        "import sys; from cep.commands.main import main; code = main(['--help'])\n"
-        "heavy = {'torch', 'cvxpy', 'matplotlib', 'scipy', 'skimage', 'cv2', 'numpy'} & set(sys.modules)\n"
-        "assert code == 0 and not heavy, heavy"
+        "import sys; from cep.commands.main import main; code = main(['--help'])\nheavy ="
+        " {'torch', 'cvxpy', 'matplotlib', 'scipy', 'skimage', 'cv2', 'numpy'} &"
+        " set(sys.modules)\nassert code == 0 and not heavy, heavy"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     for command in COMMANDS:
@@ -106,9 +109,8 @@ def test_version_of_an_uninstalled_copy(monkeypatch):
 def completions(*words):
     """Complete the last word as bash does, in a process of its own; loads nothing heavy."""
     code = (
-        "import atexit, sys; from cep.commands.main import run\n"
-        "atexit.register(lambda: print('heavy:', {'torch', 'numpy', 'matplotlib'} & set(sys.modules)))\n"
-        "run()"
+        "import atexit, sys; from cep.commands.main import run\natexit.register(lambda:"
+        " print('heavy:', {'torch', 'numpy', 'matplotlib'} & set(sys.modules)))\nrun()"
     )
     asked = {
         "_CEP_COMPLETE": "complete_bash",
@@ -547,7 +549,8 @@ def test_a_real_interrupt_of_a_long_search(workplace):
 
 
 def test_audit_finds_a_hidden_zero(cep, workplace):
-    """MERL's 31-chip code claims a minimum of 1.85; it has a zero at a sixth of a cycle per chip."""
+    """MERL's 31-chip code claims a minimum of 1.85; it has a zero at a sixth of a cycle per
+    chip."""
     found = cep.succeeds("audit", "merl-31-t62")
     assert set(found) >= METRICS
     assert found["null"]
@@ -693,7 +696,8 @@ def test_calibrate_with_a_sharp_photo(cep, workplace):
 
 
 def test_files_of_levins_data_set_as_photos_and_psfs(cep, workplace):
-    """There y is x convolved with f turned by 180 degrees, here along a path that does not look the same turned."""
+    """There y is x convolved with f turned by 180 degrees, here along a path that does not look
+    the same turned."""
     sharp = read_image("sharp.png")
     blurred = read_image("blurred.png")
     truth = read_motion("trajectory.json").trajectory.psf(25)
@@ -761,7 +765,8 @@ GYRO = (
 
 
 def test_a_recording_in_degrees(cep, workplace):
-    """Read as rad/s it is refused with the question; the option or the header tells it, and the path is the same."""
+    """Read as rad/s it is refused with the question; the option or the header tells it, and the
+    path is the same."""
     t = np.arange(0, 1, 0.005)
     rates = np.stack([0.5 * np.sin(9 * t), 0.8 * np.cos(7 * t), 0 * t], axis=1)
 
@@ -847,7 +852,8 @@ def test_human_pages(cep, workplace):
 
 
 def test_what_rounding_leaves_of_a_zero_is_told_as_zero(cep, workplace):
-    """There and back twice along 8 px: the open shutter's MTF is that of a box, 0 at 1/8 cycles/px."""
+    """There and back twice along 8 px: the open shutter's MTF is that of a box, 0 at 1/8
+    cycles/px."""
     path = Trajectory.from_samples([[0, 0], [8, 0], [0, 0], [8, 0], [0, 0]])
     write_motion("back.json", StoredMotion(path, source={"method": "test"}))
     found = cep.succeeds("mtf", "--trajectory", "back.json")["curves"]["open shutter"]

@@ -1,4 +1,5 @@
-"""``cep optimize`` from the shell: proofs, forced chips, motions that may differ, a shutter's ramps."""
+"""``cep optimize`` from the shell: proofs, forced chips, motions that may differ, a shutter's
+ramps."""
 
 import errno
 import importlib
@@ -197,7 +198,8 @@ def test_a_slow_shutter_is_designed_for(cep, workplace):
 
 def test_only_what_a_strobe_can_play_is_proposed(cep, workplace):
     Path("strobe.toml").write_text(
-        'schema = "hw.device/1"\nname = "strobe"\nmax_on_ns = 2500000\nmax_rate_hz = 300.0\nmax_duty = 0.5\n'
+        'schema = "hw.device/1"\nname = "strobe"\nmax_on_ns = 2500000\nmax_rate_hz ='
+        " 300.0\nmax_duty = 0.5\n"
     )
     options = (
         "optimize",
@@ -311,7 +313,8 @@ def test_nothing_to_choose_takes_no_time(cep, workplace):
 
 
 def test_starts_from_the_relaxation(cep, workplace):
-    """One move leaves the search no better than its starts: those drawn from the relaxation win over the others."""
+    """One move leaves the search no better than its starts: those drawn from the relaxation win
+    over the others."""
     x = 9 * np.linspace(0, 1, 12) ** 2
     write_motion("faster.json", StoredMotion(Trajectory.from_samples(np.stack([x, 0.5 * x], 1))))
     options = (

@@ -131,7 +131,8 @@ def test_an_exposure_is_the_same_text_in_every_command(refused, command):
         line = refused(command, "--exposure", value)
         assert (
             line.strip()
-            == f"cep: --exposure: must be a time above 0 as 1/30, 0.02, 20ms or 500us, got {value!r}"
+            == "cep: --exposure: must be a time above 0 as 1/30, 0.02, 20ms or 500us, got"
+            f" {value!r}"
         )
 
 

@@ -1,4 +1,5 @@
-"""Every command refuses an output that it cannot write before it reads a photo or begins to work."""
+"""Every command refuses an output that it cannot write before it reads a photo or begins to
+work."""
 
 import importlib
 import subprocess
@@ -110,12 +111,14 @@ BINDING = (
     "cep.calibration.calibrate_folder.",
     "cep.search.optimize.",
 )
-"""Modules that bind some of these names when they are imported, which must not be while they are replaced."""
+"""Modules that bind some of these names when they are imported, which must not be while they are
+replaced."""
 
 
 @pytest.fixture
 def idle(workplace, monkeypatch):
-    """A folder of inputs, in a process in which no photo can be read and nothing can be searched, drawn or played."""
+    """A folder of inputs, in a process in which no photo can be read and nothing can be searched,
+    drawn or played."""
 
     def work(*_arguments, **_options):
         raise AssertionError("the work has begun")

@@ -1,4 +1,5 @@
-"""What commands show while they work: something from the first second, and a share that only grows, to the whole."""
+"""What commands show while they work: something from the first second, and a share that only
+grows, to the whole."""
 
 import ast
 import io
@@ -74,7 +75,8 @@ print(json.dumps({"code": code, "shown": shown, "last": Terminal.text}))
     ],
 )
 def test_something_is_shown_before_anything_slow_is_loaded(workplace, arguments, words):
-    """On a terminal, in a fresh interpreter; each command fails soon, and what it showed is gone then."""
+    """On a terminal, in a fresh interpreter; each command fails soon, and what it showed is gone
+    then."""
     write_image("small.png", np.random.default_rng(0).random((30, 30)))
     (workplace / "small").mkdir()
     ran = subprocess.run(
@@ -239,7 +241,8 @@ def test_the_answer_goes_to_stdout_after_the_bar_is_gone(
 
 
 def split_at_stdout(log):
-    """Return what was written before the first and after the last text on stdout, and what is between."""
+    """Return what was written before the first and after the last text on stdout, and what is
+    between."""
     places = [i for i, (name, text) in enumerate(log) if name == "stdout" and text.strip()]
     return log[: places[0]], log[places[0] : places[-1] + 1], log[places[-1] + 1 :]
 

@@ -1,4 +1,5 @@
-"""``cep refine`` and ``cep deblur`` without a trajectory: what is written, what is said, what is refused."""
+"""``cep refine`` and ``cep deblur`` without a trajectory: what is written, what is said, what is
+refused."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,5 @@
-"""``cep studio`` without a page: what it refuses, and a saved design taken apart and reproduced by its own commands."""
+"""``cep studio`` without a page: what it refuses, and a saved design taken apart and reproduced by
+its own commands."""
 
 import builtins
 import json
@@ -73,12 +74,16 @@ def test_a_port_in_use_is_one_line(cep):
         assert "--port" in cep.refuses("studio", "--no-browser", "--port", taken.getsockname()[1])
 
 
-FIRST_LINE = "cep optimize --trajectory trajectory.json --chips 16 --exposure 20ms --open 6:10 --camera video-8bit"
+FIRST_LINE = (
+    "cep optimize --trajectory trajectory.json --chips 16 --exposure 20ms --open 6:10 --camera"
+    " video-8bit"
+)
 HOSTILE = "touch ran; $(touch ran) `touch ran`\ntouch ran\n"
 
 
 def extracted(cep, saved, **changes):
-    """Change fields of a studio file and take it apart: the shell's lines, or the line that refuses it."""
+    """Change fields of a studio file and take it apart: the shell's lines, or the line that
+    refuses it."""
     document = json.loads(saved.read_text())
     for path, value in changes.items():
         *folders, name = path.split("__")

@@ -80,12 +80,10 @@ def test_the_table_of_a_folder_is_written_too(cep, workplace, monkeypatch):
     Path("blurred.png").rename("shots/one.png")
     plugin = Path("folder_plugin.py")
     plugin.write_text(
-        "from motdiff.estimators.base import MotionEstimate\n"
-        "from motdiff.trajectory import Trajectory\n"
-        "class Straight:\n"
-        "    def estimate(self, photo):\n"
-        "        path = Trajectory.straight(9.0)\n"
-        "        return MotionEstimate('straight', (path,), (1.0,), path.psf(33), confidence=0.5)\n"
+        "from motdiff.estimators.base import MotionEstimate\nfrom motdiff.trajectory import"
+        " Trajectory\nclass Straight:\n    def estimate(self, photo):\n        path ="
+        " Trajectory.straight(9.0)\n        return MotionEstimate('straight', (path,), (1.0,),"
+        " path.psf(33), confidence=0.5)\n"
     )
     options = ("--method", "folder_plugin:Straight", "--workers", "1", "-o", "motions")
     cep("calibrate", "shots", *options, "--table", "m.tex")

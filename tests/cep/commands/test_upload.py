@@ -60,7 +60,8 @@ def test_a_devices_limits_are_checked_before_the_port_is_opened(cep, workplace):
 
 @pytest.fixture
 def strict(workplace):
-    """A code that was searched for a light that may be on for 2 ms and 3 parts of 10; its profile is gone."""
+    """A code that was searched for a light that may be on for 2 ms and 3 parts of 10; its profile
+    is gone."""
     profile = DeviceProfile(
         name="strict", max_on_ns=2_000_000, max_duty=0.3, max_chip_ns=5_000_000
     )

@@ -131,7 +131,8 @@ def test_a_psf_survives_mat(tmp_path):
 
 
 def test_the_kernel_of_levins_files_is_turned(tmp_path):
-    """There y is x convolved with f turned by 180 degrees; with what is read it is x convolved with the PSF."""
+    """There y is x convolved with f turned by 180 degrees; with what is read it is x convolved
+    with the PSF."""
     rng = np.random.default_rng(0)
     sharp = rng.random((40, 40))
     kernel = rng.random((5, 5))

@@ -417,8 +417,9 @@ def test_a_comparison_that_ends_early_loses_no_code(cep, workplace, monkeypatch,
 def test_a_real_limit_on_file_sizes(ready):
     """The photo fits, its PSF does not: nothing is left, in a process of its own."""
     code = (
-        "import resource, signal, sys; from cep.commands.main import main; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192)); sys.exit(main(sys.argv[1:]))"
+        "import resource, signal, sys; from cep.commands.main import main;"
+        " signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE,"
+        " (8192, 8192)); sys.exit(main(sys.argv[1:]))"
     )
     Path("out").mkdir()
     arguments = COMMANDS["hw verify"]

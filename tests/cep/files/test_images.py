@@ -1,4 +1,5 @@
-"""Photos in and out: light is preserved, depth is kept, and every broken file is refused in one line."""
+"""Photos in and out: light is preserved, depth is kept, and every broken file is refused in one
+line."""
 
 import struct
 import sys
@@ -168,7 +169,8 @@ def test_raw_without_the_package_that_reads_it(tmp_path, monkeypatch):
 
 
 def test_raw_is_the_light_that_its_mosaic_recorded(tmp_path):
-    """A camera with the primaries of sRGB, for which daylight is white: grey stays grey, and a red is that red."""
+    """A camera with the primaries of sRGB, for which daylight is white: grey stays grey, and a red
+    is that red."""
     pytest.importorskip("rawpy")
     wanted = np.array([[[0.1, 0.1, 0.1], [0.5, 0.5, 0.5]], [[0.8, 0.3, 0.2], [0.05, 0.2, 0.6]]])
     light = np.kron(wanted, np.ones((32, 32, 1)))

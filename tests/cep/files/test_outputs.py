@@ -141,7 +141,8 @@ def test_a_full_disk_names_the_output(tmp_path, monkeypatch, capsys):
 
 
 def test_errors_of_other_files_keep_their_names(tmp_path):
-    """A missing input is bad input; so is a missing folder of the output, under the name that was given."""
+    """A missing input is bad input; so is a missing folder of the output, under the name that was
+    given."""
     elsewhere = tmp_path / "elsewhere" / "missing"
     with pytest.raises(FileNotFoundError) as caught, new_folder(tmp_path / "out", ["a"]):
         elsewhere.read_bytes()
@@ -196,8 +197,9 @@ def test_a_folder_keeps_nothing_of_an_earlier_run(tmp_path):
 def test_a_figure_on_a_full_disk(tmp_path, name):
     """A real limit on file sizes, in a process of its own."""
     code = (
-        "import resource, signal, sys; from cep.commands.main import main; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)); sys.exit(main(sys.argv[1:]))"
+        "import resource, signal, sys; from cep.commands.main import main;"
+        " signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE,"
+        " (4096, 4096)); sys.exit(main(sys.argv[1:]))"
     )
     command = [sys.executable, "-c", code, "mtf", "--linear", "10", "-o", str(tmp_path / name)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)

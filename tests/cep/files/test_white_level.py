@@ -1,4 +1,5 @@
-"""Code value of white: cameras of fewer bits than their files, saturation below the last code, and what is neither."""
+"""Code value of white: cameras of fewer bits than their files, saturation below the last code, and
+what is neither."""
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ SIDE = 160
 
 
 def codes(bits, *, light=0.9, top=None, shift=0, spread=False, seed=0):
-    """Frame of a camera of 10,000 electrons: smooth light up to ``light``, full at the code ``top``."""
+    """Frame of a camera of 10,000 electrons: smooth light up to ``light``, full at the code
+    ``top``."""
     rng = np.random.default_rng(seed)
     rows, columns = np.mgrid[0:SIDE, 0:SIDE] / SIDE
     scene = light * (0.5 + 0.5 * np.sin(7 * rows + 3 * columns**2)) ** 2

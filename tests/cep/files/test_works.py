@@ -44,8 +44,10 @@ def test_an_entry_has_the_fields_of_its_type_as_latex(entry):
 
 
 def test_a_citation_has_authors_title_and_venue():
-    assert work("tendero2013").line == (
-        "Tendero, Morel, Rougé: *The flutter shutter paradox.* SIAM Journal on Imaging Sciences 6, 2013."
+    assert (
+        work("tendero2013").line
+        == "Tendero, Morel, Rougé: *The flutter shutter paradox.* SIAM Journal on Imaging Sciences"
+        " 6, 2013."
     )
     assert work("koehler2012").authors == ("Köhler", "Hirsch", "Mohler", "Schölkopf", "Harmeling")
     assert work("emva1288").authors == ("European Machine Vision Association",)

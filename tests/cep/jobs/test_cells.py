@@ -1,4 +1,5 @@
-"""Cells of a benchmark: what their fingerprints tell apart, what they refuse, what becomes of their figures."""
+"""Cells of a benchmark: what their fingerprints tell apart, what they refuse, what becomes of
+their figures."""
 
 import enum
 import math
@@ -57,7 +58,8 @@ def fingerprint(*arguments, **options):
 
 
 def exactly(value):
-    """Spell a value with its types: what Python calls equal, as 1 and True, or 0.0 and -0.0, is told apart."""
+    """Spell a value with its types: what Python calls equal, as 1 and True, or 0.0 and -0.0, is
+    told apart."""
     if isinstance(value, dict):
         return f"dict{sorted((key, exactly(item)) for key, item in value.items())}"
     if isinstance(value, list | tuple):
@@ -139,8 +141,9 @@ def test_the_same_content_has_the_same_fingerprint():
 
 def test_fingerprints_are_those_of_another_process():
     code = (
-        "import numpy as np, bench_work; from cep.jobs.cells import Cell, fingerprints;"
-        "print(*fingerprints([Cell(('x',), bench_work.square, {'value': {'b': (1.5, 'x'), 'a': np.arange(3)}})]))"
+        "import numpy as np, bench_work; from cep.jobs.cells import Cell,"
+        " fingerprints;print(*fingerprints([Cell(('x',), bench_work.square, {'value': {'b': (1.5,"
+        " 'x'), 'a': np.arange(3)}})]))"
     )
     folders = [str(Path(bench_work.__file__).parent), str(Path(__file__).parents[3])]
     command = [sys.executable, "-c", f"import sys; sys.path[:0] = {folders!r}; {code}"]

@@ -1,4 +1,5 @@
-"""The engine on a real Dask cluster of worker processes, which are lost, have other sources, or never were."""
+"""The engine on a real Dask cluster of worker processes, which are lost, have other sources, or
+never were."""
 
 import os
 import shutil
@@ -32,7 +33,8 @@ def cluster(tmp_path, monkeypatch):
 
 
 def cells(log, slow_s=0.15):
-    """Cells with arrays of 320 kB: joblib would leave such on one worker, and lose them with it."""
+    """Cells with arrays of 320 kB: joblib would leave such on one worker, and lose them with
+    it."""
     return [
         Cell(
             (str(n),),
@@ -97,7 +99,8 @@ def test_a_lost_scheduler_leaves_what_is_finished(cluster, tmp_path, capfd):
 
 
 def listening(reply):
-    """Return the address of somebody who answers every caller with ``reply``, and what stops them."""
+    """Return the address of somebody who answers every caller with ``reply``, and what stops
+    them."""
     server = socket.create_server(("127.0.0.1", 0))
     callers = []
 

@@ -1,4 +1,5 @@
-"""Paths that are too long, too wide or too dense are refused before any work, through every verb that takes one."""
+"""Paths that are too long, too wide or too dense are refused before any work, through every verb
+that takes one."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""The photon-transfer curve: figures of simulated sensors come back; frames that show none are refused."""
+"""The photon-transfer curve: figures of simulated sensors come back; frames that show none are
+refused."""
 
 import math
 
@@ -13,7 +14,8 @@ LEVELS_E = (300, 1000, 3000, 6000, 9000)
 
 
 class Sensor:
-    """Frames of a sensor with uneven light, pixels of unequal response, and a dark pattern, all of which are fixed."""
+    """Frames of a sensor with uneven light, pixels of unequal response, and a dark pattern, all of
+    which are fixed."""
 
     def __init__(self, gain, read, black, bits, *, well=math.inf, side=256, seed=0):
         self.gain = gain
@@ -68,7 +70,8 @@ def test_gain_within_2_and_read_noise_within_5_percent(name):
 
 @pytest.mark.parametrize("percent", [-4, 1, 3])
 def test_frames_of_a_pair_need_not_be_equally_bright(percent):
-    """Uneven light and unequal pixels cancel only between frames of the same light: the second is scaled to it."""
+    """Uneven light and unequal pixels cancel only between frames of the same light: the second is
+    scaled to it."""
     sensor = Sensor(2.6, 2.4, 40, 14, side=300, seed=4)
     sensor.light **= 4  # of a lens that is darker in the corners
     flats = [

@@ -20,7 +20,8 @@ def walk(seed, samples=25):
 
 
 def finer(bits, parts, *, before=0, after=0):
-    """Cut every chip in ``parts``; each pulse begins ``before`` parts later and ends ``after`` parts later."""
+    """Cut every chip in ``parts``; each pulse begins ``before`` parts later and ends ``after``
+    parts later."""
     fine = np.repeat([int(bit) for bit in f"{bits}0"], parts)
     rises, falls = (np.flatnonzero(np.diff(fine, prepend=0, append=0) == way) for way in (1, -1))
     moved = np.zeros_like(fine)

@@ -84,7 +84,8 @@ def closed():
     ids=["straight", "still", "closed", "tangle"],
 )
 def test_the_names_of_both_ends_can_be_read_wherever_the_ends_are(path):
-    """Neither lies over the other, over the path or over the scale of time; and both ends are there to be seen."""
+    """Neither lies over the other, over the path or over the scale of time; and both ends are
+    there to be seen."""
     figure = trajectory_figure(np.full((40, 60), 0.5), path)
     image = cv2.cvtColor(pixels(figure), cv2.COLOR_BGR2RGB)  # places the texts, too
     figure.canvas.draw()
@@ -188,10 +189,10 @@ def test_files_by_suffix(tmp_path):
 
 def test_pyplot_is_never_loaded():
     code = (
-        "import sys, numpy as np; from cep.plots import *; from cep.optics.code import ShutterCode\n"
-        "from motdiff.trajectory import Trajectory\n"
-        "t = Trajectory.straight(5.0); png_bytes(trajectory_figure(np.zeros((20, 20)), t))\n"
-        "psf_figure({'a': t.psf(16)}); code_strips({'a': ShutterCode('11')}); mtf_figure(t, {'a': None}, grid=9)\n"
-        "assert 'matplotlib.figure' in sys.modules and 'matplotlib.pyplot' not in sys.modules"
+        "import sys, numpy as np; from cep.plots import *; from cep.optics.code import"
+        " ShutterCode\nfrom motdiff.trajectory import Trajectory\nt = Trajectory.straight(5.0);"
+        " png_bytes(trajectory_figure(np.zeros((20, 20)), t))\npsf_figure({'a': t.psf(16)});"
+        " code_strips({'a': ShutterCode('11')}); mtf_figure(t, {'a': None}, grid=9)\nassert"
+        " 'matplotlib.figure' in sys.modules and 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

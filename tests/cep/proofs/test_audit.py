@@ -161,7 +161,8 @@ def test_the_command_tells_zeros_grids_and_no_verdict(cep):
 
 
 def test_a_proven_zero_within_the_band_leaves_no_inverse(cep):
-    """1/|H|^2 has no finite mean there, which no set of samples shows; a zero beyond the band does no harm."""
+    """1/|H|^2 has no finite mean there, which no set of samples shows; a zero beyond the band does
+    no harm."""
     found = audit(PUBLISHED["merl-31-t62"], flips=0)
     assert found.no_inverse
     assert found.metrics.noise_gain_db == found.metrics.dnf_db == np.inf
@@ -187,8 +188,10 @@ def test_the_command_judges_a_stored_code_with_the_camera_of_its_search(cep, tmp
     assert cep.succeeds(*asked, "--read-noise", "2")["choice"] == "snapshot"
     assert cep.succeeds(*asked, "--camera", "sony-imx250")["choice"] == "snapshot"
     write_code(path, StoredCode(PUBLISHED["raskar-52"], problem={"camera": {"bits": 99}}))
-    assert cep.refuses(*asked) == (
-        f"cep: {path}: problem.camera: bits: must be a whole number within 1..16, got 99; --camera names another\n"
+    assert (
+        cep.refuses(*asked)
+        == f"cep: {path}: problem.camera: bits: must be a whole number within 1..16, got 99;"
+        " --camera names another\n"
     )
     assert cep.succeeds(*asked, "--camera", "sony-imx250")["choice"] == "snapshot"
 

@@ -1,4 +1,5 @@
-"""docs/audit.html in a headless Chromium against the library: zeros, proven minimum, noise gain, grids."""
+"""docs/audit.html in a headless Chromium against the library: zeros, proven minimum, noise gain,
+grids."""
 
 import json
 import re
@@ -34,7 +35,8 @@ def page(browser):
 
 
 def random_codes():
-    """Codes of 1 to 60 chips, every third with a factor on the circle: a sum of shifted copies, or a palindrome."""
+    """Codes of 1 to 60 chips, every third with a factor on the circle: a sum of shifted copies, or
+    a palindrome."""
     rng = np.random.default_rng(22)
     codes = []
     while len(codes) < 200:

@@ -1,4 +1,5 @@
-"""Minimum over the continuum, noise gain, Wiener error: against closed forms, dense evaluation and published tables."""
+"""Minimum over the continuum, noise gain, Wiener error: against closed forms, dense evaluation and
+published tables."""
 
 from dataclasses import asdict, replace
 

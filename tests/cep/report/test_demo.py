@@ -1,4 +1,5 @@
-"""The whole chain, its files and its report, where coding pays and where it does not; on a small scene."""
+"""The whole chain, its files and its report, where coding pays and where it does not; on a small
+scene."""
 
 import json
 import re
@@ -139,7 +140,8 @@ def test_where_it_does_not_the_snapshot_is_better(plain):
 
 
 def test_the_error_of_the_calibration_counts(calibrated, coded, tmp_path):
-    """In the verdict of the page, and for who runs its commands on the motion that lies beside it."""
+    """In the verdict of the page, and for who runs its commands on the motion that lies beside
+    it."""
     assert coded.advice.path_error_px == 0
     assert calibrated.advice.path_error_px == calibrated.contrast.path_error_px == 0.2
     assert "a path known to 0.2 px" in calibrated.advice.sentence
@@ -163,7 +165,8 @@ def test_no_code_outside_the_devices_limits():
 
 
 def test_a_set_of_photos_tells_the_order(tmp_path):
-    """The bundled motion is found from photos through codes, to a fraction of a pixel at equal times."""
+    """The bundled motion is found from photos through codes, to a fraction of a pixel at equal
+    times."""
     scene = small_scene(CODED)
     told = []
     found = find_motion(

@@ -1,4 +1,5 @@
-"""The report in a headless Chromium: nothing asked of the network, no error, a slider that moves, no wide page."""
+"""The report in a headless Chromium: nothing asked of the network, no error, a slider that moves,
+no wide page."""
 
 import numpy as np
 import pytest
@@ -21,8 +22,8 @@ def address(tmp_path_factory):
     table = Table(tuple(f"a long heading, number {i}" for i in range(9)), (("row", *range(8)),))
     wide = Picture(encode_image(np.ones((100, 2000)), ".png"), "A figure.", "a wide figure")
     line = (
-        "cep advise --trajectory motion/trajectory.json --chips 26 --exposure 33332us --camera video-8bit "
-        + "1" * 90
+        "cep advise --trajectory motion/trajectory.json --chips 26 --exposure 33332us --camera"
+        " video-8bit " + "1" * 90
     )
     section = Section(
         "Photos",
@@ -49,7 +50,8 @@ def address(tmp_path_factory):
 
 @pytest.fixture
 def opened(browser, address):
-    """Open the page in a window so wide; at the end check that it asked for nothing and raised no error."""
+    """Open the page in a window so wide; at the end check that it asked for nothing and raised no
+    error."""
     asked = []
     errors = []
     pages = []

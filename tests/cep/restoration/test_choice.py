@@ -1,4 +1,5 @@
-"""Choice of the PSF that a photo is restored with: the right one, none for a sharp photo, quickly for a large one."""
+"""Choice of the PSF that a photo is restored with: the right one, none for a sharp photo, quickly
+for a large one."""
 
 import numpy as np
 import pytest

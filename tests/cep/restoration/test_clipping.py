@@ -1,4 +1,5 @@
-"""Clipped pixels: replaced by what the others show, whatever their values; a photo without any stays as it is."""
+"""Clipped pixels: replaced by what the others show, whatever their values; a photo without any
+stays as it is."""
 
 import numpy as np
 import pytest

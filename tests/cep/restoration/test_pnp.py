@@ -1,4 +1,5 @@
-"""Plug-and-play restoration: its algebra with linear denoisers in place of the trained one, then the trained one."""
+"""Plug-and-play restoration: its algebra with linear denoisers in place of the trained one, then
+the trained one."""
 
 import numpy as np
 import pytest
@@ -74,7 +75,8 @@ def test_without_a_denoiser_the_wiener_filter_s_error_shrinks_by_a_closed_form(s
 
 
 def test_a_denoiser_that_knows_the_scene_s_law_comes_close_to_the_best_linear_filter():
-    """For a Gaussian scene of spectrum A / f^2 the right denoiser is A / (A + s^2 f^2), the best filter Wiener's."""
+    """For a Gaussian scene of spectrum A / f^2 the right denoiser is A / (A + s^2 f^2), the best
+    filter Wiener's."""
     rng = np.random.default_rng(3)
     strength = 1e-4
     variance = 1e-4

@@ -1,4 +1,5 @@
-"""The verdict: never a code while something simpler is better, and the published limit of what a code can gain."""
+"""The verdict: never a code while something simpler is better, and the published limit of what a
+code can gain."""
 
 import re
 from contextlib import suppress
@@ -62,7 +63,8 @@ def random_problem(seed):
 
 
 def best_single_db(problem, frames=1):
-    """Brute force over all single exposures within the limits, in so many frames; -inf where there is none."""
+    """Brute force over all single exposures within the limits, in so many frames; -inf where there
+    is none."""
     n = problem.chips
     runs = [
         ShutterCode("0" * first + "1" * (end - first) + "0" * (n - end))
@@ -95,7 +97,8 @@ def check_that_no_single_exposure_is_better(problem, found, frames=1):
 @settings(max_examples=200, deadline=None)  # as many as were asked for
 @given(seed=st.integers(0, 10**6))
 def test_no_code_is_advised_while_a_single_exposure_within_the_limits_is_better(seed):
-    """On random motions, cameras, limits and codes, for one frame and for two; every output's advice is made so."""
+    """On random motions, cameras, limits and codes, for one frame and for two; every output's
+    advice is made so."""
     problem, codes = random_problem(seed)
     found = verdict(problem, *codes)
     check_that_no_single_exposure_is_better(problem, found)
@@ -110,7 +113,8 @@ def test_no_code_is_advised_while_a_single_exposure_within_the_limits_is_better(
 @settings(max_examples=8, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_nor_by_what_a_search_reports(seed):
-    """The searches themselves: of one code by any objective, of a front, of frames, and over the light."""
+    """The searches themselves: of one code by any objective, of a front, of frames, and over the
+    light."""
     problem, _ = random_problem(seed)
     objective = ("mse", "noise", "flatness")[seed % 3]
     with suppress(
@@ -148,7 +152,8 @@ def test_the_kinds_of_a_verdict():
 
 
 def test_the_sentence_names_what_was_judged():
-    """A search that ends on a single opening found no better code; a code of the user's is compared with."""
+    """A search that ends on a single opening found no better code; a code of the user's is
+    compared with."""
     single, coded = (
         verdict(along(camera=QUIET), ShutterCode(bits))
         for bits in ("1" + "0" * 23, "110100101011" * 2)
@@ -267,7 +272,8 @@ def test_a_camera_with_more_electrons_than_others_is_advised_on():
 
 
 def test_limits_of_the_shutter_rule_what_is_advised():
-    """A shutter that must stay open for a third of the exposure cannot take the better snapshot: it is named."""
+    """A shutter that must stay open for a third of the exposure cannot take the better snapshot:
+    it is named."""
     slow = DeviceProfile(name="slow", min_on_ns=8_000_000)
     found = verdict(along(camera=QUIET, device=slow))
     assert found.advised.code.open_chips >= 8
@@ -294,7 +300,8 @@ SMALL = Camera(photons_full_scale=1_000, read_noise_e=20, full_well_e=5_000.0)
 
 
 def test_ways_that_saturate_are_no_ways():
-    """At 20,000 of 5,000 electrons a quarter of the exposure can be recorded: 2 of 8 chips, of whatever way."""
+    """At 20,000 of 5,000 electrons a quarter of the exposure can be recorded: 2 of 8 chips, of
+    whatever way."""
     advice = advise(
         along(chips=8, camera=replace(SMALL, photons_full_scale=20_000.0)), levels=[1_000]
     )
@@ -313,7 +320,8 @@ def test_ways_that_saturate_are_no_ways():
 
 
 def test_a_code_within_what_can_be_recorded_is_searched():
-    """Read noise makes coding pay; the code found is the best of those that are dark enough, by brute force."""
+    """Read noise makes coding pay; the code found is the best of those that are dark enough, by
+    brute force."""
     bright = Camera(photons_full_scale=40_000, read_noise_e=200, full_well_e=10_100.0)
     here = advise(along(STRAIGHT, 12, camera=bright), levels=[]).here
     assert here.best("code").code.open_chips <= 3
@@ -350,7 +358,8 @@ def test_levels_at_which_the_shortest_opening_saturates_are_left_out():
 
 
 def test_a_code_that_saturates_is_not_advised_and_warned_of():
-    """Limits that ask for half of the light: the code that is found cannot be recorded, a shorter exposure can."""
+    """Limits that ask for half of the light: the code that is found cannot be recorded, a shorter
+    exposure can."""
     bright = Camera(photons_full_scale=12_000, read_noise_e=200, full_well_e=5_000.0)
     best = cep.optimize(
         along(chips=12, camera=bright, open_range=(4, 8), objective="mse"), steps=20_000
@@ -385,7 +394,8 @@ def test_dark_current_counts():
 
 
 def test_dark_current_is_of_no_account_to_a_snapshot_and_turns_the_verdict():
-    """Fixed noise makes coding pay; the same noise from dark current does not reach a short exposure."""
+    """Fixed noise makes coding pay; the same noise from dark current does not reach a short
+    exposure."""
     noisy = NOISY
     dark = replace(NOISY, read_noise_e=2.0, dark_current_e_s=2500 / 0.024)
     fixed, warm = (
@@ -414,7 +424,8 @@ def test_optimize_says_first_whether_to_code():
 # -- the published limit --------------------------------------------------------------------------
 
 LIMIT = 1.1717
-"""Of the gain in RMSE of any flutter over the best snapshot, photon noise alone, full inversion, no limit in time.
+"""Of the gain in RMSE of any flutter over the best snapshot, photon noise alone, full inversion,
+no limit in time.
 
 References
 ----------
@@ -433,7 +444,8 @@ def noise_of_inversion(code, path):
 
 
 def test_the_published_limit_is_reproduced():
-    """No code passes the band's bound; the best snapshot, blurred over 1.09 px, is 1.1717 times as noisy in RMSE."""
+    """No code passes the band's bound; the best snapshot, blurred over 1.09 px, is 1.1717 times as
+    noisy in RMSE."""
     chips = 100
     length_px = 12.0
     path = Trajectory.straight(length_px)

@@ -1,4 +1,5 @@
-"""Bundled proofs: the answer wherever they cover the problem, starts elsewhere, and never outside the limits."""
+"""Bundled proofs: the answer wherever they cover the problem, starts elsewhere, and never outside
+the limits."""
 
 from dataclasses import replace
 

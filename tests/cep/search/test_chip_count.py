@@ -1,4 +1,5 @@
-"""Number of chips: the smallest that is as good; the time and Ctrl-C end the choice with what was tried."""
+"""Number of chips: the smallest that is as good; the time and Ctrl-C end the choice with what was
+tried."""
 
 import pytest
 

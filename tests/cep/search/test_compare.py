@@ -1,4 +1,5 @@
-"""The table beside a code: figures of the same motions, and what is outside the limits is marked."""
+"""The table beside a code: figures of the same motions, and what is outside the limits is
+marked."""
 
 import numpy as np
 import pytest

@@ -79,7 +79,10 @@ def test_a_devices_limits_in_chips():
         ),
         (
             {"min_on_ns": 1_100, "max_on_ns": 1_900},
-            "chip_ns: odd opens for 1100 to 1900 ns, no whole number of chips of 1000 ns does; shorter chips would",
+            (
+                "chip_ns: odd opens for 1100 to 1900 ns, no whole number of chips of 1000 ns does;"
+                " shorter chips would"
+            ),
         ),
         (
             {"max_duty": 0.04},
@@ -109,17 +112,21 @@ def some_time(most):
             "max_on_ns": st.none() | st.integers(1_000, 4_000),
             "min_off_ns": some_time(2_000),
             # fractions and rates that codes meet exactly, and any
-            "max_duty": st.none()
-            | st.sampled_from([k / n for n in (7, 10, 12) for k in range(1, n)])
-            | st.floats(0.01, 1),
+            "max_duty": (
+                st.none()
+                | st.sampled_from([k / n for n in (7, 10, 12) for k in range(1, n)])
+                | st.floats(0.01, 1)
+            ),
             "max_pulses": some_time(4),
-            "max_rate_hz": st.none()
-            | st.builds(
-                lambda chips, chip_ns: 1e9 / (chips * chip_ns),
-                st.integers(1, 9),
-                st.integers(1, 9).map((350).__mul__),
-            )
-            | st.floats(1e-300, 1e9),
+            "max_rate_hz": (
+                st.none()
+                | st.builds(
+                    lambda chips, chip_ns: 1e9 / (chips * chip_ns),
+                    st.integers(1, 9),
+                    st.integers(1, 9).map((350).__mul__),
+                )
+                | st.floats(1e-300, 1e9)
+            ),
             "dead_time_ns": st.integers(0, 1_500),
             "on_bias_ns": st.integers(0, 500),
         }
@@ -154,7 +161,10 @@ def test_codes_within_the_translated_limits_are_those_that_can_be_played(limits,
     [
         (
             1_250,
-            "whole ticks of 500 ns, from 1000 ns to 3000 ns, got 1250 ns; 1000 or 1500 ns would do",
+            (
+                "whole ticks of 500 ns, from 1000 ns to 3000 ns, got 1250 ns; 1000 or 1500 ns"
+                " would do"
+            ),
         ),
         (700, "got 700 ns; 1000 ns would do"),
         (500, "got 500 ns; 1000 ns would do"),

@@ -1,4 +1,5 @@
-"""DNF's code: the least noise that exhaustive search finds for its length, within the limits, and never by luck."""
+"""DNF's code: the least noise that exhaustive search finds for its length, within the limits, and
+never by luck."""
 
 import itertools
 
@@ -41,7 +42,8 @@ def test_it_beats_every_random_code_on_a_straight_blur():
 
 
 def test_the_factor_itself_would_ask_for_a_single_chip():
-    """Why codes of different light are compared by noise: relative to its own light, one chip cannot be beaten."""
+    """Why codes of different light are compared by noise: relative to its own light, one chip
+    cannot be beaten."""
     rng = np.random.default_rng(2)
     codes = [
         ShutterCode("0010"),

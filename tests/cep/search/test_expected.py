@@ -81,7 +81,8 @@ def test_a_very_bright_lamp_is_no_error():
 
 
 def test_a_snapshot_has_the_dark_current_of_its_own_exposure():
-    """A single opening of 2 of 9 chips integrates 2/9 of the dark electrons that a code or the open shutter does."""
+    """A single opening of 2 of 9 chips integrates 2/9 of the dark electrons that a code or the
+    open shutter does."""
     dark = replace(CAMERA, dark_current_e_s=1e5)
     chip_e = 1e5 * 0.02  # electrons in a chip
     codes = [ShutterCode(code.bits, 20_000_000) for code in CODES]
@@ -126,7 +127,8 @@ def test_an_error_of_the_path_costs_long_exposures_more_than_short_ones():
 
 
 def test_the_filter_that_knows_the_error_does_as_expected_on_other_paths():
-    """Monte Carlo with paths of its own: the filter of the mean and the scatter has the error that is expected."""
+    """Monte Carlo with paths of its own: the filter of the mean and the scatter has the error that
+    is expected."""
     error_px = 0.4
     code = CODES[0]
     path = replace(BENT, direction="known")

@@ -1,4 +1,5 @@
-"""Codes of several frames from Python: never worse together than the single code repeated; saved whole."""
+"""Codes of several frames from Python: never worse together than the single code repeated; saved
+whole."""
 
 from dataclasses import replace
 
@@ -45,7 +46,8 @@ def test_the_method_is_checked_before_outputs_and_outputs_before_the_search(monk
 
 
 def test_the_verdict_on_frames_is_by_all_of_them_together():
-    """A quiet camera exposes each frame for less; a noisy one codes, where the pair gains more than one code twice."""
+    """A quiet camera exposes each frame for less; a noisy one codes, where the pair gains more
+    than one code twice."""
     straight = SearchProblem.along(Trajectory.straight(24.0), chips=24, objective="min-mtf")
     quiet, noisy = (replace(straight, camera=Camera(read_noise_e=read)) for read in (2, 100))
     pair = [ShutterCode("110111011000001101001001"), ShutterCode("011000000100111000101011")]

@@ -266,12 +266,17 @@ def test_conflicts_are_real_and_smallest(limits):
                 (30, 30),
                 RunLimits(min_closed=3, max_pulses=9, fixed="1??" + "0?1?" * 12 + "1"),
             ),
-            "max_pulses 9 and fixed (14 forced open, 12 forced closed) conflict: no code of 52 chips keeps both",
+            (
+                "max_pulses 9 and fixed (14 forced open, 12 forced closed) conflict: no code of 52"
+                " chips keeps both"
+            ),
         ),
         (
             Limits(12, (9, 12), RunLimits(min_closed=4, fixed="1????0?????1")),
-            "open_range 9..12, min_closed 4 and fixed (2 forced open, 1 forced closed) conflict: "
-            "no code of 12 chips keeps all 3",
+            (
+                "open_range 9..12, min_closed 4 and fixed (2 forced open, 1 forced closed)"
+                " conflict: no code of 12 chips keeps all 3"
+            ),
         ),
         (
             Limits(9, (1, 9), RunLimits(min_open=4, max_open=3)),
@@ -279,11 +284,17 @@ def test_conflicts_are_real_and_smallest(limits):
         ),
         (
             Limits(20, (9, 20), RunLimits(max_open=3, min_period=9)),
-            "open_range 9..20, max_open 3 and min_period 9 conflict: no code of 20 chips keeps all 3",
+            (
+                "open_range 9..20, max_open 3 and min_period 9 conflict: no code of 20 chips keeps"
+                " all 3"
+            ),
         ),
         (
             Limits(9, (1, 9), RunLimits(min_period=5, fixed="1?0?1????")),
-            "min_period 5 and fixed (2 forced open, 1 forced closed) conflict: no code of 9 chips keeps both",
+            (
+                "min_period 5 and fixed (2 forced open, 1 forced closed) conflict: no code of 9"
+                " chips keeps both"
+            ),
         ),
         (
             Limits(9, (2, 3), RunLimits(min_open=4)),

@@ -24,7 +24,8 @@ def judge_of(problem):
 
 @pytest.mark.parametrize("objective", ["noise", "mse", "flatness"])
 def test_along_a_straight_motion_only_the_minimum_is_searched_on_the_circle(objective):
-    """Of the other objectives the cost told is the one along the path: the chips' own roll-off counts."""
+    """Of the other objectives the cost told is the one along the path: the chips' own roll-off
+    counts."""
     problem = SearchProblem.along(STRAIGHT, chips=16, objective=objective, open_range=(6, 10))
     best = optimize(problem, steps=2000)
     assert best.found.objective == pytest.approx(judge_of(problem).exact_cost(best.code), abs=1e-9)

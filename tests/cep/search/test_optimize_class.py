@@ -1,4 +1,5 @@
-"""One code for a class of motions: mean decibels against brute force, invariances, what is refused."""
+"""One code for a class of motions: mean decibels against brute force, invariances, what is
+refused."""
 
 import time
 from dataclasses import replace

@@ -1,4 +1,5 @@
-"""``cep optimize --each``: the code of the single command for each motion, what fails is told, what stops goes on."""
+"""``cep optimize --each``: the code of the single command for each motion, what fails is told,
+what stops goes on."""
 
 import csv
 import shutil
@@ -214,7 +215,10 @@ def test_a_search_that_the_time_ended_is_told(cep, motions):
         "1",
     )
     assert len(found["codes"]) == 3
-    told = "the limit of 0.01 s ended the search before its 1,000,000,000 moves: another run may give another code"
+    told = (
+        "the limit of 0.01 s ended the search before its 1,000,000,000 moves: another run may give"
+        " another code"
+    )
     assert all(
         told in one["warnings"] and one["stopped"] == "time" for one in found["codes"].values()
     )

@@ -1,4 +1,5 @@
-"""The search problem: forced chips, limits that conflict, and what measuring under a real shutter means."""
+"""The search problem: forced chips, limits that conflict, and what measuring under a real shutter
+means."""
 
 from dataclasses import replace
 
@@ -76,11 +77,17 @@ def test_forced_chips_are_a_limit_like_others():
         ),
         (
             {"runs": RunLimits(fixed="10?????01", min_open=2)},
-            "min_open 2 and fixed (2 forced open, 2 forced closed) conflict: no code of 9 chips keeps both",
+            (
+                "min_open 2 and fixed (2 forced open, 2 forced closed) conflict: no code of 9"
+                " chips keeps both"
+            ),
         ),
         (
             {"open_range": (7, 9), "runs": RunLimits(max_open=3, min_period=5)},
-            "open_range 7..9, max_open 3 and min_period 5 conflict: no code of 9 chips keeps all 3",
+            (
+                "open_range 7..9, max_open 3 and min_period 5 conflict: no code of 9 chips keeps"
+                " all 3"
+            ),
         ),
         (
             {"open_range": (2, 4), "runs": RunLimits(min_open=5)},
@@ -93,7 +100,10 @@ def test_forced_chips_are_a_limit_like_others():
         ),
         (
             {"scenarios": (Scenario(BENT, edges=np.linspace(0, 0.8, 10)),), "response": SLOW},
-            "response: opening or closing takes 90 ns, but the shortest chip of these edges lasts 80 ns",
+            (
+                "response: opening or closing takes 90 ns, but the shortest chip of these edges"
+                " lasts 80 ns"
+            ),
         ),
     ],
 )

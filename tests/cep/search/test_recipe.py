@@ -1,4 +1,5 @@
-"""The recipe of a search: each baseline is what its name says, and none within the limits beats the code returned."""
+"""The recipe of a search: each baseline is what its name says, and none within the limits beats
+the code returned."""
 
 from types import SimpleNamespace
 
@@ -142,7 +143,8 @@ def test_a_search_that_ends_worse_than_a_baseline_returns_it(monkeypatch):
 
 @st.composite
 def problems(draw):
-    """Small problems: limits on light and runs, forced chips, ramps, motions that may differ, all objectives."""
+    """Small problems: limits on light and runs, forced chips, ramps, motions that may differ, all
+    objectives."""
     chips = draw(st.integers(8, 20))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     paths = [

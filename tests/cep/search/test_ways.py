@@ -13,7 +13,8 @@ from motdiff.trajectory import Trajectory
 
 
 def test_a_code_of_a_long_motion_is_found_on_fewer_samples():
-    """As good to 0.1 dB, by the fine figures, as one that is searched and judged on all samples."""
+    """As good to 0.1 dB, by the fine figures, as one that is searched and judged on all
+    samples."""
     camera = Camera(read_noise_e=50)
     problem = SearchProblem.along(
         Trajectory.straight(300.0), chips=24, camera=camera, objective="mse"

@@ -1,4 +1,5 @@
-"""A recording read from Python: its plays, the code and PSF as achieved, and that files are whole or none."""
+"""A recording read from Python: its plays, the code and PSF as achieved, and that files are whole
+or none."""
 
 import numpy as np
 import pytest

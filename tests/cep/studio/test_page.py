@@ -1,4 +1,5 @@
-"""The studio in a headless Chromium: what a hand, a keyboard and a reload do, and nothing asked of anybody else."""
+"""The studio in a headless Chromium: what a hand, a keyboard and a reload do, and nothing asked of
+anybody else."""
 
 import http.client
 import json
@@ -25,7 +26,8 @@ pytestmark = pytest.mark.slow  # a server of its own, and a browser
 
 
 def started(*arguments, **streams):
-    """Start a studio in a process of its own, as the command does: the process, and the address that it told."""
+    """Start a studio in a process of its own, as the command does: the process, and the address
+    that it told."""
     command = [
         sys.executable,
         "-c",
@@ -68,7 +70,8 @@ def server_address():
 
 @pytest.fixture
 def studio(browser, server_address):
-    """Open the studio in a window of a given width; at the end check for requests to other hosts and errors."""
+    """Open the studio in a window of a given width; at the end check for requests to other hosts
+    and errors."""
     contexts = []
     asked = []
     errors = []
@@ -100,7 +103,8 @@ def studio(browser, server_address):
 
 
 def until(page, expression, seconds=60):
-    """Wait for an expression; the page's policy forbids Playwright's own way, which evaluates text in the page."""
+    """Wait for an expression; the page's policy forbids Playwright's own way, which evaluates text
+    in the page."""
     ends = time.monotonic() + seconds
     while not page.evaluate(expression):
         assert time.monotonic() < ends, expression
@@ -111,7 +115,8 @@ def shown(page):
     """Wait until everything shows the latest state."""
     until(
         page,
-        "['picture', 'photo', 'verdict'].every((one) => document.body.dataset[one] === document.body.dataset.asked)",
+        "['picture', 'photo', 'verdict'].every((one) => document.body.dataset[one] ==="
+        " document.body.dataset.asked)",
     )
 
 
@@ -311,7 +316,8 @@ def test_the_error_of_the_path_counts_in_the_verdict(studio):
     page.locator("#path_error").press("Tab")
     until(
         page,
-        "document.getElementById('f-psnr').textContent.endsWith('dB') && location.hash.includes('path_error=0.5')",
+        "document.getElementById('f-psnr').textContent.endsWith('dB') &&"
+        " location.hash.includes('path_error=0.5')",
     )
     shown(page)
     assert float(page.locator("#f-psnr").inner_text().split()[0]) < float(known.split()[0])
@@ -331,8 +337,9 @@ def test_wrong_input_is_told_beside_its_field_and_survives_a_reload(studio):
     page = studio()
     page.locator("#exposure").fill("soon")
     until(page, "document.querySelector('.error[data-for=exposure]').textContent !== ''")
-    assert page.locator(".error[data-for=exposure]").inner_text() == (
-        "Must be a time above 0 as 1/30, 0.02, 20ms or 500us, got 'soon'."
+    assert (
+        page.locator(".error[data-for=exposure]").inner_text()
+        == "Must be a time above 0 as 1/30, 0.02, 20ms or 500us, got 'soon'."
     )
     page.reload()
     until(page, "document.querySelector('.error[data-for=exposure]').textContent !== ''")
@@ -345,8 +352,7 @@ def test_wrong_input_is_told_beside_its_field_and_survives_a_reload(studio):
 def test_many_quick_changes_keep_the_address_and_an_early_reload_loses_nothing(studio):
     """Browsers refuse more than 200 new addresses in 10 s, and an error would end the test."""
     page = studio(state="code=" + "10" * 20 + "&motion=straight:30:0")
-    page.evaluate(
-        """async () => {
+    page.evaluate("""async () => {
           const range = document.getElementById("length-range");
           for (let i = 0; i < 220; i++) {
             range.value = 20 + (i % 40);
@@ -354,8 +360,7 @@ def test_many_quick_changes_keep_the_address_and_an_early_reload_loses_nothing(s
             await new Promise((done) => setTimeout(done, 4));
           }
           document.querySelector("#strip button").click();
-        }"""
-    )
+        }""")
     page.reload()
     until(page, "document.body.dataset.asked !== undefined")
     shown(page)
@@ -499,7 +504,9 @@ def test_names_of_the_language_are_no_trap_for_names_of_codes(studio):
         for name, bit in (("__proto__", 0), ("constructor", 1), ("toString", 1))
     )
     page = studio(
-        state=f"code=1101000111010110&motion=straight:16:0&left=constructor&right=__proto__&{names}"
+        state=(
+            f"code=1101000111010110&motion=straight:16:0&left=constructor&right=__proto__&{names}"
+        )
     )
     assert page.locator("#pins").get_by_text("__proto__").count() == 1
     assert [page.locator(f"#side-{side}").input_value() for side in ("left", "right")] == [
@@ -511,7 +518,8 @@ def test_names_of_the_language_are_no_trap_for_names_of_codes(studio):
 def test_a_page_begins_with_what_the_reader_of_files_takes_for_granted(studio):
     page = studio()
     first = page.evaluate(
-        "async () => { const m = await import('/static/state.js'); return m.settingOf(m.DEFAULTS); }"
+        "async () => { const m = await import('/static/state.js'); return"
+        " m.settingOf(m.DEFAULTS); }"
     )
     setting = saved_setting({})
     for name in ("bits", "exposure", "camera", "device", "photons", "read_noise", "path_error"):

@@ -1,4 +1,5 @@
-"""An Uno on avr8js, the simulator that shares nothing with simavr, in the shape of `hw.emulation.uno.EmulatedUno`."""
+"""An Uno on avr8js, the simulator that shares nothing with simavr, in the shape of
+`hw.emulation.uno.EmulatedUno`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Shutter timed by software on a micro:bit, and its console: a demonstration of `cxp.Player`, no instrument.
+"""Shutter timed by software on a micro:bit, and its console: a demonstration of `cxp.Player`, no
+instrument.
 
 Calls are not nested deeper than they must be: the board's stack holds six.
 """

@@ -1,4 +1,5 @@
-"""A micro:bit (Cortex-M0, 16 kB) under QEMU with Debian's MicroPython 1.9.2, its console a pseudo-terminal."""
+"""A micro:bit (Cortex-M0, 16 kB) under QEMU with Debian's MicroPython 1.9.2, its console a
+pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -65,7 +66,8 @@ class Microbit:
         self._process.stdout.close()
 
     def execute(self, pieces: list[str], *, last: str = "") -> list[str]:
-        """Execute sources one by one, then `last`, which need not end; return what each of the others prints."""
+        """Execute sources one by one, then `last`, which need not end; return what each of the
+        others prints."""
         with serial.Serial(self.port, 115200, timeout=2) as line:
             line.write(b"\r")
             line.read_until(PROMPT)
@@ -85,7 +87,8 @@ class Microbit:
 
 
 def _paste(line: serial.Serial, piece: str) -> None:
-    """Send a source by paste mode, which echoes what has arrived: the board loses bytes that come in a rush."""
+    """Send a source by paste mode, which echoes what has arrived: the board loses bytes that come
+    in a rush."""
     for _ in range(10):
         line.write(b"\x05")
         try:

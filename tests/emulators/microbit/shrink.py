@@ -1,4 +1,5 @@
-"""Python source made small for a board of 16 kB, and cut into pieces that its compiler has memory for."""
+"""Python source made small for a board of 16 kB, and cut into pieces that its compiler has memory
+for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The modules `machine`, `rp2` and `micropython` of an RP2040 board for CPython, acting on an emulated chip.
+"""The modules `machine`, `rp2` and `micropython` of an RP2040 board for CPython, acting on an
+emulated chip.
 
 The state machine calls do to the chip's registers what MicroPython's port and the Pico SDK do;
 programs are assembled by adafruit_pioasm. Each register access takes `ACCESS_CYCLES`, as from an
@@ -223,7 +224,8 @@ def asm_pio(*, out_init, set_init=None, out_shiftdir, autopull, pull_thresh, fif
 
 
 def modules(chip: Chip) -> dict[str, ModuleType]:
-    """`machine`, `rp2` and `micropython` acting on `chip`; `machine.log` notes what has no effect on the chip."""
+    """`machine`, `rp2` and `micropython` acting on `chip`; `machine.log` notes what has no effect
+    on the chip."""
     machine = ModuleType("machine")
     rp2 = ModuleType("rp2")
     micropython = ModuleType("micropython")

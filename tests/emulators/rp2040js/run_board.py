@@ -1,4 +1,5 @@
-"""The shipped `main.py` on an emulated RP2040, its console a pseudo-terminal: ``run_board.py FOLDER``.
+"""The shipped `main.py` on an emulated RP2040, its console a pseudo-terminal: ``run_board.py
+FOLDER``.
 
 Prints the terminal's name, then answers each line of its input, a method of `Chip` and its
 arguments as a JSON array, by a line of JSON; ``["log"]`` gives what `machine` was told. Ends with

@@ -28,7 +28,8 @@ class MicroPython:
         self._process.stdout.close()
 
     def run(self, source: str) -> str:
-        """Run statements and return what they print; an exception in them is raised as RuntimeError."""
+        """Run statements and return what they print; an exception in them is raised as
+        RuntimeError."""
         self._process.stdin.write(json.dumps(source) + "\n")
         self._process.stdin.flush()
         printed, error = json.loads(self._process.stdout.readline())

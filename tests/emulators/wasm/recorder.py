@@ -1,4 +1,5 @@
-"""`machine` and `rp2` that only write down what is asked of them; for CPython and MicroPython alike."""
+"""`machine` and `rp2` that only write down what is asked of them; for CPython and MicroPython
+alike."""
 
 import sys
 

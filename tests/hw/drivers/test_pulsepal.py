@@ -490,7 +490,8 @@ SHORT = Program.from_bits("0101", chip_ns=100_000)
 
 
 def cut_after(device, writes, *, arrives):
-    """How many writes were left when the connection was cut; a device as before, whose input triggers nothing."""
+    """How many writes were left when the connection was cut; a device as before, whose input
+    triggers nothing."""
     device.channels[1].values.update({12: 0, 13: 0})
     port = CutPort(open_port(device.port), after=writes, arrives=arrives)
     link = PulsePalLink(port, name="cut")

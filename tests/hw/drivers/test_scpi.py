@@ -161,7 +161,8 @@ def test_every_program_is_played_edge_for_edge_whatever_was_set_before():
             )
             execute(
                 device,
-                f"VOLT:HIGH {min(low, 10 - span) + span};:BURS:NCYC 7;PHAS 90;MODE GAT;:FORM:BORD NORM",
+                f"VOLT:HIGH {min(low, 10 - span) + span};:BURS:NCYC 7;PHAS 90;MODE GAT;:FORM:BORD"
+                " NORM",
             )
             execute(device, "FUNC:ARB:FILT STEP;:TRIG:DEL 0.5;SLOP NEG;SOUR BUS;:OUTP ON")
             opened, closed = (0.0, 5.0) if inverted else (5.0, 0.0)

@@ -212,8 +212,8 @@ def test_sigrok_reads_the_capture(tmp_path):
 def test_it_does_not_outlive_who_started_it():
     require_simavr()
     script = (
-        "import sys, time\nfrom hw.emulation.uno import EmulatedUno\n"
-        "with EmulatedUno(sys.argv[1]) as uno:\n    print(uno.port, flush=True)\n    time.sleep(60)\n"
+        "import sys, time\nfrom hw.emulation.uno import EmulatedUno\nwith EmulatedUno(sys.argv[1])"
+        " as uno:\n    print(uno.port, flush=True)\n    time.sleep(60)\n"
     )
     root = str(Path(__file__).parents[3])
     command = [sys.executable, "-c", script, str(HEX)]

@@ -93,7 +93,8 @@ def test_a_truncated_text_is_refused_or_means_the_same(exported, data):
 
 @pytest.mark.parametrize("name", sorted(set(EXPORTERS) - {"c", "csv", "json"}))
 def test_what_plays_is_compared_to_the_last_line(name):
-    """A file for a player holds more than the code, so that any altered line makes it another program."""
+    """A file for a player holds more than the code, so that any altered line makes it another
+    program."""
     program = Program.from_bits("0110", chip_ns=200_000)
     lines = EXPORTERS[name].export(program).rstrip().split("\n")
     for number in range(len(lines)):
@@ -355,7 +356,8 @@ def test_dmd_list():
 @settings(deadline=None)
 @given(codes, st.integers(2, 1000), st.integers(0, 20))
 def test_pulse_train_plays_the_program(bits, cycles, leading):
-    """By the device's rule: a pulse lasts phase 1, and one that starts no later than its predecessor ends joins it."""
+    """By the device's rule: a pulse lasts phase 1, and one that starts no later than its
+    predecessor ends joins it."""
     program = Program("0" * leading + bits, 50_000 * cycles)
     train = pulse_train(program)
     assert train.onsets_cycles[0] == 0

@@ -1,4 +1,5 @@
-"""Exported files in the hands of those they are for: compilers, an emulated Uno, a PIO, and logic-analyser software."""
+"""Exported files in the hands of those they are for: compilers, an emulated Uno, a PIO, and
+logic-analyser software."""
 
 import io
 import itertools
@@ -184,7 +185,8 @@ def test_c_header_compiles_for_an_avr(tmp_path):
 
 
 class _Pio:
-    """The six instructions of the script as words, and what a state machine does with them, cycle by cycle."""
+    """The six instructions of the script as words, and what a state machine does with them, cycle
+    by cycle."""
 
     def __init__(self):
         self.words = []
@@ -213,7 +215,8 @@ class _Pio:
         }
 
     def play(self, fifo, level, trigger):
-        """Run until the queue is empty and an `out` stalls; return the changes of the pin as (cycle, level)."""
+        """Run until the queue is empty and an `out` stalls; return the changes of the pin as
+        (cycle, level)."""
         fifo = list(fifo)
         edges = []
         bits = []

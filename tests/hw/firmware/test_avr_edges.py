@@ -1,4 +1,5 @@
-"""The shipped AVR firmware plays to the clock cycle on two simulators that share nothing; faulty ones are caught."""
+"""The shipped AVR firmware plays to the clock cycle on two simulators that share nothing; faulty
+ones are caught."""
 
 import hashlib
 import random
@@ -29,7 +30,8 @@ from hw.emulation.uno import EmulatedUno
 
 
 def random_codes(count, seed, *, fractions=False, chips=(16, 512)):
-    """Codes that end open, so that their end can be seen; chips of 50 us..1 ms, short ones as often as long ones."""
+    """Codes that end open, so that their end can be seen; chips of 50 us..1 ms, short ones as
+    often as long ones."""
     rng = random.Random(seed)
     codes = []
     for _ in range(count):

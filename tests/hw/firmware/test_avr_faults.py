@@ -1,4 +1,5 @@
-"""The shipped AVR firmware when things go wrong: noise, hangs, dead hosts, pulled cables. Closed, and usable again."""
+"""The shipped AVR firmware when things go wrong: noise, hangs, dead hosts, pulled cables. Closed,
+and usable again."""
 
 import contextlib
 import os

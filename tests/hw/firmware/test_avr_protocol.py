@@ -1,4 +1,5 @@
-"""The AVR firmware does what docs/cxp1.md says: conformance, limits built in, frames of any kind."""
+"""The AVR firmware does what docs/cxp1.md says: conformance, limits built in, frames of any
+kind."""
 
 import binascii
 import random

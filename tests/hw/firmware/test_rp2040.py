@@ -1,4 +1,5 @@
-"""The controller's protocol core `cxp.py` on MicroPython 1.27: docs/cxp1.md, and what only this device has."""
+"""The controller's protocol core `cxp.py` on MicroPython 1.27: docs/cxp1.md, and what only this
+device has."""
 
 from __future__ import annotations
 
@@ -52,8 +53,9 @@ class VirtualDevice:
     def __init__(self, python: MicroPython, *, start_us: int = 0, limits: str = "") -> None:
         self.python = python
         python.run(
-            "from cxp import Player\nfrom virtual_shutter import Clock, VirtualShutter\n"
-            f"clock = Clock({start_us})\nshutter = VirtualShutter(clock{limits})\nplayer = Player(shutter, clock)"
+            "from cxp import Player\nfrom virtual_shutter import Clock, VirtualShutter\nclock ="
+            f" Clock({start_us})\nshutter = VirtualShutter(clock{limits})\nplayer ="
+            " Player(shutter, clock)"
         )
 
     def feed(self, data: bytes) -> bytes:
@@ -357,14 +359,18 @@ def test_mutants_are_caught(tmp_path, mutant):
 
 
 def test_the_pio_shutter_does_the_same_in_micropython(python, tmp_path):
-    """The same register accesses as in CPython, in which the other tests run it on an emulated chip."""
+    """The same register accesses as in CPython, in which the other tests run it on an emulated
+    chip."""
     rng = random.Random(11)
     codes = []
     for chips in (1, 31, 32, 33, 52, 63, 64, 223, 255, 256, 287):
         bits = "".join(rng.choice("01") for _ in range(chips))
         payload = program(rng.choice([125, 25_000, 2**32 - 1]), bits)
         codes.append((struct.unpack_from("<I", payload)[0], chips, payload[8:]))
-    work = f"log = recorder.install()\nfound = recorder.transcript(pio_shutter.PioShutter, log, {codes!r})\n"
+    work = (
+        "log = recorder.install()\nfound = recorder.transcript(pio_shutter.PioShutter, log,"
+        f" {codes!r})\n"
+    )
     with MicroPython(
         WASM / "recorder.py", FIRMWARE / "pio_shutter.py", FIRMWARE / "main.py"
     ) as fresh:

@@ -1,4 +1,5 @@
-"""The shipped `main.py`, `cxp.py` and `pio_shutter.py` together on an emulated RP2040, spoken to by the real driver."""
+"""The shipped `main.py`, `cxp.py` and `pio_shutter.py` together on an emulated RP2040, spoken to
+by the real driver."""
 
 from __future__ import annotations
 
@@ -193,7 +194,8 @@ def test_limits_of_the_shutter(tmp_path):
 
 
 def test_a_play_cut_short_is_owed_after_a_reset_too(tmp_path):
-    """A register that only the loss of power clears holds the closed time; resets themselves are not emulated."""
+    """A register that only the loss of power clears holds the closed time; resets themselves are
+    not emulated."""
     scratch = 0x4005800C
     program = Program.from_bits("1" + "0" * 49, chip_ns=400_000_000)
     for name in ("cxp_text.py", "cxp.py", "pio_shutter.py", "main.py"):

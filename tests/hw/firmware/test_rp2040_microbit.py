@@ -1,4 +1,5 @@
-"""The controller's `cxp.py` on another, real MicroPython: 1.9.2 on an emulated Cortex-M0 of 16 kB, by the real driver.
+"""The controller's `cxp.py` on another, real MicroPython: 1.9.2 on an emulated Cortex-M0 of 16 kB,
+by the real driver.
 
 The shutter there is timed by software, so only the order of its edges is looked at.
 """

@@ -1,4 +1,5 @@
-"""The shutter `pio_shutter.py` on an emulated RP2040, its PIO stepped every clock cycle: exact edges, closed after."""
+"""The shutter `pio_shutter.py` on an emulated RP2040, its PIO stepped every clock cycle: exact
+edges, closed after."""
 
 from __future__ import annotations
 
@@ -106,7 +107,8 @@ def board(chip) -> Board:
 
 
 def test_instruction_words(board):
-    """The program and what is executed from outside, as an assembler that is not MicroPython's has them."""
+    """The program and what is executed from outside, as an assembler that is not MicroPython's has
+    them."""
     import adafruit_pioasm
 
     assert board.shutter._program.words == [0x2020, 0x20A0, 0x6001, 0xA026, 0x0044]
@@ -261,7 +263,8 @@ class DyingChip:
 
 
 def test_a_processor_that_dies_anywhere_leaves_it_closed(board):
-    """Dead before any register access between arming and the end: nothing is played, or the whole code."""
+    """Dead before any register access between arming and the end: nothing is played, or the whole
+    code."""
     bits = "1011001110001111000011111"
     ticks = 130
     chip = board.chip
@@ -315,7 +318,8 @@ def test_mutants_are_caught(chip, mutant):
 
 
 def loaded(board: Board, ticks: int, bits: str) -> dict[str, object]:
-    """What arming puts into the registers, followed by hand: queue, output and input shift register."""
+    """What arming puts into the registers, followed by hand: queue, output and input shift
+    register."""
     queue: list[int] = []
     out = 0
     shifted = 32
@@ -413,7 +417,8 @@ def test_the_exported_script_plays_exactly_too(chip, monkeypatch, closed_level):
     looks = 0
 
     class Looked(type(chip)):
-        """The chip, of which the trigger rises while the script looks whether the code has ended."""
+        """The chip, of which the trigger rises while the script looks whether the code has
+        ended."""
 
         def __init__(self) -> None:
             self.__dict__ = chip.__dict__

@@ -1,4 +1,5 @@
-"""Recordings of a logic analyser: read whatever wrote them, and told what the shutter really played."""
+"""Recordings of a logic analyser: read whatever wrote them, and told what the shutter really
+played."""
 
 import random
 import subprocess
@@ -23,7 +24,8 @@ codes = st.text("01", min_size=1, max_size=200).map(lambda middle: f"1{middle}1"
 
 
 def _trace(*plays, rest=0, end=None, shift=5 * MS):
-    """Record plays, each (edges, start): closed at first, recorded from 0 to 5 ms after the last edge."""
+    """Record plays, each (edges, start): closed at first, recorded from 0 to 5 ms after the last
+    edge."""
     edges = [
         (start + time_ns + shift, level ^ rest)
         for edges, start in plays
@@ -96,7 +98,8 @@ def test_a_slow_or_fast_clock_sampled_and_jittering_still_plays_the_code(
 
 
 def test_least_squares_against_its_closed_form():
-    """Openings and closings have one slope and an offset each: the same as a linear fit with an indicator column."""
+    """Openings and closings have one slope and an offset each: the same as a linear fit with an
+    indicator column."""
     rng = random.Random(0)
     edges = [
         (1.002021 * at + 9000 * (1 - level) + rng.gauss(0, 300), level)
@@ -136,8 +139,9 @@ def test_the_clock_of_a_ceramic_resonator_is_named():
     found = _only(_trace((_scaled(PROGRAM, 1.002021), 0)))
     assert found.same_bits
     assert found.scale_ppm == pytest.approx(2021, abs=0.01)
-    assert found.verdict == (
-        "the code was played: 52 chips, clock +2021.0 ppm, jitter 0.0 ns rms, worst edge 0.0 ns"
+    assert (
+        found.verdict
+        == "the code was played: 52 chips, clock +2021.0 ppm, jitter 0.0 ns rms, worst edge 0.0 ns"
     )
     longer = Program(RASKAR * 10, 200_000)
     assert _only(_trace((_scaled(longer, 1.002021), 0)), longer).problems == (
@@ -334,7 +338,10 @@ def test_no_edge_is_one_clear_line():
         align(_trace((PROGRAM.edges, 0)), PROGRAM, trigger=Trace("D1", 1, ((5.0, 0),), 0.0, 1e9))
 
 
-HEAD = "$timescale 1 us $end $scope module top $end $var wire 1 ! D0 $end $upscope $end $enddefinitions $end\n"
+HEAD = (
+    "$timescale 1 us $end $scope module top $end $var wire 1 ! D0 $end $upscope $end"
+    " $enddefinitions $end\n"
+)
 
 
 def test_every_dialect_of_vcd_is_read():

@@ -1,4 +1,5 @@
-"""Digital exports of Saleae Logic as recordings: exact times, every form of the file, and one line for a bad one."""
+"""Digital exports of Saleae Logic as recordings: exact times, every form of the file, and one line
+for a bad one."""
 
 from datetime import UTC, datetime, timedelta, timezone
 
@@ -36,7 +37,8 @@ def iso(time_ns, offset="+00:00"):
 
 
 def export(program, start_ns, *, write=seconds, header="Time [s],Channel 0", separator=","):
-    """Write a play that begins at `start_ns` as Logic does: a row for the level at first, and one for each change."""
+    """Write a play that begins at `start_ns` as Logic does: a row for the level at first, and one
+    for each change."""
     rows = [(start_ns - LEAD_NS, 0), *((start_ns + at, level) for at, level in program.edges)]
     return "\n".join([header, *(f"{write(at)}{separator}{level}" for at, level in rows)]) + "\n"
 

@@ -57,7 +57,8 @@ def scene(tmp_path):
 
 
 def test_the_papers_protocol_is_the_papers():
-    """arXiv 2510.26173, section IV-A: 10 photos x 100 motions, 256-px crops, 64-px PSFs, mirrored borders, no noise."""
+    """arXiv 2510.26173, section IV-A: 10 photos x 100 motions, 256-px crops, 64-px PSFs, mirrored
+    borders, no noise."""
     paper = Protocol.load("paper")
     assert (paper.photos, paper.motions, paper.crop_px, paper.psf_px, paper.borders) == (
         10,
@@ -108,7 +109,8 @@ def test_the_cards_protocols_give_every_photo_one_motion():
 def test_a_protocol_of_ones_own_is_a_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(
-        "photos = 3\nmotions = 4\nlight_photons = [100]\n[motion]\nmax_length_px = 20\n[quick]\nphotos = 1\n"
+        "photos = 3\nmotions = 4\nlight_photons = [100]\n[motion]\nmax_length_px ="
+        " 20\n[quick]\nphotos = 1\n"
     )
     mine = Protocol("mine", 3, 4, light_photons=(100.0,), motion=Motions(max_length_px=20.0))
     assert Protocol.load(path) == mine
@@ -172,7 +174,9 @@ def test_what_is_wrong_in_a_protocol_is_named(tmp_path, text, message):
 def test_an_unknown_protocol_is_named():
     with pytest.raises(
         ValueError,
-        match=r"protocol: must be paper, ours, card-walks, card-gyro, or a \.toml file, got 'theirs'",
+        match=(
+            r"protocol: must be paper, ours, card-walks, card-gyro, or a \.toml file, got 'theirs'"
+        ),
     ):
         Protocol.load("theirs")
     with pytest.raises(FileNotFoundError):
@@ -264,7 +268,8 @@ def test_a_photo_is_its_sharp_scene_blurred(scene, borders, blur):
     np.testing.assert_allclose(case.photo[15:-16, 15:-16], inner, atol=1e-12)
     if borders == "symmetric":
         expected = blur(case.sharp, case.psf)
-    else:  # of the whole scene, at the place of the crop: light from beyond the photo's border is in it
+    else:
+        # of the whole scene, at the place of the crop: light from beyond the border is in it
         whole = luminance(read_image(scene, gamma="linear"))
         blurred = np.full(whole.shape, np.nan)
         blurred[valid_window(whole.shape, case.psf.shape)] = blur(whole, case.psf)
@@ -595,7 +600,8 @@ def test_methods_are_checked_before_the_work(monkeypatch, tmp_path):
 
 
 def test_smaller_budgets_are_told_as_the_weights_say():
-    """Samples are updates times the batch, in the header of the weights; MoTDiff had three runs, its card tells."""
+    """Samples are updates times the batch, in the header of the weights; MoTDiff had three runs,
+    its card tells."""
     for method, path in (("parametric", PATH_WEIGHTS), ("psf-diffusion", PSF_WEIGHTS)):
         card = read_card(path)
         samples = card["run"]["steps"] * card["config"]["optimiser"]["batch"]
@@ -629,7 +635,7 @@ def test_intervals_count_photos_and_motions():
     cells = figures(
         spread("delta", lambda _i, j: by_motion[j]) | spread("motdiff", lambda i, _j: by_motion[i])
     )
-    (table, paired) = blind_tables(cells, ["no noise"], title="T", seed=0)
+    table, paired = blind_tables(cells, ["no noise"], title="T", seed=0)
     first, second = (table.rows[method][0].interval for method in ("delta", "motdiff"))
     for interval in (first, second):  # over the other grouping they have no spread at all
         assert interval.high - interval.low > 0.2
@@ -644,13 +650,13 @@ def test_bold_needs_photos_and_motions_to_agree():
     noise = rng.normal(0, 0.01, 36)
     base = spread("pmp", lambda _i, _j: 0.5)
     steady = spread("motdiff", lambda i, j: 0.6 + noise[6 * i + j])
-    (table, paired) = blind_tables(figures(base | steady), ["no noise"], title="T", seed=0)
+    table, paired = blind_tables(figures(base | steady), ["no noise"], title="T", seed=0)
     assert table.rows["motdiff"][0].bold
     assert paired.rows["pmp"][0].summary.mean == pytest.approx(0.1 + noise.mean())
     one_motion = spread(
         "motdiff", lambda _i, j: 1.1 if j == 0 else 0.5 + 1e-3 * j
     )  # all its lead is from one motion
-    (table, _) = blind_tables(figures(base | one_motion), ["no noise"], title="T", seed=0)
+    table, _ = blind_tables(figures(base | one_motion), ["no noise"], title="T", seed=0)
     assert not table.rows["motdiff"][0].bold
 
 

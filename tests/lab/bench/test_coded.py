@@ -1,4 +1,5 @@
-"""The coded-exposure table: its protocols, who is told what, the photos taken, and what is summed up."""
+"""The coded-exposure table: its protocols, who is told what, the photos taken, and what is summed
+up."""
 
 import csv
 import io
@@ -133,7 +134,8 @@ def shown(
 
 
 def test_the_papers_protocol_is_the_papers():
-    """arXiv 2510.26173, section IV: 10 photos x 100 motions, 256-px crops, mirrored borders, inverse filter."""
+    """arXiv 2510.26173, section IV: 10 photos x 100 motions, 256-px crops, mirrored borders,
+    inverse filter."""
     paper = coded_protocol("paper")
     assert (paper.photos, paper.motions, paper.crop_px, paper.borders) == (
         10,
@@ -250,7 +252,8 @@ def test_the_package_carries_its_protocols():
 
 
 def test_every_motion_fits_the_frame(monkeypatch):
-    """A motion that speeds up lies off-centre: of 60 px it may leave the frame of 64, and is drawn again."""
+    """A motion that speeds up lies off-centre: of 60 px it may leave the frame of 64, and is drawn
+    again."""
     many = replace(TINY, motions=3 * 80)
     assert max(path.frame_size() for path in drawn_motions(many)) <= 64
     monkeypatch.setattr(protocol, "PSF_PX", 1000)
@@ -300,7 +303,8 @@ def test_a_still_camera_takes_the_target_pixel_for_pixel(borders, light_true):
 
 
 def test_real_borders_show_what_comes_from_outside():
-    """Brute force: each pixel of the photo is the scene summed up along the path, as long as the shutter is open."""
+    """Brute force: each pixel of the photo is the scene summed up along the path, as long as the
+    shutter is open."""
     code = ShutterCode(LOPSIDED)
     taken = photographed(**shown(BENT, borders="real"))
     t = (np.arange(16 * 40) + 0.5) / (16 * 40)
@@ -362,7 +366,8 @@ def test_with_the_true_psf_and_no_noise_the_oracles_code_restores_far_better_tha
 
 @pytest.mark.parametrize("light_true", [True, False])
 def test_a_hidden_direction_is_found(light_true):
-    """Restored by a path of unknown direction it is as good as by the true PSF, whichever way the camera ran."""
+    """Restored by a path of unknown direction it is as good as by the true PSF, whichever way the
+    camera ran."""
     options = {"light_true": light_true, "camera": Camera(photons_full_scale=1e6).to_dict()}
     for truth in (BENT, BENT.reversed()) if light_true else (BENT.reversed(),):
         told = take_photo(**shown(truth, **options))["psnr_db"]
@@ -376,7 +381,8 @@ def test_a_hidden_direction_is_found(light_true):
 
 @pytest.mark.parametrize(("length_px", "lost_db"), [(32.0, 0.01), (30.7, 0.5)])
 def test_a_scene_that_is_merely_displaced_is_as_good(length_px, lost_db):
-    """A snapshot at the end of a straight motion, taken for one at its start: the same PSF, 20 px or less away.
+    """A snapshot at the end of a straight motion, taken for one at its start: the same PSF, 20 px
+    or less away.
 
     Two of 16 chips are open, their middle at 13/16 of the path.
     """
@@ -410,7 +416,8 @@ def test_run_backwards_a_code_is_its_mirror_image():
 
 
 def test_noise_gain_is_that_of_the_light_the_photo_has():
-    """As if coding cost no light, a code's gain is the deconvolution noise factor, relative to DC."""
+    """As if coding cost no light, a code's gain is the deconvolution noise factor, relative to
+    DC."""
     true, equal = (take_photo(**shown(BENT, light_true=flag)) for flag in (True, False))
     metrics = measure(BENT, ShutterCode(LOPSIDED))
     assert true["noise_gain_db"] == metrics.noise_gain_db
@@ -530,7 +537,8 @@ def test_an_unknown_design():
 
 
 def test_each_design_minimises_what_it_should():
-    """Brute force over all codes of four chips out of eight: the worst of both directions, or the given one alone."""
+    """Brute force over all codes of four chips out of eight: the worst of both directions, or the
+    given one alone."""
     codes = [
         ShutterCode("".join("01"[k in on] for k in range(8))) for on in combinations(range(8), 4)
     ]
@@ -588,7 +596,8 @@ def test_searches_use_one_thread_and_the_same_budget(monkeypatch):
 
 @pytest.mark.parametrize("design", ["dnf", "oracle"])
 def test_an_interrupted_search_is_not_taken_for_a_finished_one(monkeypatch, design):
-    """The search itself returns its best so far after Ctrl-C; kept as a cell it would stand for the whole budget."""
+    """The search itself returns its best so far after Ctrl-C; kept as a cell it would stand for
+    the whole budget."""
     real = recipe.anneal
 
     def stop(_fraction, _best):
@@ -608,7 +617,8 @@ KNOWING = ("open", "dnf", "oracle", "parametric-oracle")
 
 @pytest.fixture
 def coarse_walks(monkeypatch):
-    """Random walks of 100 points instead of 2000: the table's other parts do not depend on it, and their time does."""
+    """Random walks of 100 points instead of 2000: the table's other parts do not depend on it, and
+    their time does."""
     monkeypatch.setattr(protocol, "boracchi_foi", partial(boracchi_foi, samples=100))
 
 
@@ -702,7 +712,8 @@ def test_a_restoration_may_know_the_path_but_not_its_direction(tmp_path, photos,
 
 
 def test_codes_are_searched_for_the_light_that_they_meet(tmp_path, photos):
-    """In the dark, where read noise rules, the oracle keeps its shutter open longer; the DNF code is one for all."""
+    """In the dark, where read noise rules, the oracle keeps its shutter open longer; the DNF code
+    is one for all."""
     lit = replace(
         TINY, objective="mse", open_range=(1, 16), photons=(50.0, 1e6), read_noise_e=5.0, motions=1
     )
@@ -1169,7 +1180,8 @@ def two_photos(tmp_path, coarse_walks):
 def test_calibrated_by_an_estimator_that_knows_the_path_a_row_is_the_true_paths(
     tmp_path, two_photos, knowing
 ):
-    """Motions are calibrated once for all photos, and the code along the path found is that along the true one."""
+    """Motions are calibrated once for all photos, and the code along the path found is that along
+    the true one."""
     measured = measure_coded(
         CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("oracle", "calibrated-4")
     )

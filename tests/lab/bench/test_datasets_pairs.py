@@ -1,4 +1,5 @@
-"""Published sets of real blur: which photos are pairs, in the layouts that are spread, and what is refused."""
+"""Published sets of real blur: which photos are pairs, in the layouts that are spread, and what is
+refused."""
 
 import numpy as np
 import pytest

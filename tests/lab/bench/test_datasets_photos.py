@@ -65,7 +65,8 @@ def test_pictures_of_benchmarks_are_no_photos(tmp_path):
 
 
 def test_pictures_of_our_commands_are_no_photos(cep, workplace):
-    """Of what a day's work leaves in a folder, only what has no record is still taken for photos."""
+    """Of what a day's work leaves in a folder, only what has no record is still taken for
+    photos."""
     motion = ("--trajectory", "trajectory.json")
     for command in (
         (
@@ -144,7 +145,8 @@ def test_pictures_of_the_demo_are_no_photos(tmp_path):
 
 
 def beside_a_code(folder):
-    """What "cep optimize -o house.json" and "cep hw verify -o house.json" leave beside the photo of a house."""
+    """What "cep optimize -o house.json" and "cep hw verify -o house.json" leave beside the photo
+    of a house."""
     write_code(folder / "house.json", StoredCode(ShutterCode("1101", 250_000)))
     write_psf(folder, np.eye(9), stem="house_psf")
     return ["house.png"]

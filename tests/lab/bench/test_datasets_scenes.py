@@ -13,7 +13,8 @@ CUT = Cut(80, "linear", (3, 1))
 
 @pytest.fixture
 def photo(tmp_path):
-    """A photo whose every pixel tells its place: rows in steps of code values, columns in colour."""
+    """A photo whose every pixel tells its place: rows in steps of code values, columns in
+    colour."""
     image = np.zeros((120, 130, 3))
     image[..., 0], image[..., 1] = np.arange(120)[:, None] / 255, np.arange(130) / 255
     write_image(tmp_path / "a.png", image, gamma="linear")

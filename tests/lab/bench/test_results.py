@@ -1,4 +1,5 @@
-"""What stands under docs/results can be made again: its protocols are read by the commands that it names."""
+"""What stands under docs/results can be made again: its protocols are read by the commands that it
+names."""
 
 from pathlib import Path
 

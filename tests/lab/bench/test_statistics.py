@@ -1,4 +1,5 @@
-"""Statistics of benchmarks: closed forms, an independent bootstrap, and intervals that hold what they promise."""
+"""Statistics of benchmarks: closed forms, an independent bootstrap, and intervals that hold what
+they promise."""
 
 import math
 
@@ -64,7 +65,8 @@ def test_two_clusters_say_hardly_more():
 
 
 def slow_interval(values, clusters, seed, resamples=4000):
-    """Bootstrap cluster by cluster, with the error of each draw worked out from its own clusters."""
+    """Bootstrap cluster by cluster, with the error of each draw worked out from its own
+    clusters."""
     labels = sorted(set(clusters))
     groups = [
         np.array([v for v, c in zip(values, clusters, strict=True) if c == label])
@@ -112,7 +114,8 @@ def test_many_normal_values_have_the_interval_of_student():
 
 
 def coverage(make, trials=800, level=0.95):
-    """Return the share of intervals that hold zero, the true mean, and three standard errors of the share."""
+    """Return the share of intervals that hold zero, the true mean, and three standard errors of
+    the share."""
     draw = rng(12)
     held = 0
     for _ in range(trials):
@@ -157,7 +160,8 @@ def test_the_same_seed_gives_the_same():
 
 
 def crossed(photos, motions, generator, *, photo_sd=0.3, motion_sd=2.0):
-    """Values of every photo with every motion, their photos and their motions; the true mean is 0."""
+    """Values of every photo with every motion, their photos and their motions; the true mean is
+    0."""
     of_photo = generator.normal(0, photo_sd, photos)
     of_motion = generator.normal(0, motion_sd, motions)
     values = of_photo[:, None] + of_motion + generator.normal(0, 1, (photos, motions))

@@ -1,4 +1,5 @@
-"""Tables of benchmarks: bold needs a paired test, what is missing is told, and files say how they were made."""
+"""Tables of benchmarks: bold needs a paired test, what is missing is told, and files say how they
+were made."""
 
 import csv
 import io
@@ -28,7 +29,8 @@ MOTIONS = 4
 
 
 def measured(**methods):
-    """Return figures of every method on photos that differ far more than the methods; motions add a little."""
+    """Return figures of every method on photos that differ far more than the methods; motions add
+    a little."""
     rng = np.random.default_rng(0)
     base = rng.normal(25, 5, (PHOTOS, 1)) + rng.normal(0, 1, (PHOTOS, MOTIONS))
     return {

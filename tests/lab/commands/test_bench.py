@@ -1,4 +1,5 @@
-"""``python -m lab bench`` without a table's name: all of them in one folder, with a page that leads to them."""
+"""``python -m lab bench`` without a table's name: all of them in one folder, with a page that
+leads to them."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,5 @@
-"""``python -m lab bench blind`` and ``python -m lab bench speed``: from photos to tables, going on where they stopped, and refusals."""
+"""``python -m lab bench blind`` and ``python -m lab bench speed``: from photos to tables, going on
+where they stopped, and refusals."""
 
 import csv
 import errno
@@ -51,7 +52,8 @@ def studio(tmp_path, monkeypatch):
 
 @pytest.fixture
 def guesses(monkeypatch):
-    """Stand in for the slow estimator: always the same motion; ``at`` a photo it stops or fails."""
+    """Stand in for the slow estimator: always the same motion; ``at`` a photo it stops or
+    fails."""
 
     class Guess:
         calls = 0
@@ -134,8 +136,8 @@ def test_a_real_estimator_from_photos_to_every_output(cep, studio):
     assert "| pmp |" in text
     assert "2 photos, each with 2 motions.\n" in text
     assert (
-        "restored, up to shift, by L0 gradients, whose weight is 2.5 times the variance of the noise"
-        in text
+        "restored, up to shift, by L0 gradients, whose weight is 2.5 times the variance of the"
+        " noise" in text
     )
     assert "scikit-image" not in text
     assert "smaller training budgets" not in text

@@ -174,7 +174,8 @@ def test_a_search_that_fails_is_told_beside_the_others(cep, studio, monkeypatch)
 
 
 def test_a_second_run_takes_no_picture_of_the_first_for_a_photo(cep, studio):
-    """Its picture is large enough to be taken: --data . beside an output folder would blur a table's picture."""
+    """Its picture is large enough to be taken: --data . beside an output folder would blur a
+    table's picture."""
     options = ("--designs", "open", "--quick", "-o")
     command = ["." if part == "photos" else part for part in CEP]
     first = cep.succeeds(*command, *options, "out")

@@ -38,7 +38,8 @@ def test_the_best_draw_is_the_nearest_one():
 
 @pytest.mark.parametrize(("spread", "low", "high"), [(1.0, 0.72, 0.92), (0.1, 0.0, 0.55)])
 def test_draws_of_the_right_distribution_cover_k_of_k_plus_1(spread, low, high):
-    """Truth and four draws from one distribution: 4 of 5 are covered; fewer where the draws are too alike."""
+    """Truth and four draws from one distribution: 4 of 5 are covered; fewer where the draws are
+    too alike."""
     rng = np.random.default_rng(0)
     covered = [
         measure_draws(

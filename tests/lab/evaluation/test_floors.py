@@ -62,7 +62,8 @@ def test_the_mean_of_motions_is_centred_and_beats_a_blob_on_its_own_kind():
 
 
 def test_the_mean_lays_motions_on_each_other():
-    """Hand shake dwells off its centroid: a mean over centroids would be a blur and too easy to beat."""
+    """Hand shake dwells off its centroid: a mean over centroids would be a blur and too easy to
+    beat."""
     rates = ndimage.gaussian_filter1d(
         np.random.default_rng(0).standard_normal((1200, 3)), 10, axis=0
     )

@@ -42,7 +42,8 @@ def on_the_circle(code):
 
 
 def beaten(figures, others):
-    """Whether any of the others (R, 3) is as good in all of minimum, noise, light, and clearly better in one."""
+    """Whether any of the others (R, 3) is as good in all of minimum, noise, light, and clearly
+    better in one."""
     better = (others - np.asarray(figures)) * [1, -1, 1]
     return bool(((better >= -TIES).all(axis=1) & (better > TIES).any(axis=1)).any())
 

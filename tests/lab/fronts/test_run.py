@@ -1,4 +1,5 @@
-"""A front from Python: searched, compared with the published codes, saved; its inputs checked before any work."""
+"""A front from Python: searched, compared with the published codes, saved; its inputs checked
+before any work."""
 
 import json
 

@@ -20,7 +20,8 @@ def small_network():
 
 
 def test_the_checkpoints_of_the_authors_fit():
-    """Names and shapes at places that tell the rules apart: resizing blocks, heads, skips, learned variance."""
+    """Names and shapes at places that tell the rules apart: resizing blocks, heads, skips, learned
+    variance."""
     with torch.device("meta"):
         state = AdmUNet(
             AdmConfig(size=256, channels=3, width=128, multipliers=(1, 1, 2, 2, 4, 4))
@@ -56,7 +57,8 @@ def test_the_attention_is_its_formula():
 
 
 def test_each_head_has_its_own_query_key_and_value_side_by_side():
-    """In these weights the channels of a head lie together; one head's are those of a network with that head alone."""
+    """In these weights the channels of a head lie together; one head's are those of a network with
+    that head alone."""
     from lab.rivals.adm_unet import _Attention
 
     torch.manual_seed(1)

@@ -1,4 +1,5 @@
-"""BlindDPS with Gaussian priors, whose scores are known exactly, and the folder of weights that it runs from."""
+"""BlindDPS with Gaussian priors, whose scores are known exactly, and the folder of weights that it
+runs from."""
 
 import json
 import pickle
@@ -72,7 +73,8 @@ def test_the_schedule_is_the_usual_one():
 
 
 def test_without_a_pull_the_priors_are_sampled():
-    """Mean and variance of 4096 pixels, within four standard errors; the two signals are independent."""
+    """Mean and variance of 4096 pixels, within four standard errors; the two signals are
+    independent."""
     shape = (1, 1, 64, 64)
     x, k = drawn(
         (prior(0.1, 0.04, shape), prior(-0.2, 0.01, shape)),
@@ -86,7 +88,8 @@ def test_without_a_pull_the_priors_are_sampled():
 
 
 def test_every_step_is_the_closed_form():
-    """A chain of four steps replayed in numpy with the gradient worked out by hand, where y = x0 + 3 k0."""
+    """A chain of four steps replayed in numpy with the gradient worked out by hand, where y = x0 +
+    3 k0."""
     alpha_bar = np.array([0.95, 0.8, 0.5, 0.2])
     strength = 0.05
     shape = (1, 1, 2, 3)
@@ -146,7 +149,8 @@ def dead_leaves(side, seed):
 
 
 def gaussian_priors(sharp, *, more_channels=0):
-    """Priors of one photo's neighbourhood and of kernels that are bright in the middle, and that middle."""
+    """Priors of one photo's neighbourhood and of kernels that are bright in the middle, and that
+    middle."""
     channels = 1 if sharp.ndim == 2 else sharp.shape[2]
     image = 2 * np.moveaxis(to_display(sharp).reshape(*sharp.shape[:2], channels), 2, 0)[None] - 1
     y, x = np.mgrid[:9, :9] - 4
@@ -329,7 +333,8 @@ class Trap:
 
 @pytest.mark.parametrize("name", ["image.pt2", "image.pt", "image.safetensors"])
 def test_no_file_of_weights_is_unpickled(tmp_path, folder, name):
-    """A program of torch.export, a checkpoint of torch.save and a bare pickle, each under each name."""
+    """A program of torch.export, a checkpoint of torch.save and a bare pickle, each under each
+    name."""
     mark = tmp_path / "mark"
     network = torch.nn.ReLU()
     program = torch.export.export(network, (torch.zeros(1, 1, 4, 4),))

@@ -1,4 +1,5 @@
-"""Quadratic paths: closed forms of the best one, a network and a loss blind to direction, and the shipped weights."""
+"""Quadratic paths: closed forms of the best one, a network and a loss blind to direction, and the
+shipped weights."""
 
 import json
 import math
@@ -108,7 +109,8 @@ def test_a_parabola_is_found_exactly():
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.tuples(st.floats(0.01, 1), coefficient, coefficient), min_size=3, max_size=9))
 def test_the_nearest_is_the_least_squares_solution(samples):
-    """Against a dense numerical fit, for any path and pace; the reverse is nearest to the reverse."""
+    """Against a dense numerical fit, for any path and pace; the reverse is nearest to the
+    reverse."""
     steps, *xy = (np.array(column) for column in zip(*samples, strict=True))
     truth = Trajectory.from_samples(np.column_stack(xy), t=np.cumsum(steps))
     found = nearest_quadratic(truth)
@@ -122,7 +124,8 @@ def test_the_nearest_is_the_least_squares_solution(samples):
 
 
 def test_the_most_alike_is_a_limit_of_the_class():
-    """Better than the nearest in time, and no search by another method from around it finds a better one."""
+    """Better than the nearest in time, and no search by another method from around it finds a
+    better one."""
     truth = boracchi_foi(np.random.default_rng(3), max_length_px=45)
     psf = truth.psf()
 
@@ -155,7 +158,8 @@ def test_the_head_gives_one_path_per_photo():
 
 
 def test_the_head_predicts_the_square_of_the_drift():
-    """Two opposite drifts are one output; a quarter turn of the output is an eighth of the drift."""
+    """Two opposite drifts are one output; a quarter turn of the output is an eighth of the
+    drift."""
     head = PathHead(8)
     torch.nn.init.zeros_(head.output.weight)
     for turn_rad in (0.3, 0.3 + 2 * math.pi, 2.0):

@@ -1,4 +1,5 @@
-"""Diffusion over PSFs: what is diffused and back, the network without strides, training, and the shipped weights."""
+"""Diffusion over PSFs: what is diffused and back, the network without strides, training, and the
+shipped weights."""
 
 from dataclasses import replace
 

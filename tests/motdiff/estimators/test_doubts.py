@@ -1,4 +1,5 @@
-"""Doubts about an estimate: none where it is right, no motion where there is none, and one sentence for each doubt."""
+"""Doubts about an estimate: none where it is right, no motion where there is none, and one
+sentence for each doubt."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""Widths of edges: of known steps, of photos blurred by known kernels, and of kernels themselves."""
+"""Widths of edges: of known steps, of photos blurred by known kernels, and of kernels
+themselves."""
 
 import numpy as np
 import pytest

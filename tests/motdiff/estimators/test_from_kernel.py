@@ -1,4 +1,5 @@
-"""Results of estimators of the user's own: a PSF, a trajectory, a whole estimate, and what is none of them."""
+"""Results of estimators of the user's own: a PSF, a trajectory, a whole estimate, and what is none
+of them."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""Fusion of photos of one motion, with searches whose answers are known: what is chosen, and what is left out."""
+"""Fusion of photos of one motion, with searches whose answers are known: what is chosen, and what
+is left out."""
 
 import numpy as np
 import pytest
@@ -56,7 +57,10 @@ def test_the_minority_that_shows_another_motion_is_left_out_and_the_others_searc
     assert (result.kept, result.left_out, search.seen) == ((0, 2, 3), (1,), [4, 3])
     assert result.repeatability[1] < 0.6 < min(result.repeatability[i] for i in result.kept)
     assert result.found.warnings == (
-        f"photo 2 shows another motion (MNC {result.repeatability[1]:.2f} with the others): left out",
+        (
+            f"photo 2 shows another motion (MNC {result.repeatability[1]:.2f} with the others):"
+            " left out"
+        ),
     )
     assert result.found.confidence > 0.5
 

@@ -89,7 +89,8 @@ def test_errors_pass_through() -> None:
 
 
 def test_degrees_read_as_radians_are_refused_before_anything_is_drawn(monkeypatch) -> None:
-    """57 times too long, the path leaves the photo: the question is asked at once, whatever the rates."""
+    """57 times too long, the path leaves the photo: the question is asked at once, whatever the
+    rates."""
     trace = shake(0)
     window = {"focal_px": FOCAL_PX, "start_s": 0.4, "exposure_s": 0.1}
     photo = np.zeros((600, 800))

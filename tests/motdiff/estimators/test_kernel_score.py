@@ -1,4 +1,5 @@
-"""Scores of kernels: evidence prepared once as one by one, agreement by hand, and probabilities."""
+"""Scores of kernels: evidence prepared once as one by one, agreement by hand, and
+probabilities."""
 
 import numpy as np
 import pytest
@@ -91,7 +92,8 @@ def test_the_classical_ranking_is_by_score(crops):
 
 
 def test_agreement_by_hand():
-    """Points and pairs of points: the MNC of a point with a pair is 1 / sqrt 2, of two different pairs 1 / 2."""
+    """Points and pairs of points: the MNC of a point with a pair is 1 / sqrt 2, of two different
+    pairs 1 / 2."""
     point, across, down = np.zeros((3, 15, 15))
     point[7, 7] = 1
     across[7, 5], across[7, 10] = 0.5, 0.5

@@ -1,4 +1,5 @@
-"""An uneven blur: told where crops need kernels of their own, not where a search in one of them was lost."""
+"""An uneven blur: told where crops need kernels of their own, not where a search in one of them
+was lost."""
 
 import re
 
@@ -54,7 +55,8 @@ def test_crops_with_a_blur_of_their_own_are_counted(shared):
     said = uneven_blur_warning(crops(ALONG, ACROSS, ALONG), [ALONG, ACROSS, ALONG], odd(shared))
     assert said is not None
     told = re.fullmatch(
-        r"The blur differs across the photo \(1 of 3 crops have another one, mutual MNC (0\.\d\d)\): no single "
+        r"The blur differs across the photo \(1 of 3 crops have another one, mutual MNC"
+        r" (0\.\d\d)\): no single "
         r"trajectory fits\.",
         said,
     )

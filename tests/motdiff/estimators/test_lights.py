@@ -1,4 +1,5 @@
-"""Clipped lights are spanned by a membrane before a search for a blur that was lost beside them."""
+"""Clipped lights are spanned by a membrane before a search for a blur that was lost beside
+them."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""Blind estimation in photos of any size, with a search whose answers are known: crops, halving, what is told."""
+"""Blind estimation in photos of any size, with a search whose answers are known: crops, halving,
+what is told."""
 
 from dataclasses import replace
 
@@ -23,7 +24,8 @@ def line(length_px=9, *, side=KERNEL_PX, angle_rad=0.0):
 
 
 class FakeSearch(BlindEstimator):
-    """Finds a given kernel with a given confidence, the next pair at each scale; notes what it is asked.
+    """Finds a given kernel with a given confidence, the next pair at each scale; notes what it is
+    asked.
 
     The last pair goes on. ``singles`` are the kernels of single crops.
     """
@@ -61,7 +63,8 @@ class FakeSearch(BlindEstimator):
 
 @pytest.fixture(autouse=True)
 def undoubted(monkeypatch):
-    """The kernels here are not the blur of the photos: the photo's doubts are tests of their own, test_doubts.py."""
+    """The kernels here are not the blur of the photos: the photo's doubts are tests of their own,
+    test_doubts.py."""
     asked = []
 
     def kept(estimate, crops, **given):
@@ -440,7 +443,7 @@ def test_a_web_found_at_half_size_is_told_of_in_pixels_of_the_photo():
     whole, _ = found_in(noise(100, 100), FakeSearch((web / web.sum(), 0.98)))
     halved, _ = found_in(noise(300, 300), FakeSearch((LONG, 0.1), (web / web.sum(), 0.98)))
     assert halved.details["scale"] == 0.5
-    (at_once, at_half) = (
+    at_once, at_half = (
         [float(word) for word in estimate.warnings[0].split() if word.isdigit()]
         for estimate in (whole, halved)
     )
@@ -467,7 +470,8 @@ def test_a_tangled_path_s_order_is_said_to_be_unknown_unless_the_whole_estimate_
 
 @pytest.mark.parametrize(("side", "scale"), [(100, 1), (300, 0.5)])
 def test_a_path_is_tangled_by_its_strands_where_it_was_searched(monkeypatch, side, scale):
-    """Three strands 0.1 px aside of each other are one; twice as large in the photo they are no more."""
+    """Three strands 0.1 px aside of each other are one; twice as large in the photo they are no
+    more."""
     along = 20 * (1 - np.abs(1 - (3 * np.linspace(0, 1, 2001)) % 2))
     aside = 0.1 * np.sin(2 * np.pi * along / 3) * np.where(np.arange(2001) // 667 == 1, -1, 1)
     wobbling = Trajectory.from_samples(np.c_[along, aside])
@@ -493,7 +497,8 @@ def test_a_spiral_is_long_within_its_extent_but_not_tangled():
 
 
 def test_a_tangle_is_a_web_by_its_length_where_it_was_searched():
-    """Of more than 200 px in the photo but half of that where it was found: no web, however many turns it takes."""
+    """Of more than 200 px in the photo but half of that where it was found: no web, however many
+    turns it takes."""
     web = np.zeros((KERNEL_PX, KERNEL_PX))
     web[9:25:5, 9:25] = web[9:25, 9:25:5] = 1
     estimate, _ = found_in(noise(300, 300), FakeSearch((LONG, 0.1), (web / web.sum(), 0.98)))
@@ -633,7 +638,10 @@ def test_a_path_is_less_sure_than_its_psf_the_more_it_bends(path, share):
         (np.zeros(100), "photo: must be (H, W) or (H, W, C), got shape (100,)"),
         (
             np.repeat(np.arange(700)[None] >= 690, 700, axis=0) * 0.5,
-            "photo: has edges of one direction at most; motion shows only where the scene has texture",
+            (
+                "photo: has edges of one direction at most; motion shows only where the scene has"
+                " texture"
+            ),
         ),
     ],
 )

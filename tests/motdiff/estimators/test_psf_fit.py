@@ -21,7 +21,8 @@ def pair(seed: int, *, noise: float = 0.05, masked: bool = True) -> tuple[PatchP
 
 
 def dense(pairs: list[PatchPair]) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix and right-hand side of the weighted problem, column by column through scipy's convolution."""
+    """Matrix and right-hand side of the weighted problem, column by column through scipy's
+    convolution."""
     columns = []
     for index in range(SIZE * SIZE):
         unit = np.zeros(SIZE * SIZE)

@@ -1,4 +1,5 @@
-"""Samples of TIFF files: right whatever the tags say, or refused in one line that says what would be right."""
+"""Samples of TIFF files: right whatever the tags say, or refused in one line that says what would
+be right."""
 
 import struct
 import tracemalloc

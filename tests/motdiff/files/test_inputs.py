@@ -1,4 +1,5 @@
-"""Input files: what is no regular file is refused at once, and what is wrong with one takes one short line."""
+"""Input files: what is no regular file is refused at once, and what is wrong with one takes one
+short line."""
 
 import json
 import os

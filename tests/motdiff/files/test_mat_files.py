@@ -1,4 +1,5 @@
-"""MATLAB files: what they hold is read, and whatever SciPy does with a damaged one, this process goes on."""
+"""MATLAB files: what they hold is read, and whatever SciPy does with a damaged one, this process
+goes on."""
 
 import subprocess
 import sys

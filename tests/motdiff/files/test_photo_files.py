@@ -1,4 +1,5 @@
-"""Image files before decoding: the size in their header is the one that is decoded, and it is limited."""
+"""Image files before decoding: the size in their header is the one that is decoded, and it is
+limited."""
 
 import struct
 import zlib

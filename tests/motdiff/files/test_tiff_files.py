@@ -1,4 +1,5 @@
-"""Pages of TIFF files: the photo is read, and not its preview; where there are several photos, that is told."""
+"""Pages of TIFF files: the photo is read, and not its preview; where there are several photos,
+that is told."""
 
 import re
 import struct

@@ -1,4 +1,5 @@
-"""Correction of kernels: its maps against sums over pixels, what they show, and the symmetries of the network."""
+"""Correction of kernels: its maps against sums over pixels, what they show, and the symmetries of
+the network."""
 
 import numpy as np
 import pytest

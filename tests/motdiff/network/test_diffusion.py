@@ -1,4 +1,5 @@
-"""The diffusion process against closed forms, a Gaussian whose denoiser is known exactly, and diffusers' schedulers."""
+"""The diffusion process against closed forms, a Gaussian whose denoiser is known exactly, and
+diffusers' schedulers."""
 
 import math
 import warnings
@@ -232,7 +233,8 @@ def test_a_denoiser_that_knows_the_map_gives_it_exactly(method, steps):
     ("method", "eta"), [("ddpm", 0), ("ddim", 0), ("ddim", 0.5), ("ddim", 1), ("dpm++2m", 0)]
 )
 def test_with_the_map_known_the_network_sees_the_forward_process_at_every_timestep(method, eta):
-    """For a known x0 each x_t is q_sample of it: the mean is sqrt(a) x0, the variance 1 - a, whatever eta is."""
+    """For a known x0 each x_t is q_sample of it: the mean is sqrt(a) x0, the variance 1 - a,
+    whatever eta is."""
     schedule = cosine_schedule()
     count = 40_000
     seen = []
@@ -272,7 +274,8 @@ def test_with_the_map_known_the_network_sees_the_forward_process_at_every_timest
     ],
 )
 def test_samples_of_a_gaussian_have_its_mean_and_variance(method, eta, steps):
-    """x0 ~ N(m, s^2): E[x0 | x_t] = m + sqrt(a) s^2 (x_t - sqrt(a) m) / (a s^2 + 1 - a) is the perfect denoiser."""
+    """x0 ~ N(m, s^2): E[x0 | x_t] = m + sqrt(a) s^2 (x_t - sqrt(a) m) / (a s^2 + 1 - a) is the
+    perfect denoiser."""
     m = 0.3
     s = 0.4
     count = 20_000
@@ -299,7 +302,8 @@ def test_samples_of_a_gaussian_have_its_mean_and_variance(method, eta, steps):
 
 @pytest.mark.parametrize("steps", [7, 50, 1000])
 def test_ddpm_and_ddim_with_eta_1_both_draw_from_the_posterior(steps):
-    """Ho et al. eq. 7, with beta = 1 - a / a' between the visited timesteps: its own form, x0 and x_t weighted."""
+    """Ho et al. eq. 7, with beta = 1 - a / a' between the visited timesteps: its own form, x0 and
+    x_t weighted."""
     ancestral, result = visited("ddpm", steps, dtype=torch.float64)
     implicit, same = visited("ddim", steps, eta=1.0, dtype=torch.float64)
     torch.testing.assert_close(same, result)
@@ -332,7 +336,8 @@ COMMON = {
 )
 @pytest.mark.parametrize("steps", [10, 50])
 def test_every_step_is_that_of_diffusers(diffusers, method, eta, steps):
-    """In float64: in its own float32, diffusers' first step with eta = 1 takes 1e-7 as a difference of two ones."""
+    """In float64: in its own float32, diffusers' first step with eta = 1 takes 1e-7 as a
+    difference of two ones."""
     scheduler = {"ddim": diffusers.DDIMScheduler, "ddpm": diffusers.DDPMScheduler}[method]
     theirs = scheduler(clip_sample=False, **COMMON)
     theirs.alphas_cumprod = cosine_schedule().alpha_bar
@@ -370,7 +375,8 @@ def test_every_second_order_step_is_that_of_diffusers(diffusers, steps):
 
 
 def test_deterministic_methods_follow_a_gaussians_exact_flow_to_first_and_second_order():
-    """For x0 ~ N(m, s^2) the probability flow keeps each element's standard score at all t: x_t is known exactly."""
+    """For x0 ~ N(m, s^2) the probability flow keeps each element's standard score at all t: x_t is
+    known exactly."""
     m = 0.3
     s = 0.4
     schedule = cosine_schedule()

@@ -1,4 +1,5 @@
-"""The losses against a case worked out by hand, plain cross-entropy, finite differences and their invariances."""
+"""The losses against a case worked out by hand, plain cross-entropy, finite differences and their
+invariances."""
 
 import math
 
@@ -141,14 +142,16 @@ def test_structure_loss_refuses_a_negative_weight(name, value):
 
 
 def test_denoising_loss_is_the_squared_error_of_the_signal():
-    """4 (p - x0)^2: 1/4 where p is 1/4 away from the map (6 pixels), 1 where 1/2 away (2), 9/4 where 3/4 away (1)."""
+    """4 (p - x0)^2: 1/4 where p is 1/4 away from the map (6 pixels), 1 where 1/2 away (2), 9/4
+    where 3/4 away (1)."""
     assert denoising_loss(HAND_LOGITS, HAND_MAP).item() == pytest.approx(
         (6 / 4 + 2 + 9 / 4) / 9, abs=1e-12
     )
 
 
 def test_dwell_loss_of_a_case_worked_out_by_hand():
-    """softplus(0) = log 2. Dwell 1/2, 1/2, 2: two small errors, 0.5 e^2, and one above 1, |e| - 0.5."""
+    """softplus(0) = log 2. Dwell 1/2, 1/2, 2: two small errors, 0.5 e^2, and one above 1, |e| -
+    0.5."""
     dwell = torch.tensor([[[[9.0, 9, 9], [0.5, 0.5, 2], [9, 9, 9]]]], dtype=torch.float64)
     expected = ((math.log(2) - 0.5) ** 2 + (2 - math.log(2)) - 0.5) / 3
     assert dwell_loss(torch.zeros_like(dwell), dwell, HAND_MAP).item() == pytest.approx(

@@ -1,4 +1,5 @@
-"""The MoTDiff network: its shapes and sizes, the published backbone it must equal, and who depends on what."""
+"""The MoTDiff network: its shapes and sizes, the published backbone it must equal, and who depends
+on what."""
 
 import json
 import math
@@ -43,13 +44,15 @@ def inputs(config, batch=2, side=64):
         "x_t": torch.randn(batch, 1, side, side),
         "t": torch.arange(batch) * 500 + 3,
         "photo": None if config.backbone == "none" else torch.rand(batch, 3, side, side),
-        "physics": torch.randn(batch, config.physics_channels, 64, 64)
-        if config.physics_channels
-        else None,
+        "physics": (
+            torch.randn(batch, config.physics_channels, 64, 64)
+            if config.physics_channels
+            else None
+        ),
     }
 
 
-# ---------------------------------------------------------------------------------------------------- backbone
+# -- backbone -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -150,7 +153,8 @@ def to_transformers(state):
 
 
 def test_backbone_equals_transformers():
-    """In double precision to rounding, with every parameter random, so that no layer can be left out."""
+    """In double precision to rounding, with every parameter random, so that no layer can be left
+    out."""
     oracle_module = pytest.importorskip("transformers.models.pvt_v2.modeling_pvt_v2")
     configuration = pytest.importorskip("transformers").PvtV2Config(
         hidden_sizes=[32, 64, 160, 256],
@@ -180,7 +184,7 @@ def test_backbone_equals_transformers():
         torch.testing.assert_close(feature, other, rtol=1e-9, atol=1e-9)
 
 
-# ---------------------------------------------------------------------------------------------------- its weights
+# -- its weights ----------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -243,7 +247,7 @@ def test_backbone_arguments_are_checked():
         PyramidVisionTransformer("b0", stages=5)
 
 
-# ---------------------------------------------------------------------------------------------------- aggregation
+# -- aggregation ----------------------------------------------------------------------------------
 
 
 def test_local_emphasis_keeps_a_constant_where_the_border_does_not_reach():
@@ -277,7 +281,7 @@ def test_one_scale_needs_no_aggregation():
     assert torch.equal(StepwiseAggregation(1, 4)([feature]), feature)
 
 
-# ---------------------------------------------------------------------------------------------------- physics maps
+# -- physics maps ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("depth", [1, 3])
@@ -310,7 +314,7 @@ def test_physics_maps_of_another_shape_are_refused():
         GridUNet(2, 16, 1)(torch.zeros(1, 2, 32, 32))
 
 
-# ---------------------------------------------------------------------------------------------------- denoiser
+# -- denoiser -------------------------------------------------------------------------------------
 
 
 def test_timestep_embedding_is_made_of_phases():
@@ -396,7 +400,7 @@ def test_denoiser_shapes_must_fit():
         denoiser(torch.zeros(2, 1, 64, 64), torch.zeros(1).long(), condition)
 
 
-# ---------------------------------------------------------------------------------------------------- the whole
+# -- the whole ------------------------------------------------------------------------------------
 
 
 WHOLE = {
@@ -442,7 +446,8 @@ def test_gradients_reach_every_parameter(config):
 
 @pytest.mark.parametrize("name", ["both", "halved"])
 def test_a_photo_encoder_changes_nothing_until_it_is_trained(name):
-    """The condition is at first that of the physics maps, bit for bit; one update of the fusion alone lets it speak."""
+    """The condition is at first that of the physics maps, bit for bit; one update of the fusion
+    alone lets it speak."""
     network = MotDiffNetwork(WHOLE[name]).eval()
     given = inputs(WHOLE[name])
     with torch.no_grad():
@@ -548,7 +553,7 @@ def test_wrong_inputs_are_named(config, photo, physics, message):
         network.condition(*given)
 
 
-# ---------------------------------------------------------------------------------------------------- configuration
+# -- configuration --------------------------------------------------------------------------------
 
 
 def test_config_survives_json():

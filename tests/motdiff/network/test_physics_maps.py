@@ -1,4 +1,5 @@
-"""What physics says about a blur: correlations against scipy and closed forms, quick kernels against the truth."""
+"""What physics says about a blur: correlations against scipy and closed forms, quick kernels
+against the truth."""
 
 import numpy as np
 import pytest
@@ -81,7 +82,8 @@ def natural_noise(count, side, *, seed=0):
 
 @pytest.mark.parametrize("lag", [(0, 9), (12, -5), (-3, -20)])
 def test_two_points_show_as_side_peaks_at_their_distance(lag):
-    """|1/2 + 1/2 exp(i w)|^2 = 1/2 + 1/2 cos w: half the zero lag's peak on either side, as wide as the band allows.
+    """|1/2 + 1/2 exp(i w)|^2 = 1/2 + 1/2 cos w: half the zero lag's peak on either side, as wide
+    as the band allows.
 
     The cepstrum has 2 log|1 + exp(i w)| = 2 cos w - cos 2w + ...: up at the distance, down at
     twice it.
@@ -186,7 +188,8 @@ def test_quick_kernels_find_a_straight_blur():
 
 
 def test_quick_kernels_end_each_scale_on_all_gradients_unless_told_otherwise():
-    """As training had them and use has them: other kernels than the network knows would mislead it."""
+    """As training had them and use has them: other kernels than the network knows would mislead
+    it."""
     photos = torch.from_numpy(blur_valid(natural_noise(1, 110)[0].numpy(), curved(25))).float()[
         None, None
     ]

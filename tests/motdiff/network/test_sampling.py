@@ -1,4 +1,5 @@
-"""Drawing trajectories: the layout, the randomness and the cost of it, and PSFs of maps against exact ones."""
+"""Drawing trajectories: the layout, the randomness and the cost of it, and PSFs of maps against
+exact ones."""
 
 import numpy as np
 import pytest
@@ -34,7 +35,8 @@ def draw(network, condition, **options):
 
 
 class Oracle:
-    """Knows the map of each condition, which is a constant that numbers its photo; notes what it is asked."""
+    """Knows the map of each condition, which is a constant that numbers its photo; notes what it
+    is asked."""
 
     pitch = 4
 

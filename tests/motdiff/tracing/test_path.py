@@ -1,4 +1,5 @@
-"""Whether a path's order can be believed: crossings counted, plain curves not taken for tangles."""
+"""Whether a path's order can be believed: crossings counted, plain curves not taken for
+tangles."""
 
 import numpy as np
 import pytest
@@ -47,7 +48,8 @@ def test_a_retraced_strand_does_not_cross_itself(radius, turn):
 
 
 def test_a_strand_that_wobbles_along_another_does_not_cross_it_though_their_pieces_do():
-    """Run three times, 0.1 px to one side and the other every 1.5 px: as steep as 0.4, over a pixel hardly so."""
+    """Run three times, 0.1 px to one side and the other every 1.5 px: as steep as 0.4, over a
+    pixel hardly so."""
     along = 20 * (1 - np.abs(1 - (3 * np.linspace(0, 1, 2001)) % 2))
     aside = 0.1 * np.sin(2 * np.pi * along / 3) * np.where(np.arange(2001) // 667 == 1, -1, 1)
     assert crossings(Trajectory.from_samples(np.c_[along, aside])) == 0

@@ -284,7 +284,8 @@ def test_ordered_distance_is_zero_for_a_path_and_its_reverse_and_sees_a_loop_run
 
 @pytest.mark.parametrize(("share", "covered"), [(0.2, False), (1.0, True)])
 def test_a_faint_line_across_is_left_out_and_a_bright_one_is_walked(share, covered):
-    """What has a fifth of the light per pixel in a blind kernel is more likely noise than motion."""
+    """What has a fifth of the light per pixel in a blind kernel is more likely noise than
+    motion."""
     along, across = (
         Trajectory.straight(length, angle_rad=angle)
         for length, angle in ((24.0, 0.0), (8.0, np.pi / 2))
@@ -317,7 +318,8 @@ def test_a_line_is_worth_the_square_of_its_light_over_the_median_and_never_more_
     ("extra_px", "worth", "passes"), [(0.0, 1.0, 1), (60.0, 1.0, 2), (60.0, 0.03, 0)]
 )
 def test_the_mark_of_two_strands_counts_as_much_as_their_line(extra_px, worth, passes):
-    """A straight line of 60 px with one of 30 px that leaves it in the middle, drawn wide enough for two strands."""
+    """A straight line of 60 px with one of 30 px that leaves it in the middle, drawn wide enough
+    for two strands."""
     legs = [line((0, 0), (30, 0), 31), line((30, 0), (60, 0), 31), line((30, 0), (30, 30), 31)]
     ends = [(0, 1), (1, 2), (1, 3)]
     branches = [Branch(points, end) for points, end in zip(legs[:2], ends[:2], strict=True)]

@@ -1,4 +1,5 @@
-"""A run's TOML file: what is left out has its default, and one line names the section and entry that is wrong."""
+"""A run's TOML file: what is left out has its default, and one line names the section and entry
+that is wrong."""
 
 import json
 from dataclasses import replace
@@ -137,7 +138,10 @@ def test_a_configuration_is_json_and_back(tmp_path):
         ('[optimiser]\nonly = "encoder"', 'optimiser.only: must be "photo"'),
         ('[optimiser]\nonly = "photo"', "optimiser.only: needs weights to start from"),
         (
-            '[network]\nbackbone = "none"\nphysics_channels = 8\n[optimiser]\nonly = "photo"\nstart = "w"',
+            (
+                '[network]\nbackbone = "none"\nphysics_channels = 8\n[optimiser]\nonly ='
+                ' "photo"\nstart = "w"'
+            ),
             'optimiser.only: must be "" for a network without a photo encoder',
         ),
         ("[optimiser]\nwindow = 65", "optimiser.window: must lie within 8..64"),

@@ -1,4 +1,5 @@
-"""Batches: reproducible from seed, step and rank; every sample once an epoch; maps that turn together."""
+"""Batches: reproducible from seed, step and rank; every sample once an epoch; maps that turn
+together."""
 
 from functools import partial
 
@@ -160,7 +161,8 @@ def test_a_turned_sample_is_the_sample_of_the_turned_photo(prepared):
 
 
 def likeness(photo, psf):
-    """Greatest normalised correlation of a photo (256, 256) with a PSF (64, 64), over all shifts."""
+    """Greatest normalised correlation of a photo (256, 256) with a PSF (64, 64), over all
+    shifts."""
     spectra = (torch.fft.rfft2(maps, s=(320, 320)) for maps in (photo, psf))
     first, second = spectra
     return (
@@ -228,7 +230,8 @@ def test_live_batches_follow_from_seed_step_and_rank(bank, scenes):
 
 
 def test_each_motion_meets_each_scene(bank, scenes):
-    """One stream of random numbers for motions and scenes would join each motion to one scene for ever."""
+    """One stream of random numbers for motions and scenes would join each motion to one scene for
+    ever."""
     source = LiveSource(bank, scenes, PLAIN, photo=True, physics=False, seed=0)
     batch = source.batch(0, 24)
     bright = batch.photo.mean(dim=(1, 2, 3)) > 0.5

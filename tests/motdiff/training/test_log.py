@@ -1,4 +1,5 @@
-"""The log of a run: a row per 50 steps and per validation, a plot, and pieces of a run that go on in one file."""
+"""The log of a run: a row per 50 steps and per validation, a plot, and pieces of a run that go on
+in one file."""
 
 import math
 from dataclasses import replace
@@ -29,7 +30,8 @@ def test_fifty_steps_are_a_row(tmp_path):
 
 
 def test_the_rate_counts_only_the_time_of_the_steps(tmp_path):
-    """Drawing motions before it, validating in between, or earlier pieces must not look like slow training."""
+    """Drawing motions before it, validating in between, or earlier pieces must not look like slow
+    training."""
     steps(RunLog(tmp_path, steps=1000), range(1, 51))
     steps(RunLog(tmp_path, steps=1000), range(51, 101), seconds_per_step=2.0)
     rates = [row["samples_per_s"] for row in read_log(tmp_path / "log.csv")]

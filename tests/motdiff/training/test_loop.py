@@ -1,4 +1,5 @@
-"""The training loop: exact after a resume, the paper's loss on a window, and a network that learns four photos."""
+"""The training loop: exact after a resume, the paper's loss on a window, and a network that learns
+four photos."""
 
 import itertools
 import math
@@ -94,7 +95,8 @@ def assert_equal(a, b):
 
 
 def test_only_the_photo_encoder_learns_where_asked(tmp_path):
-    """The rest keeps the weights it started from, to the bit; both parts of the photo's have moved."""
+    """The rest keeps the weights it started from, to the bit; both parts of the photo's have
+    moved."""
     start = tmp_path / "start"
     Trainer(config()).save(start / "checkpoint")
     export_weights(start / "checkpoint", start / "w.safetensors")
@@ -311,7 +313,8 @@ def test_the_total_is_the_path_loss_and_the_weighted_dwell_loss():
 
 
 def test_a_motion_meets_all_timesteps(monkeypatch):
-    """One stream of random numbers for motions and timesteps would join each motion to one timestep for ever."""
+    """One stream of random numbers for motions and timesteps would join each motion to one
+    timestep for ever."""
     seen = []
     real = module.q_sample
     monkeypatch.setattr(module, "q_sample", lambda *given: seen.append(given[2]) or real(*given))
@@ -472,7 +475,8 @@ def test_timesteps_are_uniform(batch):
 
 @pytest.mark.slow(reason="130 updates of a network, which must remember the paths to the pixel")
 def test_a_small_network_learns_four_photos():
-    """What it is shown are correlations of the blurred photos alone; what it then draws from noise are their paths."""
+    """What it is shown are correlations of the blurred photos alone; what it then draws from noise
+    are their paths."""
     draw = torch.Generator().manual_seed(0)
     blocks = torch.randint(0, 256, (4, 3, 64, 64), generator=draw).to(torch.uint8)
     scenes = list(blocks.repeat_interleave(5, 2).repeat_interleave(5, 3))

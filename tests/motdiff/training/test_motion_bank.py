@@ -1,4 +1,5 @@
-"""The bank holds what its trajectories say: PSFs, HR maps and dwell, each motion by its own number."""
+"""The bank holds what its trajectories say: PSFs, HR maps and dwell, each motion by its own
+number."""
 
 import math
 from dataclasses import replace
@@ -40,7 +41,8 @@ def motions(mix, *, count, seed=0, trace=None):
 
 
 def seen_by_pixels(dwell):
-    """PSF (64, 64) of a map: each map pixel as a point of that dwell, seen through the bilinear hat of each pixel."""
+    """PSF (64, 64) of a map: each map pixel as a point of that dwell, seen through the bilinear
+    hat of each pixel."""
     offset = (np.arange(256) - 129.5) / 4 - (np.arange(64)[:, None] - 32)
     hat = np.maximum(1 - np.abs(offset), 0)
     return hat @ dwell @ hat.T / dwell.sum()
@@ -70,7 +72,8 @@ def test_targets_are_those_of_the_drawn_trajectories():
 
 
 def test_dwell_on_the_map_is_the_psf():
-    """The box mean alone is centred right, but finer than a PSF, which sees each point through a bilinear hat."""
+    """The box mean alone is centred right, but finer than a PSF, which sees each point through a
+    bilinear hat."""
     bank = build_bank(ALL_KINDS, count=10, seed=0)
     psfs, _, dwell = bank.targets(torch.arange(10))
     boxes = functional.avg_pool2d(dwell, 4)[:, 0]
@@ -128,7 +131,8 @@ def test_empty_banks_are_refused(count):
 
 
 def test_dwell_is_the_time_spent():
-    """Three quarters of the time on the first half of a line: 3/2 of the mean there, 1/2 on the other half."""
+    """Three quarters of the time on the first half of a line: 3/2 of the mean there, 1/2 on the
+    other half."""
     motion = Trajectory.from_samples([[0, 0], [12, 0], [24, 0]], t=[0, 0.75, 1])
     hr_map = motion.hr_map()
     dwell = dwell_on_map(motion, hr_map)

@@ -1,4 +1,5 @@
-"""Whole pieces of a training run: what they leave behind, how they end, and that several processes agree."""
+"""Whole pieces of a training run: what they leave behind, how they end, and that several processes
+agree."""
 
 import csv
 import os
@@ -276,7 +277,8 @@ def without_rates(folder):
 
 
 def test_the_log_of_pieces_is_that_of_one_run(prepared, tmp_path, row_each_step):
-    """Ended after each step, killed after a checkpoint, finished and started again: the same rows, the same loss."""
+    """Ended after each step, killed after a checkpoint, finished and started again: the same rows,
+    the same loss."""
     config = from_prepared(prepared, optimiser=replace(ONCE, steps=5))
     pace = Pace(validate_steps=2)
     train(config, tmp_path / "whole", pace=pace)
@@ -431,7 +433,8 @@ def test_physics_maps_must_fit_the_network(prepared, photos):
 
 
 def test_a_perfect_network_is_validated_as_one(prepared):
-    """Drawn from the truth itself, the MNC is 1; a network that has learnt nothing is far from it."""
+    """Drawn from the truth itself, the MNC is 1; a network that has learnt nothing is far from
+    it."""
     config = from_prepared(prepared, validation=4)
     sources = make_sources(config)
     trainer = Trainer(config)

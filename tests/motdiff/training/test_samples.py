@@ -21,7 +21,8 @@ PLAIN = Photography(most_noise=0.0, gammas=(1.0, 1.0), wrong_gamma=0.0, gains=(1
 
 @pytest.fixture(autouse=True, scope="module")
 def small_search():
-    """Small frames instead of the three of the training: what is proved here does not depend on the kernels' worth."""
+    """Small frames instead of the three of the training: what is proved here does not depend on
+    the kernels' worth."""
     threads = torch.get_num_threads()
     with pytest.MonkeyPatch.context() as patch:
         starts = (QuickStart(9, 1.0), QuickStart(15, 3.0))

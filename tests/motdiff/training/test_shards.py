@@ -1,4 +1,5 @@
-"""Shards: each written once and whole, read back in order, and refused by name where it cannot be read."""
+"""Shards: each written once and whole, read back in order, and refused by name where it cannot be
+read."""
 
 import re
 

@@ -1,4 +1,5 @@
-"""Batched blur and photography against the float64 blur of :mod:`motdiff.simulate`, and what each option must do."""
+"""Batched blur and photography against the float64 blur of :mod:`motdiff.simulate`, and what each
+option must do."""
 
 from dataclasses import replace
 

@@ -1,4 +1,5 @@
-"""The JPEG of the simulation against a JPEG library's, and what quantised cosine blocks must keep."""
+"""The JPEG of the simulation against a JPEG library's, and what quantised cosine blocks must
+keep."""
 
 import cv2
 import numpy as np
@@ -35,7 +36,8 @@ def compressed(picture, quality, dtype=torch.float64):
 
 @pytest.mark.parametrize("quality", [30, 50, 75, 90, 95, 98])
 def test_levels_are_those_of_a_jpeg_library(picture, quality):
-    """Rounded to levels most pixels agree; a coefficient halfway between two steps may go to either."""
+    """Rounded to levels most pixels agree; a coefficient halfway between two steps may go to
+    either."""
     library = library_jpeg(picture, quality)
     own = compressed(picture, quality)
     differing = np.abs(own.round() - library)
@@ -83,7 +85,8 @@ def test_coefficients_are_whole_steps_of_the_librarys_table(quality):
 
 
 def library_table(quality):
-    """(8, 8) steps from the file's DQT segment, which holds them along the diagonals, to and fro."""
+    """(8, 8) steps from the file's DQT segment, which holds them along the diagonals, to and
+    fro."""
     _, data = cv2.imencode(".jpg", np.zeros((8, 8), np.uint8), [cv2.IMWRITE_JPEG_QUALITY, quality])
     stored = bytes(data).split(b"\xff\xdb", 1)[1][3:67]
     diagonal = sorted(np.ndindex(8, 8), key=lambda at: (sum(at), at[0] if sum(at) % 2 else at[1]))

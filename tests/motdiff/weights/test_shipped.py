@@ -1,4 +1,5 @@
-"""The weights in the package: they load, say what they are, and draw what they drew when they were shipped."""
+"""The weights in the package: they load, say what they are, and draw what they drew when they were
+shipped."""
 
 import json
 from pathlib import Path
@@ -23,7 +24,8 @@ def gaussian(sigma_px):
 
 
 def mean_draw():
-    """Mean of four draws on a blurred scikit-image photo; told of kernels that no rounding can tip over."""
+    """Mean of four draws on a blurred scikit-image photo; told of kernels that no rounding can tip
+    over."""
     from skimage import data
 
     photo = blur_valid(data.camera()[60:380, 100:420] / 255.0, BENT.psf(65))

@@ -1,4 +1,5 @@
-"""Weights files: the averaged network to half precision, what a file says of itself, and files that are none."""
+"""Weights files: the averaged network to half precision, what a file says of itself, and files
+that are none."""
 
 import json
 from dataclasses import replace
@@ -179,7 +180,8 @@ def test_weights_remember_all_runs_that_led_to_them(trained, tmp_path):
 
 
 def test_a_photo_encoder_and_a_global_view_can_be_put_on_the_shipped_weights():
-    """Until it is trained the network gives the shipped one's logits, less the offset that export took from them."""
+    """Until it is trained the network gives the shipped one's logits, less the offset that export
+    took from them."""
     shipped = load_network()
     offset = read_card(DEFAULT_WEIGHTS)["run"]["offset"]
     larger = build_network(

@@ -1,4 +1,5 @@
-"""Proven minima and zeros: against dense evaluation, closed forms, roots, and the argument principle."""
+"""Proven minima and zeros: against dense evaluation, closed forms, roots, and the argument
+principle."""
 
 from itertools import pairwise, product
 from math import gcd
@@ -291,7 +292,8 @@ def test_budget_and_shutter_pass_through():
 
 @pytest.mark.parametrize("seed", [1, 4, 5])
 def test_zeros_of_a_shake_are_all_found(seed):
-    """The argument principle: H turns around 0 along the band's edge as often as signs of the Jacobian add up to."""
+    """The argument principle: H turns around 0 along the band's edge as often as signs of the
+    Jacobian add up to."""
     path = shake(seed)
     code = random_code(np.random.default_rng(seed))
     zeros = zeros_along(path, code)
@@ -347,7 +349,8 @@ def test_zeros_of_a_straight_motion():
 )
 @pytest.mark.parametrize("angle_rad", [0.0, 0.6])
 def test_a_motion_with_a_zero_in_closed_form_needs_no_grid(monkeypatch, bits, angle_rad):
-    """The grid's work grows with the square of the length: tens of thousands of px took minutes."""
+    """The grid's work grows with the square of the length: tens of thousands of px took
+    minutes."""
     code = ShutterCode(bits)
     monkeypatch.setattr("cep.proofs.certify.minimum.jets", lambda *_: pytest.fail("a grid"))
     for length_px in (float(2 * code.chips), 30_000.0, 99_999.0):
@@ -360,7 +363,8 @@ def test_a_motion_with_a_zero_in_closed_form_needs_no_grid(monkeypatch, bits, an
 
 
 def test_a_zero_on_the_band_s_very_edge_is_rounded_one_way_or_the_other():
-    """Here the length says that the first zero lies within the band, its place that it does not."""
+    """Here the length says that the first zero lies within the band, its place that it does
+    not."""
     path = Trajectory.straight(57.9528375614075, angle_rad=0.5663900138464376)
     found = mtf_minimum(path, ShutterCode("1" + 39 * "0"))
     assert found.lower == 0

@@ -1,4 +1,5 @@
-"""The check of a proof in blocks: it passes true ones, and refuses whatever is missing, doubled or changed."""
+"""The check of a proof in blocks: it passes true ones, and refuses whatever is missing, doubled or
+changed."""
 
 import json
 import os

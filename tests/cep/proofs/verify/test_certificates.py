@@ -257,7 +257,8 @@ def test_other_dwell_times_are_another_path():
 
 
 def test_each_direction_is_looked_at_in_full():
-    """Forward the shutter sees a straight stretch, whose |H| depends on one frequency, and backward a bend."""
+    """Forward the shutter sees a straight stretch, whose |H| depends on one frequency, and
+    backward a bend."""
     straight = np.linspace(0, 8, 11)
     bend = 2 * np.linspace(0, 1, 11)[1:]
     xy = np.concatenate(
@@ -278,7 +279,8 @@ def test_each_direction_is_looked_at_in_full():
 
 @pytest.mark.parametrize("angle", [0.3, 0.64, 2.2, -0.9])
 def test_an_oblique_path_of_changing_speed_is_confirmed(angle):
-    """The lowest frequency along it may lie farther out than the band's sides: another on the same line is named."""
+    """The lowest frequency along it may lie farther out than the band's sides: another on the same
+    line is named."""
     along = 20 * np.linspace(0, 1, 40) ** 2
     path = Trajectory.from_samples(np.outer(along, [np.cos(angle), np.sin(angle)]))
     for bits in ("1" * 20, "1101000101"):

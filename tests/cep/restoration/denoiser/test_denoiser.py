@@ -1,4 +1,5 @@
-"""The denoiser of the plug-and-play restoration: network, weights files, and the shipped weights."""
+"""The denoiser of the plug-and-play restoration: network, weights files, and the shipped
+weights."""
 
 import json
 

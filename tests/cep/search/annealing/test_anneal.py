@@ -1,4 +1,5 @@
-"""The search: against brute force, within its limits, reproducible, interruptible; and its bounds."""
+"""The search: against brute force, within its limits, reproducible, interruptible; and its
+bounds."""
 
 from itertools import combinations
 
@@ -36,7 +37,8 @@ def all_codes(problem):
 
 
 def brute_force(problem):
-    """Best exact cost over every code; those whose sampled cost is already hopeless are skipped."""
+    """Best exact cost over every code; those whose sampled cost is already hopeless are
+    skipped."""
     fine = Objective(problem, oversampling=64, dtype=np.float64)
     codes = all_codes(problem)
     # a continuum minimum only raises the cost
@@ -208,7 +210,8 @@ def test_time_limit_ends_a_search():
 
 
 def test_a_search_without_a_number_of_moves_goes_on_for_its_time(monkeypatch):
-    """However many moves that is: the clock runs by a fiftieth of the time with each look at it by the caller."""
+    """However many moves that is: the clock runs by a fiftieth of the time with each look at it by
+    the caller."""
     clock = [0.0]
     told = []
     monkeypatch.setattr("cep.search.annealing.anneal.time.monotonic", lambda: clock[0])

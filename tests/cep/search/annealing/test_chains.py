@@ -1,4 +1,5 @@
-"""The compiled loops: costs against the plain arithmetic, moves against the limits, walks against every neighbour."""
+"""The compiled loops: costs against the plain arithmetic, moves against the limits, walks against
+every neighbour."""
 
 from dataclasses import replace
 
@@ -82,7 +83,8 @@ def free_chips(problem):
 
 
 def plain_cost(objective, code):
-    """Cost as the loop counts it: with the eighth power's mean for a minimum, which leads better than the minimum."""
+    """Cost as the loop counts it: with the eighth power's mean for a minimum, which leads better
+    than the minimum."""
     if objective.problem.objective != "min-mtf":
         return objective.cost_of(code[None])[0]
     otf = objective.otf(code[None])[0]
@@ -111,7 +113,8 @@ def test_costs_agree_with_the_plain_arithmetic(name, objective):
     # chips
     if problem.response is not None and objective in ("flatness", "mse", MIX):
         pytest.skip(
-            "the loop takes the light of a code with ramps from its open chips, the judge from its waveform"
+            "the loop takes the light of a code with ramps from its open chips, the judge from its"
+            " waveform"
         )
     assert chain.cost[0] == pytest.approx(plain_cost(judge, chain.code), abs=1e-2)
     worst_first(tables, chain.otf)

@@ -1,4 +1,5 @@
-"""Codes of several frames: against every pair of short codes, plain sums of powers, and the search of one code."""
+"""Codes of several frames: against every pair of short codes, plain sums of powers, and the search
+of one code."""
 
 import itertools
 from dataclasses import replace

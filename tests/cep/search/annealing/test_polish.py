@@ -1,4 +1,5 @@
-"""Codes near one: their OTF and the cheapest of them against the plain arithmetic over all of them."""
+"""Codes near one: their OTF and the cheapest of them against the plain arithmetic over all of
+them."""
 
 from dataclasses import replace
 

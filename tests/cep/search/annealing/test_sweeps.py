@@ -1,4 +1,5 @@
-"""Sweeps: moves within the limits, costs that are accepted, the deepest codes kept, and the best one found."""
+"""Sweeps: moves within the limits, costs that are accepted, the deepest codes kept, and the best
+one found."""
 
 from dataclasses import replace
 from itertools import product
@@ -93,7 +94,8 @@ def test_a_cold_sweep_only_improves():
 
 
 def test_a_zero_between_the_samples_of_the_moves_is_seen():
-    """At 8 samples per 1 / chips a code with a zero may look better than each code with a true minimum as large."""
+    """At 8 samples per 1 / chips a code with a zero may look better than each code with a true
+    minimum as large."""
     problem = SearchProblem(chips=52, open_range=(26, 26))
     objective = Objective(problem, oversampling=8)
     judge = Objective(problem, oversampling=64)

@@ -1,4 +1,5 @@
-"""Bounds: above (or below) every code by brute force, from any multipliers, whatever a solver says."""
+"""Bounds: above (or below) every code by brute force, from any multipliers, whatever a solver
+says."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -58,7 +59,8 @@ def all_codes(chips, counts):
 
 
 def best_of_all(problem):
-    """Largest smallest |H| on the continuum and least noise over all codes, worst scenario and direction."""
+    """Largest smallest |H| on the continuum and least noise over all codes, worst scenario and
+    direction."""
     low, high = problem.open_limits
     codes = all_codes(problem.chips, range(low, high + 1))
     paths = [(s.trajectory, s.edges) for s in problem.scenarios]
@@ -187,7 +189,8 @@ def test_closed_forms_hold_for_random_codes(size, seed):
 
 
 def test_known_minima_and_theorem():
-    """Barker-13 (k = 9) has 1.362373; the first code above 2 has 39 chips, so 38 are bounded by 2 and 39 are not."""
+    """Barker-13 (k = 9) has 1.362373; the first code above 2 has 39 chips, so 38 are bounded by 2
+    and 39 are not."""
     barker = SearchProblem(chips=13, open_range=(9, 9))
     assert 1.362373 <= bound(barker).min_chip <= 2
     assert bound(SearchProblem(chips=38)).min_chip == 2
@@ -202,7 +205,8 @@ def test_known_minima_and_theorem():
 
 
 def test_relaxation_cannot_beat_the_random_code_on_the_circle():
-    """The mean of c c' over all codes is a feasible C whose smallest tr(G C) is k (n - k) / (n - 1)."""
+    """The mean of c c' over all codes is a feasible C whose smallest tr(G C) is k (n - k) / (n -
+    1)."""
     n = 14
     k = 6
     grid = np.arange(0, 4 * n + 1) / (8 * n)

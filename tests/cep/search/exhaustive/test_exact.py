@@ -1,4 +1,5 @@
-"""The proof: against plain brute force, on known values, within every limit, and whatever it starts from."""
+"""The proof: against plain brute force, on known values, within every limit, and whatever it
+starts from."""
 
 import json
 from functools import cache
@@ -44,7 +45,8 @@ def everything(chips):
 
 
 def brute_force(problem):
-    """Largest minimum of any code: the grid orders the codes, and the continuum only lowers its figures."""
+    """Largest minimum of any code: the grid orders the codes, and the continuum only lowers its
+    figures."""
     codes, sampled = everything(problem.chips)
     kept = np.flatnonzero(problem.satisfied(codes))
     best = -1.0
@@ -144,7 +146,8 @@ def test_limits_are_those_of_brute_force(
 
 
 def test_a_period_is_not_kept_by_mirror_images():
-    """Starts of pulses turn into ends: both codes of a mirror pair must be counted, and only one may be named."""
+    """Starts of pulses turn into ends: both codes of a mirror pair must be counted, and only one
+    may be named."""
     forward = SearchProblem(
         chips=13, open_range=(5, 5), runs=RunLimits(max_pulses=2, min_period=6)
     )

@@ -72,7 +72,8 @@ def stop_at(iteration, config):
 
 @pytest.mark.slow(reason="trains two networks on a photo")
 def test_finds_the_blur_of_a_simulated_photo():
-    """Of 48 x 48 px: from a flat kernel to the true one, the right way round, and what is returned is in convention."""
+    """Of 48 x 48 px: from a flat kernel to the true one, the right way round, and what is returned
+    is in convention."""
     delta = np.zeros((9, 9))
     delta[4, 4] = 1
     start = mnc_subpixel(fit_of(TINY).kernel().double().numpy(), PSF)
@@ -183,7 +184,8 @@ def test_a_stopped_estimate_goes_on_and_cleans_up(tmp_path):
 
 
 def test_processor_time_before_a_stop_counts(tmp_path, monkeypatch):
-    """With a clock that goes on 7 s after each save: all counts once, but for each stop's last 7 s, not yet saved."""
+    """With a clock that goes on 7 s after each save: all counts once, but for each stop's last 7
+    s, not yet saved."""
     now = [0.0]
     monkeypatch.setattr(time, "process_time", lambda: now[0])
 

@@ -1,4 +1,5 @@
-"""What SelfDeblur is made of: its blur, its loss, its generators, and what is made of an unjudged kernel."""
+"""What SelfDeblur is made of: its blur, its loss, its generators, and what is made of an unjudged
+kernel."""
 
 import numpy as np
 import pytest
@@ -50,7 +51,8 @@ def test_the_structural_similarity_is_the_published_one():
 
 
 def test_the_generators_have_the_published_sizes():
-    """2.37 M and 0.93 M parameters were counted in the published program at Levin's 27-px kernel."""
+    """2.37 M and 0.93 M parameters were counted in the published program at Levin's 27-px
+    kernel."""
     config = SelfDeblurConfig(kernel_px=27)
     counts = [
         sum(p.numel() for p in made(config).parameters())

@@ -41,7 +41,8 @@ def path_kernel(seed):
 
 @pytest.fixture(scope="module")
 def kernels():
-    """Kernels with a tail that is not theirs, which one map lacks, in maps that otherwise hold noise."""
+    """Kernels with a tail that is not theirs, which one map lacks, in maps that otherwise hold
+    noise."""
     truth = torch.stack([path_kernel(seed) for seed in range(6)])
     maps = 0.1 * torch.randn(6, MAPS, 64, 64, generator=torch.Generator().manual_seed(0))
     maps[:, 0] = truth / truth.amax(dim=(1, 2), keepdim=True)

@@ -1,4 +1,5 @@
-"""DCE's parts: the straight-through code, its coded photos, the losses and the network, against closed forms."""
+"""DCE's parts: the straight-through code, its coded photos, the losses and the network, against
+closed forms."""
 
 import numpy as np
 import pytest
@@ -53,7 +54,8 @@ def test_a_code_is_of_zeros_and_ones_and_lets_light_through(values):
 
 
 def test_backward_it_is_the_relaxed_code():
-    """The gradient by a weight is the slope of the loss in the chip's opening, about the binary code."""
+    """The gradient by a weight is the slope of the loss in the chip's opening, about the binary
+    code."""
     sample = batch(6)
     weights = torch.tensor(
         [0.9, 0.2, 0.51, 0.49, 0.7, 0.1], dtype=torch.float64, requires_grad=True

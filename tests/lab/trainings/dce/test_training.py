@@ -1,4 +1,5 @@
-"""DCE's training: it lowers the loss, keeps the code a code, goes on exactly where it stopped, and exports."""
+"""DCE's training: it lowers the loss, keeps the code a code, goes on exactly where it stopped, and
+exports."""
 
 import csv
 import json

@@ -1,4 +1,5 @@
-"""The estimator: what it refuses, and order and direction of a path with a loop, from kernels that are given."""
+"""The estimator: what it refuses, and order and direction of a path with a loop, from kernels that
+are given."""
 
 import re
 from collections.abc import Sequence

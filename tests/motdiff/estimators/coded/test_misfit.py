@@ -1,4 +1,5 @@
-"""Terms of the sum of squares: what the true motion leaves, their derivatives, and what no photo can tell."""
+"""Terms of the sum of squares: what the true motion leaves, their derivatives, and what no photo
+can tell."""
 
 import numpy as np
 import pytest

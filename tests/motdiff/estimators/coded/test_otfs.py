@@ -1,4 +1,5 @@
-"""Coded OTFs against the trajectory's own slices, finite differences and the symmetries of the Fourier transform."""
+"""Coded OTFs against the trajectory's own slices, finite differences and the symmetries of the
+Fourier transform."""
 
 import numpy as np
 import pytest
@@ -29,7 +30,8 @@ def frequencies(seed: int, count: int = 60) -> np.ndarray:
 
 
 def exact(points: np.ndarray, code: str, f: np.ndarray) -> np.ndarray:
-    """Normalised coded OTF (F,) in double precision, from slices of the exposure summed over the open chips."""
+    """Normalised coded OTF (F,) in double precision, from slices of the exposure summed over the
+    open chips."""
     path = Trajectory.from_samples(points)
     is_open = np.array(list(code)) == "1"
     slices = path.slice_otfs(np.linspace(0, 1, len(code) + 1), f[:, 0], f[:, 1])[is_open]

@@ -1,4 +1,5 @@
-"""A path that is roughly known, refined by photos of its motion; the kernels of the photos are given."""
+"""A path that is roughly known, refined by photos of its motion; the kernels of the photos are
+given."""
 
 import numpy as np
 import pytest

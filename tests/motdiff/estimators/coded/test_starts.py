@@ -1,4 +1,5 @@
-"""Starts: orders that draw the same PSF, paths decoded from exact kernels, and crossing that keeps what both share."""
+"""Starts: orders that draw the same PSF, paths decoded from exact kernels, and crossing that keeps
+what both share."""
 
 import numpy as np
 import pytest

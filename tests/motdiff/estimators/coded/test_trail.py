@@ -15,7 +15,8 @@ SPOT_PX = 0.6
 
 
 def drawn(path, code, *, side_px=48, spot_px=SPOT_PX, centre_px=(0.0, 0.0), moments=20_000):
-    """Trail (side, side) of a Gaussian spot seen by square pixels, with the light of the whole exposure 1."""
+    """Trail (side, side) of a Gaussian spot seen by square pixels, with the light of the whole
+    exposure 1."""
     t = (np.arange(moments) + 0.5) / moments
     shown = np.array(list(code))[(t * len(code)).astype(int)] == "1"
     at = path.at(t)[shown] + np.asarray(centre_px)

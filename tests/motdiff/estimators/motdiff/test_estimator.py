@@ -1,4 +1,5 @@
-"""The estimator with the diffusion model: an oracle for a network proves what is done around it; real ones run."""
+"""The estimator with the diffusion model: an oracle for a network proves what is done around it;
+real ones run."""
 
 from functools import partial
 
@@ -153,7 +154,8 @@ CLOSED = "as training has them"  # the default
 
 @pytest.fixture
 def no_search(monkeypatch):
-    """Make-believe classical kernels, where what is proved does not depend on them; notes what they are asked."""
+    """Make-believe classical kernels, where what is proved does not depend on them; notes what
+    they are asked."""
     asked = []
 
     def made_up(photos, *, sigma, starts, fine_weights=CLOSED):
@@ -372,7 +374,8 @@ def test_refinement_finds_the_dwell_that_the_network_does_not_know(monkeypatch, 
 
 
 def test_what_a_network_is_nearly_sure_of_is_exactly_0(monkeypatch, no_search):
-    """Its probabilities never are; light all over the frame would be taken for a blur that outgrows it."""
+    """Its probabilities never are; light all over the frame would be taken for a blur that
+    outgrows it."""
     options = {"samples": 2, "steps": 2, "refine": False}
     estimator = estimator_with(monkeypatch, Oracle(STRAIGHT, logit=6.0), **options)
     estimate = estimator.estimate(photo_of(STRAIGHT, 192, 192))
@@ -396,7 +399,8 @@ def test_candidates_come_in_odd_frames_with_their_zero_in_the_middle():
 
 
 def test_the_likeliest_different_kernels_are_corrected_and_the_photo_chooses(monkeypatch, shaken):
-    """Kernel 3 was the likeliest, and 5 fits the photo once it is corrected; 0 and 1 were drawn, 4 is like 3."""
+    """Kernel 3 was the likeliest, and 5 fits the photo once it is corrected; 0 and 1 were drawn, 4
+    is like 3."""
     wrong = [Trajectory.straight(12.0, angle_rad=angle).psf(63) for angle in (1.0, 1.5, 2.0, 2.4)]
     kernels = tuple(wrong[i].copy() for i in (0, 0, 1, 2, 2, 3))
     found = FoundKernels(
@@ -464,7 +468,8 @@ def test_a_correction_keeps_the_sum_and_takes_kernels_of_any_frame(shaken):
 
 
 class FakePmp:
-    """Classical searches with known results, one per start, in frames as large as the photo lets them be."""
+    """Classical searches with known results, one per start, in frames as large as the photo lets
+    them be."""
 
     motions = (STRAIGHT,) * len(STARTS)
     asked = 0
@@ -544,7 +549,8 @@ def test_the_mean_of_the_draws_and_the_likeliest_classical_kernel_are_always_ref
 def test_the_network_is_told_of_three_full_searches_smallest_frame_first(
     monkeypatch, classical, shaken
 ):
-    """As in its training: frames of 29, 39 and 53 px, of the photo as it is, zero displacement at index 32."""
+    """As in its training: frames of 29, 39 and 53 px, of the photo as it is, zero displacement at
+    index 32."""
     motions = [Trajectory.straight(float(i + 5), angle_rad=0.3) for i in range(len(STARTS))]
     classical(*motions)
     network = Blind()
@@ -832,7 +838,10 @@ def test_samplers_are_named_with_their_steps(oracle_weights, shaken):
 def test_other_names_are_refused(oracle_weights, name):
     with pytest.raises(
         ValueError,
-        match=r"^method: must be network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS, or networks with",
+        match=(
+            r"^method: must be network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS, or"
+            r" networks with"
+        ),
     ):
         named_estimators([name])
 

@@ -186,7 +186,8 @@ def test_each_scale_has_its_alternations_and_the_refinement_closes_where_all_gra
 
 
 def test_looking_at_all_gradients_at_each_scale_brings_the_search_nearer():
-    """Six shaken photos, the search shortened: salient edges alone lead away, even from the truth."""
+    """Six shaken photos, the search shortened: salient edges alone lead away, even from the
+    truth."""
     t = np.linspace(0, 1, 60)
     gains = []
     for seed in range(6):

@@ -1,4 +1,5 @@
-"""The parts of the blind search against independent oracles: numpy FFTs, scipy labels, brute-force least squares."""
+"""The parts of the blind search against independent oracles: numpy FFTs, scipy labels, brute-force
+least squares."""
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ def tensor(array):
 
 @pytest.fixture
 def scene():
-    """Dead leaves: discs of random grey, the standard model of an image with edges at all scales."""
+    """Dead leaves: discs of random grey, the standard model of an image with edges at all
+    scales."""
     rng = np.random.default_rng(3)
     y, x = np.mgrid[:200, :200]
     image = np.full((200, 200), 0.5)
@@ -298,7 +300,8 @@ def test_spectrum_and_phase_tell_the_kernel_from_lost_ones(scene):
 
 @pytest.mark.parametrize(("contrast", "level"), [(1.0, 0.0), (1e-6, 0.9)])
 def test_evidence_in_single_precision_is_that_in_double(scene, contrast, level):
-    """The formulas in double precision, for a plain photo and for one whose contrast single precision hardly holds."""
+    """The formulas in double precision, for a plain photo and for one whose contrast single
+    precision hardly holds."""
     psf = curved(25)
     photo = (
         contrast * (blur_valid(scene, psf) + np.random.default_rng(9).normal(0, 0.005, (176, 176)))
