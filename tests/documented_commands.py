@@ -13,6 +13,7 @@ import jupytext
 import typer
 
 from cep.commands.main import app
+from lab.commands.main import app as lab_app
 from motdiff.commands import parser
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -20,9 +21,9 @@ GENERATED = {"command-line.md", "overview.md", "works.md"}
 """Pages that the build of the site writes, from the commands and from the README."""
 
 LEFT_OUT = {"_build", "node_modules"}
-PROGRAMS = (("cep",), ("python", "-m", "motdiff"))
+PROGRAMS = (("cep",), ("python", "-m", "motdiff"), ("python", "-m", "lab"))
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-_SPAN = re.compile(r"(?<!`)`((?:cep|python -m motdiff)\s[^`]*)`(?!`)")
+_SPAN = re.compile(r"(?<!`)`((?:cep|python -m motdiff|python -m lab)\s[^`]*)`(?!`)")
 _REDIRECTION = re.compile(r"\s(?:\d?>&\d|\d?[<>]+ *\S+)")
 _OPERATORS = frozenset({"&", "&&", "|", "||", ";"})
 _AT_ONCE = frozenset({"--help", "--version", "--install-completion"})
@@ -101,17 +102,24 @@ def shown():
                 r"[][]|\.\.\.", "", " ".join(span.split())
             )  # optional parts count, repetition does not
             yield from (Shown(page, words, whole=False) for words in commands_in(line))
-    for name, command in _with_examples(command_line(), "cep"):
-        for example in command.examples:
-            yield from (
-                Shown(f"{name} --help", words, whole=True) for words in commands_in(example)
-            )
+    for app_name, root in (("cep", command_line()), ("python -m lab", lab_command_line())):
+        for name, command in _with_examples(root, app_name):
+            for example in getattr(command, "examples", ()):
+                yield from (
+                    Shown(f"{name} --help", words, whole=True) for words in commands_in(example)
+                )
 
 
 @functools.cache
 def command_line():
     """Return the commands of ``cep``, built once."""
     return typer.main.get_command(app)
+
+
+@functools.cache
+def lab_command_line():
+    """Return the commands of ``python -m lab``, built once."""
+    return typer.main.get_command(lab_app)
 
 
 def _with_examples(command, name):
@@ -130,14 +138,17 @@ def fault(command):
     words = [word for word in command.words if word not in _AT_ONCE]
     if not command.whole:
         words = ["8" if word == "N" else word for word in words]
-    if words == ["cep"]:
+    if words in (["cep"], ["python", "-m", "lab"]):
         return None
     told = io.StringIO()
     try:
         with contextlib.redirect_stderr(told), contextlib.redirect_stdout(told):
-            _parse(command_line(), words[1:]) if words[0] == "cep" else parser().parse_args(
-                words[3:]
-            )
+            if words[0] == "cep":
+                _parse(command_line(), words[1:])
+            elif words[2] == "lab":
+                _parse(lab_command_line(), words[3:])
+            else:
+                parser().parse_args(words[3:])
     except (
         Exception
     ) as error:  # typer brings its own click or uses the one installed: told apart by name

@@ -157,7 +157,7 @@ def estimate(
 
     Example: cep camera estimate bright1.dng bright2.dng --dark dark1.dng dark2.dng
     """
-    from cep.commands.camera_files import estimate_camera
+    from cep.calibration.camera_from_frames import estimate_camera
     from cep.files.outputs import claim
     from cep.plots import check_figure_name
 

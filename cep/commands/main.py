@@ -14,7 +14,6 @@ from cep.commands import (
     calibrate,
     calibration_set,
     camera,
-    cite,
     code,
     controller,
     deblur,
@@ -28,7 +27,11 @@ from cep.commands import (
 from cep.commands.commands import Command, Group
 from cep.commands.console import BAD_INPUT, FAILURE, INTERRUPTED, complain, explain, warn
 
-IN_THE_LAB = ("bench", "pareto")
+_MOVED = {
+    "bench": "moved to the laboratory, in the repository: python -m lab bench",
+    "pareto": "moved to the laboratory, in the repository: python -m lab pareto",
+    "cite": "is now the page Works of the documentation; the file: cep/files/works.bib",
+}
 """Commands of earlier versions that are not part of the product."""
 
 
@@ -88,7 +91,6 @@ app.command("export")(hardware.export)
 app.command("upload")(hardware.upload)
 app.add_typer(camera.camera, name="camera", cls=Group)
 app.add_typer(controller.hw, name="hw", cls=Group)
-app.command("cite")(cite.cite)
 app.command("studio")(studio.studio)
 app.command("demo")(demo.demo)
 for _group in (app, camera.camera, controller.hw):
@@ -105,10 +107,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The command line without the program's name; that of this process when omitted.
     """
     given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
-    if given[0] in IN_THE_LAB:
-        complain(
-            f"{given[0]}: moved to the laboratory, in the repository: python -m lab {given[0]}"
-        )
+    if given[0] in _MOVED:
+        complain(f"{given[0]} {_MOVED[given[0]]}")
         return BAD_INPUT
     return run_app(app, given, name="cep")
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from citations import citable, cite
 from sphinx.application import Sphinx
 
-from cep.commands.citations import citable, cite
 from cep.commands.main import app as cep
 from cep.files.works import works
 
@@ -74,12 +74,9 @@ def works_page() -> str:
     """Lay out the works behind each name, and their BibTeX, as Markdown."""
     blocks = [
         "# Works",
-        (
-            "`cep cite METHOD` prints the BibTeX of the works behind methods, published codes,"
-            " restorations and figures; `cep cite -o works.bib` writes all of them. Please cite"
-            " what you use, and the software (`CITATION.cff`). A name without a work is of this"
-            " project."
-        ),
+        "The works behind methods, published codes, restorations and figures, with their BibTeX. "
+        "Please cite what you use, and the software (`CITATION.cff`). A name without a work is of "
+        "this project.",
     ]
     for kind, named in citable().items():
         rows = [f"| `{name}` | {_behind(keys)} |" for name, keys in named.items()]

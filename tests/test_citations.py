@@ -3,10 +3,10 @@
 import re
 
 import pytest
+from citations import SOFTWARE, citable, cite, software
 
 from cep.calibration.calibrate import METHODS as ESTIMATORS
 from cep.codes.published import names as code_names
-from cep.commands.citations import SOFTWARE, citable, cite, software
 from cep.files.works import works
 from cep.restoration.methods import METHODS as RESTORATIONS
 from cep.search.problem import OBJECTIVES
