@@ -66,6 +66,7 @@ COMMANDS_MAY_IMPORT = {
     "collections",
     "contextlib",
     "dataclasses",
+    "inspect",
     "os",
     "pathlib",
     "re",

@@ -1,9 +1,12 @@
-"""Options that several commands share, and what they stand for."""
+"""Options that several commands share, and the dataclasses that they fill."""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
@@ -11,6 +14,8 @@ if TYPE_CHECKING:
     from cep.optics.camera import Camera
     from cep.optics.code import ShutterCode
     from motdiff.files.trajectories import StoredMotion
+
+Options = TypeVar("Options")
 
 COMMON = "Common options"
 MOTION = "Motion"
@@ -121,6 +126,98 @@ ReadNoise = Annotated[
         "--read-noise", metavar="N", help="Read noise, electrons rms.", rich_help_panel=CAMERA
     ),
 ]
+
+
+def command(options: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
+    """Declare a command's arguments and options by the dataclass that they fill.
+
+    Parameters
+    ----------
+    options : a dataclass with ``kw_only=True``
+        One field per argument or option: its annotation holds typer's declaration, its default
+        is the option's. Bases come first on the help page.
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True, kw_only=True)
+    ... class Greeting:
+    ...     name: Annotated[str, typer.Option("--name")] = "you"
+    >>> @command(Greeting)
+    ... def greet(options: Greeting) -> None:
+    ...     print("hello", options.name)
+    >>> greet(name="all")
+    hello all
+    """
+    hints = get_type_hints(options, include_extras=True)
+    parameters = [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if field.default is MISSING else field.default,
+            annotation=hints[field.name],
+        )
+        for field in fields(options)  # type: ignore[arg-type]
+    ]
+
+    def declare(run: Callable[[Options], None]) -> Callable[..., None]:
+        def from_values(**values: Any) -> None:
+            run(options(**values))
+
+        from_values.__name__ = run.__name__
+        from_values.__doc__ = run.__doc__  # the help page
+        from_values.__module__ = run.__module__
+        # typer reads the command line's options from the signature
+        from_values.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        from_values.__annotations__ = {p.name: p.annotation for p in parameters}
+        return from_values
+
+    return declare
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionOptions:
+    """The motion of a command: ``--trajectory`` or ``--linear``."""
+
+    trajectory: TrajectoryFile = None
+    linear: Linear = None
+
+    def load_motion(self) -> StoredMotion:
+        """Return the motion that is named, exactly one.
+
+        Raises
+        ------
+        ValueError
+            If both or none is named, or the file or length is not valid.
+        """
+        return load_motion(self.trajectory, self.linear)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions:
+    """The camera of a command: ``--camera``, changed by ``--photons`` and ``--read-noise``."""
+
+    camera: CameraFile = None
+    photons: Photons = None
+    read_noise: ReadNoise = None
+
+    def load_camera(self) -> Camera:
+        """Return the camera; the standard one where none is named.
+
+        Raises
+        ------
+        ValueError
+            If the camera is not known, or a figure is not valid.
+        """
+        return load_camera(self.camera, photons=self.photons, read_noise=self.read_noise)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonOptions:
+    """What every command takes that writes files."""
+
+    force: Force = False
+    seed: Seed = 0
+    as_json: Json = False
 
 
 def output_option(help: str, *, metavar: str = "FILE") -> Any:

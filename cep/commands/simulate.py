@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -9,30 +10,25 @@ import typer
 
 from cep.commands.console import finish, progress
 from cep.commands.options import (
-    CameraFile,
-    Force,
+    CameraOptions,
+    CommonOptions,
     Gamma,
-    Json,
-    Linear,
-    Photons,
-    ReadNoise,
-    Seed,
-    TrajectoryFile,
-    load_camera,
-    load_motion,
+    MotionOptions,
+    command,
     output_option,
 )
 
 
-def simulate(
+@dataclass(frozen=True, kw_only=True)
+class SimulateOptions(MotionOptions, CameraOptions, CommonOptions):
+    """Options of ``cep simulate``."""
+
     sharp: Annotated[
         Path,
         typer.Argument(
             metavar="SHARP", help="Sharp photo of the scene: PNG, TIFF, JPEG, WebP or RAW."
         ),
-    ],
-    trajectory: TrajectoryFile = None,
-    linear: Linear = None,
+    ]
     code: Annotated[
         str | None,
         typer.Option(
@@ -40,18 +36,15 @@ def simulate(
             metavar="CODE",
             help="Code of the exposure: bits, code.json or a name; the open shutter when omitted.",
         ),
-    ] = None,
-    camera: CameraFile = None,
-    photons: Photons = None,
-    read_noise: ReadNoise = None,
-    gamma: Gamma = "srgb",
+    ] = None
+    gamma: Gamma = "srgb"
     output: Annotated[
         Path | None, output_option("Photo to write; SHARP_coded.png when omitted.")
-    ] = None,
-    force: Force = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
+    ] = None
+
+
+@command(SimulateOptions)
+def simulate(options: SimulateOptions) -> None:
     """Simulate the photo: motion, code, real borders, photon and read noise, quantisation.
 
     The photo is smaller than SHARP by the reach of the motion: its borders are real. The PSF is
@@ -73,39 +66,41 @@ def simulate(
         from cep.optics.path_limits import check_resolved
         from motdiff.psf_frame import PSF_PX
 
-        parse_gamma(gamma)
-        motion = load_motion(trajectory, linear).trajectory
-        shutter = ShutterCode("1") if code is None else load_code(code)
+        parse_gamma(options.gamma)
+        motion = options.load_motion().trajectory
+        shutter = ShutterCode("1") if options.code is None else load_code(options.code)
         check_resolved(motion, shutter.chips)
-        noise = load_camera(camera, photons=photons, read_noise=read_noise)
-        target = output or sharp.with_name(
-            f"{sharp.stem}_{'open' if code is None else 'coded'}.png"
-        )
+        camera = options.load_camera()
+        kind = "open" if options.code is None else "coded"
+        target = options.output or options.sharp.with_name(f"{options.sharp.stem}_{kind}.png")
         check_image_name(target)
         stem = f"{target.stem}_psf"
         names = [target.name, *(stem + suffix for suffix in PSF_SUFFIXES)]
-        claim([target.with_name(name) for name in names], force=force, inputs=[sharp])
-        photo = read_photo(sharp, gamma=gamma, variable="x")
-        taken = capture(photo.pixels, motion, shutter, noise, rng=np.random.default_rng(seed))
+        claim(
+            [target.with_name(name) for name in names], force=options.force, inputs=[options.sharp]
+        )
+        photo = read_photo(options.sharp, gamma=options.gamma, variable="x")
+        rng = np.random.default_rng(options.seed)
+        coded = capture(photo.pixels, motion, shutter, camera, rng=rng)
         psf = coded_psf(motion, shutter, size=motion.frame_size(PSF_PX))
-        with new_folder(target.parent, names, force=force) as made:
-            write_image(made / target.name, taken, bits=16, gamma=gamma)
-            write_psf(made, psf, stem=stem)
+        with new_folder(target.parent, names, force=options.force) as folder:
+            write_image(folder / target.name, coded, bits=16, gamma=options.gamma)
+            write_psf(folder, psf, stem=stem)
     psf_file = target.with_name(names[1])
     result = {
         "image": target,
         "psf": psf_file,
         "duty": shutter.duty,
-        "size_px": [taken.shape[1], taken.shape[0]],
-        "camera": noise.to_dict(),
-        "seed": seed,
+        "size_px": [coded.shape[1], coded.shape[0]],
+        "camera": camera.to_dict(),
+        "seed": options.seed,
         "warnings": list(photo.warnings),
     }
     finish(
         result,
-        as_json=as_json,
+        as_json=options.as_json,
         show=lambda console: console.print(
-            f"{target}: {taken.shape[1]} x {taken.shape[0]} px, {shutter.duty:.0%} of the light;"
+            f"{target}: {coded.shape[1]} x {coded.shape[0]} px, {shutter.duty:.0%} of the light;"
             f" PSF in {psf_file}"
         ),
     )
