@@ -91,9 +91,9 @@ SPEED = ("bench", "speed", "--data", "photos", "--protocol", "tiny.toml", "--met
 
 
 @pytest.mark.slow(reason="four blind estimates")
-def test_a_real_estimator_from_photos_to_every_output(cep, studio):
+def test_a_real_estimator_from_photos_to_every_output(lab, studio):
     work._estimator.cache_clear()
-    found = cep.succeeds(*BLIND, "-o", "out")
+    found = lab.succeeds(*BLIND, "-o", "out")
     table, limits = (
         found["tables"][title]
         for title in (
@@ -159,7 +159,7 @@ class Always:
 """
 
 
-def test_an_estimator_of_ones_own_stands_in_the_table(cep, studio):
+def test_an_estimator_of_ones_own_stands_in_the_table(lab, studio):
     Path("own_blind.py").write_text(OWN.format(length=7.0))
     command = [
         "bench",
@@ -171,21 +171,21 @@ def test_an_estimator_of_ones_own_stands_in_the_table(cep, studio):
         "--methods",
         "own_blind:Always",
     ]
-    found = cep.succeeds(*command, "--workers", "2", "-o", "out")
+    found = lab.succeeds(*command, "--workers", "2", "-o", "out")
     assert found["tables"]["Blind, tiny, no noise"]["own_blind:Always"]["mnc_subpixel"]["n"] == 4
-    line = cep.refuses(*command[:-1], "own_blind:Nothing", "-o", "other")
+    line = lab.refuses(*command[:-1], "own_blind:Nothing", "-o", "other")
     assert "own_blind has no 'Nothing'" in line
-    assert "no method estimate" in cep.refuses(*command[:-1], "own_blind:LENGTH_PX", "-o", "other")
+    assert "no method estimate" in lab.refuses(*command[:-1], "own_blind:LENGTH_PX", "-o", "other")
 
 
-def test_finished_cells_are_found_again_and_a_quick_run_is_a_part(cep, studio, guesses):
-    first = cep.succeeds(*BLIND, "-o", "out", "--cache", "cells")
+def test_finished_cells_are_found_again_and_a_quick_run_is_a_part(lab, studio, guesses):
+    first = lab.succeeds(*BLIND, "-o", "out", "--cache", "cells")
     assert guesses.calls == 4
-    assert "--force" in cep.refuses(*BLIND, "-o", "out", "--cache", "cells")
-    again = cep.succeeds(*BLIND, "-o", "out", "--cache", "cells", "--force")
+    assert "--force" in lab.refuses(*BLIND, "-o", "out", "--cache", "cells")
+    again = lab.succeeds(*BLIND, "-o", "out", "--cache", "cells", "--force")
     assert again["tables"] == first["tables"]
-    cep.succeeds(*BLIND, "-o", "quick", "--cache", "cells", "--quick")
-    speed = cep.succeeds(*SPEED, "-o", "speed", "--cache", "cells")
+    lab.succeeds(*BLIND, "-o", "quick", "--cache", "cells", "--quick")
+    speed = lab.succeeds(*SPEED, "-o", "speed", "--cache", "cells")
     assert guesses.calls == 4
     ((title, rows),) = speed["tables"].items()
     assert "96 px" in title
@@ -197,12 +197,12 @@ def test_finished_cells_are_found_again_and_a_quick_run_is_a_part(cep, studio, g
     assert "2 photos, 2 motions, 2 pairs of them.\n" in text
 
 
-def test_intervals_are_promised_only_where_the_tables_have_some(cep, studio, guesses):
+def test_intervals_are_promised_only_where_the_tables_have_some(lab, studio, guesses):
     """Two photos give none."""
     write_image("photos/c.png", read_image("photos/a.png")[::-1, ::-1])
     Path("tiny.toml").write_text(TINY.replace(" = 2\n", " = 3\n") + "photos = 2\n")
     for options, promised in ((), True), (("--quick",), False):
-        cep.succeeds(*BLIND, *options, "-o", f"out{promised}", "--cache", "cells")
+        lab.succeeds(*BLIND, *options, "-o", f"out{promised}", "--cache", "cells")
         introduction, *tables = Path(f"out{promised}/blind.md").read_text().split("\n\n**")
         assert ("95 % intervals" in introduction) == promised
         assert any(".." in table for table in tables) == promised
@@ -215,10 +215,10 @@ RESERVATIONS = (
 )
 
 
-def test_what_keeps_figures_from_a_claim_is_told(cep, studio, guesses):
+def test_what_keeps_figures_from_a_claim_is_told(lab, studio, guesses):
     """Once each, and the same everywhere: on the console, in the JSON object, and in the files."""
     carried = ("bench", "blind", *CLAIMED, "--workers", "1")
-    found = cep.succeeds(*carried, "-o", "out")
+    found = lab.succeeds(*carried, "-o", "out")
     text = Path("out/blind.md").read_text()
     kept = json.loads(Path("out/blind.json").read_text())
     assert kept["warnings"] == found["warnings"]
@@ -226,25 +226,25 @@ def test_what_keeps_figures_from_a_claim_is_told(cep, studio, guesses):
         assert sum(warning.startswith(said) for warning in found["warnings"]) == 1
         assert text.count(f"- {said}") == 1
     assert "2 photos, each with 1 motion.\n" in text
-    cep(*carried, "-o", "out", "--force")
-    assert cep.err.splitlines() == [f"cep: warning: {warning}" for warning in found["warnings"]]
+    lab(*carried, "-o", "out", "--force")
+    assert lab.err.splitlines() == [f"cep: warning: {warning}" for warning in found["warnings"]]
 
 
-def test_what_keeps_figures_from_a_claim_is_told_of_costs_and_of_real_photos(cep, studio, guesses):
-    found = cep.succeeds("bench", "speed", *CLAIMED, "-o", "out")
+def test_what_keeps_figures_from_a_claim_is_told_of_costs_and_of_real_photos(lab, studio, guesses):
+    found = lab.succeeds("bench", "speed", *CLAIMED, "-o", "out")
     assert found["warnings"] == json.loads(Path("out/speed.json").read_text())["warnings"]
     assert [warning[:20] for warning in found["warnings"]] == [said[:20] for said in RESERVATIONS]
     # photos named are no carried ones; what the methods are stays
     Path("real").mkdir()
     write_image("real/Blurry1_1.png", np.random.default_rng(0).random((96, 96)))
-    found = cep.succeeds(
+    found = lab.succeeds(
         "bench", "blind", "--data", "real", *CLAIMED, "--workers", "1", "-o", "koehler"
     )
     (warning,) = found["warnings"]
     assert warning.startswith(RESERVATIONS[1])
 
 
-def test_all_tables_in_one_folder_tell_it_too(cep, studio, guesses, monkeypatch):
+def test_all_tables_in_one_folder_tell_it_too(lab, studio, guesses, monkeypatch):
     def few(output, engine, *, data, gyro, search_s, quick, force):
         given = {
             "data": data,
@@ -259,7 +259,7 @@ def test_all_tables_in_one_folder_tell_it_too(cep, studio, guesses, monkeypatch)
 
     monkeypatch.setattr("lab.bench.all_jobs._jobs", few)
     command = ("bench", "--quick", "--workers", "1", "-o", "out")
-    found = cep.succeeds(*command)
+    found = lab.succeeds(*command)
     starts = [f"{name}: {said}" for name in ("blind", "speed") for said in RESERVATIONS]
     assert [
         warning[: len(start)] for warning, start in zip(found["warnings"], starts, strict=True)
@@ -271,50 +271,50 @@ def test_all_tables_in_one_folder_tell_it_too(cep, studio, guesses, monkeypatch)
         assert [f"{name}: {warning}" for warning in kept] == [
             w for w in found["warnings"] if w.startswith(name)
         ]
-    cep(*command, "--force")
-    assert cep.err.splitlines() == [f"cep: warning: {warning}" for warning in found["warnings"]]
+    lab(*command, "--force")
+    assert lab.err.splitlines() == [f"cep: warning: {warning}" for warning in found["warnings"]]
 
 
-def test_cells_of_another_engine_are_made_again_and_told(cep, studio, guesses):
-    cep.succeeds(*BLIND, "-o", "out", "--quick")
+def test_cells_of_another_engine_are_made_again_and_told(lab, studio, guesses):
+    lab.succeeds(*BLIND, "-o", "out", "--quick")
     for path in Path("out/cells").iterdir():
         path.write_text(path.read_text().replace('"engine": 1', '"engine": 0'))
-    found = cep.succeeds(*BLIND, "-o", "out", "--quick", "--force")
+    found = lab.succeeds(*BLIND, "-o", "out", "--quick", "--force")
     assert guesses.calls == 4
     assert any("another version of the engine" in warning for warning in found["warnings"])
 
 
-def test_stopped_it_writes_what_is_there_and_goes_on_later(cep, studio, guesses):
+def test_stopped_it_writes_what_is_there_and_goes_on_later(lab, studio, guesses):
     guesses.stops = 3
-    cep(*BLIND, "-o", "out", "--json")
-    assert (cep.code, cep.err) == (INTERRUPTED, "cep: interrupted\n")
-    assert cep.json["missing"] > 0
+    lab(*BLIND, "-o", "out", "--json")
+    assert (lab.code, lab.err) == (INTERRUPTED, "cep: interrupted\n")
+    assert lab.json["missing"] > 0
     assert any(
         "stopped early" in warning and "--force goes on" in warning
-        for warning in cep.json["warnings"]
+        for warning in lab.json["warnings"]
     )
     assert "stopped early" in Path("out/blind.md").read_text()
-    whole = cep.succeeds(*BLIND, "-o", "out", "--force")
+    whole = lab.succeeds(*BLIND, "-o", "out", "--force")
     assert whole["missing"] == 0
     assert guesses.calls == 5  # two before, the one that was stopped, and the two left
 
 
-def test_a_failed_estimate_is_told_and_tried_again(cep, studio, guesses):
+def test_a_failed_estimate_is_told_and_tried_again(lab, studio, guesses):
     guesses.fails = 2
-    cep(*BLIND, "-o", "out", "--json")
-    assert cep.code == FAILURE
-    found = cep.json
+    lab(*BLIND, "-o", "out", "--json")
+    assert lab.code == FAILURE
+    found = lab.json
     assert list(found["failures"].values()) == ["photo: too dark"]
     assert any("1 of 28 cells failed" in warning for warning in found["warnings"])
     assert found["tables"]["Blind, tiny, no noise"]["pmp"]["mnc"]["n"] == 3
     assert "3 of 4" in Path("out/blind.md").read_text()
-    assert cep.succeeds(*BLIND, "-o", "out", "--force")["failures"] == {}
+    assert lab.succeeds(*BLIND, "-o", "out", "--force")["failures"] == {}
 
 
-def test_a_method_that_never_answers_is_told_with_its_reason(cep, studio, guesses):
-    cep(*BLIND, "--methods", "pmp,blinddps", "-o", "out", "--quick", "--json")
-    assert cep.code == FAILURE
-    found = cep.json
+def test_a_method_that_never_answers_is_told_with_its_reason(lab, studio, guesses):
+    lab(*BLIND, "--methods", "pmp,blinddps", "-o", "out", "--quick", "--json")
+    assert lab.code == FAILURE
+    found = lab.json
     assert found["tables"]["Blind, tiny, no noise"]["blinddps"] == {
         figure: {"n": 0, "mean": None, "median": None, "interval": None, "bold": False}
         for figure in found["tables"]["Blind, tiny, no noise"]["pmp"]
@@ -322,7 +322,7 @@ def test_a_method_that_never_answers_is_told_with_its_reason(cep, studio, guesse
     assert "blinddps is not measured: needs weights" in Path("out/blind.md").read_text()
 
 
-def test_a_full_disk_keeps_the_finished_cells(cep, studio, guesses, monkeypatch):
+def test_a_full_disk_keeps_the_finished_cells(lab, studio, guesses, monkeypatch):
     from cep.jobs import cache
 
     real = cache.write_text
@@ -335,28 +335,28 @@ def test_a_full_disk_keeps_the_finished_cells(cep, studio, guesses, monkeypatch)
         real(path, text)
 
     monkeypatch.setattr("cep.jobs.cache.write_text", full)
-    cep(*BLIND, "-o", "out", "--cache", "cells")
-    assert cep.code == 1
-    assert "No space left on device" in cep.err
-    assert cep.err.count("\n") == 1
+    lab(*BLIND, "-o", "out", "--cache", "cells")
+    assert lab.code == 1
+    assert "No space left on device" in lab.err
+    assert lab.err.count("\n") == 1
     assert len(list(Path("cells").iterdir())) == 5
     assert not Path("out").exists()
 
 
-def test_people_see_a_table_and_where_the_files_are(cep, studio, guesses):
-    cep(*BLIND, "--quick", "-o", "out")
-    assert cep.code == 0, cep.err
-    assert "sub-pixel MNC" in cep.out
-    assert "mean-kernel" in cep.out
-    assert "out: blind-cells.csv" in cep.out
+def test_people_see_a_table_and_where_the_files_are(lab, studio, guesses):
+    lab(*BLIND, "--quick", "-o", "out")
+    assert lab.code == 0, lab.err
+    assert "sub-pixel MNC" in lab.out
+    assert "mean-kernel" in lab.out
+    assert "out: blind-cells.csv" in lab.out
 
 
-def test_speed_leaves_no_figure_and_an_older_one_goes(cep, studio, guesses):
+def test_speed_leaves_no_figure_and_an_older_one_goes(lab, studio, guesses):
     Path("out").mkdir()
     for name in ("speed.pdf", "speed.png"):
         Path("out", name).write_text("older")
-    assert "--force" in cep.refuses(*SPEED, "--quick", "-o", "out")
-    cep.succeeds(*SPEED, "--quick", "-o", "out", "--force")
+    assert "--force" in lab.refuses(*SPEED, "--quick", "-o", "out")
+    lab.succeeds(*SPEED, "--quick", "-o", "out", "--force")
     assert {path.suffix for path in Path("out").glob("speed.*")} == {
         ".md",
         ".tex",
@@ -365,27 +365,27 @@ def test_speed_leaves_no_figure_and_an_older_one_goes(cep, studio, guesses):
     }
 
 
-def test_speed_ends_as_the_others_do(cep, studio, guesses):
+def test_speed_ends_as_the_others_do(lab, studio, guesses):
     guesses.fails = 1
-    cep(*SPEED, "-o", "out", "--json")
-    assert (cep.code, list(cep.json["failures"].values())) == (FAILURE, ["photo: too dark"])
+    lab(*SPEED, "-o", "out", "--json")
+    assert (lab.code, list(lab.json["failures"].values())) == (FAILURE, ["photo: too dark"])
     guesses.calls, guesses.fails, guesses.stops = 0, 0, 1
-    cep(*SPEED, "-o", "out", "--json", "--force")
-    assert (cep.code, cep.json["missing"]) == (INTERRUPTED, 1)
+    lab(*SPEED, "-o", "out", "--json", "--force")
+    assert (lab.code, lab.json["missing"]) == (INTERRUPTED, 1)
     assert Path("out/speed.md").is_file()
 
 
 def test_speed_tells_which_methods_it_leaves_out_and_takes_no_cluster(
-    cep, studio, guesses, monkeypatch
+    lab, studio, guesses, monkeypatch
 ):
     monkeypatch.setattr("lab.bench.blind.methods.USUAL", ("pmp",))
-    cep.succeeds(*SPEED[:-2], "--quick", "-o", "out")
+    lab.succeeds(*SPEED[:-2], "--quick", "-o", "out")
     text = Path("out/speed.md").read_text()
     assert "selfdeblur is not measured: takes hours a photo." in text
     assert "blinddps is not measured: needs weights" in text
-    cep.succeeds(*SPEED, "--quick", "-o", "named")  # who names methods knows what is left out
+    lab.succeeds(*SPEED, "--quick", "-o", "named")  # who names methods knows what is left out
     assert "not measured" not in Path("named/speed.md").read_text()
-    assert "--dask" in cep.refuses(*SPEED, "--dask", "tcp://127.0.0.1:9", "-o", "other")
+    assert "--dask" in lab.refuses(*SPEED, "--dask", "tcp://127.0.0.1:9", "-o", "other")
 
 
 def swapped(_studio):
@@ -425,11 +425,11 @@ def text_file(_studio):
         (("--dask", "tcp://127.0.0.1:9"), None, "dask: no scheduler answers at tcp://127.0.0.1:9"),
     ],
 )
-def test_refusals(cep, studio, guesses, options, prepared, message):
+def test_refusals(lab, studio, guesses, options, prepared, message):
     if "--dask" in options:
         pytest.importorskip("distributed")
     if prepared is not None:
         prepared(studio)
-    assert message in cep.refuses(*BLIND, "-o", "out", *options)
+    assert message in lab.refuses(*BLIND, "-o", "out", *options)
     assert guesses.calls == 0
     assert not Path("out").exists()

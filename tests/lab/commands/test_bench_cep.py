@@ -80,8 +80,8 @@ def untouchable(*_arguments):
     pytest.fail("a finished cell was made again")
 
 
-def test_from_photos_to_every_output_and_found_again(cep, studio, monkeypatch):
-    found = cep.succeeds(*CEP, "-o", "out")
+def test_from_photos_to_every_output_and_found_again(lab, studio, monkeypatch):
+    found = lab.succeeds(*CEP, "-o", "out")
     assert list(found["tables"]) == TABLES
     assert list(found["tables"][TABLES[3]]) == [DESIGNS[name].label for name in ("open", "dnf")]
     rows = found["tables"][TABLES[4]]
@@ -128,12 +128,12 @@ def test_from_photos_to_every_output_and_found_again(cep, studio, monkeypatch):
     height, width = read_image("out/cep.png").shape[:2]
     assert min(height, width) > 300
 
-    assert "exists already" in cep.refuses(*CEP, "-o", "out")
+    assert "exists already" in lab.refuses(*CEP, "-o", "out")
     monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
-    assert cep.succeeds(*CEP, "-o", "out", "--force")["tables"] == found["tables"]
+    assert lab.succeeds(*CEP, "-o", "out", "--force")["tables"] == found["tables"]
 
 
-def test_stopped_in_a_search_it_goes_on_later(cep, studio, monkeypatch):
+def test_stopped_in_a_search_it_goes_on_later(lab, studio, monkeypatch):
     real = recipe.anneal
     calls = []
 
@@ -149,44 +149,44 @@ def test_stopped_in_a_search_it_goes_on_later(cep, studio, monkeypatch):
     options = ("--designs", "oracle", "--quick", "-o", "out")
     one_light = TINY.replace("quick_photons = []", "quick_photons = [300.0]")
     Path("tiny.toml").write_text(one_light.replace("quick_motions = 1", "quick_motions = 2"))
-    cep(*CEP, *options, "--json")
-    assert (cep.code, cep.err) == (INTERRUPTED, "cep: interrupted\n")
-    assert (cep.json["missing"], cep.json["tables"]) == (1, {})
+    lab(*CEP, *options, "--json")
+    assert (lab.code, lab.err) == (INTERRUPTED, "cep: interrupted\n")
+    assert (lab.json["missing"], lab.json["tables"]) == (1, {})
     assert any(
         "stopped early" in warning and "--force goes on" in warning
-        for warning in cep.json["warnings"]
+        for warning in lab.json["warnings"]
     )
     assert "stopped early" in Path("out/cep.md").read_text()
-    whole = cep.succeeds(*CEP, *options, "--force")
+    whole = lab.succeeds(*CEP, *options, "--force")
     assert whole["missing"] == 0
     assert len(calls) == 3  # the one before Ctrl-C is kept, the one that was stopped is made whole
 
 
-def test_a_search_that_fails_is_told_beside_the_others(cep, studio, monkeypatch):
+def test_a_search_that_fails_is_told_beside_the_others(lab, studio, monkeypatch):
     def fails(*_arguments, **_options):
         raise ValueError("problem: too hard")
 
     monkeypatch.setattr(recipe, "anneal", fails)
-    cep(*CEP, "--designs", "open,oracle", "--quick", "-o", "out", "--json")
-    assert cep.code == FAILURE
-    assert set(cep.json["failures"].values()) == {"problem: too hard"}
+    lab(*CEP, "--designs", "open,oracle", "--quick", "-o", "out", "--json")
+    assert lab.code == FAILURE
+    assert set(lab.json["failures"].values()) == {"problem: too hard"}
     assert DESIGNS["open"].label in Path("out/cep.md").read_text()
 
 
-def test_a_second_run_takes_no_picture_of_the_first_for_a_photo(cep, studio):
+def test_a_second_run_takes_no_picture_of_the_first_for_a_photo(lab, studio):
     """Its picture is large enough to be taken: --data . beside an output folder would blur a
     table's picture."""
     options = ("--designs", "open", "--quick", "-o")
     command = ["." if part == "photos" else part for part in CEP]
-    first = cep.succeeds(*command, *options, "out")
+    first = lab.succeeds(*command, *options, "out")
     assert min(read_image("out/cep.png").shape[:2]) >= 159
-    assert cep.succeeds(*command, *options, "other")["tables"] == first["tables"]
+    assert lab.succeeds(*command, *options, "other")["tables"] == first["tables"]
     assert Path("other/cep-photos.csv").read_text() == Path("out/cep-photos.csv").read_text()
 
 
-def test_people_see_tables_and_where_the_files_are(cep, studio, monkeypatch):
+def test_people_see_tables_and_where_the_files_are(lab, studio, monkeypatch):
     monkeypatch.setattr("lab.bench.datasets.bundled_photos", lambda: (Path("photos/a.png"),))
-    cep(
+    lab(
         "bench",
         "cep",
         "--protocol",
@@ -199,18 +199,18 @@ def test_people_see_tables_and_where_the_files_are(cep, studio, monkeypatch):
         "-o",
         "out",
     )
-    assert cep.code == 0, cep.err
-    assert TABLES[3] in cep.out
-    assert "PSNR, dB" in cep.out
-    assert "out: cep-photos.csv" in cep.out
-    assert "too few and too odd for a claim" in cep.err
+    assert lab.code == 0, lab.err
+    assert TABLES[3] in lab.out
+    assert "PSNR, dB" in lab.out
+    assert "out: cep-photos.csv" in lab.out
+    assert "too few and too odd for a claim" in lab.err
     assert (
         "`python -m lab bench cep --protocol tiny.toml --designs open --quick`"
         in Path("out/cep.md").read_text()
     )
 
 
-def test_codes_of_ones_own_follow_the_designs(cep, studio):
+def test_codes_of_ones_own_follow_the_designs(lab, studio):
     Path("folder").mkdir()
     Path("own_code.py").write_text("bits = '1011010011010011'\n")
     write_code("folder/kept.json", StoredCode(ShutterCode("1101000101101111")))
@@ -223,7 +223,7 @@ def test_codes_of_ones_own_follow_the_designs(cep, studio):
         "open",
         "--quick",
     )
-    found = cep.succeeds(*CEP, *own, "-o", "out")
+    found = lab.succeeds(*CEP, *own, "-o", "out")
     assert list(found["tables"][TABLES[3]]) == [DESIGNS["open"].label, "mine", "kept"]
     assert (found["designs"], found["codes"]) == (
         ["open"],
@@ -290,9 +290,9 @@ def notes():
         (("--workers", "0"), None, "--workers"),
     ],
 )
-def test_refusals(cep, studio, monkeypatch, options, prepared, message):
+def test_refusals(lab, studio, monkeypatch, options, prepared, message):
     if prepared is not None:
         prepared()
     monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
-    assert message in cep.refuses(*CEP, "-o", "out", *options)
+    assert message in lab.refuses(*CEP, "-o", "out", *options)
     assert not Path("out/cep.md").exists()

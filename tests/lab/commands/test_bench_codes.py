@@ -16,10 +16,10 @@ def untouchable(*_arguments, **_options):
     pytest.fail("a finished search was made again")
 
 
-def test_codes_are_compared_at_equal_light_and_found_again(cep, workplace, monkeypatch):
+def test_codes_are_compared_at_equal_light_and_found_again(lab, workplace, monkeypatch):
     names = ("bdinr-8", "barker-13")
     command = ("bench", "codes", *names, "--time", "0.3", "--workers", "1", "-o", "codes")
-    found = cep.succeeds(*command)
+    found = lab.succeeds(*command)
     rows = {row["name"]: row for row in found["tables"]["codes"]}
     assert set(rows) == set(names)
     for row in rows.values():
@@ -49,33 +49,33 @@ def test_codes_are_compared_at_equal_light_and_found_again(cep, workplace, monke
             row["bits"] for row in rows.values()
         ]
 
-    assert "exists already" in cep.refuses(*command)
+    assert "exists already" in lab.refuses(*command)
     monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
-    assert cep.succeeds(*command, "--force")["tables"] == found["tables"]
+    assert lab.succeeds(*command, "--force")["tables"] == found["tables"]
     # what one code gives does not depend on which others are asked for
-    alone = cep.succeeds(
+    alone = lab.succeeds(
         "bench", "codes", "barker-13", "--time", "0.3", "--cache", "codes/cells", "-o", "alone"
     )
     assert alone["tables"]["codes"] == [rows["barker-13"]]
 
 
-def test_a_code_of_ones_own_is_searched_against(cep, workplace):
+def test_a_code_of_ones_own_is_searched_against(lab, workplace):
     options = ("--code", "mine=11101", "--time", "0.1", "--workers", "1")
-    alone = cep.succeeds("bench", "codes", *options, "-o", "alone")
+    alone = lab.succeeds("bench", "codes", *options, "-o", "alone")
     assert [(row["name"], row["chips"], row["open"]) for row in alone["tables"]["codes"]] == [
         ("mine", 5, 4)
     ]
-    both = cep.succeeds("bench", "codes", "bdinr-8", *options, "-o", "both")
+    both = lab.succeeds("bench", "codes", "bdinr-8", *options, "-o", "both")
     assert [row["name"] for row in both["tables"]["codes"]] == ["bdinr-8", "mine"]
     command = json.loads(Path("both/codes.json").read_text())["command"]
     assert command == "python -m lab bench codes bdinr-8 --code mine=11101 --time 0.1"
 
 
-def test_people_see_the_comparison(cep, workplace):
-    cep("bench", "codes", "bdinr-8", "--time", "0.1", "-o", "codes")
-    assert cep.code == 0, cep.err
-    assert "better on both: 0 of 1" in cep.out
-    assert "codes: codes.md, codes.tex, codes.csv, codes.json" in cep.out
+def test_people_see_the_comparison(lab, workplace):
+    lab("bench", "codes", "bdinr-8", "--time", "0.1", "-o", "codes")
+    assert lab.code == 0, lab.err
+    assert "better on both: 0 of 1" in lab.out
+    assert "codes: codes.md, codes.tex, codes.csv, codes.json" in lab.out
 
 
 def test_interrupted_it_keeps_the_rows(monkeypatch):
@@ -91,7 +91,7 @@ def test_interrupted_it_keeps_the_rows(monkeypatch):
     assert [row.name for row in code_rows(codes, time_s=0.2)] == ["first"]
 
 
-def test_half_a_search_is_not_kept(cep, workplace, monkeypatch):
+def test_half_a_search_is_not_kept(lab, workplace, monkeypatch):
     real = code_rows.__globals__["anneal"]
 
     def interrupted(problem, **options):
@@ -102,17 +102,17 @@ def test_half_a_search_is_not_kept(cep, workplace, monkeypatch):
 
     command = ("bench", "codes", "bdinr-8", "--time", "0.1", "-o", "codes")
     monkeypatch.setattr("lab.bench.codes.anneal", interrupted)
-    cep(*command, "--json")
-    assert (cep.code, cep.err) == (INTERRUPTED, "cep: interrupted\n")
-    assert (cep.json["missing"], cep.json["tables"]) == (1, {"codes": []})
-    assert any("--force goes on" in warning for warning in cep.json["warnings"])
+    lab(*command, "--json")
+    assert (lab.code, lab.err) == (INTERRUPTED, "cep: interrupted\n")
+    assert (lab.json["missing"], lab.json["tables"]) == (1, {"codes": []})
+    assert any("--force goes on" in warning for warning in lab.json["warnings"])
     assert Path("codes/codes.md").is_file()
     assert list(Path("codes/cells").iterdir()) == []
     monkeypatch.setattr("lab.bench.codes.anneal", real)
-    assert len(cep.succeeds(*command, "--force")["tables"]["codes"]) == 1
+    assert len(lab.succeeds(*command, "--force")["tables"]["codes"]) == 1
 
 
-def test_a_search_that_fails_is_told_beside_the_others(cep, workplace, monkeypatch):
+def test_a_search_that_fails_is_told_beside_the_others(lab, workplace, monkeypatch):
     real = code_rows.__globals__["anneal"]
 
     def anneal(problem, **options):
@@ -121,7 +121,7 @@ def test_a_search_that_fails_is_told_beside_the_others(cep, workplace, monkeypat
         return real(problem, **options)
 
     monkeypatch.setattr("lab.bench.codes.anneal", anneal)
-    cep(
+    lab(
         "bench",
         "codes",
         "bdinr-8",
@@ -134,8 +134,8 @@ def test_a_search_that_fails_is_told_beside_the_others(cep, workplace, monkeypat
         "codes",
         "--json",
     )
-    assert cep.code == FAILURE
-    assert cep.json["failures"] == {"barker-13": "code: too short"}
+    assert lab.code == FAILURE
+    assert lab.json["failures"] == {"barker-13": "code: too short"}
     assert [row["name"] for row in json.loads(Path("codes/codes.json").read_text())["codes"]] == [
         "bdinr-8"
     ]
@@ -159,5 +159,5 @@ def test_another_budget_is_another_cell():
         (("bdinr-8", "--cache", "sharp.png"), "sharp.png: is a file"),
     ],
 )
-def test_refusals(cep, workplace, options, message):
-    assert message in cep.refuses("bench", "codes", *options)
+def test_refusals(lab, workplace, options, message):
+    assert message in lab.refuses("bench", "codes", *options)

@@ -12,7 +12,7 @@ from cep.proofs.certify.minimum import min_chip
 from lab.fronts import pareto
 
 
-def test_both_files_are_written(cep, workplace):
+def test_both_files_are_written(lab, workplace):
     options = (
         "--chips",
         "13",
@@ -25,7 +25,7 @@ def test_both_files_are_written(cep, workplace):
         "--chip-ns",
         "5000",
     )
-    found = cep.succeeds("pareto", *options, "-o", "f.json", "--plot", "f.svg")
+    found = lab.succeeds("pareto", *options, "-o", "f.json", "--plot", "f.svg")
     assert Path("f.svg").read_text().startswith("<?xml")
     stored = json.loads(Path("f.json").read_text())
     assert stored["schema"] == "cep.front/1"
@@ -44,9 +44,9 @@ def test_both_files_are_written(cep, workplace):
     assert stored["problem"]["seed"] == 2
 
 
-def test_for_people_it_prints_the_knees(cep, workplace):
+def test_for_people_it_prints_the_knees(lab, workplace):
     assert (
-        cep("pareto", "--chips", "8", "--linear", "10", "--duty", "0.4:0.8", "--steps", "0").code
+        lab("pareto", "--chips", "8", "--linear", "10", "--duty", "0.4:0.8", "--steps", "0").code
         == 0
     )
     for text in (
@@ -57,14 +57,14 @@ def test_for_people_it_prints_the_knees(cep, workplace):
         "noise gain, dB",
         "front.json, front.png",
     ):
-        assert text in cep.out
+        assert text in lab.out
     assert Path("front.png").read_bytes().startswith(b"\x89PNG")
     best = json.loads(Path("front.json").read_text())["knees"]["best minimum"]
-    assert f"best minimum: {best['bits']}" in cep.out
+    assert f"best minimum: {best['bits']}" in lab.out
 
 
-def test_a_curve_says_that_its_minimum_is_sampled(cep, workplace):
-    found = cep.succeeds(
+def test_a_curve_says_that_its_minimum_is_sampled(lab, workplace):
+    found = lab.succeeds(
         "pareto", "--trajectory", "trajectory.json", "--chips", "8", "--steps", "0"
     )
     assert found["unit"] == "light-true, sampled"
@@ -73,7 +73,7 @@ def test_a_curve_says_that_its_minimum_is_sampled(cep, workplace):
     assert lights == sorted(set(lights))
 
 
-def test_an_interrupt_keeps_the_front(cep, workplace, monkeypatch):
+def test_an_interrupt_keeps_the_front(lab, workplace, monkeypatch):
     def interrupted_soon(problem, *, progress, **options):
         def stop(_fraction, _note):
             raise KeyboardInterrupt
@@ -82,7 +82,7 @@ def test_an_interrupt_keeps_the_front(cep, workplace, monkeypatch):
 
     real = pareto.pareto_front
     monkeypatch.setattr("lab.fronts.run.pareto_front", interrupted_soon)
-    found = cep.succeeds("pareto", "--chips", "20", "-o", "f.json")
+    found = lab.succeeds("pareto", "--chips", "20", "-o", "f.json")
     assert found["interrupted"]
     assert found["stopped"] == "interrupted"
     assert "early" in found["warnings"][0]
@@ -90,8 +90,8 @@ def test_an_interrupt_keeps_the_front(cep, workplace, monkeypatch):
     assert Path("f.png").exists()
 
 
-def test_runs_and_periods_are_limited(cep, workplace):
-    cep.succeeds(
+def test_runs_and_periods_are_limited(lab, workplace):
+    lab.succeeds(
         "pareto",
         "--chips",
         "12",
@@ -113,10 +113,10 @@ def test_runs_and_periods_are_limited(cep, workplace):
         assert "0101" not in "0" + point["bits"]
 
 
-def test_repeatable(cep, workplace):
+def test_repeatable(lab, workplace):
     options = ("pareto", "--chips", "12", "--steps", "1000", "--seed", "4")
-    cep.succeeds(*options, "-o", "a.json")
-    cep.succeeds(*options, "-o", "b.json")
+    lab.succeeds(*options, "-o", "a.json")
+    lab.succeeds(*options, "-o", "b.json")
     assert Path("a.json").read_bytes() == Path("b.json").read_bytes()
     assert Path("a.png").read_bytes() == Path("b.png").read_bytes()
 
@@ -147,22 +147,22 @@ def test_repeatable(cep, workplace):
         ("--help", ("--chips", "1")),
     ],
 )
-def test_bad_options_write_nothing(cep, workplace, says, options):
+def test_bad_options_write_nothing(lab, workplace, says, options):
     before = {item: item.read_bytes() for item in sorted(workplace.iterdir())}
-    assert says in cep.refuses("pareto", "--chips", "16", *options)
+    assert says in lab.refuses("pareto", "--chips", "16", *options)
     assert {item: item.read_bytes() for item in sorted(workplace.iterdir())} == before
 
 
-def test_existing_files_need_force(cep, workplace):
+def test_existing_files_need_force(lab, workplace):
     options = ("pareto", "--chips", "8", "--open", "4:6", "--steps", "0")
-    cep.succeeds(*options)
-    assert "--force" in cep.refuses(*options)
-    cep.succeeds(*options, "--force")
+    lab.succeeds(*options)
+    assert "--force" in lab.refuses(*options)
+    lab.succeeds(*options, "--force")
 
 
-def test_help_has_an_example_and_says_what_is_judged(cep):
-    cep("pareto", "--help")
-    shown = " ".join(cep.out.split())
+def test_help_has_an_example_and_says_what_is_judged(lab):
+    lab("pareto", "--help")
+    shown = " ".join(lab.out.split())
     for text in (
         "Example: python -m lab pareto",
         "--json",

@@ -1,4 +1,4 @@
-"""A command line that tests call in their own process, and small inputs for it."""
+"""The command lines, which tests call in their own process, and small inputs for them."""
 
 import functools
 import json
@@ -13,23 +13,25 @@ from cep.commands.main import main
 from cep.files.files import StoredCode, write_code
 from cep.files.images import write_image
 from cep.optics.code import ShutterCode
+from lab.commands.main import main as lab_main
 from motdiff.files.trajectories import StoredMotion, write_motion
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
 
-class Cep:
-    """Runs ``cep`` in the current process; what it printed and its exit code are kept."""
+class Program:
+    """Runs a program in the current process; what it printed and its exit code are kept."""
 
-    def __init__(self, capfd):
+    def __init__(self, capfd, main):
         self._capfd = capfd
+        self._main = main
         self.code = 0
         self.out = ""
         self.err = ""
 
     def __call__(self, *arguments):
         self._capfd.readouterr()
-        self.code = main([str(argument) for argument in arguments])
+        self.code = self._main([str(argument) for argument in arguments])
         self.out, self.err = self._capfd.readouterr()
         return self
 
@@ -76,7 +78,12 @@ def commands_built_once():
 
 @pytest.fixture
 def cep(capfd, commands_built_once):
-    return Cep(capfd)
+    return Program(capfd, main)
+
+
+@pytest.fixture
+def lab(capfd, commands_built_once):
+    return Program(capfd, lab_main)
 
 
 @pytest.fixture(scope="session")
