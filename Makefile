@@ -10,13 +10,14 @@ DATA ?=
 QUICK ?= --quick
 STUDIES = $(filter-out __init__ inputs,$(notdir $(basename $(wildcard lab/studies/*.py))))
 
-.PHONY: help demo docs test lint bench benchmarks firmware clean
+.PHONY: help demo docs test test-lab lint bench benchmarks firmware clean
 
 help:
 	@echo "make demo             the whole chain on a bundled photo, to $(OUT)/report.html"
 	@echo "make demo PHOTO=path  the same on a blurred photo of your own"
 	@echo "make docs             the site of the documentation, to docs/_build/html/index.html"
-	@echo "make test             the tests"
+	@echo "make test             the tests of what is installed: cep, motdiff, hw"
+	@echo "make test-lab         the tests of the laboratory, lab/"
 	@echo "make lint             ruff, strict mypy and the rules on imports"
 	@echo "make bench            the paper's tables at their quick size, to $(BENCH)/README.md"
 	@echo "make bench QUICK= DATA=folder   the same at full size (days), of your photos; stopped, it goes on"
@@ -32,6 +33,9 @@ docs: $(READY)
 
 test: $(READY)
 	$(BIN)/python -m pytest -n 2
+
+test-lab: $(READY)
+	$(BIN)/python -m pytest -n 2 tests/lab lab
 
 lint: $(READY)
 	$(BIN)/ruff check .

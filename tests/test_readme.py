@@ -38,7 +38,7 @@ def test_the_tour_shows_every_command():
     }  # it has its own place
 
 
-@pytest.mark.parametrize("target", ["demo", "test", "lint", "bench"])
+@pytest.mark.parametrize("target", ["demo", "test", "test-lab", "lint", "bench"])
 def test_make_targets_exist(target):
     makefile = (Path(__file__).resolve().parent.parent / "Makefile").read_text(encoding="utf-8")
     assert re.search(rf"^{target}: \$\(READY\)$", makefile, re.MULTILINE)

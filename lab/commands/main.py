@@ -15,10 +15,15 @@ app = typer.Typer(
     name="lab",
     cls=Group,
     help=(
-        "The laboratory of coded-exposure: comparisons with what others published, proofs and"
-        " studies."
+        "The laboratory of coded-exposure: comparisons with what others published, and fronts of"
+        " codes. Trainings are python -m lab.trainings.NAME, studies python -m lab.studies.NAME."
     ),
-    epilog="Begin with: python -m lab bench --quick -o bench",
+    epilog=(
+        "All tables, small: python -m lab bench --quick -o bench\n\n"
+        "A method of yours: python -m lab bench blind --quick --methods pmp,mymodule:MyEstimator\n\n"
+        "A code of yours: python -m lab bench cep --quick --code my=101100111000\n\n"
+        "A front of codes: python -m lab pareto --chips 52 --open 20:32 -o front.json"
+    ),
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     add_completion=False,
