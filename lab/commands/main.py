@@ -20,7 +20,7 @@ app = typer.Typer(
     ),
     epilog=(
         "All tables, small: python -m lab bench --quick -o bench\n\n"
-        "A method of yours: python -m lab bench blind --quick --methods pmp,mymodule:MyEstimator\n\n"
+        "A method of yours: python -m lab bench blind --methods pmp,mymodule:MyEstimator\n\n"
         "A code of yours: python -m lab bench cep --quick --code my=101100111000\n\n"
         "A front of codes: python -m lab pareto --chips 52 --open 20:32 -o front.json"
     ),
