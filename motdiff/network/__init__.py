@@ -1,7 +1,6 @@
-"""The MoTDiff network: a blurred photo (or physics maps of it) conditions a small diffusion
-denoiser of path maps.
+"""MoTDiff network: a small diffusion denoiser of path maps, conditioned by a blurred photo.
 
-Two baselines draw from the same condition: a denoiser of PSFs, and one quadratic path.
+Two baselines use the same condition: a denoiser of PSFs, and one quadratic path.
 """
 
 from motdiff.network.config import NetworkConfig

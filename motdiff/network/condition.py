@@ -1,14 +1,13 @@
-"""Condition network: a photo and its physics maps to one condition on the PSF's grid, shared by
-all samples.
-"""
+"""Condition network: features of a photo and its physics maps on the PSF's grid."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from motdiff.network.aggregation import LocalEmphasis, StepwiseAggregation
 from motdiff.network.config import NetworkConfig
 from motdiff.network.pvt import PyramidVisionTransformer
 from motdiff.network.unet import GridUNet, silence
@@ -23,9 +22,71 @@ PHOTO_PX = _CONDITION_STRIDE * PSF_PX
 """Side of the photo that goes with physics maps, px: its features then lie on the PSF's grid."""
 
 
+class LocalEmphasis(nn.Module):
+    """Two 3x3 convolutions with ReLU, then bilinear upsampling; each stage has its own.
+
+    Parameters
+    ----------
+    inputs, width : int
+        Channels of the feature and of the result.
+
+    References
+    ----------
+    Choi et al., "MoTDiff", arXiv 2510.26173, equation 3; after SSFormer's progressive locality
+    decoder.
+    """
+
+    def __init__(self, inputs: int, width: int) -> None:
+        super().__init__()
+        self.convs = nn.Sequential(
+            nn.Conv2d(inputs, width, 3, 1, 1),
+            nn.ReLU(),
+            nn.Conv2d(width, width, 3, 1, 1),
+            nn.ReLU(),
+        )
+
+    def forward(self, feature: Tensor, size: Sequence[int]) -> Tensor:
+        """Feature (B, C, h, w) to (B, width, *size)."""
+        emphasised: Tensor = self.convs(feature)  # (B, width, h, w)
+        if emphasised.shape[-2:] == torch.Size(size):
+            return emphasised
+        return functional.interpolate(
+            emphasised, tuple(size), mode="bilinear", align_corners=False
+        )
+
+
+class StepwiseAggregation(nn.Module):
+    """z4 = f4up, then z_s = ReLU(conv1x1(cat(z_{s+1}, f_s_up))) for s = 3, 2, 1.
+
+    Neighbouring scales are joined first: no layer has to join global and local cues at once.
+
+    Parameters
+    ----------
+    scales : int
+        Number of features, 4 in the paper.
+    width : int
+        Channels of each and of the result.
+
+    References
+    ----------
+    Choi et al., "MoTDiff", arXiv 2510.26173, equation 4.
+    """
+
+    def __init__(self, scales: int, width: int) -> None:
+        super().__init__()
+        # joins[s - 1] gives z_s
+        self.joins = nn.ModuleList(nn.Conv2d(2 * width, width, 1) for _ in range(scales - 1))
+
+    def forward(self, emphasised: Sequence[Tensor]) -> Tensor:
+        """Features f1up, f2up, ... (B, width, h, w) to z1 (B, width, h, w)."""
+        z = emphasised[-1]
+        for join, feature in zip(reversed(self.joins), reversed(emphasised[:-1]), strict=True):
+            z = functional.relu(join(torch.cat([z, feature], dim=1)))
+        return z
+
+
 class PhotoEncoder(nn.Module):
-    """Photo (B, 3, H, W), display values 0..1, to z1 (B, width, H / 4, W / 4): PVT v2, local
-    emphasis, aggregation.
+    """Features z1 (B, width, H / 4, W / 4) of photos (B, 3, H, W), display values 0..1.
 
     Parameters
     ----------
@@ -43,21 +104,18 @@ class PhotoEncoder(nn.Module):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
-        used = {"multi": (0, 1, 2, 3), "f2": (1,), "f4": (3,)}[config.features]
-        self.used = used
+        self.scales = {"multi": (0, 1, 2, 3), "f2": (1,), "f4": (3,)}[config.features]
         self.pool = config.photo_pool
-        self.backbone = PyramidVisionTransformer(config.backbone, stages=used[-1] + 1)
+        self.backbone = PyramidVisionTransformer(config.backbone, stages=self.scales[-1] + 1)
         self.emphasis = nn.ModuleList(
-            LocalEmphasis(self.backbone.channels[i], config.width) for i in used
+            LocalEmphasis(self.backbone.channels[i], config.width) for i in self.scales
         )
-        self.aggregation = StepwiseAggregation(len(used), config.width)
+        self.aggregation = StepwiseAggregation(len(self.scales), config.width)
         self.register_buffer("mean", torch.tensor(_IMAGENET_MEAN)[:, None, None], persistent=False)
         self.register_buffer("std", torch.tensor(_IMAGENET_STD)[:, None, None], persistent=False)
 
     def forward(self, photo: Tensor) -> Tensor:
-        """Encode photos (B, 3, H, W), sides multiples of 32 `photo_pool`, as z1; ValueError for
-        another shape.
-        """
+        """Encode photos whose sides are multiples of 32 `photo_pool`; ValueError for others."""
         sides = photo.shape[-2:]
         unit = _STRIDE * self.pool
         if (
@@ -65,21 +123,22 @@ class PhotoEncoder(nn.Module):
             or photo.shape[1] != 3
             or any(side == 0 or side % unit for side in sides)
         ):
-            wanted = f"(B, 3, H, W) with sides that are multiples of {unit}"
-            raise ValueError(f"photo has shape {tuple(photo.shape)}; it must be {wanted}")
-        pooled = functional.avg_pool2d(photo, self.pool) if self.pool > 1 else photo
-        features = self.backbone((pooled - self.mean) / self.std)
-        fine = [side // (_CONDITION_STRIDE * self.pool) for side in sides]
+            raise ValueError(
+                f"photo has shape {tuple(photo.shape)}; it must be (B, 3, H, W) with sides that"
+                f" are multiples of {unit}"
+            )
+        if self.pool > 1:
+            photo = functional.avg_pool2d(photo, self.pool)
+        features = self.backbone((photo - self.mean) / self.std)
+        size = [side // (_CONDITION_STRIDE * self.pool) for side in sides]
         emphasised = [
-            emphasis(features[i], fine)
-            for i, emphasis in zip(self.used, self.emphasis, strict=True)
+            emphasis(features[i], size)
+            for i, emphasis in zip(self.scales, self.emphasis, strict=True)
         ]
         z1: Tensor = self.aggregation(emphasised)
-        return (
-            functional.interpolate(z1, scale_factor=self.pool, mode="bilinear")
-            if self.pool > 1
-            else z1
-        )
+        if self.pool > 1:
+            z1 = functional.interpolate(z1, scale_factor=self.pool, mode="bilinear")
+        return z1
 
 
 class ConditionNetwork(nn.Module):
@@ -97,9 +156,8 @@ class ConditionNetwork(nn.Module):
     physics : GridUNet or None
         Encoder of the physics maps.
     fusion : Conv2d or None
-        Where there are both: 1x1 convolution of the photo's features, added to those of the
-        physics maps. It starts at zero, so that a photo encoder can be put on a trained network
-        without changing what it draws.
+        With both encoders: 1x1 convolution of the photo's features, added to those of the physics
+        maps.
     condition_channels : int
         Channels of the condition: `physics_width`, or `width` without physics maps.
     """
@@ -108,21 +166,21 @@ class ConditionNetwork(nn.Module):
         super().__init__()
         self.config = config
         self.photo = None if config.backbone == "none" else PhotoEncoder(config)
-        self.physics = (
-            GridUNet(
+        self.physics: GridUNet | None = None
+        self.fusion: nn.Conv2d | None = None
+        self.condition_channels = config.width
+        if config.physics_channels:
+            self.condition_channels = config.physics_width
+            self.physics = GridUNet(
                 config.physics_channels,
                 config.physics_width,
                 config.physics_depth,
                 config.physics_patch,
             )
-            if config.physics_channels
-            else None
-        )
-        both = self.photo is not None and self.physics is not None
-        self.fusion = nn.Conv2d(config.width, config.physics_width, 1) if both else None
-        if self.fusion is not None:
-            silence(self.fusion)
-        self.condition_channels = config.width if self.physics is None else config.physics_width
+            if self.photo is not None:
+                self.fusion = nn.Conv2d(config.width, config.physics_width, 1)
+                # zero at first: a photo encoder can join a trained network without changing it
+                silence(self.fusion)
 
     def condition(self, photo: Tensor | None, physics: Tensor | None) -> Tensor:
         """Encode photos, once each.
@@ -145,25 +203,24 @@ class ConditionNetwork(nn.Module):
         ValueError
             If an input is missing, not wanted or of the wrong shape.
         """
-        _check_presence("photo", photo, wanted=self.photo is not None)
-        _check_presence("physics", physics, wanted=self.physics is not None)
+        _check_presence("photo", photo, self.photo)
+        _check_presence("physics", physics, self.physics)
         if photo is not None and physics is not None and photo.shape[-2:] != (PHOTO_PX, PHOTO_PX):
             raise ValueError(
                 f"photo has shape {tuple(photo.shape)}; with physics maps it must be (B, 3,"
                 f" {PHOTO_PX}, {PHOTO_PX})"
             )
-        parts: list[Tensor] = []
+        encodings: list[Tensor] = []
         if self.physics is not None:
-            parts.append(self.physics(physics))  # (B, physics_width, 64, 64)
+            encodings.append(self.physics(physics))  # (B, physics_width, 64, 64)
         if self.photo is not None:
-            seen = self.photo(photo)  # (B, width, H/4, W/4)
-            parts.append(seen if self.fusion is None else self.fusion(seen))
-        return sum(parts[1:], start=parts[0])
+            z1 = self.photo(photo)  # (B, width, H/4, W/4)
+            encodings.append(z1 if self.fusion is None else self.fusion(z1))
+        return sum(encodings[1:], start=encodings[0])
 
 
-def _check_presence(name: str, value: Tensor | None, *, wanted: bool) -> None:
-    if (value is not None) != wanted:
-        raise ValueError(
-            f"{name}"
-            f" {'is None; this network needs it' if wanted else 'must be None for this network'}"
-        )
+def _check_presence(name: str, value: Tensor | None, encoder: nn.Module | None) -> None:
+    if encoder is not None and value is None:
+        raise ValueError(f"{name} is None; this network needs it")
+    if encoder is None and value is not None:
+        raise ValueError(f"{name} must be None for this network")

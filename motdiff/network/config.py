@@ -1,4 +1,4 @@
-"""Configuration of a MoTDiff network: one frozen record, stored as JSON in the weights file."""
+"""Configuration of a MoTDiff network, stored as JSON in the weights file."""
 
 from __future__ import annotations
 
@@ -27,14 +27,13 @@ class NetworkConfig:
         "multi": all four scales condition the denoiser; "f2" or "f4": only that one (the paper's
         ablation).
     photo_pool : int
-        1, or 2: the photo encoder sees means of 2x2 pixels, at about a quarter of the cost.
+        1, or 2: the photo encoder works on means of 2x2 pixels, at about a quarter of the cost.
     width : int
         Channels of local emphasis, aggregation and z1.
     denoiser_width : int
         Channels of the denoiser's encoding block and mid layer; a multiple of 4 (PixelShuffle).
     denoiser_view : int
-        Levels, 0..2, of the U-Net by which the denoiser sees the whole map; 0: none, as the
-        paper's.
+        Levels, 0..2, of the denoiser's U-Net over the whole map; 0: none, as the paper's.
     decoder_widths : tuple of two int
         Channels after each decoding block's convolution; the first a multiple of 4 (PixelShuffle).
     dropout : float
@@ -131,7 +130,7 @@ class NetworkConfig:
                 f"values has unknown fields {', '.join(unknown)}; known are those of NetworkConfig"
             )
         plain: dict[str, Any] = {
-            k: tuple(value) if isinstance(value, list) else value for k, value in values.items()
+            k: tuple(v) if isinstance(v, list) else v for k, v in values.items()
         }
         return cls(**plain)
 

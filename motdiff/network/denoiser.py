@@ -1,6 +1,4 @@
-"""Asymmetric denoiser: logits of the clean map from a noisy one, by one encoding and two decoding
-blocks.
-"""
+"""Asymmetric denoiser: logits of x0 from x_t by one encoding and two decoding blocks."""
 
 from __future__ import annotations
 
@@ -85,16 +83,12 @@ class Denoiser(nn.Module):
         if self.view is not None:
             silence(self.view.out[-1])
         self.decode = nn.Sequential(
-            *(
-                nn.PixelShuffle(grow),
-                nn.Conv2d(width // grow**2, decoder_widths[0], 3, 1, 1),
-                nn.ReLU(),
-            ),
-            *(
-                nn.PixelShuffle(grow),
-                nn.Conv2d(decoder_widths[0] // grow**2, decoder_widths[1], 3, 1, 1),
-                nn.ReLU(),
-            ),
+            nn.PixelShuffle(grow),
+            nn.Conv2d(width // grow**2, decoder_widths[0], 3, 1, 1),
+            nn.ReLU(),
+            nn.PixelShuffle(grow),
+            nn.Conv2d(decoder_widths[0] // grow**2, decoder_widths[1], 3, 1, 1),
+            nn.ReLU(),
         )
         self.output = nn.Sequential(nn.Dropout(dropout), _output_layer(decoder_widths[1], outputs))
 
@@ -120,10 +114,10 @@ class Denoiser(nn.Module):
             If the shapes do not belong together.
         """
         batch, _, height, width = condition.shape
-        wanted = (batch, 1, self.pitch * height, self.pitch * width)
-        if x_t.shape != wanted:
+        shape = (batch, 1, self.pitch * height, self.pitch * width)
+        if x_t.shape != shape:
             raise ValueError(
-                f"x_t has shape {tuple(x_t.shape)}; with this condition it must be {wanted}"
+                f"x_t has shape {tuple(x_t.shape)}; with this condition it must be {shape}"
             )
         if t.shape != (batch,):
             raise ValueError(
@@ -144,8 +138,7 @@ class Denoiser(nn.Module):
 
 
 def timestep_embedding(t: Tensor, width: int) -> Tensor:
-    """Cosines and sines of the timestep at `width / 2` periods from 2 pi to 20000 pi steps, (B,)
-    -> (B, width).
+    """Cosines and sines (B, width) of timesteps (B,), of periods from 2 pi to 20000 pi.
 
     References
     ----------
@@ -175,13 +168,12 @@ class _TimeNetwork(nn.Module):
 
 
 class _Modulation(nn.Module):
-    """Scale and shift of each channel by the time: x (1 + scale) + shift; both small at the
-    start.
-    """
+    """Scale and shift of each channel by the time: x (1 + scale) + shift."""
 
     def __init__(self, time_width: int, channels: int) -> None:
         super().__init__()
         self.linear = nn.Linear(time_width, 2 * channels)
+        # small at the start, so that the untrained time does not swamp the image
         nn.init.normal_(self.linear.weight, std=0.02)
         nn.init.zeros_(self.linear.bias)
 
@@ -192,9 +184,7 @@ class _Modulation(nn.Module):
 
 
 class _ResidualBlock(nn.Module):
-    """ResNet's basic block, 3x3 convolutions with batch norm, modulated by the time: (B, C, h, w)
-    -> the same.
-    """
+    """ResNet's basic block with batch norm, modulated by the time; (B, C, h, w) -> the same."""
 
     def __init__(self, channels: int, time_width: int) -> None:
         super().__init__()
@@ -210,10 +200,10 @@ class _ResidualBlock(nn.Module):
 
 
 def _output_layer(inputs: int, outputs: int) -> nn.Conv2d:
-    """1x1 convolution whose first channel starts at the path's share of the pixels, so that no
-    loss is lost on it.
-    """
+    """1x1 convolution whose first channel starts at the logit of the path's share of pixels."""
     layer = nn.Conv2d(inputs, outputs, 1)
+    # from 0 the first steps of a training would only learn that paths are rare (Lin et al., focal
+    # loss, 2017, section 4.1)
     bias = torch.zeros(outputs)
     bias[0] = math.log(_PATH_SHARE / (1 - _PATH_SHARE))
     layer.bias = nn.Parameter(bias)

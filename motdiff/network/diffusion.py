@@ -1,8 +1,7 @@
-"""Diffusion process of trajectory maps: schedules, noising, and samplers (DDPM, DDIM,
-DPM-Solver++).
+"""Diffusion of trajectory maps: schedule, noising and samplers (DDPM, DDIM, DPM-Solver++).
 
-Everything is in x0 form. At the last timestep of the cosine schedule ``alpha_bar`` is 2.4e-9,
-where a guess of x0 is still well defined but one of the noise would be divided by 5e-5.
+The network predicts x0. At the last timestep of the cosine schedule ``alpha_bar`` is 2.4e-9: an
+estimate of x0 is still well defined there, but x0 from ``eps`` would divide by 5e-5.
 """
 
 from __future__ import annotations
@@ -18,18 +17,13 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """Noise schedule: share of the signal's power at each timestep.
+    """Noise schedule.
 
     Parameters
     ----------
     alpha_bar : (T,) float64 tensor
-        Share of the signal's power left at timestep index 0..T-1 (the paper's ``alpha_t`` for t =
-        1..T), strictly decreasing, between 0 and 1.
-
-    Raises
-    ------
-    ValueError
-        If ``alpha_bar`` is anything else.
+        Share of the signal's power left at timestep index 0..T-1 (MoTDiff's ``alpha_t`` for t =
+        1..T), strictly decreasing, between 0 and 1; ValueError otherwise.
     """
 
     alpha_bar: Tensor
@@ -51,19 +45,9 @@ class Schedule:
         return len(self.alpha_bar)
 
     def timesteps(self, steps: int) -> tuple[int, ...]:
-        """Timestep indices to visit in ``steps`` steps, from T-1 downwards.
+        """Timestep indices to visit in ``steps`` steps (1..T, else ValueError), from T-1 down.
 
         "Trailing" spacing: pure noise is always visited, since it is where sampling starts.
-
-        Parameters
-        ----------
-        steps : int
-            1..T.
-
-        Raises
-        ------
-        ValueError
-            If ``steps`` is outside 1..T.
 
         References
         ----------
@@ -74,21 +58,11 @@ class Schedule:
             raise ValueError(
                 f"steps must be 1..{self.steps}, the schedule's timesteps; got {steps}"
             )
-        return tuple(round(self.steps * left / steps) - 1 for left in range(steps, 0, -1))
+        return tuple(round(self.steps * i / steps) - 1 for i in range(steps, 0, -1))
 
 
 def cosine_schedule(steps: int = 1000) -> Schedule:
-    """Cosine schedule, with each step's noise ``beta`` clipped at 0.999.
-
-    Parameters
-    ----------
-    steps : int
-        T, at least 1.
-
-    Raises
-    ------
-    ValueError
-        If ``steps`` is below 1.
+    """Cosine schedule of T = ``steps`` timesteps; ValueError below 1.
 
     References
     ----------
@@ -97,42 +71,38 @@ def cosine_schedule(steps: int = 1000) -> Schedule:
     if steps < 1:
         raise ValueError(f"steps must be at least 1, got {steps}")
     fraction = torch.arange(steps + 1, dtype=torch.float64) / steps
-    signal_power = torch.cos((fraction + 0.008) / 1.008 * math.pi / 2).square()
-    beta = (1 - signal_power[1:] / signal_power[:-1]).clamp(max=0.999)
+    # eq. 17; the offset s = 0.008 keeps the noise of the first steps near a pixel's quantisation
+    f = torch.cos((fraction + 0.008) / 1.008 * math.pi / 2).square()
+    # beta_T would be 1: alpha_bar_T = 0 has no logarithm, and sampling from it no direction
+    beta = (1 - f[1:] / f[:-1]).clamp(max=0.999)
     return Schedule(torch.cumprod(1 - beta, dim=0))
 
 
 def to_signal(x0: Tensor) -> Tensor:
-    """Trajectory map, 0..1, as the signal that is diffused, -1..1."""
+    """Signal -1..1, which is diffused, of a trajectory map 0..1."""
     return 2 * x0 - 1
 
 
 def from_signal(signal: Tensor) -> Tensor:
-    """Signal, -1..1, as a trajectory map, 0..1."""
+    """Trajectory map 0..1 of a signal -1..1."""
     return (signal + 1) / 2
 
 
 def stochastic_trajectory_pixel_dropout(
     x0: Tensor, p: float, generator: torch.Generator
 ) -> Tensor:
-    """Trajectory map with gaps: each path pixel becomes background with probability ``p`` (STPD).
+    """Trajectory map whose path pixels become background with probability ``p`` (STPD).
 
-    Only the network's input is built from this map. Its target stays the whole one, so that it
-    learns to close gaps.
+    Only the network's input has these gaps; its target is ``x0``, so that it learns to close them.
 
     Parameters
     ----------
     x0 : tensor of any shape
         Trajectory map, 1 on the path and 0 elsewhere.
     p : float
-        0..1; 0 gives the map itself.
+        0..1, else ValueError.
     generator : torch.Generator
         On the map's device, or on the CPU for draws that do not depend on the device.
-
-    Raises
-    ------
-    ValueError
-        If ``p`` is outside 0..1.
 
     References
     ----------
@@ -140,22 +110,22 @@ def stochastic_trajectory_pixel_dropout(
     """
     if not 0 <= p <= 1:
         raise ValueError(f"p must be a probability, 0..1; got {p}")
-    kept = torch.rand(x0.shape, generator=generator, device=generator.device) >= p
-    return torch.where(kept.to(x0.device), x0, torch.zeros_like(x0))
+    mask = torch.rand(x0.shape, generator=generator, device=generator.device) >= p
+    return torch.where(mask.to(x0.device), x0, torch.zeros_like(x0))
 
 
-def q_sample(schedule: Schedule, signal: Tensor, t: Tensor, noise: Tensor) -> Tensor:
-    """Noisy signal ``sqrt(alpha_bar[t]) signal + sqrt(1 - alpha_bar[t]) noise``.
+def q_sample(schedule: Schedule, x0: Tensor, t: Tensor, eps: Tensor) -> Tensor:
+    """Noisy signal ``x_t = sqrt(alpha_bar_t) x0 + sqrt(1 - alpha_bar_t) eps``.
 
     Parameters
     ----------
     schedule : Schedule
-    signal : (B, ...) float tensor
+    x0 : (B, ...) float tensor
         Clean signal, -1..1 (`to_signal`).
     t : (B,) int64 tensor
         Timestep index of each sample, 0..T-1.
-    noise : (B, ...) float tensor
-        Standard normal, shaped like ``signal``.
+    eps : (B, ...) float tensor
+        Standard normal.
 
     Raises
     ------
@@ -167,35 +137,21 @@ def q_sample(schedule: Schedule, signal: Tensor, t: Tensor, noise: Tensor) -> Te
     Choi et al., "MoTDiff", arXiv:2510.26173, eq. 1 and eq. 8 (second line); Ho et al., NeurIPS
     2020, eq. 4.
     """
-    if t.shape != signal.shape[:1]:
+    if t.shape != x0.shape[:1]:
         raise ValueError(
-            f"t must hold one timestep per sample, shape {tuple(signal.shape[:1])}; got"
+            f"t must hold one timestep per sample, shape {tuple(x0.shape[:1])}; got"
             f" {tuple(t.shape)}"
         )
-    if noise.shape != signal.shape:
-        raise ValueError(
-            f"noise must be shaped like the signal, {tuple(signal.shape)}; got"
-            f" {tuple(noise.shape)}"
-        )
-    per_sample = (-1, *(1 for _ in signal.shape[1:]))
-    kept = (
-        schedule.alpha_bar.sqrt().to(signal)[t].view(per_sample)
-    )  # (B, 1, ...); roots and 1 - a in float64
-    added = (1 - schedule.alpha_bar).sqrt().to(signal)[t].view(per_sample)  # (B, 1, ...)
-    return kept * signal + added * noise
+    if eps.shape != x0.shape:
+        raise ValueError(f"eps must be shaped like x0, {tuple(x0.shape)}; got {tuple(eps.shape)}")
+    per_sample = (-1, *(1 for _ in x0.shape[1:]))
+    # 1 - alpha_bar and the roots in float64: float32 would lose the first timesteps' noise
+    sqrt_alpha_bar = schedule.alpha_bar.sqrt().to(x0)[t].view(per_sample)  # (B, 1, ...)
+    sqrt_one_minus = (1 - schedule.alpha_bar).sqrt().to(x0)[t].view(per_sample)
+    return sqrt_alpha_bar * x0 + sqrt_one_minus * eps
 
 
-# One step serves all methods: from x_t and the estimate x0 to the next, less noisy timestep t',
-# x_t' = sqrt(a') x0 + sqrt(1 - a' - sigma^2) eps + sigma noise,      eps = (x_t - sqrt(a) x0) /
-# sqrt(1 - a),
-# sigma = eta sqrt((1 - a') / (1 - a) (1 - a / a')),                  a = alpha_bar[t], a' =
-# alpha_bar[t'], where a method of order 2 extrapolates x0 along log(SNR) with the step before.
-#
-# method     eta     order   description ddpm       1       1       ancestral sampling with the
-# posterior's variance: Ho et al. 2020, eq. 6-7 ddim       0..1    1       Song et al., ICLR 2021,
-# eq. 12 and 16; eta = 0 is deterministic, eta = 1 is ddpm dpm++2m    0       2
-# DPM-Solver++(2M): Lu et al., arXiv:2211.01095, algorithm 2; its first step is ddim's
-_ORDER = {"ddpm": 1, "ddim": 1, "dpm++2m": 2}
+_ORDER = {"ddpm": 1, "ddim": 1, "dpm++2m": 2}  # of the extrapolation of x0 from step to step
 
 
 def samples(
@@ -210,11 +166,9 @@ def samples(
     device: torch.device | str | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> Iterator[Tensor]:
-    """Draw signals from noise; yields the estimate of x0 at each step, and the last one is the
-    result.
+    """Draw signals from noise; yields the estimate of x0 at each step, the last one the result.
 
-    Runs without gradients: a ``predict_x0`` that needs them turns them on itself
-    (``torch.enable_grad``).
+    Runs without gradients: a ``predict_x0`` that needs them enables them (``torch.enable_grad``).
 
     Parameters
     ----------
@@ -230,7 +184,7 @@ def samples(
         Noise is drawn on its device and moved to ``device``: with a CPU generator it is the same
         on all devices.
     method : {"ddim", "ddpm", "dpm++2m"}
-        See the table above this function in the source.
+        Implicit, ancestral, or DPM-Solver++(2M), whose first step is ddim's.
     eta : float
         Noise put back in "ddim", 0 (none) to 1 (as much as "ddpm"). The other methods fix it.
     device : torch.device or str, optional
@@ -241,13 +195,18 @@ def samples(
     Yields
     ------
     (B, ...) tensor
-        The estimate of x0 as ``predict_x0`` gave it, -1..1 (`from_signal`), ``steps`` times.
+        Estimate of x0, -1..1 (`from_signal`), ``steps`` times.
 
     Raises
     ------
     ValueError
         At the call, if ``method`` is unknown, ``steps`` is outside 1..T, or ``eta`` is outside
         0..1 or given to a method that fixes it.
+
+    References
+    ----------
+    "ddpm": Ho et al., NeurIPS 2020, eq. 6-7. "ddim": Song et al., ICLR 2021, eq. 12 and 16.
+    "dpm++2m": Lu et al., arXiv:2211.01095, algorithm 2.
     """
     if method not in _ORDER:
         raise ValueError(f"method must be one of {', '.join(_ORDER)}; got {method!r}")
@@ -256,13 +215,14 @@ def samples(
     if eta and method != "ddim":
         raise ValueError(f"eta must be left out with {method}, which fixes it; got {eta}")
     timesteps = schedule.timesteps(steps)
-    place = torch.device(generator.device if device is None else device)
-    eta = 1.0 if method == "ddpm" else eta
+    target = torch.device(device or generator.device)
+    if method == "ddpm":
+        eta = 1.0  # Song et al., section 4.1: ddim with eta = 1 is ddpm
 
     def noise() -> Tensor:
         return torch.randn(
             tuple(shape), generator=generator, device=generator.device, dtype=dtype
-        ).to(place)
+        ).to(target)
 
     return _descend(predict_x0, noise, timesteps, schedule.alpha_bar.tolist(), eta, _ORDER[method])
 
@@ -276,33 +236,32 @@ def _descend(
     eta: float,
     order: int,
 ) -> Iterator[Tensor]:
-    x = (
-        noise()
-    )  # (B, ...) pure noise: what the signal adds at T-1, sqrt(alpha_bar) = 5e-5, is left out
-    earlier: tuple[float, Tensor] | None = None  # log(SNR) / 2 and x0 one step before
-    for t, following in itertools.zip_longest(timesteps, timesteps[1:]):
-        x0 = predict_x0(x, torch.full((len(x),), t, dtype=torch.int64, device=x.device)).to(
-            x.dtype
-        )  # (B, ...)
+    x_t = noise()  # pure noise: the signal at T-1, sqrt(alpha_bar) = 5e-5 of x0, is left out
+    previous: tuple[float, Tensor] | None = None  # lambda_t and x0 one step before
+    for t, t_next in itertools.zip_longest(timesteps, timesteps[1:]):
+        x0 = predict_x0(x_t, torch.full((len(x_t),), t, dtype=torch.int64, device=x_t.device))
+        x0 = x0.to(x_t.dtype)  # (B, ...)
         yield x0
-        if following is None:
+        if t_next is None:
             return
-        now = alpha_bar[t]
-        then = alpha_bar[following]
-        ahead = x0
+        a = alpha_bar[t]
+        a_next = alpha_bar[t_next]
+        D = x0  # as Lu et al. name it
         if order == 2:
-            if earlier is not None:
-                ratio = (_half_log_snr(then) - _half_log_snr(now)) / (
-                    _half_log_snr(now) - earlier[0]
-                )
-                ahead = x0 + ratio / 2 * (x0 - earlier[1])
-            earlier = _half_log_snr(now), x0
-        variance = eta**2 * (1 - then) / (1 - now) * (1 - now / then)
-        kept = math.sqrt(max(1 - then - variance, 0) / (1 - now))
-        x = kept * x + (math.sqrt(then) - kept * math.sqrt(now)) * ahead
-        if variance > 0:
-            x = x + math.sqrt(variance) * noise()
+            lambda_t = _half_log_snr(a)
+            if previous is not None:  # line 7 of their algorithm 2; r is h_{i-1} / h_i there
+                h_ratio = (_half_log_snr(a_next) - lambda_t) / (lambda_t - previous[0])
+                D = x0 + h_ratio / 2 * (x0 - previous[1])
+            previous = lambda_t, x0
+        # Song et al., eq. 12: x_next = sqrt(a_next) x0 + sqrt(1 - a_next - sigma^2) eps + noise,
+        # with eps = (x_t - sqrt(a) x0) / sqrt(1 - a) put in
+        sigma2 = eta**2 * (1 - a_next) / (1 - a) * (1 - a / a_next)  # eq. 16
+        eps_scale = math.sqrt(max(1 - a_next - sigma2, 0) / (1 - a))
+        x_t = eps_scale * x_t + (math.sqrt(a_next) - eps_scale * math.sqrt(a)) * D
+        if sigma2 > 0:
+            x_t = x_t + math.sqrt(sigma2) * noise()
 
 
 def _half_log_snr(alpha_bar: float) -> float:
+    """``lambda = log(sqrt(alpha_bar) / sqrt(1 - alpha_bar))`` of Lu et al."""
     return 0.5 * math.log(alpha_bar / (1 - alpha_bar))

@@ -57,22 +57,16 @@ def structure_loss(logits: Tensor, x0: Tensor, *, path_weight: float, iou: float
 
 
 def weighted_bce(logits: Tensor, x0: Tensor, weight: Tensor) -> Tensor:
-    """Cross-entropy (B,) of each sample: the mean over its pixels with weights ``weight`` (see
-    `structure_loss`).
-    """
+    """``wBCE`` (B,) of `structure_loss`."""
     # F3Net's code passes `reduce='none'`, which PyTorch reads as reduce=True: it then returns the
     # batch's plain mean, the weights cancel and thin paths count for nothing. Many copies inherit
     # it. `reduction` is the right name.
-    loss = functional.binary_cross_entropy_with_logits(
-        logits, x0, reduction="none"
-    )  # (B, 1, H, W)
+    loss = functional.binary_cross_entropy_with_logits(logits, x0, reduction="none")
     return (weight * loss).flatten(1).sum(1) / weight.flatten(1).sum(1)
 
 
 def weighted_iou(logits: Tensor, x0: Tensor, weight: Tensor) -> Tensor:
-    """One minus the soft intersection over union (B,) of each sample, weighted by pixels (see
-    `structure_loss`).
-    """
+    """``wIoU`` (B,) of `structure_loss`: one minus the soft intersection over union."""
     p = torch.sigmoid(logits)
     intersection = (weight * p * x0).flatten(1).sum(1)  # (B,)
     total = (weight * (p + x0)).flatten(1).sum(1)  # (B,)
@@ -80,23 +74,7 @@ def weighted_iou(logits: Tensor, x0: Tensor, weight: Tensor) -> Tensor:
 
 
 def denoising_loss(logits: Tensor, x0: Tensor) -> Tensor:
-    """Mean squared error of the signal, ``2 sigmoid(logits) - 1`` against ``2 x0 - 1``: plain
-    DDPM, for the ablation.
-
-    Parameters
-    ----------
-    logits, x0 : (B, 1, H, W) float
-        As for `structure_loss`.
-
-    Returns
-    -------
-    () tensor
-        In the precision of `structure_loss`.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ.
+    """Mean squared error of the signal: DDPM's loss, for the ablation; else as `structure_loss`.
 
     References
     ----------
@@ -111,8 +89,7 @@ def dwell_loss(logits: Tensor, dwell: Tensor, x0: Tensor) -> Tensor:
     """Smooth L1 error of the predicted dwell, ``softplus(logits)``, on the path alone.
 
     The mean over the path pixels of each sample, then over the batch; a sample without a path
-    contributes 0. A map without dwell reaches MNC 0.82-0.90 at best on real hand shake; this
-    output is there to do better.
+    contributes 0. Without dwell a map reaches MNC 0.82-0.90 at best on real hand shake.
 
     Parameters
     ----------
@@ -136,24 +113,20 @@ def dwell_loss(logits: Tensor, dwell: Tensor, x0: Tensor) -> Tensor:
     """
     logits, dwell, x0 = _full_precision(logits, dwell, x0)
     path = x0 > 0.5  # (B, 1, H, W)
-    dwell = torch.where(
-        path, dwell, torch.zeros_like(dwell)
-    )  # a NaN off the path would reach the gradient as 0 * NaN
+    # a NaN off the path would reach the gradient as 0 * NaN
+    dwell = torch.where(path, dwell, torch.zeros_like(dwell))
     error = functional.smooth_l1_loss(functional.softplus(logits), dwell, reduction="none") * path
     return (error.flatten(1).sum(1) / path.flatten(1).sum(1).clamp(min=1)).mean()
 
 
 def _full_precision(logits: Tensor, *targets: Tensor) -> tuple[Tensor, ...]:
-    """Tensors in at least float32, the targets in the logits' type; sums over 65,536 pixels
-    overflow float16.
-    """
+    """Tensors in at least float32, the targets in the logits' type."""
     for target in targets:
-        if (
-            target.shape != logits.shape
-        ):  # (B, H, W) would broadcast against (B, 1, H, W) to (B, B, H, W)
+        # (B, H, W) would broadcast against (B, 1, H, W) to (B, B, H, W)
+        if target.shape != logits.shape:
             raise ValueError(
                 f"logits must be shaped like the target, {tuple(target.shape)}; got"
                 f" {tuple(logits.shape)}"
             )
-    dtype = torch.float32 if logits.dtype in (torch.float16, torch.bfloat16) else logits.dtype
+    dtype = torch.promote_types(logits.dtype, torch.float32)  # 65,536 pixels overflow float16
     return logits.to(dtype), *(target.to(dtype) for target in targets)

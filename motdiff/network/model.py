@@ -11,8 +11,7 @@ from motdiff.psf_frame import MAP_PITCH
 
 
 class MotDiffNetwork(ConditionNetwork):
-    """Photo, physics maps, noisy map and timestep to logits of the path map (or of the PSF, see
-    `pitch`).
+    """Logits of the path map (or the PSF) from photo, physics maps, noisy map and timestep.
 
     `condition` depends on the photo only: call it once, then `denoise` at every step.
 
@@ -49,9 +48,7 @@ class MotDiffNetwork(ConditionNetwork):
         )
 
     def denoise(self, x_t: Tensor, t: Tensor, condition: Tensor) -> Tensor:
-        """Logits (B, 1 or 2, H, W) of x0 (and dwell) from x_t (B, 1, H, W), t (B,) in 0..999 and a
-        condition.
-        """
+        """Logits (B, 1 or 2, H, W) of x0 (and dwell) from x_t (B, 1, H, W), t (B,) in 0..999."""
         logits: Tensor = self.denoiser(x_t, t, condition)
         return logits
 
@@ -63,10 +60,10 @@ class MotDiffNetwork(ConditionNetwork):
         physics: Tensor | None = None,
         corner: tuple[int, int] = (0, 0),
     ) -> Tensor:
-        """`condition` and `denoise` in one: for training, where each photo meets one timestep.
+        """`condition` and `denoise` in one, for training: each photo has one timestep.
 
         An `x_t` smaller than the photo's map is a window of it, whose first pixel is `pitch` times
-        `corner` (row, column): the denoiser works on that window only, at a fraction of the cost.
+        `corner` (row, column).
         """
         condition = self.condition(photo, physics)
         rows, columns = (

@@ -1,6 +1,4 @@
-"""Network of the parametric baseline: one quadratic path predicted from the condition
-(Motion-ETR's class).
-"""
+"""Network of the parametric baseline, of Motion-ETR's class: one quadratic path."""
 
 from __future__ import annotations
 
@@ -14,17 +12,15 @@ from motdiff.network.config import NetworkConfig
 from motdiff.psf_frame import PSF_PX
 
 _SCALE_PX = 16.0  # of a coefficient where the output is 1
-_GROUPS = 8
 _HIDDEN = 128
 
 
 class PathHead(nn.Module):
-    """Condition (B, C, 64, 64) to the coefficients (B, 2, 2) of a path, px; three strided
-    convolutions, two layers.
+    """Coefficients (B, 2, 2) of a path, px, from a condition (B, C, 64, 64).
 
-    A path and its reverse, ``a -> -a``, look the same. So it is the complex square ``a^2 / |a|``
-    that is predicted, which they share: a network cannot jump from one sign to the other between
-    photos that are nearly alike.
+    A path and its reverse, ``a -> -a``, look the same. So the complex square ``a^2 / |a|`` is
+    predicted, which they share: a network cannot jump from one sign to the other between photos
+    that are nearly alike.
 
     Parameters
     ----------
@@ -37,18 +33,13 @@ class PathHead(nn.Module):
         widths = (channels, channels, 32, 32)
         layers: list[nn.Module] = []
         for inputs, outputs in itertools.pairwise(widths):
-            layers += [
-                nn.GroupNorm(_GROUPS, inputs),
-                nn.SiLU(),
-                nn.Conv2d(inputs, outputs, 3, 2, 1),
-            ]
+            layers += [nn.GroupNorm(8, inputs), nn.SiLU(), nn.Conv2d(inputs, outputs, 3, 2, 1)]
         self.narrow = nn.Sequential(*layers)  # (B, 32, 8, 8)
         self.hidden = nn.Linear(widths[-1] * (PSF_PX // 8) ** 2, _HIDDEN)
         self.output = nn.Linear(_HIDDEN, 4)
         nn.init.normal_(self.output.weight, std=0.02)
-        self.output.bias = nn.Parameter(
-            torch.tensor([0.5, 0.0, 0.0, 0.0])
-        )  # no gradient leads away from a = 0
+        # no gradient leads away from a = 0
+        self.output.bias = nn.Parameter(torch.tensor([0.5, 0.0, 0.0, 0.0]))
 
     def forward(self, condition: Tensor) -> Tensor:
         """Coefficients (B, 2, 2): ``a`` and ``b`` of :class:`QuadraticPath`, x before y, px."""
@@ -61,8 +52,7 @@ class PathHead(nn.Module):
 
 
 class PathNetwork(ConditionNetwork):
-    """Photo and physics maps to a quadratic path, through the condition that a `MotDiffNetwork` of
-    the sizes has.
+    """Quadratic path from photo and physics maps, by the condition network of `MotDiffNetwork`.
 
     Parameters
     ----------

@@ -1,8 +1,6 @@
-"""Physics maps of a photo's blur on the PSF's 64 x 64 grid: correlations, cepstrum, quick
-classical kernels.
+"""Physics maps of a photo's blur on the PSF's grid: correlations, cepstrum, classical kernels.
 
-The network sees these maps beside the photo's features (or instead of them): they lie on the same
-grid as the path.
+The network sees them beside the photo's features, or instead: they lie on the path's own grid.
 """
 
 from __future__ import annotations
@@ -18,8 +16,8 @@ from motdiff.psf_frame import PSF_PX, margins
 
 _QUICK_COUPLING = Coupling(start=16.0, end=100.0, growth=2.0)
 _QUICK_FINE_WEIGHTS = (1e-3, 3e-4)  # fewer steps than the full searches have
-_BAND_SIGMA_CY_PX = 0.22
-_DISPLAY_GAMMA = 2.2
+_BAND_SIGMA_CY_PX = 0.22  # above, noise outweighs the scene
+_DISPLAY_GAMMA = 2.2  # near sRGB's curve: ImageNet's weights know display values alone
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ QUICK_STARTS = (QuickStart(29, 1.0), QuickStart(39, 3.0), QuickStart(53, 0.5))
 
 
 def physics_maps(photos: Tensor, kernels: Tensor) -> Tensor:
-    """Stack all maps of one photo.
+    """All maps of each photo.
 
     Parameters
     ----------
@@ -56,26 +54,19 @@ def physics_maps(photos: Tensor, kernels: Tensor) -> Tensor:
     Returns
     -------
     (B, 2 + 2 K, 64, 64) float32: autocorrelation and cepstrum of the photo, the kernels over their
-    peaks, and the kernels' own autocorrelations, to be compared with the photo's. Zero lag and
-    zero displacement at index 32.
+    peaks, and their autocorrelations. Zero lag and zero displacement at index 32.
     """
     return stacked_maps(spectral_maps(photos), kernels)
 
 
 def stacked_maps(spectral: Tensor, kernels: Tensor) -> Tensor:
-    """Stack :func:`physics_maps` from spectral maps (B, 2, 64, 64) known already, and kernels (B,
-    K, 64, 64).
-    """
+    """:func:`physics_maps` of spectral maps (B, 2, 64, 64) and kernels (B, K, 64, 64)."""
     peaks = kernels.amax(dim=(-2, -1), keepdim=True).clamp(min=1e-12)
     return torch.cat([spectral, kernels / peaks, autocorrelation(kernels)], dim=1)
 
 
 def display_photo(grey: Tensor) -> Tensor:
-    """Photo (B, 3, H, W) for the photo encoder: display values 0..1 of grey linear light (B, 1, H,
-    W).
-
-    Grey in all channels: the blur is the same in every colour.
-    """
+    """Display values (B, 3, H, W) for the photo encoder, of grey linear light (B, 1, H, W)."""
     return (grey.clamp(0, 1) ** (1 / _DISPLAY_GAMMA)).expand(-1, 3, -1, -1)
 
 
@@ -105,7 +96,7 @@ def quick_kernels(
     -------
     (B, K, 64, 64) float32: sum 1, centroid near index 32.
     """
-    found = []
+    kernels = []
     for start in starts:
         settings = replace(
             PmpSettings.for_noise(sigma),
@@ -117,8 +108,8 @@ def quick_kernels(
             gradient_weight=start.gradient_weight,
         )
         kernel = estimate_kernels(photos, size=start.size, settings=settings)
-        found.append(torch.nn.functional.pad(kernel, 2 * margins(start.size)))
-    return torch.stack(found, dim=1)
+        kernels.append(torch.nn.functional.pad(kernel, 2 * margins(start.size)))
+    return torch.stack(kernels, dim=1)
 
 
 def spectral_maps(photos: Tensor) -> Tensor:
@@ -145,37 +136,30 @@ def spectral_maps(photos: Tensor) -> Tensor:
     height, width = photos.shape[-2:]
     if min(height, width) < PSF_PX:
         raise ValueError(f"photos: sides must be at least {PSF_PX} px, got {width} x {height}")
-    window = torch.hann_window(height, periodic=False, device=photos.device, dtype=photos.dtype)[
-        :, None
-    ]
-    window = (
-        window
-        * torch.hann_window(width, periodic=False, device=photos.device, dtype=photos.dtype)[
-            None, :
-        ]
+    hann_y, hann_x = (
+        torch.hann_window(side, periodic=False, device=photos.device, dtype=photos.dtype)
+        for side in (height, width)
     )
+    window = hann_y[:, None] * hann_x[None, :]
     mean = (photos * window).sum(dim=(-2, -1), keepdim=True) / window.sum()
     power = torch.fft.rfft2((photos - mean) * window).abs().square()
     fy = torch.fft.fftfreq(height, device=photos.device, dtype=photos.dtype)[:, None]
     fx = torch.fft.rfftfreq(width, device=photos.device, dtype=photos.dtype)[None, :]
     radius2 = fx.square() + fy.square()
-    band = torch.exp(-radius2 / (2 * _BAND_SIGMA_CY_PX**2))  # above, noise rules
+    band = torch.exp(-radius2 / (2 * _BAND_SIGMA_CY_PX**2))
     white = power * radius2
-    level = white.mean(dim=(-2, -1), keepdim=True).clamp(
-        min=1e-12
-    )  # 0 where a photo is flat, such as a clipped sky
+    # the mean is 0 where a photo is flat, such as a clipped sky
+    level = white.mean(dim=(-2, -1), keepdim=True).clamp(min=1e-12)
     log_white = torch.log(white / level + 1e-3)
-    both = torch.stack([(white * band).mean(dim=1), (log_white * band).mean(dim=1)], dim=1)
-    return _scaled(lags(torch.fft.irfft2(both, s=(height, width))))
+    spectra = torch.stack([(white * band).mean(dim=1), (log_white * band).mean(dim=1)], dim=1)
+    return _scaled(lags(torch.fft.irfft2(spectra, s=(height, width))))
 
 
 def autocorrelation(kernels: Tensor) -> Tensor:
-    """Autocorrelations of kernels (..., 64, 64) at lags of -32..31 px, zero lag at index 32, 1
-    there.
-    """
-    frame = (2 * PSF_PX, 2 * PSF_PX)
-    found = lags(torch.fft.irfft2(torch.fft.rfft2(kernels, s=frame).abs().square(), s=frame))
-    return found / found[..., PSF_PX // 2, PSF_PX // 2][..., None, None].clamp(min=1e-12)
+    """Autocorrelations of kernels (..., 64, 64) at lags of -32..31 px; 1 at index 32, lag zero."""
+    frame = (2 * PSF_PX, 2 * PSF_PX)  # linear, not circular, correlation
+    R = lags(torch.fft.irfft2(torch.fft.rfft2(kernels, s=frame).abs().square(), s=frame))
+    return R / R[..., PSF_PX // 2, PSF_PX // 2][..., None, None].clamp(min=1e-12)
 
 
 def lags(correlation: Tensor) -> Tensor:
@@ -186,7 +170,7 @@ def lags(correlation: Tensor) -> Tensor:
 
 
 def _scaled(maps: Tensor) -> Tensor:
-    """Zero mean, unit rms, the peak at zero lag held down so that it does not rule."""
+    """Scale maps to zero mean and unit rms."""
     centred = maps - maps.mean(dim=(-2, -1), keepdim=True)
     rms = centred.square().mean(dim=(-2, -1), keepdim=True).sqrt().clamp(min=1e-12)
-    return torch.tanh(centred / (4 * rms)) * 4
+    return torch.tanh(centred / (4 * rms)) * 4  # compresses the peak at zero lag to at most 4

@@ -19,10 +19,8 @@ from torch.nn import functional
 from motdiff.files.inputs import regular_file
 
 _HEADS = (1, 2, 5, 8)
-_REDUCTIONS = (8, 4, 2, 1)  # keys and values are taken on a grid coarser by this factor
-# of the blocks' norms; those after a convolution have torch's 1e-5, as the published weights
-# expect
-_EPS = 1e-6
+_REDUCTIONS = (8, 4, 2, 1)  # of the grid of keys and values
+_EPS = 1e-6  # of the blocks' norms, as in the published weights; norms after convolutions: 1e-5
 
 
 class Variant(NamedTuple):
@@ -83,17 +81,15 @@ class PyramidVisionTransformer(nn.Module):
         self.apply(_initialise)
 
     def forward(self, photo: Tensor) -> list[Tensor]:
-        """Features (B, C_s, H / 2^(s+1), W / 2^(s+1)), s = 1..4, of photos (B, 3, H, W) whose
-        sides are 32 n.
+        """Features (B, C_s, H / 2^(s+1), W / 2^(s+1)), s = 1..4, of photos (B, 3, H, W).
 
-        The photo is normalised by ImageNet's mean and standard deviation, by the caller.
+        Sides are multiples of 32; values are normalised by ImageNet's mean and deviation.
         """
-        tokens = self.patch_embed(photo)  # (B, H/4, W/4, C1)
+        x = self.patch_embed(photo)  # (B, H/4, W/4, C1)
         features = []
         for stage in self.stages:
-            feature = stage(tokens)  # (B, C, h, w)
-            features.append(feature)
-            tokens = feature  # the next stage begins with its own patch embedding
+            x = stage(x)  # (B, C, h, w); the next stage begins with its own patch embedding
+            features.append(x)
         return features
 
 
@@ -111,9 +107,7 @@ class _PatchEmbedding(nn.Module):
 
 
 class _Stage(nn.Module):
-    """One scale: patch embedding (not in the first stage, whose embedding is the network's),
-    blocks, norm.
-    """
+    """One scale: patch embedding (the first stage's is the network's), blocks, norm."""
 
     def __init__(
         self,
@@ -125,9 +119,9 @@ class _Stage(nn.Module):
         mlp_ratio: int,
     ) -> None:
         super().__init__()
-        self.downsample = (
-            None if inputs is None else _PatchEmbedding(inputs, channels, kernel=3, stride=2)
-        )
+        self.downsample: _PatchEmbedding | None = None
+        if inputs is not None:
+            self.downsample = _PatchEmbedding(inputs, channels, kernel=3, stride=2)
         self.blocks = nn.ModuleList(
             _Block(channels, heads, reduction, mlp_ratio) for _ in range(depth)
         )
@@ -143,9 +137,7 @@ class _Stage(nn.Module):
 
 
 class _Block(nn.Module):
-    """Attention and feed-forward layer, each normalised first and added to its input; tokens (B,
-    h, w, C).
-    """
+    """Pre-norm residual attention and feed-forward layer; tokens (B, h, w, C)."""
 
     def __init__(self, channels: int, heads: int, reduction: int, mlp_ratio: int) -> None:
         super().__init__()
@@ -161,9 +153,7 @@ class _Block(nn.Module):
 
 
 class _Attention(nn.Module):
-    """Self-attention whose keys and values come from a grid made coarser by a strided
-    convolution.
-    """
+    """Self-attention with keys and values of a grid coarsened by a strided convolution."""
 
     def __init__(self, channels: int, heads: int, reduction: int) -> None:
         super().__init__()
@@ -178,23 +168,18 @@ class _Attention(nn.Module):
         batch, height, width, channels = x.shape
         coarse = x
         if self.sr is not None and self.norm is not None:
-            coarse = self.norm(
-                self.sr(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
-            )  # (B, h/r, w/r, C)
-        query = (
-            self.q(x).view(batch, -1, self.heads, channels // self.heads).transpose(1, 2)
-        )  # (B, heads, N, d)
-        pair = self.kv(coarse).view(batch, -1, 2, self.heads, channels // self.heads)
-        key, value = pair.permute(2, 0, 3, 1, 4)  # (B, heads, N / r^2, d) each
-        mixed = functional.scaled_dot_product_attention(query, key, value)
+            # (B, h/r, w/r, C)
+            coarse = self.norm(self.sr(x.permute(0, 3, 1, 2)).permute(0, 2, 3, 1))
+        q = self.q(x).view(batch, -1, self.heads, channels // self.heads).transpose(1, 2)
+        kv = self.kv(coarse).view(batch, -1, 2, self.heads, channels // self.heads)
+        k, v = kv.permute(2, 0, 3, 1, 4)  # (B, heads, N / r^2, d) each
+        mixed = functional.scaled_dot_product_attention(q, k, v)  # (B, heads, N, d)
         out: Tensor = self.proj(mixed.transpose(1, 2).reshape(batch, height, width, channels))
         return out
 
 
 class _FeedForward(nn.Module):
-    """Two linear layers around a depthwise 3x3 convolution, whose zero padding encodes the
-    position of each token.
-    """
+    """Two linear layers around a depthwise convolution, whose zero padding encodes positions."""
 
     def __init__(self, channels: int, hidden: int) -> None:
         super().__init__()
@@ -209,9 +194,7 @@ class _FeedForward(nn.Module):
 
 
 def _initialise(module: nn.Module) -> None:
-    """As upstream: truncated normal for linear layers, He by outputs for convolutions, biases
-    0.
-    """
+    """As upstream: truncated normal (linear layers), He by outputs (convolutions), biases 0."""
     if isinstance(module, nn.Linear):
         nn.init.trunc_normal_(module.weight, std=0.02)
     elif isinstance(module, nn.Conv2d):
@@ -224,8 +207,7 @@ def _initialise(module: nn.Module) -> None:
 
 
 def load_backbone(model: PyramidVisionTransformer, path: str | Path) -> None:
-    """Load timm's PVT v2 weights into `model`, in place; `head.*` and stages that `model` lacks
-    are ignored.
+    """Load timm's PVT v2 weights into `model`, without `head.*` and stages that it lacks.
 
     Parameters
     ----------
@@ -246,23 +228,23 @@ def load_backbone(model: PyramidVisionTransformer, path: str | Path) -> None:
         raise ValueError(
             f"path {path} is not a safetensors file ({error}); it must be timm's pvt_v2 weights"
         ) from None
-    own = model.state_dict()
+    state = model.state_dict()
     absent = tuple(f"stages.{i}." for i in range(len(model.stages), 4))
     weights = {
         name: value for name, value in weights.items() if not name.startswith(("head.", *absent))
     }
-    wanted = f"it must hold timm's pvt_v2_{model.variant}"
-    if missing := sorted(own.keys() - weights.keys()):
+    remedy = f"it must hold timm's pvt_v2_{model.variant}"
+    if missing := sorted(state.keys() - weights.keys()):
         raise ValueError(
-            f"path {path} lacks {len(missing)} of {len(own)} parameters, first {missing[0]};"
-            f" {wanted}"
+            f"path {path} lacks {len(missing)} of {len(state)} parameters, first {missing[0]};"
+            f" {remedy}"
         )
-    if extra := sorted(weights.keys() - own.keys()):
+    if extra := sorted(weights.keys() - state.keys()):
         raise ValueError(
-            f"path {path} has {len(extra)} parameters too many, first {extra[0]}; {wanted}"
+            f"path {path} has {len(extra)} parameters too many, first {extra[0]}; {remedy}"
         )
     for name, value in weights.items():
-        if value.shape != own[name].shape:
-            sizes = f"{tuple(value.shape)}, not {tuple(own[name].shape)}"
-            raise ValueError(f"path {path} is of another size: {name} is {sizes}; {wanted}")
+        if value.shape != state[name].shape:
+            sizes = f"{tuple(value.shape)}, not {tuple(state[name].shape)}"
+            raise ValueError(f"path {path} is of another size: {name} is {sizes}; {remedy}")
     model.load_state_dict(weights)

@@ -13,8 +13,7 @@ from motdiff.network.diffusion import Schedule, from_signal, samples, to_signal
 from motdiff.psf_frame import MAP_PITCH
 
 DOUBT = 0.02
-"""Share of the peak below which a network's output is taken for 0: off the path it never quite
-is."""
+"""Share of the peak below which a network's output counts as 0; off the path it never quite is."""
 
 
 @dataclass(frozen=True)
@@ -87,21 +86,18 @@ def sample_paths(
 
 
 def psfs_of_maps(maps: Tensor) -> Tensor:
-    """PSFs (..., 64, 64), sum 1, of non-negative HR maps (..., 256, 256), seen through each PSF
-    pixel's bilinear hat.
+    """PSFs (..., 64, 64), sum 1, of non-negative HR maps (..., 256, 256); a point of an empty one.
 
-    The hat makes them those of :meth:`motdiff.trajectory.Trajectory.psf`: with a true map of path
-    and dwell the MNC is over 0.99, with plain 4 x 4 means 0.92 to 0.97. An empty map becomes a
-    point.
+    Each PSF pixel weighs the map by a bilinear hat, as :meth:`motdiff.trajectory.Trajectory.psf`
+    does: with a true map of path and dwell the MNC is over 0.99, with 4 x 4 means 0.92 to 0.97.
     """
-    lead = maps.shape[:-2]
-    offsets = (
-        torch.arange(2 * MAP_PITCH, device=maps.device, dtype=maps.dtype) + 0.5
-    ) / MAP_PITCH - 1
-    hat = 1 - offsets.abs()
-    flat = maps.reshape(-1, 1, *maps.shape[-2:])
+    index = torch.arange(2 * MAP_PITCH, device=maps.device, dtype=maps.dtype)
+    hat = 1 - ((index + 0.5) / MAP_PITCH - 1).abs()
     across = functional.conv2d(
-        flat, hat[None, None, None, :], stride=(1, MAP_PITCH), padding=(0, MAP_PITCH // 2)
+        maps.reshape(-1, 1, *maps.shape[-2:]),
+        hat[None, None, None, :],
+        stride=(1, MAP_PITCH),
+        padding=(0, MAP_PITCH // 2),
     )
     psfs = functional.conv2d(
         across, hat[None, None, :, None], stride=(MAP_PITCH, 1), padding=(MAP_PITCH // 2, 0)
@@ -110,19 +106,18 @@ def psfs_of_maps(maps: Tensor) -> Tensor:
     point[:, psfs.shape[1] // 2, psfs.shape[2] // 2] = 1
     total = psfs.sum(dim=(1, 2), keepdim=True)
     psfs = torch.where(total > 1e-6, psfs / total.clamp(min=1e-6), point)
-    return psfs.reshape(*lead, *psfs.shape[-2:])
+    return psfs.reshape(*maps.shape[:-2], *psfs.shape[-2:])
 
 
 def psf_signals(psfs: Tensor) -> Tensor:
-    """Signals of PSFs (..., S, S) for the diffusion, 0..1: the root of each over its peak.
+    """Signals 0..1 of PSFs (..., S, S): the root of each over its peak.
 
-    Kernel-Diff diffuses PSFs of sum 1, most of which lie within a hundredth of 0; the root uses
-    the range.
+    Kernel-Diff diffuses PSFs of sum 1, most of which lie within 0.01 of 0; the root spreads them.
     """
     return (psfs / psfs.amax(dim=(-2, -1), keepdim=True).clamp(min=1e-12)).sqrt()
 
 
 def psfs_of_signals(signals: Tensor) -> Tensor:
-    """PSFs (..., S, S), sum 1, of signals 0..1: undoes :func:`psf_signals`."""
-    light = signals.square()
-    return light / light.sum(dim=(-2, -1), keepdim=True).clamp(min=1e-12)
+    """PSFs (..., S, S), sum 1, of signals 0..1: inverse of :func:`psf_signals`."""
+    psfs = signals.square()
+    return psfs / psfs.sum(dim=(-2, -1), keepdim=True).clamp(min=1e-12)

@@ -8,8 +8,7 @@ SYMMETRIES = 8
 
 
 def mirrored(maps: Tensor, symmetry: int, *, pitch: int) -> Tensor:
-    """Turn or mirror maps (B, C, H, W) about the zero displacement, one of the 8 symmetries of the
-    square.
+    """Turn or mirror maps (B, C, H, W) about the zero displacement by a symmetry of the square.
 
     The zero lies at index ``H // 2`` of a PSF's grid and at ``129.5`` of the HR map, half a PSF
     pixel off the array's middle: a flipped axis must be moved by one PSF pixel.
@@ -31,7 +30,7 @@ def mirrored(maps: Tensor, symmetry: int, *, pitch: int) -> Tensor:
 
 
 def inverse_symmetry(symmetry: int) -> int:
-    """Symmetry that undoes ``symmetry`` of :func:`mirrored`: with a transposition the two flips
-    change places.
-    """
-    return symmetry if symmetry < 4 else 4 + 2 * (symmetry & 1) + (symmetry >> 1 & 1)
+    """Symmetry that undoes ``symmetry`` of :func:`mirrored`."""
+    if symmetry < 4:
+        return symmetry
+    return 4 + 2 * (symmetry & 1) + (symmetry >> 1 & 1)  # transposed, the two flips change places

@@ -1,8 +1,7 @@
 """Small U-Net on the PSF's 64x64 grid, over physics maps or over the denoiser's features.
 
-On this grid the position has a meaning (a displacement, a lag): a learned position embedding gives
-it to every pixel, and attention at the coarse levels joins distant positions, such as the
-symmetric halves of a spectrum.
+A position on this grid is a displacement or a lag, which a learned embedding gives to each pixel;
+attention at the coarse levels joins distant ones, such as the symmetric halves of a spectrum.
 """
 
 from __future__ import annotations
@@ -65,13 +64,7 @@ class GridUNet(nn.Module):
         )
 
     def forward(self, maps: Tensor) -> Tensor:
-        """Features (B, width, 64, 64) of maps (B, C, 64, 64).
-
-        Raises
-        ------
-        ValueError
-            If `maps` has another shape.
-        """
+        """Features (B, width, 64, 64) of maps (B, C, 64, 64); ValueError for another shape."""
         if maps.shape[1:] != (self.channels, PSF_PX, PSF_PX):
             raise ValueError(
                 f"maps has shape {tuple(maps.shape)}; it must be (B, {self.channels}, {PSF_PX},"
@@ -92,9 +85,7 @@ class GridUNet(nn.Module):
 
 
 def silence(layer: nn.Module) -> None:
-    """Set a layer's parameters to zero: a sum with it is unchanged at first, and the layer still
-    learns.
-    """
+    """Set a layer's parameters to zero: a sum with it is unchanged before training."""
     for parameter in layer.parameters():
         nn.init.zeros_(parameter)
 
@@ -129,11 +120,9 @@ class _Attention(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         batch, channels, height, width = x.shape
-        triple = self.qkv(self.norm(x)).reshape(
-            batch, 3, _HEADS, channels // _HEADS, height * width
-        )
-        query, key, value = triple.permute(1, 0, 2, 4, 3)  # (B, heads, N, d) each
-        mixed = functional.scaled_dot_product_attention(query, key, value)
+        qkv = self.qkv(self.norm(x)).reshape(batch, 3, _HEADS, channels // _HEADS, height * width)
+        q, k, v = qkv.permute(1, 0, 2, 4, 3)  # (B, heads, N, d) each
+        mixed = functional.scaled_dot_product_attention(q, k, v)
         out: Tensor = self.proj(mixed.transpose(2, 3).reshape(batch, channels, height, width))
         return x + out
 
@@ -143,13 +132,10 @@ def _group_norm(channels: int) -> nn.GroupNorm:
 
 
 def _waves(width: int, side: int) -> Tensor:
-    """Sines and cosines of x and of y, periods 4 to 2 side px, (1, width, side, side): initial
-    position embedding.
-    """
+    """Sines and cosines of x and of y, periods 4 to 2 side px, (1, width, side, side)."""
     freq_cy_px = torch.logspace(math.log2(0.5 / side), math.log2(1 / 4), width // 4, base=2)
-    angle = (
-        2 * math.pi * freq_cy_px[:, None] * (torch.arange(side) - (side - 1) / 2)
-    )  # (width / 4, side)
+    # (width / 4, side)
+    angle = 2 * math.pi * freq_cy_px[:, None] * (torch.arange(side) - (side - 1) / 2)
     wave = torch.cat([angle.sin(), angle.cos()])  # (width / 2, side)
     across = wave[:, None, :].expand(-1, side, -1)
     down = wave[:, :, None].expand(-1, -1, side)

@@ -205,7 +205,7 @@ def test_noisy_signal_refuses_shapes_that_would_broadcast():
         ValueError, match=r"^t must hold one timestep per sample, shape \(2,\); got \(1,\)$"
     ):
         q_sample(cosine_schedule(), signal, torch.tensor([3]), torch.randn_like(signal))
-    with pytest.raises(ValueError, match=r"^noise must be shaped like the signal"):
+    with pytest.raises(ValueError, match=r"^eps must be shaped like x0"):
         q_sample(cosine_schedule(), signal, torch.tensor([3, 4]), torch.randn_like(signal[:1]))
 
 

@@ -14,8 +14,7 @@ from safetensors.torch import save_file
 from torch.utils.flop_counter import FlopCounterMode
 
 from motdiff.network import MotDiffNetwork, NetworkConfig
-from motdiff.network.aggregation import LocalEmphasis, StepwiseAggregation
-from motdiff.network.condition import PhotoEncoder
+from motdiff.network.condition import LocalEmphasis, PhotoEncoder, StepwiseAggregation
 from motdiff.network.denoiser import Denoiser, timestep_embedding
 from motdiff.network.pvt import PyramidVisionTransformer, load_backbone
 from motdiff.network.unet import GridUNet
