@@ -39,7 +39,6 @@ html_title = f"coded-exposure {release}"
 html_copy_source = False
 html_show_sphinx = False
 html_static_path: list[str] = []
-html_extra_path = ["audit.html"]  # one page that works without the site
 
 
 def _keep_bars(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cep.search.exhaustive.block_proof import judge_block
+from lab.block_proofs.blocks import judge_block
 
 
 def square(*, value, log=None):

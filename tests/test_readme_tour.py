@@ -42,7 +42,7 @@ NOT_RUN = {
     ),
     "cep optimize --linear 52 --frames": "a minute; tests/cep/search/test_frames.py",
     "python -m lab pareto": "a minute; tests/lab/commands/test_pareto.py",
-    "cep optimize --linear 44": "a minute; tests/cep/search/exhaustive/test_prove.py",
+    "python -m lab prove": "a minute; tests/lab/block_proofs/test_prove.py",
     "python -m motdiff prepare": (
         "an hour; tests/motdiff/test_commands.py prepares, trains and exports a small one"
     ),

@@ -43,7 +43,8 @@ FILES = extension().schema_files()
 
 
 def schema(name):
-    return load_schema("motdiff.files" if name == "trajectory" else "cep.files", name)
+    packages = extension().PACKAGES
+    return load_schema(next(package for package in packages if name in packages[package]), name)
 
 
 def faults(document, name, part=None):

@@ -63,15 +63,6 @@ def audit(
     photons: Photons = None,
     read_noise: ReadNoise = None,
     figure: Figures = None,
-    blocks: Annotated[
-        int | None,
-        typer.Option(
-            "--blocks",
-            metavar="N",
-            min=1,
-            help="Of a proof: blocks to judge again; 4 when omitted.",
-        ),
-    ] = None,
     output: Annotated[Path | None, output_option("Also write the result as JSON.")] = None,
     tables: TableFile = None,
     force: Force = False,
@@ -89,17 +80,11 @@ def audit(
     camera is that of code.json when --camera is omitted. figures has those of --figure: a number,
     or [forward, backward] where the direction is unknown.
 
-    In place of a code it takes the proof.jsonl of cep optimize --method exact --cache DIR. A
-    second, separate program counts its blocks, judges every survivor, and judges folds of a few
-    blocks again; --seed draws them. A proof that does not hold is refused with the reason.
-
     Example: cep audit 1010000111000001010000110011110111010111001001100111
 
     Example: cep audit code.json --trajectory trajectory.json --json
 
     Example: cep audit code.json --linear 40 --figure mymodule:my_figure
-
-    Example: cep audit proof44/proof.jsonl --blocks 8
     """
     from functools import partial
 
@@ -107,33 +92,16 @@ def audit(
     from cep.files.outputs import Outputs
     from cep.proofs.audit import audit as audited
     from cep.proofs.measure import find_figures
-    from cep.proofs.verify.blocks import is_proof
     from cep.proofs.verify.certificates import verify
     from cep.search.advise import verdict as judge
     from cep.search.problem import SearchProblem
     from motdiff.files.trajectories import stated_uncertainty_px
 
-    if is_proof(code):
-        given = {
-            "--trajectory": trajectory,
-            "--linear": linear,
-            "--flips": flips,
-            "--chip-ns": chip_ns,
-            "--camera": camera,
-            "--photons": photons,
-            "--read-noise": read_noise,
-            "--figure": figure,
-            "--table": tables,
-        }
-        for name, value in given.items():
-            if value is not None and value != []:
-                raise ValueError(
-                    f"{name}: not valid with a proof, which holds for the unit circle"
-                )
-        _audit_proof(Path(code), blocks or 4, output, force=force, seed=seed, as_json=as_json)
-        return
-    if blocks is not None:
-        raise ValueError(f"--blocks: needs a proof.jsonl, {code} is none")
+    if code.endswith(".jsonl"):
+        raise ValueError(
+            f"{code}: proofs are checked in the laboratory, in the repository: python -m lab prove"
+            f" --check {code}"
+        )
     stored = find_code(code, chip_ns=chip_ns)
     known = None if camera is not None else _searched_with(stored, code)
     noise = load_camera(camera, photons=photons, read_noise=read_noise, standard=known)
@@ -216,41 +184,6 @@ def _searched_with(stored: StoredCode, name: str) -> Camera | None:
         return Camera.from_dict(document)
     except ValueError as error:
         raise ValueError(f"{name}: problem.camera: {error}; --camera names another") from None
-
-
-def _audit_proof(
-    path: Path, blocks: int, output: Path | None, *, force: bool, seed: int, as_json: bool
-) -> None:
-    """Check a proof in blocks; refuse one that does not hold."""
-    from dataclasses import asdict
-    from functools import partial
-
-    import numpy as np
-
-    from cep.files.outputs import claim
-    from cep.proofs.verify.blocks import verify_proof
-
-    outputs = claim([output] if output else [], force=force, inputs=[path])
-    with progress("auditing") as tick:
-        verdict = verify_proof(path, blocks=blocks, rng=np.random.default_rng(seed), progress=tick)
-    if not verdict:
-        raise ValueError(f"{path}: the proof does not hold: {verdict.reasons[-1]}")
-    result = {"proof": path, **asdict(verdict), "seed": seed, "warnings": []}
-
-    def show(console: Console) -> None:
-        opened = f"{verdict.fewest_open} to {verdict.most_open}"
-        if verdict.fewest_open == verdict.most_open:
-            opened = str(verdict.most_open)
-        console.print(
-            f"holds: no code of at most {verdict.chips} chips with {opened} open has a larger"
-            f" minimum of |P| than {verdict.minimum:.6f}, of {verdict.bits}"
-        )
-        for reason in verdict.reasons:
-            console.print(f"  {reason}")
-
-    finish(
-        result, as_json=as_json, show=show, outputs=outputs, save=partial(_write, output, result)
-    )
 
 
 def _write(output: Path | None, result: Mapping[str, object], made: Mapping[Path, Path]) -> None:

@@ -132,7 +132,7 @@ Workers = Annotated[
         metavar="N",
         min=1,
         rich_help_panel=MANY,
-        help="Processes of one thread, or threads of a proof; as many as cores when omitted.",
+        help="Processes of one thread; as many as cores when omitted.",
     ),
 ]
 Dask = Annotated[

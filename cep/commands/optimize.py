@@ -227,8 +227,6 @@ def optimize(
 
     Example: cep optimize --linear 36 --chips 36 --method exact
 
-    Example: cep optimize --linear 44 --chips 44 --method exact --workers 2 --cache proof44
-
     Example: cep optimize --linear 52 --open 26 --objective min-mtf:0.15,noise:1
 
     Example: cep optimize --each shots_motion --chips 40 --duty 0.4:0.6 --steps 4000000
@@ -247,7 +245,6 @@ def optimize(
         from cep.files.outputs import claim
         from cep.proofs.measure import find_figures
         from cep.search.chip_count import ASSUMED_EXPOSURE_S, choose_chips
-        from cep.search.exhaustive.block_proof import plan_blocks
         from cep.search.exhaustive.exact import codes_to_count
         from cep.search.limits import RunLimits
         from cep.search.optimize import Search, searched_problem, stored_search
@@ -395,20 +392,12 @@ def optimize(
                 tables=tables,
             )
         else:
-            blocks = None
-            if method == "exact" and frames == 1:
-                if cache is not None:
-                    from cep.jobs.engine import Engine
-
-                    blocks = Engine.of(cache, cache=cache, workers=workers, dask=dask)
-                elif workers is not None or dask is not None:
-                    option = "--dask" if workers is None else "--workers"
-                    raise ValueError(
-                        f"{option}: a proof in blocks needs --cache DIR, the folder that keeps"
-                        " them"
-                    )
-            else:
-                only_of_folders("--each", workers, dask, cache)
+            if method == "exact" and cache is not None:
+                raise ValueError(
+                    "--cache: proofs in blocks moved to the laboratory, in the repository:"
+                    f" python -m lab prove --chips {chips or _STANDARD_CHIPS} -o {cache}"
+                )
+            only_of_folders("--each", workers, dask, cache)
             if trajectory is not None and trajectory.is_dir():
                 raise ValueError(
                     f"{trajectory}: is a folder; --each FOLDER searches a code for each motion"
@@ -453,8 +442,7 @@ def optimize(
                     )
 
                 if method == "exact":
-                    asked = searched_problem(wanted.problem)
-                    count = codes_to_count(asked) if blocks is None else plan_blocks(asked).codes
+                    count = codes_to_count(searched_problem(wanted.problem))
                     tick(0.0, f"{count:.2g} codes")
                 else:
                     tick(0.0, "")
@@ -470,7 +458,6 @@ def optimize(
                         start=[] if chosen is None or chosen.code is None else [chosen.code],
                         interrupted=chosen is not None and chosen.early == "interrupted",
                         figures=own,
-                        blocks=blocks,
                         progress=part(tick, 0.0 if chosen is None else _CHOOSING, 1.0),
                         on_found=lambda code, found: keep([code], partial(alone, code, found)),
                     )

@@ -1,6 +1,4 @@
-"""Executors of cells: processes or threads of this machine or a Dask cluster, in order of
-completion.
-"""
+"""Executors of cells: processes of this machine or a Dask cluster, in order of completion."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ import os
 import signal
 import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from functools import partial
 from importlib import import_module
@@ -36,26 +34,6 @@ _CONNECT_S = 5.0
 _WORKERS_S = 10.0
 _DIED = "its process died: not enough memory, or a crash in compiled code"
 _INSTALL = "install there what is installed here, and start it again"
-
-
-def in_threads(tasks: Iterator[Task], workers: int) -> Generator[tuple[str, Finished]]:
-    """Yield keys with finished work, from threads of this process: for compiled work that runs
-    side by side there.
-
-    A task is drawn just before a thread is free for it, so that its arguments may depend on what
-    has finished.
-    """
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            running = [pool.submit(_one, key, *call) for key, call in islice(tasks, workers + 1)]
-            while running:
-                wait(running, return_when=FIRST_COMPLETED)
-                for future in [one for one in running if one.done()]:
-                    running.remove(future)
-                    yield future.result()
-                    running += [pool.submit(_one, key, *call) for key, call in islice(tasks, 1)]
-        finally:
-            pool.shutdown(cancel_futures=True)
 
 
 def in_processes(tasks: Tasks, workers: int) -> Generator[tuple[str, Finished]]:

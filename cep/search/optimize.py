@@ -8,7 +8,6 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -21,8 +20,6 @@ from cep.proofs.certify.certificate import Certificate, certify
 from cep.proofs.measure import CodeMetrics, FigureOfMerit, find_figures, own_figures
 from cep.search.advise import Verdict, verdict
 from cep.search.compare import Comparison, as_designed, compare
-from cep.search.exhaustive.exact import exact
-from cep.search.exhaustive.proof import ExactResult
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Found, mean_length_px, prove_code, search_code
 from cep.search.ways import check_light
@@ -30,7 +27,6 @@ from motdiff.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from cep.jobs.cells import Figure
-    from cep.jobs.engine import Engine
 
 STANDARD_TIME_S = 60.0
 """Limit of an annealing that is given neither moves nor a time, seconds."""
@@ -159,7 +155,6 @@ class Optimum:
         repeats = found.stopped == "interrupted" or self.how.method == "exact" or moves is not None
         return (
             *ended_early(self.how, found.stopped, moves),
-            *_kept_blocks(found),
             *(
                 f"the search of the {name} was stopped early, by the time or Ctrl-C: another run"
                 " may give another"
@@ -262,7 +257,6 @@ def optimize(
     path_error_px: float = 0.0,
     figures: Mapping[str, FigureOfMerit] | None = None,
     threads: int | None = None,
-    blocks: Engine | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
     on_found: Callable[[ShutterCode, Found], None] = lambda _code, _found: None,
     on_best: Callable[[ShutterCode], None] = lambda _code: None,
@@ -294,9 +288,6 @@ def optimize(
         :func:`cep.proofs.measure.own_figures`. The search knows nothing of them.
     threads : int, optional
         As many as there are cores when omitted; the code does not depend on it.
-    blocks : Engine, optional
-        With method="exact": what runs the proof in blocks, and the folder that keeps it; see
-        :func:`cep.search.exhaustive.prove.prove`.
     progress : callable, optional
         Called with the finished share, 0..1, and a note.
     on_found : callable, optional
@@ -319,8 +310,6 @@ def optimize(
     ('1010111100100100', 'proven')
     """
     how = Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)
-    if blocks is not None and method != "exact":
-        raise ValueError("blocks: needs method='exact', only a proof is cut into blocks")
     if not problem.scenarios:
         raise ValueError("scenarios: need a motion to compare and certify codes along")
     motion = along or problem.scenarios[0].trajectory
@@ -342,7 +331,6 @@ def optimize(
         start=start,
         length_px=mean_length_px(problem),
         threads=threads,
-        blocks=blocks,
         progress=tell,
     )
     found = replace(found, stopped="interrupted") if interrupted else found
@@ -388,15 +376,6 @@ def ended_early(how: Search, stopped: str, moves: int | None) -> list[str]:
     return []
 
 
-def _kept_blocks(found: Found) -> list[str]:
-    """Say how a proof in blocks goes on that was stopped early."""
-    proof = found.proof or {}
-    if found.stopped == "proven" or "blocks" not in proof:
-        return []
-    kept = f"{proof['finished']} of {proof['blocks']} blocks are kept in {proof['file']}"
-    return [f"{kept}: the same command with --force goes on from there"]
-
-
 def certificate_warnings(problem: SearchProblem) -> list[str]:
     """Warn where a certificate does not cover all that the search counted."""
     if (
@@ -419,7 +398,6 @@ def search(
     length_px: float | None = None,
     threads: int | None = None,
     progress: Callable[[float, ShutterCode], None] | None = None,
-    blocks: Engine | None = None,
 ) -> Found:
     """Search a code, or count all codes for the best.
 
@@ -435,8 +413,6 @@ def search(
         As many as there are cores when omitted; the code does not depend on it.
     progress : callable, optional
         Called with the fraction done and the best code so far.
-    blocks : Engine, optional
-        What runs a proof in blocks, and the folder that keeps it.
 
     Returns
     -------
@@ -451,11 +427,6 @@ def search(
     """
     rng = np.random.default_rng(how.seed)
     if how.method == "exact":
-        count: Callable[..., ExactResult] = exact
-        if blocks is not None:
-            from cep.search.exhaustive.prove import prove
-
-            count = partial(prove, folder=blocks.cache, workers=blocks.workers, dask=blocks.dask)
         return prove_code(
             problem,
             rng=rng,
@@ -463,7 +434,6 @@ def search(
             length_px=length_px,
             progress=progress,
             threads=threads,
-            count=count,
         )
     return search_code(
         problem,

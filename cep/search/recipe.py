@@ -92,7 +92,7 @@ class Found:
         What the code was compared with: none of them that keeps the limits has a lower cost.
         Ctrl-C may have cut them short.
     proof : dict or None
-        Log of the proof; ``file`` names that of a proof in blocks or of a bundled proof.
+        Log of the proof; ``file`` names that of a bundled proof.
     """
 
     code: ShutterCode

@@ -12,9 +12,11 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "files.md"
-PACKAGES = {"motdiff.files": ("trajectory",), "cep.files": (
-    "code", "camera", "front", "bench", "calibration-set", "proof", "program", "studio",
-)}  # fmt: skip
+PACKAGES = {
+    "motdiff.files": ("trajectory",),
+    "cep.files": ("code", "camera", "front", "bench", "calibration-set", "program", "studio"),
+    "lab.block_proofs": ("proof",),
+}
 _MARKED = re.compile(r"<!-- fields of (\S+) -->\n.*?<!-- end of fields -->", re.DOTALL)
 _SHORT = {
     "object": "object",

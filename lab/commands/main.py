@@ -9,7 +9,7 @@ import typer
 
 from cep.commands.commands import Command, Group
 from cep.commands.main import run_app
-from lab.commands import bench, pareto
+from lab.commands import bench, pareto, prove
 
 app = typer.Typer(
     name="lab",
@@ -37,6 +37,7 @@ def _root() -> None:
 
 app.add_typer(bench.bench, name="bench", cls=Group)
 app.command("pareto")(pareto.pareto)
+app.command("prove")(prove.prove)
 for _group in (app, bench.bench):
     for _command in _group.registered_commands:
         _command.cls = Command

@@ -12,10 +12,10 @@ from __future__ import annotations
 import argparse
 import time
 
-from cep.search.exhaustive.block_proof import judge_block, plan_blocks
 from cep.search.exhaustive.exact import exact
 from cep.search.exhaustive.proof import ExactResult
 from cep.search.problem import SearchProblem
+from lab.block_proofs.blocks import judge_block, plan_blocks
 
 
 def timed(problem: SearchProblem, threads: int) -> tuple[ExactResult, float]:
@@ -77,7 +77,7 @@ def compare(chips: int) -> None:
     """
     problem = SearchProblem(chips=chips)
     known, seconds = timed(problem, 1)
-    plan = plan_blocks(problem)
+    plan = plan_blocks(chips, 1, chips)
     records = [
         judge_block(
             plan.chips, plan.fewest, plan.most, block.first, block.until, known.proof.lower

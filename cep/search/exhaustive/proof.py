@@ -110,50 +110,6 @@ class ProofLog:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BlockLog:
-    """Summary of a proof in blocks; the records are in its file.
-
-    Attributes
-    ----------
-    chips : int
-    limits : dict
-    domain : str
-    file : str
-    blocks, finished : int
-    codes, judged : int
-        Of the ring on which codes are folded, each way round and closed chips at either end
-        included: all of them, and those of finished blocks.
-    bound : float
-        The highest under which a block was judged.
-    bits : str
-        Best code.
-    lower, upper : float
-        The largest minimum lies between them; ``upper`` is Parseval's bound until the proof is
-        complete.
-    cpu_s : float
-        Processor time of the finished blocks.
-    """
-
-    chips: int
-    limits: dict[str, int | str | None]
-    domain: str
-    file: str
-    blocks: int
-    finished: int
-    codes: int
-    judged: int
-    bound: float
-    bits: str
-    lower: float
-    upper: float
-    cpu_s: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """Give the summary as JSON-ready data."""
-        return asdict(self)
-
-
-@dataclass(frozen=True, kw_only=True)
 class BundledLog:
     """What a proof covers that was made before and comes with the package.
 
@@ -197,7 +153,7 @@ class ExactResult:
     minimum : Minimum
         Of |P| on the unit circle in chips, or of |H| over the band along the worst of the
         problem's trajectories.
-    proof : ProofLog, BlockLog or BundledLog
+    proof : ProofLog or BundledLog
     seconds : float
     proven : bool
         Whether no code is better; False when interrupted.
@@ -205,6 +161,6 @@ class ExactResult:
 
     code: ShutterCode
     minimum: Minimum
-    proof: ProofLog | BlockLog | BundledLog
+    proof: ProofLog | BundledLog
     seconds: float
     proven: bool

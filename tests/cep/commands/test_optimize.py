@@ -602,57 +602,11 @@ def test_a_full_disk_loses_no_code_and_names_the_file(cep, workplace, monkeypatc
         )
     assert told == "cep: best.json: No space left on device; found: 11111001101010\n"
     assert re.search(r"two_1.json: No space left on device; found: [01]{6}, [01]{6}\n$", two)
-    with monkeypatch.context() as disk:
-        disk.setattr("os.fsync", full)
-        told = cep.fails(*asked, "--workers", "1", "--cache", "kept", "-o", "best.json")
-    assert told.endswith("kept/proof.jsonl: No space left on device\n")
     assert not Path("best.json").exists()
 
 
-def test_a_proof_in_blocks_is_kept_continued_and_audited(cep, workplace):
-    asked = (
-        "optimize",
-        "--linear",
-        "14",
-        "--chips",
-        "14",
-        "--method",
-        "exact",
-        "--workers",
-        "1",
-        "--cache",
-        "kept",
-    )
-    found = cep.succeeds(*asked, "-o", "best.json")
-    assert found["proven"]
-    assert found["bits"] == "11111001101010"
-    lines = Path("kept/proof.jsonl").read_text()
-    assert cep.succeeds(*asked, "-o", "again.json")["bits"] == found["bits"]
-    assert Path("kept/proof.jsonl").read_text() == lines
-    audited = cep.succeeds("audit", "kept/proof.jsonl", "--blocks", "20")
-    assert (audited["holds"], audited["bits"]) == (True, "1111100110101")
-    other = (
-        "optimize",
-        "--linear",
-        "15",
-        "--chips",
-        "15",
-        "--method",
-        "exact",
-        "--cache",
-        "kept",
-        "-o",
-        "other.json",
-    )
-    assert "a proof for 14 chips" in cep.refuses(*other)
-    Path("kept/proof.jsonl").write_text("".join(line for line in lines.splitlines(True)[:-1]))
-    assert "the proof does not hold: the block of prefixes" in cep.refuses(
-        "audit", "kept/proof.jsonl"
-    )
-    assert "--linear: not valid with a proof" in cep.refuses(
-        "audit", "kept/proof.jsonl", "--linear", "5"
-    )
-    assert "--workers: a proof in blocks needs --cache" in cep.refuses(
-        *asked[:-2], "-o", "new.json"
-    )
-    assert not Path("other.json").exists()
+def test_proofs_in_blocks_say_where_they_went(cep, workplace):
+    asked = ("optimize", "--linear", "14", "--chips", "14", "--method", "exact")
+    told = cep.refuses(*asked, "--workers", "1", "--cache", "kept")
+    assert told.endswith("the repository: python -m lab prove --chips 14 -o kept\n")
+    assert "--workers: is for a folder" in cep.refuses(*asked, "--workers", "1")

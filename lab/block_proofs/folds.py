@@ -1,5 +1,4 @@
-"""Compiled scan of a proof in blocks: codes are judged by their folded sums, whole families of
-codes at once.
+"""Compiled scan of a proof in blocks: codes are judged by folded sums, whole families at once.
 
 On the N = 4 q roots of unity a code may be rotated: chips that leave at one end come in at the
 other, and no |P| changes. There P splits, as in a fast Fourier transform. At every fourth root it

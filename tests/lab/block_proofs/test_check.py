@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep.proofs.verify.blocks import _check_block, is_proof, verify_proof
-from cep.search.exhaustive.block_proof import VERSION, judge_block, plan_blocks
-from cep.search.exhaustive.proof_file import SCHEMA
-from cep.search.problem import SearchProblem
+from cep.codes.optima import OPTIMA
+from lab.block_proofs.blocks import VERSION, judge_block, plan_blocks
+from lab.block_proofs.check import _check_block, verify_proof
+from lab.block_proofs.proof_file import SCHEMA
 
 BOUND = 1.3
-PROOF_OF_42 = Path(__file__).resolve().parents[4] / "docs" / "proofs" / "42.jsonl"
+PROOFS = sorted((Path(__file__).resolve().parents[3] / "docs" / "proofs").glob("*.jsonl"))
 
 
 @pytest.fixture(scope="module")
 def true_lines():
-    plan = plan_blocks(SearchProblem(chips=20, open_range=(8, 13)))
+    plan = plan_blocks(20, 8, 13)
     records = [judge_block(20, 8, 13, block.first, block.until, BOUND) for block in plan.blocks]
     return [{"schema": SCHEMA, "version": VERSION, **plan.header()}, *records]
 
@@ -129,24 +129,30 @@ def test_a_damaged_line_is_named(tmp_path, true_lines):
         )
     path = tmp_path / "proof.jsonl"
     path.write_text(json.dumps(true_lines[0]) + "\n{")
-    assert is_proof(path)
     with pytest.raises(ValueError, match="line 2 is damaged"):
         verify_proof(path, rng=np.random.default_rng(0))
-    assert not is_proof(tmp_path / "none")
 
 
 def test_a_pipe_is_no_proof_and_is_not_opened(tmp_path, monkeypatch):
     """The opening of one that nobody writes to never ends."""
     os.mkfifo(tmp_path / "pipe")
     monkeypatch.setattr(Path, "open", lambda *_args: pytest.fail("it was opened"))
-    assert not is_proof(tmp_path / "pipe")
     with pytest.raises(ValueError, match="pipe"):
         verify_proof(tmp_path / "pipe", rng=np.random.default_rng(0))
 
 
+@pytest.mark.slow  # every survivor of eight proofs, and a block of each
+@pytest.mark.parametrize("path", PROOFS, ids=lambda path: path.stem)
+def test_published_proofs_hold(path):
+    verdict = verify_proof(path, blocks=1, rng=np.random.default_rng(0))
+    assert verdict, verdict.reasons[-1]
+    bundled = {entry.proof.rpartition("/")[2]: entry.bits for entry in OPTIMA}
+    assert bundled[path.name] == verdict.bits
+
+
 def test_the_largest_block_of_a_published_proof_is_counted_out_in_little_memory():
     """All images of all its folds at once took 1.5 GB."""
-    lines = [json.loads(line) for line in PROOF_OF_42.read_text().splitlines()]
+    lines = [json.loads(line) for line in PROOFS[0].read_text().splitlines()]
     largest = max(lines[1:], key=lambda line: line["folds"])
     tracemalloc.start()
     try:
@@ -165,11 +171,8 @@ def test_the_largest_block_of_a_published_proof_is_counted_out_in_little_memory(
 def test_lines_that_no_parser_takes_are_refused_by_their_number(tmp_path, true_lines, line):
     path = tmp_path / "proof.jsonl"
     path.write_bytes(json.dumps(true_lines[0]).encode() + b"\n" + line + b"\n")
-    assert is_proof(path)
     with pytest.raises(ValueError, match=r"proof\.jsonl: line 2 is damaged"):
         verify_proof(path, rng=np.random.default_rng(0))
-    path.write_bytes(line + b"\n")
-    assert not is_proof(path)
 
 
 def test_a_file_too_large_is_refused_before_it_is_parsed(tmp_path, true_lines):

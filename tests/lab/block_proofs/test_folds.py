@@ -7,17 +7,14 @@ import pytest
 
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
-from cep.search.exhaustive.block_proof import core, judge_block, plan_blocks
 from cep.search.exhaustive.exact import exact
-from cep.search.exhaustive.folds import codes_by_prefix, folding
-from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario
-from motdiff.trajectory import Trajectory
+from lab.block_proofs.blocks import core, judge_block, plan_blocks
+from lab.block_proofs.folds import codes_by_prefix, folding
 
 
-def records(problem, bound):
-    plan = plan_blocks(problem)
+def records(bound, chips, open_range=None):
+    plan = plan_blocks(chips, *(open_range or (1, chips)))
     return plan, [
         judge_block(plan.chips, plan.fewest, plan.most, block.first, block.until, bound)
         for block in plan.blocks
@@ -40,7 +37,7 @@ def survivors(found):
     ],
 )
 def test_survivors_are_those_of_brute_force(chips, opened, bound):
-    _, found = records(SearchProblem(chips=chips, open_range=opened), bound)
+    _, found = records(bound, chips, opened)
     codes = (np.arange(1, 2**chips, 2)[:, None] >> np.arange(chips)) & 1
     codes = codes[(codes.sum(axis=1) >= opened[0]) & (codes.sum(axis=1) <= opened[1])]
     likely = codes[np.abs(np.fft.rfft(codes, 16 * chips, axis=1)).min(axis=1) >= bound - 1e-9]
@@ -55,7 +52,7 @@ def test_survivors_are_those_of_brute_force(chips, opened, bound):
     ("chips", "opened"), [(12, (1, 12)), (18, (1, 18)), (20, (9, 11)), (24, (12, 12))]
 )
 def test_blocks_hold_every_code_of_the_ring_once(chips, opened):
-    plan, found = records(SearchProblem(chips=chips, open_range=opened), 1.5)
+    plan, found = records(1.5, chips, opened)
     assert plan.codes == sum(comb(plan.ring, k) for k in range(opened[0], opened[1] + 1))
     assert (
         sum(record["codes"] for record in found)
@@ -75,16 +72,15 @@ def test_blocks_hold_every_code_of_the_ring_once(chips, opened):
 def test_the_best_is_that_of_the_scan_with_bit_tables(chips, opened):
     problem = SearchProblem(chips=chips, open_range=opened)
     other = exact(problem, threads=1)
-    _, found = records(problem, other.proof.lower)
+    _, found = records(other.proof.lower, chips, opened)
     assert core(other.code.bits) in survivors(found)
     best = max(float(text) for record in found for text in record["minima"].split())
     assert best == pytest.approx(other.proof.upper, abs=2e-6)
 
 
 def test_a_lower_bound_leaves_the_same_codes_and_more():
-    problem = SearchProblem(chips=20)
-    _, low = records(problem, 1.2)
-    _, high = records(problem, 1.3)
+    _, low = records(1.2, 20)
+    _, high = records(1.3, 20)
     assert set(survivors(high)) < set(survivors(low))
     minima = {
         bits: float(text)
@@ -105,23 +101,19 @@ def test_counts_by_prefix_are_those_of_all_folds():
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("limits", "message"),
     [
-        ({"chips": 20, "objective": "noise"}, "objective: only"),
-        (
-            {"chips": 20, "scenarios": (Scenario(Trajectory.straight(5.0)),)},
-            "scenarios: a proof in blocks",
-        ),
-        ({"chips": 20, "runs": RunLimits(min_open=2)}, "runs: a proof in blocks"),
-        ({"chips": 61}, "chips: at most 60"),
+        ((61, 1, 61), "chips: must lie within 1..60"),
+        ((20, 0, 4), "open chips: must lie within 1..20"),
+        ((20, 5, 4), "open chips: must lie within 1..20"),
     ],
 )
-def test_other_problems_are_refused(options, message):
+def test_limits_that_no_plan_has_are_refused(limits, message):
     with pytest.raises(ValueError, match=message):
-        plan_blocks(SearchProblem(**options))
+        plan_blocks(*limits)
 
 
 def test_a_bound_that_all_codes_reach_is_refused(monkeypatch):
-    monkeypatch.setattr("cep.search.exhaustive.block_proof._MOST_FOUND", 4)
+    monkeypatch.setattr("lab.block_proofs.blocks._MOST_SURVIVORS", 4)
     with pytest.raises(ValueError, match="bound: more than 4 codes reach"):
         judge_block(16, 1, 16, 0, 625, 0.3)

@@ -1,4 +1,4 @@
-"""File of a proof in blocks: a header, then a line for each finished block, appended as they come.
+"""File of a proof in blocks: a header, then a line for each finished block.
 
 The file is both the state of an unfinished proof and the proof itself. Format:
 docs/proofs/README.md.
@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from cep.search.exhaustive.block_proof import VERSION, BlockPlan
+from lab.block_proofs.blocks import VERSION, BlockPlan
 from motdiff.files.outputs import naming
 from motdiff.files.schemas import fault, load_schema
 
@@ -24,10 +24,10 @@ FILE_NAME = "proof.jsonl"
 class ProofFile:
     """Records of a proof on disk; opened by one run at a time, see :meth:`open`."""
 
-    def __init__(self, path: Path, plan: BlockPlan, records: dict[int, dict[str, Any]]) -> None:
+    def __init__(self, path: Path, plan: BlockPlan) -> None:
         self.path = path
         self.plan = plan
-        self.records = records
+        self.records: dict[int, dict[str, Any]] = {}
         self._number = {block.first: index for index, block in enumerate(plan.blocks)}
 
     @classmethod
@@ -50,21 +50,21 @@ class ProofFile:
         path = folder / FILE_NAME
         if folder.exists() and not folder.is_dir():
             raise ValueError(f"{folder}: is a file, a folder for the proof is needed")
-        made = not folder.exists()
+        is_new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
-        with _held(folder), _left_out_if(made, folder):
-            whole, end = _read(path, plan) if path.exists() and path.stat().st_size else (None, 0)
-            proof = cls(path, plan, {})
-            for line, record in enumerate(whole or (), 2):
-                try:
-                    proof._take(record)
-                except ValueError as error:
-                    raise ValueError(
-                        f"{path}: line {line}: {error}; give another --cache"
-                    ) from None
-            if whole is not None:
+        with _locked(folder), _removed_if(is_new, folder):
+            proof = cls(path, plan)
+            if path.exists() and path.stat().st_size:
+                records, whole_bytes = _read(path, plan)
+                for line, record in enumerate(records, 2):
+                    try:
+                        proof._add(record)
+                    except ValueError as error:
+                        raise ValueError(
+                            f"{path}: line {line}: {error}; give another folder"
+                        ) from None
                 with path.open("r+b") as stream:
-                    stream.truncate(end)
+                    stream.truncate(whole_bytes)
             yield proof
 
     @property
@@ -82,37 +82,32 @@ class ProofFile:
         OSError
             If the file cannot be written to; it is named.
         """
-        self._take(record)
-        lines: list[Mapping[str, Any]] = [record]
+        self._add(record)
+        lines = _line(record)
         if not self.path.exists() or not self.path.stat().st_size:
-            lines.insert(0, _header(self.plan))
-        with (
-            naming({}, self.path),
-            self.path.open("ab") as stream,
-        ):  # a full disk does not name the file
-            stream.write(b"".join(map(_line, lines)))
+            lines = _line(_header(self.plan)) + lines
+        # the error of a full disk does not name the file
+        with naming({}, self.path), self.path.open("ab") as stream:
+            stream.write(lines)
             stream.flush()
-            os.fsync(stream.fileno())
+            os.fsync(stream.fileno())  # a block may have taken hours
 
-    def _take(self, record: Mapping[str, Any]) -> None:
+    def _add(self, record: Mapping[str, Any]) -> None:
         """Add a record that is on disk, or will be."""
-        if (
-            wrong := fault(dict(record), load_schema("cep.files", "proof")["$defs"]["record"])
-        ) is not None:
-            raise ValueError(wrong)
-        index = self._number.get(record.get("first", -1), -1)
-        if index < 0 or record.get("until") != self.plan.blocks[index].until:
-            raise ValueError(
-                f"there is no block of prefixes {record.get('first')} to {record.get('until')}"
-            )
+        schema = load_schema("lab.block_proofs", "proof")["$defs"]["record"]
+        if (reason := fault(dict(record), schema)) is not None:
+            raise ValueError(reason)
+        first = record["first"]
+        until = record["until"]
+        index = self._number.get(first, -1)
+        if index < 0 or until != self.plan.blocks[index].until:
+            raise ValueError(f"there is no block of prefixes {first} to {until}")
         if index in self.records:
+            raise ValueError(f"the block of prefixes {first} to {until} comes twice")
+        codes = self.plan.blocks[index].codes
+        if record["codes"] != codes:
             raise ValueError(
-                f"the block of prefixes {record['first']} to {record['until']} comes twice"
-            )
-        block = self.plan.blocks[index]
-        if record.get("codes") != block.codes:
-            raise ValueError(
-                f"the block does not add up: {record.get('codes')} codes instead of {block.codes}"
+                f"the block does not add up: {record['codes']} codes instead of {codes}"
             )
         if len(record["survivors"].split()) != len(record["minima"].split()):
             raise ValueError("the block does not add up: as many minima as survivors are needed")
@@ -129,27 +124,27 @@ def _line(record: Mapping[str, Any]) -> bytes:
 
 def _read(path: Path, plan: BlockPlan) -> tuple[list[dict[str, Any]], int]:
     """Read the records of a plan's proof, and the length of the file's whole lines in bytes."""
-    data = path.read_bytes()
-    if _line(_header(plan)).startswith(data):
+    content = path.read_bytes()
+    if _line(_header(plan)).startswith(content):
         return [], 0  # cut short before its first block was whole
-    end = data.rfind(b"\n") + 1
+    whole_bytes = content.rfind(b"\n") + 1
     lines = []
-    for number, line in enumerate(data[:end].splitlines(), 1):
+    for number, line in enumerate(content[:whole_bytes].splitlines(), 1):
         try:
             lines.append(json.loads(line))
             if not isinstance(lines[-1], dict):
                 raise ValueError
         except (ValueError, RecursionError):
             raise ValueError(
-                f"{path}: line {number} is damaged; give another --cache, or delete that line"
+                f"{path}: line {number} is damaged; give another folder, or delete that line"
             ) from None
     header = lines[0] if lines else {}
     if header.get("schema") != SCHEMA:
-        raise ValueError(f"{path}: is no proof ({SCHEMA}); give another --cache")
+        raise ValueError(f"{path}: is no proof ({SCHEMA}); give another folder")
     if header.get("version") != VERSION:
         raise ValueError(
             f"{path}: a proof of version {header.get('version')}, not {VERSION}; give another"
-            " --cache"
+            " folder"
         )
     if {key: header.get(key) for key in plan.header()} != plan.header():
         stored = (
@@ -157,24 +152,24 @@ def _read(path: Path, plan: BlockPlan) -> tuple[list[dict[str, Any]], int]:
             f" {header.get('most_open')} open"
         )
         asked = f"{plan.chips} chips, {plan.fewest} to {plan.most} open"
-        raise ValueError(f"{path}: a proof for {stored}, not for {asked}; give another --cache")
-    return lines[1:], end
+        raise ValueError(f"{path}: a proof for {stored}, not for {asked}; give another folder")
+    return lines[1:], whole_bytes
 
 
 @contextmanager
-def _left_out_if(made: bool, folder: Path) -> Iterator[None]:
+def _removed_if(is_new: bool, folder: Path) -> Iterator[None]:
     """Remove a folder at the end if it was made here and is empty."""
     try:
         yield
     finally:
-        if made:
+        if is_new:
             with suppress(OSError):  # it holds a proof
                 folder.rmdir()
 
 
 @contextmanager
-def _held(folder: Path) -> Iterator[None]:
-    """Refuse a second run on the same folder; a run that is killed lets go of it."""
+def _locked(folder: Path) -> Iterator[None]:
+    """Refuse a second run on the same folder; a run that is killed frees it."""
     try:
         import fcntl
     except ImportError:  # Windows
@@ -186,7 +181,7 @@ def _held(folder: Path) -> Iterator[None]:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ValueError(
-                f"{folder}: another run works on this proof; give another --cache, or wait"
+                f"{folder}: another run works on this proof; give another folder, or wait"
             ) from None
         yield
     finally:

@@ -1,0 +1,190 @@
+"""``python -m lab prove``: the largest minimum of |P|, proven in blocks; and the proof's check."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cep.commands.code_options import OpenChips
+from cep.commands.console import INTERRUPTED, finish, progress
+from cep.commands.jobs import Dask
+from cep.commands.options import CommonOptions, command, output_option
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lab.block_proofs.check import ProofVerdict
+    from lab.block_proofs.prove import BlockProof
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProveOptions(CommonOptions):
+    """Options of ``python -m lab prove``."""
+
+    chips: Annotated[
+        int | None,
+        typer.Option("--chips", metavar="N", min=1, max=60, help="Most chips of the codes."),
+    ] = None
+    open_chips: OpenChips = None
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            metavar="N",
+            min=1,
+            help="Threads that judge blocks; as many as cores when omitted.",
+        ),
+    ] = None
+    dask: Dask = None
+    output: Annotated[
+        Path | None,
+        output_option(
+            "Folder of the proof, proof.jsonl; one that is there is continued. With --check a JSON"
+            " file of the verdict.",
+            metavar="PATH",
+        ),
+    ] = None
+    check: Annotated[
+        Path | None,
+        typer.Option("--check", metavar="FILE", help="Check this proof.jsonl instead."),
+    ] = None
+    blocks: Annotated[
+        int | None,
+        typer.Option(
+            "--blocks",
+            metavar="N",
+            min=1,
+            help="With --check: blocks to judge again, drawn by --seed; 4 when omitted.",
+        ),
+    ] = None
+
+
+@command(ProveOptions)
+def prove(options: ProveOptions) -> None:
+    """Prove the largest minimum of |P| over all codes, in blocks that are kept as they finish.
+
+    The codes are those of at most so many chips, at any place of the exposure. Ctrl-C keeps the
+    finished blocks; the same command goes on from them.
+
+    --check counts a proof's blocks, judges every survivor, and judges folds of a few blocks again,
+    by code that shares nothing with the search. A proof that does not hold is refused with the
+    reason.
+
+    Example: python -m lab prove --chips 44 --workers 2 -o proof44
+
+    Example: python -m lab prove --check proof44/proof.jsonl --blocks 8
+    """
+    if options.check is not None:
+        _check(options, options.check)
+        return
+    if options.blocks is not None:
+        raise ValueError("--blocks: needs --check FILE")
+    if options.chips is None or options.output is None:
+        raise ValueError("--chips N and -o FOLDER: both are needed, or --check FILE")
+    from os import cpu_count
+
+    from cep.search.search_options import open_limits
+    from lab.block_proofs.prove import prove as find
+
+    open_range = open_limits(options.chips, options.open_chips, None)
+    with progress("judging blocks") as tick:
+        proof = find(
+            options.chips,
+            open_range,
+            folder=options.output,
+            workers=options.workers or cpu_count() or 1,
+            dask=options.dask,
+            progress=lambda share, best: tick(share, f"{best.open_chips} open"),
+        )
+    is_whole = proof.finished == len(proof.plan.blocks)
+    warnings = []
+    if not is_whole:
+        warnings.append(
+            f"{proof.finished} of {len(proof.plan.blocks)} blocks are kept in {proof.file}: the"
+            " same command goes on from there"
+        )
+    finish(
+        {**proof.to_dict(), "seed": options.seed, "warnings": warnings},
+        as_json=options.as_json,
+        show=lambda console: _show_proof(console, proof),
+    )
+    if not is_whole:
+        raise typer.Exit(INTERRUPTED)
+
+
+def _check(options: ProveOptions, file: Path) -> None:
+    """Check a proof; refuse one that does not hold."""
+    from dataclasses import asdict
+
+    import numpy as np
+
+    from cep.files.files import json_text
+    from cep.files.outputs import claim
+    from lab.block_proofs.check import verify_proof
+    from motdiff.files.outputs import write_text
+
+    refused = {
+        "--chips": options.chips,
+        "--open": options.open_chips,
+        "--workers": options.workers,
+        "--dask": options.dask,
+    }
+    for name, given in refused.items():
+        if given is not None:
+            raise ValueError(f"{name}: not valid with --check, the file says it")
+    output = options.output
+    outputs = claim([] if output is None else [output], force=options.force, inputs=[file])
+    with progress("checking") as tick:
+        verdict = verify_proof(
+            file,
+            blocks=options.blocks or 4,
+            rng=np.random.default_rng(options.seed),
+            progress=tick,
+        )
+    if not verdict:
+        raise ValueError(f"{file}: the proof does not hold: {verdict.reasons[-1]}")
+    result = {"proof": file, **asdict(verdict), "seed": options.seed, "warnings": []}
+
+    def save(temporary: Mapping[Path, Path]) -> None:
+        if output is not None:
+            write_text(temporary[output], json_text(result))
+
+    finish(
+        result,
+        as_json=options.as_json,
+        show=lambda console: _show_verdict(console, verdict),
+        outputs=outputs,
+        save=save,
+    )
+
+
+def _show_proof(console: Console, proof: BlockProof) -> None:
+    plan = proof.plan
+    console.print(
+        f"{proof.file}: {proof.finished} of {len(plan.blocks)} blocks,"
+        f" {proof.judged:.3g} of {plan.codes:.3g} codes; {proof.seconds:.1f} s"
+    )
+    console.print(f"{proof.code.bits}: min |P| {proof.minimum.lower:.6f}")
+    if proof.proven:
+        console.print(
+            f"proven: no code of at most {plan.chips} chips with"
+            f" {_open_range(plan.fewest, plan.most)} open is better"
+        )
+
+
+def _show_verdict(console: Console, verdict: ProofVerdict) -> None:
+    console.print(
+        f"holds: no code of at most {verdict.chips} chips with"
+        f" {_open_range(verdict.fewest_open, verdict.most_open)} open has a larger"
+        f" minimum of |P| than {verdict.minimum:.6f}, of {verdict.bits}"
+    )
+    for reason in verdict.reasons:
+        console.print(f"  {reason}")
+
+
+def _open_range(fewest: int, most: int) -> str:
+    return str(most) if fewest == most else f"{fewest} to {most}"
