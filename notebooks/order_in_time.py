@@ -148,5 +148,5 @@ assert off_px(found.best, one) < 0.6 < off_px(found.best, other)
 # From files: `cep calibrate open.png p2.png p3.png p4.png --code open --code 00001111 --code
 # 00111100 --code 01100110
 # 00111100 --code 01100110 -o motion`. One photo of a small light through a code will do as well
-# (`--method point --code`). With a code in use, `cep refine` improves the calibration by every
-# photo taken.
+# (`--method point --code`). With a code in use, `cep calibrate --trajectory` improves the
+# calibration by every photo taken.

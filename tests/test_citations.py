@@ -5,13 +5,13 @@ import re
 import pytest
 from citations import SOFTWARE, citable, cite, software
 
-from cep.calibration.calibrate import METHODS as ESTIMATORS
 from cep.codes.published import names as code_names
 from cep.files.works import works
 from cep.restoration.methods import METHODS as RESTORATIONS
 from cep.search.problem import OBJECTIVES
 from lab.bench.coded.designs import DESIGNS
 from lab.evaluation.methods import METHODS as MEASURED
+from motdiff.estimators.registry import METHODS as ESTIMATORS
 
 ENTRY = re.compile(r"^@\w+\{([\w-]+),", re.MULTILINE)
 
@@ -22,9 +22,9 @@ def test_every_name_of_a_command_can_be_cited():
         found = cite([name])
         assert (SOFTWARE in found.works) == (name in found.unpublished), name
         assert found.works, name
-    assert cite([f"{ESTIMATORS[0]}@weights.safetensors", "selfdeblur:20"]).works.keys() >= {
-        "ren2020"
-    }
+    assert cite(
+        [f"{next(iter(ESTIMATORS))}@weights.safetensors", "selfdeblur:20"]
+    ).works.keys() >= {"ren2020"}
 
 
 def test_no_name_has_a_work_that_is_not_in_the_file():

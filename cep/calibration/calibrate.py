@@ -1,10 +1,9 @@
-"""From a photo to a motion on disk: the choice of an estimator, and the files of a calibration."""
+"""Motion estimates from photos, and the files of a calibration."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from importlib import import_module
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -13,24 +12,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.files.files import write_psf
-from cep.files.images import write_image
+from cep.files.images import read_image, write_image
 from cep.files.outputs import new_folder
 from cep.optics.code import ShutterCode
 from cep.plots import png_bytes, save, trajectory_figure
 from cep.restoration.sharpen import sharpen
-from motdiff.crops import LEAST_PX, check_size
+from motdiff.crops import check_size
 from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.from_kernel import as_estimate
+from motdiff.estimators.method import Method, command_options
+from motdiff.estimators.registry import METHODS, blind_methods, check_options, make_method
+from motdiff.files.gyro_tables import RateUnit, read_gyro
 from motdiff.files.plugins import is_reference
 from motdiff.files.trajectories import StoredMotion, write_motion
-from motdiff.gyro import GyroTrace
 from motdiff.psf_frame import PSF_PX
 from motdiff.types import FloatArray
-
-METHODS = ("motdiff", "pmp", "reference", "point", "gyro", "coded")
-"""Names of the estimators: blind by diffusion model and classically, with a sharp photo, of a
-light, by gyroscope, from photos taken through known codes."""
 
 CALIBRATION_FILES = (
     "trajectory.json",
@@ -41,167 +38,20 @@ CALIBRATION_FILES = (
     "preview.png",
     "sharpened.png",
 )
-"""What :func:`write_calibration` writes; ``map.png`` only where the path fits the 64-px field,
+"""What :meth:`Calibration.save` writes; ``map.png`` only where the path fits the 64-px field,
 ``sharpened.png`` only of a photo with an open shutter, where a restoration is better than the
 photo."""
 
-_TOGETHER = ("motdiff", "pmp")  # search photos of one motion together
-
-_LEAST_PX = {
-    "motdiff": PSF_PX,
-    "pmp": LEAST_PX,
-    "coded": LEAST_PX,
-}  # their smallest_px, known before anything slow is loaded
-_LEAST_CONTRAST = 2 / 255
-_LOADING = {"motdiff": (0.12, 0.28, 0.36), "pmp": (0.12, 0.26, 0.32), "coded": (0.02, 0.05, 0.06)}
-"""Of an estimate's share: torch is on its way, is there, and so is the estimator;
-docs/decisions/code.md."""
-_NEEDED = {
-    "reference": {"sharp"},
-    "gyro": {"gyro", "focal_px", "start_s", "exposure_s"},
-    "coded": {"codes"},
-}
-_ALLOWED = {"motdiff": {"samples"}, "gyro": {"axes", "rate_unit"}, "point": {"codes"}}
-
-
-def check_options(method: str, options: Mapping[str, object]) -> None:
-    """Check a method's name and options before anything is loaded.
-
-    Parameters
-    ----------
-    method : str
-    options : mapping
-        Those of :func:`make_estimator` that differ from method to method, and ``rate_unit``, that
-        of the recording for "gyro"; None is not given.
-
-    Raises
-    ------
-    ValueError
-        If the method is not known, or an option it needs is missing or one that is not its own is
-        given.
-    """
-    if method not in METHODS and not is_reference(method):
-        raise ValueError(
-            f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}"
-        )
-    given = {name for name, value in options.items() if value is not None}
-    wanted = _NEEDED.get(method, set())
-    for name in sorted(wanted - given):
-        raise ValueError(f"{name}: needed with method={method!r}")
-    for name in sorted(given - wanted - _ALLOWED.get(method, set())):
-        raise ValueError(f"{name}: not valid with method={method!r}")
-
-
-def make_estimator(
-    method: str = "motdiff",
-    *,
-    samples: int | None = None,
-    seed: int = 0,
-    sharp: ArrayLike | None = None,
-    gyro: GyroTrace | None = None,
-    focal_px: float | None = None,
-    start_s: float | None = None,
-    exposure_s: float | None = None,
-    axes: str | None = None,
-    codes: Sequence[ShutterCode] | None = None,
-    progress: Callable[[float, str], None] = lambda _share, _what: None,
-) -> Estimator:
-    """Make the estimator of a name.
-
-    Parameters
-    ----------
-    method : {"motdiff", "pmp", "reference", "point", "gyro", "coded"}, or ``module:name`` of the
-    user's own
-    samples : int, optional
-        For "motdiff": motions drawn.
-    seed : int
-        Of what is drawn at random.
-    sharp : (H, W) or (H, W, 3) array_like, linear light 0..1
-        For "reference": a sharp photo of the same scene.
-    gyro, focal_px, start_s, exposure_s
-        For "gyro": the recording, the focal length in px, and when on the recording's clock the
-        shutter was open.
-    axes : str, optional
-        For "gyro": directions of the recording's axes, as of
-        :func:`motdiff.gyro.image_rates_rad_s`; taken as "right,down,forward", with a warning, when
-        omitted. A phone held upright has "right,up,back".
-    codes : sequence of ShutterCode, optional
-        For "coded", and for "point" where the light was photographed through codes: of each photo,
-        in order.
-    progress : callable, optional
-        Called with the finished share 0..1 of loading and estimating, and what is being done, by
-        methods that take long.
-
-    Raises
-    ------
-    ValueError
-        If the method is not known, or an option it needs is missing or one that is not its own is
-        given.
-    """
-    check_options(
-        method,
-        {
-            "samples": samples,
-            "sharp": sharp,
-            "gyro": gyro,
-            "focal_px": focal_px,
-            "start_s": start_s,
-            "exposure_s": exposure_s,
-            "axes": axes,
-            "codes": codes,
-        },
-    )
-    if is_reference(method):
-        return load_estimator(method)
-    if method == "reference" and sharp is not None:
-        from motdiff.estimators.reference import ReferenceEstimator
-
-        return ReferenceEstimator(sharp)
-    if (
-        method == "gyro"
-        and gyro is not None
-        and focal_px is not None
-        and start_s is not None
-        and exposure_s is not None
-    ):
-        from motdiff.estimators.gyro import GyroEstimator
-
-        return GyroEstimator(
-            gyro, focal_px=focal_px, start_s=start_s, exposure_s=exposure_s, axes=axes
-        )
-    if method == "point" and codes is None:
-        from motdiff.estimators.point import PointEstimator
-
-        return PointEstimator()
-    torch_begun, torch_there, loaded = _LOADING["coded" if codes is not None else method]
-
-    def tell(share: float) -> None:
-        progress((1 - share) * loaded + share, "searching the motion")
-
-    progress(torch_begun, "loading torch")
-    import_module("torch")  # half of what there is to load
-    progress(torch_there, "loading the network" if method == "motdiff" else "loading the search")
-    made: Estimator
-    if method == "coded" and codes is not None:
-        from motdiff.estimators.coded.estimator import CodedEstimator
-
-        made = CodedEstimator([code.bits for code in codes], seed=seed, progress=tell)
-    elif method == "point" and codes is not None:
-        from motdiff.estimators.coded.trail_estimator import TrailEstimator
-
-        made = TrailEstimator([code.bits for code in codes], seed=seed, progress=tell)
-    elif method == "pmp":
-        from motdiff.estimators.pmp import PmpEstimator
-
-        made = PmpEstimator(progress=tell)
-    else:
-        from motdiff.estimators.motdiff import MotDiffEstimator
-
-        made = MotDiffEstimator(
-            samples=8 if samples is None else samples, seed=seed, progress=tell
-        )
-    tell(0.0)
-    return made
+_OPTIONAL_DETAILS = (
+    "psf_confidence",
+    "path_confidence",
+    "order_confidence",
+    "path_uncertainty_px",
+    "repeatability",
+    "left_out",
+)
+"""Figures of some estimators alone."""
+_LEAST_CONTRAST = 2 / 255  # two steps of 8 bit: rounding alone makes one
 
 
 @dataclass(frozen=True)
@@ -217,6 +67,12 @@ class Calibration(MotionEstimate):
 
     photo: FloatArray = field(kw_only=True, repr=False)
 
+    @classmethod
+    def of(cls, estimate: MotionEstimate, photo: FloatArray) -> Calibration:
+        """Join an estimate and the photo that it is shown with."""
+        values = {each.name: getattr(estimate, each.name) for each in fields(MotionEstimate)}
+        return cls(**values, photo=photo)
+
     def save(
         self,
         folder: Path | str,
@@ -226,10 +82,76 @@ class Calibration(MotionEstimate):
         bits: int = 8,
         gamma: str | float = "srgb",
     ) -> dict[str, Path]:
-        """Write the files of :data:`CALIBRATION_FILES`; see :func:`write_calibration`."""
-        return write_calibration(
-            folder, self, self.photo, source=source, force=force, bits=bits, gamma=gamma
-        )
+        """Write trajectory, PSF in three formats, HR map, preview, restored photo; all or nothing.
+
+        Parameters
+        ----------
+        folder : path of a folder, made when missing
+        source : mapping, optional
+            ``image``, ``seed``: where the estimate comes from.
+        force : bool
+            Whether existing files may be replaced.
+        bits : {8, 16}
+            Of the restored photo's samples: see :func:`cep.restoration.sharpen.sharpen`.
+        gamma : str or float
+            Of the restored photo, as of :func:`cep.files.images.write_image`.
+
+        Returns
+        -------
+        dict from file name to Path, of the files written
+
+        Raises
+        ------
+        ValueError
+            If a file exists and ``force`` is not given, or the folder cannot be written to.
+        """
+        alternatives = tuple(zip(self.weights[1:], self.trajectories[1:], strict=True))
+        about: dict[str, object] = {"method": self.method, **(source or {})}
+        if self.path_error_px is not None:  # cep advise and cep optimize choose exposures by it
+            about["path_uncertainty_px"] = self.path_error_px
+        stored = StoredMotion(self.best, self.weights[0], alternatives, about)
+        with new_folder(folder, CALIBRATION_FILES, force=force) as made:
+            write_motion(made / "trajectory.json", stored)
+            write_psf(made, self.psf)
+            if self.best.frame_size() <= PSF_PX:
+                write_image(made / "map.png", self.best.hr_map(), gamma="linear")
+            save(trajectory_figure(self.photo, self.best), made / "preview.png")
+            # a photo through a code has a PSF of its own, which the path's is not
+            if "order_confidence" not in self.details:
+                restored = sharpen(self.photo, self)
+                if not restored.kept:
+                    write_image(made / "sharpened.png", restored.image, bits=bits, gamma=gamma)
+            names = sorted(item.name for item in made.iterdir())
+        return {name: Path(folder) / name for name in names}
+
+    def to_dict(
+        self, files: Mapping[str, Path], *, seconds: float, warnings: Sequence[str]
+    ) -> dict[str, Any]:
+        """Describe the calibration as the JSON of a photo and of a folder has it.
+
+        Parameters
+        ----------
+        files : mapping from a file's name to its path
+            As of :meth:`save`.
+        seconds : float
+            That the estimate took.
+        warnings : sequence of str
+            About the photo and the estimate.
+        """
+        return {
+            "method": self.method,
+            "trajectory": files["trajectory.json"],
+            "psf": files["psf.npy"],
+            "length_px": self.best.length_px,
+            "extent_px": self.best.extent_px,
+            "direction": self.best.direction,
+            "confidence": self.confidence,
+            **{key: self.details[key] for key in _OPTIONAL_DETAILS if key in self.details},
+            "seconds": seconds,
+            "warnings": warnings,
+            "files": list(files.values()),
+            "details": self.details,
+        }
 
     def _repr_png_(self) -> bytes:
         return png_bytes(trajectory_figure(self.photo, self.best))
@@ -245,17 +167,11 @@ class Calibration(MotionEstimate):
 def estimate_motion(
     photo: ArrayLike | Sequence[ArrayLike],
     *,
-    method: str | Estimator | None = None,
-    samples: int | None = None,
-    seed: int = 0,
-    sharp: ArrayLike | None = None,
-    gyro: GyroTrace | None = None,
-    focal_px: float | None = None,
-    start_s: float | None = None,
-    exposure_s: float | None = None,
-    axes: str | None = None,
+    method: str | Method | Estimator | None = None,
     codes: Sequence[ShutterCode] | None = None,
-    progress: Callable[[float, str], None] = lambda _share, _what: None,
+    seed: int = 0,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+    **options: Any,
 ) -> Calibration:
     """Estimate the camera's motion from a blurred photo, or from several photos of one motion.
 
@@ -263,16 +179,24 @@ def estimate_motion(
     ----------
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1; or a list or tuple of arrays
         Several show one motion, of one scene or of different ones: with an open shutter they are
-        searched together, for "motdiff", "pmp" and estimators with a method
+        searched together, by "motdiff", "pmp" and estimators with a method
         ``estimate_from(photos)``.
-    method : str or Estimator, optional
-        One of :data:`METHODS`; an estimator of your own, or its ``module:name``. "motdiff" when
-        omitted, "coded" with ``codes``.
-    samples, seed, sharp, gyro, focal_px, start_s, exposure_s, axes, progress
-        As of :func:`make_estimator`.
+    method : str, Method or Estimator, optional
+        A name of :data:`motdiff.estimators.registry.METHODS`: "motdiff", "pmp", "reference",
+        "point", "gyro" or "coded"; a user-defined estimator, or its ``module:name``. "motdiff"
+        when omitted, "coded" with ``codes``.
     codes : sequence of ShutterCode, optional
         The code of each photo, all open for an open shutter: the order in time of the motion is
         found as well. For "coded", and for "point".
+    seed : int
+        Of what is drawn at random.
+    progress : callable, optional
+        Called with the finished share 0..1 of loading and estimating, and what is being done, by
+        methods that take long.
+    **options
+        Those of the method: ``samples`` of "motdiff"; ``sharp`` of "reference", a sharp photo as
+        an array; ``gyro``, ``focal_px``, ``start_s``, ``exposure_s`` and ``axes`` of "gyro", as of
+        :class:`motdiff.estimators.gyro.estimator.GyroEstimator`.
 
     Raises
     ------
@@ -287,83 +211,137 @@ def estimate_motion(
     >>> rng = np.random.default_rng(0)
     >>> scene = np.kron(rng.random((30, 30)), np.ones((6, 6)))
     >>> path = Trajectory.from_samples([[0, 0], [8, 2], [12, 9]])
-    >>> found = estimate_motion(capture(scene, path, rng=rng), method="reference", sharp=scene)
-    >>> round(path.length_px), round(found.best.length_px), found.best.direction
+    >>> blurred = capture(scene, path, rng=rng)
+    >>> estimate = estimate_motion(blurred, method="reference", sharp=scene)
+    >>> round(path.length_px), round(estimate.best.length_px), estimate.best.direction
     (16, 17, 'unknown')
     """
-    options: dict[str, Any] = {
-        "samples": samples,
-        "sharp": sharp,
-        "gyro": gyro,
-        "focal_px": focal_px,
-        "start_s": start_s,
-        "exposure_s": exposure_s,
-        "axes": axes,
-        "codes": codes,
-    }
+    photos = _photo_list(photo)
     if method is None:
         method = "motdiff" if codes is None else "coded"
     if codes is not None:
-        return _from_codes(
-            photo, options, method=method, codes=codes, seed=seed, progress=progress
-        )
-    photos = _photos(photo)
-    if isinstance(method, str):
-        check_options(method, options)
-        if len(photos) > 1:  # before anything slow is loaded
-            check_several(method)
-            check_photos(photos, method)
-            check_apart(photos)
-        else:
-            check_photo(photos[0], method)
-        estimator = make_estimator(method, seed=seed, progress=progress, **options)
-    elif given := [name for name, value in options.items() if value is not None]:
+        check_times(codes)
+        options["codes"] = tuple(code.bits for code in codes)
+    given = [name for name, value in options.items() if value is not None]
+    if isinstance(method, str) and not is_reference(method):
+        method = make_method(method, options)
+    elif given and isinstance(method, str):
+        raise ValueError(f"{given[0]}: not valid with method={method!r}")
+    elif given:
         raise ValueError(f"{given[0]}: not valid with an estimator of your own")
+
+    if isinstance(method, Method):
+        _check_number(photos, method)
+        _check_all(photos, method)
+        label = method.name
+        estimator = method.load(seed=seed, progress=progress)
+        is_together = hasattr(estimator, "estimate_from")
     else:
-        for one in photos:
-            check_texture(one)
+        for each in photos:
+            check_texture(each)
         check_apart(photos)
-        estimator = method
-    pixels = [_as_light(one) for one in photos]
-    if len(pixels) == 1:
-        name = method if isinstance(method, str) else type(method).__name__
-        return _calibration(as_estimate(estimator.estimate(pixels[0]), name), pixels[0])
+        label = method if isinstance(method, str) else type(method).__name__
+        estimator = load_estimator(method) if isinstance(method, str) else method
+        is_together = len(photos) > 1
+    pixels = [_as_light(each) for each in photos]
+    if not is_together:
+        return Calibration.of(as_estimate(estimator.estimate(pixels[0]), label), pixels[0])
     if not hasattr(estimator, "estimate_from"):
         raise ValueError(
             f"method: {method} takes one photo, for it has no method estimate_from(photos)"
         )
-    found: MotionEstimate = estimator.estimate_from(pixels)
-    left_out = found.details.get("left_out", [])
+    estimate: MotionEstimate = estimator.estimate_from(pixels)
+    left_out = estimate.details.get("left_out", [])
     assert isinstance(left_out, list)
-    return _calibration(found, next(one for i, one in enumerate(pixels, 1) if i not in left_out))
+    shown = next(each for i, each in enumerate(pixels, 1) if i not in left_out)
+    return Calibration.of(estimate, shown)
 
 
-def check_several(method: str) -> None:
-    """Refuse a method that takes one photo with an open shutter, before anything is loaded.
+def read_options(
+    name: str,
+    given: Mapping[str, Any],
+    *,
+    gamma: str | float = "srgb",
+    rate_unit: RateUnit | None = None,
+) -> dict[str, Any]:
+    """Return the values of a method's options, after the files that they name are read.
+
+    Parameters
+    ----------
+    name : str
+        Of the method.
+    given : mapping from an option to its value
+        A photo and a gyroscope's recording as the path of a file; None where it is not given.
+    gamma, rate_unit
+        Of the files, as of :func:`cep.files.images.read_image` and
+        :func:`motdiff.files.gyro_tables.read_gyro`.
+    """
+    values = dict(given)
+    options = command_options(METHODS[name]) if name in METHODS else {}
+    for key, option in options.items():
+        if values.get(key) is None:
+            continue
+        if option.kind == "photo":
+            values[key] = read_image(values[key], gamma=gamma, variable="x")
+        elif option.kind == "gyro":
+            values[key] = read_gyro(values[key], rate_unit=rate_unit)
+    return values
+
+
+def check_method(name: str, given: Mapping[str, Any]) -> None:
+    """Check the name of a method, perhaps ``module:name``, and which options it has.
+
+    Parameters
+    ----------
+    name : str
+    given : mapping from an option to its value, None where it is not given
 
     Raises
     ------
     ValueError
-        If the method is one of :data:`METHODS` and not among those that search photos together.
+        If the method is not known, or an option is missing or not one of its own.
     """
-    if method in METHODS and method not in _TOGETHER:
+    options = [key for key, value in given.items() if value is not None]
+    if not is_reference(name):
+        check_options(name, options)
+    elif options:
+        raise ValueError(f"{min(options)}: not valid with method={name!r}")
+
+
+def _photo_list(photo: ArrayLike | Sequence[ArrayLike]) -> list[ArrayLike]:
+    """List the photos of a list or tuple of arrays; anything else, as nested numbers, is one."""
+    if (
+        isinstance(photo, list | tuple)
+        and photo
+        and all(isinstance(each, np.ndarray) and each.ndim > 1 for each in photo)
+    ):
+        return [*photo]
+    return [np.asarray(photo)]
+
+
+def _check_number(photos: Sequence[ArrayLike], method: Method) -> None:
+    """Refuse photos that are more than the method takes, or not as many as its codes."""
+    codes: tuple[str, ...] | None = getattr(method, "codes", None)
+    if codes is not None:
+        if len(photos) == 1 < len(codes) and np.ndim(photos[0]) >= 3:
+            raise ValueError(
+                "photo: give the photos of several codes as a list or tuple, not as one array"
+            )
+        check_codes(codes, photos=len(photos))
+    elif len(photos) > 1 and not method.is_blind:
         raise ValueError(
-            f"method: {method} takes one photo; several of one motion go with"
-            f" {' or '.join(_TOGETHER)}"
+            f"method: {method.name} takes one photo; several of one motion go with"
+            f" {' or '.join(blind_methods())}"
         )
 
 
-def _photos(given: ArrayLike | Sequence[ArrayLike]) -> list[ArrayLike]:
-    """List the photos of a list or tuple of arrays; anything else, as an image of nested numbers,
-    is one.
-    """
-    if (
-        isinstance(given, list | tuple)
-        and given
-        and all(isinstance(one, np.ndarray) and one.ndim > 1 for one in given)
-    ):
-        return [*given]
-    return [np.asarray(given)]
+def _check_all(photos: Sequence[ArrayLike], method: Method) -> None:
+    """Refuse photos that the method cannot search, before anything slow is loaded."""
+    if len(photos) == 1 and getattr(method, "codes", None) is None:
+        check_photo(photos[0], method.name)
+        return
+    check_photos(photos, method.name)
+    check_apart(photos)
 
 
 def check_apart(photos: Sequence[ArrayLike]) -> None:
@@ -375,42 +353,9 @@ def check_apart(photos: Sequence[ArrayLike]) -> None:
     ValueError
         If two photos are equal.
     """
-    for (i, one), (j, other) in combinations(enumerate(photos, 1), 2):
-        if np.array_equal(one, other):
+    for (i, first), (j, second) in combinations(enumerate(photos, 1), 2):
+        if np.array_equal(first, second):
             raise ValueError(f"photo {j}: is the same as photo {i}; give each photo once")
-
-
-def _calibration(found: MotionEstimate, photo: FloatArray) -> Calibration:
-    return Calibration(
-        **{one.name: getattr(found, one.name) for one in fields(MotionEstimate)}, photo=photo
-    )
-
-
-def _from_codes(
-    photos: ArrayLike | Sequence[ArrayLike],
-    options: dict[str, Any],
-    *,
-    method: str | Estimator,
-    codes: Sequence[ShutterCode],
-    seed: int,
-    progress: Callable[[float, str], None],
-) -> Calibration:
-    if not isinstance(method, str):
-        raise ValueError("codes: not valid with an estimator of your own")
-    check_options(method, options)
-    check_times(codes)
-    given = list(photos) if isinstance(photos, Sequence) else [photos]
-    if len(given) == 1 < len(codes) and np.ndim(given[0]) >= 3:
-        raise ValueError(
-            "photo: give the photos of several codes as a list or tuple, not as one array"
-        )
-    check_codes([code.bits for code in codes], photos=len(given))
-    check_photos(given, method)
-    check_apart(given)
-    estimator = make_estimator(method, seed=seed, progress=progress, **options)
-    assert hasattr(estimator, "estimate_from")
-    found: MotionEstimate = estimator.estimate_from([_as_light(one) for one in given])
-    return _calibration(found, _as_light(given[0]))
 
 
 def check_times(codes: Sequence[ShutterCode]) -> None:
@@ -436,32 +381,25 @@ def _as_light(photo: ArrayLike) -> FloatArray:
 
 
 def check_photo(photo: ArrayLike, method: str) -> None:
-    """Refuse a photo that is too small for a method, or without texture, before anything slow is
-    loaded.
+    """Refuse a photo that is too small for a method, or without texture.
 
     Parameters
     ----------
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1
     method : str
-        One of :data:`METHODS`.
+        Name of a registered method.
 
     Raises
     ------
     ValueError
         If a side is too short, or the photo is constant, black or white.
     """
-    check_size(photo, least_px=_LEAST_PX.get(method, 1))
+    check_size(photo, least_px=METHODS[method].smallest_px)
     check_texture(photo)
 
 
 def check_photos(photos: Sequence[ArrayLike], method: str) -> None:
     """Check each of several photos as :func:`check_photo` does.
-
-    Parameters
-    ----------
-    photos : sequence of (H, W) or (H, W, 3) array_like, linear light 0..1
-    method : str
-        One of :data:`METHODS`.
 
     Raises
     ------
@@ -486,75 +424,15 @@ def check_texture(photo: ArrayLike) -> None:
         If the photo's values span less than two steps of 8 bit.
     """
     pixels = np.asarray(photo)
-    low = float(pixels.min())
-    high = float(pixels.max())
-    if high - low < _LEAST_CONTRAST:
-        shade = (
-            "black"
-            if high < _LEAST_CONTRAST
-            else "white"
-            if low > 1 - _LEAST_CONTRAST
-            else "the same"
-        )
-        raise ValueError(
-            f"the photo is {shade} all over: motion shows only where the scene has texture"
-        )
-
-
-def write_calibration(
-    folder: Path | str,
-    estimate: MotionEstimate,
-    photo: ArrayLike,
-    *,
-    source: Mapping[str, object] | None = None,
-    force: bool = False,
-    bits: int = 8,
-    gamma: str | float = "srgb",
-) -> dict[str, Path]:
-    """Write a motion estimate: trajectory, PSF in three formats, HR map, preview, restored photo;
-    all or nothing.
-
-    Parameters
-    ----------
-    folder : path of a folder, made when missing
-    estimate : MotionEstimate
-    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
-        For the preview, and to be restored: see :func:`cep.restoration.sharpen.sharpen`.
-    source : mapping, optional
-        ``image``, ``seed``: where the estimate comes from.
-    force : bool
-        Whether existing files may be replaced.
-    bits : {8, 16}
-        Of the restored photo's samples.
-    gamma : str or float
-        Of the restored photo, as of :func:`cep.files.images.write_image`.
-
-    Returns
-    -------
-    dict from file name to Path, of the files written
-
-    Raises
-    ------
-    ValueError
-        If a file exists and ``force`` is not given, or the folder cannot be written to.
-    """
-    best = estimate.trajectories[0]
-    alternatives = tuple(zip(estimate.weights[1:], estimate.trajectories[1:], strict=True))
-    about: dict[str, object] = {"method": estimate.method, **(source or {})}
-    if estimate.path_error_px is not None:  # cep advise and cep optimize choose exposures by it
-        about["path_uncertainty_px"] = estimate.path_error_px
-    stored = StoredMotion(best, estimate.weights[0], alternatives, about)
-    with new_folder(folder, CALIBRATION_FILES, force=force) as made:
-        write_motion(made / "trajectory.json", stored)
-        write_psf(made, estimate.psf)
-        if best.frame_size() <= PSF_PX:
-            write_image(made / "map.png", best.hr_map(), gamma="linear")
-        save(trajectory_figure(photo, best), made / "preview.png")
-        if (
-            "order_confidence" not in estimate.details
-        ):  # a photo through a code has a PSF of its own
-            restored = sharpen(photo, estimate)
-            if not restored.kept:
-                write_image(made / "sharpened.png", restored.image, bits=bits, gamma=gamma)
-        names = sorted(item.name for item in made.iterdir())
-    return {name: Path(folder) / name for name in names}
+    darkest = float(pixels.min())
+    brightest = float(pixels.max())
+    if brightest - darkest >= _LEAST_CONTRAST:
+        return
+    shade = "the same"
+    if brightest < _LEAST_CONTRAST:
+        shade = "black"
+    elif darkest > 1 - _LEAST_CONTRAST:
+        shade = "white"
+    raise ValueError(
+        f"the photo is {shade} all over: motion shows only where the scene has texture"
+    )

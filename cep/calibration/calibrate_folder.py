@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from cep.calibration.calibrate import CALIBRATION_FILES, check_options, write_calibration
+from cep.calibration.calibrate import CALIBRATION_FILES, Calibration, check_method
 from cep.calibration.photo_cell import estimate_from_figures, estimate_photo, estimator_version
 from cep.files.images import PHOTO_SUFFIXES, parse_gamma, read_image, read_photo
 from cep.files.outputs import claim_folder
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.engine import Engine
 from cep.jobs.folders import FolderResults, NotWrittenError, is_spelled, run_folder
-from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.registry import METHODS
 
 _SUMMARY = "motions.csv"
-_OF_THE_ESTIMATE = (
-    "psf_confidence",
-    "path_confidence",
-    "order_confidence",
-    "path_uncertainty_px",
-    "repeatability",
-    "left_out",
-)
-"""Figures of some estimators alone."""
 _COLUMNS = (
     "photo",
     "length_px",
@@ -43,13 +34,10 @@ def calibrate_folder(
     output: Path | None = None,
     *,
     method: str = "motdiff",
-    samples: int | None = None,
-    sharp: Path | None = None,
+    options: Mapping[str, Any] | None = None,
     gamma: str = "srgb",
     seed: int = 0,
-    cache: Path | None = None,
     workers: int | None = None,
-    dask: str | None = None,
     force: bool = False,
     progress: Callable[[float, str], None] = lambda _fraction, _note: None,
 ) -> FolderResults:
@@ -62,19 +50,16 @@ def calibrate_folder(
     output : Path, optional
         Folder to write into, with a folder for each photo, named like it, and ``motions.csv``;
         ``FOLDER_motion`` when omitted.
-    method, samples, seed
-        As of :func:`cep.calibration.calibrate.make_estimator`; no "gyro", whose ``start_s`` is
+    method : str
+        As of :func:`cep.calibration.calibrate.estimate_motion`; no "gyro", whose ``start_s`` is
         that of one photo.
-    sharp : Path, optional
-        For "reference": a sharp photo, or a folder with one for each photo, by name.
+    options : mapping, optional
+        Options of the method, as of :func:`cep.calibration.calibrate.read_options`: ``sharp`` is a
+        sharp photo, or a folder with one for each photo, by name.
     gamma : str
         Of the photos, as of :func:`cep.files.images.read_photo`.
-    cache : Path, optional
-        Folder of finished photos; ``cells`` in the output when omitted.
     workers : int, optional
         Processes; as many as cores when omitted.
-    dask : str, optional
-        Scheduler of a cluster to run on.
     force : bool
         Whether existing files may be replaced.
     progress : callable, optional
@@ -83,20 +68,20 @@ def calibrate_folder(
     Returns
     -------
     FolderResults
-        After Ctrl-C with the photos finished until then. What is found in a photo is described as
-        :func:`describe_motion` does.
+        After Ctrl-C with the photos finished until then. Each is described as by
+        :meth:`cep.calibration.calibrate.Calibration.to_dict`.
 
     Raises
     ------
     ValueError
         If there are no photos, a file is in the way, or an option is not valid.
     """
-    if method == "gyro":
-        raise ValueError(
-            "method gyro: start_s is the opening of one photo; give the photos of a folder one"
-            " by one"
-        )
-    check_options(method, {"samples": samples, "sharp": sharp})
+    given = {name: value for name, value in (options or {}).items() if value is not None}
+    reason = METHODS[method].one_photo_as if method in METHODS else ""
+    if reason:
+        raise ValueError(f"method {method}: {reason}; give the photos of a folder one by one")
+    check_method(method, given)
+    sharp: Path | None = given.pop("sharp", None)
     parse_gamma(gamma)
     photos = photos_in(folder, but=sharp)
     sharps = {} if sharp is None else sharp_of(photos, sharp)
@@ -123,10 +108,10 @@ def calibrate_folder(
             {
                 "photo": photo,
                 "method": method,
-                "samples": samples,
                 "gamma": gamma,
                 "seed": seed,
                 "sharp": sharps.get(photo),
+                **given,
             },
             version,
         )
@@ -147,16 +132,13 @@ def calibrate_folder(
         found, warnings = estimate_from_figures(figures)
         source = {"image": str(photo), "seed": seed}
         bits = min(read.bits, 16)
-        files = write_calibration(
-            target / photo.stem,
-            found,
-            read.pixels,
-            source=source,
-            force=force,
-            bits=bits,
-            gamma=gamma,
+        calibration = Calibration.of(found, read.pixels)
+        files = calibration.save(
+            target / photo.stem, source=source, force=force, bits=bits, gamma=gamma
         )
-        return describe_motion(found, files, seconds=figures["seconds"], warnings=warnings)
+        return calibration.to_dict(
+            files, seconds=cast(float, figures["seconds"]), warnings=warnings
+        )
 
     return run_folder(
         target,
@@ -168,42 +150,10 @@ def calibrate_folder(
         columns=_COLUMNS,
         failures=failures,
         write=write,
-        engine=Engine.of(target, cache=cache, workers=workers, dask=dask),
+        engine=Engine.of(target, cache=None, workers=workers, dask=None),
         force=force,
         progress=progress,
     )
-
-
-def describe_motion(
-    found: MotionEstimate, files: Mapping[str, Path], *, seconds: Figure, warnings: Sequence[str]
-) -> dict[str, Any]:
-    """Describe a calibration as the JSON of a photo and of a folder has it.
-
-    Parameters
-    ----------
-    found : MotionEstimate
-    files : mapping from a file's name to its path
-        As of :func:`cep.calibration.calibrate.write_calibration`.
-    seconds : float
-        That the estimate took.
-    warnings : sequence of str
-        About the photo and the estimate.
-    """
-    motion = found.best
-    return {
-        "method": found.method,
-        "trajectory": files["trajectory.json"],
-        "psf": files["psf.npy"],
-        "length_px": motion.length_px,
-        "extent_px": motion.extent_px,
-        "direction": motion.direction,
-        "confidence": found.confidence,
-        **{name: found.details[name] for name in _OF_THE_ESTIMATE if name in found.details},
-        "seconds": seconds,
-        "warnings": warnings,
-        "files": list(files.values()),
-        "details": found.details,
-    }
 
 
 def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...]:

@@ -12,26 +12,24 @@ from typing import Any
 
 import numpy as np
 
-from cep.calibration.calibrate import METHODS, estimate_motion
+from cep.calibration.calibrate import estimate_motion, read_options
 from cep.files.files import plain
-from cep.files.images import read_image, read_photo
+from cep.files.images import read_photo
 from cep.jobs.cells import Figure
 from cep.jobs.fingerprint import source_version
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.registry import METHODS, blind_methods
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
-
-_WITH_TORCH = ("motdiff", "pmp")
 
 
 def estimate_photo(
     *,
     photo: Path,
     method: str,
-    samples: int | None = None,
     gamma: str = "srgb",
     seed: int = 0,
-    sharp: Path | None = None,
+    **options: Any,
 ) -> dict[str, Figure]:
     """Estimate the motion in a photo on one thread: the work of a cell, see
     :mod:`cep.jobs.engine`.
@@ -39,12 +37,12 @@ def estimate_photo(
     Parameters
     ----------
     photo : Path
-    method, samples, seed
-        As of :func:`cep.calibration.calibrate.make_estimator`, any method but "gyro".
+    method, seed
+        As of :func:`cep.calibration.calibrate.estimate_motion`, any method but "gyro".
     gamma : str
         Of the photos, as of :func:`cep.files.images.read_photo`.
-    sharp : Path, optional
-        For "reference".
+    **options
+        Of the method, as of :func:`cep.calibration.calibrate.read_options`.
 
     Returns
     -------
@@ -59,13 +57,11 @@ def estimate_photo(
     """
     try:
         read = read_photo(photo, gamma=gamma)
-        sharp_pixels = None if sharp is None else read_image(sharp, gamma=gamma, variable="x")
+        values = read_options(method, options, gamma=gamma)
         began_s = time.perf_counter()
         # as many as there are workers run at once, and sums must not depend on how many do
-        with one_thread() if method in _WITH_TORCH else nullcontext():
-            found = estimate_motion(
-                read.pixels, method=method, samples=samples, seed=seed, sharp=sharp_pixels
-            )
+        with one_thread() if method in blind_methods() else nullcontext():
+            found = estimate_motion(read.pixels, method=method, seed=seed, **values)
     except ValueError as error:
         raise ValueError(str(error).removeprefix(f"{photo}: ")) from None
     seconds = time.perf_counter() - began_s
@@ -99,11 +95,7 @@ def estimate_from_figures(figures: Mapping[str, Figure]) -> tuple[MotionEstimate
 
 def estimator_version(method: str) -> str:
     """Fingerprint of all that makes an estimate: the code and, where there are, the weights."""
-    files: tuple[Path, ...] = ()
-    if method == "motdiff":
-        from motdiff.weights import MOTDIFF_FILES
-
-        files = MOTDIFF_FILES
+    files = METHODS[method]().weight_files() if method in blind_methods() else ()
     named = f"motdiff.estimators.{method}" if method in METHODS else method.partition(":")[0]
     followed = [named, "motdiff.simulate"]
     decoding = ["cep.files.images", "motdiff.files.decoding"]

@@ -94,8 +94,7 @@ def refine_motion(
     uncertainty_px : float
         Expected error of the given path, rms over time.
     kernels : Estimator, optional
-        What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when
-        omitted.
+        What finds the kernel of each photo; PMP when omitted.
     progress : callable, optional
         Called with the finished share 0..1, and what is being done.
 
@@ -108,7 +107,7 @@ def refine_motion(
     Examples
     --------
     >>> from cep.optics.capture import capture
-    >>> from motdiff.estimators.reference import ReferenceEstimator
+    >>> from motdiff.estimators.reference.estimator import ReferenceEstimator
     >>> rng = np.random.default_rng(0)
     >>> scene = np.kron(rng.random((30, 30)), np.ones((6, 6)))
     >>> path = Trajectory.from_samples([[0, 0], [8, 2], [12, 9]], direction="known")

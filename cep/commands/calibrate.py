@@ -1,169 +1,137 @@
-"""``cep calibrate``: a photo, or each of a folder, to the motion in it."""
+"""``cep calibrate``: a photo, several of one motion, or each of a folder, to the motion in it."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
 from cep.commands.code_options import exposure_seconds
 from cep.commands.commands import in_options
 from cep.commands.console import finish, part, photo_named, progress
-from cep.commands.jobs import Cache, Dask, Workers, finish_folder, only_of_folders
-from cep.commands.options import Force, Gamma, Json, Seed, TableFile, output_option, table_files
+from cep.commands.jobs import Workers, finish_folder
+from cep.commands.options import CommonOptions, Gamma, command, output_option
+from motdiff.estimators.method import Kind, Option, command_options
+from motdiff.estimators.registry import METHODS, blind_methods
 
-_ESTIMATE = {
-    "motdiff": (0.07, 0.88),
-    "pmp": (0.07, 0.88),
-    "reference": (0.2, 0.7),
-    "point": (0.35, 0.55),
-    "gyro": (0.45, 0.5),
-}
-"""Where in the time of the command a photo's estimate begins and ends; the preview takes most of
-the rest."""
-_OWN_ESTIMATE = (0.2, 0.8)
+if TYPE_CHECKING:
+    from cep.calibration.calibrate import Calibration
+    from cep.calibration.refine import Refinement
+
+_BLIND_ESTIMATE = (0.07, 0.88)
+_OTHER_ESTIMATE = (0.3, 0.8)
+"""Where in the time of the command an estimate begins and ends; the preview and the restored photo
+take most of the rest."""
 _SEVERAL_END = 0.96
 
-_WITH_GYRO = "With --method gyro"
-_WITH_MOTDIFF = "With --method motdiff"
+_TYPES: Mapping[Kind, Any] = {
+    "count": int,
+    "number": float,
+    "text": str,
+    "duration": str,
+    "photo": Path,
+    "gyro": Path,
+    "codes": list[str],
+}
+"""Types of the options' values as typer reads them."""
 
 
-def calibrate(
-    context: typer.Context,
+_OPTIONS: Mapping[str, Option] = {
+    name: option for method in METHODS.values() for name, option in command_options(method).items()
+}
+"""Options of all registered methods, by the names of their fields."""
+
+
+def _annotation(name: str) -> Any:
+    """Declare a method's option to typer, in a panel of the method if no other has it."""
+    option = _OPTIONS[name]
+    owners = [key for key, method in METHODS.items() if name in command_options(method)]
+    declared = typer.Option(
+        option.flag,
+        metavar=option.metavar,
+        help=option.help,
+        min=1 if option.kind == "count" else None,
+        show_default=option.shown_default or False,
+        rich_help_panel=f"With --method {owners[0]}" if len(owners) == 1 else None,
+    )
+    return Annotated[_TYPES[option.kind] | None, declared]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrateOptions(CommonOptions):
+    """Options of ``cep calibrate`` that do not depend on the registered methods."""
+
+    context: typer.Context
     images: Annotated[
         list[Path],
         typer.Argument(
             metavar="IMAGE...",
-            help=(
-                "Blurred photo: PNG, TIFF, JPEG, WebP or RAW; several of one motion; or a folder,"
-                " each by itself."
-            ),
+            help="Blurred photo: PNG, TIFF, JPEG, WebP or RAW; several of one motion; or a folder,"
+            " each by itself.",
         ),
-    ],
-    output: Annotated[
-        Path | None,
-        output_option("Folder to write into; IMAGE_motion when omitted.", metavar="FOLDER"),
-    ] = None,
-    code: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--code",
-            metavar="CODE",
-            help=(
-                "Code that the photo was taken through: bits, code.json, a published name, or"
-                " open; once for each "
-                "photo, in order. The path is then found with its order in time."
-            ),
-        ),
-    ] = None,
+    ]
     method: Annotated[
         str | None,
         typer.Option(
             "--method",
             metavar="NAME",
             show_default="motdiff; coded with --code",
-            help=(
-                "motdiff (blind, diffusion model), pmp (blind, classical), reference (beside a"
-                " sharp photo), "
-                "point (of a small light; with --code in its order in time), gyro (from a"
-                " recording), coded (with --code), "
-                "or module:name of an estimator of your own."
-            ),
+            help=", ".join(f"{name} ({method.about})" for name, method in METHODS.items())
+            + ", or module:name of a user-defined estimator.",
         ),
-    ] = None,
-    sharp: Annotated[
+    ] = None
+    trajectory: Annotated[
         Path | None,
         typer.Option(
-            "--sharp",
-            metavar="PATH",
-            rich_help_panel="With --method reference",
-            help=(
-                "A sharp photo of the same scene, needed; or a folder with one for each photo, by"
-                " name."
-            ),
-        ),
-    ] = None,
-    gyro: Annotated[
-        Path | None,
-        typer.Option(
-            "--gyro",
+            "--trajectory",
             metavar="FILE",
-            help="Table of time and three rates (rad/s); needed.",
-            rich_help_panel=_WITH_GYRO,
+            help="A calibration, trajectory.json, to be improved by photos of its motion, each"
+            " through a known --code.",
         ),
-    ] = None,
-    focal: Annotated[
-        float | None,
-        typer.Option(
-            "--focal", metavar="PX", help="Focal length, px; needed.", rich_help_panel=_WITH_GYRO
-        ),
-    ] = None,
-    start: Annotated[
-        float | None,
-        typer.Option(
-            "--start",
-            metavar="S",
-            help="Opening of the shutter on the recording's clock, s; needed.",
-            rich_help_panel=_WITH_GYRO,
-        ),
-    ] = None,
-    exposure: Annotated[
-        str | None,
-        typer.Option(
-            "--exposure",
-            metavar="S",
-            help="Exposure time: 1/20, 0.05, 50ms or 500us; needed.",
-            rich_help_panel=_WITH_GYRO,
-        ),
-    ] = None,
-    gyro_axes: Annotated[
-        str | None,
-        typer.Option(
-            "--gyro-axes",
-            metavar="X,Y,Z",
-            show_default="right,down,forward, as a camera's",
-            help=(
-                "Directions of the recording's x, y and z axes, seen from behind the camera with"
-                " the photo upright: "
-                "right, left, up, down, forward or back. A phone held upright: right,up,back;"
-                " sideways, its top to the "
-                "left: up,left,back, to the right: down,right,back. Wrong axes mirror or turn the"
-                " path."
-            ),
-            rich_help_panel=_WITH_GYRO,
-        ),
-    ] = None,
+    ] = None
     gyro_unit: Annotated[
         str | None,
         typer.Option(
             "--gyro-unit",
             metavar="UNIT",
             help="rad or deg, of the rates; as the header says when omitted, else rad.",
-            rich_help_panel=_WITH_GYRO,
+            rich_help_panel="With --method gyro",
         ),
-    ] = None,
-    samples: Annotated[
-        int | None,
-        typer.Option(
-            "--samples",
-            metavar="K",
-            min=1,
-            rich_help_panel=_WITH_MOTDIFF,
-            help="Motions to draw; 8 when omitted, more add next to nothing.",
+    ] = None
+    gamma: Gamma = "srgb"
+    workers: Workers = None
+    output: Annotated[
+        Path | None,
+        output_option(
+            "Folder to write into, IMAGE_motion when omitted; with --trajectory the file to write,"
+            " FILE_refined.json when omitted.",
+            metavar="PATH",
         ),
-    ] = None,
-    gamma: Gamma = "srgb",
-    workers: Workers = None,
-    dask: Dask = None,
-    cache: Cache = None,
-    tables: TableFile = None,
-    force: Force = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
+    ] = None
+
+    def method_options(self) -> dict[str, Any]:
+        """Return the values of the methods' options, None for those that are not given."""
+        values = {name: getattr(self, name) for name in _OPTIONS}
+        for name, option in _OPTIONS.items():
+            if option.kind == "duration":
+                values[name] = exposure_seconds(values[name])
+        return values
+
+
+@command(
+    make_dataclass(
+        "AllCalibrateOptions",
+        [(name, _annotation(name), None) for name in _OPTIONS],
+        bases=(CalibrateOptions,),
+        frozen=True,
+        kw_only=True,
+    )
+)
+def calibrate(options: CalibrateOptions) -> None:
     """Estimate the motion in one blurred photo, in each photo of a folder, or in several photos of
     one motion.
 
@@ -177,6 +145,10 @@ def calibrate(
     Finished photos are kept: stopped by Ctrl-C, the same command with --force goes on; of a photo
     that fails now, --force removes earlier files.
 
+    With --trajectory a calibrated path is improved by coded photos of that motion. Two or more of
+    one scene show the order in time too, and the path to a tenth of a pixel. From a single photo
+    the gain is smaller; the given path is kept where the photos show no better one.
+
     Example: cep calibrate blurred.jpg -o motion
 
     Example: cep calibrate shots -o shots_motion --workers 4
@@ -186,159 +158,148 @@ def calibrate(
     Example: cep calibrate open.png coded.png --code open --code code.json -o motion
 
     Example: cep calibrate light.png --method point --code code.json -o motion
+
+    Example: cep calibrate coded.png --code code.json --trajectory motion/trajectory.json -o
+    better.json
     """
-    method = method or ("coded" if code else "motdiff")
-    exposure_s = exposure_seconds(exposure)
-    options = {
-        "samples": samples,
-        "sharp": sharp,
-        "gyro": gyro,
-        "focal_px": focal,
-        "start_s": start,
-        "exposure_s": exposure_s,
-        "axes": gyro_axes,
-        "rate_unit": gyro_unit,
-        "codes": code,
-    }
-    image = images[0]
-    if len(images) > 1 and not code and any(one.is_dir() for one in images):
+    images = options.images
+    given = options.method_options()
+    sources: list[str] = given.pop("codes") or []
+    if options.trajectory is not None:
+        _refine(options, options.trajectory, given, sources)
+        return
+    method = options.method or ("coded" if sources else "motdiff")
+    folders = [image for image in images if image.is_dir()]
+    if sources and folders:
+        raise ValueError("--code: is for photos of one motion; give the photos, not a folder")
+    if folders and len(images) > 1:
         raise ValueError(
             "IMAGE: several are photos of one motion; give the photos, or one folder alone"
         )
-    if code and any(one.is_dir() for one in images):
-        raise ValueError("--code: is for photos of one motion; give the photos, not a folder")
-    if image.is_dir():
-        _calibrate_folder(
-            image,
-            method,
-            options,
-            gamma=gamma,
-            seed=seed,
-            workers=workers,
-            dask=dask,
-            cache=cache,
-            output=output,
-            tables=tables,
-            force=force,
-            as_json=as_json,
-        )
+    if folders:
+        _calibrate_folder(options, method, given)
         return
-    only_of_folders("cep calibrate FOLDER", workers, dask, cache)
-    if tables is not None:
-        raise ValueError("--table: is for a folder (cep calibrate FOLDER), here is a single one")
+    _refuse_workers(options)
     with progress(f"estimating the motion ({method})") as tick:
         tick(0.0, "reading the photo")
         from cep.calibration.calibrate import (
             CALIBRATION_FILES,
-            check_options,
-            check_several,
-            check_times,
+            check_method,
             estimate_motion,
+            read_options,
         )
-        from cep.calibration.calibrate_folder import describe_motion
         from cep.codes.sources import load_codes
-        from cep.files.images import parse_gamma, read_image, read_photo
+        from cep.files.images import parse_gamma, read_photo
         from cep.files.outputs import claim_folder, summary_on_failure
-        from motdiff.estimators.coded.codes import check_codes
-        from motdiff.files.gyro_tables import read_gyro
         from motdiff.files.trajectories import trajectory_text
 
-        check_options(method, options)
-        if len(images) > 1 and not code:
-            check_several(method)
-        codes = load_codes(code) if code else None
-        if codes is not None:
-            check_codes([one.bits for one in codes], photos=len(images))
-            check_times(codes)
-        if gyro_unit not in (None, "rad", "deg"):
-            raise ValueError(f"--gyro-unit: must be rad or deg, got {gyro_unit!r}")
-        parse_gamma(gamma)
-        folder = output or image.with_name(f"{image.stem}_motion")
-        claim_folder(folder, CALIBRATION_FILES, force=force)
-        photos = [read_photo(one, gamma=gamma) for one in images]
-        sharp_photo = None if sharp is None else read_image(sharp, gamma=gamma, variable="x")
-        recording = None if gyro is None else read_gyro(gyro, rate_unit=cast(Any, gyro_unit))
+        check_method(method, {**given, "codes": sources or None})
+        if options.gyro_unit not in (None, "rad", "deg"):
+            raise ValueError(f"--gyro-unit: must be rad or deg, got {options.gyro_unit!r}")
+        codes = load_codes(sources) if sources else None
+        parse_gamma(options.gamma)
+        folder = options.output or images[0].with_name(f"{images[0].stem}_motion")
+        claim_folder(folder, CALIBRATION_FILES, force=options.force)
+        photos = [read_photo(image, gamma=options.gamma) for image in images]
+        values = read_options(
+            method, given, gamma=options.gamma, rate_unit=cast(Any, options.gyro_unit)
+        )
         started = time.perf_counter()
-        begins, ends = _OWN_ESTIMATE if codes is not None else _ESTIMATE.get(method, _OWN_ESTIMATE)
-        if len(images) > 1 and codes is None:
+        is_blind = method in blind_methods()
+        begins, ends = _BLIND_ESTIMATE if is_blind else _OTHER_ESTIMATE
+        if is_blind and len(images) > 1:
             ends = _SEVERAL_END
         tick(begins, "estimating")
+        pixels = [photo.pixels for photo in photos]
         try:
-            found = estimate_motion(
-                [one.pixels for one in photos] if codes or len(photos) > 1 else photos[0].pixels,
+            calibration = estimate_motion(
+                pixels,
                 method=method,
-                samples=samples,
-                seed=seed,
-                sharp=sharp_photo,
-                gyro=recording,
-                focal_px=focal,
-                start_s=start,
-                exposure_s=exposure_s,
-                axes=gyro_axes,
                 codes=codes,
+                seed=options.seed,
                 progress=part(tick, begins, ends),
+                **values,
             )
         except ValueError as error:
-            if (
-                str(error).partition(": ")[0] in options
-            ):  # it is an option that is wrong, not the photo
-                raise
-            if len(images) > 1:
-                raise ValueError(photo_named(str(error), images)) from None
-            raise ValueError(f"{image}: {str(error).removeprefix('photo: ')}") from None
+            raise ValueError(_with_file(str(error), images)) from None
         seconds = time.perf_counter() - started
         tick(ends, "writing")
-        source = {"image": str(image), "seed": seed}
+        source: dict[str, object] = {"image": str(images[0]), "seed": options.seed}
         if codes is not None or len(images) > 1:
-            source |= {"images": [str(one) for one in images]}
+            source["images"] = [str(image) for image in images]
         if codes is not None:
-            source |= {"codes": [one.bits for one in codes]}
-        with summary_on_failure(trajectory_text(found.best)):
-            files = found.save(
-                folder, source=source, force=force, bits=min(photos[0].bits, 16), gamma=gamma
+            source["codes"] = [code.bits for code in codes]
+        with summary_on_failure(trajectory_text(calibration.best)):
+            files = calibration.save(
+                folder,
+                source=source,
+                force=options.force,
+                bits=min(photos[0].bits, 16),
+                gamma=options.gamma,
             )
         tick(1.0)
-    motion = found.best
-    warnings = [in_options(line, context) for line in found.warnings]
-    result = describe_motion(
-        found,
-        files,
-        seconds=seconds,
-        warnings=[*(line for one in photos for line in one.warnings), *warnings],
-    )
-    sure = f"direction {motion.direction}; confidence {found.confidence:.2f}"
-    still = found.details.get("motion_blur", True) is False
-    if codes is not None and not still:
-        sure = (
-            f"in this order in time with probability {found.confidence:.2f}, and then exact to "
-            f"{result['path_uncertainty_px']:.2g} px"
+    warnings = [line for photo in photos for line in photo.warnings]
+    warnings += [in_options(line, options.context) for line in calibration.warnings]
+    result = calibration.to_dict(files, seconds=seconds, warnings=warnings)
+    lines = _summary(calibration, folder, seconds=seconds, is_coded=codes is not None)
+    if given.get("gyro") is not None:
+        columns = calibration.details["columns"]
+        lines.append(f"{given['gyro']}: {columns}; axes: {calibration.details['axes']}")
+    finish(result, as_json=options.as_json, show=lambda console: console.print(*lines, sep="\n"))
+
+
+def _refuse_workers(options: CalibrateOptions) -> None:
+    if options.workers is not None:
+        raise ValueError("--workers: is for a folder (cep calibrate FOLDER), here is a single one")
+
+
+def _with_file(error: str, images: Sequence[Path]) -> str:
+    """Name the file of a photo in an error about it; an error about an option stays as it is."""
+    if error.partition(": ")[0] in (*_OPTIONS, "method", "code"):
+        return error
+    if len(images) > 1:
+        return photo_named(error, images)
+    return f"{images[0]}: {error.removeprefix('photo: ')}"
+
+
+def _summary(
+    calibration: Calibration, folder: Path, *, seconds: float, is_coded: bool
+) -> list[str]:
+    """Say in lines what was found, and how sure it is."""
+    motion = calibration.best
+    certainty = f"direction {motion.direction}; confidence {calibration.confidence:.2f}"
+    is_still = calibration.details.get("motion_blur", True) is False
+    if is_coded and not is_still:
+        certainty = (
+            f"in this order in time with probability {calibration.confidence:.2f}, and then exact"
+            f" to {calibration.details['path_uncertainty_px']:.2g} px"
         )
-    lines = [f"{found.warnings[0]}."] if still else _repeatability(motion.length_px, found.details)
-    lines.append(
-        f"{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide, {sure}; "
-        f"{found.method}, {seconds:.1f} s"
-    )
-    if gyro is not None:
-        lines.append(f"{gyro}: {found.details['columns']}; axes: {found.details['axes']}")
-    finish(result, as_json=as_json, show=lambda console: console.print(*lines, sep="\n"))
+    if is_still:
+        first = [f"{calibration.warnings[0]}."]
+    else:
+        first = _repeatability(motion.length_px, calibration.details)
+    return [
+        *first,
+        f"{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide,"
+        f" {certainty}; {calibration.method}, {seconds:.1f} s",
+    ]
 
 
 def _repeatability(length_px: float, details: Mapping[str, Any]) -> list[str]:
     """Say how alike several photos of one motion show it; nothing of one photo."""
     if "seen_in" not in details:
         return []
-    seen = details["seen_in"]
+    agreeing = details["seen_in"]
     photos = details["photos"]
-    if seen < 2:
+    if agreeing < 2:
         alone = f"no two of {photos} photos alone show it alike"
         return [f"One motion of {length_px:.0f} px; {alone}: whether it repeats is not known."]
     squares = sum(distance**2 for distance in details["repeatability_px"] if distance is not None)
-    apart_px = (
-        squares / (seen - 1)
-    ) ** 0.5  # one of the paths may be the one that they are compared with
+    # less one, as one of the paths may be the one that they are compared with
+    apart_px = (squares / (agreeing - 1)) ** 0.5
     return [
-        f"One motion of {length_px:.0f} px, seen alike in {seen} of {photos} photos: their paths"
-        f" differ by {apart_px:.2g} px."
+        f"One motion of {length_px:.0f} px, seen alike in {agreeing} of {photos} photos: their"
+        f" paths differ by {apart_px:.2g} px."
     ]
 
 
@@ -353,55 +314,136 @@ _COLUMNS = {
 """Heads of the table of a folder."""
 
 
-def _calibrate_folder(
-    folder: Path,
-    method: str,
-    options: Mapping[str, Any],
-    *,
-    gamma: str,
-    seed: int,
-    workers: int | None,
-    dask: str | None,
-    cache: Path | None,
-    output: Path | None,
-    tables: Path | None,
-    force: bool,
-    as_json: bool,
-) -> None:
+def _calibrate_folder(options: CalibrateOptions, method: str, given: Mapping[str, Any]) -> None:
     with progress(f"estimating the motion ({method})") as tick:
-        from cep.calibration.calibrate import check_options
         from cep.calibration.calibrate_folder import calibrate_folder
-        from cep.files.outputs import claim
 
-        check_options(method, options)
-        outputs = claim(table_files(tables), force=force)
-        found = calibrate_folder(
-            folder,
-            output,
+        results = calibrate_folder(
+            options.images[0],
+            options.output,
             method=method,
-            samples=options["samples"],
-            sharp=options["sharp"],
-            gamma=gamma,
-            seed=seed,
-            cache=cache,
-            workers=workers,
-            dask=dask,
-            force=force,
+            options=given,
+            gamma=options.gamma,
+            seed=options.seed,
+            workers=options.workers,
+            force=options.force,
             progress=tick,
         )
     finish_folder(
         {
-            "folder": found.folder,
-            "summary": found.summary,
+            "folder": results.folder,
+            "summary": results.summary,
             "method": method,
-            "photos": found.found,
-            "seed": seed,
+            "photos": results.found,
+            "seed": options.seed,
         },
         _COLUMNS,
-        found,
+        results,
         title="the motion in each photo",
         noun="photos",
-        as_json=as_json,
-        outputs=outputs,
-        tables=tables,
+        as_json=options.as_json,
+    )
+
+
+def _refine(
+    options: CalibrateOptions, trajectory: Path, given: Mapping[str, Any], sources: list[str]
+) -> None:
+    """Improve a calibrated path by photos of its motion through codes."""
+    images = options.images
+    if not sources:
+        raise ValueError("--code: needed, once for each photo")
+    unused = {"method": options.method, **given}
+    for name in [name for name, value in unused.items() if value is not None]:
+        raise ValueError(f"{name}: not valid with --trajectory")
+    _refuse_workers(options)
+    with progress("refining the motion") as tick:
+        tick(0.0, "reading the photos")
+        from cep.codes.sources import code_file, load_codes
+        from cep.files.images import parse_gamma, read_photo
+        from cep.files.outputs import claim
+        from motdiff.estimators.coded.codes import check_codes
+        from motdiff.files.trajectories import (
+            StoredMotion,
+            read_motion,
+            stated_uncertainty_px,
+            trajectory_text,
+            write_motion,
+        )
+
+        parse_gamma(options.gamma)
+        codes = load_codes(sources)
+        check_codes([code.bits for code in codes], photos=len(images))
+        target = options.output or trajectory.with_name(f"{trajectory.stem}_refined.json")
+        code_files = [file for file in map(code_file, sources) if file is not None]
+        outputs = claim([target], force=options.force, inputs=[trajectory, *images, *code_files])
+        stored = read_motion(trajectory)
+        stated_px = stated_uncertainty_px(stored, trajectory)
+        photos = [read_photo(image, gamma=options.gamma) for image in images]
+        tick(0.03, "loading the search")
+
+        from cep.calibration.refine import USUAL_UNCERTAINTY_PX, refine_motion
+
+        try:
+            refinement = refine_motion(
+                [photo.pixels for photo in photos],
+                codes,
+                stored.trajectory,
+                uncertainty_px=stated_px or USUAL_UNCERTAINTY_PX,
+                progress=part(tick, 0.03, 0.99),
+            )
+        except ValueError as error:
+            raise ValueError(photo_named(str(error), images)) from None
+        source = {
+            "method": "refined",
+            "trajectory": str(trajectory),
+            "images": [str(image) for image in images],
+            "codes": [code.bits for code in codes],
+            "path_uncertainty_px": refinement.uncertainty_px,
+        }
+        with outputs.written(summary=trajectory_text(refinement.trajectory)) as made:
+            write_motion(made[target], StoredMotion(refinement.trajectory, source=source))
+        tick(1.0)
+    motion = refinement.trajectory
+    warnings = [line for photo in photos for line in photo.warnings]
+    result = {
+        "method": "refined",
+        "trajectory": target,
+        "kept": refinement.kept,
+        "confidence": refinement.confidence,
+        "moved_px": refinement.moved_px,
+        "path_uncertainty_px": refinement.uncertainty_px,
+        "given_misfit": refinement.given_misfit,
+        "misfit": refinement.misfit,
+        "length_px": motion.length_px,
+        "extent_px": motion.extent_px,
+        "direction": motion.direction,
+        "seconds": refinement.seconds,
+        "warnings": [*warnings, *refinement.warnings],
+    }
+    outcome = _outcome(refinement, given_direction=stored.trajectory.direction)
+    finish(
+        result,
+        as_json=options.as_json,
+        show=lambda console: console.print(
+            f"{target}: {outcome}; direction {motion.direction}, error about"
+            f" {refinement.uncertainty_px:.2g} px"
+        ),
+    )
+
+
+def _outcome(refinement: Refinement, *, given_direction: str) -> str:
+    """Say in words whether the given path is kept, and why."""
+    if refinement.kept == "given":
+        order = ""
+        if refinement.trajectory.direction != given_direction:
+            order = ", in the order in time that they show"
+        return f"the given path is kept, as the photos show no better one{order}"
+    moved = f"refined by {refinement.moved_px:.2g} px rms"
+    if refinement.confidence is not None:
+        return (
+            f"{moved}; it explains the photos better with probability {refinement.confidence:.2f}"
+        )
+    return (
+        f"{moved}; the photos' misfit fell from {refinement.given_misfit:.2f} to"
+        f" {refinement.misfit:.2f} times the noise"
     )

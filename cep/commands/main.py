@@ -20,7 +20,6 @@ from cep.commands import (
     demo,
     hardware,
     optimize,
-    refine,
     simulate,
     studio,
 )
@@ -30,6 +29,7 @@ from cep.commands.console import BAD_INPUT, FAILURE, INTERRUPTED, complain, expl
 _MOVED = {
     "bench": "moved to the laboratory, in the repository: python -m lab bench",
     "pareto": "moved to the laboratory, in the repository: python -m lab pareto",
+    "refine": "is now an option: cep calibrate PHOTO... --code CODE --trajectory FILE",
     "cite": "is now the page Works of the documentation; the file: cep/files/works.bib",
 }
 """Commands of earlier versions that are not part of the product."""
@@ -80,7 +80,6 @@ def _root(
 
 app.command("calibrate")(calibrate.calibrate)
 app.command("calibration-set")(calibration_set.calibration_set)
-app.command("refine")(refine.refine)
 app.command("advise")(advise.advise)
 app.command("optimize")(optimize.optimize)
 app.command("audit")(code.audit)

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from urllib.parse import quote
 
-from cep.calibration.calibrate import CALIBRATION_FILES, write_calibration
+from cep.calibration.calibrate import CALIBRATION_FILES, Calibration
 from cep.files.files import DEMO_SCHEMA, StoredCode, json_text, write_code
 from cep.files.images import write_image
 from cep.files.outputs import new_folder
@@ -72,7 +72,7 @@ def write_demo(
     figures = {"schema": DEMO_SCHEMA, "report": str(target / "report.html"), **_figures(chain)}
     with new_folder(target, DEMO_FILES, force=force) as made:
         source = {"image": chain.scene.name, "seed": chain.seed}
-        write_calibration(made, chain.estimate, chain.scene.photo, source=source)
+        Calibration.of(chain.estimate, chain.scene.photo).save(made, source=source)
         write_image(made / "blurred.png", chain.scene.photo, bits=16)
         for name, photo in zip(_SET, chain.found.photos[1:], strict=False):
             write_image(made / name, photo, bits=16)

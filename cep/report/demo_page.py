@@ -613,7 +613,7 @@ def _commands(chain: Chain, options: str) -> Section:
     )
     if chain.coded:
         refine = (
-            f"cep refine blurred.png coded.png --code {'1' * count} --code code.json "
+            f"cep calibrate blurred.png coded.png --code {'1' * count} --code code.json "
             "--trajectory motion/trajectory.json -o refined.json"
         )
         path = "motion/trajectory.json" if chain.found.codes else "refined.json"

@@ -96,7 +96,7 @@ def _direction(chain: Chain) -> tuple[str, ...]:
         said.append(
             "Two to four photos of the same motion through known codes would tell its direction"
             " and order in time, and the error of the path: cep calibration-set designs the codes."
-            " Once a coded photo is taken, cep refine improves the path by it."
+            " Once a coded photo is taken, cep calibrate --trajectory improves the path by it."
         )
     return tuple(said)
 

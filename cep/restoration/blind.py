@@ -60,7 +60,7 @@ def find_psf(
     ValueError
         If the photo is malformed, too small or without texture.
     """
-    from motdiff.estimators.pmp import PmpEstimator
+    from motdiff.estimators.pmp.estimator import PmpEstimator
 
     duty = 1.0 if code is None else code.duty
     found = PmpEstimator(progress=progress).estimate(photo)

@@ -35,6 +35,7 @@ from cep.studio.state import Setting, read_codes, read_search, read_setting
 from cep.studio.uploads import Uploads
 from cep.studio.views import Views, start_view
 from cep.studio.work import KINDS
+from motdiff.estimators.registry import blind_methods
 
 _STATIC = {
     "index.html": "text/html; charset=utf-8",
@@ -129,8 +130,8 @@ class _Studio:
             raise FieldError("job", f"the kinds of jobs are {', '.join(KINDS)}")
         if kind == "calibrate":
             method = asked.get("method", "motdiff")
-            if method not in ("motdiff", "pmp"):
-                raise FieldError("method", "the methods are motdiff and pmp")
+            if method not in blind_methods():
+                raise FieldError("method", f"the methods are {' and '.join(blind_methods())}")
             order: dict[str, Any] = {
                 "path": str(self.uploads.path(asked.get("photo"))),
                 "method": method,

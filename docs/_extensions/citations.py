@@ -14,31 +14,19 @@ from types import MappingProxyType
 from cep.codes.published import names as code_names
 from cep.codes.published import published_works
 from cep.files.works import Work, works
+from motdiff.estimators.registry import METHODS
 
 SOFTWARE = "coded-exposure"
 """Name and key of this software itself."""
 
 _DIFFUSION = ("ho2020", "nichol2021", "song2021", "lin2024")
 _NETWORK = ("choi2025motdiff", *_DIFFUSION, "wang2022pvt", "wang2022ssformer", "wei2020")
-_SEARCHED = ("wen2021pmp", "xu2013", "cho2009", "beck2009", "liu2008", "hu2012")
-_JOINT_FIT = ("harikumar1999", "levenberg1944", "marquardt1963", "inokuchi1984")
+_JOINT_FIT = METHODS["coded"].cites
 _WIENER = ("wiener1949", "field1987")
 
 _NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "estimators of motion": {
-        "motdiff": (
-            *_NETWORK,
-            "wen2021pmp",
-            "whittle1953",
-            "immerkaer1996",
-            "marziliano2002",
-            "hu2012",
-        ),
-        "pmp": _SEARCHED,
-        "reference": (),
-        "point": ("howie2017",),
-        "gyro": (),
-        "coded": _JOINT_FIT,
+        **{name: method.cites for name, method in METHODS.items()},
         "network": _NETWORK,
         "networks": _NETWORK,
         "parametric": ("zhang2022etr",),

@@ -11,19 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
+from motdiff.estimators.registry import blind_methods, make_method
 from motdiff.files.plugins import is_reference
 from motdiff.psf_frame import in_frame
 
 SLOW_METHODS = ("selfdeblur", "blinddps")
 """Hours per photo on a CPU: run only where they are named."""
 
-METHODS = ("pmp", "motdiff", "network", "networks", "parametric", "psf-diffusion", *SLOW_METHODS)
-"""Also ``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both
-take one DDIM step where none are named), ``network:SAMPLER:STEPS:DRAWS``, which measures that many
-draws of each photo as well, ``networks`` with the same additions, whose draws are corrected by the
-second network, ``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which
-blinddps tells only what it needs. ``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE``, or
-``networks``, take other weights of MoTDiff than the package's."""
+METHODS = (
+    *blind_methods(),
+    "network",
+    "networks",
+    "parametric",
+    "psf-diffusion",
+    *SLOW_METHODS,
+)
+"""The blind estimators of the product, and those of this laboratory. Also
+``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both take one
+DDIM step where none are named), ``network:SAMPLER:STEPS:DRAWS``, which measures that many draws of
+each photo as well, ``networks`` with the same additions, whose draws are corrected by the second
+network, ``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps
+tells only what it needs. ``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE``, or ``networks``,
+take other weights of MoTDiff than the package's."""
 
 _WITH_WEIGHTS = ("motdiff", "network", "networks")
 
@@ -166,10 +175,8 @@ def _named(method: str) -> Estimator:
         return load_estimator(method)
     if weights is not None and not weights.is_file():
         raise FileNotFoundError(f"{weights}: no such file of weights")
-    if name == "pmp":
-        from motdiff.estimators.pmp import PmpEstimator
-
-        return PmpEstimator()
+    if name in blind_methods():
+        return make_method(name, {"weights": weights}).make()
     if name == "parametric":
         from lab.rivals.parametric import ParametricEstimator
 
@@ -213,10 +220,6 @@ def _selfdeblur(iterations: str) -> Estimator:
 
 
 def _of_network(method: str, weights: Path | None) -> Estimator:
-    if method == "motdiff":
-        from motdiff.estimators.motdiff import MotDiffEstimator
-
-        return MotDiffEstimator(weights=weights)
     alone = partial(NetworkAlone, weights, corrected=method.startswith("networks"))
     match method.split(":"):
         case ["network" | "networks"]:

@@ -19,13 +19,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from cep.calibration.calibrate import METHODS, make_estimator
 from cep.files.images import read_image, write_image
 from cep.restoration import restore
 from lab.studies.inputs import photos as photos_of
 from lab.studies.inputs import smooth_trace
 from motdiff.crops import CROP_PX
 from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.estimators.registry import blind_methods, make_method
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
 from motdiff.motions import boracchi_foi, random_gyro_motion
@@ -166,12 +166,12 @@ def main() -> None:
     parser.add_argument("--sigma", type=float, default=0.01)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--gamma", default="srgb")
-    parser.add_argument("--method", choices=METHODS[:2], default="pmp")
+    parser.add_argument("--method", choices=blind_methods(), default="pmp")
     parser.add_argument("-o", "--out", type=Path, default=Path("out/blind"))
     given = parser.parse_args()
     if given.folder is None and given.what == "photos":
         parser.error(f"{given.what} needs a folder")
-    estimator = make_estimator(given.method)
+    estimator = make_method(given.method, {}).make()
     if given.what == "seconds":
         wall_times(given.folder, given.gyro_trace, given.count, given.sigma, given.seed, estimator)
     else:

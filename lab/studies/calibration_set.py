@@ -25,7 +25,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.search.limits import Limits
 from lab.studies.inputs import photos
-from motdiff.estimators.pmp import PmpEstimator
+from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.motions import boracchi_foi
 from motdiff.types import FloatArray
 

@@ -84,7 +84,7 @@ def psnr(restored: np.ndarray, truth: np.ndarray, *, up_to_shift: bool) -> float
 def estimator(name: str) -> Callable[[np.ndarray, Trajectory], Trajectory]:
     if name == "true":
         return lambda _photo, path: path
-    from motdiff.estimators.pmp import PmpEstimator
+    from motdiff.estimators.pmp.estimator import PmpEstimator
 
     return lambda photo, _path: PmpEstimator().estimate(photo).trajectories[0]
 

@@ -19,7 +19,7 @@ from skimage import data
 
 from cep.restoration import METHODS, fill_clipped
 from motdiff.crops import clipped_mask, luminance
-from motdiff.estimators.pmp import PmpEstimator
+from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.metrics import mnc_subpixel, psnr
 from motdiff.motions import boracchi_foi
 from motdiff.psf_frame import PSF_PX

@@ -19,8 +19,8 @@ import numpy as np
 from scipy import ndimage
 
 from lab.studies.inputs import photos, smooth_trace
-from motdiff.estimators.gyro import GyroEstimator
-from motdiff.estimators.reference import ReferenceEstimator
+from motdiff.estimators.gyro.estimator import GyroEstimator
+from motdiff.estimators.reference.estimator import ReferenceEstimator
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace, trajectory_from_gyro
 from motdiff.metrics import mnc_subpixel

@@ -38,11 +38,10 @@ from lab.studies.inputs import kept_rows
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, FoundKernels
 from motdiff.estimators.kernel_score import distinct, noise_sigma, rank_kernels, shared_sigma
-from motdiff.estimators.motdiff import MotDiffEstimator
 from motdiff.estimators.motdiff.correcting import corrected_choice, corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs
-from motdiff.estimators.pmp import PmpEstimator
-from motdiff.estimators.pmp.estimator import refined
+from motdiff.estimators.motdiff.estimator import MotDiffEstimator
+from motdiff.estimators.pmp.estimator import PmpEstimator, refined
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network import MotDiffNetwork
@@ -148,7 +147,7 @@ class SharedSearch:
     def kernels(
         self, estimator: PmpEstimator, crops: FloatArray, **options: object
     ) -> list[FloatArray]:
-        """Search as :meth:`motdiff.estimators.pmp.PmpEstimator.kernels`, or give what was found
+        """Search as :meth:`motdiff.estimators.pmp.estimator.PmpEstimator.kernels`, or give what was found
         before.
         """
         key = crops.tobytes()

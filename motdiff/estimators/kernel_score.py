@@ -205,15 +205,12 @@ class Judge:
     ----------
     photos : (C, H, W) float
         Crops that share one blur.
-
-    Attributes
-    ----------
-    sigma : float
-        Standard deviation of their noise.
+    sigma : float, optional
+        Standard deviation of their noise; :func:`shared_sigma` when omitted.
     """
 
-    def __init__(self, photos: FloatArray) -> None:
-        self.sigma = shared_sigma(photos)
+    def __init__(self, photos: FloatArray, *, sigma: float | None = None) -> None:
+        self.sigma = shared_sigma(photos) if sigma is None else sigma
         self._spectra = [Spectrum(photo, sigma=self.sigma) for photo in photos]
         self._phases = [Phase(photo, sigma=self.sigma) for photo in photos]
 

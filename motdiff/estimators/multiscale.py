@@ -159,11 +159,11 @@ class BlindEstimator(ABC):
             for factor in _FACTORS:
                 both = list(zip(greys, clipped, strict=True))
                 cut = _each(both, partial(_textured_crops, factor=factor, count=count))
-                level = (
-                    self._alone(factor, cut[0])
-                    if len(cut) == 1
-                    else self._fused(factor, cut, whole)
-                )
+                if len(cut) == 1:
+                    searched = self._without_lights(cut[0], self.search(cut[0].crops))
+                    level = _Level(factor, *searched, cut[0].crops)
+                else:
+                    level = self._fused(factor, cut, whole)
                 if levels and level.found.confidence < max(
                     _LOST, levels[-1].found.confidence + _CLEARLY
                 ):
@@ -192,10 +192,6 @@ class BlindEstimator(ABC):
             whole.finish()
             return estimate
 
-    def _alone(self, factor: int, cut: _Cut) -> _Level:
-        crops, found = self._searched(cut)
-        return _Level(factor, crops, found, cut.crops)
-
     def _fused(self, factor: int, cuts: Sequence[_Cut], whole: Progress) -> _Level:
         """Search the crops of each of several photos, and those of all together."""
         photographed = cut_alike([cut.crops for cut in cuts])
@@ -214,7 +210,7 @@ class BlindEstimator(ABC):
         alone = []
         for cut in cuts:
             piece(cut.crops)
-            alone.append(self._searched(cut))
+            alone.append(self._without_lights(cut, self.search(cut.crops)))
             self._progress.finish()
         own = [found for _, found in alone]
         fusion = fuse(
@@ -223,11 +219,8 @@ class BlindEstimator(ABC):
         kept = np.concatenate([photographed[i] for i in fusion.kept])
         return _Level(factor, fusion.crops, fusion.found, kept, fusion, tuple(own))
 
-    def _searched(self, cut: _Cut) -> tuple[FloatArray, FoundKernels]:
-        """Search crops, a lost blur once more without their clipped lights; the likelier one,
-        after its crops.
-        """
-        found = self.search(cut.crops)
+    def _without_lights(self, cut: _Cut, found: FoundKernels) -> tuple[FloatArray, FoundKernels]:
+        """Search a lost blur again without clipped lights: the likelier one, after its crops."""
         if found.confidence >= _LOST or not 0 < cut.clipped.mean() <= MOST_LIGHTS:
             return cut.crops, found
         crops = np.stack(

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from motdiff.estimators.kernel_score import noise_sigma
-from motdiff.estimators.pmp import PmpEstimator
+from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.network.correction import CorrectionNetwork, corrected, correction_maps
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.psf_frame import in_frame

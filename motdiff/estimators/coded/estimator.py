@@ -53,8 +53,7 @@ class CodedEstimator:
     codes : sequence of str
         Bits of each photo's code, in the order of the photos; "1" throughout for an open shutter.
     kernels : Estimator, optional
-        What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when
-        omitted.
+        What finds the kernel of each photo; PMP when omitted.
     seed : int
         Of the random starts.
     progress : callable, optional

@@ -102,7 +102,7 @@ def exposures_of(
     photos : sequence of I (H, W) or (H, W, 3) array_like, linear light 0..1
     codes : sequence of I str
     kernels : Estimator, optional
-        What finds a kernel; :class:`motdiff.estimators.pmp.PmpEstimator` when omitted.
+        What finds a kernel; :class:`motdiff.estimators.pmp.estimator.PmpEstimator` when omitted.
     progress : Progress, optional
         Where the work done is reported; its plan holds ``cost`` for it already.
     cost : float
@@ -164,7 +164,7 @@ def _still(found: Sequence[MotionEstimate], codes: Sequence[str]) -> MotionEstim
 def _kernels_of(
     greys: Sequence[FloatArray], kernels: Estimator | None, progress: Progress, cost: float
 ) -> list[MotionEstimate]:
-    from motdiff.estimators.pmp import PmpEstimator
+    from motdiff.estimators.pmp.estimator import PmpEstimator
 
     def estimator(tell: Callable[[float], None]) -> Estimator:
         return kernels or PmpEstimator(crops=1, progress=tell)

@@ -76,8 +76,7 @@ class PathRefiner:
     deviation_px : float
         Expected error of the given path, rms over time.
     kernels : Estimator, optional
-        What finds the kernel of each photo; :class:`motdiff.estimators.pmp.PmpEstimator` when
-        omitted.
+        What finds the kernel of each photo; PMP when omitted.
     progress : callable, optional
         Called with the finished share 0..1.
 

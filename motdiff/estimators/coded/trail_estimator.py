@@ -14,7 +14,7 @@ from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.found import FoundPath, explained_share, motion_of_paths
 from motdiff.estimators.coded.starts import orders
 from motdiff.estimators.coded.trail_search import Trails, find_trail_paths
-from motdiff.estimators.point import background_light
+from motdiff.estimators.point.estimator import background_light
 from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX
 from motdiff.threads import one_thread_a_call

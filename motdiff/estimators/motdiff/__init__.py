@@ -1,7 +1,69 @@
-"""MoTDiff: the motion drawn from a conditional diffusion model, checked and refined with the
-photo.
-"""
+"""MoTDiff: motions drawn from a conditional diffusion model, scored and refined on the photo."""
 
-from motdiff.estimators.motdiff.estimator import MotDiffEstimator
+from __future__ import annotations
 
-__all__ = ["MotDiffEstimator"]
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from motdiff.estimators.method import Method, option
+
+if TYPE_CHECKING:
+    from motdiff.estimators.motdiff.estimator import MotDiffEstimator
+
+__all__ = ["MotDiff"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotDiff(Method):
+    """Blind, by the diffusion model."""
+
+    name = "motdiff"
+    about = "blind, diffusion model"
+    cites: ClassVar = (
+        "choi2025motdiff",
+        "ho2020",
+        "nichol2021",
+        "song2021",
+        "lin2024",
+        "wang2022pvt",
+        "wang2022ssformer",
+        "wei2020",
+        "wen2021pmp",
+        "whittle1953",
+        "immerkaer1996",
+        "marziliano2002",
+        "hu2012",
+    )
+    smallest_px = 64  # a PSF frame: the lag maps need as much
+    is_blind = True
+
+    samples: int = option(
+        "count",
+        "Motions to draw; 8 when omitted, more add next to nothing.",
+        flag="--samples",
+        metavar="K",
+        default=8,
+    )
+    weights: Path | None = None
+
+    def make(
+        self, *, seed: int = 0, progress: Callable[[float], None] | None = None
+    ) -> MotDiffEstimator:
+        """Make the estimator, with the shipped weights unless others are named."""
+        from motdiff.estimators.motdiff.estimator import MotDiffEstimator
+
+        return MotDiffEstimator(
+            weights=self.weights, samples=self.samples, seed=seed, progress=progress
+        )
+
+    def loading_shares(self) -> tuple[float, float, float]:
+        """Shares of a photo's estimate: docs/decisions/code.md."""
+        return 0.12, 0.28, 0.36
+
+    def weight_files(self) -> tuple[Path, ...]:
+        """Weights of the network and of its correction."""
+        from motdiff.weights import MOTDIFF_FILES
+
+        return MOTDIFF_FILES if self.weights is None else (self.weights, *MOTDIFF_FILES[1:])

@@ -19,11 +19,11 @@ from motdiff.estimators.kernel_score import (
     noise_sigma,
     shared_sigma,
 )
+from motdiff.estimators.motdiff import MotDiff
 from motdiff.estimators.motdiff.correcting import corrected_choice
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import BlindEstimator
-from motdiff.estimators.pmp import PmpEstimator
-from motdiff.estimators.pmp.estimator import STARTS, planned, refined
+from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, planned, refined
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
 from motdiff.network.sampling import DOUBT
@@ -86,7 +86,7 @@ class MotDiffEstimator(BlindEstimator):
 
     method = "motdiff"
     largest_px = _ODD_PX
-    smallest_px = PSF_PX  # of the lag maps
+    smallest_px = MotDiff.smallest_px
 
     def __init__(
         self,
@@ -117,7 +117,7 @@ class MotDiffEstimator(BlindEstimator):
         )
         after += _CORRECT_COST if self._refine else 0.0
         self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
-        judge = Judge(crops)
+        judge = Judge(crops, sigma=shared_sigma(crops))
         classical, conditions = self._classical(crops)
         drawn = draw_psfs(
             self._network,

@@ -1,5 +1,38 @@
 """Blind estimation with the patch-wise minimal pixels prior (PMP)."""
 
-from motdiff.estimators.pmp.estimator import PmpEstimator
+from __future__ import annotations
 
-__all__ = ["PmpEstimator"]
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from motdiff.estimators.method import Method
+
+if TYPE_CHECKING:
+    from motdiff.estimators.pmp.estimator import PmpEstimator
+
+__all__ = ["Pmp"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pmp(Method):
+    """Blind, by a classical search."""
+
+    name = "pmp"
+    about = "blind, classical"
+    cites: ClassVar = ("wen2021pmp", "xu2013", "cho2009", "beck2009", "liu2008", "hu2012")
+    smallest_px = 48  # as motdiff.crops.LEAST_PX, which loads OpenCV
+    is_blind = True
+
+    def make(
+        self, *, seed: int = 0, progress: Callable[[float], None] | None = None
+    ) -> PmpEstimator:
+        """Make the estimator, which draws nothing at random."""
+        del seed
+        from motdiff.estimators.pmp.estimator import PmpEstimator
+
+        return PmpEstimator(progress=progress)
+
+    def loading_shares(self) -> tuple[float, float, float]:
+        """Shares of a photo's estimate: docs/decisions/code.md."""
+        return 0.12, 0.26, 0.32

@@ -11,10 +11,10 @@ from functools import partial
 import numpy as np
 import torch
 
-from motdiff.crops import LEAST_PX
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import rank_kernels, shared_sigma
 from motdiff.estimators.multiscale import BlindEstimator
+from motdiff.estimators.pmp import Pmp
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
 from motdiff.metrics import mnc_subpixel
 from motdiff.progress import Progress
@@ -86,7 +86,7 @@ class PmpEstimator(BlindEstimator):
     """
 
     method = "pmp"
-    smallest_px = LEAST_PX
+    smallest_px = Pmp.smallest_px
 
     def __init__(
         self,

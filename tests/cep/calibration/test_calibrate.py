@@ -11,15 +11,14 @@ import pytest
 
 from cep.calibration.calibrate import (
     CALIBRATION_FILES,
-    METHODS,
+    Calibration,
     estimate_motion,
-    make_estimator,
-    write_calibration,
 )
 from cep.files.files import read_psf
 from cep.files.images import read_image, write_image
 from cep.optics.code import ShutterCode
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.registry import METHODS, make_method
 from motdiff.files.trajectories import read_motion
 from motdiff.gyro import GyroTrace
 from motdiff.trajectory import Trajectory
@@ -71,7 +70,7 @@ def made(monkeypatch):
         seen.append(options)
         return SimpleNamespace(estimate=lambda photo: estimate(BENT))
 
-    monkeypatch.setattr("motdiff.estimators.motdiff.MotDiffEstimator", make)
+    monkeypatch.setattr("motdiff.estimators.motdiff.estimator.MotDiffEstimator", make)
     return seen
 
 
@@ -79,16 +78,15 @@ def test_each_method_makes_its_estimator(small_weights):
     needs = {
         "reference": {"sharp": np.eye(40)},
         "gyro": GYRO,
-        "coded": {"codes": [ShutterCode("1011")]},
+        "coded": {"codes": ("1011",)},
     }
-    for method in METHODS:
-        name = type(make_estimator(method, **needs.get(method, {}))).__name__
-        assert name.lower() == f"{method}estimator"
-    assert type(make_estimator()).__name__ == "MotDiffEstimator"
+    for name in METHODS:
+        estimator = make_method(name, needs.get(name, {})).make()
+        assert type(estimator).__name__.lower() == f"{name}estimator"
 
 
 def test_a_light_through_codes_has_an_estimator_of_its_own():
-    assert type(make_estimator("point", codes=[ShutterCode("1011")])).__name__ == "TrailEstimator"
+    assert type(make_method("point", {"codes": ("1011",)}).make()).__name__ == "TrailEstimator"
 
 
 @pytest.mark.parametrize(
@@ -123,19 +121,22 @@ def test_a_photo_given_twice_through_two_codes_is_refused():
 
 
 def test_the_diffusion_model_gets_its_options(made):
-    make_estimator(samples=3, seed=5)
-    make_estimator("motdiff")
+    make_method("motdiff", {"samples": 3}).load(seed=5)
+    make_method("motdiff", {"samples": None}).load()
     assert all(callable(options.pop("progress")) for options in made)
-    assert made == [{"samples": 3, "seed": 5}, {"samples": 8, "seed": 0}]
+    assert made == [
+        {"weights": None, "samples": 3, "seed": 5},
+        {"weights": None, "samples": 8, "seed": 0},
+    ]
 
 
 @pytest.mark.parametrize("method", ["motdiff", "pmp"])
 def test_the_share_told_begins_before_torch_is_loaded_and_goes_on_with_the_estimator_s(method):
     """In a fresh interpreter, for torch is loaded here."""
     script = (
-        "import json, sys; from cep.calibration.calibrate import make_estimator; told = [];"
-        " make_estimator(sys.argv[1], progress=lambda share, _what: told.append(('torch' in"
-        " sys.modules, f'motdiff.estimators.{sys.argv[1]}' in sys.modules, share)));"
+        "import json, sys; from motdiff.estimators.registry import METHODS; told = [];"
+        " METHODS[sys.argv[1]]().load(progress=lambda share, _what: told.append(('torch' in"
+        " sys.modules, f'motdiff.estimators.{sys.argv[1]}.estimator' in sys.modules, share)));"
         " print(json.dumps(told))"
     )
     ran = subprocess.run(
@@ -145,11 +146,6 @@ def test_the_share_told_begins_before_torch_is_loaded_and_goes_on_with_the_estim
     shares = [share for *_, share in json.loads(ran.stdout)]
     assert loaded == [(False, False), (True, False), (True, True)]
     assert shares == sorted(shares)
-
-
-def test_a_seed_does_no_harm_to_a_method_that_draws_nothing():
-    make_estimator("pmp", seed=3)
-    make_estimator("point", seed=3)
 
 
 def test_calibration_is_blind_unless_told_otherwise(made):
@@ -195,7 +191,7 @@ def test_a_steady_turn_gives_a_straight_path():
 )
 def test_what_a_method_needs_is_said(method, options, message):
     with pytest.raises(ValueError, match=message):
-        make_estimator(method, **options)
+        make_method(method, options).make()
 
 
 @pytest.mark.parametrize(("level", "shade"), [(0.0, "black"), (1.0, "white"), (0.4, "the same")])
@@ -207,7 +203,8 @@ def test_a_photo_without_texture_is_refused(level, shade):
 def test_the_files_hold_the_estimate(tmp_path):
     found = estimate(BENT, BENT.scaled(1.2))
     photo = np.random.default_rng(0).random((80, 90, 3))
-    written = write_calibration(tmp_path / "m", found, photo, source={"image": "a.png", "seed": 4})
+    source = {"image": "a.png", "seed": 4}
+    written = Calibration.of(found, photo).save(tmp_path / "m", source=source)
     assert (
         set(written)
         == set(CALIBRATION_FILES)
@@ -223,9 +220,8 @@ def test_the_files_hold_the_estimate(tmp_path):
 
 
 def test_a_path_too_large_for_the_map_has_none(tmp_path):
-    written = write_calibration(
-        tmp_path / "m", estimate(Trajectory.straight(100.0)), np.zeros((60, 60))
-    )
+    long = Calibration.of(estimate(Trajectory.straight(100.0)), np.zeros((60, 60)))
+    written = long.save(tmp_path / "m")
     assert set(written) == set(CALIBRATION_FILES) - {
         "map.png",
         "sharpened.png",
@@ -233,13 +229,13 @@ def test_a_path_too_large_for_the_map_has_none(tmp_path):
 
 
 def test_nothing_is_replaced_or_half_written(tmp_path):
-    write_calibration(tmp_path / "m", estimate(BENT), np.zeros((60, 60)))
+    Calibration.of(estimate(BENT), np.zeros((60, 60))).save(tmp_path / "m")
     before = (tmp_path / "m/trajectory.json").read_text()
     with pytest.raises(ValueError, match="use --force"):
-        write_calibration(tmp_path / "m", estimate(BENT.scaled(2)), np.zeros((60, 60)))
+        Calibration.of(estimate(BENT.scaled(2)), np.zeros((60, 60))).save(tmp_path / "m")
     with pytest.raises(TypeError, match="shape"):  # fails on the last file, the preview
-        write_calibration(
-            tmp_path / "m", estimate(BENT.scaled(2)), np.zeros((60, 60, 7)), force=True
+        Calibration.of(estimate(BENT.scaled(2)), np.zeros((60, 60, 7))).save(
+            tmp_path / "m", force=True
         )
     assert (tmp_path / "m/trajectory.json").read_text() == before
     assert [item.name for item in tmp_path.iterdir()] == ["m"]
@@ -252,7 +248,7 @@ def test_the_command_is_blind_by_the_diffusion_model_unless_told_otherwise(cep, 
     found = cep.succeeds("calibrate", "blurred.png", "-o", "motion")
     (options,) = made
     assert callable(options.pop("progress"))
-    assert options == {"samples": 8, "seed": 0}
+    assert options == {"weights": None, "samples": 8, "seed": 0}
     assert found["length_px"] == pytest.approx(BENT.length_px)
     assert read_motion(workplace / "motion/trajectory.json").source["seed"] == 0
 
@@ -291,7 +287,8 @@ def test_a_photo_that_is_too_small_is_refused_before_anything_slow_is_loaded(
     write_image("small.png", np.random.default_rng(0).random((30, 35)))
     script = (
         "import sys; from cep.commands.main import main; code = main(sys.argv[1:]); print(code,"
-        " *{'torch', 'matplotlib', f'motdiff.estimators.{sys.argv[-1]}'} & {*sys.modules})"
+        " *{'torch', 'matplotlib', f'motdiff.estimators.{sys.argv[-1]}.estimator'}"
+        " & {*sys.modules})"
     )
     command = [sys.executable, "-c", script, "calibrate", "small.png", "--method", method]
     ran = subprocess.run(command, capture_output=True, text=True, check=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep.calibration.calibrate import CALIBRATION_FILES
+from cep.calibration.calibrate import CALIBRATION_FILES, Calibration
 from cep.calibration.calibrate_folder import calibrate_folder, photos_in, sharp_of
 from cep.calibration.photo_cell import estimate_from_figures, estimate_photo
 from cep.commands.console import FAILURE, INTERRUPTED
@@ -74,7 +74,7 @@ def guesses(monkeypatch):
                 "guess", (BENT,), (1.0,), BENT.psf(64), 0.4, ("a guess",), {"figure": 1.5}
             )
 
-    monkeypatch.setattr("motdiff.estimators.reference.ReferenceEstimator", Guess)
+    monkeypatch.setattr("motdiff.estimators.reference.estimator.ReferenceEstimator", Guess)
     return Guess
 
 
@@ -171,7 +171,7 @@ def test_a_photo_that_is_too_small_fails_before_an_estimator_is_made(
         made.append(progress)
         return guesses(None)
 
-    monkeypatch.setattr("motdiff.estimators.pmp.PmpEstimator", make)
+    monkeypatch.setattr("motdiff.estimators.pmp.estimator.PmpEstimator", make)
     write_image("shots/small.png", np.random.default_rng(0).random((30, 90)))
     cep("calibrate", "shots", "--method", "pmp", "--workers", "1", "--json")
     assert cep.code == FAILURE
@@ -212,16 +212,9 @@ def test_stopped_it_removes_nothing(cep, shots, guesses):
 def test_where_every_photo_fails_each_is_told(cep, shots, guesses):
     for name in MOTIONS:
         Path("shots", name).write_bytes(b"rubbish")
-    cep(*REFERENCE, "--json", "--cache", "cells")
+    cep(*REFERENCE, "--json")
     assert (cep.code, list(cep.json["failures"])) == (FAILURE, list(MOTIONS))
     assert [row["photo"] for row in rows_of("shots_motion/motions.csv")] == list(MOTIONS)
-
-
-def test_a_dead_cluster_leaves_nothing(cep, shots, guesses, monkeypatch):
-    pytest.importorskip("distributed")
-    monkeypatch.setattr("cep.jobs.executors._CONNECT_S", 0.3)
-    assert "dask: no scheduler answers" in cep.refuses(*REFERENCE, "--dask", "tcp://127.0.0.1:9")
-    assert not Path("shots_motion").exists()
 
 
 def test_people_see_names_whole_and_reasons(cep, shots, guesses):
@@ -300,18 +293,16 @@ def test_stopped_while_processes_work_it_keeps_what_came_and_tells(
 ):
     """Ctrl-C in the midst of writing: that photo is finished, the others of the pool are left
     out."""
-    from cep.calibration import calibrate_folder
-
-    real = calibrate_folder.write_calibration
+    real = Calibration.save
     begun = []
 
-    def interrupted(folder, *arguments, **options):
+    def interrupted(self, folder, **options):
         begun.append(Path(folder).name)
         if len(begun) == stopped_at:
             raise KeyboardInterrupt
-        return real(folder, *arguments, **options)
+        return real(self, folder, **options)
 
-    monkeypatch.setattr(calibrate_folder, "write_calibration", interrupted)
+    monkeypatch.setattr(Calibration, "save", interrupted)
     cep(*REFERENCE[:-1], "2", "--json")
     assert cep.code == INTERRUPTED
     done = {Path(name).stem for name in cep.json["photos"]}
@@ -429,7 +420,6 @@ def broken_sharp():
         (("--method", "magic"), None, "method: must be one of"),
         (("--gamma", "9"), None, "gamma: must be"),
         (("--workers", "0"), None, "--workers"),
-        (("--cache", "sharp.png"), None, "sharp.png: is a file"),
         (("-o", "sharp.png"), None, "sharp.png: is a file"),
     ],
 )
@@ -448,11 +438,8 @@ def test_a_gyroscope_is_for_one_photo(cep, shots):
     )
 
 
-@pytest.mark.parametrize(
-    "option", [("--workers", "2"), ("--dask", "tcp://127.0.0.1:9"), ("--cache", "cells")]
-)
-def test_the_options_of_a_folder_are_for_a_folder(cep, shots, option):
-    assert f"{option[0]}: is for a folder" in cep.refuses("calibrate", "blurred.png", *option)
+def test_workers_are_for_a_folder(cep, shots):
+    assert "--workers: is for a folder" in cep.refuses("calibrate", "blurred.png", "--workers", 2)
 
 
 def test_motions_are_found_as_they_were_written(cep, shots, guesses):
@@ -469,7 +456,7 @@ def test_from_python_it_gives_what_the_command_prints(cep, shots, guesses):
     made = calibrate_folder(
         Path("shots"),
         method="reference",
-        sharp=Path("sharp.png"),
+        options={"sharp": Path("sharp.png")},
         workers=1,
         progress=lambda fraction, note: told.append((fraction, note)),
     )
@@ -487,6 +474,6 @@ def test_from_python_it_gives_what_the_command_prints(cep, shots, guesses):
     ]
     assert made.warnings == printed["warnings"]
     with pytest.raises(ValueError, match=r"motions\.csv: exists already"):
-        calibrate_folder(Path("shots"), method="reference", sharp=Path("sharp.png"))
+        calibrate_folder(Path("shots"), method="reference", options={"sharp": Path("sharp.png")})
     with pytest.raises(ValueError, match="start_s is the opening of one photo"):
         calibrate_folder(Path("shots"), Path("other"), method="gyro")

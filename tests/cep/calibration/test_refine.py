@@ -7,7 +7,7 @@ from cep.calibration.refine import refine_motion
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
-from motdiff.estimators.reference import ReferenceEstimator
+from motdiff.estimators.reference.estimator import ReferenceEstimator
 from motdiff.metrics import timed_distance_px
 from motdiff.trajectory import Trajectory
 

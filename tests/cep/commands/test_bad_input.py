@@ -695,7 +695,7 @@ def path_of(length_px, *, turns=0):
         ("pareto", "--chips", "12", "-o", "new.json"),
         ("simulate", "sharp.png", "-o", "new.png"),
         ("deblur", "sharp.png", "-o", "new.png"),
-        ("refine", "sharp.png", "--code", "101100111000", "-o", "new"),
+        ("calibrate", "sharp.png", "--code", "101100111000", "-o", "new"),
     ],
     ids=lambda command: command[0],
 )
@@ -706,7 +706,7 @@ def test_a_path_too_long_is_refused_before_any_work(refused, command, path):
     line = refused(*command, "--trajectory", "long.json")
     assert "long.json: trajectory: the path is " in line
     assert "at most 4096 px can be handled" in line
-    if command[0] != "refine":
+    if command[0] != "calibrate":
         assert "--linear: must be a length above 0 and up to 4096 px" in refused(
             *command, "--linear", "4097"
         )

@@ -51,7 +51,7 @@ def shots(tmp_path, monkeypatch):
 @pytest.fixture
 def search(monkeypatch):
     made = Together()
-    monkeypatch.setattr("motdiff.estimators.pmp.PmpEstimator", lambda **_: made)
+    monkeypatch.setattr("motdiff.estimators.pmp.estimator.PmpEstimator", lambda **_: made)
     return made
 
 

@@ -31,7 +31,6 @@ from motdiff.trajectory import Trajectory
 COMMANDS = (
     "calibrate",
     "calibration-set",
-    "refine",
     "advise",
     "optimize",
     "pareto",
@@ -159,7 +158,7 @@ def test_every_command_has_help_with_an_example_and_the_common_options(cep, comm
     )  # the studio writes a folder only when asked to
     for text in ("--json", "--force", output, "Example: cep " + command):
         assert text in page
-    draws_nothing = ("refine", "camera estimate", "cite")
+    draws_nothing = ("camera estimate", "cite")
     assert ("--seed" in cep.out) == (command not in (*BENCHES, *draws_nothing))
 
 

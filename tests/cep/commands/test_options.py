@@ -29,7 +29,6 @@ GYRO = [
 FINE = {
     "calibrate": ["blurred.png", *GYRO],
     "calibration-set": ["--photos", "2", "--chips", "8"],
-    "refine": ["blurred.png", "--code", "1101000101101111", "--trajectory", "trajectory.json"],
     "advise": ["--linear", "12", "--chips", "12"],
     "optimize": ["--linear", "12", "--chips", "12", "--steps", "1000"],
     "pareto": ["--linear", "12", "--chips", "12", "--steps", "1000"],
@@ -185,11 +184,9 @@ def test_an_exposure_is_the_same_text_in_every_command(refused, command):
         ("deblur", ["--method", "tv", "--photons", "9"], "--photons: not valid with --method tv"),
         ("deblur", ["--method", "x"], "--method"),
         ("simulate", ["--code", "10x"], "--code"),
-        ("refine", ["--code", "1101"], "--code: needs one for each photo, got 2 for 1 photos"),
-        ("refine", ["--uncertainty", "0"], "--uncertainty"),
         *(
             (command, ["--gamma", "nan"], "--gamma")
-            for command in ("calibrate", "deblur", "refine", "simulate", "demo")
+            for command in ("calibrate", "deblur", "simulate", "demo")
         ),
         ("calibrate", ["--method", "x"], "--method"),
         ("calibrate", ["--method", "pmp"], "--exposure: not valid with --method pmp"),

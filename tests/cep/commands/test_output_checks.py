@@ -31,8 +31,8 @@ FILES = {
     "mtf": ("mtf", "--linear", "8", "-o", "OUT.png"),
     "simulate": ("simulate", "sharp.png", "--linear", "8", "-o", "OUT.png"),
     "deblur": ("deblur", "blurred.png", "--trajectory", "trajectory.json", "-o", "OUT.png"),
-    "refine": (
-        "refine",
+    "calibrate --trajectory": (
+        "calibrate",
         "blurred.png",
         "--code",
         "1101",
@@ -87,7 +87,7 @@ FOLDERS = {
 
 WORK = (
     "cep.files.images.decode",
-    "cep.calibration.calibrate.make_estimator",
+    "cep.calibration.calibrate.make_method",
     "cep.search.optimize.search",
     "cep.search.frames.search_code",
     "lab.fronts.run.pareto_front",

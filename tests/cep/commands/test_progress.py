@@ -62,7 +62,7 @@ print(json.dumps({"code": code, "shown": shown, "last": Terminal.text}))
         ),
         (("deblur", "blurred.png", "--code", "1101", "-o", "out.txt"), "restoring"),
         (
-            ("refine", "small.png", "--code", "1101", "--trajectory", "nowhere.json"),
+            ("calibrate", "small.png", "--code", "1101", "--trajectory", "nowhere.json"),
             "refining the motion",
         ),
         (("demo", "--photo", "small.png"), "starting"),
@@ -141,8 +141,8 @@ def quick_blind(monkeypatch):
 
         return SimpleNamespace(estimate=estimate)
 
-    monkeypatch.setattr("motdiff.estimators.motdiff.MotDiffEstimator", make)
-    monkeypatch.setattr("motdiff.estimators.pmp.PmpEstimator", make)
+    monkeypatch.setattr("motdiff.estimators.motdiff.estimator.MotDiffEstimator", make)
+    monkeypatch.setattr("motdiff.estimators.pmp.estimator.PmpEstimator", make)
 
 
 GYRO = ("--gyro", "gyro.csv", "--focal", "500", "--start", "0.2", "--exposure", "0.1")

@@ -1,5 +1,4 @@
-"""``cep refine`` and ``cep deblur`` without a trajectory: what is written, what is said, what is
-refused."""
+"""``cep calibrate --trajectory``, and ``cep deblur`` without a trajectory."""
 
 import json
 from pathlib import Path
@@ -44,7 +43,14 @@ def test_refine_writes_a_trajectory_that_says_how_sure_it_is(cep, photos):
         "rough.json", StoredMotion(rough, source={"method": "test", "path_uncertainty_px": 1.0})
     )
     found = cep.succeeds(
-        "refine", "one.png", "two.png", *codes, "--trajectory", "rough.json", "-o", "better.json"
+        "calibrate",
+        "one.png",
+        "two.png",
+        *codes,
+        "--trajectory",
+        "rough.json",
+        "-o",
+        "better.json",
     )
     assert {
         "trajectory",
@@ -74,7 +80,10 @@ def test_deblur_without_a_trajectory_says_first_what_was_restored(cep, photos):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["one.png"], ["--trajectory", "needed"]),
+        (
+            ["one.png", "--code", CODES[0], "--trajectory", "trajectory.json", "--method", "pmp"],
+            ["--method: not valid with --trajectory"],
+        ),
         (["one.png", "--trajectory", "trajectory.json"], ["--code", "needed"]),
         (
             ["one.png", "two.png", "--code", CODES[0], "--trajectory", "trajectory.json"],
@@ -126,18 +135,6 @@ def test_deblur_without_a_trajectory_says_first_what_was_restored(cep, photos):
             ["slow.json: is what is read"],
         ),
         (
-            [
-                "one.png",
-                "--code",
-                CODES[0],
-                "--trajectory",
-                "trajectory.json",
-                "--uncertainty",
-                "0",
-            ],
-            ["--uncertainty: must be above 0"],
-        ),
-        (
             ["one.png", "--code", "open", "--trajectory", "trajectory.json"],
             ["order cannot be known"],
         ),
@@ -159,7 +156,7 @@ def test_bad_input_is_one_line_and_writes_nothing(cep, photos, arguments, words)
     odd["source"]["path_uncertainty_px"] = "much"
     Path("odd.json").write_text(json.dumps(odd))
     before = sorted(photos.rglob("*"))
-    line = cep.refuses("refine", *arguments)
+    line = cep.refuses("calibrate", *arguments)
     assert all(word in line for word in words), line
     assert sorted(photos.rglob("*")) == before
 

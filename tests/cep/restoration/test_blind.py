@@ -45,7 +45,7 @@ def test_the_photo_and_its_code_are_enough():
 
 def test_a_lost_psf_is_said_to_be_lost(monkeypatch):
     from motdiff.estimators.base import MotionEstimate
-    from motdiff.estimators.pmp import PmpEstimator
+    from motdiff.estimators.pmp.estimator import PmpEstimator
 
     def lost(_self, photo):
         said = ("of its path", "of its PSF")

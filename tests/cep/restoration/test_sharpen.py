@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cep.calibration.calibrate import Calibration, write_calibration
+from cep.calibration.calibrate import Calibration
 from cep.files.images import read_photo, write_image
 from cep.restoration.sharpen import sharpen
 from motdiff.estimators.base import MotionEstimate
@@ -101,7 +101,7 @@ def estimated(monkeypatch):
     def given(estimate):
         monkeypatch.setattr(
             "cep.calibration.calibrate.estimate_motion",
-            lambda photo, **_options: Calibration(**vars(estimate), photo=np.asarray(photo)),
+            lambda photo, **_options: Calibration.of(estimate, np.squeeze(photo)),
         )
 
     return given
@@ -127,11 +127,11 @@ def test_deblur_of_a_photo_alone_writes_its_bits_and_says_first_what_it_did(
 
 
 def test_a_calibration_has_the_restored_photo_unless_it_was_coded(tmp_path):
-    written = write_calibration(tmp_path / "open", FOUND, PHOTO, bits=16)
+    written = Calibration.of(FOUND, PHOTO).save(tmp_path / "open", bits=16)
     restored = read_photo(written["sharpened.png"])
     assert restored.bits == 16
     np.testing.assert_allclose(
         restored.pixels, np.clip(sharpen(PHOTO, FOUND).image, 0, 1), atol=1e-3
     )
     coded = replace(FOUND, details={"order_confidence": 0.9})
-    assert "sharpened.png" not in write_calibration(tmp_path / "coded", coded, PHOTO)
+    assert "sharpened.png" not in Calibration.of(coded, PHOTO).save(tmp_path / "coded")

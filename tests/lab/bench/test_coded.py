@@ -1286,7 +1286,7 @@ class Finder:
 
 
 def test_kernels_are_searched_in_the_photos_that_are_restored(tmp_path, two_photos, monkeypatch):
-    monkeypatch.setattr("motdiff.estimators.pmp.PmpEstimator", Finder)
+    monkeypatch.setattr("motdiff.estimators.pmp.estimator.PmpEstimator", Finder)
     Finder.photos = []
     blind = replace(CALIBRATED, restored_by="blind", motions=1, photos=1)
     photos = {"a": two_photos["a"]}

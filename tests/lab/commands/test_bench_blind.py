@@ -70,7 +70,7 @@ def guesses(monkeypatch):
             return MotionEstimate("guess", (motion,), (1.0,), motion.psf(32), 0.4)
 
     work._estimator.cache_clear()
-    monkeypatch.setattr("motdiff.estimators.pmp.PmpEstimator", Guess)
+    monkeypatch.setattr("motdiff.estimators.pmp.estimator.PmpEstimator", Guess)
     yield Guess
     work._estimator.cache_clear()
 

@@ -6,8 +6,7 @@ import pytest
 
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.fusion import cut_alike, fuse
-from motdiff.estimators.pmp import PmpEstimator
-from motdiff.estimators.pmp.estimator import Start
+from motdiff.estimators.pmp.estimator import PmpEstimator, Start
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory

@@ -10,12 +10,12 @@ import torch
 from lab.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import noise_sigma
-from motdiff.estimators.motdiff import MotDiffEstimator, correcting, drawing
+from motdiff.estimators.motdiff import correcting, drawing
 from motdiff.estimators.motdiff import estimator as module
 from motdiff.estimators.motdiff.correcting import corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
-from motdiff.estimators.pmp import PmpEstimator
-from motdiff.estimators.pmp.estimator import STARTS, Start, planned
+from motdiff.estimators.motdiff.estimator import MotDiffEstimator
+from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, Start, planned
 from motdiff.metrics import mnc_subpixel
 from motdiff.network import NetworkConfig
 from motdiff.network.physics_maps import QUICK_STARTS, autocorrelation, spectral_maps
@@ -852,7 +852,8 @@ def test_a_method_may_name_its_file_of_weights(oracle_weights, monkeypatch, tmp_
         "lab.evaluation.methods.NetworkAlone", lambda weights, **_: taken.append(weights)
     )
     monkeypatch.setattr(
-        "motdiff.estimators.motdiff.MotDiffEstimator", lambda *, weights: taken.append(weights)
+        "motdiff.estimators.motdiff.estimator.MotDiffEstimator",
+        lambda *, weights: taken.append(weights),
     )
     file = tmp_path / "run 2.safetensors"
     file.touch()

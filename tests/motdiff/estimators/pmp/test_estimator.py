@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.estimators.pmp import PmpEstimator, blind
+from motdiff.estimators.pmp import blind
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
-from motdiff.estimators.pmp.estimator import Start, planned
+from motdiff.estimators.pmp.estimator import PmpEstimator, Start, planned
 from motdiff.estimators.pmp.latent import l0_pmp_latent
 from motdiff.metrics import mnc_subpixel
 from motdiff.progress import Progress

@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 from skimage import data
 
-from motdiff.estimators.reference import ReferenceEstimator
+from motdiff.estimators.reference.estimator import ReferenceEstimator
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, quadratic
 from motdiff.simulate import blur_valid, photograph, to_linear

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from motdiff.estimators.gyro import GyroEstimator
+from motdiff.estimators.gyro.estimator import GyroEstimator
 from motdiff.gyro import GyroTrace, trajectory_from_gyro
 from motdiff.metrics import mnc_subpixel, path_distance_px
 

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from scipy import fft, ndimage
 
 from motdiff import crops
-from motdiff.estimators import psf_fit
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.registration import coarse_shift, high_passed
+from motdiff.estimators.reference import psf_fit
+from motdiff.estimators.reference.registration import coarse_shift, high_passed
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX, centroid_px, without_faint_light
 from motdiff.tracing import trace_psf_to_trajectory

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from motdiff.estimators.registration import coarse_shift, high_passed
+from motdiff.estimators.reference.registration import coarse_shift, high_passed
 
 
 def scene(shape: tuple[int, int]) -> np.ndarray:

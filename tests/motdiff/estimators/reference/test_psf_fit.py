@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy import ndimage, optimize, signal
 
-from motdiff.estimators.psf_fit import PatchPair, explained_share, fit_psf, residual_variance
+from motdiff.estimators.reference.psf_fit import (
+    PatchPair,
+    explained_share,
+    fit_psf,
+    residual_variance,
+)
 from motdiff.motions import boracchi_foi
 
 SIZE = 7

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from motdiff.estimators.point import PointEstimator
+from motdiff.estimators.point.estimator import PointEstimator
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, quadratic
 from motdiff.simulate import blur_valid, photograph
