@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from cep.calibration.calibration_set import calibration_set
-from cep.files.files import StoredCode, json_text, read_code, read_json, write_code
+from cep.files.files import StoredCode, read_code, read_json, write_code
 from cep.optics.camera import Camera, camera_names
 from cep.optics.code import ShutterCode
 from cep.search.optimize import optimize
@@ -22,7 +22,7 @@ from hw.program import Program
 from lab.bench.table_io import made_json, tables_json
 from lab.bench.tables import Column, tabulate
 from lab.fronts.run import pareto
-from motdiff.files.schemas import fault, load_schema
+from motdiff.files.json_files import fault, json_text, load_schema
 from motdiff.files.trajectories import StoredMotion, read_motion, write_motion
 from motdiff.trajectory import Trajectory
 
@@ -74,7 +74,7 @@ def test_a_schema_is_one_and_has_only_keywords_that_readers_know(name):
 def test_a_keyword_that_readers_would_pass_over_is_refused(tmp_path, monkeypatch):
     (tmp_path / "schemas").mkdir()
     (tmp_path / "schemas" / "odd.json").write_text('{"properties": {"a": {"multipleOf": 2}}}')
-    monkeypatch.setattr("motdiff.files.schemas.resources.files", lambda _: tmp_path)
+    monkeypatch.setattr("motdiff.files.json_files.resources.files", lambda _: tmp_path)
     with pytest.raises(ValueError, match=r"odd\.json: unknown keyword 'multipleOf'"):
         load_schema("nowhere", "odd")
 

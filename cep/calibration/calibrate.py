@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from cep.files.files import write_psf
 from cep.files.images import read_image, write_image
-from cep.files.outputs import new_folder
 from cep.optics.code import ShutterCode
 from cep.plots import png_bytes, save, trajectory_figure
 from cep.restoration.sharpen import sharpen
@@ -24,6 +23,7 @@ from motdiff.estimators.from_kernel import as_estimate
 from motdiff.estimators.method import Method, command_options
 from motdiff.estimators.registry import METHODS, blind_methods, check_options, make_method
 from motdiff.files.gyro_tables import RateUnit, read_gyro
+from motdiff.files.outputs import new_folder
 from motdiff.files.plugins import is_reference
 from motdiff.files.trajectories import StoredMotion, write_motion
 from motdiff.psf_frame import PSF_PX

@@ -9,11 +9,11 @@ from typing import Any, cast
 from cep.calibration.calibrate import CALIBRATION_FILES, Calibration, check_method
 from cep.calibration.photo_cell import estimate_from_figures, estimate_photo, estimator_version
 from cep.files.images import PHOTO_SUFFIXES, parse_gamma, read_image, read_photo
-from cep.files.outputs import claim_folder
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.engine import Engine
 from cep.jobs.folders import FolderResults, NotWrittenError, is_spelled, run_folder
 from motdiff.estimators.registry import METHODS
+from motdiff.files.outputs import claim_folder
 
 _SUMMARY = "motions.csv"
 _COLUMNS = (

@@ -14,15 +14,15 @@ import numpy as np
 
 from cep.calibration.order_codes import search_order_codes
 from cep.calibration.order_separation import BLIND_ERROR, OrderSeparation, ordered_walks
-from cep.files.files import StoredCode, json_text, write_code
-from cep.files.outputs import new_folder
+from cep.files.files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.search.limits import Limits, RunLimits, check_feasible
 from cep.search.playable import within_device
 from hw.device import DeviceProfile, load_profile
 from hw.export import export_program, file_name
 from hw.program import Program
-from motdiff.files.outputs import write_text
+from motdiff.files.json_files import json_text
+from motdiff.files.outputs import new_folder, write_text
 
 SET_FILE = "set.json"
 SET_SCHEMA = "cep.calibration-set/1"

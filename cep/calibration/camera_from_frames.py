@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.files.images import RAW_SUFFIXES, read_codes, read_mosaic
-from cep.files.outputs import claim
 from cep.optics.camera import Camera
 from cep.optics.photon_transfer import (
     CodeRange,
@@ -24,6 +23,7 @@ from cep.optics.photon_transfer import (
 )
 from cep.plots.camera import photon_transfer_figure
 from cep.plots.canvas import check_figure_name, save
+from motdiff.files.outputs import claim
 from motdiff.simulate import to_linear
 
 _LOSSY = (".jpg", ".jpeg", ".webp")

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from cep.calibration.calibrate import estimate_motion, read_options
-from cep.files.files import plain
 from cep.files.images import read_photo
 from cep.jobs.cells import Figure
 from cep.jobs.fingerprint import source_version
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.registry import METHODS, blind_methods
+from motdiff.files.json_files import plain
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
 

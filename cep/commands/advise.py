@@ -105,13 +105,13 @@ def advise(
     """
     with progress("comparing") as tick:
         from cep.codes.sources import load_code, stated_chip_ns
-        from cep.files.outputs import claim
         from cep.plots import check_figure_name, save
         from cep.plots.advice import advice_figure
         from cep.search.advise import advise as compare_ways
         from cep.search.chip_count import ASSUMED_EXPOSURE_S, suited_chips
         from cep.search.problem import SearchProblem
         from hw.device import load_profile
+        from motdiff.files.outputs import claim
         from motdiff.files.trajectories import stated_uncertainty_px
 
         if output is not None:

@@ -190,7 +190,7 @@ def calibrate(options: CalibrateOptions) -> None:
         )
         from cep.codes.sources import load_codes
         from cep.files.images import parse_gamma, read_photo
-        from cep.files.outputs import claim_folder, summary_on_failure
+        from motdiff.files.outputs import claim_folder, summary_on_failure
         from motdiff.files.trajectories import trajectory_text
 
         check_method(method, {**given, "codes": sources or None})
@@ -360,8 +360,8 @@ def _refine(
         tick(0.0, "reading the photos")
         from cep.codes.sources import code_file, load_codes
         from cep.files.images import parse_gamma, read_photo
-        from cep.files.outputs import claim
         from motdiff.estimators.coded.codes import check_codes
+        from motdiff.files.outputs import claim
         from motdiff.files.trajectories import (
             StoredMotion,
             read_motion,

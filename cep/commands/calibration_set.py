@@ -67,7 +67,7 @@ def calibration_set(
 
     from cep.calibration.calibration_set import calibration_set as design
     from cep.calibration.calibration_set import set_files
-    from cep.files.outputs import claim, claim_folder
+    from motdiff.files.outputs import claim, claim_folder
 
     claim_folder(output, set_files(photos, file_format), force=force)
     outputs = claim(table_files(tables), force=force)

@@ -28,8 +28,8 @@ def list_(tables: TableFile = None, force: Force = False, as_json: Json = False)
 
     Example: cep camera list --json
     """
-    from cep.files.outputs import claim
     from cep.optics.camera import Camera, camera_names
+    from motdiff.files.outputs import claim
 
     outputs = claim(table_files(tables), force=force)
     cameras = [Camera.load(name) for name in camera_names()]
@@ -158,8 +158,8 @@ def estimate(
     Example: cep camera estimate bright1.dng bright2.dng --dark dark1.dng dark2.dng
     """
     from cep.calibration.camera_from_frames import estimate_camera
-    from cep.files.outputs import claim
     from cep.plots import check_figure_name
+    from motdiff.files.outputs import claim
 
     if output.suffix.lower() not in (".toml", ".json"):
         raise ValueError(f"{output}: a camera file must end in .json or .toml")

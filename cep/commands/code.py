@@ -89,12 +89,12 @@ def audit(
     from functools import partial
 
     from cep.codes.sources import find_code
-    from cep.files.outputs import Outputs
     from cep.proofs.audit import audit as audited
     from cep.proofs.measure import find_figures
     from cep.proofs.verify.certificates import verify
     from cep.search.advise import verdict as judge
     from cep.search.problem import SearchProblem
+    from motdiff.files.outputs import Outputs
     from motdiff.files.trajectories import stated_uncertainty_px
 
     if code.endswith(".jsonl"):
@@ -188,7 +188,7 @@ def _searched_with(stored: StoredCode, name: str) -> Camera | None:
 
 def _write(output: Path | None, result: Mapping[str, object], made: Mapping[Path, Path]) -> None:
     """Write a result as JSON, where a file is named."""
-    from cep.files.files import json_text
+    from motdiff.files.json_files import json_text
     from motdiff.files.outputs import write_text
 
     if output is not None:
@@ -271,10 +271,10 @@ def mtf(
     Example: cep mtf --trajectory trajectory.json --code code.json --code raskar-52 -o mtf.png
     """
     from cep.codes.sources import code_label, load_code
-    from cep.files.outputs import Outputs
     from cep.plots import check_figure_name
     from cep.plots.mtf_curves import OPEN, compare_mtfs
     from cep.proofs.measure import figure_head, figure_in_words, find_figures
+    from motdiff.files.outputs import Outputs
 
     check_figure_name(output)
     motion = load_motion(trajectory, linear).trajectory

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
     from rich.text import Text
 
-    from cep.files.outputs import Outputs
     from cep.files.tables import Sheet
+    from motdiff.files.outputs import Outputs
 
 FAILURE = 1
 BAD_INPUT = 2
@@ -73,7 +73,7 @@ def finish(
                 write_sheets(_sheets(show), made[tables])
             save(made)
     if as_json:
-        from cep.files.files import json_text
+        from motdiff.files.json_files import json_text
 
         encoding = sys.stdout.encoding or "utf-8"
         sys.stdout.write(

@@ -106,7 +106,7 @@ def deblur(
         tick(0.0, "reading the photo")
         from cep.codes.sources import load_code
         from cep.files.images import check_image_name, parse_gamma, read_photo, write_image
-        from cep.files.outputs import claim
+        from motdiff.files.outputs import claim
 
         parse_gamma(gamma)
         shutter = None if code is None else load_code(code)

@@ -83,11 +83,11 @@ def demo(
         import numpy as np
 
         from cep.files.images import parse_gamma, read_photo
-        from cep.files.outputs import claim_folder
         from cep.report.demo import DEMO_FILES, write_demo
         from cep.report.demo_chain import EXPOSURE_S, STANDARD_CAMERA, run_chain
         from cep.report.demo_scene import bundled_scene, own_photo
         from hw.device import load_profile
+        from motdiff.files.outputs import claim_folder
 
         parse_gamma(gamma)
         if camera is None and photo is None:

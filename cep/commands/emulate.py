@@ -58,9 +58,9 @@ def emulate(
     Example: cep hw emulate uno --link uno --vcd played.vcd
     """
     from cep.files.foreign_text import terminal_line
-    from cep.files.outputs import Outputs, claim
     from hw.emulation.build import EmulationError
     from hw.emulation.uno import EmulatedUno
+    from motdiff.files.outputs import Outputs, claim
 
     if board not in _BOARDS:
         raise ValueError(f"BOARD: must be one of {', '.join(_BOARDS)}, got {board[:40]!r}")

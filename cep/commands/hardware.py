@@ -59,11 +59,10 @@ def export(
     Example: cep export code.json --format c -o shutter_code.h
     """
     from cep.codes.sources import code_file
-    from cep.files.outputs import claim
     from cep.shutter.play import on_ticks
     from hw.drivers.report import Trust
     from hw.export import export_program, file_name, find_exporter
-    from motdiff.files.outputs import write_text
+    from motdiff.files.outputs import claim, write_text
 
     tick_ns = find_exporter(file_format).tick_ns
     program, stored = timed_program(code, chip_ns=chip_ns)
@@ -132,11 +131,10 @@ def upload(
     Example: cep upload code.json --port /dev/ttyACM0 --arm
     """
     from cep.codes.sources import code_file
-    from cep.files.files import json_text
-    from cep.files.outputs import claim
     from cep.optics.code import ShutterCode
     from cep.shutter.play import DRIVERS, open_shutter
-    from motdiff.files.outputs import write_text
+    from motdiff.files.json_files import json_text
+    from motdiff.files.outputs import claim, write_text
 
     if driver not in DRIVERS:
         raise ValueError(f"--driver: must be one of {', '.join(DRIVERS)}, got {driver[:40]!r}")

@@ -15,8 +15,8 @@ from cep.commands.console import FAILURE, INTERRUPTED, finish, table
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cep.files.outputs import Outputs
     from cep.jobs.folders import FolderResults
+    from motdiff.files.outputs import Outputs
 
 
 def only_of_folders(where: str, workers: int | None, dask: str | None, cache: Path | None) -> None:

@@ -242,7 +242,6 @@ def optimize(
         from math import inf
 
         from cep.files.files import StoredCode, write_code
-        from cep.files.outputs import claim
         from cep.proofs.measure import find_figures
         from cep.search.chip_count import ASSUMED_EXPOSURE_S, choose_chips
         from cep.search.exhaustive.exact import codes_to_count
@@ -251,6 +250,7 @@ def optimize(
         from cep.search.optimize import optimize as find
         from cep.search.playable import chip_time_ns
         from hw.device import load_profile
+        from motdiff.files.outputs import claim
         from motdiff.files.trajectories import stated_uncertainty_px
 
         how = Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)  # type: ignore[arg-type]

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from cep.commands.console import Tick
-    from cep.files.outputs import Outputs
     from cep.optics.code import ShutterCode
     from cep.search.optimize import Search
     from hw.device import DeviceProfile
+    from motdiff.files.outputs import Outputs
 
 Write = Callable[[Mapping[Path, Path]], object]
 Keep = Callable[["Sequence[ShutterCode]", Write], None]
@@ -55,7 +55,7 @@ class SearchRun:
         """Return the files that are written: the codes', :attr:`output` when omitted, and the
         tables'.
         """
-        from cep.files.outputs import Outputs
+        from motdiff.files.outputs import Outputs
 
         return Outputs(
             (*(files or (self.output,)), *table_files(self.tables)), self.force, tuple(inputs)
@@ -77,8 +77,8 @@ class SearchRun:
             To be called with the codes, and with what writes them under the temporary names of the
             files; raises ValueError where the device cannot play one.
         """
-        from cep.files.outputs import Outputs
         from cep.search.playable import unplayable
+        from motdiff.files.outputs import Outputs
 
         candidates: list[tuple[str, Write]] = []
 

@@ -59,11 +59,11 @@ def simulate(options: SimulateOptions) -> None:
         from cep.codes.sources import load_code
         from cep.files.files import PSF_SUFFIXES, write_psf
         from cep.files.images import check_image_name, parse_gamma, read_photo, write_image
-        from cep.files.outputs import claim, new_folder
         from cep.optics.capture import capture
         from cep.optics.code import ShutterCode
         from cep.optics.exposure import coded_psf
         from cep.optics.path_limits import check_resolved
+        from motdiff.files.outputs import claim, new_folder
         from motdiff.psf_frame import PSF_PX
 
         parse_gamma(options.gamma)

@@ -100,8 +100,8 @@ def verify(
     assert capture is not None
     from cep.codes.sources import code_file
     from cep.files.files import stored_device
-    from cep.files.outputs import Outputs, claim
     from cep.shutter.playback import playback_files, read_playback
+    from motdiff.files.outputs import Outputs, claim
 
     motion = (
         None

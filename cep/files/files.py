@@ -1,12 +1,10 @@
-"""Files of codes (``code.json``) and PSFs, and strict JSON."""
+"""Files of codes (``code.json``) and of PSFs."""
 
 from __future__ import annotations
 
-import json
-import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, is_dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
@@ -19,11 +17,10 @@ from cep.files.images import read_photo
 from cep.optics.code import ShutterCode
 from hw.device import DeviceProfile, load_profile
 from motdiff.crops import luminance
-from motdiff.files import inputs
 from motdiff.files.inputs import one_line, regular_file
+from motdiff.files.json_files import fault, json_text, load_schema, read_versioned
 from motdiff.files.mat_files import levin_psf, read_mat
 from motdiff.files.outputs import new_files, write_bytes, write_text
-from motdiff.files.schemas import fault, load_schema
 
 CODE_SCHEMA = "cep.code/1"
 DEMO_SCHEMA = "cep.demo/1"
@@ -87,7 +84,7 @@ def read_code(path: Path | str) -> StoredCode:
     OSError
         If the file cannot be read.
     """
-    document = _versioned(path, CODE_SCHEMA)
+    document = read_versioned(path, CODE_SCHEMA)
     bits: Any = document.get("bits")
     chip_ns: Any = document.get("chip_ns")
     if isinstance(chip_ns, float) and chip_ns.is_integer():
@@ -145,75 +142,11 @@ def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:
     OSError
         If the file cannot be read.
     """
-    document = _versioned(path, schema)
+    document = read_versioned(path, schema)
     name = schema.removeprefix("cep.").partition("/")[0]
     if (wrong := fault(document, load_schema("cep.files", name))) is not None:
         raise ValueError(f"{path}: {wrong}")
     return document
-
-
-def stated_schema(path: Path | str) -> str | None:
-    """Return the schema that a JSON file states; None where it states none, or is no JSON file.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    """
-    try:
-        document = inputs.read_json(path)
-    except ValueError:
-        return None
-    found = document.get("schema") if isinstance(document, dict) else None
-    return found if isinstance(found, str) else None
-
-
-def _versioned(path: Path | str, schema: str) -> dict[str, Any]:
-    document = inputs.read_json(path)
-    found = document.get("schema") if isinstance(document, dict) else type(document).__name__
-    if not isinstance(document, dict) or found != schema:
-        raise ValueError(f'{path}: wanted schema "{schema}", found {one_line(repr(found))}')
-    return document
-
-
-def plain(value: object) -> Any:
-    """Turn arrays, dataclasses, paths and NumPy numbers into types of JSON; NaN and infinities
-    become null.
-
-    Examples
-    --------
-    >>> plain({"gain_db": float("inf"), "size": np.int64(3)})
-    {'gain_db': None, 'size': 3}
-    """
-    if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, str | int | bool):
-        return value
-    return str(value)
-
-
-def json_text(value: object, *, ascii_only: bool = False) -> str:
-    r"""Format ``value`` as strict JSON with a closing newline.
-
-    Bytes of a file's name that are no UTF-8 are lone surrogates in Python; JSON has them as
-    escapes, ``\udcff``.
-
-    Parameters
-    ----------
-    value : object
-    ascii_only : bool
-        Whether all other characters are escapes too, for an output that is not UTF-8.
-    """
-    text = json.dumps(plain(value), indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n"
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 # -- PSFs -----------------------------------------------------------------------------------------

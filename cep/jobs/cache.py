@@ -9,8 +9,8 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from cep.files.files import json_text
 from cep.jobs.cells import Cell, Figure, Finished
+from motdiff.files.json_files import json_text
 from motdiff.files.outputs import write_text
 
 CELL_SCHEMA = "cep.bench-cell/1"

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motdiff.files.inputs import one_line, read_json, read_toml
+from motdiff.files.json_files import fault, load_schema
 from motdiff.files.outputs import write_text
-from motdiff.files.schemas import fault, load_schema
 from motdiff.simulate import add_noise, to_display, to_linear
 from motdiff.types import FloatArray
 

@@ -9,15 +9,15 @@ from pathlib import Path
 from urllib.parse import quote
 
 from cep.calibration.calibrate import CALIBRATION_FILES, Calibration
-from cep.files.files import DEMO_SCHEMA, StoredCode, json_text, write_code
+from cep.files.files import DEMO_SCHEMA, StoredCode, write_code
 from cep.files.images import write_image
-from cep.files.outputs import new_folder
 from cep.report.demo_chain import Chain
 from cep.report.demo_page import DEMO_PICTURES, demo_report
 from cep.report.result_page import write_report
 from hw.export import EXPORTERS, export_program
 from hw.program import Program
-from motdiff.files.outputs import write_text
+from motdiff.files.json_files import json_text
+from motdiff.files.outputs import new_folder, write_text
 
 _PHOTOS = {"blurred.png": "open", "coded.png": "coded"}
 _SET = ("calibration_2.png", "calibration_3.png", "calibration_4.png")

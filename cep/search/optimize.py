@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from cep.files.files import StoredCode, plain, write_code
+from cep.files.files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
@@ -23,6 +23,7 @@ from cep.search.compare import Comparison, as_designed, compare
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Found, mean_length_px, prove_code, search_code
 from cep.search.ways import check_light
+from motdiff.files.json_files import plain
 from motdiff.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from cep.files.files import write_code
-from cep.files.outputs import claim_folder
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.engine import Engine
 from cep.jobs.fingerprint import source_version
@@ -16,7 +15,7 @@ from cep.search.optimize import Search, code_from_figures, optimize_motion
 from cep.search.playable import unplayable
 from cep.search.search_options import Task
 from hw.device import DeviceProfile
-from motdiff.files.outputs import new_files
+from motdiff.files.outputs import claim_folder, new_files
 from motdiff.files.trajectories import StoredMotion, read_motion
 from motdiff.trajectory import LONGEST_PX, Trajectory
 

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from cep.files.files import PSF_SUFFIXES, StoredCode, write_code, write_psf
-from cep.files.outputs import new_folder
 from cep.optics.as_played import achieved_code, achieved_psf
 from cep.optics.code import ShutterCode
 from hw.device import DeviceProfile
 from hw.program import Program
 from hw.recordings.capture import read_capture
 from hw.recordings.playback import Verification, align
+from motdiff.files.outputs import new_folder
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

@@ -11,21 +11,15 @@ from typing import Any
 import numpy as np
 
 import cep
-from cep.files.files import (
-    StoredCode,
-    json_text,
-    read_code,
-    read_json,
-    stated_schema,
-    stored_device,
-)
+from cep.files.files import StoredCode, read_code, read_json, stored_device
 from cep.files.formatting import seconds_of
-from cep.files.outputs import claim_folder, new_folder
 from cep.studio.catalogue import shutter_name
 from cep.studio.fields import FieldError
 from cep.studio.motions import gyro_motion, stored_paths
 from cep.studio.state import path_fields, read_state, saved_setting
 from cep.studio.views import STUDIO_SCHEMA, Views
+from motdiff.files.json_files import json_text, stated_schema
+from motdiff.files.outputs import claim_folder, new_folder
 from motdiff.gyro import DEFAULT_AXES
 
 EXTRACTED = ("trajectory.json", "code.json", "commands.sh")

@@ -16,9 +16,8 @@ import numpy as np
 
 import cep
 from cep.files.formatting import seconds_of
-from cep.optics.camera import camera_names
 from cep.shutter.play import shutter_profile
-from cep.studio.catalogue import example_motion
+from cep.studio.catalogue import camera_names, example_motion, profile_names
 from cep.studio.fields import (
     LIMITS,
     MOST_CHIPS,
@@ -30,7 +29,6 @@ from cep.studio.fields import (
     read_number,
     read_whole,
 )
-from hw.device import profile_names
 
 _MOST_SAMPLES = 512  # of a path in the address
 _TIME_STEPS = 65_535  # of a path in the address: 16 bits

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import cep
-from cep.files.files import StoredCode, code_document, plain
+from cep.files.files import StoredCode, code_document
 from cep.files.formatting import duration
 from cep.files.images import encode_image
 from cep.report.demo_scene import bundled_picture
@@ -24,6 +24,7 @@ from cep.studio import catalogue
 from cep.studio.fields import FieldError
 from cep.studio.live import LiveBench, LiveScene, broken_limits
 from cep.studio.state import Setting, path_fields, read_search, read_state
+from motdiff.files.json_files import plain
 from motdiff.types import FloatArray
 
 STUDIO_SCHEMA = "cep.studio/1"

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from cep.files.files import plain
 from cep.studio.fields import FieldError, disk_error
 from cep.studio.state import path_fields, read_search, read_setting
+from motdiff.files.json_files import plain
 
 Order = Mapping[str, Any]
 Tell = Callable[..., None]

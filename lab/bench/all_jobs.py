@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cep.files.outputs import claim_folder
 from cep.jobs.engine import Engine
 from lab.bench.blind.job import blind_job, speed_job
 from lab.bench.blind.report import outputs
@@ -15,6 +14,7 @@ from lab.bench.codes import CODE_FILES
 from lab.bench.codes_job import codes_job
 from lab.bench.index_page import INDEX
 from lab.bench.job import Job
+from motdiff.files.outputs import claim_folder
 
 _PROTOCOLS = ("paper", "ours")
 _QUICK_CODES = ("jeon-50", "jeon-60", "jeon-100")

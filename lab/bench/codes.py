@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from cep.files.foreign_text import in_code_span, markdown_text
-from cep.files.outputs import new_folder
 from cep.files.tables import Sheet, csv_lines, latex, markdown_table
 from cep.jobs.cells import Cell, Figure
 from cep.jobs.fingerprint import source_version
@@ -23,6 +22,7 @@ from cep.proofs.certify.minimum import min_chip
 from cep.search.annealing.anneal import anneal
 from cep.search.problem import SearchProblem
 from lab.bench.table_io import machines_markdown, made_json
+from motdiff.files.outputs import new_folder
 
 _MIX = (
     ("min-mtf", 0.1),

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from cep.codes import published as registry
-from cep.files.outputs import claim_folder
 from cep.files.tables import markdown_table
 from cep.jobs.engine import Engine
 from lab.bench.codes import (
@@ -21,6 +20,7 @@ from lab.bench.codes import (
 from lab.bench.job import Job, Part, outcome_warnings, spelled
 from lab.bench.own_codes import load_own_codes, spelled_own_codes
 from lab.bench.tables import TextTable
+from motdiff.files.outputs import claim_folder
 
 _FAMILY = "jeon"
 

@@ -8,11 +8,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cep.files.files import json_text
 from cep.files.tables import Sheet, csv_lines, latex, markdown
 from cep.jobs.cache import ENGINE
 from cep.plots.canvas import undated
 from lab.bench.tables import Table
+from motdiff.files.json_files import json_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from lab.block_proofs.blocks import VERSION, BlockPlan
+from motdiff.files.json_files import fault, load_schema
 from motdiff.files.outputs import naming
-from motdiff.files.schemas import fault, load_schema
 
 SCHEMA = "cep.proof/1"
 FILE_NAME = "proof.jsonl"

@@ -122,12 +122,12 @@ def pareto(
     Example: python -m lab pareto --chips 52 --open 22:40 --time 60 -o front.json --plot front.png
     """
     with progress("searching") as tick:
-        from cep.files.outputs import Outputs
         from cep.search.limits import RunLimits
         from cep.search.problem import SearchProblem
         from cep.search.scenarios import Scenario
         from cep.search.search_options import open_limits
         from lab.fronts.run import pareto as find_front
+        from motdiff.files.outputs import Outputs
         from motdiff.files.trajectories import stated_uncertainty_px
 
         picture = plot or output.with_suffix(".png")

@@ -122,10 +122,9 @@ def _check(options: ProveOptions, file: Path) -> None:
 
     import numpy as np
 
-    from cep.files.files import json_text
-    from cep.files.outputs import claim
     from lab.block_proofs.check import verify_proof
-    from motdiff.files.outputs import write_text
+    from motdiff.files.json_files import json_text
+    from motdiff.files.outputs import claim, write_text
 
     refused = {
         "--chips": options.chips,

@@ -12,9 +12,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from motdiff.files.inputs import one_line, read_json
+from motdiff.files.inputs import one_line
+from motdiff.files.json_files import fault, load_schema, read_versioned
 from motdiff.files.outputs import write_text
-from motdiff.files.schemas import fault, load_schema
 from motdiff.trajectory import Direction, Trajectory, check_length
 
 SCHEMA = "cep.trajectory/1"
@@ -89,10 +89,7 @@ def read_motion(path: Path | str) -> StoredMotion:
     OSError
         If the file cannot be read.
     """
-    document = read_json(path)
-    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
-        found = document.get("schema") if isinstance(document, dict) else type(document).__name__
-        raise ValueError(f'{path}: wanted schema "{SCHEMA}", found {one_line(repr(found))}')
+    document = read_versioned(path, SCHEMA)
     if (wrong := fault(document, load_schema("motdiff.files", "trajectory"))) is not None:
         raise ValueError(f"{path}: {wrong}")
     direction = cast(Direction, document.get("direction", "unknown"))

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from cep.files.outputs import claim_folder
 from cep.jobs.engine import Engine, Outcome
 from lab.bench.blind.methods import UNUSUAL, label_of, select_methods
 from lab.bench.blind.protocol import Protocol
@@ -19,6 +18,7 @@ from lab.bench.blind.work import CEILINGS
 from lab.bench.job import Job, Part, outcome_warnings, part_of_tables, spelled
 from lab.bench.tables import Table
 from motdiff.files.gyro_tables import read_gyro
+from motdiff.files.outputs import claim_folder
 
 
 def blind_job(

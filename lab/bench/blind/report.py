@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from cep.files.foreign_text import in_code_span, markdown_text
-from cep.files.outputs import new_folder
 from cep.files.tables import csv_lines
 from cep.jobs.cells import Figure
 from cep.jobs.engine import Outcome
@@ -26,6 +25,7 @@ from lab.bench.table_io import (
 )
 from lab.bench.tables import Column, Table, differences, tabulate
 from lab.evaluation.measure import RESTORATION
+from motdiff.files.outputs import new_folder
 
 _CELLS = "-cells.csv"
 _RESTORED = (

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from shlex import quote
 
-from cep.files.outputs import claim_folder
 from cep.jobs.engine import Engine
 from lab.bench import datasets
 from lab.bench.coded.calibrations import CALIBRATIONS
@@ -17,6 +16,7 @@ from lab.bench.coded.run import measure_coded, scene_px
 from lab.bench.coded.tables import coded_tables
 from lab.bench.job import Job, Part, part_of_tables, spelled
 from lab.bench.own_codes import load_own_codes, spelled_own_codes
+from motdiff.files.outputs import claim_folder
 
 
 def cep_job(

@@ -10,7 +10,6 @@ from statistics import mean, median
 from typing import TYPE_CHECKING
 
 from cep.files.foreign_text import in_code_span, markdown_text
-from cep.files.outputs import new_folder
 from cep.jobs.cells import Figure as Measured
 from lab.bench.coded.designs import DESIGNS
 from lab.bench.coded.picture import coded_figure
@@ -25,6 +24,7 @@ from lab.bench.table_io import (
     write_report_files,
 )
 from lab.bench.tables import Table
+from motdiff.files.outputs import new_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -257,7 +257,7 @@ def test_a_report_that_cannot_be_written_leaves_nothing_armed(
         assert controller.state == ARMED
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
-    monkeypatch.setattr("cep.files.outputs.write_text", full)
+    monkeypatch.setattr("motdiff.files.outputs.write_text", full)
     assert (
         cep("upload", "code.json", "--port", controller.port, "--arm", "-o", "upload.json").code
         == 1

@@ -11,19 +11,11 @@ from hypothesis.extra.numpy import arrays
 from scipy.io import loadmat, savemat
 from scipy.signal import convolve2d
 
-from cep.files.files import (
-    StoredCode,
-    json_text,
-    load_psf,
-    plain,
-    read_code,
-    read_psf,
-    write_code,
-    write_psf,
-)
+from cep.files.files import StoredCode, load_psf, read_code, read_psf, write_code, write_psf
 from cep.files.images import read_image, write_image
 from cep.optics.code import ShutterCode
 from lab.evaluation.sets import levin_photo
+from motdiff.files.json_files import json_text, plain
 from motdiff.files.trajectories import read_motion
 from motdiff.trajectory import Trajectory
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from cep.commands.console import complain, page, progress
 from cep.commands.console import table as console_table
-from cep.files.files import StoredCode, json_text, write_code
+from cep.files.files import StoredCode, write_code
 from cep.files.foreign_text import (
     csv_text,
     in_code_span,
@@ -32,6 +32,7 @@ from cep.plots import psf_figure, save
 from cep.plots.codes import code_strips
 from cep.report.result_page import Report, Section, html
 from motdiff.files.inputs import printable
+from motdiff.files.json_files import json_text
 
 HOSTILE = (
     "[/bold][red]x",

@@ -11,11 +11,10 @@ import pytest
 from full_disk import failing_rename, full_disk
 
 from cep.files.files import read_code
-from cep.files.outputs import new_folder
 from cep.plots.canvas import new_figure
 from cep.search.problem import SearchProblem
 from lab.fronts import pareto
-from motdiff.files.outputs import new_files, write_text
+from motdiff.files.outputs import new_files, new_folder, write_text
 from motdiff.files.trajectories import read_motion
 
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from cep.commands.console import BAD_INPUT, FAILURE, explain
-from cep.files.outputs import claim, new_folder
-from motdiff.files.outputs import new_file, write_text
+from motdiff.files.outputs import claim, new_file, new_folder, write_text
 
 
 def test_existing_files_are_refused_unless_forced(tmp_path):

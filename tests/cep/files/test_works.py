@@ -8,7 +8,7 @@ import pytest
 from cep.files.works import work, works
 
 ROOT = Path(__file__).resolve().parents[3]
-SOURCE = (ROOT / "cep" / "io" / "works.bib").read_text(encoding="utf-8")
+SOURCE = (ROOT / "cep" / "files" / "works.bib").read_text(encoding="utf-8")
 REQUIRED = {
     "article": {"author", "title", "journal", "year"},
     "inproceedings": {"author", "title", "booktitle", "year"},

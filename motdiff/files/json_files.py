@@ -1,4 +1,4 @@
-"""JSON Schemas of the files: read from the package, and what readers refuse a document by.
+"""JSON files: strict text of what is written, and the JSON Schemas by which readers refuse a file.
 
 The schemas are those that are published, of JSON Schema 2020-12. Of its keywords the ones in
 :data:`KEYWORDS` are used.
@@ -10,11 +10,15 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict, is_dataclass
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
-from motdiff.files.inputs import one_line
+import numpy as np
+
+from motdiff.files.inputs import one_line, read_json
 
 _NOTES = {"$schema", "$id", "title", "description", "default", "$defs"}
 KEYWORDS = _NOTES | {
@@ -51,6 +55,82 @@ _NAMES = {
     "boolean": "true or false",
     "null": "null",
 }
+
+
+def plain(value: object) -> Any:
+    """Turn arrays, dataclasses, paths and NumPy numbers into types of JSON; NaN and infinities
+    become null.
+
+    Examples
+    --------
+    >>> plain({"gain_db": float("inf"), "size": np.int64(3)})
+    {'gain_db': None, 'size': 3}
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int | bool):
+        return value
+    return str(value)
+
+
+def json_text(value: object, *, ascii_only: bool = False) -> str:
+    r"""Format ``value`` as strict JSON with a closing newline.
+
+    Bytes of a file's name that are no UTF-8 are lone surrogates in Python; JSON has them as
+    escapes, ``\udcff``.
+
+    Parameters
+    ----------
+    value : object
+    ascii_only : bool
+        Whether all other characters are escapes too, for an output that is not UTF-8.
+    """
+    text = json.dumps(plain(value), indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n"
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+# -- schemas --------------------------------------------------------------------------------------
+
+
+def stated_schema(path: Path | str) -> str | None:
+    """Return the schema that a JSON file states; None where it states none, or is no JSON file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    try:
+        document = read_json(path)
+    except ValueError:
+        return None
+    schema = document.get("schema") if isinstance(document, dict) else None
+    return schema if isinstance(schema, str) else None
+
+
+def read_versioned(path: Path | str, schema: str) -> dict[str, Any]:
+    """Read a JSON object that states this schema; :func:`fault` checks its fields.
+
+    Raises
+    ------
+    ValueError
+        If the file is not JSON, or states another schema; the line names the file.
+    OSError
+        If the file cannot be read.
+    """
+    document = read_json(path)
+    stated = document.get("schema") if isinstance(document, dict) else type(document).__name__
+    if not isinstance(document, dict) or stated != schema:
+        raise ValueError(f'{path}: wanted schema "{schema}", found {one_line(repr(stated))}')
+    return document
 
 
 @cache
