@@ -21,6 +21,10 @@ class DeviceError(RuntimeError):
     """The device understood a request and refused it; nothing changed in the device."""
 
 
+class VerifyError(RuntimeError):
+    """The device holds another program, or is in another state, than requested."""
+
+
 class BadOpError(DeviceError):
     """The request is unknown to the device."""
 

@@ -40,8 +40,7 @@ from matplotlib import pyplot as plt
 from skimage import data
 
 import cep
-from hw.emulation.build import EmulationError
-from hw.emulation.uno import EmulatedUno
+from hw.emulation.uno import EmulatedUno, EmulationError
 from hw.export import EXPORTERS
 from hw.program import Program
 

@@ -62,6 +62,7 @@ UNSAFE_OPTIONS = {("allow_pickle", "True"), ("weights_only", "False")}
 COMMANDS = "cep/commands/"
 LIGHT = {
     "cep.search.search_options",
+    "hw.export",
     "motdiff.estimators.method",
     "motdiff.estimators.registry",
 }

@@ -19,7 +19,7 @@ from cep.optics.code import ShutterCode
 from cep.search.limits import Limits, RunLimits, check_feasible
 from cep.search.playable import within_device
 from hw.device import DeviceProfile, load_profile
-from hw.export import export_program, file_name
+from hw.export import export_program, find_exporter
 from hw.program import Program
 from motdiff.files.json_files import json_text
 from motdiff.files.outputs import new_folder, write_text
@@ -179,7 +179,7 @@ class CalibrationSet:
                 write_code(made / f"code_{i}.json", StoredCode(code, problem=about))
                 program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
                 write_text(
-                    made / file_name(f"code_{i}", file_format),
+                    made / find_exporter(file_format).file_name(f"code_{i}"),
                     export_program(program, file_format, device=self.device),
                 )
         return [Path(folder) / name for name in names]
@@ -191,7 +191,7 @@ def set_files(photos: int, file_format: str) -> tuple[str, ...]:
     return (
         SET_FILE,
         *(f"{stem}.json" for stem in stems),
-        *(file_name(stem, file_format) for stem in stems),
+        *(find_exporter(file_format).file_name(stem) for stem in stems),
     )
 
 

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cep.commands.console import finish, progress, table
-from cep.commands.options import Force, Json, PlotFile, TableFile, output_option, table_files
+from cep.commands.options import (
+    Force,
+    Json,
+    PlotFile,
+    TableFile,
+    command,
+    output_option,
+    table_files,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,85 +30,97 @@ camera = typer.Typer(
 )
 
 
+@dataclass(frozen=True, kw_only=True)
+class ListOptions:
+    """Options of ``cep camera list``."""
+
+    camera: Annotated[
+        str | None,
+        typer.Argument(metavar="NAME", help="One camera in full, or a .json or .toml file."),
+    ] = None
+    table: TableFile = None
+    force: Force = False
+    as_json: Json = False
+
+
 @camera.command("list")
-def list_(tables: TableFile = None, force: Force = False, as_json: Json = False) -> None:
-    """List the cameras that --camera knows by name.
+@command(ListOptions)
+def list_(options: ListOptions) -> None:
+    """List the cameras that --camera knows by name, or show one with the source of its figures.
 
     Full well and read noise are in electrons, gain in electrons per code value.
 
     Example: cep camera list --json
+
+    Example: cep camera list sony-imx250
     """
     from cep.optics.camera import Camera, camera_names
     from motdiff.files.outputs import claim
 
-    outputs = claim(table_files(tables), force=force)
-    cameras = [Camera.load(name) for name in camera_names()]
+    outputs = claim(table_files(options.table), force=options.force)
+    if options.camera is None:
+        profiles = [Camera.load(name) for name in camera_names()]
+        result: dict[str, object] = {"cameras": [profile.to_dict() for profile in profiles]}
+
+        def show(console: Console) -> None:
+            _show_all(console, profiles)
+
+    else:
+        profile = Camera.load(options.camera)
+        result = {"camera": profile.to_dict()}
+
+        def show(console: Console) -> None:
+            _show(console, profile)
+
+    finish(result, as_json=options.as_json, show=show, outputs=outputs, tables=options.table)
+
+
+def _show_all(console: Console, profiles: Sequence[Camera]) -> None:
     rows = [
         (
-            one.name,
-            one.kind,
-            f"{one.full_well_e:.0f}",
-            f"{one.read_noise_e:g}",
-            one.bits,
-            None if one.gain_e_per_dn is None else f"{one.gain_e_per_dn:g}",
+            profile.name,
+            profile.kind,
+            f"{profile.full_well_e:.0f}",
+            f"{profile.read_noise_e:g}",
+            profile.bits,
+            None if profile.gain_e_per_dn is None else f"{profile.gain_e_per_dn:g}",
         )
-        for one in cameras
+        for profile in profiles
     ]
-    shown = table("cameras", ("name", "kind", "full well", "read noise", "bits", "gain"), rows)
-    result = {"cameras": [one.to_dict() for one in cameras]}
-    finish(
-        result,
-        as_json=as_json,
-        show=lambda console: console.print(shown),
-        outputs=outputs,
-        tables=tables,
-    )
+    heads = ("name", "kind", "full well", "read noise", "bits", "gain")
+    console.print(table("cameras", heads, rows))
 
 
-@camera.command("show")
-def show(
-    camera: Annotated[
-        str,
-        typer.Argument(
-            metavar="NAME", help="A camera that cep camera list shows, or a .json or .toml file."
-        ),
-    ],
-    as_json: Json = False,
-) -> None:
-    """Show a camera's figures and where they come from.
-
-    Example: cep camera show sony-imx250
-    """
-    from cep.optics.camera import Camera
-
-    found = Camera.load(camera)
-    finish(
-        {"camera": found.to_dict()}, as_json=as_json, show=lambda console: _show(console, found)
-    )
-
-
-def _show(console: Console, found: Camera) -> None:
+def _show(console: Console, profile: Camera) -> None:
     rows = [
-        ("kind", found.kind or None),
-        ("electrons at value 1", f"{found.photons_full_scale:.6g}"),
-        ("full well, e-", None if found.full_well_e is None else f"{found.full_well_e:.6g}"),
-        ("read noise, e-", f"{found.read_noise_e:g}"),
-        ("bits", found.bits),
-        ("response", found.response),
+        ("kind", profile.kind or None),
+        ("electrons at value 1", f"{profile.photons_full_scale:.6g}"),
+        ("full well, e-", None if profile.full_well_e is None else f"{profile.full_well_e:.6g}"),
+        ("read noise, e-", f"{profile.read_noise_e:g}"),
+        ("bits", profile.bits),
+        ("response", profile.response),
         (
             "gain, e- per code value",
-            None if found.gain_e_per_dn is None else f"{found.gain_e_per_dn:g}",
+            None if profile.gain_e_per_dn is None else f"{profile.gain_e_per_dn:g}",
         ),
-        ("black level, of value 1", f"{found.black_level:g}"),
-        ("dark current, e-/s", f"{found.dark_current_e_s:g}" if found.dark_current_e_s else None),
-        ("least exposure, s", f"{found.least_exposure_s:g}" if found.least_exposure_s else None),
+        ("black level, of value 1", f"{profile.black_level:g}"),
+        (
+            "dark current, e-/s",
+            f"{profile.dark_current_e_s:g}" if profile.dark_current_e_s else None,
+        ),
+        (
+            "least exposure, s",
+            f"{profile.least_exposure_s:g}" if profile.least_exposure_s else None,
+        ),
     ]
-    console.print(table(found.name, ("", ""), rows))
-    console.print(f"source: {found.source or 'not stated'}")
+    console.print(table(profile.name, ("", ""), rows))
+    console.print(f"source: {profile.source or 'not stated'}")
 
 
-@camera.command("estimate")
-def estimate(
+@dataclass(frozen=True, kw_only=True)
+class EstimateOptions:
+    """Options of ``cep camera estimate``."""
+
     flats: Annotated[
         list[Path],
         typer.Argument(
@@ -107,11 +129,11 @@ def estimate(
                 "Frames of an evenly lit surface, two of each level of light, one after the other."
             ),
         ),
-    ],
+    ]
     dark: Annotated[
         tuple[Path, Path] | None,
         typer.Option("--dark", metavar="D1 D2", help="Two frames without light."),
-    ] = None,
+    ] = None
     black: Annotated[
         float | None,
         typer.Option(
@@ -120,7 +142,7 @@ def estimate(
             min=0,
             help="Code value without light, where there are no dark frames; RAW files state it.",
         ),
-    ] = None,
+    ] = None
     bits: Annotated[
         int | None,
         typer.Option(
@@ -130,21 +152,25 @@ def estimate(
             max=16,
             help="Of the camera; found from the values when omitted.",
         ),
-    ] = None,
+    ] = None
     gamma: Annotated[
         str,
         typer.Option(
             "--gamma", metavar="CURVE", help="Curve of PNG and TIFF files: linear or srgb."
         ),
-    ] = "linear",
+    ] = "linear"
     output: Annotated[Path, output_option("Camera to write, .toml or .json.")] = Path(
         "camera.toml"
-    ),
-    plot: PlotFile = None,
-    tables: TableFile = None,
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
+    )
+    plot: PlotFile = None
+    table: TableFile = None
+    force: Force = False
+    as_json: Json = False
+
+
+@camera.command("estimate")
+@command(EstimateOptions)
+def estimate(options: EstimateOptions) -> None:
     """Measure gain, read noise and full well from pairs of flat frames: the photon-transfer curve.
 
     Photograph an evenly lit surface out of focus, two frames at each of three levels of light or
@@ -161,31 +187,34 @@ def estimate(
     from cep.plots import check_figure_name
     from motdiff.files.outputs import claim
 
+    output = options.output
     if output.suffix.lower() not in (".toml", ".json"):
         raise ValueError(f"{output}: a camera file must end in .json or .toml")
-    picture = plot or output.with_suffix(".png")
+    picture = options.plot or output.with_suffix(".png")
     try:
         check_figure_name(picture)
     except ValueError as error:
         raise ValueError(f"--plot: {error}") from None
     outputs = claim(
-        [output, picture, *table_files(tables)], force=force, inputs=[*flats, *(dark or ())]
+        [output, picture, *table_files(options.table)],
+        force=options.force,
+        inputs=[*options.flats, *(options.dark or ())],
     )
     with progress("measuring") as tick:
-        found = estimate_camera(
-            flats,
-            dark=dark or (),
-            black_dn=black,
-            bits=bits,
-            gamma=gamma,
+        measured = estimate_camera(
+            options.flats,
+            dark=options.dark or (),
+            black_dn=options.black,
+            bits=options.bits,
+            gamma=options.gamma,
             name=output.stem,
             progress=tick,
         )
-    transfer = found.transfer
+    transfer = measured.transfer
     result = {
         "file": output,
         "image": picture,
-        "camera": found.camera.to_dict(),
+        "camera": measured.camera.to_dict(),
         **transfer.to_dict(),
         "warnings": list(transfer.warnings),
     }
@@ -212,10 +241,10 @@ def estimate(
 
     finish(
         result,
-        as_json=as_json,
+        as_json=options.as_json,
         show=show,
         outputs=outputs,
-        tables=tables,
+        tables=options.table,
         summary=transfer.summary,
-        save=lambda made: found.save(made[output], made[picture]),
+        save=lambda made: measured.save(made[output], made[picture]),
     )

@@ -1,255 +1,177 @@
-"""``cep hw``: a shutter controller, step by step."""
+"""``cep hw``: a shutter controller: its state, clock, trigger and abort."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cep.commands.console import finish, page, progress, table
 from cep.commands.emulate import emulate
-from cep.commands.options import ChipNs, CodeSource, Json, Seed
-from cep.commands.programs import (
-    ClockPpm,
-    Device,
-    LeaseMs,
-    Port,
-    load_program,
-    open_port,
-    program_figures,
-)
+from cep.commands.options import Json, command
+from cep.commands.programs import Driver, Port, named_port, open_controller
 from cep.commands.verify import verify
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from hw.cxp.protocol import Hello, Status
 
-hw = typer.Typer(help="A shutter controller, step by step.", no_args_is_help=True)
+_LOOK_S = 0.05  # between two questions for the state
+_CRYSTAL_PPM = 200  # a quartz crystal is within 100 ppm, with room for the host's own
 
-_ACKNOWLEDGED = "B"  # of hw.drivers.report.Trust
+hw = typer.Typer(
+    help="A shutter controller: its state, clock, trigger and abort.", no_args_is_help=True
+)
 
 
-@hw.command("list")
-def list_(
+@dataclass(frozen=True, kw_only=True)
+class InfoOptions:
+    """Options of ``cep hw info``."""
+
+    port: Annotated[
+        str | None, typer.Option("--port", "-p", help="Controller to ask, as in cep upload.")
+    ] = None
     ask: Annotated[
         bool,
         typer.Option(
             "--ask", help="Greet every port: resets many boards, and foreign devices hear it too."
         ),
-    ] = False,
-    as_json: Json = False,
-) -> None:
-    """List the serial ports, with --ask also which of them is a shutter controller.
-
-    Example: cep hw list --ask
-    """
-    from hw.cxp.protocol import Hello
-    from hw.drivers.finding import ask_ports
-    from hw.port import list_ports
-
-    answers = dict(ask_ports()) if ask else {}
-    rows: list[dict[str, Any]] = []
-    for info in answers or list_ports():
-        answer = answers.get(info)
-        controller = isinstance(answer, Hello)
-        rows.append(
-            {
-                "port": info.port,
-                "description": info.description,
-                "serial_number": info.serial_number,
-                "firmware": answer.firmware if isinstance(answer, Hello) else None,
-                "controller": controller if ask else None,
-                "answer": answer if isinstance(answer, str) else None,
-            }
-        )
-    cells = [
-        (
-            row["port"],
-            row["description"],
-            row["serial_number"],
-            row["firmware"] or row["answer"] or "not asked",
-        )
-        for row in rows
-    ]
-    finish(
-        {"ports": rows},
-        as_json=as_json,
-        show=lambda console: console.print(
-            table(
-                "serial ports", ("port", "description", "USB serial number", "controller"), cells
-            )
-            if rows
-            else "no serial ports"
+    ] = False
+    watch: Annotated[
+        float | None,
+        typer.Option(
+            "--watch",
+            metavar="SECONDS",
+            help="Follow the controller's state for so long; Ctrl-C ends it sooner.",
         ),
-    )
+    ] = None
+    as_json: Json = False
 
 
 @hw.command("info")
-def info(port: Port, as_json: Json = False) -> None:
-    """Show what a controller says of itself and how it stands.
+@command(InfoOptions)
+def info(options: InfoOptions) -> None:
+    """List the serial ports, or with --port show a controller's limits and state.
+
+    Example: cep hw info --ask
 
     Example: cep hw info --port /dev/ttyACM0
     """
-    with open_port(port) as controller:
+    if options.port is None:
+        if options.watch is not None:
+            raise ValueError("--watch: needs --port")
+        _list_ports(ask=options.ask, as_json=options.as_json)
+        return
+    if options.ask:
+        raise ValueError("--ask: not valid with --port")
+    if options.watch is not None:
+        _watch(options.port, options.watch, as_json=options.as_json)
+        return
+    with open_controller(options.port) as controller:
         status = controller.status()
-    told = controller.announced
-    trust = controller.trust
     result = {
-        "port": port,
-        **_hello_figures(told),
+        "port": options.port,
+        **_hello_figures(controller.announced),
         **_status_figures(status),
-        "trust": f"{trust} at most",
+        "trust": f"{controller.trust} at most",
     }
     rows = [(name.replace("_", " "), str(value)) for name, value in result.items()]
     finish(
-        result, as_json=as_json, show=lambda console: console.print(table(port, ("", ""), rows))
-    )
-
-
-@hw.command("load")
-def load(
-    code: CodeSource,
-    port: Port,
-    chip_ns: ChipNs = None,
-    device: Device = None,
-    clock_ppm: ClockPpm = 0.0,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
-    """Load a code; the controller confirms its CRC-32. Nothing is read back or armed: see cep
-    upload.
-
-    Example: cep hw load code.json --port /dev/ttyACM0
-    """
-    from hw.device import refusal
-    from hw.drivers.report import Trust
-
-    program, profile = load_program(code, chip_ns=chip_ns, device=device)
-    with open_port(port) as controller:
-        problems = controller.check(program, profile=profile)
-        if problems:
-            raise ValueError(refusal(problems, controller.limits))
-        stored = controller.load(program, clock_ppm=clock_ppm)
-    result = {
-        "port": port,
-        **program_figures(program, profile),
-        "trust": Trust.B.value,
-        "chip_ticks": float(stored.chip_ticks),
-        "stored_crc32": f"0x{stored.crc32:08x}",
-        "seed": seed,
-    }
-    finish(
         result,
-        as_json=as_json,
-        show=lambda console: console.print(
-            f"{port}: {program.chips} chips of {program.chip_ns} ns loaded, trust B: acknowledged"
-            " only"
-        ),
+        as_json=options.as_json,
+        show=lambda console: console.print(table(str(options.port), ("", ""), rows)),
     )
 
 
-@hw.command("arm")
-def arm(port: Port, lease_ms: LeaseMs = 10_000, as_json: Json = False) -> None:
-    """Arm what is loaded: the next trigger plays it, until the lease is over.
+@dataclass(frozen=True, kw_only=True)
+class PortOptions:
+    """A controller on a port."""
 
-    Example: cep hw arm --port /dev/ttyACM0 --lease-ms 60000
-    """
-    from hw.cxp.protocol import State
-
-    with open_port(port) as controller:
-        status = controller.arm(lease_ms=lease_ms)
-        told = controller.announced
-    armed = status.state is State.ARMED
-    result = {
-        "port": port,
-        "armed": armed,
-        "lease_ms": lease_ms,
-        **_status_figures(status),
-        "trust": _ACKNOWLEDGED,
-    }
-    where = "its trigger input or cep hw trigger" if told.trigger_input else "cep hw trigger"
-    then = (
-        f"armed for {lease_ms} ms; {where} plays it"
-        if armed
-        else f"armed and triggered already, {_name(status)}"
-    )
-    finish(
-        result,
-        as_json=as_json,
-        show=lambda console: console.print(
-            f"{port}: {then} (trust {_ACKNOWLEDGED}: acknowledged only)"
-        ),
-    )
+    port: Port
+    as_json: Json = False
 
 
 @hw.command("trigger")
-def trigger(
-    port: Port,
-    wait_s: Annotated[
-        float, typer.Option("--wait", min=0.0, help="Wait this long, s, for the end of the play.")
-    ] = 60.0,
-    as_json: Json = False,
-) -> None:
+@command(PortOptions)
+def trigger(options: PortOptions) -> None:
     """Play what is armed, once, and wait for its end.
 
     Example: cep hw trigger --port /dev/ttyACM0
     """
-    with open_port(port) as controller:
-        status = controller.play(timeout_s=wait_s)
-    result = {"port": port, **_status_figures(status), "trust": _ACKNOWLEDGED}
+    from cep.shutter.play import open_shutter
+
+    with open_shutter(named_port(options.port)) as shutter:
+        status = shutter.play()
     finish(
-        result,
-        as_json=as_json,
-        show=lambda console: console.print(f"{port}: played, 0 edges missed, shutter closed"),
+        _confirmed(options.port, status),
+        as_json=options.as_json,
+        show=lambda console: console.print(
+            f"{options.port}: played, 0 edges missed, shutter closed"
+        ),
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class AbortOptions(PortOptions):
+    """Options of ``cep hw abort``."""
+
+    driver: Driver = "cxp"
+
+
 @hw.command("abort")
-def abort(port: Port, as_json: Json = False) -> None:
+@command(AbortOptions)
+def abort(options: AbortOptions) -> None:
     """Close the shutter and disarm, whatever it is doing.
 
     Example: cep hw abort --port /dev/ttyACM0
     """
-    with open_port(port) as controller:
-        status = controller.abort()
-    result = {"port": port, **_status_figures(status), "trust": _ACKNOWLEDGED}
+    from cep.shutter.play import open_shutter
+
+    with open_shutter(named_port(options.port), driver=options.driver) as shutter:
+        status = shutter.abort()
+    state = "" if status is None else f", {_name(status)}"
     finish(
-        result,
-        as_json=as_json,
-        show=lambda console: console.print(f"{port}: closed, {_name(status)}"),
+        _confirmed(options.port, status),
+        as_json=options.as_json,
+        show=lambda console: console.print(f"{options.port}: closed{state}"),
     )
 
 
-@hw.command("calibrate")
-def calibrate(
-    port: Port,
+@dataclass(frozen=True, kw_only=True)
+class CalibrateOptions(PortOptions):
+    """Options of ``cep hw calibrate``."""
+
     seconds: Annotated[
         float, typer.Option("--seconds", help="How long to compare the clocks, s.")
-    ] = 10.0,
-    as_json: Json = False,
-) -> None:
+    ] = 10.0
+
+
+@hw.command("calibrate")
+@command(CalibrateOptions)
+def calibrate(options: CalibrateOptions) -> None:
     """Measure a controller's clock against this computer's.
 
-    The figure goes into --clock-ppm of cep upload and cep hw load, which stretch the chips by it.
+    The figure goes into --clock-ppm of cep upload, which stretches the chips by it.
 
     Example: cep hw calibrate --port /dev/ttyACM0 --seconds 20
     """
     from hw.cxp.clock import measure_clock
 
-    if not 0 < seconds < 3600:
-        raise ValueError(f"--seconds: must be above 0 and below 3600, got {seconds:g}")
-    with open_port(port) as controller, progress("comparing clocks") as tick:
-        fit = measure_clock(controller, seconds=seconds, progress=tick)
-    drifts = (
-        "a crystal is within 100 ppm, so this is a ceramic resonator, which drifts with"
-        " temperature: calibrate it warm"
-    )
-    warnings = [drifts] if abs(fit.ppm) > 200 + fit.uncertainty_ppm else []
+    if not 0 < options.seconds < 3600:
+        raise ValueError(f"--seconds: must be above 0 and below 3600, got {options.seconds:g}")
+    with open_controller(options.port) as controller, progress("comparing clocks") as tick:
+        fit = measure_clock(controller, seconds=options.seconds, progress=tick)
+    warnings = []
+    if abs(fit.ppm) > _CRYSTAL_PPM + fit.uncertainty_ppm:
+        warnings.append(
+            "a crystal is within 100 ppm, so this is a ceramic resonator, which drifts with"
+            " temperature: calibrate it warm"
+        )
     result = {
-        "port": port,
+        "port": options.port,
         "clock_ppm": fit.ppm,
         "uncertainty_ppm": fit.uncertainty_ppm,
         "seconds": fit.seconds,
@@ -258,71 +180,82 @@ def calibrate(
     }
     finish(
         result,
-        as_json=as_json,
+        as_json=options.as_json,
         show=lambda console: console.print(
-            f"{port}: clock is {abs(fit.ppm):.0f} ppm {'fast' if fit.ppm >= 0 else 'slow'} (±"
-            f" {fit.uncertainty_ppm:.0f}); --clock-ppm {fit.ppm:.0f} takes it out"
+            f"{options.port}: clock is {abs(fit.ppm):.0f} ppm"
+            f" {'fast' if fit.ppm >= 0 else 'slow'} (± {fit.uncertainty_ppm:.0f});"
+            f" --clock-ppm {fit.ppm:.0f} takes it out"
         ),
-    )
-
-
-@hw.command("monitor")
-def monitor(
-    port: Port,
-    seconds: Annotated[
-        float | None, typer.Option("--seconds", help="Stop after this, s; else at Ctrl-C.")
-    ] = None,
-    every_s: Annotated[
-        float, typer.Option("--every", min=0.001, max=3600, help="Time between two looks, s.")
-    ] = 0.05,
-    as_json: Json = False,
-) -> None:
-    """Watch a controller: a line whenever its state, plays or errors change.
-
-    Example: cep hw monitor --port /dev/ttyACM0 --seconds 30
-    """
-    if seconds is not None and not seconds > 0:
-        raise ValueError(f"--seconds: must be above 0, got {seconds:g}")
-    console = page()
-    changes: list[dict[str, object]] = []
-    last: tuple[object, ...] | None = None
-    looks = 0
-    with open_port(port) as controller, _until_interrupted():
-        start = time.monotonic()
-        while seconds is None or time.monotonic() - start < seconds:
-            status = controller.status()
-            looks += 1
-            shown = (
-                status.state,
-                status.runs,
-                status.late,
-                status.bad_frames,
-                status.stored_crc32,
-            )
-            if shown != last:
-                change = {"after_s": time.monotonic() - start, **_status_figures(status)}
-                changes.append(change)
-                if not as_json:
-                    console.print(
-                        f"{change['after_s']:9.3f} s  {_name(status):7s} plays {status.runs} "
-                        f" missed edges {status.late}  bad frames {status.bad_frames}  CRC32"
-                        f" 0x{status.stored_crc32:08x}"
-                    )
-            last = shown
-            time.sleep(
-                every_s
-                if seconds is None
-                else min(every_s, max(0.0, start + seconds - time.monotonic()))
-            )
-    finish(
-        {"port": port, "looks": looks, "changes": changes},
-        as_json=as_json,
-        show=lambda console: console.print(f"{port}: {looks} looks, {len(changes)} states seen"),
     )
 
 
 hw.command("verify")(verify)
 hw.command("emulate")(emulate)
+
+
+def _list_ports(*, ask: bool, as_json: bool) -> None:
+    from hw.cxp.protocol import Hello
+    from hw.drivers.cxp import ask_ports
+    from hw.port import list_ports
+
+    answers = dict(ask_ports()) if ask else {}
+    ports = []
+    rows = []
+    for port in answers or list_ports():
+        answer = answers.get(port)
+        firmware = answer.firmware if isinstance(answer, Hello) else None
+        refusal = answer if isinstance(answer, str) else None
+        ports.append(
+            {
+                "port": port.port,
+                "description": port.description,
+                "serial_number": port.serial_number,
+                "firmware": firmware,
+                "controller": isinstance(answer, Hello) if ask else None,
+                "answer": refusal,
+            }
+        )
+        controller = firmware or refusal or "not asked"
+        rows.append((port.port, port.description, port.serial_number, controller))
+    heads = ("port", "description", "USB serial number", "controller")
+    finish(
+        {"ports": ports},
+        as_json=as_json,
+        show=lambda console: console.print(
+            table("serial ports", heads, rows) if rows else "no serial ports"
+        ),
+    )
+
+
+def _watch(port: str, seconds: float, *, as_json: bool) -> None:
+    """Print every change of the state, from now on; the controller is left as it is."""
+    if not seconds > 0:
+        raise ValueError(f"--watch: must be above 0, got {seconds:g}")
+    console = page()
+    changes: list[dict[str, object]] = []
+    last: tuple[object, ...] | None = None
+    looks = 0
+    with open_controller(port) as controller, _until_interrupted():
+        start_s = time.monotonic()
+        while (after_s := time.monotonic() - start_s) < seconds:
+            status = controller.status()
+            looks += 1
+            state = (status.state, status.runs, status.late, status.bad_frames)
+            if (*state, status.stored_crc32) != last:
+                changes.append({"after_s": after_s, **_status_figures(status)})
+                if not as_json:
+                    console.print(
+                        f"{after_s:9.3f} s  {_name(status):7s} plays {status.runs}  missed edges"
+                        f" {status.late}  bad frames {status.bad_frames}  CRC32"
+                        f" 0x{status.stored_crc32:08x}"
+                    )
+            last = (*state, status.stored_crc32)
+            time.sleep(min(_LOOK_S, max(0.0, start_s + seconds - time.monotonic())))
+    finish(
+        {"port": port, "looks": looks, "changes": changes},
+        as_json=as_json,
+        show=lambda console: console.print(f"{port}: {looks} looks, {len(changes)} states seen"),
+    )
 
 
 @contextmanager
@@ -333,20 +266,27 @@ def _until_interrupted() -> Iterator[None]:
         return  # the ordinary end of watching: the controller is left as it is
 
 
-def _hello_figures(told: Hello) -> dict[str, object]:
+def _confirmed(port: str, status: Status | None) -> dict[str, object]:
+    """Return the JSON of a request that the device acknowledged: trust B."""
+    figures = {} if status is None else _status_figures(status)
+    return {"port": port, **figures, "trust": "B"}
+
+
+def _hello_figures(hello: Hello) -> dict[str, object]:
+    max_on_ns = None if hello.max_on_ticks is None else hello.max_on_ticks * hello.tick_ns
     return {
-        "firmware": told.firmware,
-        "protocol": f"CXP{told.version}",
-        "max_chips": told.max_chips,
-        "tick_ns": told.tick_ns,
-        "min_chip_ns": told.min_ticks * told.tick_ns,
-        "max_chip_ns": told.max_ticks * told.tick_ns,
-        "max_on_ns": None if told.max_on_ticks is None else told.max_on_ticks * told.tick_ns,
-        "max_duty": told.max_duty,
-        "lead_ns": told.lead_ns,
-        "trigger_input": told.trigger_input,
-        "fractions": told.fractions,
-        "reset_cause": told.reset_cause.name.lower(),
+        "firmware": hello.firmware,
+        "protocol": f"CXP{hello.version}",
+        "max_chips": hello.max_chips,
+        "tick_ns": hello.tick_ns,
+        "min_chip_ns": hello.min_ticks * hello.tick_ns,
+        "max_chip_ns": hello.max_ticks * hello.tick_ns,
+        "max_on_ns": max_on_ns,
+        "max_duty": hello.max_duty,
+        "lead_ns": hello.lead_ns,
+        "trigger_input": hello.trigger_input,
+        "fractions": hello.fractions,
+        "reset_cause": hello.reset_cause.name.lower(),
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,34 +11,31 @@ import typer
 
 from cep.commands.code_options import Device, Exposure, exposure_seconds
 from cep.commands.console import finish, part, progress
-from cep.commands.options import (
-    CameraFile,
-    Force,
-    Gamma,
-    Json,
-    Photons,
-    ReadNoise,
-    Seed,
-    load_camera,
-    output_option,
-)
+from cep.commands.options import CameraOptions, CommonOptions, Gamma, command, output_option
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+_UNNAMED = (
+    "No camera was named (--camera): the figures are those of a camera with 10,000 photo-electrons"
+    " at full scale and 5 e⁻ of read noise. Yours may be another case."
+)
 _CHAIN = (0.09, 0.85)  # where in the time of the command the chain begins and ends
 
 
-def demo(
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions(CameraOptions, CommonOptions):
+    """Options of ``cep demo``."""
+
     output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
         "demo"
-    ),
+    )
     photo: Annotated[
         Path | None,
         typer.Option("--photo", metavar="FILE", help="A blurred photo of your own, instead."),
-    ] = None,
-    gamma: Gamma = "srgb",
-    exposure: Exposure = None,
+    ] = None
+    gamma: Gamma = "srgb"
+    exposure: Exposure = None
     chips: Annotated[
         int | None,
         typer.Option(
@@ -50,15 +48,12 @@ def demo(
                 " as pay."
             ),
         ),
-    ] = None,
-    device: Device = None,
-    camera: CameraFile = None,
-    photons: Photons = None,
-    read_noise: ReadNoise = None,
-    force: Force = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
+    ] = None
+    device: Device = None
+
+
+@command(DemoOptions)
+def demo(options: DemoOptions) -> None:
     """Say whether to code an exposure, and show it: everything on one photo, to
     OUTPUT/report.html.
 
@@ -89,33 +84,33 @@ def demo(
         from hw.device import load_profile
         from motdiff.files.outputs import claim_folder
 
-        parse_gamma(gamma)
-        if camera is None and photo is None:
-            camera = STANDARD_CAMERA
-        seen_by = load_camera(camera, photons=photons, read_noise=read_noise)
-        exposure_s = exposure_seconds(exposure) or EXPOSURE_S
-        profile = None if device is None else load_profile(device)
-        claim_folder(output, DEMO_FILES, force=force)
+        parse_gamma(options.gamma)
+        if options.camera is None and options.photo is None:
+            options = replace(options, camera=STANDARD_CAMERA)
+        camera = options.load_camera()
+        exposure_s = exposure_seconds(options.exposure) or EXPOSURE_S
+        profile = None if options.device is None else load_profile(options.device)
+        claim_folder(options.output, DEMO_FILES, force=options.force)
         started = time.perf_counter()
-        if photo is None:
-            scene = bundled_scene(seen_by, rng=np.random.default_rng(seed))
+        if options.photo is None:
+            scene = bundled_scene(camera, rng=np.random.default_rng(options.seed))
         else:
-            taken = read_photo(photo, gamma=gamma)
-            unnamed = (_UNNAMED,) if camera is None else ()
-            scene = own_photo(str(photo), taken.pixels, warnings=(*taken.warnings, *unnamed))
+            photo = read_photo(options.photo, gamma=options.gamma)
+            warnings = list(photo.warnings)
+            if options.camera is None:
+                warnings.append(_UNNAMED)
+            scene = own_photo(str(options.photo), photo.pixels, warnings=tuple(warnings))
         chain = run_chain(
             scene,
-            seen_by,
+            camera,
             exposure_s=exposure_s,
             device=profile,
-            chips=chips,
-            seed=seed,
+            chips=options.chips,
+            seed=options.seed,
             tell=part(tick, *_CHAIN),
         )
         tick(_CHAIN[1], "writing the report")
-        figures = write_demo(
-            output, chain, options=_options(camera, photons, read_noise, device), force=force
-        )
+        figures = write_demo(options.output, chain, options=_options(options), force=options.force)
         tick(1.0)
     result = {**figures, "seconds": time.perf_counter() - started}
 
@@ -128,30 +123,21 @@ def demo(
             )
         console.print(f"The report is {figures['report']} ({result['seconds']:.0f} s)")
 
-    finish(result, as_json=as_json, show=show)
+    finish(result, as_json=options.as_json, show=show)
 
 
-_UNNAMED = (
-    "No camera was named (--camera): the figures are those of a camera with 10,000 photo-electrons"
-    " at full scale and 5 e⁻ of read noise. Yours may be another case."
-)
-
-
-def _options(
-    camera: str | None, photons: float | None, read_noise: float | None, device: str | None
-) -> str:
-    """Say on a command line what was said on this one of the camera and the device."""
+def _options(options: DemoOptions) -> str:
+    """Return the options of the camera and the device, as on a command line."""
     import shlex
 
-    given = {
-        "--device": device,
-        "--camera": camera,
-        "--photons": photons,
-        "--read-noise": read_noise,
+    values = {
+        "--device": options.device,
+        "--camera": options.camera,
+        "--photons": options.photons,
+        "--read-noise": options.read_noise,
     }
-    texts = {
-        name: value if isinstance(value, str) else f"{value:g}"
-        for name, value in given.items()
-        if value is not None
-    }
-    return shlex.join(part for item in texts.items() for part in item)
+    words: list[str] = []
+    for option, value in values.items():
+        if value is not None:
+            words += [option, value if isinstance(value, str) else f"{value:g}"]
+    return shlex.join(words)

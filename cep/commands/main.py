@@ -30,6 +30,11 @@ _MOVED = {
     "bench": "moved to the laboratory, in the repository: python -m lab bench",
     "pareto": "moved to the laboratory, in the repository: python -m lab pareto",
     "refine": "is now an option: cep calibrate PHOTO... --code CODE --trajectory FILE",
+    "hw list": "is now: cep hw info, without --port",
+    "hw load": "is now: cep upload",
+    "hw arm": "is now: cep upload --arm",
+    "hw monitor": "is now: cep hw info --watch SECONDS",
+    "camera show": "is now: cep camera list NAME",
     "cite": "is now the page Works of the documentation; the file: cep/files/works.bib",
 }
 """Commands of earlier versions that are not part of the product."""
@@ -106,9 +111,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The command line without the program's name; that of this process when omitted.
     """
     given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
-    if given[0] in _MOVED:
-        complain(f"{given[0]} {_MOVED[given[0]]}")
-        return BAD_INPUT
+    for name in (given[0], " ".join(given[:2])):
+        if name in _MOVED:
+            complain(f"{name} {_MOVED[name]}")
+            return BAD_INPUT
     return run_app(app, given, name="cep")
 
 

@@ -1,12 +1,13 @@
-"""What the hardware commands share: options, the controller on a port, and a code as a timed
-program.
-"""
+"""Options and helpers of the hardware commands: the port, and a code as a timed program."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from cep.commands.options import ChipNs, CodeSource
 
 if TYPE_CHECKING:
     from cep.files.files import StoredCode
@@ -25,10 +26,10 @@ Port = Annotated[
         ),
     ),
 ]
-LeaseMs = Annotated[
-    int,
+Driver = Annotated[
+    str,
     typer.Option(
-        "--lease-ms", min=1, max=65535, help="An armed controller disarms itself after this, ms."
+        "--driver", help="cxp (our firmware), pulse-pal, or scpi: --port is then a VISA resource."
     ),
 ]
 ClockPpm = Annotated[
@@ -40,84 +41,87 @@ ClockPpm = Annotated[
         help="The controller's clock is this fast, as cep hw calibrate found.",
     ),
 ]
-Device = Annotated[
-    str | None,
-    typer.Option(
-        "--device",
-        metavar="NAME|FILE",
-        help=(
-            "Check against this profile: a built-in name or a .toml file. When omitted the one"
-            " that the code was searched for; generic has no limits."
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimedCode:
+    """A code with its chip time."""
+
+    code: CodeSource
+    chip_ns: ChipNs = None
+
+    def timed_program(self) -> tuple[Program, StoredCode]:
+        """Return the program of the code, for whatever shutter, and the content of its file.
+
+        Raises
+        ------
+        ValueError
+            If it is no code, or its chip time is out of range.
+        """
+        from cep.codes.sources import find_code
+        from hw.program import MAX_CHIP_NS, Program
+
+        stored = find_code(self.code, chip_ns=self.chip_ns)
+        code = stored.code
+        if code.chip_ns > MAX_CHIP_NS:
+            place = f"{self.code}: chip time" if self.chip_ns is None else "--chip-ns:"
+            raise ValueError(f"{place} must be below 2^63 ns, got {code.chip_ns:.6g}")
+        return Program.from_bits(code.bits, chip_ns=code.chip_ns), stored
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlayableCode(TimedCode):
+    """A code with its chip time and the shutter that is to play it."""
+
+    device: Annotated[
+        str | None,
+        typer.Option(
+            "--device",
+            metavar="NAME|FILE",
+            help=(
+                "Check against this profile: a built-in name or a .toml file. When omitted the one"
+                " that the code was searched for; generic has no limits."
+            ),
         ),
-    ),
-]
+    ] = None
+
+    def checked_profile(self, program: Program, stored: StoredCode) -> DeviceProfile | None:
+        """Return the profile of ``--device``, or else the one the code was searched for.
+
+        Raises
+        ------
+        ValueError
+            If the device cannot play the program: the line lists every limit it breaks.
+        """
+        from cep.files.files import stored_device
+        from hw.device import load_profile
+
+        if self.device is None:
+            profile = stored_device(stored, source=self.code)
+        else:
+            profile = load_profile(self.device)
+        if profile is not None and (problems := profile.check(program)):
+            line = f"the program cannot be played: {'; '.join(problems)}"
+            if self.device is None:
+                line += (
+                    f"; {self.code} was searched for {profile.name}, --device says which other"
+                    " shutter it is for"
+                )
+            raise ValueError(line)
+        return profile
 
 
-def timed_program(source: str, *, chip_ns: int | None) -> tuple[Program, StoredCode]:
-    """Return the program of a code, for whatever shutter, and what its file says of it.
-
-    Raises
-    ------
-    ValueError
-        If it is no code, or its chip time is out of range.
-    """
-    from cep.codes.sources import find_code
-    from hw.program import MAX_CHIP_NS, Program
-
-    stored = find_code(source, chip_ns=chip_ns)
-    code = stored.code
-    if code.chip_ns > MAX_CHIP_NS:
-        where = f"{source}: chip time" if chip_ns is None else "--chip-ns:"
-        raise ValueError(f"{where} must be below 2^63 ns, got {code.chip_ns:.6g}")
-    return Program.from_bits(code.bits, chip_ns=code.chip_ns), stored
-
-
-def load_program(
-    source: str, *, chip_ns: int | None, device: str | None
-) -> tuple[Program, DeviceProfile | None]:
-    """Return the program of a code, and the profile of ``--device`` or else the one that the code
-    was searched for.
-
-    Raises
-    ------
-    ValueError
-        If the chip time is out of range, or the device cannot play the program: the line lists
-        every limit it breaks.
-    """
-    program, stored = timed_program(source, chip_ns=chip_ns)
-    return program, checked_profile(program, stored, source=source, device=device)
-
-
-def checked_profile(
-    program: Program, stored: StoredCode, *, source: str, device: str | None
-) -> DeviceProfile | None:
-    """Return the profile that :func:`load_program` returns with a program, checked as there."""
-    from cep.files.files import stored_device
-    from hw.device import load_profile
-
-    profile = stored_device(stored, source=source) if device is None else load_profile(device)
-    if profile is not None and (problems := profile.check(program)):
-        whose = (
-            f"; {source} was searched for {profile.name}, --device says which other shutter it"
-            " is for"
-        )
-        raise ValueError(
-            f"the program cannot be played: {'; '.join(problems)}{'' if device else whose}"
-        )
-    return profile
-
-
-def open_port(port: str) -> Controller:
+def open_controller(port: str) -> Controller:
     """Open the controller of ``--port``.
 
     Raises
     ------
     ValueError
-        If it names nothing, or what cannot be opened.
+        If the port is blank or cannot be opened.
     """
-    from hw.drivers.finding import open_controller
+    from hw.drivers.cxp import Controller
 
-    return open_controller(named_port(port))
+    return Controller.open(named_port(port))
 
 
 def named_port(port: str) -> str:
@@ -130,7 +134,7 @@ def named_port(port: str) -> str:
 
 
 def program_figures(program: Program, profile: DeviceProfile | None) -> dict[str, object]:
-    """Return what every hardware command's JSON says of a program that was checked."""
+    """Return the fields of a checked program in every hardware command's JSON."""
     return {
         "chips": program.chips,
         "chip_ns": program.chip_ns,

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from cep.commands.console import finish
-from cep.commands.options import Force, Json, Seed
+from cep.commands.options import Force, Json, command
 
 
-def studio(
+@dataclass(frozen=True, kw_only=True)
+class StudioOptions:
+    """Options of ``cep studio``."""
+
     file: Annotated[
         Path | None,
         typer.Argument(metavar="FILE", help="A studio.json that the page saved, to begin with."),
-    ] = None,
+    ] = None
     port: Annotated[
         int,
         typer.Option(
@@ -26,10 +30,10 @@ def studio(
             max=65535,
             help="Port on 127.0.0.1; a free one when omitted.",
         ),
-    ] = 0,
+    ] = 0
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Print the address, and leave the browser alone.")
-    ] = False,
+    ] = False
     extract: Annotated[
         Path | None,
         typer.Option(
@@ -40,11 +44,13 @@ def studio(
                 " FILE's state."
             ),
         ),
-    ] = None,
-    force: Force = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
+    ] = None
+    force: Force = False
+    as_json: Json = False
+
+
+@command(StudioOptions)
+def studio(options: StudioOptions) -> None:
     """Open the studio: a page on this computer where a code is dragged and everything follows.
 
     Drop a blurred photo or choose a motion, give camera and light, and see the verdict, MTF,
@@ -56,15 +62,15 @@ def studio(
 
     Example: cep studio studio.json --extract design
     """
-    if extract is not None:
-        if file is None:
+    if options.extract is not None:
+        if options.file is None:
             raise ValueError("--extract: needs the studio.json to take apart")
         from cep.studio.documents import extract as take_apart
 
-        written = take_apart(file, extract, force=force)
+        written = take_apart(options.file, options.extract, force=options.force)
         finish(
-            {"files": written, "seed": seed},
-            as_json=as_json,
+            {"files": written},
+            as_json=options.as_json,
             show=lambda console: console.print(*map(str, written), sep="\n"),
         )
         return
@@ -78,14 +84,18 @@ def studio(
     from cep.studio.server import serve
 
     opened = None
-    if file is not None:
+    if options.file is not None:
         from cep.studio.documents import stored_state
 
-        opened = stored_state(file)
+        opened = stored_state(options.file)
 
     def ready(address: str) -> None:
-        if as_json:
-            finish({"address": address, "seed": seed}, as_json=True, show=lambda _console: None)
+        if options.as_json:
+            finish(
+                {"address": address},
+                as_json=True,
+                show=lambda _console: None,
+            )
             sys.stdout.flush()
         else:
             print(  # noqa: T201
@@ -100,4 +110,9 @@ def studio(
 
         webbrowser.open(page)
 
-    serve(port=port, opened=opened, on_ready=ready, browse=None if no_browser else browse)
+    serve(
+        port=options.port,
+        opened=opened,
+        on_ready=ready,
+        browse=None if options.no_browser else browse,
+    )

@@ -1,6 +1,4 @@
-"""A code on its way to the shutter: as a file, into a controller by its port, or played on an
-emulated one.
-"""
+"""A code on its way to the shutter: as a file, into a controller, or on an emulated one."""
 
 from __future__ import annotations
 
@@ -10,11 +8,11 @@ from types import TracebackType
 from typing import Self, TypeVar
 
 from cep.optics.code import ShutterCode
+from hw.cxp.protocol import Status
 from hw.device import DeviceProfile, load_profile
-from hw.drivers.cxp import Controller
-from hw.drivers.report import UploadReport
-from hw.drivers.write_only import WriteOnlyDevice
-from hw.export import export_program, file_name, find_exporter
+from hw.drivers import DRIVERS, Driver, UploadReport
+from hw.drivers.driver import LEASE_MS
+from hw.export import export_program, find_exporter
 from hw.program import Program
 
 MOST_ROUNDING = 0.005
@@ -24,9 +22,6 @@ of a chip off."""
 Timed = TypeVar("Timed", ShutterCode, Program)
 _LAST_EDGE_S = 2.0  # an emulated clock may lag behind
 
-DRIVERS = ("cxp", "pulse-pal", "scpi")
-"""Names of the drivers: our firmware, a Pulse Pal, a waveform generator with SCPI."""
-
 
 class Shutter:
     """An opened shutter controller; :func:`open_shutter` makes it.
@@ -35,12 +30,11 @@ class Shutter:
 
     Attributes
     ----------
-    device : Controller or WriteOnlyDevice
-        The driver, for what it can do besides.
+    driver : hw.drivers.Driver
     """
 
-    def __init__(self, device: Controller | WriteOnlyDevice) -> None:
-        self.device = device
+    def __init__(self, driver: Driver) -> None:
+        self.driver = driver
 
     def upload(
         self,
@@ -49,7 +43,7 @@ class Shutter:
         profile: DeviceProfile | str | None = None,
         arm: bool = False,
         play: bool = False,
-        lease_ms: int = 10_000,
+        lease_ms: int = LEASE_MS,
         clock_ppm: float = 0.0,
     ) -> UploadReport:
         """Load a code, read it back where the device can be asked, and arm or play it if wanted.
@@ -75,34 +69,34 @@ class Shutter:
         ValueError
             If the shutter or the device cannot play the code: the line lists every limit it
             breaks. Nothing was sent.
-        hw.errors.DeviceError, hw.port.LinkError, hw.cxp.player.VerifyError
+        hw.errors.DeviceError, hw.port.LinkError, hw.errors.VerifyError
             If the device refuses, stops answering, or holds another program than it was sent.
         """
-        program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
         limits = load_profile(profile) if isinstance(profile, str) else profile
-        if isinstance(self.device, Controller):
-            report = self.device.upload(
-                program, profile=limits, arm=arm or play, lease_ms=lease_ms, clock_ppm=clock_ppm
-            )
-            if play:
-                self.device.play(timeout_s=1.1e-9 * program.duration_ns + 2)
-                report = replace(report, armed=False, lease_ms=None)
-            return report
-        if clock_ppm:
-            raise ValueError(
-                "clock_ppm: this device cannot stretch chips, only cxp controllers do"
-            )
-        report = self.device.upload(program, profile=limits, arm=arm)
+        armed_to_play = self.driver.capabilities.armed_to_play
+        report = self.driver.upload(
+            Program.from_bits(code.bits, chip_ns=code.chip_ns),
+            profile=limits,
+            arm=arm or (play and armed_to_play),
+            lease_ms=lease_ms,
+            clock_ppm=clock_ppm,
+        )
         if play:
-            self.device.play()
+            self.driver.play()
+            if armed_to_play:
+                report = replace(report, armed=False, lease_ms=None)
         return report
 
-    def abort(self) -> None:
+    def play(self) -> Status | None:
+        """Play the armed code once, and wait for its end."""
+        return self.driver.play()
+
+    def abort(self) -> Status | None:
         """Close the shutter and disarm; raises where the device does not confirm it."""
-        self.device.abort()
+        return self.driver.abort()
 
     def __enter__(self) -> Self:
-        self.device.__enter__()
+        self.driver.__enter__()
         return self
 
     def __exit__(
@@ -111,7 +105,7 @@ class Shutter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.device.__exit__(kind, error, trace)
+        self.driver.__exit__(kind, error, trace)
 
 
 def open_shutter(port: str, *, driver: str = "cxp") -> Shutter:
@@ -138,17 +132,7 @@ def open_shutter(port: str, *, driver: str = "cxp") -> Shutter:
     """
     if driver not in DRIVERS:
         raise ValueError(f"driver: must be one of {', '.join(DRIVERS)}, got {driver[:40]!r}")
-    if driver == "cxp":
-        from hw.drivers.finding import open_controller
-
-        return Shutter(open_controller(port))
-    if driver == "pulse-pal":
-        from hw.drivers.pulsepal import PulsePal
-
-        return Shutter(PulsePal.open(port))
-    from hw.drivers.scpi import ScpiAwg
-
-    return Shutter(ScpiAwg.open(port))
+    return Shutter(DRIVERS[driver].open(port))
 
 
 def on_ticks(code: Timed, tick_ns: int) -> tuple[Timed, tuple[str, ...]]:
@@ -195,8 +179,7 @@ class ExportedCode:
 def export_code(
     code: ShutterCode, file_format: str, *, device: DeviceProfile | str | None = None
 ) -> ExportedCode:
-    """Write a code as a timed program, its chips in the ticks of the format, and read it back to
-    prove its edges.
+    """Write a code as a timed program in the format's ticks, and read it back to prove its edges.
 
     Raises
     ------
@@ -210,19 +193,13 @@ def export_code(
     ('code.csv', '3.000,0')
     """
     profile = load_profile(device) if isinstance(device, str) else device
-    tick_ns = find_exporter(file_format).tick_ns
-    program, warnings = on_ticks(Program.from_bits(code.bits, chip_ns=code.chip_ns), tick_ns)
+    exporter = find_exporter(file_format)
+    whole_ns = Program.from_bits(code.bits, chip_ns=code.chip_ns)
+    program, warnings = on_ticks(whole_ns, exporter.tick_ns)
     if profile is not None and (problems := profile.check(program)):
         raise ValueError("device: the code cannot be played: " + "; ".join(problems))
     text = export_program(program, file_format, device=profile)
-    return ExportedCode(file_name("code", file_format), text, program, warnings)
-
-
-def shutter_profile(name: str) -> DeviceProfile:
-    """Return the limits of a shutter by its name; errors are those of
-    :func:`hw.device.load_profile`.
-    """
-    return load_profile(name)
+    return ExportedCode(exporter.file_name("code"), text, program, warnings)
 
 
 @dataclass(frozen=True)
@@ -250,8 +227,7 @@ def play_emulated(
     ValueError
         If the emulator cannot run here, or the board cannot play the code; the line says why.
     """
-    from hw.emulation.build import EmulationError
-    from hw.emulation.uno import CLOCK_HZ, EmulatedUno
+    from hw.emulation.uno import CLOCK_HZ, EmulatedUno, EmulationError
 
     uno = EmulatedUno()
     try:
@@ -261,8 +237,8 @@ def play_emulated(
     try:
         with open_shutter(uno.port) as shutter:
             report = shutter.upload(code, profile=profile, play=True)
-        ends = time.monotonic() + _LAST_EDGE_S
-        while len(edges := uno.edges()) < 2 * code.pulses and time.monotonic() < ends:
+        deadline = time.monotonic() + _LAST_EDGE_S
+        while len(edges := uno.edges()) < 2 * code.pulses and time.monotonic() < deadline:
             time.sleep(0.01)
     finally:
         uno.stop()

@@ -13,7 +13,8 @@ from cep.codes.published import for_chips, names
 from cep.optics.camera import Camera
 from cep.optics.camera import camera_names as camera_names
 from cep.optics.code import ShutterCode
-from hw.device import DeviceProfile, load_profile
+from hw.device import DeviceProfile
+from hw.device import load_profile as load_profile
 from hw.device import profile_names as profile_names
 from hw.export import EXPORTERS
 from hw.port import list_ports

@@ -16,8 +16,7 @@ import numpy as np
 
 import cep
 from cep.files.formatting import seconds_of
-from cep.shutter.play import shutter_profile
-from cep.studio.catalogue import camera_names, example_motion, profile_names
+from cep.studio.catalogue import camera_names, example_motion, load_profile, profile_names
 from cep.studio.fields import (
     LIMITS,
     MOST_CHIPS,
@@ -262,7 +261,7 @@ def _camera(name: str) -> cep.Camera:
 
 @lru_cache(maxsize=32)
 def _profile(name: str) -> cep.DeviceProfile:
-    return shutter_profile(name)
+    return load_profile(name)
 
 
 def read_setting(document: object) -> Setting:

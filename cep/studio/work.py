@@ -247,13 +247,12 @@ def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
 
 def _play(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
-    from cep.shutter.play import on_ticks, play_emulated, shutter_profile
+    from cep.shutter.play import on_ticks, play_emulated
+    from hw.device import load_profile
 
     setting = read_setting(order["setting"])
     port = order["port"]
-    code, notes = on_ticks(
-        setting.code(), shutter_profile(_UNO).tick_ns if port == "emulated" else 1
-    )
+    code, notes = on_ticks(setting.code(), load_profile(_UNO).tick_ns if port == "emulated" else 1)
     try:
         if port == "emulated":
             tell(0.1, "starting the emulated controller")

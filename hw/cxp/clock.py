@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from hw.cxp.player import VerifyError
 from hw.drivers.cxp import Controller
+from hw.errors import VerifyError
 
 _WRAP_US = 2**32
 _LEAST = 8

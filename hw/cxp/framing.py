@@ -6,6 +6,8 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from cobs import cobs
+
 _HEX = re.compile(rb"(?:[0-9A-F]{2})+")
 
 
@@ -17,10 +19,9 @@ class FrameError(ValueError):
 class Framing:
     """Encoding of frames on a line: :data:`BINARY` for UARTs, :data:`TEXT` for consoles.
 
-    Parameters
+    Attributes
     ----------
     name : str
-        For messages.
     end : bytes
         The one byte that ends a frame and occurs in none.
     wrap, unwrap : callable of bytes to bytes
@@ -78,56 +79,11 @@ def crc16(data: bytes) -> int:
     return crc
 
 
-def cobs_encode(data: bytes) -> bytes:
-    """Consistent-overhead byte stuffing: the same data without any 0x00, without a delimiter.
-
-    References
-    ----------
-    S. Cheshire and M. Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Trans. Networking 7(2),
-    1999, section III.
-
-    Examples
-    --------
-    >>> cobs_encode(bytes([0x11, 0x22, 0x00, 0x33])).hex()
-    '0311220233'
-    """
-    out = bytearray()
-    block = bytearray()
-    for byte in data:
-        if byte:
-            block.append(byte)
-        if not byte or len(block) == 254:
-            out += bytes([len(block) + 1]) + block
-            block.clear()
-            full = byte != 0
-    if not data or block or not full:
-        out += bytes([len(block) + 1]) + block
-    return bytes(out)
-
-
-def cobs_decode(data: bytes) -> bytes:
-    """Undo `cobs_encode`.
-
-    Raises
-    ------
-    FrameError
-        If `data` is empty, holds a 0x00, or a length byte points past the end.
-    """
-    if not data or 0 in data:
-        raise FrameError("frame is empty or holds 0x00: it is not byte-stuffed")
-    out = bytearray()
-    at = 0
-    while at < len(data):
-        code = data[at]
-        if at + code > len(data):
-            raise FrameError(
-                f"frame is cut short: a block of {code} bytes at {at} passes its {len(data)} bytes"
-            )
-        out += data[at + 1 : at + code]
-        at += code
-        if code < 0xFF and at < len(data):
-            out.append(0)
-    return bytes(out)
+def _from_stuffed(stuffed: bytes) -> bytes:
+    try:
+        return bytes(cobs.decode(stuffed))
+    except cobs.DecodeError as error:
+        raise FrameError(f"frame is not byte-stuffed: {error}") from None
 
 
 def _to_text(data: bytes) -> bytes:
@@ -142,8 +98,13 @@ def _from_text(line: bytes) -> bytes:
     return bytes.fromhex(digits[2].decode())
 
 
-BINARY = Framing("binary", b"\0", cobs_encode, cobs_decode)
-"""Byte stuffing (COBS) and 0x00."""
+BINARY = Framing("binary", b"\0", cobs.encode, _from_stuffed)
+"""Consistent-overhead byte stuffing and 0x00.
+
+References
+----------
+S. Cheshire and M. Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Trans. Networking 7(2),
+1999, section III."""
 TEXT = Framing("text", b"\n", _to_text, _from_text)
 """``:``, upper-case hexadecimal digits, newline: nothing that a console would take for a
 command."""

@@ -218,12 +218,7 @@ class Link:
 
 
 def open_link(
-    port: str,
-    *,
-    baud: int = 115200,
-    timeout_s: float = 0.15,
-    attempts: int = 12,
-    hello_s: float = 3.0,
+    port: str, *, timeout_s: float = 0.15, attempts: int = 12, hello_s: float = 3.0
 ) -> tuple[Link, Hello]:
     """Open a port and request the HELLO of the device on it.
 
@@ -231,8 +226,6 @@ def open_link(
     ----------
     port : str
         Name of a serial port, as ``/dev/ttyUSB0`` or ``COM3``.
-    baud : int
-        Line rate; CXP1 devices use 115200.
     timeout_s, attempts
         As `Link`.
     hello_s : float
@@ -252,7 +245,7 @@ def open_link(
     LinkError
         If the device disappears while it is greeted.
     """
-    opened = open_port(port, baud=baud)
+    opened = open_port(port)
     try:
         link = Link(opened, name=port, timeout_s=timeout_s, attempts=attempts)
     except ValueError:

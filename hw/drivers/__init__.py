@@ -1,5 +1,16 @@
 """Drivers: upload of a program to a real controller, with a report of its trust."""
 
-from hw.drivers.report import Trust, UploadReport
+from collections.abc import Mapping
+from types import MappingProxyType
 
-__all__ = ["Trust", "UploadReport"]
+from hw.drivers.cxp import Controller
+from hw.drivers.driver import Driver, Trust, UploadReport
+from hw.drivers.pulsepal import PulsePal
+from hw.drivers.scpi import ScpiAwg
+
+__all__ = ["DRIVERS", "Driver", "Trust", "UploadReport"]
+
+DRIVERS: Mapping[str, type[Driver]] = MappingProxyType(
+    {"cxp": Controller, "pulse-pal": PulsePal, "scpi": ScpiAwg}
+)
+"""Driver name to its class: our firmware, a Pulse Pal, a waveform generator with SCPI."""

@@ -1,28 +1,44 @@
-"""Driver of CXP1 controllers: check, load, read back, arm, trigger, abort."""
+"""Driver of CXP1 controllers: check, load, read back, arm, play, abort."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
-from typing import Self
+from typing import ClassVar, Self
 
-from hw.cxp.link import open_link
-from hw.cxp.player import RemotePlayer
-from hw.cxp.protocol import State, pack_arm
+from hw.cxp.framing import FrameError
+from hw.cxp.link import Link, open_link
+from hw.cxp.protocol import (
+    AT_REST,
+    Hello,
+    Op,
+    State,
+    Status,
+    Stored,
+    pack_arm,
+    stored_program,
+    unpack_crc,
+    unpack_status,
+    unpack_stored,
+)
 from hw.device import DeviceProfile, refusal
-from hw.drivers.report import Trust, UploadReport
-from hw.errors import WrongStateError
+from hw.drivers.driver import LEASE_MS, Capabilities, Trust, UploadReport
+from hw.errors import DeviceError, VerifyError, WrongStateError
+from hw.port import LinkError, PortError, PortInfo, list_ports
 from hw.program import Program
 
 PROVEN_FIRMWARE = frozenset({"cxp-avr 1", "cxp-rp2040 1"})
 """Firmware whose edges the tests prove on emulated processors."""
 
 
-class Controller(RemotePlayer):
+class Controller:
     """A CXP1 shutter controller on an open link.
 
-    Use it as a context manager: left by an exception after it has loaded, armed or triggered
-    anything it sends ABORT, which closes and disarms the shutter.
+    Every change is confirmed by the controller's status afterwards. Left by an exception, as a
+    context manager, it sends ABORT after it has loaded, armed or triggered anything, which closes
+    and disarms the shutter.
 
     Parameters
     ----------
@@ -37,30 +53,38 @@ class Controller(RemotePlayer):
 
         with Controller.open("/dev/ttyUSB0") as controller:
             report = controller.upload(program, arm=True)
-            controller.play(timeout_s=1.0)
+            controller.play()
     """
+
+    capabilities: ClassVar[Capabilities] = Capabilities(armed_to_play=True, stretches_chips=True)
+
+    def __init__(self, link: Link, hello: Hello) -> None:
+        self.link = link
+        self.announced = hello
 
     @classmethod
     def open(
-        cls,
-        port: str,
-        *,
-        baud: int = 115200,
-        timeout_s: float = 0.15,
-        attempts: int = 12,
-        hello_s: float = 3.0,
+        cls, port: str, *, timeout_s: float = 0.15, attempts: int = 12, hello_s: float = 3.0
     ) -> Self:
-        """Open the controller on a serial port; parameters and errors as
-        `hw.cxp.link.open_link`.
+        """Open the controller on a port, or with ``"auto"`` the only one that is connected.
+
+        Other parameters as `hw.cxp.link.open_link`.
+
+        Raises
+        ------
+        PortError
+            If the port cannot be opened or is no controller, or with ``"auto"`` there is none, or
+            more than one.
         """
-        return cls(
-            *open_link(port, baud=baud, timeout_s=timeout_s, attempts=attempts, hello_s=hello_s)
-        )
+        name = _only_controller() if port == "auto" else port
+        link, hello = open_link(name, timeout_s=timeout_s, attempts=attempts, hello_s=hello_s)
+        return cls(link, hello)
 
     @property
     def limits(self) -> DeviceProfile:
         """Limits that the device announced."""
         hello = self.announced
+        max_on_ns = None if hello.max_on_ticks is None else hello.max_on_ticks * hello.tick_ns
         return DeviceProfile(
             name=self.link.name,
             description=hello.firmware,
@@ -68,32 +92,28 @@ class Controller(RemotePlayer):
             min_chip_ns=hello.min_ticks * hello.tick_ns,
             max_chip_ns=hello.max_ticks * hello.tick_ns,
             max_chips=hello.max_chips,
-            max_on_ns=None if hello.max_on_ticks is None else hello.max_on_ticks * hello.tick_ns,
+            max_on_ns=max_on_ns,
             max_duty=hello.max_duty,
         )
 
     @property
     def trust(self) -> Trust:
-        """Trust that :meth:`verify` proves of a program: A with firmware of
-        :data:`PROVEN_FIRMWARE`, else B.
-        """
+        """Trust that :meth:`verify` proves: A with :data:`PROVEN_FIRMWARE`, else B."""
         return Trust.A if self.announced.firmware in PROVEN_FIRMWARE else Trust.B
 
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
-        """List every limit that the program breaks: those the device announced, and those of
-        `profile`.
-        """
-        found = self.limits.check(program)
+        """List every limit that the program breaks: the announced ones, and those of `profile`."""
+        problems = self.limits.check(program)
         if profile is None:
-            return found
+            return problems
         if profile.closed_level:
-            found += (
+            problems += (
                 (
                     f"{profile.name}: closed at a high level, but this controller rests low; put"
                     " an inverter between"
                 ),
             )
-        return found + profile.check(program)
+        return problems + profile.check(program)
 
     def upload(
         self,
@@ -102,42 +122,19 @@ class Controller(RemotePlayer):
         profile: DeviceProfile | None = None,
         verify: bool = True,
         arm: bool = False,
-        lease_ms: int = 10_000,
+        lease_ms: int = LEASE_MS,
         clock_ppm: float = 0.0,
     ) -> UploadReport:
         """Check a program, load it, read it back, and arm if wanted.
 
-        Parameters
-        ----------
-        program : Program
-            Program to play.
-        profile : DeviceProfile, optional
-            Limits of the shutter, besides those the controller announced.
-        verify : bool
-            Read the stored program back and compare; without it the report's trust is B.
-        arm : bool
-            Arm when all went well.
-        lease_ms : int
-            Lease of the arming, ms.
-        clock_ppm : float
-            Error of the device's clock, positive when fast (`hw.cxp.clock.measure_clock`); chips
-            are stretched by it.
-
-        Raises
-        ------
-        ValueError
-            If a limit is broken; the message lists all of them and nothing was sent.
-        VerifyError
-            If the device holds another program than it was sent, or is not in the state it should
-            be in.
-        DeviceError, LinkError
-            If the device refuses, or stops answering.
+        As :meth:`hw.drivers.driver.Driver.upload`; without `verify` nothing is read back, and the
+        report's trust is B.
         """
         problems = self.check(program, profile=profile)
         if problems:
             raise ValueError(refusal(problems, self.limits))
         payload = pack_arm(lease_ms)
-        start = time.monotonic()
+        start_s = time.monotonic()
         retries = self.link.retries
         armed = False
         try:
@@ -166,8 +163,151 @@ class Controller(RemotePlayer):
             clock_ppm=clock_ppm,
             warnings=_warnings(profile),
             retries=self.link.retries - retries,
-            seconds=time.monotonic() - start,
+            seconds=time.monotonic() - start_s,
         )
+
+    def load(self, program: Program, *, clock_ppm: float = 0.0) -> Stored:
+        """Store a program in the device, which must be neither armed nor playing.
+
+        Its limits are not checked here. The program sent is returned, as the device confirmed it.
+
+        Raises
+        ------
+        ValueError
+            If the program cannot be expressed in the device's ticks.
+        VerifyError
+            If the device confirms another CRC-32, or is not loaded afterwards.
+        """
+        sent = stored_program(program, self.announced, clock_ppm=clock_ppm)
+        with self._understood():
+            crc = unpack_crc(self.link.request(Op.LOAD, sent.payload))
+        if crc != sent.crc32:
+            raise VerifyError(
+                f"{self.link.name} confirms CRC32 0x{crc:08x}: 0x{sent.crc32:08x} was sent"
+            )
+        status = self.status()
+        if status.state is not State.LOADED:
+            raise self._contradiction(Op.LOAD, status)
+        return sent
+
+    def read(self) -> Stored:
+        """Read the stored program back; VerifyError if the reply is no program."""
+        with self._understood():
+            return unpack_stored(self.link.request(Op.READ))
+
+    def verify(self, program: Program, *, clock_ppm: float = 0.0) -> None:
+        """Read the stored program back; VerifyError says how it differs from the one given."""
+        right = stored_program(program, self.announced, clock_ppm=clock_ppm)
+        stored = self.read()
+        if stored != right:
+            raise VerifyError(
+                f"{self.link.name} holds another program than it was sent:"
+                f" {right.difference(stored)}"
+            )
+
+    def arm(self, *, lease_ms: int = LEASE_MS) -> Status:
+        """Let the next trigger play the program, until the lease is over.
+
+        Returns
+        -------
+        Status
+            Read back afterwards: ARMED, or PLAY or DONE where the trigger input was quicker.
+
+        Raises
+        ------
+        VerifyError
+            If the device is in another state; ABORT has then been sent.
+        """
+        payload = pack_arm(lease_ms)
+        before = self.status()
+        with self._closed_on_doubt():
+            return self._armed(payload, before)
+
+    def trigger(self) -> None:
+        """Play the program once; a lost reply never plays it twice. The end is not awaited."""
+        with self._closed_on_doubt():
+            self.link.request(Op.TRIG)
+
+    def play(self, *, timeout_s: float | None = None) -> Status:
+        """Play the armed program once, wait for its end, and read back that it was played.
+
+        Parameters
+        ----------
+        timeout_s : float, optional
+            How long to wait for the end; by the stored program's length when omitted.
+
+        Returns
+        -------
+        Status
+            Read back afterwards: DONE, with one more play ended and no edge of it missed.
+
+        Raises
+        ------
+        VerifyError
+            If it still plays after `timeout_s`, or the status is another one; ABORT has then been
+            sent.
+        """
+        if timeout_s is None:
+            stored = self.read()
+            duration_ns = len(stored.bits) * float(stored.chip_ticks) * self.announced.tick_ns
+            timeout_s = 1.1e-9 * duration_ns + 2  # a clock may be 10 % slow, a line late
+        before = self.status()
+        self.trigger()
+        status = self.wait(timeout_s=timeout_s)
+        with self._closed_on_doubt():
+            plays = (status.runs - before.runs) % 65536
+            missed = status.late - before.late
+            if (status.state, plays, missed) != (State.DONE, 1, 0):
+                raise self._contradiction(
+                    Op.TRIG, status, f", with {plays} plays ended and {missed} edges missed"
+                )
+        return status
+
+    def wait(self, *, timeout_s: float) -> Status:
+        """Wait until the device is no longer playing, and return its status.
+
+        Raises
+        ------
+        VerifyError
+            If it still plays after `timeout_s`, or reports a fault; ABORT has then been sent.
+        """
+        deadline = time.monotonic() + timeout_s
+        while True:
+            status = self.status()
+            late = status.state is State.PLAY and time.monotonic() >= deadline
+            if late or status.state is State.FAULT:
+                failure = f"still plays after {timeout_s:g} s" if late else "reports a fault"
+                error = VerifyError(f"{self.link.name} {failure}; ABORT was sent")
+                self.link.abort_after(error)
+                raise error
+            if status.state is not State.PLAY:
+                return status
+            time.sleep(0.001)
+
+    def abort(self) -> Status:
+        """Close the shutter and disarm; the status afterwards is IDLE or LOADED.
+
+        Raises
+        ------
+        LinkError
+            If the device does not answer.
+        VerifyError
+            If the device is in another state.
+        """
+        try:
+            self.link.request(Op.ABORT)
+            status = self.status()
+            if status.state not in AT_REST:
+                raise self._contradiction(Op.ABORT, status)
+        except BaseException as error:
+            error.add_note("the shutter may still be open")
+            raise
+        return status
+
+    def status(self) -> Status:
+        """Ask for the state of the player; VerifyError if the reply cannot be understood."""
+        with self._understood():
+            return unpack_status(self.link.request(Op.STATUS))
 
     def close(self) -> None:
         """Close the port without sending anything."""
@@ -183,6 +323,74 @@ class Controller(RemotePlayer):
         trace: TracebackType | None,
     ) -> None:
         self.link.__exit__(kind, error, trace)
+
+    def _armed(self, payload: bytes, before: Status) -> Status:
+        self.link.request(Op.ARM, payload)
+        status = self.status()
+        played = status.state is State.DONE and status.runs != before.runs
+        triggered = self.announced.trigger_input and (status.state is State.PLAY or played)
+        if status.state is not State.ARMED and not triggered:
+            lease_ms = int.from_bytes(payload, "little")
+            over = (
+                f"; its lease of {lease_ms} ms may be over" if status.state is State.LOADED else ""
+            )
+            raise self._contradiction(Op.ARM, status, over)
+        return status
+
+    def _contradiction(self, op: Op, status: Status, more: str = "") -> VerifyError:
+        return VerifyError(
+            f"{self.link.name} acknowledged {op.name}, but is {status.state.name} afterwards{more}"
+        )
+
+    @contextmanager
+    def _understood(self) -> Iterator[None]:
+        try:
+            yield
+        except FrameError as error:
+            raise VerifyError(f"{self.link.name}: {error}") from None
+
+    @contextmanager
+    def _closed_on_doubt(self) -> Iterator[None]:
+        try:
+            yield
+        except DeviceError:
+            raise  # refused: nothing changed in the device
+        except BaseException as error:
+            # No reply, or a wrong one: it may or may not be armed or open, and closed is the only
+            # safe guess.
+            self.link.abort_after(error)
+            raise
+
+
+def ask_ports(*, hello_s: float = 2.5) -> tuple[tuple[PortInfo, Hello | str], ...]:
+    """Request a HELLO on every serial port: each HELLO, or the reason why there is none.
+
+    Opening a port resets many boards, and other devices receive unexpected bytes.
+    """
+    answers: list[tuple[PortInfo, Hello | str]] = []
+    for info in list_ports():
+        try:
+            link, hello = open_link(info.port, hello_s=hello_s)
+        except (PortError, LinkError) as error:
+            answers.append((info, str(error)))
+        else:
+            link.close()
+            answers.append((info, hello))
+    return tuple(answers)
+
+
+def _only_controller() -> str:
+    ports = [info.port for info, answer in ask_ports() if isinstance(answer, Hello)]
+    if not ports:
+        raise PortError(
+            "auto finds no shutter controller, no serial port answers as one: plug it in, or name"
+            " its port"
+        )
+    if len(ports) > 1:
+        raise PortError(
+            f"auto finds {' and '.join(ports)}, all shutter controllers: name one of them"
+        )
+    return ports[0]
 
 
 def _warnings(profile: DeviceProfile | None) -> tuple[str, ...]:

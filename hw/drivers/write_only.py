@@ -8,10 +8,10 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from types import TracebackType
-from typing import Self
+from typing import ClassVar, Self
 
 from hw.device import DeviceProfile
-from hw.drivers.report import Trust, UploadReport
+from hw.drivers.driver import LEASE_MS, Capabilities, Trust, UploadReport
 from hw.errors import WrongStateError
 from hw.program import Program
 
@@ -32,11 +32,18 @@ class WriteOnlyDevice(ABC):
         Name of the port or resource, for messages.
     """
 
+    capabilities: ClassVar[Capabilities] = Capabilities()
+
     def __init__(self, *, name: str) -> None:
         self.name = name
         self._program: Program | None = None
-        self._over_s = 0.0
+        self._ends_s = 0.0  # of the last play, on the monotonic clock
         atexit.register(self._leave)
+
+    @classmethod
+    @abstractmethod
+    def open(cls, port: str) -> Self:
+        """Open the device on a port, or the resource of that name."""
 
     @property
     @abstractmethod
@@ -55,35 +62,26 @@ class WriteOnlyDevice(ABC):
         """
 
     def upload(
-        self, program: Program, *, profile: DeviceProfile | None = None, arm: bool = False
+        self,
+        program: Program,
+        *,
+        profile: DeviceProfile | None = None,
+        arm: bool = False,
+        lease_ms: int = LEASE_MS,  # noqa: ARG002 - these devices stay armed until the next upload
+        clock_ppm: float = 0.0,
     ) -> UploadReport:
         """Check a program, abort a running one, store the program, and arm if wanted.
 
-        Parameters
-        ----------
-        program : Program
-            Program to play.
-        profile : DeviceProfile, optional
-            Limits of the shutter, and the level at which it is closed.
-        arm : bool
-            Arm when all went well.
-
-        Returns
-        -------
-        UploadReport
-            Report with trust B.
-
-        Raises
-        ------
-        ValueError
-            If a limit is broken; the message lists all of them and nothing was sent.
-        DeviceError, LinkError
-            If the device refuses, or stops answering; an abort has then been sent.
+        As :meth:`hw.drivers.driver.Driver.upload`; the report's trust is B.
         """
+        if clock_ppm:
+            raise ValueError(
+                "clock_ppm: this device cannot stretch chips, only cxp controllers do"
+            )
         problems = self.check(program, profile=profile)
         if problems:
             raise ValueError("program cannot be played: " + "; ".join(problems))
-        begin_s = time.monotonic()
+        start_s = time.monotonic()
         retries = self._retries
         self._program = None
         with self._aborted_on_error():
@@ -105,7 +103,7 @@ class WriteOnlyDevice(ABC):
             armed=arm,
             lease_ms=None,
             retries=self._retries - retries,
-            seconds=time.monotonic() - begin_s,
+            seconds=time.monotonic() - start_s,
             warnings=self.warnings,
         )
 
@@ -135,18 +133,18 @@ class WriteOnlyDevice(ABC):
             If the device refuses, or is gone; an abort has then been sent.
         """
         program = self._loaded("trigger")
-        left_s = self._over_s - time.monotonic()
+        left_s = self._ends_s - time.monotonic()
         if left_s > 0:
             raise WrongStateError(
                 f"{self.name} still plays for {left_s:.3g} s: wait before the next trigger"
             )
         with self._aborted_on_error():
             self._trigger()
-        self._over_s = time.monotonic() + self._lasts_ns(program) / 1e9 + _MARGIN_S
+        self._ends_s = time.monotonic() + self._lasts_ns(program) / 1e9 + _MARGIN_S
 
     def wait(self) -> None:
         """Sleep until a program triggered by `trigger` must be over."""
-        time.sleep(max(0.0, self._over_s - time.monotonic()))
+        time.sleep(max(0.0, self._ends_s - time.monotonic()))
 
     def play(self) -> None:
         """Play the program once, now, and wait until it must be over; one that was not armed is
@@ -169,7 +167,7 @@ class WriteOnlyDevice(ABC):
             If the device does not acknowledge.
         """
         self._abort()
-        self._over_s = 0.0
+        self._ends_s = 0.0
 
     def close(self) -> None:
         """Close the connection without sending anything; may be called again."""
@@ -188,6 +186,9 @@ class WriteOnlyDevice(ABC):
         if error is not None:
             self._abort_after(error)
         self.close()
+
+    def status(self) -> None:  # noqa: B027 - the same for all of them
+        """Return nothing: these devices cannot be asked."""
 
     @property
     def _retries(self) -> int:

@@ -2,68 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Protocol
+from importlib import import_module
 
 from hw.device import DeviceProfile
-from hw.export import (
-    arduino,
-    c_header,
-    camera,
-    csv_edges,
-    dmd,
-    json_manifest,
-    pulsepal,
-    rp2_script,
-    scpi,
-    vcd,
-)
-from hw.export._text import GENERIC
+from hw.export.base import EXPORTERS, GENERIC, Exporter
 from hw.program import Program
 
-__all__ = ["EXPORTERS", "Exporter", "export_program", "file_name", "find_exporter"]
+__all__ = ["EXPORTERS", "Exporter", "export_program", "find_exporter"]
 
-
-class Exporter(Protocol):
-    """Protocol of the export modules; one module per format."""
-
-    @property
-    def suffix(self) -> str:
-        """File suffix with its dot."""
-
-    @property
-    def summary(self) -> str:
-        """Description of the file, in a few words."""
-
-    @property
-    def tick_ns(self) -> int:
-        """Unit of the chip times that the format can represent, ns."""
-
-    def export(self, program: Program, device: DeviceProfile = ..., /) -> str:
-        """Write the program as text; ValueError when the format cannot represent it."""
-
-    def parse_back(self, text: str, /) -> Program:
-        """Read the text back to the identical program; ValueError in one line when it was
-        altered.
-        """
-
-
-EXPORTERS: Mapping[str, Exporter] = MappingProxyType(
-    {
-        "csv": csv_edges,
-        "json": json_manifest,
-        "vcd": vcd,
-        "c": c_header,
-        "arduino": arduino,
-        "rp2": rp2_script,
-        "pulsepal": pulsepal,
-        "scpi": scpi,
-        "camera": camera,
-        "dmd": dmd,
-    }
+_MODULES = (
+    "csv_edges",
+    "json_manifest",
+    "vcd",
+    "c_header",
+    "arduino",
+    "rp2_script",
+    "pulsepal",
+    "scpi",
+    "camera",
+    "dmd",
 )
-"""Format name to exporter."""
+"""One line a format: its module, in the order of every list. The class enters itself."""
+
+for _module in _MODULES:
+    import_module(f"hw.export.{_module}")
 
 
 def find_exporter(file_format: str) -> Exporter:
@@ -75,19 +37,6 @@ def find_exporter(file_format: str) -> Exporter:
     return EXPORTERS[file_format]
 
 
-def file_name(stem: str, file_format: str) -> str:
-    """Name the file of a code in a format.
-
-    Examples
-    --------
-    >>> file_name("code", "csv"), file_name("code", "json")
-    ('code.csv', 'code.program.json')
-    """
-    suffix = find_exporter(file_format).suffix
-    # a code is JSON too, and a code.py would hide Python's own module from whatever runs beside it
-    return stem + {".json": ".program", ".py": "_rp2"}.get(suffix, "") + suffix
-
-
 def export_program(
     program: Program, file_format: str, *, device: DeviceProfile | None = None
 ) -> str:
@@ -95,16 +44,10 @@ def export_program(
 
     Parameters
     ----------
-    program : Program
     file_format : str
         A name of :data:`EXPORTERS`.
     device : DeviceProfile, optional
-        Shutter that the text is for; one that is closed at level 0 and adds nothing to an opening
-        when omitted.
-
-    Returns
-    -------
-    str, the content of the file
+        Shutter that the text is for; :data:`hw.export.base.GENERIC` when omitted.
 
     Raises
     ------

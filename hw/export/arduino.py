@@ -1,6 +1,4 @@
-"""Arduino sketch: the code played by the timer's output compare of an Uno or Nano, without a
-host.
-"""
+"""Arduino sketch: the code played by an Uno's output compare, without a host."""
 
 from __future__ import annotations
 
@@ -8,17 +6,12 @@ import re
 from string import Template
 
 from hw.device import DeviceProfile
-from hw.export._text import GENERIC, integer, only, packed_bytes, unaltered, verified
+from hw.export.base import GENERIC, Exporter, closed_at, hex_rows, packed_bytes
 from hw.program import Program
 
-suffix = ".ino"
-summary = "sketch for an Arduino Uno or Nano that plays the code on D9 at a trigger on D2"
-tick_ns = 500
-
-_LEAST_TICKS = 100
-_MOST_TICKS = 65_535
-_MOST_CHIPS = 65_535
-_BYTES_PER_LINE = 16
+_LEAST_TICKS = 100  # 50 us: the longest path through the interrupt, with some to spare
+_MOST_TICKS = 65_535  # Timer 1 counts 16 bits
+_MOST_CHIPS = 65_535  # the index of the chip has 16 bits
 _CHIPS = re.compile(r"^#define CHIPS (\S+)u$", re.MULTILINE)
 _TICKS = re.compile(r"^#define TICKS (\S+)u ", re.MULTILINE)
 _CLOSED = re.compile(r"^#define CLOSED_LEVEL ([01]) ", re.MULTILINE)
@@ -142,57 +135,52 @@ void loop() {
 """)
 
 
-def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
-    """Write the sketch; the Arduino IDE wants it in a folder of the same name.
+class ArduinoSketch(Exporter):
+    """Sketch whose edges the output compare of Timer 1 makes."""
 
-    Raises
-    ------
-    ValueError
-        If the chip is no whole number of 0.5 us ticks, outside 50 us .. 32.7675 ms, or if there
-        are too many chips.
-    """
-    ticks, rest = divmod(program.chip_ns, tick_ns)
-    if rest or not _LEAST_TICKS <= ticks <= _MOST_TICKS:
-        near = min(max(ticks, _LEAST_TICKS), _MOST_TICKS) * tick_ns
-        raise ValueError(
-            f"chip of {program.chip_ns} ns cannot be played by the sketch: it must be a multiple"
-            f" of {tick_ns} ns in {_LEAST_TICKS * tick_ns}..{_MOST_TICKS * tick_ns} ns; {near} ns"
-            " would do"
+    name = "arduino"
+    suffix = ".ino"
+    summary = "sketch for an Arduino Uno or Nano that plays the code on D9 at a trigger on D2"
+    needs = "an Arduino Uno or Nano (ATmega328P, 16 MHz)"
+    manual = "Microchip ATmega328P datasheet: Timer 1, output compare"
+    label = "Arduino sketch"
+    tick_ns = 500
+
+    def export(self, program: Program, device: DeviceProfile = GENERIC, /) -> str:
+        """Write the sketch; the Arduino IDE wants it in a folder of the same name.
+
+        Raises
+        ------
+        ValueError
+            If the chip is no whole number of ticks or out of range, or there are too many chips.
+        """
+        ticks, remainder = divmod(program.chip_ns, self.tick_ns)
+        if remainder or not _LEAST_TICKS <= ticks <= _MOST_TICKS:
+            nearest_ns = min(max(ticks, _LEAST_TICKS), _MOST_TICKS) * self.tick_ns
+            raise ValueError(
+                f"chip of {program.chip_ns} ns cannot be played by the sketch: it must be a multiple"
+                f" of {self.tick_ns} ns in {_LEAST_TICKS * self.tick_ns}.."
+                f"{_MOST_TICKS * self.tick_ns} ns; {nearest_ns} ns would do"
+            )
+        if program.chips > _MOST_CHIPS:
+            raise ValueError(
+                f"code of {program.chips} chips is too long for the sketch: at most {_MOST_CHIPS}"
+            )
+        return _SKETCH.substitute(
+            chips=program.chips,
+            chip_ns=program.chip_ns,
+            ticks=ticks,
+            closed=device.closed_level,
+            crc=f"0x{program.code_crc32:08x}",
+            array=hex_rows(program.to_bytes(), per_line=16, indent="  "),
         )
-    if program.chips > _MOST_CHIPS:
-        raise ValueError(
-            f"code of {program.chips} chips is too long for the sketch: at most {_MOST_CHIPS}"
-        )
-    packed = [f"0x{byte:02x}" for byte in program.to_bytes()]
-    rows = [
-        ", ".join(packed[k : k + _BYTES_PER_LINE]) for k in range(0, len(packed), _BYTES_PER_LINE)
-    ]
-    return _SKETCH.substitute(
-        chips=program.chips,
-        chip_ns=program.chip_ns,
-        ticks=ticks,
-        closed=device.closed_level,
-        crc=f"0x{program.code_crc32:08x}",
-        array=",\n".join(f"  {row}" for row in rows),
-    )
 
-
-def parse_back(text: str, /) -> Program:
-    """Read the program back from the array and the timer's period.
-
-    Raises
-    ------
-    ValueError
-        If the text is no file of `export`.
-    """
-    source = "Arduino sketch"
-    chips = integer(only(_CHIPS, text, "CHIPS", source=source), f"{source} CHIPS")
-    ticks = integer(only(_TICKS, text, "TICKS", source=source), f"{source} TICKS")
-    closed = int(only(_CLOSED, text, "CLOSED_LEVEL", source=source))
-    crc = only(_CRC, text, "CRC32 comment", source=source)
-    packed = packed_bytes(only(_ARRAY, text, "code array", source=source), what=f"{source} code")
-    program = Program.from_bytes(packed, chips=chips, chip_ns=ticks * tick_ns)
-    device = DeviceProfile(name="generic", closed_level=closed)
-    return unaltered(
-        verified(program, crc, source=source), text, export(program, device), source=source
-    )
+    def parse_back(self, text: str, /) -> Program:
+        """Read the program back from the array and the timer's period."""
+        chips = self.only_integer(_CHIPS, text, "CHIPS")
+        ticks = self.only_integer(_TICKS, text, "TICKS")
+        closed_level = int(self.only(_CLOSED, text, "CLOSED_LEVEL"))
+        crc = self.only(_CRC, text, "CRC32 comment")
+        packed = packed_bytes(self.only(_ARRAY, text, "code array"), item=f"{self.label} code")
+        program = Program.from_bytes(packed, chips=chips, chip_ns=ticks * self.tick_ns)
+        return self.unaltered(self.verified(program, crc), text, closed_at(closed_level))

@@ -1,6 +1,4 @@
-"""Recipe for cameras that integrate several exposures into one frame: the sensor is the shutter,
-no optics needed.
-"""
+"""Recipe for cameras that integrate several exposures into one frame: the sensor is the shutter."""
 
 from __future__ import annotations
 
@@ -9,51 +7,54 @@ from itertools import pairwise
 from typing import Any
 
 from hw.device import DeviceProfile
-from hw.export._text import GENERIC, toml_table, unaltered, verified, whole
+from hw.export.base import GENERIC, Exporter, closed_at, item_rows
 from hw.program import Program
 
-suffix = ".camera.toml"
-summary = "recipe for multi-exposure cameras: number, widths and gaps of the trigger pulses"
-tick_ns = 1
-
 _FORMAT = "hw.camera/1"
-_MOST_PULSES = 4095
-_MOST_CHIPS = 10**7
-_PER_LINE = 8
+_MOST_PULSES = 4095  # the register's parameter has 12 bits
 
 
-def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
-    """Write the trigger pulses that the camera must get, and the settings that make it integrate
-    them all.
+class CameraRecipe(Exporter):
+    """Trigger pulses of a camera, and the settings with which it integrates them."""
 
-    A camera that adds ``device.on_bias_ns`` to each exposure by itself gets pulses shorter by
-    that; the openings remain where the code has them.
+    name = "camera"
+    suffix = ".camera.toml"
+    summary = "recipe for multi-exposure cameras: number, widths and gaps of the trigger pulses"
+    needs = "a camera that integrates several exposures into one frame"
+    manual = "IIDC 1.32, trigger mode 5 (FLIR); XIMEA xiAPI; Balluff mvMultiExposureCount"
+    label = "camera recipe"
 
-    Raises
-    ------
-    ValueError
-        If there are more pulses than the cameras count, or an opening is no longer than the
-        camera's bias.
-    """
-    pulses = program.pulses
-    bias = device.on_bias_ns
-    if pulses > _MOST_PULSES:
-        raise ValueError(
-            f"code has {pulses} openings: multi-exposure cameras count at most {_MOST_PULSES}"
-        )
-    times = [time_ns for time_ns, _ in program.edges]
-    widths = [end - start - bias for start, end in zip(times[::2], times[1::2], strict=True)]
-    if min(widths) <= 0:
-        raise ValueError(
-            f"shortest opening is {min(widths) + bias} ns: the camera adds {bias} ns to every"
-            " pulse by itself, so every opening must be longer"
-        )
-    gaps = [after - before + bias for before, after in pairwise(times[1:-1])][::2]
-    active = "low" if device.closed_level else "high"
-    # IIDC counts bits from the highest: presence 0, on 6, polarity 7 (1: active high), mode 12-15,
-    # parameter 20-31.
-    register = 1 << 31 | 1 << 25 | (1 - device.closed_level) << 24 | 5 << 16 | pulses
-    return f"""\
+    def export(self, program: Program, device: DeviceProfile = GENERIC, /) -> str:
+        """Write the pulses as widths and gaps, and the settings of three makers.
+
+        A camera that adds ``device.on_bias_ns`` to each exposure by itself gets pulses shorter by
+        that; the openings remain where the code has them.
+
+        Raises
+        ------
+        ValueError
+            If there are more pulses than the cameras count, or an opening is no longer than the
+            camera's bias.
+        """
+        pulses = program.pulses
+        bias = device.on_bias_ns
+        if pulses > _MOST_PULSES:
+            raise ValueError(
+                f"code has {pulses} openings: multi-exposure cameras count at most {_MOST_PULSES}"
+            )
+        times = [time_ns for time_ns, _ in program.edges]
+        widths = [end - start - bias for start, end in zip(times[::2], times[1::2], strict=True)]
+        if min(widths) <= 0:
+            raise ValueError(
+                f"shortest opening is {min(widths) + bias} ns: the camera adds {bias} ns to every"
+                " pulse by itself, so every opening must be longer"
+            )
+        gaps = [after - before + bias for before, after in pairwise(times[1:-1])][::2]
+        active = "low" if device.closed_level else "high"
+        # IIDC counts bits from the highest: presence 0, on 6, polarity 7 (1: active high), mode
+        # 12-15, parameter 20-31.
+        register = 1 << 31 | 1 << 25 | (1 - device.closed_level) << 24 | 5 << 16 | pulses
+        return f"""\
 # Multi-exposure recipe written by coded-exposure: {program.chips} chips of {program.chip_ns} ns, all in one frame.
 # Apply the pulses to the camera's trigger input; it exposes while the input is {active}. The chips are read out once.
 # Every width is {_us(bias)} us shorter than its opening, since the camera adds that by itself, and every gap longer.
@@ -81,60 +82,45 @@ XI_PRM_EXPOSURE_BURST_COUNT = {pulses}
 
 {_matrix_vision(widths)}"""
 
-
-def parse_back(text: str, /) -> Program:
-    """Read the program back from the pulses, adding the camera's bias to each.
-
-    Raises
-    ------
-    ValueError
-        If the text is no file of `export`.
-    """
-    source = "camera recipe"
-    table = toml_table(text, form=_FORMAT, source=source)
-    chip_ns = whole(table, "chip_ns", source=source)
-    chips = whole(table, "chips", source=source)
-    if chips > _MOST_CHIPS:
-        raise ValueError(f"{source} has {chips} chips: at most {_MOST_CHIPS} can be read")
-    pulses = table.get("pulses")
-    if not isinstance(pulses, dict):
-        raise ValueError(
-            f"{source} has no table [pulses]: it was cut short or altered, export again"
+    def parse_back(self, text: str, /) -> Program:
+        """Read the program back from the pulses, adding the camera's bias to each."""
+        table = self.toml_table(text, form=_FORMAT)
+        chip_ns = self.whole(table, "chip_ns")
+        chips = self.few_chips(self.whole(table, "chips"))
+        pulses = table.get("pulses")
+        if not isinstance(pulses, dict):
+            raise ValueError(
+                f"{self.label} has no table [pulses]: it was cut short or altered, export again"
+            )
+        bias = _ns(pulses.get("on_bias_us"), self.label)
+        widths = _all_ns(pulses.get("widths_us"), self.label)
+        gaps = _all_ns(pulses.get("gaps_us"), self.label)
+        if len(gaps) != len(widths) - 1:
+            raise ValueError(
+                f"{self.label} has {len(widths)} widths and {len(gaps)} gaps: one gap less than"
+                " widths is needed"
+            )
+        time_ns = _ns(pulses.get("first_delay_us"), self.label)
+        edges: list[tuple[int, int]] = []
+        for width, gap in zip(widths, [*gaps, 0], strict=True):
+            edges += [(time_ns, 1), (time_ns + width + bias, 0)]
+            time_ns += width + gap
+        program = self.verified(
+            Program.from_edges(edges, chip_ns=chip_ns, chips=chips),
+            str(table.get("code_crc32")),
         )
-    bias = _ns(pulses.get("on_bias_us"), source)
-    widths = _all_ns(pulses.get("widths_us"), source)
-    gaps = _all_ns(pulses.get("gaps_us"), source)
-    if len(gaps) != len(widths) - 1:
-        raise ValueError(
-            f"{source} has {len(widths)} widths and {len(gaps)} gaps: one gap less than widths is"
-            " needed"
-        )
-    time_ns = _ns(pulses.get("first_delay_us"), source)
-    edges: list[tuple[int, int]] = []
-    for width, gap in zip(widths, [*gaps, 0], strict=True):
-        edges += [(time_ns, 1), (time_ns + width + bias, 0)]
-        time_ns += width + gap
-    program = verified(
-        Program.from_edges(edges, chip_ns=chip_ns, chips=chips),
-        str(table.get("code_crc32")),
-        source=source,
-    )
-    closed = 1 - min(whole(pulses, "active_level", source=source), 1)
-    device = DeviceProfile(name="generic", on_bias_ns=bias, closed_level=closed)
-    return unaltered(program, text, export(program, device), source=source)
+        closed_level = 1 - min(self.whole(pulses, "active_level"), 1)
+        return self.unaltered(program, text, closed_at(closed_level, on_bias_ns=bias))
 
 
 def _matrix_vision(widths_ns: list[int]) -> str:
-    head = (
-        "[matrix_vision]  # Balluff, MATRIX VISION: GenICam names, each pulse starts one exposure"
-    )
     if len(set(widths_ns)) > 1:
         return (
             "# Balluff, MATRIX VISION: mvMultiExposureCount is documented for openings of one"
             " length only.\n"
         )
     return f"""\
-{head}
+[matrix_vision]  # Balluff, MATRIX VISION: GenICam names, each pulse starts one exposure
 ExposureMode = "Timed"
 ExposureTime = {_us(widths_ns[0])}
 mvMultiExposureCount = {len(widths_ns)}
@@ -146,24 +132,19 @@ def _us(time_ns: int) -> str:
 
 
 def _list(times_ns: list[int]) -> str:
-    items = [_us(time_ns) for time_ns in times_ns]
-    rows = [", ".join(items[k : k + _PER_LINE]) for k in range(0, len(items), _PER_LINE)]
-    return "".join(f"\n    {row}," for row in rows) + "\n" if rows else ""
+    rows = item_rows([_us(time_ns) for time_ns in times_ns], per_line=8)
+    return f"\n{rows},\n" if times_ns else ""
 
 
-def _ns(value: Any, source: str) -> int:
+def _ns(value: Any, label: str) -> int:
     if isinstance(value, Decimal) and value.is_finite() and 0 <= value < 2**63:
         time_ns = value * 1000
         if time_ns == time_ns.to_integral_value():
             return int(time_ns)
-    raise ValueError(
-        f"{source} has time {str(value)[:20]!r}: microseconds like 200.000 are needed"
-    )
+    raise ValueError(f"{label} has time {str(value)[:20]!r}: microseconds like 200.000 are needed")
 
 
-def _all_ns(values: Any, source: str) -> list[int]:
+def _all_ns(values: Any, label: str) -> list[int]:
     if not isinstance(values, list):
-        raise ValueError(
-            f"{source} has no list widths_us or gaps_us: it was altered, export again"
-        )
-    return [_ns(value, source) for value in values]
+        raise ValueError(f"{label} has no list widths_us or gaps_us: it was altered, export again")
+    return [_ns(value, label) for value in values]

@@ -6,60 +6,73 @@ import json
 from typing import Any
 
 from hw.device import DeviceProfile
-from hw.export._text import GENERIC, verified
+from hw.export.base import (
+    GENERIC,
+    Exporter,
+)
 from hw.program import Program
-
-suffix = ".json"
-summary = "code, timing, runs and edges for one's own scripts"
-tick_ns = 1
 
 _SCHEMA = "hw.program/1"
 
 
-def export(program: Program, _device: DeviceProfile = GENERIC, /) -> str:
-    """Write the program as one JSON object of schema ``hw.program/1``."""
-    return json.dumps(_manifest(program), indent=1) + "\n"
+class JsonManifest(Exporter):
+    """The code, its timing, runs and edges as one JSON object."""
 
+    name = "json"
+    suffix = ".json"
+    stem_suffix = ".program"  # a code is JSON too
+    summary = "code, timing, runs and edges for one's own scripts"
+    needs = "scripts of users"
+    manual = "hw.program/1: cep/files/schemas/program.json"
+    label = "JSON"
 
-def parse_back(text: str, /) -> Program:
-    """Read the program back; every derived field must agree with the code.
+    def export(self, program: Program, _device: DeviceProfile = GENERIC, /) -> str:
+        """Write the program as one JSON object of schema ``hw.program/1``."""
+        return json.dumps(_manifest(program), indent=1) + "\n"
 
-    Raises
-    ------
-    ValueError
-        If the text is not JSON, has another schema, lacks a field, or contradicts itself.
-    """
-    try:
-        found = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"JSON cannot be read: {' '.join(str(error).split())[:120]}") from None
-    if not isinstance(found, dict):
-        raise ValueError(
-            f"JSON holds a {type(found).__name__}: an object of schema {_SCHEMA!r} is needed"
-        )
-    if found.get("schema") != _SCHEMA:
-        raise ValueError(
-            f"JSON has schema {str(found.get('schema'))[:40]!r}: {_SCHEMA!r} is needed"
-        )
-    for key in ("bits", "chip_ns", "code_crc32"):
-        if key not in found:
-            raise ValueError(f"JSON has no field {key!r}: bits, chip_ns and code_crc32 are needed")
-    if not isinstance(found["bits"], str):
-        raise ValueError(
-            f"JSON bits is a {type(found['bits']).__name__}: a string of 0 and 1 is needed"
-        )
-    program = Program(found["bits"], found["chip_ns"])
-    verified(program, str(found["code_crc32"]), source="JSON")
-    for key, value in _manifest(program).items():
-        # Compared as text: in Python True == 1 == 1.0, in the file they differ.
-        if key in found and json.dumps(found[key]) != json.dumps(value):
+    def parse_back(self, text: str, /) -> Program:
+        """Read the program back; every derived field must agree with the code.
+
+        Raises
+        ------
+        ValueError
+            If the text is not JSON, has another schema, lacks a field, or contradicts itself.
+        """
+        try:
+            manifest = json.loads(text)
+        except (ValueError, RecursionError) as error:
             raise ValueError(
-                f"JSON field {key!r} disagrees with its bits and chip_ns: it was altered, export"
-                " again"
+                f"JSON cannot be read: {' '.join(str(error).split())[:120]}"
+            ) from None
+        if not isinstance(manifest, dict):
+            raise ValueError(
+                f"JSON holds a {type(manifest).__name__}: an object of schema {_SCHEMA!r} is needed"
             )
-        if key not in found:
-            raise ValueError(f"JSON has no field {key!r}: schema {_SCHEMA!r} needs it")
-    return program
+        if manifest.get("schema") != _SCHEMA:
+            raise ValueError(
+                f"JSON has schema {str(manifest.get('schema'))[:40]!r}: {_SCHEMA!r} is needed"
+            )
+        for key in ("bits", "chip_ns", "code_crc32"):
+            if key not in manifest:
+                raise ValueError(
+                    f"JSON has no field {key!r}: bits, chip_ns and code_crc32 are needed"
+                )
+        if not isinstance(manifest["bits"], str):
+            raise ValueError(
+                f"JSON bits is a {type(manifest['bits']).__name__}: a string of 0 and 1 is needed"
+            )
+        program = Program(manifest["bits"], manifest["chip_ns"])
+        self.verified(program, str(manifest["code_crc32"]))
+        for key, value in _manifest(program).items():
+            # Compared as text: in Python True == 1 == 1.0, in the file they differ.
+            if key in manifest and json.dumps(manifest[key]) != json.dumps(value):
+                raise ValueError(
+                    f"JSON field {key!r} disagrees with its bits and chip_ns: it was altered, export"
+                    " again"
+                )
+            if key not in manifest:
+                raise ValueError(f"JSON has no field {key!r}: schema {_SCHEMA!r} needs it")
+        return program
 
 
 def _manifest(program: Program) -> dict[str, Any]:

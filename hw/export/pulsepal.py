@@ -5,24 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hw.device import DeviceProfile
-from hw.export._text import GENERIC, toml_table, unaltered, verified, whole
+from hw.export.base import GENERIC, Exporter, closed_at, item_rows
 from hw.program import Program
-
-suffix = ".pulsepal.toml"
-summary = "custom train of a Pulse Pal v2, in its 50 us cycles"
 
 CYCLE_NS = 50_000
 """Period of the Pulse Pal's timer in ns: every time is a whole number of these."""
 MAX_PULSES = 5000
 """Pulses a custom train holds; the firmware itself does not check."""
 
-tick_ns = CYCLE_NS
-
 _FORMAT = "hw.pulsepal/1"
 _LEAST_CYCLES = 2  # documented: no phase below 100 us
 _MOST_CYCLES = 72_000_000  # documented: no time above 3600 s
-_ONSETS_PER_LINE = 12
-_OPEN_VOLTS = 5.0
+_HIGH_VOLTS = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +59,12 @@ def pulse_train(program: Program, /) -> PulseTrain:
         If the chip is no whole number of cycles or below two, or if there are too many open chips
         or cycles.
     """
-    phase, rest = divmod(program.chip_ns, CYCLE_NS)
-    if rest or phase < _LEAST_CYCLES:
-        near = max(_LEAST_CYCLES, phase)
+    phase, remainder = divmod(program.chip_ns, CYCLE_NS)
+    if remainder or phase < _LEAST_CYCLES:
+        least_cycles = max(_LEAST_CYCLES, phase)
         raise ValueError(
             f"chip of {program.chip_ns} ns cannot be played by a Pulse Pal: it must be a multiple"
-            f" of {CYCLE_NS} ns, at least {_LEAST_CYCLES * CYCLE_NS} ns; {near * CYCLE_NS} ns"
+            f" of {CYCLE_NS} ns, at least {_LEAST_CYCLES * CYCLE_NS} ns; {least_cycles * CYCLE_NS} ns"
             " would do"
         )
     onsets = [index * phase for index, bit in enumerate(program.bits) if bit == "1"]
@@ -88,24 +82,30 @@ def pulse_train(program: Program, /) -> PulseTrain:
     return PulseTrain(phase, tuple(onset - first for onset in onsets), first, end, end)
 
 
-def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
-    """Write the train and the settings of its output channel as TOML, with the device's parameter
-    numbers.
+class PulsePalTrain(Exporter):
+    """Custom pulse train, and the settings of its output channel."""
 
-    Raises
-    ------
-    ValueError
-        As `pulse_train`.
-    """
-    train = pulse_train(program)
-    rest, opened = (0.0, _OPEN_VOLTS) if device.closed_level == 0 else (_OPEN_VOLTS, 0.0)
-    starts = [str(onset) for onset in train.onsets_cycles]
-    rows = [
-        ", ".join(starts[k : k + _ONSETS_PER_LINE])
-        for k in range(0, len(starts), _ONSETS_PER_LINE)
-    ]
-    onsets = ",\n".join(f"    {row}" for row in rows)
-    return f"""\
+    name = "pulsepal"
+    suffix = ".pulsepal.toml"
+    summary = "custom train of a Pulse Pal v2, in its 50 us cycles"
+    needs = "a Pulse Pal v2"
+    manual = "Sanworks, Pulse Pal v2 documentation: serial interface"
+    label = "Pulse Pal text"
+    tick_ns = CYCLE_NS
+
+    def export(self, program: Program, device: DeviceProfile = GENERIC, /) -> str:
+        """Write train and settings as TOML, with the device's parameter numbers.
+
+        Raises
+        ------
+        ValueError
+            As `pulse_train`.
+        """
+        train = pulse_train(program)
+        rest_volts = _HIGH_VOLTS * device.closed_level
+        open_volts = _HIGH_VOLTS - rest_volts
+        onsets = item_rows(train.onsets_cycles, per_line=12)
+        return f"""\
 # Pulse Pal v2 custom train written by coded-exposure: {program.chips} chips of {program.chip_ns} ns.
 # All times are cycles of 50 us: send them as they are, since times in seconds get truncated on the way.
 # The firmware looks one entry past the train: first send the onsets with guard_cycles as one more, then without it.
@@ -116,7 +116,7 @@ chips = {program.chips}
 
 [channel]
 is_biphasic = 0  # parameter 1
-phase1_volts = {opened}  # parameter 2, open
+phase1_volts = {open_volts}  # parameter 2, open
 phase1_cycles = {train.phase_cycles}  # parameter 4, one chip
 burst_cycles = 0  # parameter 8, no bursts
 train_cycles = {train.train_cycles}  # parameter 10
@@ -124,60 +124,54 @@ delay_cycles = {train.delay_cycles}  # parameter 11, the closed chips at the sta
 custom_train = 1  # parameter 14
 custom_target = 0  # parameter 15, onsets of pulses
 custom_loop = 0  # parameter 16, play once
-rest_volts = {rest}  # parameter 17, closed
+rest_volts = {rest_volts}  # parameter 17, closed
 
 [train]
 pulses = {len(train.onsets_cycles)}
-pulse_volts = {opened}  # of every pulse
+pulse_volts = {open_volts}  # of every pulse
 guard_cycles = {train.guard_cycles}
 onsets_cycles = [
 {onsets},
 ]
 """
 
-
-def parse_back(text: str, /) -> Program:
-    """Read the program back.
-
-    Raises
-    ------
-    ValueError
-        If the text is no file of `export`.
-    """
-    source = "Pulse Pal text"
-    table = toml_table(text, form=_FORMAT, source=source)
-    chip_ns = whole(table, "chip_ns", source=source)
-    chips = whole(table, "chips", source=source)
-    channel = table.get("channel")
-    train = table.get("train")
-    if not isinstance(channel, dict) or not isinstance(train, dict):
-        raise ValueError(
-            f"{source} has no table [channel] or no [train]: it was cut short or altered, export"
-            " again"
-        )
-    phase = whole(channel, "phase1_cycles", source=source)
-    delay = whole(channel, "delay_cycles", source=source)
-    onsets = train.get("onsets_cycles")
-    if (
-        not isinstance(onsets, list)
-        or not 0 < len(onsets) <= MAX_PULSES
-        or chips * phase > _MOST_CYCLES
-        or not phase
-    ):
-        raise ValueError(
-            f"{source} train has no usable onsets_cycles, phase1_cycles or chips: export again"
-        )
-    bits = bytearray(b"0" * chips)
-    for onset in onsets:
-        if type(onset) is not int or onset % phase or not 0 <= (onset + delay) // phase < chips:
+    def parse_back(self, text: str, /) -> Program:
+        """Read the program back."""
+        table = self.toml_table(text, form=_FORMAT)
+        chip_ns = self.whole(table, "chip_ns")
+        chips = self.whole(table, "chips")
+        channel = table.get("channel")
+        train = table.get("train")
+        if not isinstance(channel, dict) or not isinstance(train, dict):
             raise ValueError(
-                f"{source} has onset {str(onset)[:20]!r}: multiples of phase1_cycles in the code"
-                " are needed"
+                f"{self.label} has no table [channel] or no [train]: it was cut short or altered,"
+                " export again"
             )
-        bits[(onset + delay) // phase] = ord("1")
-    program = verified(
-        Program(bits.decode(), chip_ns), str(table.get("code_crc32")), source=source
-    )
-    rests_high = channel.get("rest_volts") == _OPEN_VOLTS
-    device = DeviceProfile(name="generic", closed_level=int(rests_high))
-    return unaltered(program, text, export(program, device), source=source)
+        phase = self.whole(channel, "phase1_cycles")
+        delay = self.whole(channel, "delay_cycles")
+        onsets = train.get("onsets_cycles")
+        if (
+            not isinstance(onsets, list)
+            or not 0 < len(onsets) <= MAX_PULSES
+            or chips * phase > _MOST_CYCLES
+            or not phase
+        ):
+            raise ValueError(
+                f"{self.label} train has no usable onsets_cycles, phase1_cycles or chips: export"
+                " again"
+            )
+        bits = bytearray(b"0" * chips)
+        for onset in onsets:
+            if (
+                type(onset) is not int
+                or onset % phase
+                or not 0 <= (onset + delay) // phase < chips
+            ):
+                raise ValueError(
+                    f"{self.label} has onset {str(onset)[:20]!r}: multiples of phase1_cycles in the"
+                    " code are needed"
+                )
+            bits[(onset + delay) // phase] = ord("1")
+        program = self.verified(Program(bits.decode(), chip_ns), str(table.get("code_crc32")))
+        rests_high = channel.get("rest_volts") == _HIGH_VOLTS
+        return self.unaltered(program, text, closed_at(int(rests_high)))

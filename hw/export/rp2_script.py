@@ -6,17 +6,12 @@ import re
 from string import Template
 
 from hw.device import DeviceProfile
-from hw.export._text import GENERIC, integer, only, unaltered, verified
+from hw.export.base import GENERIC, Exporter, closed_at, item_rows
 from hw.program import Program
 
-suffix = ".py"
-summary = "MicroPython script for an RP2040 that plays the code on GP15 at a trigger on GP14"
-tick_ns = 8
-
-_LEAST_CYCLES = 125
+_LEAST_CYCLES = 125  # 1 us
 _MOST_CYCLES = 2**32 + 2  # the state machine counts cycles - 3 in 32 bits
-_MOST_CHIPS = 223
-_WORDS_PER_LINE = 4
+_MOST_CHIPS = 223  # seven words of 32 in the joined queue, less one closed chip
 _CHIPS = re.compile(r"^CHIPS = (\S+)$", re.MULTILINE)
 _CYCLES = re.compile(r"^CYCLES = (\S+)  #", re.MULTILINE)
 _CLOSED = re.compile(r"^CLOSED_LEVEL = ([01])  #", re.MULTILINE)
@@ -89,74 +84,78 @@ finally:
 """)
 
 
-def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
-    """Write the script; saved on the board as ``main.py`` it runs at power-on.
+class Rp2Script(Exporter):
+    """MicroPython script whose edges a PIO state machine makes."""
 
-    Raises
-    ------
-    ValueError
-        If the chip is no whole number of 8 ns or below 1 us, or if the code does not fit the state
-        machine's queue.
-    """
-    cycles, rest = divmod(program.chip_ns, tick_ns)
-    if rest or not _LEAST_CYCLES <= cycles <= _MOST_CYCLES:
-        near = min(max(cycles, _LEAST_CYCLES), _MOST_CYCLES) * tick_ns
-        raise ValueError(
-            f"chip of {program.chip_ns} ns cannot be played by the rp2 script: it must be a"
-            f" multiple of {tick_ns} ns in {_LEAST_CYCLES * tick_ns}..{_MOST_CYCLES * tick_ns} ns;"
-            f" {near} ns would do"
+    name = "rp2"
+    suffix = ".py"
+    # a code.py would hide Python's own module from whatever runs beside it
+    stem_suffix = "_rp2"
+    summary = "MicroPython script for an RP2040 that plays the code on GP15 at a trigger on GP14"
+    needs = "a Raspberry Pi Pico with MicroPython"
+    manual = "Raspberry Pi RP2040 datasheet, chapter 3: PIO"
+    label = "rp2 script"
+    tick_ns = 8
+
+    def export(self, program: Program, device: DeviceProfile = GENERIC, /) -> str:
+        """Write the script; saved on the board as ``main.py`` it runs at power-on.
+
+        Raises
+        ------
+        ValueError
+            If the chip is no whole number of 8 ns or below 1 us, or the code does not fit the
+            state machine's queue.
+        """
+        cycles, remainder = divmod(program.chip_ns, self.tick_ns)
+        if remainder or not _LEAST_CYCLES <= cycles <= _MOST_CYCLES:
+            nearest_ns = min(max(cycles, _LEAST_CYCLES), _MOST_CYCLES) * self.tick_ns
+            raise ValueError(
+                f"chip of {program.chip_ns} ns cannot be played by the rp2 script: it must be a"
+                f" multiple of {self.tick_ns} ns in {_LEAST_CYCLES * self.tick_ns}.."
+                f"{_MOST_CYCLES * self.tick_ns} ns; {nearest_ns} ns would do"
+            )
+        if program.chips > _MOST_CHIPS:
+            raise ValueError(
+                f"code of {program.chips} chips is too long for the rp2 script: its queue holds"
+                f" {_MOST_CHIPS}, and a queue refilled by software could run dry"
+            )
+        open_level = str(1 - device.closed_level)
+        # At least one closed level behind the code: the state machine stalls on it when the queue
+        # is empty.
+        padded = program.bits.ljust(32 * (program.chips // 32 + 1), "0")
+        levels = "".join(open_level if bit == "1" else str(device.closed_level) for bit in padded)
+        words = [f"0x{int(levels[k : k + 32], 2):08x}" for k in range(0, len(levels), 32)]
+        return _SCRIPT.substitute(
+            chips=program.chips,
+            chip_ns=program.chip_ns,
+            cycles=cycles,
+            closed=device.closed_level,
+            crc=f"0x{program.code_crc32:08x}",
+            words=item_rows(words, per_line=4),
+            init="OUT_HIGH" if device.closed_level else "OUT_LOW",
         )
-    if program.chips > _MOST_CHIPS:
-        raise ValueError(
-            f"code of {program.chips} chips is too long for the rp2 script: its queue holds"
-            f" {_MOST_CHIPS}, and a queue refilled by software could run dry"
-        )
-    opened = 1 - device.closed_level
-    # At least one closed level behind the code: the state machine stalls on it when the queue is
-    # empty.
-    padded = program.bits.ljust(32 * (program.chips // 32 + 1), "0")
-    levels = "".join(str(opened if bit == "1" else 1 - opened) for bit in padded)
-    words = [f"0x{int(levels[k : k + 32], 2):08x}" for k in range(0, len(levels), 32)]
-    rows = [
-        ", ".join(words[k : k + _WORDS_PER_LINE]) for k in range(0, len(words), _WORDS_PER_LINE)
-    ]
-    return _SCRIPT.substitute(
-        chips=program.chips,
-        chip_ns=program.chip_ns,
-        cycles=cycles,
-        closed=device.closed_level,
-        crc=f"0x{program.code_crc32:08x}",
-        words=",\n".join(f"    {row}" for row in rows),
-        init="OUT_HIGH" if device.closed_level else "OUT_LOW",
-    )
 
-
-def parse_back(text: str, /) -> Program:
-    """Read the program back from the words and the cycles.
-
-    Raises
-    ------
-    ValueError
-        If the text is no file of `export`.
-    """
-    source = "rp2 script"
-    chips = integer(only(_CHIPS, text, "CHIPS", source=source), f"{source} CHIPS")
-    cycles = integer(only(_CYCLES, text, "CYCLES", source=source), f"{source} CYCLES")
-    closed = only(_CLOSED, text, "CLOSED_LEVEL", source=source)
-    crc = only(_CRC, text, "CRC32 comment", source=source)
-    words = [
-        word.strip()
-        for word in only(_WORDS, text, "WORDS", source=source).strip().rstrip(",").split(",")
-    ]
-    for word in words:
-        if not _WORD.fullmatch(word):
-            raise ValueError(f"{source} WORDS has {word[:20]!r}: words like 0x0123abcd are needed")
-    levels = "".join(f"{int(word, 16):032b}" for word in words)
-    if len(levels) <= chips:
-        raise ValueError(
-            f"{source} WORDS hold {len(levels)} levels: more than the {chips} chips are needed"
-        )
-    bits = "".join("0" if level == closed else "1" for level in levels[:chips])
-    program = verified(Program(bits, cycles * tick_ns), crc, source=source)
-    device = DeviceProfile(name="generic", closed_level=int(closed))
-    return unaltered(program, text, export(program, device), source=source)
+    def parse_back(self, text: str, /) -> Program:
+        """Read the program back from the words and the cycles."""
+        chips = self.only_integer(_CHIPS, text, "CHIPS")
+        cycles = self.only_integer(_CYCLES, text, "CYCLES")
+        closed_level = self.only(_CLOSED, text, "CLOSED_LEVEL")
+        crc = self.only(_CRC, text, "CRC32 comment")
+        words = [
+            word.strip()
+            for word in self.only(_WORDS, text, "WORDS").strip().rstrip(",").split(",")
+        ]
+        for word in words:
+            if not _WORD.fullmatch(word):
+                raise ValueError(
+                    f"{self.label} WORDS has {word[:20]!r}: words like 0x0123abcd are needed"
+                )
+        levels = "".join(f"{int(word, 16):032b}" for word in words)
+        if len(levels) <= chips:
+            raise ValueError(
+                f"{self.label} WORDS hold {len(levels)} levels: more than the {chips} chips are"
+                " needed"
+            )
+        bits = "".join("0" if level == closed_level else "1" for level in levels[:chips])
+        program = self.verified(Program(bits, cycles * self.tick_ns), crc)
+        return self.unaltered(program, text, closed_at(int(closed_level)))

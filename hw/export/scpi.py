@@ -1,18 +1,16 @@
-"""SCPI script for arbitrary-waveform generators of the 33500 class: the code as a burst of one
-cycle.
-"""
+"""SCPI script for waveform generators of the 33500 class: the code as a burst of one cycle."""
 
 from __future__ import annotations
 
 import re
 
 from hw.device import DeviceProfile
-from hw.export._text import GENERIC, integer, only, unaltered, verified
+from hw.export.base import (
+    GENERIC,
+    Exporter,
+    closed_at,
+)
 from hw.program import Program
-
-suffix = ".scpi"
-summary = "SCPI commands for a 33500-class waveform generator: triggered burst of one cycle"
-tick_ns = 1
 
 WAVEFORM = "SHUTTER"
 """Name of the waveform in the instrument's memory."""
@@ -46,8 +44,8 @@ def samples(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[int, 
             " chips"
         )
     padded = f"0{program.bits}0".ljust(_LEAST_SAMPLES, "0")
-    opened = 1 if device.closed_level == 0 else -1
-    return tuple(opened if bit == "1" else -opened for bit in padded)
+    open_sample = 1 - 2 * device.closed_level
+    return tuple(open_sample if bit == "1" else -open_sample for bit in padded)
 
 
 def sample_rate(program: Program, /) -> str:
@@ -106,57 +104,46 @@ def commands(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[str,
     )
 
 
-def export(program: Program, device: DeviceProfile = GENERIC, /) -> str:
-    """Write the commands one per line; lines that begin with ``#`` are for people and are not
-    sent.
+class ScpiScript(Exporter):
+    """Commands for a burst of one cycle at each trigger."""
 
-    Raises
-    ------
-    ValueError
-        As `commands`.
-    """
-    closed = _HIGH_V if device.closed_level else 0
-    head = [
-        (
-            "# SCPI script written by coded-exposure for arbitrary-waveform generators of the"
-            " 33500 class."
-        ),
-        (
-            "# Send it line by line without the lines that begin with '#'; a line that ends with"
-            " '?' is answered."
-        ),
-        (
-            f"# The output rests closed at {closed} V; the code begins one chip after the"
-            " trigger's rising edge."
-        ),
-        "# format: hw.scpi/1",
-        f"# chip_ns: {program.chip_ns}",
-        f"# chips: {program.chips}",
-        f"# code_crc32: 0x{program.code_crc32:08x}",
-    ]
-    return "\n".join([*head, *commands(program, device)]) + "\n"
+    name = "scpi"
+    suffix = ".scpi"
+    summary = "SCPI commands for a 33500-class waveform generator: triggered burst of one cycle"
+    needs = "a waveform generator of the 33500 class"
+    manual = "Keysight 33500 Series Operating and Service Guide"
+    label = "SCPI text"
 
+    def export(self, program: Program, device: DeviceProfile = GENERIC, /) -> str:
+        """Write the commands one per line, and remarks that begin with ``#``.
 
-def parse_back(text: str, /) -> Program:
-    """Read the program back from the waveform data.
+        Raises
+        ------
+        ValueError
+            As `commands`.
+        """
+        return f"""\
+# SCPI script written by coded-exposure for arbitrary-waveform generators of the 33500 class.
+# Send it line by line without the lines that begin with '#'; a line that ends with '?' is answered.
+# The output rests closed at {_HIGH_V * device.closed_level} V; the code begins one chip after the trigger's rising edge.
+# format: hw.scpi/1
+# chip_ns: {program.chip_ns}
+# chips: {program.chips}
+# code_crc32: 0x{program.code_crc32:08x}
+""" + "".join(f"{command}\n" for command in commands(program, device))
 
-    Raises
-    ------
-    ValueError
-        If the text is no file of `export`.
-    """
-    source = "SCPI text"
-    chips = integer(only(_CHIPS, text, "'# chips:'", source=source), f"{source} chips")
-    chip_ns = integer(only(_CHIP_NS, text, "'# chip_ns:'", source=source), f"{source} chip_ns")
-    crc = only(_CRC, text, "'# code_crc32:'", source=source)
-    levels = only(_DATA, text, f"DATA:ARB {WAVEFORM}", source=source).split(",")
-    if not set(levels) <= {"1", "-1"} or len(levels) < max(_LEAST_SAMPLES, chips + 2):
-        raise ValueError(
-            f"{source} DATA:ARB has not {chips + 2} samples of 1 or -1: it was altered, export"
-            " again"
-        )
-    closed = levels[0]
-    bits = "".join("0" if level == closed else "1" for level in levels[1 : chips + 1])
-    program = verified(Program(bits, chip_ns), crc, source=source)
-    device = DeviceProfile(name="generic", closed_level=int(closed == "1"))
-    return unaltered(program, text, export(program, device), source=source)
+    def parse_back(self, text: str, /) -> Program:
+        """Read the program back from the waveform data."""
+        chips = self.only_integer(_CHIPS, text, "'# chips:'")
+        chip_ns = self.only_integer(_CHIP_NS, text, "'# chip_ns:'")
+        crc = self.only(_CRC, text, "'# code_crc32:'")
+        levels = self.only(_DATA, text, f"DATA:ARB {WAVEFORM}").split(",")
+        if not set(levels) <= {"1", "-1"} or len(levels) < max(_LEAST_SAMPLES, chips + 2):
+            raise ValueError(
+                f"{self.label} DATA:ARB has not {chips + 2} samples of 1 or -1: it was altered,"
+                " export again"
+            )
+        closed_sample = levels[0]
+        bits = "".join("0" if level == closed_sample else "1" for level in levels[1 : chips + 1])
+        program = self.verified(Program(bits, chip_ns), crc)
+        return self.unaltered(program, text, closed_at(int(closed_sample == "1")))

@@ -5,34 +5,43 @@ from __future__ import annotations
 import re
 
 from hw.device import DeviceProfile
-from hw.export._text import GENERIC, integer, only, unaltered, verified
+from hw.export.base import (
+    GENERIC,
+    Exporter,
+    integer,
+)
 from hw.program import Program
-
-suffix = ".vcd"
-summary = "waveform of shutter and gate in ns, for logic-analyser software"
-tick_ns = 1
 
 _FACTS = re.compile(r"^\$comment (chip_ns .*) \$end$", re.MULTILINE)
 _FACT = re.compile(r"chip_ns (\S+) chips (\S+) code_crc32 (\S+)")
 _TIME = re.compile(r"#([0-9]{1,40})")
-_MOST_CHIPS = 10**7
 
 
-def export(program: Program, _device: DeviceProfile = GENERIC, /) -> str:
-    """Write the signals ``shutter`` (1 open) and ``gate`` (1 during all chips), 1 ns a step.
+class VcdWaveform(Exporter):
+    """Waveform of shutter and gate, in ns."""
 
-    The program begins one chip after time 0 and the record ends one chip after it, so that opening
-    and closing are edges in the file whatever the first and last chips are.
-    """
-    start = program.chip_ns
-    end = program.chip_ns + program.duration_ns
-    changes: dict[int, list[str]] = {0: ["$dumpvars", "0s", "0g", "$end"], start: ["1g"]}
-    for time_ns, level in program.edges:
-        changes.setdefault(start + time_ns, []).append(f"{level}s")
-    changes.setdefault(end, []).append("0g")
-    changes[end + program.chip_ns] = []
-    body = [line for time_ns, lines in changes.items() for line in (f"#{time_ns}", *lines)]
-    head = f"""\
+    name = "vcd"
+    suffix = ".vcd"
+    summary = "waveform of shutter and gate in ns, for logic-analyser software"
+    needs = "logic-analyser software or a simulator"
+    manual = "IEEE 1364-2005, clause 18: value change dump"
+    label = "VCD"
+
+    def export(self, program: Program, _device: DeviceProfile = GENERIC, /) -> str:
+        """Write the signals ``shutter`` (1 open) and ``gate`` (1 during all chips), 1 ns a step.
+
+        The program begins one chip after time 0 and the record ends one chip after it, so that opening
+        and closing are edges in the file whatever the first and last chips are.
+        """
+        start = program.chip_ns
+        end = program.chip_ns + program.duration_ns
+        changes: dict[int, list[str]] = {0: ["$dumpvars", "0s", "0g", "$end"], start: ["1g"]}
+        for time_ns, level in program.edges:
+            changes.setdefault(start + time_ns, []).append(f"{level}s")
+        changes.setdefault(end, []).append("0g")
+        changes[end + program.chip_ns] = []
+        body = [line for time_ns, lines in changes.items() for line in (f"#{time_ns}", *lines)]
+        head = f"""\
 $comment Shutter program written by coded-exposure: shutter 1 is open, gate 1 is the whole code. $end
 $comment chip_ns {program.chip_ns} chips {program.chips} code_crc32 0x{program.code_crc32:08x} $end
 $timescale 1 ns $end
@@ -42,35 +51,23 @@ $var wire 1 g gate $end
 $upscope $end
 $enddefinitions $end
 """
-    return head + "\n".join(body) + "\n"
+        return head + "\n".join(body) + "\n"
 
-
-def parse_back(text: str, /) -> Program:
-    """Read the program back from the changes of ``shutter``.
-
-    Raises
-    ------
-    ValueError
-        If the text is no file of `export`.
-    """
-    source = "VCD"
-    facts = _FACT.fullmatch(only(_FACTS, text, "'$comment chip_ns'", source=source))
-    if facts is None:
-        raise ValueError(
-            "VCD comment lacks chip_ns, chips or code_crc32: it was altered, export again"
-        )
-    chip_ns = integer(facts[1], "VCD chip_ns")
-    chips = integer(facts[2], "VCD chips")
-    if chips > _MOST_CHIPS:
-        raise ValueError(f"VCD has {chips} chips: at most {_MOST_CHIPS} can be read")
-    edges: list[tuple[int, int]] = []
-    now = 0
-    for line in text.splitlines():
-        if (time := _TIME.fullmatch(line)) is not None:
-            now = int(time[1])
-        elif line in {"0s", "1s"} and now:
-            edges.append((now - chip_ns, int(line[0])))
-    program = verified(
-        Program.from_edges(edges, chip_ns=chip_ns, chips=chips), facts[3], source=source
-    )
-    return unaltered(program, text, export(program), source=source)
+    def parse_back(self, text: str, /) -> Program:
+        """Read the program back from the changes of ``shutter``."""
+        facts = _FACT.fullmatch(self.only(_FACTS, text, "'$comment chip_ns'"))
+        if facts is None:
+            raise ValueError(
+                "VCD comment lacks chip_ns, chips or code_crc32: it was altered, export again"
+            )
+        chip_ns = integer(facts[1], "VCD chip_ns")
+        chips = self.few_chips(integer(facts[2], "VCD chips"))
+        edges: list[tuple[int, int]] = []
+        time_ns = 0
+        for line in text.splitlines():
+            if (moment := _TIME.fullmatch(line)) is not None:
+                time_ns = int(moment[1])
+            elif line in {"0s", "1s"} and time_ns:
+                edges.append((time_ns - chip_ns, int(line[0])))
+        program = self.verified(Program.from_edges(edges, chip_ns=chip_ns, chips=chips), facts[3])
+        return self.unaltered(program, text)

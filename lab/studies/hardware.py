@@ -16,8 +16,7 @@ import time
 
 from hw.cxp.protocol import State
 from hw.drivers.cxp import Controller
-from hw.emulation.build import EmulationError, build_board
-from hw.emulation.uno import CLOCK_HZ, EmulatedUno
+from hw.emulation.uno import CLOCK_HZ, EmulatedUno, EmulationError, build_board
 from hw.program import Program
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"

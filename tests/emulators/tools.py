@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hw.emulation.build import EmulationError, build_board
+from hw.emulation.uno import EmulationError, build_board
 
 NODE_FOLDER = Path(__file__).with_name("node")
 PROMISED = "CODED_EXPOSURE_REQUIRE_TOOLS"

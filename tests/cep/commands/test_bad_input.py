@@ -399,7 +399,6 @@ WRITERS = {
     "simulate": ["simulate", "sharp.png", "--linear", "8", "-o", "OUT"],
     "deblur": ["deblur", "blurred.png", "--trajectory", "trajectory.json", "-o", "OUT"],
     "export": ["export", "1011", "--format", "csv", "-o", "OUT"],
-    "upload": ["upload", "1011", "--port", "/dev/null", "-o", "OUT"],
     "demo": ["demo", "-o", "OUT"],
 }
 

@@ -47,13 +47,13 @@ def test_known_cameras_are_listed(cep):
 
 def test_a_camera_is_shown_with_its_source(cep, tmp_path):
     assert (
-        cep.succeeds("camera", "show", "sony-imx250")["camera"]
+        cep.succeeds("camera", "list", "sony-imx250")["camera"]
         == Camera.load("sony-imx250").to_dict()
     )
-    assert "EMVA 1288" in cep("camera", "show", "sony-imx250").out
+    assert "EMVA 1288" in cep("camera", "list", "sony-imx250").out
     Camera(bits=9, source="[bold] by hand").to_file(tmp_path / "mine.json")
-    assert "[bold] by hand" in cep("camera", "show", tmp_path / "mine.json").out
-    line = cep.refuses("camera", "show", "imx250")
+    assert "[bold] by hand" in cep("camera", "list", tmp_path / "mine.json").out
+    line = cep.refuses("camera", "list", "imx250")
     assert line.startswith("cep: NAME: 'imx250' is not known; did you mean sony-imx250")
 
 

@@ -50,18 +50,17 @@ def quick(opened):
 def test_step_by_step(cep, controller):
     port = ("--port", controller.port)
     assert cep.succeeds("hw", "info", *port)["state"] == "idle"
-    loaded = cep.succeeds("hw", "load", RASKAR, "--chip-ns", "200000", *port)
-    assert (loaded["trust"], loaded["chip_ticks"]) == ("B", 400)
-    assert controller.bits == RASKAR
+    code = (RASKAR, "--chip-ns", "200000", *port)
+    assert cep.succeeds("upload", *code)["trust"] == "A"
+    assert (controller.bits, controller.ticks) == (RASKAR, 400)
     info = cep.succeeds("hw", "info", *port)
-    assert (info["state"], info["stored_crc32"]) == ("loaded", loaded["stored_crc32"])
-    assert info["firmware"] == "cxp-avr 1"
-    assert cep.succeeds("hw", "arm", *port, "--lease-ms", "30000")["armed"]
+    assert (info["state"], info["firmware"]) == ("loaded", "cxp-avr 1")
+    assert cep.succeeds("upload", *code, "--arm")["armed"]
     assert controller.state == ARMED
     played = cep.succeeds("hw", "trigger", *port)
     assert (played["state"], played["plays"], played["missed_edges"]) == ("done", 1, 0)
     assert controller.plays == [RASKAR]
-    cep.succeeds("hw", "arm", *port)
+    cep.succeeds("upload", *code, "--arm")
     assert cep.succeeds("hw", "abort", *port)["state"] == "loaded"
 
 
@@ -69,27 +68,25 @@ def test_pages_for_people(cep, controller):
     port = ("--port", controller.port)
     for words, expected in [
         (("hw", "info", *port), "cxp-avr 1"),
-        (("hw", "load", RASKAR, "--chip-ns", "200000", *port), "trust B: acknowledged only"),
-        (("hw", "arm", *port), "armed for 10000 ms"),
+        (("upload", RASKAR, "--chip-ns", "200000", *port, "--arm"), "armed for 10000 ms"),
         (("hw", "trigger", *port), "played, 0 edges missed, shutter closed"),
         (("hw", "abort", *port), "closed, loaded"),
-        (("hw", "monitor", *port, "--seconds", "0.05"), "1 states seen"),
+        (("hw", "info", *port, "--watch", "0.05"), "1 states seen"),
     ]:
         assert cep(*words).code == 0, cep.err
         assert expected in cep.out
 
 
 def test_what_the_device_refuses_is_a_failure_of_one_line(cep, controller):
-    for command in ("arm", "trigger"):
-        assert cep("hw", command, "--port", controller.port).code == 1
-        assert "not allowed in its present state" in cep.err
-        assert cep.err.count("\n") == 1
-        assert cep.out == ""
+    assert cep("hw", "trigger", "--port", controller.port).code == 1
+    assert "not allowed in its present state" in cep.err
+    assert cep.err.count("\n") == 1
+    assert cep.out == ""
 
 
 def test_what_cannot_be_played_is_refused_before_anything_is_loaded(cep):
     with CxpController(max_on_ticks=600) as device:
-        line = cep.refuses("hw", "load", "1111", "--chip-ns", "200000", "--port", device.port)
+        line = cep.refuses("upload", "1111", "--chip-ns", "200000", "--port", device.port)
         assert "longest opening is 800 us; at most 300 us" in line
         assert device.bits == ""
 
@@ -100,13 +97,13 @@ SLOW = ("1" * 100, "--chip-ns", "30000000")  # 3 s
 @pytest.mark.parametrize("state", [ARMED, PLAY, DONE, FAULT])
 def test_an_abort_that_the_state_belies_is_a_failure_that_warns_of_an_open_shutter(cep, state):
     with CxpController(Faults(stuck_play=True, state_after={ABORT: state})) as device:
-        cep.succeeds("hw", "load", *SLOW, "--port", device.port)
+        cep.succeeds("upload", *SLOW, "--port", device.port)
         cep.fails("hw", "abort", "--port", device.port)
     assert "the shutter may still be open" in cep.err
 
 
 def test_an_abort_that_is_not_answered_warns_of_an_open_shutter(cep, monkeypatch):
-    monkeypatch.setattr("hw.drivers.finding.Controller.open", quick(Controller.open))
+    monkeypatch.setattr("hw.drivers.cxp.Controller.open", quick(Controller.open))
     for lost in (ABORT, STATUS):
         with CxpController(Faults(lost_replies={lost: 10**6})) as device:
             cep.fails("hw", "abort", "--port", device.port)
@@ -115,38 +112,30 @@ def test_an_abort_that_is_not_answered_warns_of_an_open_shutter(cep, monkeypatch
 
 
 @pytest.mark.parametrize("state", [IDLE, LOADED, FAULT])
-@pytest.mark.parametrize("command", [("upload", *SLOW, "--arm"), ("hw", "arm")])
-def test_what_is_not_armed_is_not_said_to_be(cep, command, state):
+def test_what_is_not_armed_is_not_said_to_be(cep, state):
     with CxpController(Faults(state_after={ARM: state})) as device:
-        cep.succeeds("hw", "load", *SLOW, "--port", device.port)
-        cep.fails(*command, "--port", device.port)
+        cep.succeeds("upload", *SLOW, "--port", device.port)
+        cep.fails("upload", *SLOW, "--arm", "--port", device.port)
         assert "ARM" in cep.err
         assert device.ops[-2:] == [ABORT, STATUS]
 
 
-@pytest.mark.parametrize("command", [("upload", *SLOW, "--arm"), ("hw", "arm")])
-def test_a_trigger_right_after_arming_is_no_failure_but_nothing_is_armed_any_more(cep, command):
+def test_a_trigger_right_after_arming_is_no_failure_but_nothing_is_armed_any_more(cep):
+    command = ("upload", *SLOW, "--arm")
     faults = Faults(stuck_play=True, state_after={ARM: PLAY})
     for trigger_input in (True, False):
         with CxpController(faults, trigger_input=trigger_input) as device:
             port = ("--port", device.port)
-            cep.succeeds("hw", "load", *SLOW, *port)
+            cep.succeeds("upload", *SLOW, *port)
             if not trigger_input:
                 cep.fails(*command, *port)  # nothing but itself has begun this play
                 assert device.state == LOADED
                 continue
             assert not cep.succeeds(*command, *port)["armed"]
             cep.succeeds("hw", "abort", *port)
-            cep.succeeds("hw", "load", *SLOW, *port)
+            cep.succeeds("upload", *SLOW, *port)
             assert "triggered already" in cep(*command, *port).out
             assert device.state == PLAY
-
-
-def test_a_done_of_an_earlier_play_does_not_count_as_armed(cep):
-    with CxpController(Faults(state_after={ARM: DONE})) as device:
-        cep.succeeds("hw", "load", "101", "--chip-ns", "200000", "--port", device.port)
-        device.state = DONE
-        cep.fails("hw", "arm", "--port", device.port)
 
 
 @pytest.mark.parametrize("state", [IDLE, LOADED, ARMED, DONE])
@@ -164,10 +153,9 @@ def test_what_was_not_played_is_not_said_to_be(cep, command, state):
 
 
 @pytest.mark.parametrize("state", [IDLE, ARMED, PLAY, DONE, FAULT])
-@pytest.mark.parametrize("command", [("upload",), ("hw", "load")])
-def test_what_is_not_loaded_is_not_said_to_be(cep, command, state):
+def test_what_is_not_loaded_is_not_said_to_be(cep, state):
     with CxpController(Faults(stuck_play=True, state_after={LOAD: state})) as device:
-        cep.fails(*command, *SLOW, "--port", device.port)
+        cep.fails("upload", *SLOW, "--port", device.port)
         assert "LOAD" in cep.err
         assert (device.state, device.ops[-2:]) == (LOADED, [ABORT, STATUS])
 
@@ -196,9 +184,7 @@ def test_a_measured_clock_stretches_the_chips(cep, controller):
 def test_a_watcher_sees_what_others_do_and_disturbs_nothing(cep, controller):
     cep.succeeds("upload", RASKAR, "--chip-ns", "30000000", "--port", controller.port, "--arm")
     controller.state, controller.play_start = 3, time.monotonic()  # as an external trigger does
-    seen = cep.succeeds(
-        "hw", "monitor", "--port", controller.port, "--seconds", "2.5", "--every", "0.01"
-    )
+    seen = cep.succeeds("hw", "info", "--port", controller.port, "--watch", "2.5")
     assert [change["state"] for change in seen["changes"]] == ["play", "done"]
     assert controller.runs == 1
 
@@ -209,7 +195,9 @@ def test_watching_ends_at_ctrl_c_with_what_was_seen(controller):
         "-c",
         "from cep.commands.main import run; run()",
         "hw",
-        "monitor",
+        "info",
+        "--watch",
+        "inf",
         "--json",
     ]
     with child(
@@ -229,8 +217,8 @@ def test_watching_ends_at_ctrl_c_with_what_was_seen(controller):
 
 def test_watching_for_no_time_is_refused(cep, controller):
     for seconds in ("0", "-1", "nan"):
-        assert "--seconds: must be above 0" in cep.refuses(
-            "hw", "monitor", "--port", controller.port, "--seconds", seconds
+        assert "--watch: must be above 0" in cep.refuses(
+            "hw", "info", "--port", controller.port, "--watch", seconds
         )
 
 
@@ -261,7 +249,7 @@ def test_ctrl_c_on_a_terminal_ends_an_emulation_with_all_that_its_pins_did(tmp_p
     assert not link.is_symlink()
 
 
-@pytest.mark.parametrize("command", ["info", "arm", "trigger", "abort", "calibrate", "monitor"])
+@pytest.mark.parametrize("command", ["info", "trigger", "abort", "calibrate"])
 def test_ports_that_are_none_of_ours(cep, command, tmp_path):
     assert "there is no such port" in cep.refuses(
         "hw", command, "--port", str(tmp_path / "ttyNONE")
@@ -285,7 +273,7 @@ def test_a_port_that_babbles_or_is_busy(cep):
 
 def test_a_device_that_disappears_is_a_failure(cep):
     with CxpController(Faults(unplug_on=2)) as device:
-        assert cep("hw", "load", RASKAR, "--chip-ns", "200000", "--port", device.port).code == 1
+        assert cep("upload", RASKAR, "--chip-ns", "200000", "--port", device.port).code == 1
         assert "is gone" in cep.err
 
 
@@ -295,11 +283,11 @@ def ports(monkeypatch):
     from hw import port
 
     def plug(*infos):
-        from hw.drivers import finding
+        from hw.drivers import cxp
 
         found = tuple(port.PortInfo(*info) for info in infos)
         monkeypatch.setattr(port, "list_ports", lambda: found)
-        monkeypatch.setattr(finding, "list_ports", lambda: found)
+        monkeypatch.setattr(cxp, "list_ports", lambda: found)
 
     return plug
 
@@ -307,13 +295,13 @@ def ports(monkeypatch):
 def test_controllers_are_found_by_asking(cep, controller, ports):
     with CxpController(Faults(silent=True)) as mute:
         ports((controller.port, "USB UART", "A1"), (mute.port, "printer", None))
-        plain = cep.succeeds("hw", "list")["ports"]
+        plain = cep.succeeds("hw", "info")["ports"]
         assert [(row["port"], row["controller"]) for row in plain] == [
             (controller.port, None),
             (mute.port, None),
         ]
         assert controller.ops == []
-        asked = cep.succeeds("hw", "list", "--ask")["ports"]
+        asked = cep.succeeds("hw", "info", "--ask")["ports"]
         assert [(row["firmware"], row["controller"]) for row in asked] == [
             ("cxp-avr 1", True),
             (None, False),
@@ -361,3 +349,24 @@ def test_being_ended_while_playing_closes_the_shutter(controller, ending):
         _, err = playing.communicate(timeout=60)
     assert (playing.returncode, err) == (130, "cep: interrupted\n")
     assert (controller.state, controller.shutter_open) == (LOADED, False)
+
+
+@pytest.mark.parametrize("arguments", [("--ask", "--port", "x"), ("--watch", "1")])
+def test_options_of_the_other_kind_of_information_are_refused(cep, arguments):
+    assert arguments[0] in cep.refuses("hw", "info", *arguments)
+
+
+@pytest.mark.parametrize("name", ["hw list", "hw load", "hw arm", "hw monitor", "camera show"])
+def test_a_command_that_was_merged_names_its_successor(cep, name):
+    line = cep.refuses(*name.split(), "--port", "x")
+    assert line.startswith(f"cep: {name} is now: cep ")
+
+
+def test_a_pulse_pal_is_closed_by_abort(cep):
+    from emulators.pulse_pal import PulsePal
+
+    with PulsePal() as device:
+        code = ("1101", "--chip-ns", "200000")
+        port = ("--port", device.port, "--driver", "pulse-pal")
+        cep.succeeds("upload", *code, *port, "--arm")
+        assert cep.succeeds("hw", "abort", *port) == {"port": device.port, "trust": "B"}

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from emulators.cxp_controller import CxpController
-from emulators.tools import require_simavr
 
 PARAMETER = re.compile(r"\b[a-z]+_[a-z_]+\b")
 TOO_LONG = str(2**63)
@@ -32,7 +31,7 @@ def names_the_option(cep, option, *arguments):
         ("--chip-ns", ("export", "101", "--format", "csv", "--chip-ns", TOO_LONG)),
         ("--format", ("export", "101", "--format", "vhs")),
         ("--port", ("hw", "info", "--port", "")),
-        ("--port", ("hw", "load", "101", "--port", " ")),
+        ("--port", ("hw", "trigger", "--port", " ")),
         ("--port", ("hw", "verify", "101", "--port", "")),
         *(
             ("--port", ("upload", "101", "--port", "", "--driver", driver))
@@ -42,20 +41,12 @@ def names_the_option(cep, option, *arguments):
             ("--clock-ppm", ("upload", "101", "--port", "x", "--clock-ppm", ppm))
             for ppm in ("1e9", "-1e6", "nan")
         ),
-        ("--clock-ppm", ("hw", "load", "101", "--port", "x", "--clock-ppm", "inf")),
         ("--clock-ppm", ("hw", "verify", "101", "--port", "x", "--clock-ppm", "1e9")),
-        ("--clock-ppm", ("hw", "emulate", "uno", "--clock-ppm", "1e9")),
-        ("--firmware", ("hw", "emulate", "uno", "--firmware", "nowhere.hex")),
-        ("--lease-ms", ("hw", "arm", "--port", "x", "--lease-ms", "0")),
         *(
             ("--seconds", ("hw", "calibrate", "--port", "x", "--seconds", wrong))
             for wrong in ("0", "nan", "4000")
         ),
-        *(
-            ("--every", ("hw", "monitor", "--port", "x", "--every", wrong))
-            for wrong in ("0", "nan", "inf")
-        ),
-        ("--wait", ("hw", "trigger", "--port", "x", "--wait", "nan")),
+        *(("--watch", ("hw", "info", "--port", "x", "--watch", wrong)) for wrong in ("0", "nan")),
     ],
 )
 def test_a_wrong_value_is_said_of_the_option(cep, workplace, option, arguments):
@@ -63,7 +54,7 @@ def test_a_wrong_value_is_said_of_the_option(cep, workplace, option, arguments):
 
 
 @needs_terminals
-@pytest.mark.parametrize("command", [("upload",), ("hw", "load"), ("hw", "verify")])
+@pytest.mark.parametrize("command", [("upload",), ("hw", "verify")])
 @pytest.mark.parametrize(
     ("chip_ns", "words"), [("1000", "50 us|50000"), ("100001", "500 ns"), (TOO_LONG, "2\\^63")]
 )
@@ -83,13 +74,6 @@ def test_a_chip_time_of_a_file_is_said_of_the_file(cep, workplace):
     assert "--chip-ns" not in line
 
 
-@needs_terminals
-def test_a_firmware_that_is_none_is_named(cep, workplace):
-    require_simavr()
-    Path("notes.hex").write_text("these are notes")
-    assert "notes.hex" in cep.refuses("hw", "emulate", "uno", "--firmware", "notes.hex")
-
-
 def test_options_that_a_check_of_the_controller_has_no_use_for_are_refused(cep, workplace):
     for option, value in [
         ("--signal", "D0"),
@@ -106,7 +90,6 @@ def test_options_that_a_check_of_the_controller_has_no_use_for_are_refused(cep, 
 
 def test_no_output_replaces_what_is_read_even_by_force(cep, workplace):
     cep.succeeds("export", "code.json", "--format", "vcd", "-o", "played.vcd")
-    Path("fw.hex").write_text("these are notes")
     before = {path.name: path.read_bytes() for path in Path().iterdir()}
     verify = (
         "hw",
@@ -120,22 +103,9 @@ def test_no_output_replaces_what_is_read_even_by_force(cep, workplace):
     )
     for arguments in (
         ("export", "code.json", "--format", "csv", "-o", "code.json", "--force"),
-        ("upload", "code.json", "--port", "/dev/none", "-o", "code.json", "--force"),
         (*verify, "-o", "code.json"),
         (*verify, "-o", "played.vcd"),
         (*verify, "--trajectory", "trajectory.json", "-o", "trajectory.json"),
-        (
-            "hw",
-            "emulate",
-            "uno",
-            "--seconds",
-            "0.1",
-            "--firmware",
-            "fw.hex",
-            "--vcd",
-            "fw.hex",
-            "--force",
-        ),
     ):
         assert "is what is read" in cep.refuses(*arguments)
     assert {path.name: path.read_bytes() for path in Path().iterdir()} == before
@@ -143,9 +113,7 @@ def test_no_output_replaces_what_is_read_even_by_force(cep, workplace):
 
 def test_a_code_of_many_bits_is_no_file_name(cep, workplace):
     bits = "110" * 200
-    assert "no such port" in cep.refuses(
-        "upload", bits, "--port", "/dev/none", "-o", "report.json"
-    )
+    assert "no such port" in cep.refuses("upload", bits, "--port", "/dev/none")
     assert "none.vcd" in cep.refuses(
         "hw", "verify", bits, "--capture", "none.vcd", "-o", "seen.json"
     )
@@ -161,14 +129,12 @@ def test_outputs_are_checked_before_any_device_or_compiler_is_touched(
     Path("there.x").touch()
     Path("folder").mkdir()
     for name in (
-        "hw.cxp.link.open_port",
         "hw.emulation.uno.build_board",
         "hw.recordings.capture.parse_vcd",
     ):
         monkeypatch.setattr(name, touched)
     Path("played.vcd").write_text("$")
     for arguments in (
-        ("upload", "code.json", "--port", "/dev/none", "-o"),
         ("hw", "emulate", "uno", "--vcd"),
         ("hw", "emulate", "uno", "--link"),
         ("hw", "verify", "code.json", "--capture", "played.vcd", "-o"),

@@ -38,7 +38,6 @@ FINE = {
     "deblur": ["blurred.png", "--trajectory", "trajectory.json"],
     "export": ["1011", "--format", "csv"],
     "camera list": [],
-    "camera show": ["sony-imx250"],
     "camera estimate": ["sharp.png", "blurred.png"],
     "cite": ["pmp"],
     "studio": ["--no-browser"],

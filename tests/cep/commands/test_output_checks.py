@@ -42,7 +42,6 @@ FILES = {
         "OUT.json",
     ),
     "export": ("export", "1011", "--format", "csv", "-o", "OUT.csv"),
-    "upload": ("upload", "1011", "--port", "loop://", "-o", "OUT.json"),
     "hw verify": (
         "hw",
         "verify",
@@ -96,10 +95,10 @@ WORK = (
     "cep.restoration.restore",
     "cep.jobs.engine.run_cells",
     "lab.bench.coded.job.measure_coded",
-    "hw.drivers.finding.open_controller",
+    "hw.drivers.cxp.open_link",
     "cep.shutter.playback.read_capture",
     "hw.emulation.uno.EmulatedUno",
-    "hw.export.csv_edges.export",
+    "hw.export.export_program",
     "cep.report.demo_chain.run_chain",
     "cep.report.demo_scene.bundled_scene",
 )

@@ -23,7 +23,7 @@ def recording(cep, workplace):
 def test_what_the_controller_holds(cep):
     with CxpController() as device:
         port = ("--port", device.port)
-        cep.succeeds("hw", "load", *CODE, *port)
+        cep.succeeds("upload", *CODE, *port)
         held = cep.succeeds("hw", "verify", *CODE, *port)
         assert (held["read_back"], held["trust"]) == (True, "A")
         assert cep("hw", "verify", *CODE, *port).out.endswith(
@@ -34,7 +34,7 @@ def test_what_the_controller_holds(cep):
             "holds another program than it was sent: 1 of 12 chips differ, the first is chip 11"
             in cep.err
         )
-        cep.succeeds("hw", "load", *CODE, *port, "--clock-ppm", "3000")
+        cep.succeeds("upload", *CODE, *port, "--clock-ppm", "3000")
         assert cep.succeeds("hw", "verify", *CODE, *port, "--clock-ppm", "3000")["read_back"]
         assert cep("hw", "verify", *CODE, *port).code == 1
 

@@ -6,8 +6,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hw.cxp.clock import fit_clock, measure_clock
-from hw.cxp.player import VerifyError
 from hw.drivers.cxp import Controller
+from hw.errors import VerifyError
 
 
 def readings(ppm, *, seconds=10.0, count=800, delay=lambda rng: 0.003, boot_us=0, seed=0):

@@ -22,13 +22,11 @@ from emulators.cxp_controller import (
 )
 from emulators.scripted_port import imported_with
 
-from hw.cxp.player import VerifyError
-from hw.cxp.protocol import State
-from hw.cxp.stored import Stored
+from hw.cxp.protocol import State, Stored
 from hw.device import DeviceProfile, load_profile
 from hw.drivers import Trust
 from hw.drivers.cxp import Controller
-from hw.errors import DutyLimitError, OnLimitError, WrongStateError
+from hw.errors import DutyLimitError, OnLimitError, VerifyError, WrongStateError
 from hw.port import LinkError
 from hw.program import Program
 

@@ -23,9 +23,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hw.device import DeviceProfile
+from hw.drivers.driver import Trust
 from hw.drivers.pulsepal import PulsePal
 from hw.drivers.pulsepal_link import PulsePalLink, dac_code
-from hw.drivers.report import Trust
 from hw.errors import DeviceError, WrongStateError
 from hw.port import LinkError, PortError, open_port
 from hw.program import Program

@@ -16,11 +16,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hw.device import DeviceProfile
-from hw.drivers.report import Trust
-from hw.drivers.scpi import ScpiAwg
-from hw.drivers.scpi_link import ScpiLink
+from hw.drivers.driver import Trust
+from hw.drivers.scpi import ScpiAwg, ScpiLink
 from hw.errors import DeviceError, WrongStateError
-from hw.export.scpi import commands, export
+from hw.export import EXPORTERS
+from hw.export.scpi import commands
 from hw.port import LinkError, PortError
 from hw.program import Program
 
@@ -304,7 +304,11 @@ def test_raskar_in_real_time_and_two_triggers():
 
 def test_the_exported_script_does_the_same_line_by_line():
     with Awg() as device:
-        lines = [line for line in export(PROGRAM).splitlines() if not line.startswith("#")]
+        lines = [
+            line
+            for line in EXPORTERS["scpi"].export(PROGRAM).splitlines()
+            if not line.startswith("#")
+        ]
         answers = execute(device, *lines)
         assert answers == ["1", '+0,"No error"']
         device.trigger_input()

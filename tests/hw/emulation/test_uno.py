@@ -12,8 +12,7 @@ from emulators.avr import HEX
 from emulators.tools import require_simavr, require_tool
 
 from hw.drivers.cxp import Controller
-from hw.emulation.build import EmulationError, build_board
-from hw.emulation.uno import CLOCK_HZ, SIGNALS, EmulatedUno
+from hw.emulation.uno import CLOCK_HZ, SIGNALS, EmulatedUno, EmulationError, build_board
 from hw.program import Program
 
 PROGRAM = Program.from_bits("110100", chip_ns=200_000)

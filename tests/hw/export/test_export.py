@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hw.device import DeviceProfile
-from hw.export import EXPORTERS, csv_edges, export_program
+from hw.export import EXPORTERS, export_program
 from hw.export.pulsepal import pulse_train
 from hw.export.scpi import commands, sample_rate, samples
 from hw.program import Program
@@ -107,13 +107,13 @@ def test_what_plays_is_compared_to_the_last_line(name):
 
 def test_a_program_that_reads_back_with_other_edges_is_not_exported(monkeypatch):
     program = Program.from_bits("1011", chip_ns=200_000)
-    assert export_program(program, "csv") == csv_edges.export(program)
+    assert export_program(program, "csv") == EXPORTERS["csv"].export(program)
     with pytest.raises(
         ValueError, match=r"^file_format: must be one of csv, json, .*, got 'nope'$"
     ):
         export_program(program, "nope")
-    other = csv_edges.export(Program.from_bits("1010", chip_ns=200_000))
-    monkeypatch.setattr(csv_edges, "export", lambda *_: other)
+    other = EXPORTERS["csv"].export(Program.from_bits("1010", chip_ns=200_000))
+    monkeypatch.setattr(EXPORTERS["csv"], "export", lambda *_: other)
     with pytest.raises(RuntimeError, match="csv: reading the text back gave other edges"):
         export_program(program, "csv")
 

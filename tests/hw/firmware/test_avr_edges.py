@@ -23,8 +23,7 @@ from emulators.avr import (
 from emulators.avr8js import Avr8jsUno
 from emulators.tools import require_node_module, require_simavr, require_tool
 
-from hw.cxp.protocol import Op, State
-from hw.cxp.stored import Stored
+from hw.cxp.protocol import Op, State, Stored
 from hw.drivers.cxp import Controller
 from hw.emulation.uno import EmulatedUno
 

@@ -15,8 +15,7 @@ from emulators.avr import check_edges, one_play, played
 from emulators.tools import require_simavr
 
 from hw.cxp.link import Link
-from hw.cxp.protocol import ResetCause, State
-from hw.cxp.stored import Stored
+from hw.cxp.protocol import ResetCause, State, Stored
 from hw.drivers.cxp import Controller
 from hw.emulation.uno import CLOCK_HZ, EmulatedUno
 from hw.errors import WrongStateError

@@ -15,12 +15,10 @@ from emulators.conformance import ABORT, ARM, CODE, FAULT, LOAD, OK, READ, TRIG,
 from emulators.tools import require_simavr, require_tool
 
 from hw.cxp.framing import BINARY
-from hw.cxp.player import VerifyError
-from hw.cxp.protocol import Op, unpack_status
-from hw.cxp.stored import Stored
+from hw.cxp.protocol import Op, Stored, unpack_status
 from hw.drivers.cxp import Controller
 from hw.emulation.uno import CLOCK_HZ, EmulatedUno
-from hw.errors import DutyLimitError, OnLimitError
+from hw.errors import DutyLimitError, OnLimitError, VerifyError
 from hw.program import Program
 
 REPLY_S = 10.0

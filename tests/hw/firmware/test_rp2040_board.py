@@ -19,7 +19,7 @@ from hw.cxp.framing import TEXT
 from hw.cxp.protocol import Op, ResetCause, State, pack_arm, request_body
 from hw.device import DeviceProfile
 from hw.drivers.cxp import PROVEN_FIRMWARE, Controller
-from hw.drivers.report import Trust
+from hw.drivers.driver import Trust
 from hw.errors import DutyLimitError, OnLimitError
 from hw.port import PortError
 from hw.program import Program

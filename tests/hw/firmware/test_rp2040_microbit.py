@@ -15,7 +15,7 @@ from emulators.tools import give_up, require_tool
 
 from hw.cxp.protocol import Op, State, pack_arm
 from hw.drivers.cxp import Controller
-from hw.drivers.report import Trust
+from hw.drivers.driver import Trust
 from hw.errors import WrongStateError
 from hw.program import Program
 

@@ -14,7 +14,7 @@ import pytest
 from emulators.tools import give_up, require_node_module
 
 from hw.device import DeviceProfile
-from hw.export.rp2_script import export
+from hw.export import EXPORTERS
 from hw.program import Program
 
 SOURCE = Path(__file__).parents[3] / "hw" / "firmware" / "rp2040" / "pio_shutter.py"
@@ -413,7 +413,9 @@ def test_the_exported_script_plays_exactly_too(chip, monkeypatch, closed_level):
     """`cep export --format rp2`, the code in a script without a host: two triggers, two plays."""
     rng = random.Random(25)
     program = Program(random_code(rng, 223), 8 * 130)
-    script = export(program, DeviceProfile(name="mine", closed_level=closed_level))
+    script = EXPORTERS["rp2"].export(
+        program, DeviceProfile(name="mine", closed_level=closed_level)
+    )
     looks = 0
 
     class Looked(type(chip)):
