@@ -7,7 +7,7 @@ from citations import SOFTWARE, citable, cite, software
 
 from cep.codes.published import names as code_names
 from cep.files.works import works
-from cep.restoration.methods import METHODS as RESTORATIONS
+from cep.restoration.registry import METHODS as RESTORATIONS
 from cep.search.problem import OBJECTIVES
 from lab.bench.coded.designs import DESIGNS
 from lab.evaluation.methods import METHODS as MEASURED

@@ -25,6 +25,7 @@ from cep.commands.options import (
     load_motion,
     output_option,
 )
+from cep.restoration.registry import METHODS, find_method
 
 if TYPE_CHECKING:
     from cep.restoration.sharpen import Sharpened
@@ -63,9 +64,8 @@ def deblur(
             "--method",
             metavar="NAME",
             help=(
-                "wiener, inverse, tv, l0, tv-ring, pnp (a trained denoiser), or module:name; auto"
-                " is wiener, and of a "
-                "photo alone what suits it."
+                ", ".join(f"{method.name} ({method.about})" for method in METHODS.values())
+                + ", or module:name; auto is wiener, and of a photo alone what suits it."
             ),
         ),
     ] = "auto",
@@ -117,7 +117,7 @@ def deblur(
         from cep.calibration.calibrate import check_photo, check_texture, estimate_motion
         from cep.files.files import load_psf
         from cep.optics.path_limits import check_resolved
-        from cep.restoration import find_method, restore
+        from cep.restoration.methods import restore
 
         alone = method == "auto" and all(
             one is None for one in (trajectory, linear, psf, code, camera, photons, read_noise)
@@ -132,7 +132,8 @@ def deblur(
             raise ValueError("--code: not valid with --psf, whose file already holds the code")
         options = {}
         if camera is not None or photons is not None or read_noise is not None:
-            if method not in ("wiener", "pnp"):
+            using = [each.name for each in METHODS.values() if each.uses_camera]
+            if method not in using:
                 first = (
                     "--camera"
                     if camera is not None
@@ -141,7 +142,7 @@ def deblur(
                     else "--read-noise"
                 )
                 raise ValueError(
-                    f"{first}: not valid with --method {method}; wiener and pnp use the camera"
+                    f"{first}: not valid with --method {method}; {_listed(using)} use the camera"
                 )
             options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
         stated = trajectory is not None or linear is not None
@@ -219,6 +220,10 @@ def deblur(
             f"the outer {restored.unreliable_px} px lean on a guess"
         ),
     )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _finish_alone(

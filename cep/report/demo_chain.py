@@ -17,7 +17,7 @@ from cep.optics.exposure import coded_psf
 from cep.optics.path_limits import check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
 from cep.report.demo_scene import FoundMotion, Scene, find_motion
-from cep.restoration import Restoration, restore
+from cep.restoration.methods import Restoration, restore
 from cep.search.advise import LEVELS, Advice, advise
 from cep.search.chip_count import suited_chips
 from cep.search.problem import SearchProblem

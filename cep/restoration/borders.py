@@ -1,38 +1,20 @@
-"""Real borders of a photo for FFT methods: periodic extension before a restoration.
-
-The gap between opposite edges is first filled with a membrane (Laplace's equation, as in Liu and
-Jia), then with the photo of the most likely scene, given the pixels of the photo.
-"""
+"""Periodic extension of a photo beyond its real borders, by a membrane between opposite edges."""
 
 from __future__ import annotations
-
-from typing import Literal
 
 import numpy as np
 from scipy import fft
 
-from cep.restoration.spectral import otf_on_grid, power_law
-from motdiff.types import ComplexArray, FloatArray
+from motdiff.types import FloatArray
 
-Border = Literal["real", "periodic"]
-_SMALLEST_GAP_PX = 16
-_SMALLEST_POWER = 1e-12
+_SMALLEST_GAP_PX = 16  # a membrane over fewer pixels is a step at the seam, which rings
 
 
 def extended_shape(shape: tuple[int, int], psf_size: int) -> tuple[int, int]:
-    """FFT-friendly size that leaves a gap of at least the PSF's reach on both sides of the
-    photo.
-    """
+    """FFT-friendly size, with a gap of at least the PSF's reach on both sides of the photo."""
     gap = max(psf_size - 1, _SMALLEST_GAP_PX)
     rows, columns = (int(fft.next_fast_len(side + gap, real=True)) for side in shape)
     return rows, columns
-
-
-def working_shape(shape: tuple[int, int], psf_size: int, border: Border) -> tuple[int, int]:
-    """Size to restore a photo at: its own when it is periodic, else with room to join its real
-    borders.
-    """
-    return shape if border == "periodic" else extended_shape(shape, psf_size)
 
 
 def membrane_extension(image: FloatArray, shape: tuple[int, int]) -> FloatArray:
@@ -68,77 +50,6 @@ def membrane_extension(image: FloatArray, shape: tuple[int, int]) -> FloatArray:
         corner[:, 0], corner[:, -1] = below[:, -1], below[:, 0]
         out[height:, width:] = _harmonic(corner)[1:-1, 1:-1]
     return out
-
-
-def reblurred_extension(
-    image: FloatArray,
-    psf: FloatArray,
-    shape: tuple[int, int],
-    *,
-    noise_to_scene: float,
-    rounds: int,
-) -> FloatArray:
-    """Extend ``image`` by its Wiener restoration, blurred again.
-
-    The scene minimises ``|M (K x - y)|^2 + noise_to_scene |f X|^2``, M being 1 on the photo; it is
-    found by conjugate gradients, preconditioned with the periodic Wiener filter and started from
-    the membrane.
-
-    Parameters
-    ----------
-    image : (H, W) float
-    psf : (S, S) float, S odd, light-true
-    shape : (H', W')
-    noise_to_scene : float
-        Noise variance over the scene's 1/f^2 constant.
-    rounds : int
-        Conjugate-gradient steps; 0 leaves the membrane.
-    """
-    extended = membrane_extension(image, shape)
-    if rounds <= 0:
-        return extended
-    transfer = otf_on_grid(psf, shape)
-    penalty = noise_to_scene * power_law(shape)
-    inverse = 1 / np.maximum(np.abs(transfer) ** 2 + penalty, _SMALLEST_POWER)
-    seen = (slice(0, image.shape[0]), slice(0, image.shape[1]))
-    # inner products of real images from half their spectra
-    weight = np.full(transfer.shape[1], 2.0)
-    weight[0] = 1.0
-    if shape[1] % 2 == 0:
-        weight[-1] = 1.0
-
-    def normal_equations(spectrum: ComplexArray) -> ComplexArray:
-        blurred = np.zeros(shape)
-        blurred[seen] = fft.irfft2(transfer * spectrum, shape)[seen]
-        return np.asarray(
-            np.conj(transfer) * fft.rfft2(blurred) + penalty * spectrum, dtype=np.complex128
-        )
-
-    def dot(a: ComplexArray, b: ComplexArray) -> float:
-        return float(((a.real * b.real + a.imag * b.imag) * weight).sum())
-
-    masked = np.zeros(shape)
-    masked[seen] = image
-    scene = inverse * np.conj(transfer) * fft.rfft2(extended)
-    residual = np.conj(transfer) * fft.rfft2(masked) - normal_equations(scene)
-    direction = inverse * residual
-    energy = dot(residual, direction)
-    for _ in range(rounds):
-        if energy <= 0:
-            break
-        product = normal_equations(direction)
-        curvature = dot(direction, product)
-        if curvature <= 0:
-            break
-        scene = scene + (energy / curvature) * direction
-        residual = residual - (energy / curvature) * product
-        preconditioned = inverse * residual
-        previous = energy
-        energy = dot(residual, preconditioned)
-        direction = preconditioned + (energy / previous) * direction
-    extended = np.asarray(fft.irfft2(transfer * scene, shape), dtype=np.float64)
-    extended[seen] = image
-    return extended
 
 
 def _tile(first: FloatArray, last: FloatArray, gap: int) -> FloatArray:

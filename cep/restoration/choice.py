@@ -15,10 +15,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cep.restoration.blur import Blur, channels_first, channels_last
 from cep.restoration.clipping import fill_clipped, lights_cut
 from cep.restoration.methods import misfit
 from cep.restoration.noise import fit_spectrum
-from cep.restoration.spectral import channels_first, channels_last, trimmed_psf
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
 from motdiff.crops import clipped_mask, luminance, pick_crops
@@ -131,14 +131,15 @@ def restore_chosen(photo: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, str]:
     for channel in channels:
         # a crop's spectra stand for the photo's, and its border is a strip: seconds instead of
         # minutes
-        found = fit_spectrum(channel[row : row + side, column : column + side], trimmed_psf(psf))
+        crop = channel[row : row + side, column : column + side]
+        spectrum = fit_spectrum(crop, Blur(psf, crop.shape, "periodic"))
         jobs.append(
             partial(
                 wiener,
                 channel,
                 psf,
-                noise_variance=_WRONG_PSF * found.noise,
-                scene_strength=found.scene,
+                noise_variance=_WRONG_PSF * spectrum.noise,
+                scene_strength=spectrum.scene,
                 border_rounds=0,
             )
         )

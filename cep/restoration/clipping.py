@@ -1,8 +1,7 @@
-"""Clipped pixels of a photo, replaced by the light that its other pixels and the PSF make likely
-there.
+"""Light of clipped pixels, inferred from the other pixels of a photo and the PSF.
 
-Where a photo is clipped, ``blur * scene = photo`` does not hold, and every restoration rings. With
-these pixels replaced it does, so any method can follow.
+Where a photo is clipped, ``A x = y`` does not hold, and every restoration rings. With these pixels
+replaced it does, so any method can follow.
 """
 
 from __future__ import annotations
@@ -11,14 +10,13 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft, ndimage
+from scipy import ndimage
 
-from cep.restoration.borders import extended_shape, membrane_extension
-from cep.restoration.spectral import (
+from cep.restoration.blur import (
+    Blur,
     channels_first,
     channels_last,
     gradient_power,
-    otf_on_grid,
     trimmed_psf,
 )
 from cep.restoration.tv import divergence, shrink_gradients
@@ -26,9 +24,8 @@ from motdiff.crops import CLIPPED_LEVEL, clipped_mask
 from motdiff.threads import side_by_side
 from motdiff.types import BoolArray, FloatArray
 
-_TILE_PX = (
-    512  # memory for a large photo; a tile is cut to the neighbourhood of its clipped pixels
-)
+# memory for a large photo; a tile is cut to the neighbourhood of its clipped pixels
+_TILE_PX = 512
 _ROUNDS = 40
 _TV_WEIGHT = 1e-3  # docs/decisions/restoration.md
 _BLUR_PENALTY = 0.03
@@ -39,12 +36,11 @@ _LIGHT_PENALTY = 3e-3
 def fill_clipped(
     photo: ArrayLike, psf: ArrayLike, *, clipped: ArrayLike | None = None
 ) -> NDArray[np.floating]:
-    r"""Replace the clipped pixels of a photo by the blurred light of the scene that the other
-    pixels show.
+    """Replace the clipped pixels of a photo by the blurred light of the likeliest scene.
 
-    The scene x minimises ``|M (K x - y)|^2 / 2 + 1e-3 (|Dx x|_1 + |Dy x|_1)``, M being 1 on the
-    photo's other pixels, with ``x >= 0`` and with ``K x`` at :data:`motdiff.crops.CLIPPED_LEVEL`
-    or more where the photo is clipped. ADMM splits ``K x``, so that the mask is applied pixel by
+    The scene x minimises ``|M (A x - y)|^2 / 2 + 1e-3 (|Dx x|_1 + |Dy x|_1)``, M being 1 on the
+    photo's other pixels, with ``x >= 0`` and with ``A x`` at :data:`motdiff.crops.CLIPPED_LEVEL`
+    or more where the photo is clipped. ADMM splits ``A x``, so that the mask is applied pixel by
     pixel and x is solved for in the Fourier domain. Light from beyond the border is unknown in the
     same way.
 
@@ -78,9 +74,8 @@ def fill_clipped(
     if not any(mask.any() for mask in masks):
         return np.asarray(photo)
     kernel = kernel / kernel.sum()
-    margin = 2 * (
-        kernel.shape[0] // 2
-    )  # of the pixels whose light comes from where a clipped pixel's does
+    # the pixels whose light comes from where a clipped pixel's does
+    margin = 2 * (kernel.shape[0] // 2)
     filled = channels.copy()
     jobs = []
     places = []
@@ -93,8 +88,8 @@ def fill_clipped(
         inner = tuple(
             slice(t.start - w.start, t.stop - w.start) for t, w in zip(tile, window, strict=True)
         )
-        here = (number, *tile)
-        filled[here] = np.where(masks[number][tile], light[inner], filled[here])
+        place = (number, *tile)
+        filled[place] = np.where(masks[number][tile], light[inner], filled[place])
     return channels_last(filled)
 
 
@@ -112,10 +107,11 @@ def lights_cut(restored: ArrayLike, clipped: ArrayLike, psf: ArrayLike) -> Float
     image = np.asarray(restored, dtype=np.float64)
     if not np.any(clipped):
         return image
-    near = (
-        ndimage.maximum_filter(np.asarray(clipped, dtype=np.uint8), trimmed_psf(psf).shape[0]) > 0
-    )
-    return np.where(near if image.ndim == 2 else near[..., None], np.minimum(image, 1), image)
+    size = len(trimmed_psf(psf))
+    neighbourhood = ndimage.maximum_filter(np.asarray(clipped, dtype=np.uint8), size) > 0
+    if image.ndim == 3:
+        neighbourhood = neighbourhood[..., None]
+    return np.where(neighbourhood, np.minimum(image, 1), image)
 
 
 def _tiles(mask: BoolArray) -> list[tuple[slice, slice]]:
@@ -133,15 +129,15 @@ def _tiles(mask: BoolArray) -> list[tuple[slice, slice]]:
 
 def _blurred_light(photo: FloatArray, clipped: BoolArray, kernel: FloatArray) -> FloatArray:
     """Light (H, W) of the most likely scene through the kernel, see :func:`fill_clipped`."""
-    shape = extended_shape((photo.shape[0], photo.shape[1]), kernel.shape[0])
-    frame = (slice(0, photo.shape[0]), slice(0, photo.shape[1]))
-    seen, limited = np.zeros((2, *shape), dtype=bool)
-    seen[frame], limited[frame] = ~clipped, clipped
-    start = membrane_extension(np.where(clipped, 1.0, photo), shape)
-    transfer = otf_on_grid(kernel, shape)
-    back = _BLUR_PENALTY * np.conj(transfer)
+    blur = Blur(kernel, photo.shape)
+    shape = blur.grid_shape
+    measured, limited = np.zeros((2, *shape), dtype=bool)
+    blur.crop(measured)[:] = ~clipped
+    blur.crop(limited)[:] = clipped
+    start = blur.extend(np.where(clipped, 1.0, photo))
+    H_adjoint = _BLUR_PENALTY * np.conj(blur.H)
     divisor = (
-        _BLUR_PENALTY * np.abs(transfer) ** 2
+        _BLUR_PENALTY * np.abs(blur.H) ** 2
         + _GRADIENT_PENALTY * gradient_power(shape)
         + _LIGHT_PENALTY
     )
@@ -154,23 +150,25 @@ def _blurred_light(photo: FloatArray, clipped: BoolArray, kernel: FloatArray) ->
         plain = _GRADIENT_PENALTY * divergence(
             across - of_across, down - of_down
         ) + _LIGHT_PENALTY * (light - of_light)
-        spectrum = (back * fft.rfft2(blurred - of_blur) + fft.rfft2(plain)) / divisor
-        scene = fft.irfft2(spectrum, shape)
-        through = fft.irfft2(transfer * spectrum, shape)
-        wanted = through + of_blur
-        blurred = np.where(seen, (start + _BLUR_PENALTY * wanted) / (1 + _BLUR_PENALTY), wanted)
-        blurred = np.where(limited, np.maximum(wanted, CLIPPED_LEVEL), blurred)
-        of_blur = wanted - blurred
+        data = H_adjoint * blur.spectrum(blurred - of_blur)
+        spectrum = (data + blur.spectrum(plain)) / divisor
+        scene = blur.image(spectrum)
+        reblurred = blur.image(blur.H * spectrum)
+        # each variable moves to its multiplier's sum within its own limits
+        target = reblurred + of_blur
+        fitted = (start + _BLUR_PENALTY * target) / (1 + _BLUR_PENALTY)
+        blurred = np.where(measured, fitted, target)
+        blurred = np.where(limited, np.maximum(target, CLIPPED_LEVEL), blurred)
+        of_blur = target - blurred
         steps = shrink_gradients(scene, 0.0)
-        wanted_across = steps[0] + of_across
-        wanted_down = steps[1] + of_down
+        target_across = steps[0] + of_across
+        target_down = steps[1] + of_down
         limit = _TV_WEIGHT / _GRADIENT_PENALTY
-        of_across, of_down = (
-            np.clip(step, -limit, limit) for step in (wanted_across, wanted_down)
-        )
-        across = wanted_across - of_across
-        down = wanted_down - of_down
-        wanted = scene + of_light
-        light = np.maximum(wanted, 0)
-        of_light = wanted - light
-    return np.asarray(through[frame], dtype=np.float64)
+        of_across = np.clip(target_across, -limit, limit)
+        of_down = np.clip(target_down, -limit, limit)
+        across = target_across - of_across
+        down = target_down - of_down
+        target = scene + of_light
+        light = np.maximum(target, 0)
+        of_light = target - light
+    return blur.crop(reblurred)

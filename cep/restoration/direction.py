@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
+from cep.restoration.blur import Blur, channels_first
 from cep.restoration.noise import fit_spectrum
-from cep.restoration.spectral import channels_first, trimmed_psf
 from cep.restoration.wiener import wiener
 from motdiff.estimators.coded.starts import orders
 from motdiff.metrics import mnc_subpixel
@@ -150,11 +150,12 @@ def _compared(photo: ArrayLike, psfs: Sequence[FloatArray]) -> tuple[DirectionRe
     """Return the result and the index of the chosen PSF; those that an earlier one equals are left
     out of account.
     """
-    kernels = [trimmed_psf(psf) for psf in psfs]
     image = _middle(channels_first(photo).mean(axis=0))
-    spectra = [fit_spectrum(image, kernel, shaped=True) for kernel in kernels]
+    blurs = [Blur(psf, image.shape, "periodic") for psf in psfs]
+    kernels = [blur.psf for blur in blurs]
+    spectra = [fit_spectrum(image, blur, shaped=True) for blur in blurs]
     noise = min(spectrum.noise for spectrum in spectra)
-    reach = min(max(kernel.shape[0] // 2 for kernel in kernels), min(image.shape) // 4)
+    reach = min(max(blur.reach_px for blur in blurs), min(image.shape) // 4)
     ringing = [
         _gradient_spread(wiener(image, kernel, noise_variance=_SMOOTHER * noise), reach)
         for kernel in kernels

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import fft
 
-from cep.restoration.borders import Border, reblurred_extension, working_shape
-from cep.restoration.spectral import channels_first, channels_last, otf_on_grid, trimmed_psf
+from cep.restoration.blur import Blur, Border, channels_first, channels_last
 from motdiff.types import FloatArray
 
 
@@ -19,8 +17,7 @@ def inverse_filter(
     border: Border = "real",
     border_rounds: int = 10,
 ) -> FloatArray:
-    """Divide the photo's spectrum by the OTF, whose modulus is raised to a floor where it falls
-    below.
+    """Divide the photo's spectrum by the OTF, whose modulus has a floor.
 
     Parameters
     ----------
@@ -30,11 +27,8 @@ def inverse_filter(
     floor : float
         Least |H| divided by, as a fraction of the DC value (the PSF's sum). 0 divides by
         everything but exact zeros.
-    border : {"real", "periodic"}
-        Whether light came in from outside the frame, or the photo is one period of a periodic
-        scene.
-    border_rounds : int
-        Rounds of reblurring outside a real border.
+    border, border_rounds
+        As :class:`cep.restoration.blur.Blur` and its method ``extend``.
 
     Returns
     -------
@@ -50,19 +44,15 @@ def inverse_filter(
     if not 0 <= floor < 1:
         raise ValueError(f"floor: must lie within 0..1, got {floor}")
     channels = channels_first(photo)
-    kernel = trimmed_psf(psf)
-    size = (channels.shape[1], channels.shape[2])
-    shape = working_shape(size, kernel.shape[0], border)
-    transfer = otf_on_grid(kernel, shape)
-    modulus = np.abs(transfer)
-    least = floor * kernel.sum()
-    divisor = modulus * np.maximum(modulus, least)
-    blind = divisor <= np.finfo(float).tiny
-    gain = np.where(blind, 0.0, np.conj(transfer) / np.where(blind, 1.0, divisor))
+    blur = Blur(psf, channels.shape[1:], border)
+    modulus = np.abs(blur.H)
+    smallest = floor * blur.psf.sum()
+    # conj(H) / (|H| max(|H|, floor)) keeps the phase of H where its modulus is raised
+    divisor = modulus * np.maximum(modulus, smallest)
+    dead = divisor <= np.finfo(float).tiny
+    gain = np.where(dead, 0.0, np.conj(blur.H) / np.where(dead, 1.0, divisor))
     restored = np.empty_like(channels)
     for channel, out in zip(channels, restored, strict=True):
-        extended = reblurred_extension(
-            channel, kernel, shape, noise_to_scene=least**2, rounds=border_rounds
-        )
-        out[:] = fft.irfft2(fft.rfft2(extended) * gain, shape)[: size[0], : size[1]]
+        extended = blur.extend(channel, noise_to_scene=smallest**2, rounds=border_rounds)
+        out[:] = blur.crop(blur.image(blur.spectrum(extended) * gain))
     return channels_last(restored)

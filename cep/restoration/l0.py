@@ -1,20 +1,12 @@
-"""L0-gradient restoration, and TV restoration with its ringing taken out by comparison with it."""
+"""L0-gradient restoration, and TV restoration less the ringing that L0 does not share."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import fft
 
-from cep.restoration.borders import Border, reblurred_extension, working_shape
-from cep.restoration.spectral import (
-    channels_first,
-    channels_last,
-    gradient_power,
-    otf_on_grid,
-    trimmed_psf,
-)
+from cep.restoration.blur import Blur, Border, channels_last, gradient_power, normalised
 from cep.restoration.tv import divergence, tv
 from motdiff.types import FloatArray
 
@@ -29,8 +21,7 @@ def l0(
     border: Border = "real",
     border_rounds: int = 10,
 ) -> FloatArray:
-    """Minimise ``|K x - y|^2 + weight (number of pixels with a gradient)``, the channels sharing
-    their edges.
+    """Minimise ``|A x - y|^2 + weight (pixels with a gradient)``; channels share their edges.
 
     Gradients are split off with a penalty beta that doubles from ``2 weight`` to 1e5; a pixel's
     gradient is kept where its square, summed over channels, is at least ``weight / beta``. The
@@ -43,11 +34,8 @@ def l0(
         Light-true PSF, zero displacement at index ``size // 2``.
     weight : float
         Typically 1e-4..2e-3.
-    border : {"real", "periodic"}
-        Whether light came in from outside the frame, or the photo is one period of a periodic
-        scene.
-    border_rounds : int
-        Rounds of reblurring outside a real border.
+    border, border_rounds
+        As :class:`cep.restoration.blur.Blur` and its method ``extend``.
 
     Returns
     -------
@@ -66,22 +54,14 @@ def l0(
     """
     if not (np.isfinite(weight) and weight > 0):
         raise ValueError(f"weight: must be above 0, got {weight}")
-    channels = channels_first(photo)
-    kernel = trimmed_psf(psf)
-    channels = channels / kernel.sum()
-    kernel = kernel / kernel.sum()
-    size = (channels.shape[1], channels.shape[2])
-    shape = working_shape(size, kernel.shape[0], border)
-    transfer = otf_on_grid(kernel, shape)
-    gradients = gradient_power(shape)
-    power = np.abs(transfer) ** 2
+    channels, kernel, _ = normalised(photo, psf)
+    blur = Blur(kernel, channels.shape[1:], border)
+    power = np.abs(blur.H) ** 2
+    gradients = gradient_power(blur.grid_shape)
     image = np.stack(
-        [
-            reblurred_extension(c, kernel, shape, noise_to_scene=weight, rounds=border_rounds)
-            for c in channels
-        ]
+        [blur.extend(channel, noise_to_scene=weight, rounds=border_rounds) for channel in channels]
     )
-    data = np.conj(transfer) * fft.rfft2(image)
+    data = np.conj(blur.H) * blur.spectrum(image)
     beta = 2 * weight
     while beta < _LARGEST_BETA:
         across = np.roll(image, -1, axis=-1) - image
@@ -89,11 +69,10 @@ def l0(
         flat = (across**2 + down**2).sum(axis=0) < weight / beta
         across[:, flat] = 0
         down[:, flat] = 0
-        image = fft.irfft2(
-            (data + beta * fft.rfft2(divergence(across, down))) / (power + beta * gradients), shape
-        )
+        edges = blur.spectrum(divergence(across, down))
+        image = blur.image((data + beta * edges) / (power + beta * gradients))
         beta *= 2
-    return channels_last(np.ascontiguousarray(image[:, : size[0], : size[1]]))
+    return channels_last(np.ascontiguousarray(blur.crop(image)))
 
 
 def tv_less_ringing(

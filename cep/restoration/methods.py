@@ -5,7 +5,7 @@ of the result.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,28 +18,15 @@ from cep.files.images import encode_image, write_image
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.blind import find_psf
+from cep.restoration.blur import channels_first, trimmed_psf
 from cep.restoration.clipping import fill_clipped
 from cep.restoration.direction import DirectionResult, detect_direction
-from cep.restoration.inverse import inverse_filter
-from cep.restoration.l0 import l0, tv_less_ringing
-from cep.restoration.pnp import pnp
-from cep.restoration.spectral import channels_first, trimmed_psf
-from cep.restoration.tv import tv
-from cep.restoration.wiener import wiener
+from cep.restoration.registry import find_method, is_registered
 from motdiff.crops import CLIPPED_LEVEL, clipped_mask
-from motdiff.files.plugins import is_reference, load_object
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
-METHODS: Mapping[str, Callable[..., FloatArray]] = {
-    "wiener": wiener,
-    "inverse": inverse_filter,
-    "tv": tv,
-    "l0": l0,
-    "tv-ring": tv_less_ringing,
-    "pnp": pnp,
-}
 _FULL_LIGHT = 1.001  # 1, but for rounding
 _WORTH_TELLING = 1e-3
 _SEARCH_SHARE = 0.9  # of the time of a blind restoration
@@ -200,7 +187,7 @@ def restore(
             )
     reach = kernel.shape[0] // 2
     clipped = float(clipped_mask(photo).mean())
-    fills = apply in METHODS.values()  # a function of the user's own gets the photo as it is
+    fills = is_registered(apply)  # a function of the user's own gets the photo as it is
     if clipped > _WORTH_TELLING:
         meaning = (
             "their light was inferred from the other pixels"
@@ -239,28 +226,6 @@ def restore(
         clipped,
         tuple(notes),
         time.perf_counter() - started,
-    )
-
-
-def find_method(method: str | Callable[..., ArrayLike]) -> tuple[str, Callable[..., ArrayLike]]:
-    """Return the name and the function of a restoration method, as :func:`restore` takes it.
-
-    Raises
-    ------
-    ValueError
-        If there is no such method.
-    """
-    if callable(method):
-        return getattr(method, "__name__", type(method).__name__), method
-    if method in METHODS:
-        return method, METHODS[method]
-    if is_reference(method):
-        found = load_object(method)
-        if callable(found):
-            return method, found
-        raise ValueError(f"method: {method} is no function")
-    raise ValueError(
-        f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}"
     )
 
 

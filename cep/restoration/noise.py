@@ -1,6 +1,4 @@
-"""Power spectra of scene and noise in a blurred photo, by maximum likelihood on its
-periodogram.
-"""
+"""Power spectra of scene and noise in a blurred photo, fitted to its periodogram."""
 
 from __future__ import annotations
 
@@ -9,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, optimize
 
-from cep.restoration.spectral import otf_on_grid, power_law
+from cep.restoration.blur import Blur, power_law
 from motdiff.types import FloatArray
 
-_SMALLEST_VARIANCE = (
-    1e-14  # far below one 16-bit step (2e-11): keeps logarithms finite on noise-free photos
-)
+# far below one 16-bit step (2e-11): keeps logarithms finite on noise-free photos
+_SMALLEST_VARIANCE = 1e-14
 
 
 @dataclass(frozen=True)
@@ -38,7 +35,7 @@ class Spectrum:
 
 def fit_spectrum(
     image: FloatArray,
-    psf: FloatArray,
+    blur: Blur,
     *,
     noise_variance: float | None = None,
     shaped: bool = False,
@@ -48,7 +45,8 @@ def fit_spectrum(
     Parameters
     ----------
     image : (H, W) float
-    psf : (S, S) float, light-true
+    blur : Blur
+        Of the light-true PSF, on the periodic grid of the image.
     noise_variance : float, optional
         Known noise variance per pixel.
     shaped : bool
@@ -61,68 +59,62 @@ def fit_spectrum(
     Whittle, "Estimation and information in stationary time series", 1953: the periodogram's
     likelihood.
     """
-    density, blur, log_f, angle = _periodogram(image, psf)
+    density, power, log_f, angle = _periodogram(image, blur)
     if density.max(initial=0.0) <= _SMALLEST_VARIANCE:
         # a flat photo: rounding is all there is, and without a floor under the noise a filter
         # would amplify that
         return Spectrum(_SMALLEST_VARIANCE, max(noise_variance or 0.0, _SMALLEST_VARIANCE), 0.0)
     terms = _smooth_terms(log_f, angle) if shaped else np.ones((1, density.size))
-    law = blur * np.exp(-2 * log_f)
-    known = noise_variance is not None
+    law = power * np.exp(-2 * log_f)
 
     def cost(parameters: FloatArray) -> tuple[float, FloatArray]:
         scene = np.exp(np.clip(parameters[: len(terms)] @ terms, -60, 60)) * law
-        noise = (
-            noise_variance
-            if noise_variance is not None
-            else np.exp(np.clip(parameters[-1], -60, 60))
-        )
+        noise = noise_variance
+        if noise is None:
+            noise = np.exp(np.clip(parameters[-1], -60, 60))
         expected = scene + noise + _SMALLEST_VARIANCE
         slope = (1 / expected - density / expected**2) / density.size
         gradient = terms @ (slope * scene)
-        if not known:
+        if noise_variance is None:
             gradient = np.append(gradient, slope.sum() * noise)
         return float(np.mean(np.log(expected) + density / expected)), gradient
 
-    start = np.zeros(len(terms) + (not known))
+    start = np.zeros(len(terms) + (noise_variance is None))
     # an exponential law's median is log 2 times its mean
     start[0] = np.log(
         np.median(density / np.maximum(law, 1e-300)) / np.log(2) + _SMALLEST_VARIANCE
     )
-    if not known:
+    if noise_variance is None:
         start[-1] = np.log(np.quantile(density, 0.05) + _SMALLEST_VARIANCE)
-    found = optimize.minimize(cost, start, jac=True, method="L-BFGS-B")
-    noise = float(noise_variance) if noise_variance is not None else float(np.exp(found.x[-1]))
-    return Spectrum(float(np.exp(found.x[0])), noise, float(found.fun))
+    fit = optimize.minimize(cost, start, jac=True, method="L-BFGS-B")
+    noise = noise_variance
+    if noise is None:
+        noise = np.exp(fit.x[-1])
+    return Spectrum(float(np.exp(fit.x[0])), float(noise), float(fit.fun))
 
 
 def _periodogram(
-    image: FloatArray, psf: FloatArray
+    image: FloatArray, blur: Blur
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Hann-windowed periodogram, |H|^2, log |f| and angle, each (n,), without the window's own
-    lobe around DC.
-    """
+    """Hann-windowed periodogram, |H|^2, log |f| and angle, (n,) each, without the DC lobe."""
     window = np.outer(np.hanning(image.shape[0] + 2)[1:-1], np.hanning(image.shape[1] + 2)[1:-1])
     mean = float((image * window).sum() / window.sum())
     density = np.abs(fft.rfft2((image - mean) * window)) ** 2 / (window**2).sum()
-    blur = np.abs(otf_on_grid(psf, image.shape)) ** 2
     f2 = power_law(image.shape)
     fy = np.fft.fftfreq(image.shape[0])[:, None]
     fx = np.fft.rfftfreq(image.shape[1])[None, :]
     usable = f2 > (3 / min(image.shape)) ** 2
     return (
         density[usable],
-        blur[usable],
+        (np.abs(blur.H) ** 2)[usable],
         0.5 * np.log(f2[usable]),
         np.arctan2(fy + 0 * fx, fx + 0 * fy)[usable],
     )
 
 
 def _smooth_terms(log_f: FloatArray, angle: FloatArray) -> FloatArray:
-    """Factors of a smooth log spectrum, (9, n): power of f, its curvature, and even angular
-    harmonics.
-    """
-    u = log_f + 2
+    """Factors of a smooth log spectrum, (9, n): in log f, and even angular harmonics."""
+    u = log_f + 2  # about the middle of the band, so that the terms are nearly independent
     c2 = np.cos(2 * angle)
     s2 = np.sin(2 * angle)
     return np.array(

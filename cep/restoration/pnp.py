@@ -5,19 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy import fft
+from numpy.typing import ArrayLike
 
 from cep.optics.camera import Camera
-from cep.restoration.borders import Border, reblurred_extension, working_shape
+from cep.restoration.blur import Blur, Border, channels_last, normalised, power_law
 from cep.restoration.noise import fit_spectrum
-from cep.restoration.spectral import (
-    channels_first,
-    channels_last,
-    otf_on_grid,
-    power_law,
-    trimmed_psf,
-)
 from motdiff.types import FloatArray
 
 Denoiser = Callable[[FloatArray, float], FloatArray]
@@ -38,10 +30,9 @@ def pnp(
     border: Border = "real",
     border_rounds: int = 10,
 ) -> FloatArray:
-    r"""Minimise ``|K x - y|^2 / 2N + 0.4 R(z)`` with x = z, noise variance N, the prior R being a
-    denoiser's.
+    """Minimise ``|A x - y|^2 / 2N + 0.4 R(z)`` with x = z: noise N, the prior R a denoiser's.
 
-    Eight times, x is found in closed form in the Fourier domain, ``|K x - y|^2 + a |x - z|^2``
+    Eight times, x is found in closed form in the Fourier domain, ``|A x - y|^2 + a |x - z|^2``
     with ``a = 0.4 N / s^2``, and z is x denoised at the level s, which falls log-evenly from 0.1
     to the photo's noise. The first x is the Wiener filter's. Photo and PSF are first divided by
     the PSF's sum.
@@ -59,11 +50,8 @@ def pnp(
     denoiser : callable, optional
         Takes an (H, W) image and the standard deviation of its white noise; the trained one of
         :mod:`cep.restoration.denoiser` when omitted.
-    border : {"real", "periodic"}
-        Whether light came in from outside the frame, or the photo is one period of a periodic
-        scene.
-    border_rounds : int
-        Rounds of reblurring outside a real border.
+    border, border_rounds
+        As :class:`cep.restoration.blur.Blur` and its method ``extend``.
 
     Returns
     -------
@@ -91,56 +79,39 @@ def pnp(
         raise ValueError("noise_variance: give either a camera or the variance, not both")
     if noise_variance is not None and not (np.isfinite(noise_variance) and noise_variance >= 0):
         raise ValueError(f"noise_variance: must be 0 or more, got {noise_variance}")
-    channels = channels_first(photo)
-    kernel = trimmed_psf(psf)
-    channels, kernel, duty = channels / kernel.sum(), kernel / kernel.sum(), kernel.sum()
-    size = (channels.shape[1], channels.shape[2])
-    shape = working_shape(size, kernel.shape[0], border)
-    transfer = otf_on_grid(kernel, shape)
+    channels, kernel, duty = normalised(photo, psf)
+    blur = Blur(kernel, channels.shape[1:], border)
     if denoiser is None:
         from cep.restoration.denoiser.weights import load_denoiser
 
         denoiser = load_denoiser()
     restored = np.empty_like(channels)
     for channel, out in zip(channels, restored, strict=True):
-        known = (
-            float(camera.noise_variance(duty * channel).mean())
-            if camera is not None
-            else noise_variance
-        )
-        found = fit_spectrum(
-            channel, kernel, noise_variance=None if known is None else known / duty**2
-        )
-        noise = max(found.noise, _SMALLEST_VARIANCE)
-        ratio = noise / found.scene
-        extended = channel
-        if border == "real":
-            extended = reblurred_extension(
-                channel, kernel, shape, noise_to_scene=ratio, rounds=border_rounds
-            )
-        out[:] = _split(extended, transfer, noise, ratio, denoiser)[: size[0], : size[1]]
+        N = noise_variance
+        if camera is not None:
+            N = float(camera.noise_variance(duty * channel).mean())
+        if N is not None:
+            N /= duty**2  # the channel was divided by the duty
+        frame = Blur(kernel, channel.shape, "periodic")
+        spectrum = fit_spectrum(channel, frame, noise_variance=N)
+        N = max(spectrum.noise, _SMALLEST_VARIANCE)
+        ratio = N / spectrum.scene
+        extended = blur.extend(channel, noise_to_scene=ratio, rounds=border_rounds)
+        out[:] = blur.crop(_split(extended, blur, N, ratio, denoiser))
     return channels_last(restored)
 
 
-def _split(
-    image: FloatArray,
-    transfer: NDArray[np.complex128],
-    noise: float,
-    ratio: float,
-    denoise: Denoiser,
-) -> FloatArray:
+def _split(photo: FloatArray, blur: Blur, N: float, ratio: float, denoise: Denoiser) -> FloatArray:
     """Restore one periodic channel."""
-    power = np.abs(transfer) ** 2
-    data = np.conj(transfer) * fft.rfft2(image)
-    last = float(np.sqrt(noise))
-    # the first step knows no z yet: the scene's spectrum stands in
-    estimate = data / np.maximum(power + ratio * power_law(image.shape), _SMALLEST_POWER)
-    first, *later = np.geomspace(max(_FIRST_SIGMA, last), last, _STEPS)
-    latent = denoise(fft.irfft2(estimate, image.shape), float(first))
+    power = np.abs(blur.H) ** 2
+    data = np.conj(blur.H) * blur.spectrum(photo)
+    # the first step has no z yet: the scene's spectrum stands in
+    X = data / np.maximum(power + ratio * power_law(blur.grid_shape), _SMALLEST_POWER)
+    noise_sigma = float(np.sqrt(N))
+    first, *later = np.geomspace(max(_FIRST_SIGMA, noise_sigma), noise_sigma, _STEPS)
+    z = denoise(blur.image(X), float(first))
     for sigma in later:
-        weight = _PRIOR * noise / sigma**2
-        estimate = (data + weight * fft.rfft2(latent)) / np.maximum(
-            power + weight, _SMALLEST_POWER
-        )
-        latent = denoise(fft.irfft2(estimate, image.shape), float(sigma))
-    return latent
+        a = _PRIOR * N / sigma**2
+        X = (data + a * blur.spectrum(z)) / np.maximum(power + a, _SMALLEST_POWER)
+        z = denoise(blur.image(X), float(sigma))
+    return z

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cep.restoration.blur import trimmed_psf
 from cep.restoration.choice import FEW_CLIPPED, choose_psf, is_possible_light, restore_chosen
 from cep.restoration.methods import misfit
-from cep.restoration.spectral import trimmed_psf
 from motdiff.crops import clipped_mask, exposure_gain
 from motdiff.estimators.base import MotionEstimate
 from motdiff.psf_frame import PSF_PX

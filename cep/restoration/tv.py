@@ -4,16 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import fft
 
-from cep.restoration.borders import Border, reblurred_extension, working_shape
-from cep.restoration.spectral import (
-    channels_first,
-    channels_last,
-    gradient_power,
-    otf_on_grid,
-    trimmed_psf,
-)
+from cep.restoration.blur import Blur, Border, channels_last, gradient_power, normalised
 from motdiff.types import FloatArray
 
 _SMALLEST_BETA = 1e-3
@@ -27,7 +19,7 @@ def tv(
     border: Border = "real",
     border_rounds: int = 10,
 ) -> FloatArray:
-    """Minimise ``|K x - y|^2 + weight (|Dx x|_1 + |Dy x|_1)`` per channel.
+    """Minimise ``|A x - y|^2 + weight (|Dx x|_1 + |Dy x|_1)`` per channel.
 
     The gradients are split off as W with the penalty ``gamma |D x - W|^2``, gamma = 1 / (2 beta);
     beta falls from 1 / weight to 1e-3 by halves (20 iterations at the default weight). Photo and
@@ -40,11 +32,8 @@ def tv(
         Light-true PSF, zero displacement at index ``size // 2``.
     weight : float
         Strength of the prior, of the order of the noise: 1e-4 (clean) to 1e-2.
-    border : {"real", "periodic"}
-        Whether light came in from outside the frame, or the photo is one period of a periodic
-        scene.
-    border_rounds : int
-        Rounds of reblurring outside a real border.
+    border, border_rounds
+        As :class:`cep.restoration.blur.Blur` and its method ``extend``.
 
     Returns
     -------
@@ -66,39 +55,28 @@ def tv(
     """
     if not (np.isfinite(weight) and weight > 0):
         raise ValueError(f"weight: must be above 0, got {weight}")
-    channels = channels_first(photo)
-    kernel = trimmed_psf(psf)
-    channels = channels / kernel.sum()
-    kernel = kernel / kernel.sum()
-    size = (channels.shape[1], channels.shape[2])
-    shape = working_shape(size, kernel.shape[0], border)
-    transfer = otf_on_grid(kernel, shape)
-    gradients = gradient_power(shape)
-    power = np.abs(transfer) ** 2
+    channels, kernel, _ = normalised(photo, psf)
+    blur = Blur(kernel, channels.shape[1:], border)
+    power = np.abs(blur.H) ** 2
+    gradients = gradient_power(blur.grid_shape)
     restored = np.empty_like(channels)
     for channel, out in zip(channels, restored, strict=True):
-        start = reblurred_extension(
-            channel, kernel, shape, noise_to_scene=weight, rounds=border_rounds
-        )
-        data = np.conj(transfer) * fft.rfft2(start)
-        image = start
+        image = blur.extend(channel, noise_to_scene=weight, rounds=border_rounds)
+        data = np.conj(blur.H) * blur.spectrum(image)
         beta = 1 / weight
         while beta > _SMALLEST_BETA:
             gamma = 1 / (2 * beta)
             across, down = shrink_gradients(image, beta * weight)
-            image = fft.irfft2(
-                (data + gamma * fft.rfft2(divergence(across, down))) / (power + gamma * gradients),
-                shape,
-            )
+            # x of the penalised problem: (A^T A + gamma D^T D) x = A^T y + gamma D^T W
+            edges = blur.spectrum(divergence(across, down))
+            image = blur.image((data + gamma * edges) / (power + gamma * gradients))
             beta /= 2
-        out[:] = image[: size[0], : size[1]]
+        out[:] = blur.crop(image)
     return channels_last(restored)
 
 
 def shrink_gradients(image: FloatArray, threshold: float) -> tuple[FloatArray, FloatArray]:
-    """Periodic forward differences of (..., H, W), across and down, drawn towards 0 by
-    ``threshold``.
-    """
+    """Periodic forward differences of (..., H, W), across and down, shrunk towards 0."""
     across = np.roll(image, -1, axis=-1) - image
     down = np.roll(image, -1, axis=-2) - image
     for difference in (across, down):

@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy import fft
+from numpy.typing import ArrayLike
 
 from cep.optics.camera import Camera
-from cep.restoration.borders import Border, reblurred_extension, working_shape
+from cep.restoration.blur import Blur, Border, channels_first, channels_last, power_law
 from cep.restoration.noise import fit_spectrum
-from cep.restoration.spectral import (
-    channels_first,
-    channels_last,
-    otf_on_grid,
-    power_law,
-    trimmed_psf,
-)
-from motdiff.types import FloatArray
+from motdiff.types import ComplexArray, FloatArray
 
 
 def wiener(
@@ -29,8 +21,7 @@ def wiener(
     border: Border = "real",
     border_rounds: int = 10,
 ) -> FloatArray:
-    r"""Restore with ``conj(H) / (|H|^2 + N f^2 / A)``, noise variance N and scene spectrum A /
-    f^2.
+    """Restore with ``conj(H) / (|H|^2 + N f^2 / A)``: noise N and scene spectrum A / f^2.
 
     Parameters
     ----------
@@ -45,10 +36,9 @@ def wiener(
     scene_strength : float, optional
         A at full exposure, f in cy/px. Estimated from the photo's spectrum when omitted.
     border : {"real", "periodic"}
-        Whether light came in from outside the frame, or the photo is one period of a periodic
-        scene.
+        Whether light came in from outside the frame, or the photo is one period of a scene.
     border_rounds : int
-        Rounds of reblurring outside a real border.
+        Rounds of reblurring outside a real border, see :meth:`cep.restoration.blur.Blur.extend`.
 
     Returns
     -------
@@ -72,49 +62,37 @@ def wiener(
     if scene_strength is not None and not (np.isfinite(scene_strength) and scene_strength > 0):
         raise ValueError(f"scene_strength: must be above 0, got {scene_strength}")
     channels = channels_first(photo)
-    kernel = trimmed_psf(psf)
-    size = (channels.shape[1], channels.shape[2])
-    shape = working_shape(size, kernel.shape[0], border)
-    transfer = otf_on_grid(kernel, shape)
+    blur = Blur(psf, channels.shape[1:], border)
     restored = np.empty_like(channels)
     for channel, out in zip(channels, restored, strict=True):
-        noise = (
-            float(camera.noise_variance(channel).mean()) if camera is not None else noise_variance
-        )
-        ratio = _noise_to_scene(channel, kernel, noise, scene_strength)
-        extended = channel
-        if border == "real":
-            # an infinite ratio would leave no scene to reblur
-            reblur_ratio = min(ratio, 1e6)
-            extended = reblurred_extension(
-                channel, kernel, shape, noise_to_scene=reblur_ratio, rounds=border_rounds
-            )
-        gain = _wiener_gain(transfer, ratio, power_law(shape))
-        out[:] = fft.irfft2(fft.rfft2(extended) * gain, shape)[: size[0], : size[1]]
+        N = noise_variance
+        if camera is not None:
+            N = float(camera.noise_variance(channel).mean())
+        ratio = _noise_to_scene(channel, blur.psf, N, scene_strength)
+        # an infinite ratio would leave no scene to reblur
+        extended = blur.extend(channel, noise_to_scene=min(ratio, 1e6), rounds=border_rounds)
+        out[:] = blur.crop(blur.image(blur.spectrum(extended) * _wiener_gain(blur, ratio)))
     return channels_last(restored)
 
 
 def _noise_to_scene(
-    channel: FloatArray, kernel: FloatArray, noise: float | None, scene: float | None
+    channel: FloatArray, psf: FloatArray, N: float | None, A: float | None
 ) -> float:
-    if noise == 0.0:
+    if N == 0.0:
         return 0.0
-    if noise is not None and (scene is not None or not np.isfinite(noise)):
-        return noise / (scene or 1.0)
-    found = fit_spectrum(channel, kernel, noise_variance=noise)
-    return found.noise / (scene or found.scene)
+    if N is not None and (A is not None or not np.isfinite(N)):
+        return N / (A or 1.0)
+    spectrum = fit_spectrum(channel, Blur(psf, channel.shape, "periodic"), noise_variance=N)
+    return spectrum.noise / (A or spectrum.scene)
 
 
-def _wiener_gain(
-    transfer: NDArray[np.complex128], ratio: float, law: FloatArray
-) -> NDArray[np.complex128]:
-    """Wiener filter on the grid; zero frequency is divided by H alone, so that the mean light is
-    exact.
-    """
-    penalty = np.multiply(ratio, law, out=np.zeros_like(law), where=law > 0)
-    divisor = np.abs(transfer) ** 2 + penalty
-    blind = divisor <= np.finfo(float).tiny
+def _wiener_gain(blur: Blur, ratio: float) -> ComplexArray:
+    f2 = power_law(blur.grid_shape)
+    # nothing is added at f = 0, also where the ratio is infinite: the mean light stays exact
+    penalty = np.multiply(ratio, f2, out=np.zeros_like(f2), where=f2 > 0)
+    divisor = np.abs(blur.H) ** 2 + penalty
+    dead = divisor <= np.finfo(float).tiny  # frequencies without signal are left out
     return np.asarray(
-        np.conj(transfer) * np.where(blind, 0.0, 1 / np.where(blind, 1.0, divisor)),
+        np.conj(blur.H) * np.where(dead, 0.0, 1 / np.where(dead, 1.0, divisor)),
         dtype=np.complex128,
     )

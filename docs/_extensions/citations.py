@@ -14,19 +14,20 @@ from types import MappingProxyType
 from cep.codes.published import names as code_names
 from cep.codes.published import published_works
 from cep.files.works import Work, works
-from motdiff.estimators.registry import METHODS
+from cep.restoration.registry import METHODS as RESTORATIONS
+from motdiff.estimators.registry import METHODS as ESTIMATORS
 
 SOFTWARE = "coded-exposure"
 """Name and key of this software itself."""
 
 _DIFFUSION = ("ho2020", "nichol2021", "song2021", "lin2024")
 _NETWORK = ("choi2025motdiff", *_DIFFUSION, "wang2022pvt", "wang2022ssformer", "wei2020")
-_JOINT_FIT = METHODS["coded"].cites
+_JOINT_FIT = ESTIMATORS["coded"].cites
 _WIENER = ("wiener1949", "field1987")
 
 _NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "estimators of motion": {
-        **{name: method.cites for name, method in METHODS.items()},
+        **{name: method.cites for name, method in ESTIMATORS.items()},
         "network": _NETWORK,
         "networks": _NETWORK,
         "parametric": ("zhang2022etr",),
@@ -72,12 +73,7 @@ _NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "camera": ("emva1288", "janesick2007"),
     },
     "restorations": {
-        "wiener": _WIENER,
-        "inverse": (),
-        "tv": ("wang2008", "krishnan2009", "wen2021pmp"),
-        "l0": ("xu2013",),
-        "tv-ring": ("pan2014", "wang2008"),
-        "pnp": ("venkatakrishnan2013", "zhang2022dpir", "zhang2018ffdnet", "mohan2020"),
+        **{name: method.cites for name, method in RESTORATIONS.items()},
         "borders": ("liu2008",),
         "clipping": ("almeida2013", "whyte2014"),
     },

@@ -26,7 +26,8 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.restoration import compare_psfs, wiener
+from cep.restoration.direction import compare_psfs
+from cep.restoration.wiener import wiener
 from cep.search.annealing.anneal import anneal
 from cep.search.problem import SearchProblem, open_range_of_duty
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift

@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 from skimage import data
 
-from cep.restoration import METHODS, fill_clipped
+from cep.restoration.clipping import fill_clipped
+from cep.restoration.registry import METHODS
 from motdiff.crops import clipped_mask, luminance
 from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.metrics import mnc_subpixel, psnr
@@ -75,9 +76,9 @@ def main() -> None:
             inner = (slice(BORDER_PX, -BORDER_PX),) * 2
             truth = np.clip(visible(one, PSF_PX), 0, 1)[inner]
             filled = fill_clipped(photo, psf)
-            for method, restored in METHODS.items():
+            for method, registered in METHODS.items():
                 pair = [
-                    psnr(np.clip(restored(image, psf), 0, 1)[inner], truth)
+                    psnr(np.clip(registered.function(image, psf), 0, 1)[inner], truth)
                     for image in (photo, filled)
                 ]
                 found[kind, method].append((pair[0], pair[1]))

@@ -19,7 +19,7 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.restoration import compare_psfs
+from cep.restoration.direction import compare_psfs
 from motdiff.motions import boracchi_foi, quadratic, random_straight
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory

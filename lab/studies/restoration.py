@@ -21,7 +21,7 @@ from cep.codes.published import published
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.restoration import METHODS
+from cep.restoration.registry import METHODS
 from lab.bench.coded.protocol import coded_protocol, drawn_motions
 from lab.bench.datasets import crop, photo_folder, pick
 from lab.bench.statistics import mean_interval
@@ -101,7 +101,7 @@ def main() -> None:
                         for name in COMPARED:
                             told = {"camera": camera} if name in TOLD_THE_NOISE else {}
                             started = time.process_time()
-                            restored = METHODS[name](photo, assumed, **told)
+                            restored = METHODS[name].function(photo, assumed, **told)
                             seconds = time.process_time() - started
                             psnr_db, ssim = psnr_ssim_up_to_shift(
                                 np.clip(restored, 0, 1), truth, crop_px=BORDER_PX

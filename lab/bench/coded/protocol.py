@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cep.optics.camera import Camera
-from cep.restoration.methods import find_method
+from cep.restoration.registry import find_method
 from cep.search.problem import OBJECTIVES
 from motdiff.files.inputs import one_line, read_toml
 from motdiff.motions import boracchi_foi, quadratic, random_straight
@@ -77,7 +77,7 @@ class CodedProtocol:
         Of the quantisation.
     read_noise_e : float
     restoration : str
-        One of :data:`cep.restoration.methods.METHODS`, or ``module:name`` of a function of the
+        One of :data:`cep.restoration.registry.METHODS`, or ``module:name`` of a function of the
         user's own that takes (photo, psf).
     border_rounds : int
         Rounds in which the restoration extends the photo beyond its borders. A blur of 60 px needs

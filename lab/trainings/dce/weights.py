@@ -13,7 +13,7 @@ import torch
 from numpy.typing import ArrayLike
 
 from cep.optics.code import ShutterCode
-from cep.restoration.spectral import channels_first, channels_last
+from cep.restoration.blur import channels_first, channels_last
 from lab.trainings.dce.binarise import code_of
 from lab.trainings.dce.network import RestorationNetwork
 from motdiff import weights_io

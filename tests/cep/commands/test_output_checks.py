@@ -92,7 +92,7 @@ WORK = (
     "lab.fronts.run.pareto_front",
     "cep.proofs.audit.certify",
     "cep.plots.mtf_curves.mtf_curve",
-    "cep.restoration.restore",
+    "cep.restoration.methods.restore",
     "cep.jobs.engine.run_cells",
     "lab.bench.coded.job.measure_coded",
     "hw.drivers.cxp.open_link",

@@ -8,7 +8,8 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.restoration import blind, restore
+from cep.restoration import blind
+from cep.restoration.methods import restore
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory

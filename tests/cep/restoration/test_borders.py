@@ -3,9 +3,9 @@ import pytest
 from scipy import fft
 from skimage import data
 
-from cep.restoration.borders import extended_shape, membrane_extension, reblurred_extension
+from cep.restoration.blur import Blur
+from cep.restoration.borders import extended_shape, membrane_extension
 from cep.restoration.noise import fit_spectrum
-from cep.restoration.spectral import power_law
 from cep.restoration.wiener import wiener
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
@@ -55,45 +55,18 @@ def test_no_gap_changes_nothing(photo):
     np.testing.assert_array_equal(membrane_extension(photo, photo.shape), photo)
 
 
-def test_reblurred_extension_solves_the_masked_least_squares():
-    # small enough for the dense normal equations
-    rng = np.random.default_rng(0)
-    photo = rng.random((7, 8))
-    shape = (11, 12)
-    ratio = 0.3
-    psf = np.outer([0.2, 0.5, 0.1], [0.3, 0.6, 0.2])
-    size = shape[0] * shape[1]
-    blur = np.zeros((size, size))
-    for column, unit in enumerate(np.eye(size)):
-        image = unit.reshape(shape)
-        for i in range(3):
-            for j in range(3):
-                blur[:, column] += psf[i, j] * np.roll(image, (i - 1, j - 1), (0, 1)).ravel()
-    seen = np.zeros(shape, bool)
-    seen[:7, :8] = True
-    law = ratio * power_law(shape)
-    prior = np.stack(
-        [fft.irfft2(law * fft.rfft2(u.reshape(shape)), shape).ravel() for u in np.eye(size)]
-    )
-    observed = blur[seen.ravel()]
-    scene = np.linalg.solve(observed.T @ observed + prior, observed.T @ photo.ravel())
-    expected = (blur @ scene).reshape(shape)
-    got = reblurred_extension(photo, psf, shape, noise_to_scene=ratio, rounds=200)
-    np.testing.assert_array_equal(got[:7, :8], photo)
-    np.testing.assert_allclose(got[~seen], expected[~seen], atol=1e-6)
-
-
 @pytest.mark.parametrize("sigma", [0.003, 0.02])
 def test_noise_and_scene_strength_are_found_in_a_blurred_photo(sigma):
     scene = ((data.camera() / 255.0) ** 2.2)[:300, :300]
     psf = Trajectory.straight(11.0, angle_rad=0.4).psf(21)
     noisy = blur_valid(scene, psf) + sigma * np.random.default_rng(0).standard_normal((280, 280))
-    found = fit_spectrum(noisy, psf)
+    blur = Blur(psf, noisy.shape, "periodic")
+    found = fit_spectrum(noisy, blur)
     assert np.sqrt(found.noise) == pytest.approx(sigma, rel=0.1)
-    known = fit_spectrum(noisy, psf, noise_variance=sigma**2)
+    known = fit_spectrum(noisy, blur, noise_variance=sigma**2)
     assert known.noise == sigma**2
     assert known.scene == pytest.approx(found.scene, rel=0.2)
-    brighter = fit_spectrum(3 * noisy, psf)
+    brighter = fit_spectrum(3 * noisy, blur)
     assert brighter.scene == pytest.approx(9 * found.scene, rel=0.02)
 
 
@@ -102,5 +75,5 @@ def test_a_flat_photo_meets_no_bare_inverse_filter(level):
     """Only rounding is left in its spectrum, which a box PSF's zeros would amplify without end."""
     photo = np.full((200, 200), level)
     psf = np.full((1, 9), 1 / 9)
-    assert fit_spectrum(photo, psf).noise > 0
+    assert fit_spectrum(photo, Blur(psf, photo.shape, "periodic")).noise > 0
     np.testing.assert_allclose(wiener(photo, psf), level, atol=1e-6)

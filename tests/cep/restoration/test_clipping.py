@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from skimage import data
 
-from cep.restoration import METHODS, fill_clipped, misfit, restore
 from cep.restoration.choice import choose_psf, is_possible_light
-from cep.restoration.clipping import lights_cut
+from cep.restoration.clipping import fill_clipped, lights_cut
+from cep.restoration.methods import misfit, restore
+from cep.restoration.registry import METHODS
 from motdiff.crops import clipped_mask
 from motdiff.metrics import psnr
 from motdiff.simulate import blur_valid, photograph, visible
@@ -37,7 +38,7 @@ CLIPPED = clipped_mask(PHOTO)
 @pytest.mark.parametrize("method", ["wiener", "inverse", "tv", "l0", "tv-ring", "pnp"])
 def test_every_method_restores_a_night_scene_better(method):
     assert 0.002 < CLIPPED.mean() < 0.05
-    without = METHODS[method](PHOTO, PSF)
+    without = METHODS[method].function(PHOTO, PSF)
     found = restore(PHOTO, PSF, method=method)
     gain = psnr(np.clip(found.image, 0, 1), TRUTH) - psnr(np.clip(without, 0, 1), TRUTH)
     assert gain > 2
@@ -90,7 +91,7 @@ def test_paper_just_below_clipping_is_not_made_brighter():
     sharp = visible(page, 33)
     with_mask, without = (
         np.clip(x, 0, 1)
-        for x in (restore(photo, PSF, method="tv").image, METHODS["tv"](photo, PSF))
+        for x in (restore(photo, PSF, method="tv").image, METHODS["tv"].function(photo, PSF))
     )
     assert psnr(with_mask, sharp) > psnr(without, sharp) - 1
 
@@ -100,7 +101,7 @@ def test_a_photo_with_nothing_clipped_is_restored_as_by_the_method_alone(method)
     dim = 0.97 * PHOTO
     assert fill_clipped(dim, PSF) is dim
     np.testing.assert_array_equal(
-        restore(dim, PSF, method=method).image, METHODS[method](dim, PSF)
+        restore(dim, PSF, method=method).image, METHODS[method].function(dim, PSF)
     )
     np.testing.assert_array_equal(lights_cut(2 * dim, np.zeros(dim.shape, bool), PSF), 2 * dim)
 

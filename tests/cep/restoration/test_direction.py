@@ -6,7 +6,8 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.restoration import compare_psfs, direction
+from cep.restoration import direction
+from cep.restoration.direction import compare_psfs
 from motdiff.estimators.coded.starts import orders
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi

@@ -7,9 +7,12 @@ from skimage import data
 
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
-from cep.restoration import inverse_filter, l0, misfit, restore, tv, tv_less_ringing, wiener
-from cep.restoration.spectral import otf_on_grid, trimmed_psf
-from cep.restoration.tv import divergence, shrink_gradients
+from cep.restoration.blur import trimmed_psf
+from cep.restoration.inverse import inverse_filter
+from cep.restoration.l0 import l0, tv_less_ringing
+from cep.restoration.methods import misfit, restore
+from cep.restoration.tv import divergence, shrink_gradients, tv
+from cep.restoration.wiener import wiener
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 
@@ -152,14 +155,6 @@ def test_divergence_is_the_adjoint_of_the_gradient():
     image, p, q = (rng.standard_normal((2, 9, 12)) for _ in range(3))
     across, down = shrink_gradients(image, 0.0)
     assert np.sum(across * p + down * q) == pytest.approx(np.sum(image * divergence(p, q)))
-
-
-def test_otf_of_a_frame_larger_than_the_photo_wraps():
-    psf = coded_psf(20.0)
-    kernel = trimmed_psf(psf)
-    photo = np.random.default_rng(0).random((11, 14))
-    product = np.fft.irfft2(np.fft.rfft2(photo) * otf_on_grid(kernel, (11, 14)), (11, 14))
-    np.testing.assert_allclose(product, blur_periodic(photo, psf), atol=1e-12)
 
 
 def test_l0_result_is_flatter_than_tv(scene):

@@ -8,7 +8,10 @@ from skimage import data
 from cep.files.images import read_photo
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
-from cep.restoration import METHODS, pnp, restore, wiener
+from cep.restoration.methods import restore
+from cep.restoration.pnp import pnp
+from cep.restoration.registry import METHODS
+from cep.restoration.wiener import wiener
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 
@@ -140,7 +143,7 @@ def test_the_camera_s_noise_is_its_mean_over_the_photo(scene):
 
 
 def test_it_is_the_method_pnp():
-    assert METHODS["pnp"] is pnp
+    assert METHODS["pnp"].function is pnp
 
 
 def test_scale_is_that_of_the_full_exposure_and_colour_is_per_channel(scene):

@@ -1,0 +1,238 @@
+"""Blur of a photo as a linear operator: PSF, OTF, photo's frame and borders in one object."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import fft
+
+from cep.restoration.borders import extended_shape, membrane_extension
+from motdiff.psf_frame import in_frame
+from motdiff.types import ComplexArray, FloatArray
+
+Border = Literal["real", "periodic"]
+_SMALLEST_POWER = 1e-12  # |H|^2 of a dead frequency, for the preconditioner's division
+
+
+class Blur:
+    """Blur ``A`` of a scene by a PSF, as seen in the frame of a photo.
+
+    The scene lives on a periodic grid, on which A is a product with the OTF; the photo is the
+    grid's top left corner. At real borders the grid is larger than the photo by the reach of the
+    PSF, so that no light wraps around into it.
+
+    Parameters
+    ----------
+    psf : (S, S) array_like
+        Zero displacement at index ``size // 2``.
+    photo_shape : (H, W)
+    border : {"real", "periodic"}
+        Whether light came in from outside the frame, or the photo is one period of its scene.
+
+    Attributes
+    ----------
+    psf : (K, K) float ndarray
+        The PSF in the smallest odd frame around its zero displacement.
+    grid_shape : (H', W')
+    H : (H', W' // 2 + 1) complex ndarray
+        OTF on the ``rfft2`` grid.
+
+    Raises
+    ------
+    ValueError
+        If the PSF is malformed.
+
+    Notes
+    -----
+    For a scene x, a photo y and the discrete Fourier transform F, with P cropping to the frame:
+    ``A x = P F^-1 H F x`` and ``A^T y = F^-1 conj(H) F P^T y``.
+
+    Examples
+    --------
+    >>> blur = Blur(np.full((1, 3), 1 / 3), (3, 4), "periodic")
+    >>> point = np.eye(1, 4) * [[1.0], [0.0], [0.0]]
+    >>> (3 * blur.A(point)).round().astype(int)[0].tolist()
+    [1, 1, 0, 1]
+    """
+
+    def __init__(
+        self, psf: ArrayLike, photo_shape: tuple[int, ...], border: Border = "real"
+    ) -> None:
+        self.psf = trimmed_psf(psf)
+        self.photo_shape = photo_shape[0], photo_shape[1]
+        self.grid_shape = self.photo_shape
+        if border == "real":
+            self.grid_shape = extended_shape(self.photo_shape, len(self.psf))
+        rows, columns = np.nonzero(self.psf)
+        wrapped = np.zeros(self.grid_shape)
+        # np.add.at, since a PSF larger than a periodic photo wraps onto the same pixel twice
+        np.add.at(
+            wrapped,
+            (
+                (rows - self.reach_px) % self.grid_shape[0],
+                (columns - self.reach_px) % self.grid_shape[1],
+            ),
+            self.psf[rows, columns],
+        )
+        self.H: ComplexArray = np.asarray(fft.rfft2(wrapped), dtype=np.complex128)
+
+    @property
+    def reach_px(self) -> int:
+        """Farthest row or column that light travels."""
+        return len(self.psf) // 2
+
+    def A(self, scene: FloatArray) -> FloatArray:
+        """Blur a scene (..., H', W') into a photo (..., H, W)."""
+        return self.crop(self.image(self.H * self.spectrum(scene)))
+
+    def A_adjoint(self, photo: FloatArray) -> FloatArray:
+        """Correlate a photo (..., H, W), dark outside its frame, with the PSF: (..., H', W')."""
+        return self.image(np.conj(self.H) * self.spectrum(photo))
+
+    def spectrum(self, image: FloatArray) -> ComplexArray:
+        """``rfft2`` on the grid; an image smaller than the grid is padded with zeros."""
+        return np.asarray(fft.rfft2(image, self.grid_shape), dtype=np.complex128)
+
+    def image(self, spectrum: ComplexArray) -> FloatArray:
+        """Inverse of :meth:`spectrum`, on the whole grid."""
+        return np.asarray(fft.irfft2(spectrum, self.grid_shape), dtype=np.float64)
+
+    def crop(self, image: FloatArray) -> FloatArray:
+        """Part (..., H, W) of an image (..., H', W') that lies in the photo's frame."""
+        return image[..., : self.photo_shape[0], : self.photo_shape[1]]
+
+    def extend(
+        self, photo: FloatArray, *, noise_to_scene: float = 0.0, rounds: int = 0
+    ) -> FloatArray:
+        """Extend a photo (H, W) to the grid: by its Wiener restoration, blurred again.
+
+        The scene x minimises ``|A x - y|^2 + noise_to_scene |f X|^2``, X being its spectrum. It is
+        found by conjugate gradients, preconditioned with the periodic Wiener filter and started
+        from the membrane.
+
+        Parameters
+        ----------
+        photo : (H, W) float
+        noise_to_scene : float
+            Noise variance over the scene's 1/f^2 constant.
+        rounds : int
+            Conjugate-gradient steps; 0 leaves the membrane.
+        """
+        if self.grid_shape == self.photo_shape:
+            return photo
+        extended = membrane_extension(photo, self.grid_shape)
+        if rounds <= 0:
+            return extended
+        H = self.H
+        penalty = noise_to_scene * power_law(self.grid_shape)
+        preconditioner = 1 / np.maximum(np.abs(H) ** 2 + penalty, _SMALLEST_POWER)
+        # inner products of real images from half their spectra: each column but that of f = 0,
+        # and of the Nyquist frequency where there is one, stands for two
+        weight = np.full(H.shape[1], 2.0)
+        weight[0] = 1.0
+        if self.grid_shape[1] % 2 == 0:
+            weight[-1] = 1.0
+
+        def normal_equations(X: ComplexArray) -> ComplexArray:
+            return np.conj(H) * self.spectrum(self.crop(self.image(H * X))) + penalty * X
+
+        def dot(a: ComplexArray, b: ComplexArray) -> float:
+            return float(((a.real * b.real + a.imag * b.imag) * weight).sum())
+
+        X = preconditioner * np.conj(H) * self.spectrum(extended)
+        residual = np.conj(H) * self.spectrum(photo) - normal_equations(X)
+        direction = preconditioner * residual
+        energy = dot(residual, direction)
+        for _ in range(rounds):
+            if energy <= 0:
+                break
+            product = normal_equations(direction)
+            curvature = dot(direction, product)
+            if curvature <= 0:
+                break
+            X = X + (energy / curvature) * direction
+            residual = residual - (energy / curvature) * product
+            preconditioned = preconditioner * residual
+            previous = energy
+            energy = dot(residual, preconditioned)
+            direction = preconditioned + (energy / previous) * direction
+        extended = self.image(H * X)
+        extended[: self.photo_shape[0], : self.photo_shape[1]] = photo
+        return extended
+
+
+def normalised(photo: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, FloatArray, float]:
+    """Channels (C, H, W) and PSF, both over the PSF's sum, and that sum.
+
+    A prior's weight then means the same for a dark coded photo as for a bright one.
+    """
+    kernel = trimmed_psf(psf)
+    duty = float(kernel.sum())
+    return channels_first(photo) / duty, kernel / duty, duty
+
+
+def channels_first(photo: ArrayLike) -> FloatArray:
+    """Return the photo, checked, as (C, H, W) float64, C = 1 or 3.
+
+    Raises
+    ------
+    ValueError
+        If the photo is not (H, W) or (H, W, 3), smaller than 3 x 3, or holds NaN or infinity.
+    """
+    image = np.asarray(photo, dtype=np.float64)
+    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
+        raise ValueError(f"photo: must be (H, W) or (H, W, 3), got shape {image.shape}")
+    if min(image.shape[:2]) < 3:
+        raise ValueError(
+            f"photo: must be at least 3 x 3 px, got {image.shape[1]} x {image.shape[0]}"
+        )
+    if not np.isfinite(image).all():
+        raise ValueError("photo: must be finite, found NaN or infinity")
+    return image[None] if image.ndim == 2 else np.ascontiguousarray(np.moveaxis(image, 2, 0))
+
+
+def channels_last(image: FloatArray) -> FloatArray:
+    """(C, H, W) back to (H, W) or (H, W, 3)."""
+    return image[0] if image.shape[0] == 1 else np.ascontiguousarray(np.moveaxis(image, 0, 2))
+
+
+def trimmed_psf(psf: ArrayLike) -> FloatArray:
+    """Return the PSF, checked, in the smallest odd square frame around its zero displacement.
+
+    Raises
+    ------
+    ValueError
+        If it is not two-dimensional, not finite, negative somewhere, or dark.
+    """
+    kernel = np.asarray(psf, dtype=np.float64)
+    if (
+        kernel.ndim != 2
+        or kernel.size == 0
+        or not np.isfinite(kernel).all()
+        or kernel.min() < 0
+        or not kernel.any()
+    ):
+        raise ValueError(
+            "psf: must be a finite, non-negative (S, S) array with some light, got shape"
+            f" {kernel.shape}"
+        )
+    rows, columns = np.nonzero(kernel)
+    centre = (kernel.shape[0] // 2, kernel.shape[1] // 2)
+    reach = int(max(np.abs(rows - centre[0]).max(), np.abs(columns - centre[1]).max()))
+    return in_frame(kernel, 2 * reach + 1)
+
+
+def gradient_power(shape: tuple[int, int]) -> FloatArray:
+    """``|Dx|^2 + |Dy|^2`` of periodic forward differences on the ``rfft2`` grid of ``shape``."""
+    fy = np.fft.fftfreq(shape[0])[:, None]
+    fx = np.fft.rfftfreq(shape[1])[None, :]
+    return np.asarray(4 * np.sin(np.pi * fy) ** 2 + 4 * np.sin(np.pi * fx) ** 2, dtype=np.float64)
+
+
+def power_law(shape: tuple[int, int]) -> FloatArray:
+    """Squared frequency f^2, (cy/px)^2, on the ``rfft2`` grid: a 1/f^2 scene's inverse power."""
+    fy = np.fft.fftfreq(shape[0])[:, None]
+    fx = np.fft.rfftfreq(shape[1])[None, :]
+    return np.asarray(fy**2 + fx**2, dtype=np.float64)

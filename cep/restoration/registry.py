@@ -1,0 +1,118 @@
+"""Restorations by name, with what the command line and the documentation say of each.
+
+Another restoration is a function ``(photo, psf, **options)`` in a file of its own, and an entry in
+the list below. The functions are imported when they are first used: help pages read the list.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from motdiff.files.plugins import is_reference, load_object
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from motdiff.types import FloatArray
+
+
+@dataclass(frozen=True)
+class Method:
+    """A restoration of the product.
+
+    Attributes
+    ----------
+    name : str
+        As ``--method`` has it.
+    about : str
+        What it is, in a few words, for the help page.
+    source : str
+        ``module:name`` of its function.
+    cites : tuple of str
+        Keys of ``cep/files/works.bib``.
+    uses_camera : bool
+        Whether it takes ``camera``, for the variance of the noise.
+    """
+
+    name: str
+    about: str
+    source: str
+    cites: tuple[str, ...] = ()
+    uses_camera: bool = False
+
+    @property
+    def function(self) -> Callable[..., FloatArray]:
+        """The function, imported."""
+        module, _, name = self.source.partition(":")
+        function: Callable[..., FloatArray] = getattr(import_module(module), name)
+        return function
+
+
+METHODS: dict[str, Method] = {
+    method.name: method
+    for method in (
+        Method(
+            "wiener",
+            "least mean square error",
+            "cep.restoration.wiener:wiener",
+            ("wiener1949", "field1987"),
+            uses_camera=True,
+        ),
+        Method("inverse", "a floor under the MTF", "cep.restoration.inverse:inverse_filter"),
+        Method(
+            "tv",
+            "total variation",
+            "cep.restoration.tv:tv",
+            ("wang2008", "krishnan2009", "wen2021pmp"),
+        ),
+        Method("l0", "few edges", "cep.restoration.l0:l0", ("xu2013",)),
+        Method(
+            "tv-ring",
+            "tv with less ringing",
+            "cep.restoration.l0:tv_less_ringing",
+            ("pan2014", "wang2008"),
+        ),
+        Method(
+            "pnp",
+            "a trained denoiser",
+            "cep.restoration.pnp:pnp",
+            ("venkatakrishnan2013", "zhang2022dpir", "zhang2018ffdnet", "mohan2020"),
+            uses_camera=True,
+        ),
+    )
+}
+
+
+def find_method(method: str | Callable[..., ArrayLike]) -> tuple[str, Callable[..., Any]]:
+    """Return the name and the function of a restoration.
+
+    Parameters
+    ----------
+    method : str or callable
+        A name of :data:`METHODS`, ``module:name`` of a function of your own, or a function.
+
+    Raises
+    ------
+    ValueError
+        If there is no such method.
+    """
+    if callable(method):
+        return getattr(method, "__name__", type(method).__name__), method
+    if method in METHODS:
+        return method, METHODS[method].function
+    if not is_reference(method):
+        raise ValueError(
+            f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}"
+        )
+    function = load_object(method)
+    if not callable(function):
+        raise ValueError(f"method: {method} is no function")
+    return method, function
+
+
+def is_registered(function: Callable[..., Any]) -> bool:
+    """Whether a function is one of the product's own restorations."""
+    return any(function is method.function for method in METHODS.values())

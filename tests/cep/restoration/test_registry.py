@@ -1,0 +1,52 @@
+"""A restoration of the registry is in every list that the product and the laboratory have."""
+
+import subprocess
+import sys
+
+import pytest
+
+from cep.files.works import works
+from cep.restoration.registry import METHODS, find_method, is_registered
+
+DUMMY = """
+import sys
+sys.path.insert(0, "docs/_extensions")
+from cep.restoration import registry
+registry.METHODS["dummy"] = registry.Method(
+    "dummy", "as if sharp", "skimage.restoration:unsupervised_wiener", ("field1987",), True
+)
+import numpy as np
+from citations import cite
+from cep.commands.main import main
+from lab.bench.coded.protocol import coded_protocol
+main(["deblur", "--help"])
+main(["deblur", "photo.png", "--method", "x"])
+main(["deblur", "photo.png", "--method", "tv", "--photons", "9"])
+print(list(cite(["dummy"]).works), coded_protocol("ours", ["restoration=dummy"]).restoration)
+"""
+
+
+def test_a_new_method_is_in_every_list():
+    run = subprocess.run(
+        [sys.executable, "-c", DUMMY], capture_output=True, text=True, check=True, encoding="utf-8"
+    )
+    words = " ".join(run.stdout.replace("│", " ").split())
+    assert "pnp (a trained denoiser), dummy (as if sharp), or module:name" in words
+    assert "one of wiener, inverse, tv, l0, tv-ring, pnp, dummy, or module:name" in run.stderr
+    assert "--photons: not valid with --method tv; wiener, pnp and dummy use" in run.stderr
+    assert "['field1987'] dummy" in run.stdout
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_what_a_method_says_of_itself_holds(name):
+    method = METHODS[name]
+    assert find_method(name) == (name, method.function)
+    assert is_registered(method.function)
+    assert set(method.cites) <= works().keys()
+    assert method.uses_camera == ("camera" in method.function.__kwdefaults__)
+
+
+def test_a_function_of_your_own_is_not_registered():
+    name, function = find_method("skimage.restoration:richardson_lucy")
+    assert name == "skimage.restoration:richardson_lucy"
+    assert not is_registered(function)
