@@ -1,7 +1,9 @@
-"""``cep audit`` and ``cep mtf``: what codes are worth along a motion."""
+"""``cep audit`` and ``cep mtf``: figures of codes along a motion."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,42 +11,60 @@ import typer
 
 from cep.commands.console import finish, progress, table
 from cep.commands.options import (
-    CameraFile,
+    CameraOptions,
     ChipNs,
     CodeSource,
+    CommonOptions,
     Figures,
-    Force,
-    Json,
-    Linear,
-    Photons,
-    ReadNoise,
-    Seed,
+    MotionOptions,
     TableFile,
-    TrajectoryFile,
+    command,
     load_camera,
-    load_motion,
     output_option,
     table_files,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from rich.console import Console
 
     from cep.files.files import StoredCode
     from cep.optics.camera import Camera
     from cep.optics.code import ShutterCode
+    from cep.plots.mtf_curves import MtfComparison
     from cep.proofs.audit import Audit
+    from cep.proofs.measure import FigureOfMerit
     from cep.proofs.verify.certificates import Verdict
+    from motdiff.files.outputs import Outputs
 
-_SHOWN = 12  # zeros listed for people
+_LISTED_ZEROS = 12  # for people; --json has all
 
 
-def audit(
-    code: CodeSource,
-    trajectory: TrajectoryFile = None,
-    linear: Linear = None,
+@dataclass(frozen=True, kw_only=True)
+class FigureOptions(MotionOptions, CommonOptions):
+    """Options of a command that measures codes along a motion."""
+
+    figure: Figures = None
+    tables: TableFile = None
+
+    def find_figures(self) -> dict[str, FigureOfMerit]:
+        """Return the figures of merit of ``--figure``."""
+        from cep.proofs.measure import find_figures
+
+        return find_figures(self.figure or ())
+
+    def outputs(self, output: Path | None) -> Outputs:
+        """Return the files that are written: the output, where there is one, and the tables'."""
+        from motdiff.files.outputs import Outputs
+
+        files = [] if output is None else [output]
+        return Outputs((*files, *table_files(self.tables)), self.force)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuditOptions(FigureOptions, CameraOptions):
+    """Options of ``cep audit``."""
+
+    code: CodeSource
     flips: Annotated[
         int | None,
         typer.Option(
@@ -57,18 +77,13 @@ def audit(
                 " 256 chips 2."
             ),
         ),
-    ] = None,
-    chip_ns: ChipNs = None,
-    camera: CameraFile = None,
-    photons: Photons = None,
-    read_noise: ReadNoise = None,
-    figure: Figures = None,
-    output: Annotated[Path | None, output_option("Also write the result as JSON.")] = None,
-    tables: TableFile = None,
-    force: Force = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
+    ] = None
+    chip_ns: ChipNs = None
+    output: Annotated[Path | None, output_option("Also write the result as JSON.")] = None
+
+
+@command(AuditOptions)
+def audit(options: AuditOptions) -> None:
     """Measure a code: its proven minimum and true zeros, the grids that hide them, and better
     codes a few flips away.
 
@@ -86,169 +101,199 @@ def audit(
 
     Example: cep audit code.json --linear 40 --figure mymodule:my_figure
     """
-    from functools import partial
-
     from cep.codes.sources import find_code
-    from cep.proofs.audit import audit as audited
-    from cep.proofs.measure import find_figures
+    from cep.proofs.audit import audit as audit_code
     from cep.proofs.verify.certificates import verify
-    from cep.search.advise import verdict as judge
+    from cep.search.advise import verdict
     from cep.search.problem import SearchProblem
-    from motdiff.files.outputs import Outputs
     from motdiff.files.trajectories import stated_uncertainty_px
 
-    if code.endswith(".jsonl"):
+    if options.code.endswith(".jsonl"):
         raise ValueError(
-            f"{code}: proofs are checked in the laboratory, in the repository: python -m lab prove"
-            f" --check {code}"
+            f"{options.code}: proofs are checked in the laboratory, in the repository: python -m"
+            f" lab prove --check {options.code}"
         )
-    stored = find_code(code, chip_ns=chip_ns)
-    known = None if camera is not None else _searched_with(stored, code)
-    noise = load_camera(camera, photons=photons, read_noise=read_noise, standard=known)
-    stated = trajectory is not None or linear is not None
-    moved = load_motion(trajectory, linear) if stated else None
-    error_px = (
-        None if moved is None or trajectory is None else stated_uncertainty_px(moved, trajectory)
-    )
-    motion = None if moved is None else moved.trajectory
-    own = find_figures(figure or ())
-    outputs = Outputs((*([output] if output else []), *table_files(tables)), force)
+    stored = find_code(options.code, chip_ns=options.chip_ns)
+    camera = _camera(options, stored)
+    motion = None
+    path_error_px = 0.0
+    if options.trajectory is not None or options.linear is not None:
+        stored_motion = options.load_motion()
+        motion = stored_motion.trajectory
+        if options.trajectory is not None:
+            path_error_px = stated_uncertainty_px(stored_motion, options.trajectory) or 0.0
+    figures = options.find_figures()
+    outputs = options.outputs(options.output)
+    advice: dict[str, Any] = {"verdict": None, "choice": None, "gains_db": None}
     with progress("auditing") as tick:
-        found = audited(
+        measured = audit_code(
             stored.code,
             motion,
-            camera=noise,
-            flips=flips,
-            figures=own,
+            camera=camera,
+            flips=options.flips,
+            figures=figures,
             progress=tick,
             on_checked=outputs.check,
         )
-        judged = None
         if motion is not None:
             problem = SearchProblem.along(
-                motion, chips=stored.code.chips, chip_ns=stored.code.chip_ns, camera=noise
+                motion, chips=stored.code.chips, chip_ns=stored.code.chip_ns, camera=camera
             )
-            judged = judge(problem, stored.code, path_error_px=error_px or 0.0)
-    verdict = None
+            judged = verdict(problem, stored.code, path_error_px=path_error_px)
+            advice = {
+                "verdict": judged.sentence,
+                "choice": judged.choice,
+                "gains_db": judged.gains_db,
+            }
+    verified = None
     if stored.certificate:
         path = None if motion is None else (motion.t.tolist(), motion.xy.tolist())
-        verdict = verify(stored.certificate, bits=stored.code.bits, path=path)
-    minimum = found.certificate
-    straight = found.along is None
-    has = "has" if minimum.upper == 0 else "nearly has"
-    warnings = [f"the code {has} a zero at {_place(minimum.at, straight)}"] if found.null else []
-    if verdict is not None and not verdict.holds:
-        warnings.append(f"{code}: its certificate is not confirmed: {verdict.reasons[-1]}")
+        verified = verify(stored.certificate, bits=stored.code.bits, path=path)
+    result = {
+        **advice,
+        **measured.to_dict(),
+        "verified": verified,
+        "seed": options.seed,
+        "warnings": _warnings(options.code, measured, stored, verified),
+    }
+    finish(
+        result,
+        as_json=options.as_json,
+        tables=options.tables,
+        show=lambda console: _show(console, measured, verified, advice["verdict"]),
+        outputs=outputs,
+        save=lambda temporary: _write(options.output, result, temporary),
+    )
+
+
+def _camera(options: AuditOptions, stored: StoredCode) -> Camera:
+    """Return the camera of the options, or else the one that the code.json was searched with."""
+    from cep.optics.camera import Camera
+
+    document = stored.problem.get("camera")
+    if options.camera is not None or document is None:
+        return options.load_camera()
+    try:
+        if not isinstance(document, dict):
+            raise ValueError(f"must be an object, got {type(document).__name__}")
+        camera = Camera.from_dict(document)
+    except ValueError as error:
+        raise ValueError(
+            f"{options.code}: problem.camera: {error}; --camera names another"
+        ) from None
+    return load_camera(
+        None, photons=options.photons, read_noise=options.read_noise, standard=camera
+    )
+
+
+def _warnings(
+    name: str, measured: Audit, stored: StoredCode, verified: Verdict | None
+) -> list[str]:
+    minimum = measured.certificate
+    straight = measured.along is None
+    warnings = []
+    if measured.null:
+        has = "has" if minimum.upper == 0 else "nearly has"
+        warnings.append(f"the code {has} a zero at {_place(minimum.at, straight)}")
+    if verified is not None and not verified.holds:
+        warnings.append(f"{name}: its certificate is not confirmed: {verified.reasons[-1]}")
     elif (
-        verdict is not None
+        verified is not None
         and not straight
         and not _covers(stored.certificate, minimum.directions)
     ):
         warnings.append(
-            f"{code}: its certificate does not cover this motion,"
+            f"{name}: its certificate does not cover this motion,"
             f" {' and '.join(minimum.directions)}"
         )
-    said = None if judged is None else judged.sentence
-    advised = {
-        "verdict": said,
-        "choice": None if judged is None else judged.choice,
-        "gains_db": None if judged is None else judged.gains_db,
-    }
-    result = {
-        **advised,
-        **found.to_dict(),
-        "verified": verdict,
-        "seed": seed,
-        "warnings": warnings,
-    }
-    finish(
-        result,
-        as_json=as_json,
-        tables=tables,
-        show=lambda console: _show(console, found, verdict, said=said),
-        outputs=outputs,
-        save=partial(_write, output, result),
+    return warnings
+
+
+def _covers(certificate: Mapping[str, Any], directions: tuple[str, ...]) -> bool:
+    """Whether a certificate is of |H| in all these directions along its path."""
+    return certificate["unit"] == "light-true" and set(directions) <= set(
+        certificate.get("directions", directions)
     )
 
 
-def _searched_with(stored: StoredCode, name: str) -> Camera | None:
-    """Return the camera that a code.json was searched with; None where it names none."""
-    from cep.optics.camera import Camera
-
-    document = stored.problem.get("camera")
-    if document is None:
-        return None
-    try:
-        if not isinstance(document, dict):
-            raise ValueError(f"must be an object, got {type(document).__name__}")
-        return Camera.from_dict(document)
-    except ValueError as error:
-        raise ValueError(f"{name}: problem.camera: {error}; --camera names another") from None
-
-
-def _write(output: Path | None, result: Mapping[str, object], made: Mapping[Path, Path]) -> None:
-    """Write a result as JSON, where a file is named."""
+def _write(
+    output: Path | None, result: Mapping[str, object], temporary: Mapping[Path, Path]
+) -> None:
     from motdiff.files.json_files import json_text
     from motdiff.files.outputs import write_text
 
     if output is not None:
-        write_text(made[output], json_text(result))
+        write_text(temporary[output], json_text(result))
 
 
-def _show(console: Console, found: Audit, verdict: Verdict | None, *, said: str | None) -> None:
-    """Print an audit for people; what is said first stands for a stated motion."""
+def _show(
+    console: Console, measured: Audit, verified: Verdict | None, sentence: str | None
+) -> None:
+    """Print an audit for people, along a motion with the advice's sentence first."""
     from cep.proofs.measure import figure_head, figure_in_words
 
-    if said is not None:
-        console.print(said)
-
-    shutter = found.code
-    motion = found.trajectory
-    minimum = found.certificate
-    straight = found.along is None
+    code = measured.code
+    motion = measured.trajectory
+    minimum = measured.certificate
+    straight = measured.along is None
+    scale = " (1 px a chip)"
+    if sentence is not None:
+        console.print(sentence)
+        scale = ""
     console.print(
-        f"{shutter.chips} chips, {shutter.open_chips} open, {shutter.pulses} openings:"
-        f" {shutter.bits}"
+        f"{code.chips} chips, {code.open_chips} open, {code.pulses} openings: {code.bits}"
     )
-    console.print(
-        f"motion: {motion.length_px:.1f} px, direction {motion.direction}"
-        + ("" if said is not None else " (1 px a chip)")
-    )
-    hopeless = ("noise_gain_db", "dnf_db") if found.no_inverse else ()
+    console.print(f"motion: {motion.length_px:.1f} px, direction {motion.direction}{scale}")
+    infinite = ("noise_gain_db", "dnf_db") if measured.no_inverse else ()
     rows = [
-        (name, "infinite" if name in hopeless else found.metrics.in_words(name))
-        for name in found.metrics.to_dict()
+        (name, "infinite" if name in infinite else measured.metrics.in_words(name))
+        for name in measured.metrics.to_dict()
     ]
-    rows += [(figure_head(*item), figure_in_words(item[1])) for item in found.figures.items()]
+    rows += [(figure_head(*item), figure_in_words(item[1])) for item in measured.figures.items()]
     console.print(table("figures", ("figure", "value"), rows))
-    what, unit = ("|P|", "chips") if straight else ("|H|", "light-true")
-    # as they are: an upper bound of 1e-13 is no proven zero
-    place = _place(minimum.at, straight)
+    modulus, unit = ("|P|", "chips") if straight else ("|H|", "light-true")
+    # both bounds as they are: an upper bound of 1e-13 is no proven zero
     console.print(
-        f"smallest {what}: {minimum.lower:.6g} .. {minimum.upper:.6g} ({unit}) at {place}"
+        f"smallest {modulus}: {minimum.lower:.6g} .. {minimum.upper:.6g} ({unit}) at"
+        f" {_place(minimum.at, straight)}"
     )
-    console.print(f"proof: {minimum.method}" + ("" if verdict is None else _in_words(verdict)))
-    for way, zeros in found.zeros.items():
-        known = "" if zeros.complete else " or more"
-        console.print(f"true zeros{'' if way == 'both' else ' ' + way}: {len(zeros.found)}{known}")
-        for zero in zeros.found[:_SHOWN]:
+    console.print(f"proof: {minimum.method}{_in_words(verified)}")
+    for direction, zeros in measured.zeros.items():
+        label = "true zeros" if direction == "both" else f"true zeros {direction}"
+        console.print(f"{label}: {len(zeros.found)}{'' if zeros.complete else ' or more'}")
+        for zero in zeros.found[:_LISTED_ZEROS]:
             console.print(f"  {_place(zero.at, straight)}, {zero.method}")
-        if len(zeros.found) > _SHOWN:
-            console.print(f"  and {len(zeros.found) - _SHOWN} more: --json lists them")
-    grids = [(claim.name, claim.minimum, claim.verdict) for claim in found.grids]
+        if len(zeros.found) > _LISTED_ZEROS:
+            console.print(f"  and {len(zeros.found) - _LISTED_ZEROS} more: --json lists them")
+    grids = [(claim.name, claim.minimum, claim.verdict) for claim in measured.grids]
     console.print(table("what grids say", ("grid", "minimum", "verdict"), grids))
-    near = [
-        (", ".join(map(str, one.flips)), one.minimum, one.code.bits) for one in found.neighbours
+    neighbours = [
+        (", ".join(map(str, neighbour.flips)), neighbour.minimum, neighbour.code.bits)
+        for neighbour in measured.neighbours
     ]
-    if near:
-        console.print(table("better codes nearby", ("flip chips", "minimum", "bits"), near))
+    if neighbours:
+        console.print(table("better codes nearby", ("flip chips", "minimum", "bits"), neighbours))
     else:
-        console.print(f"no better code was found within {found.flips} flips")
+        console.print(f"no better code was found within {measured.flips} flips")
 
 
-def mtf(
-    trajectory: TrajectoryFile = None,
-    linear: Linear = None,
+def _place(frequency: tuple[float, ...], in_chips: bool) -> str:
+    numbers = ", ".join(f"{value:.5f}" for value in frequency)
+    return f"{numbers} cycles per chip" if in_chips else f"({numbers}) cycles/px"
+
+
+def _in_words(verified: Verdict | None) -> str:
+    if verified is None:
+        return ""
+    if verified.holds:
+        return "; the file's certificate is confirmed"
+    return f"; the file's certificate is refused: {verified.reasons[-1]}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MtfOptions(FigureOptions):
+    """Options of ``cep mtf``."""
+
     codes: Annotated[
         list[str] | None,
         typer.Option(
@@ -256,16 +301,14 @@ def mtf(
             metavar="CODE",
             help="Code to draw: bits, code.json or a name; may be repeated.",
         ),
-    ] = None,
-    figure: Figures = None,
+    ] = None
     output: Annotated[Path, output_option("Figure to write: .png, .pdf or .svg.")] = Path(
         "mtf.png"
-    ),
-    tables: TableFile = None,
-    force: Force = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
+    )
+
+
+@command(MtfOptions)
+def mtf(options: MtfOptions) -> None:
     """Draw the MTFs of codes along a motion, in one and two dimensions, beside the open shutter's.
 
     Example: cep mtf --trajectory trajectory.json --code code.json --code raskar-52 -o mtf.png
@@ -273,62 +316,42 @@ def mtf(
     from cep.codes.sources import code_label, load_code
     from cep.plots import check_figure_name
     from cep.plots.mtf_curves import OPEN, compare_mtfs
-    from cep.proofs.measure import figure_head, figure_in_words, find_figures
-    from motdiff.files.outputs import Outputs
 
-    check_figure_name(output)
-    motion = load_motion(trajectory, linear).trajectory
-    own = find_figures(figure or ())
-    shutters: dict[str, ShutterCode] = {}
-    for source in codes or []:
+    check_figure_name(options.output)
+    motion = options.load_motion().trajectory
+    figures = options.find_figures()
+    codes: dict[str, ShutterCode] = {}
+    for source in options.codes or []:
         label = code_label(source)
-        while label in (OPEN, *shutters):
+        while label in (OPEN, *codes):
             label += "'"
-        shutters[label] = load_code(source)
-    outputs = Outputs((output, *table_files(tables)), force)
+        codes[label] = load_code(source)
+    outputs = options.outputs(options.output)
     with progress("drawing"):
-        found = compare_mtfs(motion, shutters, figures=own, on_checked=outputs.check)
-
-    def show(console: Console) -> None:
-        heads = (figure_head(*item) for item in found.rows[OPEN].figures.items())
-        rows = [
-            (
-                name,
-                *(
-                    row.metrics.in_words(figure)
-                    for figure in ("min_mtf", "noise_gain_db", "mse_db")
-                ),
-                *map(figure_in_words, row.figures.values()),
-            )
-            for name, row in found.rows.items()
-        ]
-        console.print(
-            table(str(output), ("code", "min MTF", "noise gain, dB", "MSE, dB", *heads), rows)
-        )
-
+        curves = compare_mtfs(motion, codes, figures=figures, on_checked=outputs.check)
     finish(
-        {"image": output, "curves": found.to_dict(), "seed": seed},
-        as_json=as_json,
-        show=show,
+        {"image": options.output, "curves": curves.to_dict(), "seed": options.seed},
+        as_json=options.as_json,
+        show=lambda console: _show_curves(console, curves, options.output),
         outputs=outputs,
-        save=lambda made: found.save(made[output]),
-        tables=tables,
+        save=lambda temporary: curves.save(temporary[options.output]),
+        tables=options.tables,
     )
 
 
-def _place(at: tuple[float, ...], in_chips: bool) -> str:
-    where = ", ".join(f"{value:.5f}" for value in at)
-    return f"{where} cycles per chip" if in_chips else f"({where}) cycles/px"
+def _show_curves(console: Console, curves: MtfComparison, output: Path) -> None:
+    from cep.plots.mtf_curves import OPEN
+    from cep.proofs.measure import figure_head, figure_in_words
 
-
-def _covers(certificate: Mapping[str, Any], directions: tuple[str, ...]) -> bool:
-    """Whether a certificate of |H| is about all these ways along its path."""
-    return certificate["unit"] == "light-true" and set(directions) <= set(
-        certificate.get("directions", directions)
-    )
-
-
-def _in_words(verdict: Verdict) -> str:
-    return "; the file's certificate is " + (
-        "confirmed" if verdict.holds else f"refused: {verdict.reasons[-1]}"
+    heads = (figure_head(*item) for item in curves.rows[OPEN].figures.items())
+    rows = [
+        (
+            name,
+            *(row.metrics.in_words(figure) for figure in ("min_mtf", "noise_gain_db", "mse_db")),
+            *map(figure_in_words, row.figures.values()),
+        )
+        for name, row in curves.rows.items()
+    ]
+    console.print(
+        table(str(output), ("code", "min MTF", "noise gain, dB", "MSE, dB", *heads), rows)
     )
