@@ -1,6 +1,4 @@
-"""Command line of ``python -m motdiff``: training, preparation, export and sampling of the
-network.
-"""
+"""Command line of ``python -m motdiff``: training, export and sampling of the network."""
 
 from __future__ import annotations
 
@@ -37,24 +35,24 @@ measured where the motion is known:
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
-    built: argparse.ArgumentParser = _Parser(
+    root: argparse.ArgumentParser = _Parser(
         prog="python -m motdiff",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    commands = built.add_subparsers(required=True, metavar="COMMAND")
+    commands = root.add_subparsers(required=True, metavar="COMMAND")
     for add in (_add_train, _add_prepare, _add_pack, _add_export, _add_sample):
         add(commands)
-    return built
+    return root
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit code: 0 done, 2 bad input, 1 a failure, 130 Ctrl-C."""
-    given = parser().parse_args(arguments)
-    command: Callable[[argparse.Namespace], None] = given.command
+    options = parser().parse_args(arguments)
+    command: Callable[[argparse.Namespace], None] = options.command
     try:
-        given.check(given.out)  # before anything is read
-        command(given)
+        options.check(options.out)  # before anything is read: training would fail only at its end
+        command(options)
     except (
         ValueError,
         FileNotFoundError,
@@ -62,11 +60,11 @@ def run(arguments: Sequence[str] | None = None) -> int:
         NotADirectoryError,
         IsADirectoryError,
     ) as error:
-        return _told(error, 2)
+        return _fail(error, 2)
     except (OSError, FloatingPointError, RuntimeError) as error:
-        return _told(error, 1)
+        return _fail(error, 1)
     except KeyboardInterrupt:
-        return _told("stopped", 130)
+        return _fail("stopped", 130)
     return 0
 
 
@@ -74,10 +72,10 @@ class _Parser(argparse.ArgumentParser):
     """Parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
-        sys.exit(_told(f"{message} (see {self.prog} --help)", 2))
+        sys.exit(_fail(f"{message} (see {self.prog} --help)", 2))
 
 
-def _told(error: object, code: int) -> int:
+def _fail(error: object, code: int) -> int:
     if isinstance(error, OSError) and error.filename and error.strerror:
         error = f"{error.filename}: {error.strerror}"
     line = (str(error) or type(error).__name__).splitlines()[0]
@@ -88,12 +86,14 @@ def _told(error: object, code: int) -> int:
 _Commands = argparse._SubParsersAction  # the only name argparse has for it
 
 
+def _add_out(parser: argparse.ArgumentParser, help_text: str) -> None:
+    parser.add_argument("-o", "--out", type=Path, required=True, help=help_text)
+
+
 def _add_train(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser = commands.add_parser("train", help="train, or go on training")
     parser.add_argument("config", type=Path, help="TOML file of the run")
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, help="folder of the run: checkpoint, log, plot"
-    )
+    _add_out(parser, "folder of the run: checkpoint, log, plot")
     parser.add_argument(
         "--device", default="", help="cpu or cuda; the GPU of this process where there is one"
     )
@@ -108,17 +108,19 @@ def _add_train(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.set_defaults(command=_train, check=check_folder)
 
 
-def _train(given: argparse.Namespace) -> None:
+def _train(options: argparse.Namespace) -> None:
     from motdiff.training.config import read_config
     from motdiff.training.run import Pace, train
 
-    with _entries_of(given.config):
+    with _entries_of(options.config):
         train(
-            read_config(given.config),
-            given.out,
-            device=_device(given.device),
+            read_config(options.config),
+            options.out,
+            device=_device(options.device),
             pace=Pace(
-                minutes=given.minutes, save_s=given.save_every, validate_steps=given.validate_every
+                minutes=options.minutes,
+                save_s=options.save_every,
+                validate_steps=options.validate_every,
             ),
             workers=os.cpu_count() or 1,
         )
@@ -126,9 +128,7 @@ def _train(given: argparse.Namespace) -> None:
 
 @contextmanager
 def _entries_of(config: Path) -> Iterator[None]:
-    """Name the run's file in errors that begin with one of its entries, as ``data.photos:
-    ...``.
-    """
+    """Name the run's file in errors that begin with an entry of it, as ``data.photos:``."""
     from motdiff.training.config import TrainingConfig
 
     try:
@@ -139,18 +139,17 @@ def _entries_of(config: Path) -> Iterator[None]:
         raise
 
 
-def _device(wanted: str) -> str:
+def _device(option: str) -> str:
     import torch
 
-    there = torch.cuda.is_available()
-    name = wanted or ("cuda" if there else "cpu")
+    name = option or ("cuda" if torch.cuda.is_available() else "cpu")
     if name == "cuda":
         name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}"  # torchrun's: one GPU for each process
     kind, _, number = name.partition(":")
     if kind not in ("cpu", "cuda") or (number and not number.isdecimal()):
-        raise ValueError(f"--device: must be cpu, cuda or cuda:NUMBER, got {wanted!r}")
+        raise ValueError(f"--device: must be cpu, cuda or cuda:NUMBER, got {option!r}")
     if kind == "cuda":
-        if not there or int(number) >= torch.cuda.device_count():
+        if int(number) >= torch.cuda.device_count():
             raise ValueError(f"--device: there is no GPU {name} here, use --device cpu")
         torch.cuda.set_device(name)
     return name
@@ -163,13 +162,7 @@ def _add_prepare(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.add_argument(
         "config", type=Path, help="TOML file of the run (photos, motions, photography)"
     )
-    parser.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        required=True,
-        help="folder of the shards; existing ones are kept",
-    )
+    _add_out(parser, "folder of the shards; existing ones are kept")
     parser.add_argument(
         "--shards", default="0:10", metavar="FIRST:LAST[:STEP]", help="64 samples each"
     )
@@ -179,18 +172,18 @@ def _add_prepare(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.set_defaults(command=_prepare, check=check_folder)
 
 
-def _prepare(given: argparse.Namespace) -> None:
+def _prepare(options: argparse.Namespace) -> None:
     import torch
 
     from motdiff.training.prepared import prepare, read_source
     from motdiff.training.shards import shard_range
 
     torch.set_num_threads(1)  # the arrays are small: more threads are slower
-    shards = shard_range(given.shards)
-    with _entries_of(given.config):
-        source = read_source(given.config, held_out=given.held_out)
+    shards = shard_range(options.shards)
+    with _entries_of(options.config):
+        source = read_source(options.config, held_out=options.held_out)
         prepare(
-            given.out,
+            options.out,
             scenes=source.scenes,
             mix=source.mix,
             photography=source.photography,
@@ -211,17 +204,17 @@ def _add_pack(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.set_defaults(command=_pack, check=check_file)
 
 
-def _pack(given: argparse.Namespace) -> None:
+def _pack(options: argparse.Namespace) -> None:
     from motdiff.training.photos import pack_photos
 
-    size = pack_photos(given.photos, given.out, most_px=given.side, quality=given.quality)
-    print(printable(f"{given.out}: {size / 2**20:.1f} MiB"), file=sys.stderr)  # noqa: T201
+    size = pack_photos(options.photos, options.out, most_px=options.side, quality=options.quality)
+    print(printable(f"{options.out}: {size / 2**20:.1f} MiB"), file=sys.stderr)  # noqa: T201
 
 
 def _add_export(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser = commands.add_parser("export", help="write a run's averaged weights as one small file")
     parser.add_argument("run", type=Path, help="folder of the run")
-    parser.add_argument("-o", "--out", type=Path, required=True, help=".safetensors file")
+    _add_out(parser, ".safetensors file")
     parser.add_argument("--offset", type=float, default=0.0, help="taken from the path's logits")
     parser.add_argument(
         "--card", type=Path, help="JSON file: what else the header should say (data, figures)"
@@ -229,23 +222,28 @@ def _add_export(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.set_defaults(command=_export, check=check_file)
 
 
-def _export(given: argparse.Namespace) -> None:
+def _export(options: argparse.Namespace) -> None:
     from motdiff.files.inputs import read_json
     from motdiff.training.log import last_validation
     from motdiff.weights import export_weights, read_card
 
-    card = None if given.card is None else read_json(given.card)
+    card = None if options.card is None else read_json(options.card)
     if not isinstance(card, dict | None):
-        raise ValueError(f"{given.card}: must hold a JSON object")
-    score = last_validation(given.run / "log.csv")
+        raise ValueError(f"{options.card}: must hold a JSON object")
+    score = last_validation(options.run / "log.csv")
     size = export_weights(
-        given.run / "checkpoint", given.out, offset=given.offset, card=card, validation_mnc=score
+        options.run / "checkpoint",
+        options.out,
+        offset=options.offset,
+        card=card,
+        validation_mnc=score,
     )
-    runs = read_card(given.out)["run"]["history"]
-    samples, hours = (sum(line[name] for line in runs) for name in ("samples", "hours"))
-    told = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
-    told += "" if score is None else f", validation MNC {score:.3f}"
-    text = f"{given.out}: {size / 2**20:.1f} MiB; {samples:,} samples in {hours:.1f} h, {told}"
+    runs = read_card(options.out)["run"]["history"]
+    samples, hours = (sum(piece[name] for piece in runs) for name in ("samples", "hours"))
+    text = f"{options.out}: {size / 2**20:.1f} MiB; {samples:,} samples in {hours:.1f} h, "
+    text += "1 run" if len(runs) == 1 else f"{len(runs)} runs"
+    if score is not None:
+        text += f", validation MNC {score:.3f}"
     print(printable(text), file=sys.stderr)  # noqa: T201
 
 
@@ -254,9 +252,7 @@ def _add_sample(commands: _Commands[argparse.ArgumentParser]) -> None:
         "sample", help="draw motions from one blurred photo and show them as they are"
     )
     parser.add_argument("photo", type=Path, help="its middle 256 x 256 px are looked at")
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, help=".png file: the photo and the drawn PSFs"
-    )
+    _add_out(parser, ".png file: the photo and the drawn PSFs")
     parser.add_argument("--weights", type=Path, help="the shipped ones when omitted")
     parser.add_argument("--count", type=int, default=8)
     parser.add_argument("--steps", type=int, default=10)
@@ -264,7 +260,7 @@ def _add_sample(commands: _Commands[argparse.ArgumentParser]) -> None:
     parser.set_defaults(command=_sample, check=check_file)
 
 
-def _sample(given: argparse.Namespace) -> None:
+def _sample(options: argparse.Namespace) -> None:
     import torch
 
     from motdiff.crops import luminance
@@ -277,53 +273,45 @@ def _sample(given: argparse.Namespace) -> None:
     from motdiff.simulate import to_linear
     from motdiff.weights import DEFAULT_WEIGHTS, load_network
 
-    image, _ = decode(photo_bytes(given.photo), given.photo)
-    if min(image.shape[:2]) < PHOTO_PX:
+    image, _ = decode(photo_bytes(options.photo), options.photo)
+    height, width = image.shape[:2]
+    if min(height, width) < PHOTO_PX:
         raise ValueError(
-            f"{given.photo}: must have at least {PHOTO_PX} x {PHOTO_PX} px, has {image.shape[1]} x"
-            f" {image.shape[0]}"
+            f"{options.photo}: must have at least {PHOTO_PX} x {PHOTO_PX} px, has {width} x"
+            f" {height}"
         )
-    if given.count < 1:
-        raise ValueError(f"--count: must be at least 1, got {given.count}")
-    top, left = ((n - PHOTO_PX) // 2 for n in image.shape[:2])
-    middle = image[top : top + PHOTO_PX, left : left + PHOTO_PX]
-    light = luminance(
-        middle if middle.dtype.kind == "f" else to_linear(middle / np.iinfo(middle.dtype).max)
-    )[None]
+    if options.count < 1:
+        raise ValueError(f"--count: must be at least 1, got {options.count}")
+    top = (height - PHOTO_PX) // 2
+    left_edge = (width - PHOTO_PX) // 2
+    middle = image[top : top + PHOTO_PX, left_edge : left_edge + PHOTO_PX]
+    if middle.dtype.kind != "f":  # files of floats hold linear light already
+        middle = to_linear(middle / np.iinfo(middle.dtype).max)
+    light = luminance(middle)[None]
     classical = quick_search(light, sigma=noise_sigma(light[0]))
-    generator = torch.Generator().manual_seed(given.seed)
-    network = load_network(given.weights or DEFAULT_WEIGHTS)
+    generator = torch.Generator().manual_seed(options.seed)
+    network = load_network(options.weights or DEFAULT_WEIGHTS)
     psfs = draw_psfs(
-        network, light, classical, count=given.count, steps=given.steps, generator=generator
+        network, light, classical, count=options.count, steps=options.steps, generator=generator
     )
-    write_bytes(given.out, _drawn_sheet(light[0], classical, psfs))
+    write_bytes(options.out, _drawn_sheet(light[0], classical, psfs))
 
 
 def _drawn_sheet(photo: FloatArray, classical: FloatArray, psfs: FloatArray) -> bytes:
-    """Lay out a photo, the classical kernels given to the network, and its draws, as PNG; PSFs by
-    the square root.
-
-    Parameters
-    ----------
-    photo : (H, W) float, linear light
-    classical : (Q, 64, 64) float
-    psfs : (K, 64, 64) float
-    """
+    """PNG of a photo (H, W), classical kernels (Q, 64, 64) and drawn PSFs (K, 64, 64)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    titles = [
-        "photo",
-        *["classical"] * len(classical),
-        *[f"draw {i + 1}" for i in range(len(psfs))],
-    ]
+    draws = [f"draw {i + 1}" for i in range(len(psfs))]
+    titles = ["photo", *["classical"] * len(classical), *draws]
     figure = Figure(
         figsize=(_TILE_IN * len(titles), _TILE_IN + 0.3), layout="constrained", facecolor="white"
     )
     FigureCanvasAgg(figure)
+    # the root shows faint light too
     pictures = [np.clip(photo, 0, 1) ** (1 / 2.2), *np.sqrt(classical), *np.sqrt(psfs)]
-    for place, (title, picture) in enumerate(zip(titles, pictures, strict=True)):
-        axes = figure.add_subplot(1, len(titles), place + 1)
+    for number, (title, picture) in enumerate(zip(titles, pictures, strict=True), 1):
+        axes = figure.add_subplot(1, len(titles), number)
         axes.imshow(picture, cmap="gray")
         axes.set_title(title, fontsize=8)
         axes.set_axis_off()

@@ -44,27 +44,25 @@ class Checkpoint:
     config: Mapping[str, object]
     seconds: float = 0.0
 
-    def part(self, prefix: str) -> dict[str, Tensor]:
+    def under(self, prefix: str) -> dict[str, Tensor]:
         """Tensors whose names begin with ``prefix``, by the rest of their names."""
         return {
-            name.removeprefix(prefix): t
-            for name, t in self.tensors.items()
+            name.removeprefix(prefix): tensor
+            for name, tensor in self.tensors.items()
             if name.startswith(prefix)
         }
 
 
 def write_checkpoint(folder: Path | str, checkpoint: Checkpoint) -> None:
-    """Write a checkpoint as ``index.json`` and ``part_*.safetensors`` of at most 15 MiB (or one
-    tensor).
+    """Write ``index.json`` and ``part_*.safetensors`` of at most 15 MiB (or one tensor).
 
-    The old one stays whole until the new one is complete.
+    The old checkpoint stays until the new one is complete.
     """
     target = Path(folder)
     new = target.with_name(target.name + ".new")
     old = target.with_name(target.name + ".old")
-    if (
-        not target.exists() and (old / _INDEX).exists()
-    ):  # a kill came between the two renames: it is the only one
+    # a kill came between the two renames: the old one is the only one
+    if not target.exists() and (old / _INDEX).exists():
         os.rename(old, target)
     for leftover in (new, old):
         shutil.rmtree(leftover, ignore_errors=True)
@@ -99,18 +97,11 @@ def write_checkpoint(folder: Path | str, checkpoint: Checkpoint) -> None:
 def read_checkpoint(
     folder: Path | str, *, device: str | torch.device = "cpu"
 ) -> Checkpoint | None:
-    """Read a checkpoint, or the one before where a kill came between the two renames; None where
-    there is none.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds something else, or not all of it.
-    """
+    """Read a checkpoint; None where there is none, ValueError where it is not complete."""
     target = Path(folder)
     old = target.with_name(target.name + ".old")
     if not target.exists() and (old / _INDEX).exists():
-        target = old
+        target = old  # a kill came between the two renames
     if not target.exists():
         return None
     try:

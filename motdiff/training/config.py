@@ -1,6 +1,4 @@
-"""Configuration of a training run: one TOML file, one frozen record; an unknown or wrong entry is
-an error.
-"""
+"""Configuration of a training run, from a TOML file."""
 
 from __future__ import annotations
 
@@ -120,17 +118,16 @@ class OptimiserConfig:
     precision : {"fp32", "bf16"}
         bf16 runs the forward pass under autocast.
     window : int
-        Side of the part of the 64-px field that the denoiser sees in each step, drawn at random;
-        64 is all. Smaller ones are cheaper: the denoiser is local, the condition always sees
-        everything.
+        Side of the denoiser's random window of the 64-px field in each step; 64 is all. Smaller
+        ones are cheaper: the denoiser is local, and the condition always covers everything.
     compile : bool
         Whether torch.compile is used.
     start : str
         Weights file that the run starts from: all of it where it holds the same network, else its
         condition network; "" for random weights.
     only : {"", "photo"}
-        "photo" trains the photo encoder and the layer that adds its features, and leaves the rest
-        as it starts: what the weights then gain is the encoder's. "" trains all.
+        "photo" trains the photo encoder and the layer that adds its features, which shows the
+        encoder's own gain. "" trains all.
     seed : int
     """
 
@@ -180,13 +177,7 @@ class OptimiserConfig:
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """All settings that determine the result of a run.
-
-    Attributes
-    ----------
-    data, motions, photography, network, loss, optimiser
-        The sections of the file.
-    """
+    """Sections of the file: all settings that determine the result of a run."""
 
     data: DataConfig
     motions: MotionMix = field(default_factory=MotionMix)
@@ -197,10 +188,9 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         if self.network.denoiser_view and self.optimiser.window != PSF_PX:
-            given = self.optimiser.window
             raise ValueError(
                 f"optimiser.window: must be {PSF_PX} for a denoiser that sees the whole map, got"
-                f" {given}"
+                f" {self.optimiser.window}"
             )
         if self.optimiser.only == "photo" and self.network.backbone == "none":
             raise ValueError(
@@ -249,30 +239,30 @@ def _section(name: str, values: object) -> Any:
     kind = _SECTIONS[name]
     if not isinstance(values, dict):
         raise ValueError(f"{name}: must be a section, [{name}]")
-    known = {item.name: item for item in fields(kind)}
+    types = {item.name: str(item.type) for item in fields(kind)}
     plain: dict[str, Any] = {}
     for entry, value in values.items():
-        if entry not in known:
-            raise ValueError(f"{name}.{entry}: is not known; known are {', '.join(known)}")
-        plain[entry] = _typed(f"{name}.{entry}", value, str(known[entry].type))
+        if entry not in types:
+            raise ValueError(f"{name}.{entry}: is not known; known are {', '.join(types)}")
+        plain[entry] = _typed(f"{name}.{entry}", value, types[entry])
     try:
         return kind(**plain)
-    except ValueError as error:  # the sections that others own too do not know that they are one
+    except ValueError as error:  # a class used outside of runs too does not name the section
         text = str(error)
-        raise ValueError(text if text.startswith(f"{name}") else f"{name}.{text}") from error
+        raise ValueError(text if text.startswith(name) else f"{name}.{text}") from error
 
 
-def _typed(name: str, value: object, wanted: str) -> object:
+def _typed(name: str, value: object, kind: str) -> object:
     """TOML's value as the field's type; a whole number may stand for a float."""
-    if wanted == "float" and isinstance(value, int) and not isinstance(value, bool):
+    if kind == "float" and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    if wanted.startswith("tuple["):
-        kinds = wanted.removeprefix("tuple[").removesuffix("]").split(", ")
+    if kind.startswith("tuple["):
+        kinds = kind.removeprefix("tuple[").removesuffix("]").split(", ")
         if not isinstance(value, list) or len(value) != len(kinds):
             raise ValueError(f"{name}: must be a list of {len(kinds)} numbers, got {value!r}")
-        return tuple(_typed(name, item, kind) for item, kind in zip(value, kinds, strict=True))
-    if type(value).__name__ != wanted:
-        raise ValueError(f"{name}: must be of type {wanted}, got {value!r}")
+        return tuple(_typed(name, *pair) for pair in zip(value, kinds, strict=True))
+    if type(value).__name__ != kind:
+        raise ValueError(f"{name}: must be of type {kind}, got {value!r}")
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{name}: must be a finite number, got {value!r}")
     return value

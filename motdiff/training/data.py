@@ -6,7 +6,7 @@ where it stopped.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,7 +20,7 @@ from motdiff.training.motion_bank import MotionBank
 from motdiff.training.samples import Samples, simulate
 from motdiff.training.simulation import Photography
 
-_PREPARING = 64
+_SPECTRAL_BATCH = 64
 _MOTIONS = 1  # one seed for both would give each motion the same scene every time
 _PHOTOS = 2
 
@@ -48,21 +48,19 @@ class Batch:
         return len(self.x0)
 
     def to(self, device: str | torch.device) -> Batch:
-        """Copy to a device; what is there already stays."""
-        photo, physics = (
-            None if maps is None else maps.to(device) for maps in (self.photo, self.physics)
-        )
-        return Batch(photo, physics, self.x0.to(device), self.dwell.to(device))
+        """Copy to a device."""
+        return self._each(lambda maps: maps.to(device))
 
     def split(self, size: int) -> list[Batch]:
         """Cut into batches of ``size``; the last may be smaller."""
-        return [self._part(slice(first, first + size)) for first in range(0, len(self), size)]
+        firsts = range(0, len(self), size)
+        return [self._each(lambda maps, i=i: maps[i : i + size]) for i in firsts]  # type: ignore[misc]
 
-    def _part(self, part: slice) -> Batch:
+    def _each(self, change: Callable[[Tensor], Tensor]) -> Batch:
         photo, physics = (
-            None if maps is None else maps[part] for maps in (self.photo, self.physics)
+            None if maps is None else change(maps) for maps in (self.photo, self.physics)
         )
-        return Batch(photo, physics, self.x0[part], self.dwell[part])
+        return Batch(photo, physics, change(self.x0), change(self.dwell))
 
 
 class BatchSource(Protocol):
@@ -74,7 +72,7 @@ class BatchSource(Protocol):
 
 
 class LiveSource:
-    """Samples simulated on the fly: no two steps see the same photo.
+    """Samples simulated on the fly: no two steps have the same photo.
 
     Parameters
     ----------
@@ -146,11 +144,9 @@ class PreparedSource:
         self._photos = samples.photos if photo else None
         self._maps: tuple[Tensor, Tensor] | None = None
         if physics:
-            parts = torch.split(samples.photos, _PREPARING)
-            self._maps = (
-                torch.cat([spectral_maps(_light(part)).half() for part in parts]),
-                samples.kernels,
-            )
+            chunks = torch.split(samples.photos, _SPECTRAL_BATCH)
+            spectral = torch.cat([spectral_maps(_light(photos)).half() for photos in chunks])
+            self._maps = (spectral, samples.kernels)
         self._x0 = samples.x0
         self._dwell = samples.dwell
 
@@ -167,12 +163,13 @@ class PreparedSource:
         if self._symmetries:
             draw = torch.Generator().manual_seed(seed_of(self._seed, step, rank))
             groups = torch.randint(SYMMETRIES, (size,), generator=draw)
-        parts = [
-            self._turned(index[groups == s], s)
-            for s in range(SYMMETRIES)
-            if bool((groups == s).any())
-        ]
-        return _joined(parts)
+        return _joined(
+            [
+                self._turned(index[groups == s], s)
+                for s in range(SYMMETRIES)
+                if bool((groups == s).any())
+            ]
+        )
 
     def _order(self, epoch: int, rank: int) -> Tensor:
         draw = torch.Generator().manual_seed(seed_of(self._seed, -1 - epoch, rank))
@@ -199,20 +196,22 @@ def _light(stored: Tensor) -> Tensor:
     return stored.float().div(255).square()
 
 
-def _joined(parts: Sequence[Batch]) -> Batch:
-    def whole(maps: Sequence[Tensor | None]) -> Tensor | None:
-        there = [one for one in maps if one is not None]
-        return torch.cat(there) if there else None
+def _joined(batches: Sequence[Batch]) -> Batch:
+    def joined(chunks: Iterable[Tensor | None]) -> Tensor | None:
+        tensors = [maps for maps in chunks if maps is not None]
+        return torch.cat(tensors) if tensors else None
 
-    photo = whole([part.photo for part in parts])
-    physics = whole([part.physics for part in parts])
     return Batch(
-        photo, physics, torch.cat([p.x0 for p in parts]), torch.cat([p.dwell for p in parts])
+        joined(batch.photo for batch in batches),
+        joined(batch.physics for batch in batches),
+        torch.cat([batch.x0 for batch in batches]),
+        torch.cat([batch.dwell for batch in batches]),
     )
 
 
 def seed_of(*numbers: int) -> int:
     """Mix whole numbers into one seed, below 2^62."""
+    # golden ratio and multiplier of SplitMix64 (Steele et al., OOPSLA 2014)
     mixed = 0x9E3779B97F4A7C15
     for number in numbers:
         mixed = (mixed ^ (number & 0xFFFFFFFFFFFFFFFF)) * 0xBF58476D1CE4E5B9 & 0xFFFFFFFFFFFFFFFF

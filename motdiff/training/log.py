@@ -11,22 +11,13 @@ from pathlib import Path
 from motdiff.files.outputs import write_bytes, write_text
 from motdiff.training.loop import Losses
 
-_FIELDS = (
-    "step",
-    "samples",
-    "loss",
-    "path",
-    "dwell",
-    "gradient",
-    "samples_per_s",
-    "validation_mnc",
-)
+_MEASURES = ("loss", "path", "dwell", "gradient", "samples_per_s", "validation_mnc")
+_FIELDS = ("step", "samples", *_MEASURES)
 _EVERY_STEPS = 50
 
 
 class RunLog:
-    """Log of a run; a later piece goes on in the same files, as if there had been one piece only:
-    see :meth:`resume`.
+    """Log of a run; a later piece appends to the same files, see :meth:`resume`.
 
     Parameters
     ----------
@@ -42,7 +33,7 @@ class RunLog:
         self._folder = folder
         self._steps = steps
         self._enabled = enabled
-        self._began: tuple[int, float] | None = None
+        self._start: tuple[int, float] | None = None  # step and seconds of this piece's first
         self._last_mnc = math.nan
         self._live = sys.stderr.isatty()
 
@@ -66,31 +57,20 @@ class RunLog:
         """
         if not self._enabled:
             return
-        if self._began is None:
-            self._began = (step, seconds)
+        if self._start is None:
+            self._start = (step, seconds)
         if step % _EVERY_STEPS:
             return
-        steps = step - self._began[0]
-        spent = seconds - self._began[1]
-        rate = steps * batch / spent if spent > 0 else math.nan
-        self._row(
-            [
-                step,
-                step * batch,
-                losses.smoothed,
-                losses.path,
-                losses.dwell,
-                losses.gradient,
-                rate,
-                math.nan,
-            ]
-        )
-        left_min = (self._steps - step) * batch / rate / 60
+        steps = step - self._start[0]
+        elapsed_s = seconds - self._start[1]
+        rate = steps * batch / elapsed_s if elapsed_s > 0 else math.nan
+        values = [losses.smoothed, losses.path, losses.dwell, losses.gradient, rate, math.nan]
+        self._row([step, step * batch, *values])
+        remaining_min = (self._steps - step) * batch / rate / 60
         text = (
             f"step {step}/{self._steps}  loss {losses.smoothed:.4f}  MNC {self._last_mnc:.3f} "
-            f" {rate:.1f} samples/s"
+            f" {rate:.1f} samples/s  {seconds / 60:.0f} min done, {remaining_min:.0f} left"
         )
-        text += f"  {seconds / 60:.0f} min done, {left_min:.0f} left"
         print(  # noqa: T201
             f"{_cleared(self._live)}{text}",
             end="" if self._live else "\n",
@@ -99,50 +79,38 @@ class RunLog:
         )
 
     def resume(self, step: int, *, between: bool) -> bool:
-        """Leave out the rows of steps that are to be done again; returns whether there is a
-        validation of ``step``.
+        """Delete the rows of later steps; returns whether there is a validation of ``step``.
 
         Parameters
         ----------
         step : int
             Updates done.
         between : bool
-            Whether a validation of this step was made only because a piece ended there: it is left
-            out as well.
+            Whether a validation of this step was made only because a piece ended there: it is
+            deleted as well, as if there had been one piece only.
         """
         path = self._folder / "log.csv"
         if not path.exists():
             return False
         with path.open(newline="", encoding="utf-8") as file:
-            lines = file.readlines()
-        kept = lines[:1]
+            header, *lines = file.readlines() or [""]
+        rows = [header]
         validated = False
-        for line in lines[1:]:
+        for line in lines:
             values = next(csv.reader([line]), [])
-            if (
-                len(values) < len(_FIELDS) or int(values[0]) > step
-            ):  # cut short by a kill, or after the checkpoint
+            # cut short by a kill, or after the checkpoint
+            if len(values) < len(_FIELDS) or int(values[0]) > step:
                 continue
-            last = int(values[0]) == step and values[-1] != ""
-            if not (last and between):
-                kept.append(line)
-                validated |= last
-        if self._enabled and len(kept) < len(lines):
-            write_text(path, "".join(kept))
+            validation = int(values[0]) == step and values[-1] != ""
+            if not (validation and between):
+                rows.append(line)
+                validated |= validation
+        if self._enabled and len(rows) < 1 + len(lines):
+            write_text(path, "".join(rows))
         return validated
 
     def validated(self, step: int, score: float, *, loss: float) -> None:
-        """Note a validation and draw the plot anew.
-
-        Parameters
-        ----------
-        step : int
-            Updates done.
-        score : float
-            MNC.
-        loss : float
-            Smoothed, of the step.
-        """
+        """Note the MNC ``score`` and the smoothed ``loss`` of a step, and update the plot."""
         if not self._enabled:
             return
         self._last_mnc = score
@@ -162,9 +130,7 @@ class RunLog:
             writer = csv.writer(file)
             if new:
                 writer.writerow(_FIELDS)
-            writer.writerow(
-                [v if isinstance(v, int) else "" if math.isnan(v) else f"{v:.6g}" for v in values]
-            )
+            writer.writerow("" if math.isnan(v) else _text(v) for v in values)
 
     def _plot(self) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -194,9 +160,7 @@ def read_log(path: Path | str) -> list[dict[str, float]]:
 
 
 def last_validation(path: Path | str) -> float | None:
-    """Return the MNC of the last validation in a ``log.csv``; None where there is no file, or none
-    was made.
-    """
+    """Return the MNC of the last validation in a ``log.csv``, None without one or without file."""
     if not Path(path).is_file():
         return None
     _, scores = _curve(read_log(path), "validation_mnc")
@@ -204,9 +168,13 @@ def last_validation(path: Path | str) -> float | None:
 
 
 def _curve(rows: list[dict[str, float]], name: str) -> tuple[list[float], list[float]]:
-    """Give the steps and values of a column, one of each step: the later row counts."""
+    """Return the steps and values of a column; of two rows of a step the later one."""
     points = sorted({row["step"]: row[name] for row in rows if not math.isnan(row[name])}.items())
     return [step for step, _ in points], [value for _, value in points]
+
+
+def _text(value: float) -> str:
+    return str(value) if isinstance(value, int) else f"{value:.6g}"
 
 
 def _cleared(live: bool) -> str:

@@ -29,9 +29,8 @@ from motdiff.training.data import Batch, BatchSource, seed_of
 from motdiff.training.targets import path_loss, psf_batch
 from motdiff.weights import PHOTO_PARTS, load_start
 
-_BETAS = (0.9, 0.999)
-_SMOOTH = 0.95
-# seeds of their own, and not the batch's: else a motion would meet the same noise every time
+_SMOOTH = 0.95  # decay of the running mean of the loss, over about twenty steps
+# seeds other than the batch's: else a motion would get the same noise every time
 _NOISE = 3
 _DROPOUT = 4
 
@@ -47,8 +46,7 @@ class Losses:
     gradient : float
         Norm of the gradient before clipping.
     smoothed : float
-        Running mean of the loss over the steps of the whole run so far, mostly over the last
-        twenty.
+        Running mean of the loss, mostly over the last twenty steps of the whole run.
     """
 
     total: float
@@ -85,38 +83,41 @@ class Trainer:
     def __init__(self, config: TrainingConfig, *, device: str | torch.device = "cpu") -> None:
         self.config = config
         self.device = torch.device(device)
+        # the caller's global generator stays as it is: a run must not change what follows it
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.optimiser.seed)
             self.network = build_network(config.network)
             self.average = build_network(config.network)
         if config.optimiser.start:
             load_start(self.network, config.optimiser.start)
-        kept = [
-            part for name, part in self.network.named_children() if f"{name}." not in PHOTO_PARTS
-        ]
-        self._kept = kept if config.optimiser.only == "photo" else []
-        for part in self._kept:
-            part.requires_grad_(False)
+        self._frozen: list[nn.Module] = []
+        if config.optimiser.only == "photo":
+            self._frozen = [
+                module
+                for name, module in self.network.named_children()
+                if f"{name}." not in PHOTO_PARTS
+            ]
+        for module in self._frozen:
+            module.requires_grad_(False)
         self.average.load_state_dict(self.network.state_dict())
-        for mine in (self.network, self.average):
-            mine.to(self.device)
-            mine.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        for network in (self.network, self.average):
+            network.to(self.device)
+            # tensor cores take convolutions in this layout without a transposition
+            network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average.eval().requires_grad_(False)
         self.step = 0
         self.seconds = 0.0
         self.loss = math.nan
         self.schedule = cosine_schedule()
-        self._adam = torch.optim.Adam(
-            self.network.parameters(), lr=config.optimiser.rate, betas=_BETAS
-        )
-        self._rank = int(os.environ.get("RANK", "0"))
+        self._adam = torch.optim.Adam(self.network.parameters(), lr=config.optimiser.rate)
+        self._rank = int(os.environ.get("RANK", "0"))  # set by torchrun, as WORLD_SIZE
         self._world = int(os.environ.get("WORLD_SIZE", "1"))
         model: nn.Module = self.network
         if self._world > 1:
             model = nn.parallel.DistributedDataParallel(model)
-        self._model: Callable[..., Tensor] = (
-            torch.compile(model) if config.optimiser.compile else model
-        )
+        self._model: Callable[..., Tensor] = model
+        if config.optimiser.compile:
+            self._model = torch.compile(model)
 
     @property
     def leads(self) -> bool:
@@ -124,12 +125,8 @@ class Trainer:
         return self._rank == 0
 
     def update(self, source: BatchSource) -> Losses:
-        """Do one step.
-
-        Everything random in it follows from the seed, the step and the rank, so nothing of it
-        needs to be stored.
-        """
-        began = time.monotonic()
+        """Do one step; all randomness follows from the seed, the step and the rank."""
+        start_s = time.monotonic()
         optimiser = self.config.optimiser
         batch = source.batch(
             self.step, max(1, optimiser.batch // self._world), rank=self._rank
@@ -137,10 +134,9 @@ class Trainer:
         for group in self._adam.param_groups:
             group["lr"] = learning_rate(self.step, optimiser)
         self.network.train()
-        for part in self._kept:
-            part.eval()  # its running means stay as well
-        forked = [self.device] if self.device.type == "cuda" else []
-        with torch.random.fork_rng(devices=forked):
+        for module in self._frozen:
+            module.eval()  # its running means stay as well
+        with torch.random.fork_rng(devices=[self.device] if self.device.type == "cuda" else []):
             torch.manual_seed(seed_of(optimiser.seed, self.step, self._rank, _DROPOUT))
             generator = torch.Generator(self.device)
             generator.manual_seed(seed_of(optimiser.seed, self.step, self._rank, _NOISE))
@@ -154,12 +150,13 @@ class Trainer:
         self._average()
         self.step += 1
         loss = float(total.detach())
+        # checked before a checkpoint can hold the damaged weights
         if not math.isfinite(loss):
             raise FloatingPointError(
                 f"the loss became {loss} at step {self.step}; lower optimiser.rate"
             )
         self.loss = loss if math.isnan(self.loss) else _SMOOTH * self.loss + (1 - _SMOOTH) * loss
-        self.seconds += time.monotonic() - began
+        self.seconds += time.monotonic() - start_s
         return Losses(
             loss, float(path.detach()), float(dwell.detach()), float(gradient), self.loss
         )
@@ -183,39 +180,30 @@ class Trainer:
         )
 
     def resume(self, folder: Path | str) -> bool:
-        """Take up the state of ``folder``; False where there is none.
-
-        Raises
-        ------
-        ValueError
-            If it belongs to another network.
-        """
+        """Restore the state of ``folder``, False without one; ValueError for another network's."""
         checkpoint = read_checkpoint(folder, device=self.device)
         if checkpoint is None:
             return False
         try:
-            self.network.load_state_dict(checkpoint.part("model."))
-            self.average.load_state_dict(checkpoint.part("ema."))
+            self.network.load_state_dict(checkpoint.under("model."))
+            self.average.load_state_dict(checkpoint.under("ema."))
         except RuntimeError as error:
             raise ValueError(
                 f"{folder}: its checkpoint belongs to a network of another configuration"
             ) from error
-        first = checkpoint.part("adam.exp_avg.")
-        second = checkpoint.part("adam.exp_avg_sq.")
+        exp_avg = checkpoint.under("adam.exp_avg.")
+        exp_avg_sq = checkpoint.under("adam.exp_avg_sq.")
         for name, parameter in self.network.named_parameters():
-            if name in first:
+            if name in exp_avg:
+                # copied into the parameter's own memory layout (channels last), as before the stop
                 self._adam.state[parameter] = {
                     "step": torch.tensor(float(checkpoint.step)),
-                    "exp_avg": torch.empty_like(parameter).copy_(
-                        first[name]
-                    ),  # laid out as the parameter is
-                    "exp_avg_sq": torch.empty_like(parameter).copy_(second[name]),
+                    "exp_avg": torch.empty_like(parameter).copy_(exp_avg[name]),
+                    "exp_avg_sq": torch.empty_like(parameter).copy_(exp_avg_sq[name]),
                 }
         self.step = checkpoint.step
         self.seconds = checkpoint.seconds
-        self.loss = float(
-            checkpoint.tensors.get("loss", math.nan)
-        )  # earlier versions did not keep it
+        self.loss = float(checkpoint.tensors.get("loss", math.nan))  # earlier versions lack it
         return True
 
     def _losses(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, Tensor]:
@@ -242,14 +230,16 @@ class Trainer:
 
     @torch.no_grad()
     def _average(self) -> None:
-        # early on the average follows fast, as it would otherwise remember the random start
+        # early on the average follows fast, as in TensorFlow's ExponentialMovingAverage: else it
+        # would remember the random start
         decay = min(self.config.optimiser.ema, (1 + self.step) / (10 + self.step))
-        mine = [parameter.detach() for parameter in self.average.parameters()]
-        torch._foreach_lerp_(
-            mine, [parameter.detach() for parameter in self.network.parameters()], 1 - decay
+        ema, weights = (
+            [parameter.detach() for parameter in network.parameters()]
+            for network in (self.average, self.network)
         )
-        for kept, now in zip(self.average.buffers(), self.network.buffers(), strict=True):
-            kept.copy_(now)
+        torch._foreach_lerp_(ema, weights, 1 - decay)
+        for averaged, buffer in zip(self.average.buffers(), self.network.buffers(), strict=True):
+            averaged.copy_(buffer)  # batch norm's statistics are running means already
 
 
 def learning_rate(step: int, optimiser: OptimiserConfig) -> float:
@@ -286,43 +276,40 @@ def loss_of(
     physics_dropout : float
         Share of physics maps blanked.
     window : int
-        Side of the used part of the 64-px field, the same for the whole batch.
+        Side of the window of the 64-px field, the same for the whole batch.
 
     References
     ----------
-    Choi et al., "MoTDiff", arXiv 2510.26173, equations 6 to 8: pixels are dropped before noising,
-    the target is whole.
+    Choi et al., "MoTDiff", arXiv 2510.26173, eq. 6 to 8.
     """
     device = batch.x0.device
     size = len(batch.x0)
     pitch = batch.x0.shape[-1] // PSF_PX
     t = torch.randint(schedule.steps, (size,), generator=generator, device=device)
+    # eq. 8: pixels are dropped before noising, the target x0 has them all
     signal = to_signal(stochastic_trajectory_pixel_dropout(batch.x0, loss.stpd, generator))
-    noise = torch.randn(signal.shape, generator=generator, device=device)
+    eps = torch.randn(signal.shape, generator=generator, device=device)
     physics = _blanked(batch.physics, physics_dropout, generator)
-    # paths are centred: windows near the middle see them oftener
+    # the mean of two: paths are centred, so windows near the middle hold them oftener
     spread = torch.rand(2, 2, generator=generator, device=device).mean(dim=0)
     row, column = (int(share * (PSF_PX - window) + 0.5) for share in spread.tolist())
     rows, columns = (slice(pitch * first, pitch * (first + window)) for first in (row, column))
-    part = (..., rows, columns)
-    x0 = batch.x0[part]
-    dwell_map = batch.dwell[part]
-    logits = model(
-        q_sample(schedule, signal[part], t, noise[part]), t, batch.photo, physics, (row, column)
-    )
+    view = (..., rows, columns)
+    x0 = batch.x0[view]
+    x_t = q_sample(schedule, signal[view], t, eps[view])
+    logits = model(x_t, t, batch.photo, physics, (row, column))
     if loss.kind == "structure":
         path = structure_loss(logits[:, :1], x0, path_weight=loss.path_weight, iou=loss.iou)
     else:
         path = denoising_loss(logits[:, :1], x0)
-    dwell = (
-        dwell_loss(logits[:, 1:], dwell_map, x0) if logits.shape[1] > 1 else torch.zeros_like(path)
-    )
-    return path, dwell
+    if logits.shape[1] == 1:
+        return path, torch.zeros_like(path)
+    return path, dwell_loss(logits[:, 1:], batch.dwell[view], x0)
 
 
 def _blanked(physics: Tensor | None, share: float, generator: torch.Generator) -> Tensor | None:
-    """Set a share of the physics maps to 0, each by itself."""
+    """Set a share of the physics maps to 0, each independently."""
     if physics is None or share == 0:
         return physics
-    kept = torch.rand(physics.shape[:2], generator=generator, device=physics.device) >= share
-    return physics * kept[:, :, None, None]
+    mask = torch.rand(physics.shape[:2], generator=generator, device=physics.device) >= share
+    return physics * mask[:, :, None, None]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -21,16 +20,11 @@ from motdiff.processes import end_with_parent
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX, PSF_PX
 from motdiff.trajectory import Trajectory
 
-_KINDS = (
-    "boracchi_foi",
-    "boracchi_foi_short",
-    "gyro",
-    "straight",
-    "quadratic",
-)  # in the order of the shares
+# in the order of the shares: another one would change which motions a seed draws
+_KINDS = ("boracchi_foi", "boracchi_foi_short", "gyro", "straight", "quadratic")
 _TRIES = 100
 _CHUNK = 200
-_TIMES = 6000
+_TIMES = 6000  # some 20 for each map pixel of a long path
 
 
 @dataclass(frozen=True)
@@ -125,18 +119,17 @@ class MotionBank:
         -------
         psf (B, 64, 64), x0 (B, 1, 256, 256) of 0 and 1, dwell (B, 1, 256, 256); all float32
         """
-        begin = self.starts[index]
-        count = self.starts[index + 1] - self.starts[index]
+        start = self.starts[index]
+        count = self.starts[index + 1] - start
         sample = torch.repeat_interleave(torch.arange(len(index), device=index.device), count)
-        within = torch.arange(int(count.sum()), device=index.device) - torch.repeat_interleave(
-            count.cumsum(0) - count, count
-        )
-        source = begin[sample] + within
-        where = sample * MAP_PX**2 + self.pixels[source].long()
+        offset = torch.repeat_interleave(count.cumsum(0) - count, count)
+        within = torch.arange(int(count.sum()), device=index.device) - offset
+        source = start[sample] + within
+        pixel = sample * MAP_PX**2 + self.pixels[source].long()
         x0 = torch.zeros(len(index) * MAP_PX**2, device=index.device)
         dwell = torch.zeros_like(x0)
-        x0[where] = 1.0
-        dwell[where] = self.dwell[source].float()
+        x0[pixel] = 1.0
+        dwell[pixel] = self.dwell[source].float()
         shape = (len(index), 1, MAP_PX, MAP_PX)
         return self.psfs[index].float(), x0.view(shape), dwell.view(shape)
 
@@ -163,43 +156,35 @@ def draw_motion(
 
 
 def drawn_kinds(mix: MotionMix, *, count: int, seed: int, first: int = 0) -> list[str]:
-    """Kinds of the motions that :func:`build_bank` draws, by the name of their share in the mix;
-    same arguments.
-    """
+    """Kinds, as the mix names their shares, of the motions that :func:`build_bank` draws."""
     trace = _trace(mix)
-    indices = range(first, first + count)
-    return [
-        _KINDS[_draw(mix, np.random.default_rng([seed, index]), trace)[0]] for index in indices
-    ]
+    rngs = (np.random.default_rng([seed, i]) for i in range(first, first + count))
+    return [_draw(mix, rng, trace)[0] for rng in rngs]
 
 
 def _draw(
     mix: MotionMix, rng: np.random.Generator, trace: GyroTrace | None
-) -> tuple[int, Trajectory]:
+) -> tuple[str, Trajectory]:
     if mix.gyro > 0 and trace is None:
         raise ValueError("trace: motions.gyro > 0 needs a gyroscope recording, got none")
     shares = np.array(mix.shares) / sum(mix.shares)
+    low_px = mix.min_length_px
+    high_px = mix.max_length_px
     for _ in range(_TRIES):
-        kind = int(rng.choice(len(shares), p=shares))
-        if kind == 0:
-            motion = boracchi_foi(rng, max_length_px=mix.max_length_px)
-        elif kind == 1:
-            motion = boracchi_foi(
-                rng, max_length_px=rng.uniform(mix.min_length_px, mix.max_length_px)
-            )
-        elif kind == 2 and trace is not None:
+        kind = _KINDS[int(rng.choice(len(shares), p=shares))]
+        if kind == "boracchi_foi":
+            motion = boracchi_foi(rng, max_length_px=high_px)
+        elif kind == "boracchi_foi_short":
+            motion = boracchi_foi(rng, max_length_px=rng.uniform(low_px, high_px))
+        elif kind == "gyro" and trace is not None:
             extent_px = rng.uniform(mix.min_extent_px, mix.max_extent_px)
             motion = random_gyro_motion(
                 trace, rng, exposure_s=rng.uniform(*mix.exposure_s), extent_px=extent_px
             )
-        elif kind == 3:
-            motion = random_straight(
-                rng, min_length_px=mix.min_length_px, max_length_px=mix.max_length_px
-            )
+        elif kind == "straight":
+            motion = random_straight(rng, min_length_px=low_px, max_length_px=high_px)
         else:
-            motion = quadratic(
-                rng, min_length_px=mix.min_length_px, max_length_px=mix.max_length_px
-            )
+            motion = quadratic(rng, min_length_px=low_px, max_length_px=high_px)
         if motion.frame_size() <= PSF_PX:
             return kind, motion
     raise ValueError(
@@ -208,33 +193,21 @@ def _draw(
 
 
 def dwell_on_map(motion: Trajectory, hr_map: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Time spent at each path pixel of the HR map, relative to the mean, in row-major order of the
-    path pixels.
-
-    Parameters
-    ----------
-    motion : Trajectory
-    hr_map : (256, 256) 0/1, its :meth:`Trajectory.hr_map`
-
-    Returns
-    -------
-    (P,) float64, mean 1
-    """
+    """Time (P,) spent at each path pixel of the motion's HR map, mean 1, in row-major order."""
     from scipy.spatial import KDTree
 
     rows, columns = np.nonzero(hr_map)
     points = np.column_stack([columns, rows])
     times = (np.arange(_TIMES) + 0.5) / _TIMES
     _, nearest = KDTree(points).query(MAP_CENTRE + MAP_PITCH * motion.at(times))
-    spent = np.bincount(nearest, minlength=len(points)) * (len(points) / _TIMES)
-    return np.asarray(spent, dtype=np.float64)
+    dwell = np.bincount(nearest, minlength=len(points)) * (len(points) / _TIMES)
+    return np.asarray(dwell, dtype=np.float64)
 
 
 def build_bank(
     mix: MotionMix, *, count: int, seed: int, first: int = 0, workers: int = 1
 ) -> MotionBank:
-    """Draw ``count`` motions; motion i depends on (seed, first + i) only, whatever the number of
-    workers.
+    """Draw ``count`` motions; motion i depends on (seed, first + i) only.
 
     Parameters
     ----------
@@ -248,24 +221,22 @@ def build_bank(
         raise ValueError(f"count: must be at least 1, got {count}")
     last = first + count
     chunks = [range(start, min(start + _CHUNK, last)) for start in range(first, last, _CHUNK)]
-    draw = partial(_drawn, mix, seed)
+    draw = partial(_motions, mix, seed)
     if workers > 1:
         with ProcessPoolExecutor(
             workers, initializer=end_with_parent, initargs=(os.getpid(),)
         ) as pool:
-            drawn = [item for chunk in pool.map(draw, chunks) for item in chunk]
+            motions = [motion for chunk in pool.map(draw, chunks) for motion in chunk]
     else:
-        drawn = [item for chunk in chunks for item in draw(chunk)]
-    sizes = [len(pixels) for _, pixels, _ in drawn]
+        motions = [motion for chunk in chunks for motion in draw(chunk)]
+    psfs, pixels, dwell = zip(*motions, strict=True)
+    starts = np.concatenate([[0], np.cumsum([len(flat) for flat in pixels])])
     return MotionBank(
-        psfs=torch.from_numpy(np.stack([psf for psf, _, _ in drawn])),
-        pixels=torch.from_numpy(np.concatenate([pixels for _, pixels, _ in drawn])),
-        dwell=torch.from_numpy(np.concatenate([dwell for _, _, dwell in drawn])),
-        starts=torch.from_numpy(np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)),
+        psfs=torch.from_numpy(np.stack(psfs)),
+        pixels=torch.from_numpy(np.concatenate(pixels)),
+        dwell=torch.from_numpy(np.concatenate(dwell)),
+        starts=torch.from_numpy(starts.astype(np.int64)),
     )
-
-
-_Drawn = tuple[NDArray[np.float16], NDArray[np.int32], NDArray[np.float16]]
 
 
 def _trace(mix: MotionMix) -> GyroTrace | None:
@@ -283,20 +254,16 @@ def _trace(mix: MotionMix) -> GyroTrace | None:
         raise ValueError(f"motions.gyro_trace: {error}") from None
 
 
-def _drawn(mix: MotionMix, seed: int, indices: range) -> list[_Drawn]:
-    trace = _trace(mix)
-    return list(_motions(mix, seed, indices, trace))
-
-
 def _motions(
-    mix: MotionMix, seed: int, indices: range, trace: GyroTrace | None
-) -> Iterator[_Drawn]:
+    mix: MotionMix, seed: int, indices: range
+) -> list[tuple[NDArray[np.float16], NDArray[np.int32], NDArray[np.float16]]]:
+    """PSF, path pixels and dwell of each motion."""
+    trace = _trace(mix)
+    motions = []
     for index in indices:
         motion = draw_motion(mix, np.random.default_rng([seed, index]), trace)
         hr_map = motion.hr_map()
+        psf = motion.psf(PSF_PX).astype(np.float16)
         pixels = np.flatnonzero(hr_map).astype(np.int32)
-        yield (
-            motion.psf(PSF_PX).astype(np.float16),
-            pixels,
-            dwell_on_map(motion, hr_map).astype(np.float16),
-        )
+        motions.append((psf, pixels, dwell_on_map(motion, hr_map).astype(np.float16)))
+    return motions

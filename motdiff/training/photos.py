@@ -1,6 +1,4 @@
-"""Sharp photos for training: read from a folder or a pack of JPEGs, cropped at random on the
-training device.
-"""
+"""Sharp photos for training: from a folder or a pack of JPEGs, cropped at random."""
 
 from __future__ import annotations
 
@@ -48,13 +46,9 @@ def load_photos(
     """
     if most_px < least_px:
         raise ValueError(f"most_px: must be at least least_px = {least_px}, got {most_px}")
-    photos = [
-        torch.from_numpy(np.ascontiguousarray(_shrunk(image, most_px).transpose(2, 0, 1))).to(
-            device
-        )
-        for _, image in _images(Path(source))
-        if min(image.shape[:2]) >= least_px
-    ]
+    images = (image for _, image in _images(Path(source)) if min(image.shape[:2]) >= least_px)
+    channels_first = (_shrunk(image, most_px).transpose(2, 0, 1) for image in images)
+    photos = [torch.from_numpy(np.ascontiguousarray(a)).to(device) for a in channels_first]
     if not photos:
         raise ValueError(f"{source}: holds no photo of at least {least_px} x {least_px} px")
     return photos
@@ -159,18 +153,18 @@ def crops(
             f"photos: must be at least {size} x {size} px for such crops, got a side of"
             f" {shortest} px"
         )
-    which = torch.randint(len(photos), (count,), generator=generator).tolist()
-    place = torch.rand(count, 2, generator=generator).tolist()
-    symmetry = torch.randint(8, (count,), generator=generator).tolist()
-    cut = []
-    for index, (down, right), turn in zip(which, place, symmetry, strict=True):
+    indices = torch.randint(len(photos), (count,), generator=generator).tolist()
+    corners = torch.rand(count, 2, generator=generator).tolist()
+    symmetries = torch.randint(8, (count,), generator=generator).tolist()
+    crops = []
+    for index, (down, right), symmetry in zip(indices, corners, symmetries, strict=True):
         photo = photos[index]
         row = int(down * (photo.shape[1] - size + 1))
         column = int(right * (photo.shape[2] - size + 1))
         crop = photo[:, row : row + size, column : column + size]
-        crop = torch.rot90(crop, turn % 4, (1, 2))
-        cut.append(crop.flip(2) if turn >= 4 else crop)
-    return torch.stack(cut).float() / 255
+        crop = torch.rot90(crop, symmetry % 4, (1, 2))
+        crops.append(crop.flip(2) if symmetry >= 4 else crop)
+    return torch.stack(crops).float() / 255
 
 
 def _images(source: Path) -> Iterator[tuple[str, NDArray[np.uint8]]]:

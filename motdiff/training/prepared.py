@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,7 @@ def prepare(
     seed: int,
     on_shard: Callable[[int], None] = lambda _shard: None,
 ) -> None:
-    """Write the missing ones of the ``shards`` (64 samples each); each depends on its number and
-    the seed only.
+    """Write the missing ones of the ``shards``, 64 samples each.
 
     Parameters
     ----------
@@ -50,21 +50,22 @@ def prepare(
     on_shard : callable, optional
         Called with the number of every finished shard.
     """
-
-    def made(shard: int) -> dict[str, NDArray[np.generic]]:
-        return _arrays(
-            simulated_shard(
-                shard,
-                SHARD_SAMPLES,
-                scenes=scenes,
-                mix=mix,
-                photography=photography,
-                physics=True,
-                seed=seed,
-            )
-        )
-
-    write_shards(folder, shards, name=_NAME, make=made, on_shard=on_shard)
+    simulated = partial(
+        simulated_shard,
+        count=SHARD_SAMPLES,
+        scenes=scenes,
+        mix=mix,
+        photography=photography,
+        physics=True,
+        seed=seed,
+    )
+    write_shards(
+        folder,
+        shards,
+        name=_NAME,
+        make=lambda shard: _arrays(simulated(shard)),
+        on_shard=on_shard,
+    )
 
 
 def simulated_shard(
@@ -87,12 +88,11 @@ def simulated_shard(
     seed : int
     """
     bank = build_bank(mix, count=count, seed=seed, first=shard * count)
-    index = torch.arange(count)
     with torch.no_grad():
         return simulate(
             bank,
             scenes,
-            index,
+            torch.arange(count),
             photography=photography,
             physics=physics,
             seed=seed * _SEEDS_APART + shard,
@@ -101,9 +101,7 @@ def simulated_shard(
 
 @dataclass(frozen=True)
 class Source:
-    """What samples are simulated from: scenes, motions, photography, and the seed of the scenes'
-    part.
-    """
+    """Scenes, motions and photography of samples, and the seed of their training or validation."""
 
     scenes: Sequence[Tensor]
     mix: MotionMix
@@ -112,8 +110,7 @@ class Source:
 
 
 def read_source(config_file: Path | str, *, held_out: bool) -> Source:
-    """Read what the samples of a run's TOML file are simulated from, with the scenes to train on
-    or those held out.
+    """Read the source of a run's samples from its TOML file, with its training or held-out scenes.
 
     Raises
     ------
@@ -124,11 +121,9 @@ def read_source(config_file: Path | str, *, held_out: bool) -> Source:
     if not config.data.photos:
         raise ValueError(f"{config_file}: data.photos is needed to prepare samples")
     least_px = PHOTO_PX + config.photography.margin
-    seen, unseen = load_scenes(
-        config.data.photos, held_out=config.data.held_out, least_px=least_px
-    )
-    seed = config.optimiser.seed + (1 if held_out else 0)
-    return Source(unseen if held_out else seen, config.motions, config.photography, seed)
+    scenes = load_scenes(config.data.photos, held_out=config.data.held_out, least_px=least_px)
+    seed = config.optimiser.seed + held_out
+    return Source(scenes[held_out], config.motions, config.photography, seed)
 
 
 def read_shards(folder: Path | str) -> Samples:
@@ -145,16 +140,17 @@ def read_shards(folder: Path | str) -> Samples:
         If there are none.
     """
     missing = "prepared samples (shard_*.npz); write them with: python -m motdiff prepare"
-    read = load_shards(folder, name=_NAME, load=_samples, missing=missing)
+    shards = load_shards(folder, name=_NAME, load=_samples, missing=missing)
     return Samples(
         *(
-            torch.cat([getattr(part, name) for part in read])
+            torch.cat([getattr(shard, name) for shard in shards])
             for name in ("photos", "kernels", "x0", "dwell")
         )
     )
 
 
 def _arrays(samples: Samples) -> dict[str, NDArray[np.generic]]:
+    # the root spreads 8 bits over the light evenly to the eye: without it, shadows would band
     grey = samples.photos.mean(dim=1, keepdim=True).clamp(0, 1).sqrt()
     path = samples.x0 > 0
     return {

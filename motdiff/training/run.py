@@ -1,6 +1,4 @@
-"""One piece of a training run: sources, steps, checkpoints, progress; it ends by steps, time or a
-signal.
-"""
+"""One piece of a training run: sources, steps, checkpoints and progress."""
 
 from __future__ import annotations
 
@@ -36,14 +34,12 @@ _VALIDATION_SEED = 7
 _VALIDATION_BATCH = 32
 _SAMPLING_STEPS = 10
 _TRIAL_PHOTOS = 2
-_SLACK_S = 5.0  # by which a last validation may exceed the minutes of a piece
+_SLACK_S = 5.0  # of a last validation beyond the minutes of a piece: its time is an estimate
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Batches to learn from, and the fixed ones to validate on, of other photos and other
-    motions.
-    """
+    """Training batches, and fixed validation batches of other photos and motions."""
 
     training: BatchSource
     validation: tuple[Batch, ...]
@@ -98,42 +94,40 @@ def make_sources(
     """
     data = config.data
     seed = config.optimiser.seed
-    wanted = {
+    inputs = {
         "photo": config.network.backbone != "none",
         "physics": config.network.physics_channels > 0,
     }
     if data.prepared:
-        known = _shards("prepared", data.prepared)
-        _check_channels(config, known.kernels.shape[1])
+        samples = _shards("prepared", data.prepared)
+        _check_channels(config, samples.kernels.shape[1])
         held_out = _shards("prepared_validation", data.prepared_validation)
-        kept = PreparedSource(held_out, seed=_VALIDATION_SEED, symmetries=False, **wanted)
-        fixed = kept.batch(0, min(data.validation, len(kept))).split(_VALIDATION_BATCH)
+        validation = PreparedSource(held_out, seed=_VALIDATION_SEED, symmetries=False, **inputs)
+        count = min(data.validation, len(validation))
+        batches = validation.batch(0, count).split(_VALIDATION_BATCH)
         return Sources(
-            PreparedSource(known, seed=seed, **wanted), tuple(batch.to(device) for batch in fixed)
+            PreparedSource(samples, seed=seed, **inputs),
+            tuple(batch.to(device) for batch in batches),
         )
     _check_channels(config, len(QUICK_STARTS))
-    chunks = [
+    sizes = [
         min(_VALIDATION_BATCH, data.validation - first)
         for first in range(0, data.validation, _VALIDATION_BATCH)
     ]
     least_px = PHOTO_PX + config.photography.margin
-    seen, unseen = load_scenes(
+    scenes = load_scenes(
         data.photos, held_out=data.held_out, least_px=least_px, device=str(device)
     )
-    bank = build_bank(config.motions, count=data.motions, seed=seed, workers=workers).to(device)
-    other = build_bank(
-        config.motions,
-        count=data.validation,
-        seed=seed_of(seed, _VALIDATION_SEED),
-        workers=workers,
+    seeds = (seed, seed_of(seed, _VALIDATION_SEED))
+    banks = [
+        build_bank(config.motions, count=n, seed=bank_seed, workers=workers).to(device)
+        for n, bank_seed in zip((data.motions, data.validation), seeds, strict=True)
+    ]
+    training, held = (
+        LiveSource(bank, photos, config.photography, seed=source_seed, **inputs)
+        for bank, photos, source_seed in zip(banks, scenes, (seed, _VALIDATION_SEED), strict=True)
     )
-    check = LiveSource(
-        other.to(device), unseen, config.photography, seed=_VALIDATION_SEED, **wanted
-    )
-    return Sources(
-        LiveSource(bank, seen, config.photography, seed=seed, **wanted),
-        tuple(check.batch(i, n) for i, n in enumerate(chunks)),
-    )
+    return Sources(training, tuple(held.batch(i, n) for i, n in enumerate(sizes)))
 
 
 def train(
@@ -144,14 +138,13 @@ def train(
     pace: Pace | None = None,
     workers: int = 1,
 ) -> Trainer:
-    """Train, or go on training, until the configured steps are done, the time is up, or a signal
-    asks to stop.
+    """Train, or go on, until the configured steps are done, the time is up, or a signal comes.
 
     Parameters
     ----------
     config : TrainingConfig
     folder : path
-        Holds ``checkpoint/``, ``log.csv`` and ``progress.png``.
+        Of ``checkpoint/``, ``log.csv`` and ``progress.png``.
     device : str
     pace : Pace, optional
     workers : int
@@ -165,19 +158,19 @@ def train(
     FloatingPointError
         If the loss is no longer finite.
     """
-    began = saved = time.monotonic()
+    start_s = saved_s = time.monotonic()
     pace = pace or Pace()
-    place = Path(folder)
-    place.mkdir(parents=True, exist_ok=True)
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
     distributed = int(os.environ.get("WORLD_SIZE", "1")) > 1
     if distributed:
-        torch.distributed.init_process_group(
-            "nccl" if torch.device(device).type == "cuda" else "gloo"
-        )
+        # nccl has no operations on the CPU
+        backend = "nccl" if torch.device(device).type == "cuda" else "gloo"
+        torch.distributed.init_process_group(backend)
     try:
         trainer = Trainer(config, device=device)
-        resumed = trainer.resume(place / "checkpoint")
-        log = RunLog(place, steps=config.optimiser.steps, enabled=trainer.leads)
+        resumed = trainer.resume(target / "checkpoint")
+        log = RunLog(target, steps=config.optimiser.steps, enabled=trainer.leads)
         log.say(
             f"{'resumed at' if resumed else 'new run, from'} step {trainer.step} of"
             f" {config.optimiser.steps}"
@@ -197,31 +190,35 @@ def train(
         validated = log.resume(trainer.step, between=not due())
         timed = trainer.leads and math.isfinite(pace.minutes)
         validation_s = _validation_time_s(trainer, sources.validation) if timed else 0.0
-        end = began + 60 * pace.minutes
-        updates_end = end - (validation_s if validation_s <= 0.5 * 60 * pace.minutes else 0.0)
-        with _asked_to_stop() as asked:
+        end_s = updates_end_s = start_s + 60 * pace.minutes
+        if validation_s <= 0.5 * 60 * pace.minutes:
+            updates_end_s -= validation_s
+        # a second of them raises KeyboardInterrupt at once
+        with _stop_signals() as stop_requested:
             while trainer.step < config.optimiser.steps:
                 if trainer.leads and trainer.step and due() and not validated:
                     validate()
-                started = time.monotonic()
+                update_s = time.monotonic()
                 losses = trainer.update(sources.training)
                 validated = False
-                now = time.monotonic()
+                now_s = time.monotonic()
                 log.step(
                     trainer.step, losses, batch=config.optimiser.batch, seconds=trainer.seconds
                 )
-                another = now + (now - started)  # the end of another update
+                next_end_s = now_s + (now_s - update_s)
                 if due():
-                    another += validation_s
-                if _agreed(asked() or another > updates_end, device=trainer.device):
+                    next_end_s += validation_s
+                if _any_process(
+                    stop_requested() or next_end_s > updates_end_s, device=trainer.device
+                ):
                     break
-                if now - saved > pace.save_s:
-                    trainer.save(place / "checkpoint")
-                    saved = time.monotonic()
-        trainer.save(place / "checkpoint")
+                if now_s - saved_s > pace.save_s:
+                    trainer.save(target / "checkpoint")
+                    saved_s = time.monotonic()
+        trainer.save(target / "checkpoint")
         if trainer.leads and not validated:
             finished = trainer.step == config.optimiser.steps
-            if finished or time.monotonic() + validation_s <= end + _SLACK_S:
+            if finished or time.monotonic() + validation_s <= end_s + _SLACK_S:
                 validate()
             else:
                 log.say(
@@ -237,16 +234,14 @@ def train(
 
 
 def _validation_time_s(trainer: Trainer, batches: tuple[Batch, ...]) -> float:
-    """Seconds that a validation takes, as a few photos predict; twice, for the first time may load
-    code.
-    """
-    few = batches[0].split(_TRIAL_PHOTOS)[0]
-    seconds = []
-    for _ in range(2):
-        began = time.monotonic()
-        validation_scores(trainer, (few,))
-        seconds.append(time.monotonic() - began)
-    return min(seconds) * sum(map(len, batches)) / len(few)
+    """Time of a validation, predicted from a few photos."""
+    trial = batches[0].split(_TRIAL_PHOTOS)[0]
+    times_s = []
+    for _ in range(2):  # the first may load code
+        start_s = time.monotonic()
+        validation_scores(trainer, (trial,))
+        times_s.append(time.monotonic() - start_s)
+    return min(times_s) * sum(map(len, batches)) / len(trial)
 
 
 def validation_mnc(
@@ -259,8 +254,7 @@ def validation_mnc(
 def validation_scores(
     trainer: Trainer, batches: tuple[Batch, ...], *, steps: int = _SAMPLING_STEPS
 ) -> NDArray[np.float64]:
-    """MNC (whole-pixel shifts) of one sample per photo (N,), drawn with the averaged weights, over
-    the batches.
+    """MNC (N,), whole-pixel shifts, of one draw per photo by the averaged weights.
 
     The truth is the time-weighted HR map's own PSF.
     """
@@ -269,12 +263,12 @@ def validation_scores(
     generator = torch.Generator(trainer.device).manual_seed(_VALIDATION_SEED)
     with torch.no_grad():
         for batch in batches:
-            drawn = drawn_psfs(
+            psfs = drawn_psfs(
                 network, batch, schedule=trainer.schedule, steps=steps, generator=generator
             )
-            found = drawn.double().cpu().numpy()
-            truth = psfs_of_maps(batch.dwell[:, 0]).double().cpu().numpy()
-            scores += [mnc(a, b) for a, b in zip(found, truth, strict=True)]
+            estimates = psfs.double().cpu().numpy()
+            truths = psfs_of_maps(batch.dwell[:, 0]).double().cpu().numpy()
+            scores += [mnc(*pair) for pair in zip(estimates, truths, strict=True)]
     return np.array(scores)
 
 
@@ -287,41 +281,37 @@ def _shards(entry: str, folder: str) -> Samples:
 
 
 def _check_channels(config: TrainingConfig, kernels: int) -> None:
-    there = 2 + 2 * kernels
-    wanted = config.network.physics_channels
-    if wanted not in (0, there):
+    maps = 2 + 2 * kernels
+    channels = config.network.physics_channels
+    if channels not in (0, maps):
         raise ValueError(
-            f"network.physics_channels: must be {there}, as many as there are physics maps, got"
-            f" {wanted}"
+            f"network.physics_channels: must be {maps}, as many as there are physics maps, got"
+            f" {channels}"
         )
 
 
-def _agreed(over: bool, *, device: torch.device) -> bool:
-    """Whether any process wants to end: all must do so after the same step, or the others wait for
-    it for ever.
-    """
+def _any_process(stop: bool, *, device: torch.device) -> bool:
+    """Whether any process stops; unless all do after the same step, the others wait for ever."""
     if not torch.distributed.is_initialized():
-        return over
-    wish = torch.tensor(float(over), device=device)
-    torch.distributed.all_reduce(wish, torch.distributed.ReduceOp.MAX)
-    return bool(wish)
+        return stop
+    any_stop = torch.tensor(float(stop), device=device)
+    torch.distributed.all_reduce(any_stop, torch.distributed.ReduceOp.MAX)
+    return bool(any_stop)
 
 
 @contextmanager
-def _asked_to_stop() -> Iterator[Callable[[], bool]]:
-    """Note SIGINT and SIGTERM instead of dying: the step is finished and the state saved. A second
-    one kills.
-    """
-    seen: list[int] = []
+def _stop_signals() -> Iterator[Callable[[], bool]]:
+    """Hold back the first SIGINT or SIGTERM, so that the step is finished and the state saved."""
+    received: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:
-        if seen:
+        if received:
             raise KeyboardInterrupt
-        seen.append(number)
+        received.append(number)
 
     previous = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: bool(seen)
+        yield lambda: bool(received)
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)

@@ -1,6 +1,4 @@
-"""Training samples: a simulated photo, its quick classical kernels, and the motion registered to
-them.
-"""
+"""Training samples: a simulated photo, its classical kernels, the motion registered to them."""
 
 from __future__ import annotations
 
@@ -11,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from motdiff.estimators.pmp.grids import shifted
 from motdiff.network.condition import PHOTO_PX
 from motdiff.network.physics_maps import quick_kernels
 from motdiff.psf_frame import MAP_PITCH, PSF_PX
@@ -19,8 +18,8 @@ from motdiff.training.photos import crops
 from motdiff.training.simulation import Photography, photographed
 
 _KERNEL_BATCH = 8  # on a CPU larger ones fall out of the cache
-_REACH_MAP_PX = 32
-_ALIKE = 0.6  # below, the kernel is wrong and gives no position of the path
+_MAX_SHIFT = 32  # HR-map pixels
+_MIN_CORRELATION = 0.6  # below, the kernel is wrong and gives no position of the path
 
 
 @dataclass(frozen=True)
@@ -82,19 +81,20 @@ def simulate(
     if physics:
         grey = photos.mean(dim=1, keepdim=True)
         step = _KERNEL_BATCH if device.type == "cpu" else len(index)
-        parts = [
-            quick_kernels(grey[i : i + step], sigma=float(sigma[i : i + step].median()))
-            for i in range(0, len(index), step)
-        ]
-        kernels = torch.cat(parts)
-        move = registration(kernels, dwell)
-        x0 = shifted(x0, move)
-        dwell = shifted(dwell, move)
+        kernels = torch.cat(
+            [
+                quick_kernels(grey[i : i + step], sigma=float(sigma[i : i + step].median()))
+                for i in range(0, len(index), step)
+            ]
+        )
+        shift = registration(kernels, dwell)
+        x0 = shifted(x0, shift)
+        dwell = shifted(dwell, shift)
     return Samples(photos, kernels, x0, dwell)
 
 
 def registration(kernels: Tensor, dwell: Tensor) -> Tensor:
-    """Shift of the motion that lays it on the most alike of its kernels.
+    """Shift of the motion onto the kernel that correlates best with it.
 
     A photo does not determine the position of the path, so a classical kernel is a pixel or two
     off the truth, which pixel-wise losses would penalise.
@@ -107,7 +107,7 @@ def registration(kernels: Tensor, dwell: Tensor) -> Tensor:
 
     Returns
     -------
-    (B, 2) int64, HR-map pixels down and right; 0 where every kernel is lost
+    (B, 2) int64, HR-map pixels down and right; 0 where every kernel is wrong
     """
     if kernels.shape[1] == 0:
         return torch.zeros(len(dwell), 2, dtype=torch.int64, device=dwell.device)
@@ -115,28 +115,11 @@ def registration(kernels: Tensor, dwell: Tensor) -> Tensor:
     fine = functional.avg_pool2d(fine, 5, 1, 2)
     truth = functional.avg_pool2d(functional.avg_pool2d(dwell, 3, 1, 1), 5, 1, 2)
     spectrum = torch.fft.rfft2(fine) * torch.fft.rfft2(truth).conj()
-    reach = _REACH_MAP_PX
-    lags = torch.fft.irfft2(spectrum, s=fine.shape[-2:]).roll((reach, reach), (-2, -1))
-    lags = lags[..., : 2 * reach + 1, : 2 * reach + 1]
+    lags = torch.fft.irfft2(spectrum, s=fine.shape[-2:]).roll((_MAX_SHIFT, _MAX_SHIFT), (-2, -1))
+    side = 2 * _MAX_SHIFT + 1
+    lags = lags[..., :side, :side]
     norms = fine.square().sum(dim=(-2, -1)).sqrt() * truth.square().sum(dim=(-2, -1)).sqrt()
-    alike, where = (lags / norms[..., None, None].clamp(min=1e-12)).flatten(1).max(dim=1)
-    side = 2 * reach + 1
-    where = where % (side * side)
-    move = torch.stack([where // side, where % side], dim=1) - reach
-    return torch.where(alike[:, None] >= _ALIKE, move, torch.zeros_like(move))
-
-
-def shifted(maps: Tensor, move: Tensor) -> Tensor:
-    """Move each map (B, C, H, W) by whole pixels (B, 2), down and right; pixels that leave the
-    frame are lost.
-    """
-    batch, channels, height, width = maps.shape
-    row = torch.arange(height, device=maps.device)[None, :] - move[:, :1]
-    column = torch.arange(width, device=maps.device)[None, :] - move[:, 1:]
-    inside = ((row >= 0) & (row < height))[:, None, :, None] & ((column >= 0) & (column < width))[
-        :, None, None, :
-    ]
-    rows = row.clamp(0, height - 1)[:, None, :, None].expand(batch, channels, height, width)
-    columns = column.clamp(0, width - 1)[:, None, None, :].expand(batch, channels, height, width)
-    moved: Tensor = maps.gather(2, rows).gather(3, columns) * inside
-    return moved
+    peak, at = (lags / norms[..., None, None].clamp(min=1e-12)).flatten(1).max(dim=1)
+    at = at % (side * side)  # the kernel's own number does not matter
+    shift = torch.stack([at // side, at % side], dim=1) - _MAX_SHIFT
+    return torch.where(peak[:, None] >= _MIN_CORRELATION, shift, torch.zeros_like(shift))

@@ -1,4 +1,4 @@
-"""Shards: numbered files of samples in a folder, each written once and whole, and read back."""
+"""Shards: numbered files of samples in a folder."""
 
 from __future__ import annotations
 
@@ -17,14 +17,7 @@ _Loaded = TypeVar("_Loaded")
 
 
 def shard_range(text: str) -> range:
-    """Read the numbers of shards, ``FIRST:LAST`` or ``FIRST:LAST:STEP``, as the option
-    ``--shards`` has them.
-
-    Raises
-    ------
-    ValueError
-        If they are others, or none.
-    """
+    """Numbers of ``--shards``, ``FIRST:LAST`` or ``FIRST:LAST:STEP``; ValueError for others."""
     try:
         first, last, *step = (int(number) for number in text.split(":"))
         shards = range(first, last, *step)
@@ -87,9 +80,9 @@ def load_shards(
     name : str
         First part of the files' names.
     load : callable
-        From the arrays of a file to what is made of them.
+        From the arrays of a file to the samples.
     missing : str
-        What a folder without any lacks, and how it is written: the end of the error.
+        Kind of the files and the command that writes them: the end of the error without any.
 
     Raises
     ------
@@ -111,5 +104,7 @@ def _loaded(file: Path, load: Callable[[Mapping[str, NDArray[np.generic]]], _Loa
             return load(stored)
     except (zipfile.BadZipFile, EOFError, KeyError, ValueError) as error:
         # numpy takes a file that is no archive for a pickle, and says how to load it unsafely
-        why = "no archive of arrays" if "pickle" in str(error) else one_line(error)
-        raise ValueError(f"{file}: is damaged ({why}); delete it and prepare it again") from error
+        reason = "no archive of arrays" if "pickle" in str(error) else one_line(error)
+        raise ValueError(
+            f"{file}: is damaged ({reason}); delete it and prepare it again"
+        ) from error

@@ -1,7 +1,6 @@
 """Simulation of blurred training photos, in batches on the training device.
 
-:func:`motdiff.simulate.photograph` takes one photo at a time in numpy; the tests compare the two
-blurs.
+:func:`motdiff.simulate.photograph` does one photo in numpy; the tests compare the two blurs.
 """
 
 from __future__ import annotations
@@ -14,6 +13,18 @@ from torch import Tensor
 
 from motdiff.estimators.pmp.grids import fast_size
 from motdiff.simulate import border_px
+
+# ITU-T T.81 (JPEG), Annex K, table K.1: luminance
+_TABLE = (
+    (16, 11, 10, 16, 24, 40, 51, 61),
+    (12, 12, 14, 19, 26, 58, 60, 55),
+    (14, 13, 16, 24, 40, 57, 69, 56),
+    (14, 17, 22, 29, 51, 87, 80, 62),
+    (18, 22, 37, 56, 68, 109, 103, 77),
+    (24, 35, 55, 64, 81, 104, 113, 92),
+    (49, 64, 78, 87, 103, 121, 120, 101),
+    (72, 92, 95, 98, 112, 100, 103, 99),
+)
 
 
 @dataclass(frozen=True)
@@ -72,8 +83,8 @@ def blurred(sharp: Tensor, psfs: Tensor) -> Tensor:
     (height, width), (rows, columns) = sharp.shape[-2:], psfs.shape[-2:]
     frame = (fast_size(height), fast_size(width))  # what wraps around is cut away
     product = torch.fft.rfft2(sharp, s=frame) * torch.fft.rfft2(psfs, s=frame)
-    whole: Tensor = torch.fft.irfft2(product, s=frame)
-    return whole[..., rows - 1 : height, columns - 1 : width]
+    periodic: Tensor = torch.fft.irfft2(product, s=frame)
+    return periodic[..., rows - 1 : height, columns - 1 : width]
 
 
 def photographed(
@@ -104,23 +115,22 @@ def photographed(
     def with_share(share: float) -> Tensor:
         return torch.rand(batch, generator=generator, device=device) < share
 
-    gamma = torch.where(
-        with_share(0.5), torch.ones(batch, device=device), uniform(*photography.gammas)
-    )
-    each = (slice(None), None, None, None)
-    light = sharp ** gamma[each] * uniform(*photography.gains)[each]
+    ones = torch.ones(batch, device=device)
+    gamma = torch.where(with_share(0.5), ones, uniform(*photography.gammas))
+    per_photo = (slice(None), None, None, None)
+    light = sharp ** gamma[per_photo] * uniform(*photography.gains)[per_photo]
     if photography.borders == "symmetric":
         light = _mirrored(light, psfs.shape[-1])
     sigma = photography.most_noise * torch.rand(batch, generator=generator, device=device).square()
     photo = blurred(light, psfs[:, None])
-    photo = photo + sigma[each] * torch.randn(photo.shape, generator=generator, device=device)
-    display = photo.clamp(0, 1) ** (1 / gamma[each])
+    noise = torch.randn(photo.shape, generator=generator, device=device)
+    photo = photo + sigma[per_photo] * noise
+    display = photo.clamp(0, 1) ** (1 / gamma[per_photo])
     lossy = jpeg_loss(display, uniform(*photography.qualities))
-    display = torch.where(with_share(photography.jpeg)[each], lossy, (255 * display).round() / 255)
-    decoding = torch.where(
-        with_share(photography.wrong_gamma), uniform(0.7, 1.4), torch.ones(batch, device=device)
-    )
-    return display ** (gamma * decoding)[each], sigma
+    compressed = with_share(photography.jpeg)[per_photo]
+    display = torch.where(compressed, lossy, (255 * display).round() / 255)
+    gamma_error = torch.where(with_share(photography.wrong_gamma), uniform(0.7, 1.4), ones)
+    return display ** (gamma * gamma_error)[per_photo], sigma
 
 
 def _mirrored(light: Tensor, size: int) -> Tensor:
@@ -132,19 +142,6 @@ def _mirrored(light: Tensor, size: int) -> Tensor:
         last = light.narrow(axis, light.shape[axis] - after, after).flip(axis)
         light = torch.cat([first, light, last], dim=axis)
     return light
-
-
-# ITU-T T.81 (JPEG), Annex K, table K.1: luminance
-_TABLE = (
-    (16, 11, 10, 16, 24, 40, 51, 61),
-    (12, 12, 14, 19, 26, 58, 60, 55),
-    (14, 13, 16, 24, 40, 57, 69, 56),
-    (14, 17, 22, 29, 51, 87, 80, 62),
-    (18, 22, 37, 56, 68, 109, 103, 77),
-    (24, 35, 55, 64, 81, 104, 113, 92),
-    (49, 64, 78, 87, 103, 121, 120, 101),
-    (72, 92, 95, 98, 112, 100, 103, 99),
-)
 
 
 def jpeg_loss(photos: Tensor, quality: Tensor) -> Tensor:
@@ -172,10 +169,10 @@ def jpeg_loss(photos: Tensor, quality: Tensor) -> Tensor:
     table = torch.tensor(_TABLE, dtype=photos.dtype, device=photos.device)
     clamped = quality.clamp(1, 100)
     scale = torch.where(clamped < 50, 50 / clamped, 2 - clamped / 50)[:, None, None]
+    # the Independent JPEG Group's jpeg_quality_scaling: 50 is the table itself
     steps = (table * scale + 0.5).floor().clamp(1, 255)[:, None, None, None]  # (B, 1, 1, 1, 8, 8)
-    blocks = (
-        (255 * photos - 128).view(batch, channels, height // 8, 8, width // 8, 8).transpose(3, 4)
-    )
+    levels = 255 * photos - 128
+    blocks = levels.view(batch, channels, height // 8, 8, width // 8, 8).transpose(3, 4)
     spectrum = cosine @ blocks @ cosine.T
     restored = cosine.T @ ((spectrum / steps).round() * steps) @ cosine
     image = (restored.transpose(3, 4).reshape(batch, channels, height, width) + 128) / 255

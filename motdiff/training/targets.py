@@ -17,7 +17,7 @@ _BLURS_PX = (0.6, 1.8, 5.0)  # the sharpest is nearly MNC; the others pull from 
 
 
 def psf_batch(batch: Batch) -> Batch:
-    """Batch whose ``x0`` (B, 1, 64, 64) are PSFs as they are diffused, see :func:`psf_signals`."""
+    """Batch whose ``x0`` (B, 1, 64, 64) are signals of PSFs, see :func:`psf_signals`."""
     signals = psf_signals(psfs_of_maps(batch.dwell))
     return Batch(batch.photo, batch.physics, signals, torch.zeros_like(signals))
 
@@ -34,23 +34,20 @@ def path_psfs(coefficients: Tensor, centre_px: Tensor, *, variance_px2: float) -
     variance_px2 : float, px^2
         Of a dot along each axis.
     """
-    tau = (
-        torch.arange(_POINTS, device=coefficients.device, dtype=coefficients.dtype) + 0.5
-    ) / _POINTS - 0.5
+    index = torch.arange(_POINTS, device=coefficients.device, dtype=coefficients.dtype)
+    tau = (index + 0.5) / _POINTS - 0.5
     shapes = torch.stack([tau, tau.square() - 1 / 12])  # (2, N)
     points = torch.einsum("sn,bsx->bxn", shapes, coefficients) + centre_px[..., None]
-    at = torch.arange(PSF_PX, device=tau.device, dtype=tau.dtype) - PSF_PX // 2
-    dots = torch.exp(
-        -(at[:, None] - points[:, :, None, :]).square() / (2 * variance_px2)
-    )  # (B, 2, 64, N)
+    x = torch.arange(PSF_PX, device=tau.device, dtype=tau.dtype) - PSF_PX // 2
+    # (B, 2, 64, N): a dot is the product of its two profiles
+    dots = torch.exp(-(x[:, None] - points[:, :, None, :]).square() / (2 * variance_px2))
     return dots[:, 1] @ dots[:, 0].transpose(1, 2)
 
 
 def path_loss(coefficients: Tensor, dwell: Tensor) -> Tensor:
-    """One minus the correlation of the paths' PSFs with the true ones, best over shifts; the mean
-    over three blurs.
+    """One minus the correlation, best over shifts, of the paths' PSFs with the true ones.
 
-    A path and its reverse have the same PSF, so the loss does not depend on the direction.
+    The mean over three blurs. A path and its reverse have the same PSF, hence the same loss.
 
     Parameters
     ----------
@@ -63,13 +60,13 @@ def path_loss(coefficients: Tensor, dwell: Tensor) -> Tensor:
     () tensor
     """
     truth = psfs_of_maps(dwell[:, 0])
-    at = torch.arange(PSF_PX, device=truth.device, dtype=truth.dtype) - PSF_PX // 2
-    centre_px = torch.stack([truth.sum(dim=1) @ at, truth.sum(dim=2) @ at], dim=1)
+    x = torch.arange(PSF_PX, device=truth.device, dtype=truth.dtype) - PSF_PX // 2
+    centre_px = torch.stack([truth.sum(dim=1) @ x, truth.sum(dim=2) @ x], dim=1)
     losses = []
     for blur_px in _BLURS_PX:
-        drawn = path_psfs(coefficients, centre_px, variance_px2=blur_px**2 + _HAT_VARIANCE_PX2)
-        blur = torch.exp(-(at[:, None] - at[None, :]).square() / (2 * blur_px**2))
-        losses.append(1 - _most_alike(drawn, blur @ truth @ blur))
+        psfs = path_psfs(coefficients, centre_px, variance_px2=blur_px**2 + _HAT_VARIANCE_PX2)
+        blur = torch.exp(-(x[:, None] - x[None, :]).square() / (2 * blur_px**2))
+        losses.append(1 - _peak_correlation(psfs, blur @ truth @ blur))
     return torch.stack(losses).mean()
 
 
@@ -96,17 +93,17 @@ def drawn_psfs(
         psfs = path_psfs(paths, torch.zeros_like(paths[:, 0]), variance_px2=_HAT_VARIANCE_PX2)
         return psfs / psfs.sum(dim=(1, 2), keepdim=True)
     condition = network.condition(batch.photo, batch.physics)
-    drawn = sample_paths(
+    draws = sample_paths(
         network, condition, count=1, schedule=schedule, steps=steps, generator=generator
     )
-    return drawn.psfs()[:, 0] if network.pitch > 1 else psfs_of_signals(drawn.path[:, 0])
+    return draws.psfs()[:, 0] if network.pitch > 1 else psfs_of_signals(draws.path[:, 0])
 
 
-def _most_alike(first: Tensor, second: Tensor) -> Tensor:
+def _peak_correlation(first: Tensor, second: Tensor) -> Tensor:
     """Mean over the batch of the greatest normalised correlation over whole-pixel shifts."""
     frame = (2 * PSF_PX, 2 * PSF_PX)
     spectrum = torch.fft.rfft2(first, s=frame) * torch.fft.rfft2(second, s=frame).conj()
     peaks = torch.fft.irfft2(spectrum, s=frame).flatten(1).amax(dim=1)
     norms = first.flatten(1).norm(dim=1) * second.flatten(1).norm(dim=1)
-    alike: Tensor = (peaks / norms.clamp(min=1e-12)).mean()
-    return alike
+    correlation: Tensor = (peaks / norms.clamp(min=1e-12)).mean()
+    return correlation

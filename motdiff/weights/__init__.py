@@ -83,7 +83,7 @@ def export_weights(
     found = read_checkpoint(checkpoint)
     if found is None:
         raise ValueError(f"{checkpoint}: holds no checkpoint")
-    tensors = halved(found.part("ema."), source=checkpoint)
+    tensors = halved(found.under("ema."), source=checkpoint)
     if offset and _OUTPUT_BIAS not in tensors:
         raise ValueError(f"offset: must be 0 for weights without a denoiser, got {offset:g}")
     if offset:

@@ -18,13 +18,14 @@ from torch.nn import functional
 
 from motdiff.estimators.kernel_score import noise_sigma
 from motdiff.estimators.pmp.estimator import PmpEstimator
+from motdiff.estimators.pmp.grids import shifted
 from motdiff.network.correction import CorrectionNetwork, corrected, correction_maps
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.psf_frame import in_frame
 from motdiff.threads import one_thread_a_call
 from motdiff.training.motion_bank import MotionMix
 from motdiff.training.prepared import simulated_shard
-from motdiff.training.samples import Samples, registration, shifted
+from motdiff.training.samples import Samples, registration
 from motdiff.training.shards import load_shards, write_shards
 from motdiff.training.simulation import Photography
 

@@ -156,12 +156,12 @@ class Trainer:
                 f"{name}: the run in {folder} has {found.config.get(name)!r}, got"
                 f" {settings[name]!r}"
             )
-        self.network.load_state_dict(found.part("model."))
+        self.network.load_state_dict(found.under("model."))
         with torch.no_grad():
             self.weights.copy_(found.tensors["code"])
         for kind, adam in (("adam.", self._adam), ("code_adam.", self._code_adam)):
             state: dict[int, dict[str, Tensor]] = {}
-            for name, value in found.part(kind).items():
+            for name, value in found.under(kind).items():
                 number, entry = name.split(".", 1)
                 state.setdefault(int(number), {})[entry] = value
             adam.load_state_dict(

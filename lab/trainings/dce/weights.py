@@ -145,5 +145,5 @@ def export_weights(
         "notes": dict(notes or {}),
     }
     return write_with_card(
-        found.part("model."), target, schema=SCHEMA, card=card, source=checkpoint
+        found.under("model."), target, schema=SCHEMA, card=card, source=checkpoint
     )

@@ -1,6 +1,4 @@
-"""Blind kernel estimation from coarse to fine with the patch-wise minimal pixels prior, batched in
-torch.
-"""
+"""Blind kernel estimation from coarse to fine with the patch-wise minimal pixels prior (PMP)."""
 
 from __future__ import annotations
 
@@ -27,9 +25,7 @@ _SMOOTHNESS_FLOOR = 4.0
 _SMOOTHNESS_PER_VARIANCE = 1.6e5
 _FINE_SMOOTHNESS = 0.3
 _FINE_SPARSITY = 0.5
-_FINE_KEEP_SHARE = (
-    0.01  # all gradients separate fainter parts from noise than salient edges, with 0.05
-)
+_FINE_KEEP_SHARE = 0.01  # salient edges need 0.05: all gradients resolve fainter light
 _FINE_GRADIENT_FLOOR = 2e-4
 _FINE_GRADIENT_PER_VARIANCE = 2.5
 _COUPLING = Coupling(start=16.0, end=100.0, growth=1.5)
@@ -37,9 +33,7 @@ _FINE_COUPLING = Coupling(end=100.0)  # slower growth, as in the search, loses 0
 _ROUNDS = (6, 15)  # descent steps of the search's kernels and of the refinement's
 _FINE_ROUNDS = (25, 50)
 _REFINEMENTS = 3
-_ALTERNATION_PX = (
-    2e4  # what an alternation costs whatever the size of the photo, as px of a larger one
-)
+_ALTERNATION_PX = 2e4  # fixed cost of an alternation, in pixels of the photo
 # share of the noise assumed in a shrunk photo: 0.4 and less remains, but assuming that loses 0.01
 _SHRUNK_NOISE = 0.45
 
@@ -66,8 +60,8 @@ class PmpSettings:
     keep_share : float
         Values below this share of the peak are dropped at full size, before the refinement.
     fine_weights : tuple of float
-        Weights of the gradient count of as many closing alternations at each scale, which look at
-        all gradients: salient edges alone lead away even from the truth. With any,
+        Weights of the gradient count of as many closing alternations at each scale, which use all
+        gradients: salient edges alone lead away even from the truth. With any,
         :func:`refine_kernel` closes the full size.
     sigma : float
         Standard deviation of the photo's noise.
@@ -99,7 +93,7 @@ def estimate_kernels(
     *,
     size: int,
     settings: PmpSettings | None = None,
-    tell: Callable[[float], None] = lambda _share: None,
+    on_progress: Callable[[float], None] = lambda _share: None,
 ) -> Tensor:
     """Estimate one blur kernel per photo from its crops.
 
@@ -110,7 +104,7 @@ def estimate_kernels(
     size : int
         Odd side of the kernel frame, px; the kernel should fill a good part of it.
     settings : PmpSettings, optional
-    tell : callable, optional
+    on_progress : callable, optional
         Called with the finished share 0..1, after each alternation of photo and kernel.
 
     Returns
@@ -122,19 +116,20 @@ def estimate_kernels(
     Wen et al., "A simple local minimal intensity prior and an improved algorithm for blind image
     deblurring", IEEE TCSVT 2021, algorithm 3.
     """
-    chosen = settings or PmpSettings()
+    settings = settings or PmpSettings()
     scales = max(math.floor(math.log(_COARSEST_PX / size) / math.log(_RATIO)), 0) + 1
-    patch_px = max(2, math.floor(chosen.patch_share * 0.5 * (photos.shape[-1] + photos.shape[-2])))
-    intensity = chosen.intensity_weight
-    gradient = chosen.gradient_weight
+    mean_side_px = 0.5 * (photos.shape[-1] + photos.shape[-2])
+    patch_px = max(2, math.floor(settings.patch_share * mean_side_px))
+    intensity = settings.intensity_weight
+    gradient = settings.gradient_weight
     kernel = photos.new_zeros(0)
     threshold = photos.new_zeros(0)
     batch, crops = photos.shape[:2]
     flat = photos.flatten(0, 1)
     costs = [_ALTERNATION_PX + flat.numel() * _RATIO ** (2 * scale) for scale in range(scales)]
-    rounds = [chosen.last_iterations + (_REFINEMENTS if chosen.fine_weights else 0)]
-    rounds += [chosen.iterations + len(chosen.fine_weights)] * (scales - 1)
-    done = 0.0
+    rounds = [settings.last_iterations + (_REFINEMENTS if settings.fine_weights else 0)]
+    rounds += [settings.iterations + len(settings.fine_weights)] * (scales - 1)
+    cost = 0.0
     total = float(sum(cost * count for cost, count in zip(costs, rounds, strict=True)))
     for scale in reversed(range(scales)):
         side = _odd(math.ceil(size * _RATIO**scale))
@@ -151,7 +146,7 @@ def estimate_kernels(
         blurred_gradients = _by_photo(
             salient_gradients(blurred, torch.zeros_like(threshold)), batch
         )
-        for _ in range(chosen.iterations if scale else chosen.last_iterations):
+        for _ in range(settings.iterations if scale else settings.last_iterations):
             latent = l0_pmp_latent(
                 wrapped,
                 kernel.repeat_interleave(crops, dim=0),
@@ -159,50 +154,50 @@ def estimate_kernels(
                 gradient_weight=gradient,
                 patch_px=patch_px,
                 coarse=scale + 1 >= scales / 2,
-                coupling=chosen.coupling,
+                coupling=settings.coupling,
             )[:, :height, :width]
             kernel = fit_kernel(
                 _by_photo(salient_gradients(latent, threshold), batch),
                 blurred_gradients,
                 size=side,
-                ridge=chosen.ridge,
-                smoothness=chosen.smoothness,
-                sparsity=chosen.sparsity,
+                ridge=settings.ridge,
+                smoothness=settings.smoothness,
+                sparsity=settings.sparsity,
                 rounds=_ROUNDS,
             )
             kernel = without_specks(kernel)
+            # weaker priors from step to step: the kernel is better, so fainter edges are true ones
             threshold = threshold / _DECAY
-            intensity = max(intensity / _DECAY, chosen.intensity_floor)
-            gradient = max(gradient / _DECAY, chosen.gradient_floor)
-            done += costs[scale]
-            tell(done / total)
-        for weight in chosen.fine_weights if scale else ():
+            intensity = max(intensity / _DECAY, settings.intensity_floor)
+            gradient = max(gradient / _DECAY, settings.gradient_floor)
+            cost += costs[scale]
+            on_progress(cost / total)
+        for weight in settings.fine_weights if scale else ():
             kernel = _fitted_to_all(
                 wrapped,
                 blurred_gradients,
                 kernel,
                 gradient_weight=weight,
-                sigma=_SHRUNK_NOISE * chosen.sigma,
-                coupling=chosen.coupling,
+                sigma=_SHRUNK_NOISE * settings.sigma,
+                coupling=settings.coupling,
                 rounds=_ROUNDS,
             )
-            done += costs[scale]
-            tell(done / total)
-        kernel = centred(kernel)
-    kernel = without_faint_light(kernel, below=chosen.keep_share)
-    if chosen.fine_weights:
-        kernel = centred(refine_kernel(photos, kernel, sigma=chosen.sigma))
-    tell(1.0)
+            cost += costs[scale]
+            on_progress(cost / total)
+        kernel = centred(kernel)  # else the next scale's frame might cut it
+    kernel = without_faint_light(kernel, below=settings.keep_share)
+    if settings.fine_weights:
+        kernel = centred(refine_kernel(photos, kernel, sigma=settings.sigma))
+    on_progress(1.0)
     return kernel
 
 
 def refine_kernel(photos: Tensor, kernel: Tensor, *, sigma: float) -> Tensor:
-    """Fit the kernel three times more at full size, to all gradients of a latent photo with fine
-    detail.
+    """Fit the kernel three times more at full size, to all gradients of a detailed latent photo.
 
-    The search keeps only strong edges, for robustness; with the kernel found, the other gradients
-    determine its faint parts better. Measured on 24 simulated photos: MNC + 0.015 and restored
-    PSNR + 0.1 dB up to sigma 0.01, nothing at 0.02.
+    The search uses only strong edges, for robustness; near the solution the other gradients
+    determine the kernel's faint parts better. Measured on 24 simulated photos: MNC + 0.015 and
+    restored PSNR + 0.1 dB up to sigma 0.01, nothing at 0.02.
 
     Parameters
     ----------
@@ -241,8 +236,7 @@ def fine_latent(
     gradient_weight: float = _FINE_GRADIENT_FLOOR,
     coupling: Coupling = _FINE_COUPLING,
 ) -> Tensor:
-    """Restore a latent photo with fine detail: few gradients, fewer where the noise is large, no
-    minimal pixels.
+    """Restore a latent photo with fine detail, with a prior on gradients alone.
 
     Parameters
     ----------
@@ -281,8 +275,7 @@ def _fitted_to_all(
 ) -> Tensor:
     """Alternate photo and kernel (B, k, k) once, without minimal pixels and with all gradients.
 
-    ``wrapped`` (B * C, H', W') is the photo made periodic, ``blurred`` its gradients, (B, C, H -
-    1, W - 1).
+    ``wrapped`` (B C, H', W') is the photo made periodic, ``blurred`` its (B, C, H - 1, W - 1).
     """
     batch, crops, rows, columns = blurred[0].shape
     repeated = kernel.repeat_interleave(crops, dim=0)
@@ -308,6 +301,7 @@ def _odd(size: int) -> int:
 
 
 def _start_kernel(photos: Tensor, side: int) -> Tensor:
+    # from a point the search tends to stay at the no-blur solution (Levin et al., CVPR 2009)
     kernel = photos.new_zeros(photos.shape[0], side, side)
     kernel[:, side // 2, side // 2 - 1 : side // 2 + 1] = 0.5
     return kernel

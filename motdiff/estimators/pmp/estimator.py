@@ -1,6 +1,4 @@
-"""PMP estimator for photos of any size: several starts, kernel scores, and a calibrated
-confidence.
-"""
+"""PMP estimator for photos of any size: several starts, kernel scores, calibrated confidence."""
 
 from __future__ import annotations
 
@@ -31,8 +29,8 @@ class Start:
     size : int
         Odd side of the kernel frame, px.
     quarter_turns : int
-        The photo is turned by so many right angles, and the kernel turned back: another path to
-        the optimum.
+        The photo is turned by so many right angles, and the kernel turned back: the descent
+        reaches another optimum.
     sparsity : float
         Weight of the kernel's sum: low where a strong one would shrink a long path to a dot.
     gradient_weight : float
@@ -120,32 +118,30 @@ class PmpEstimator(BlindEstimator):
         return FoundKernels(tuple(kernels), ranking.probabilities, ranking.best, details)
 
     def kernels(self, crops: FloatArray, *, progress: Progress | None = None) -> list[FloatArray]:
-        """Kernels of the starts on the crops (C, H, W), each (size, size), sum 1; of the first two
-        where they agree.
+        """Kernels (size, size), sum 1, of the starts on crops (C, H, W), or of two that agree.
 
         A start costs 1 of the ``progress``, :func:`planned` in all.
         """
-        told = progress or Progress()
-        jobs = [partial(self._run, crops, start, tell=told.piece(1.0)) for start in self._starts]
-        found = side_by_side(jobs[:2])
+        progress = progress or Progress()
+        jobs = [
+            partial(self._run, crops, start, on_progress=progress.piece(1.0))
+            for start in self._starts
+        ]
+        kernels = side_by_side(jobs[:2])
         if len(jobs) > 2:
-            agreed = mnc_subpixel(*found) >= _AGREED_MNC
-            told.expect_more((2 if agreed else len(jobs)) - planned(len(jobs)))
+            agreed = mnc_subpixel(*kernels) >= _AGREED_MNC
+            progress.expect_more((2 if agreed else len(jobs)) - planned(len(jobs)))
             if not agreed:
-                found += side_by_side(jobs[2:])
-        return found
+                kernels += side_by_side(jobs[2:])
+        return kernels
 
     def single(self, crops: FloatArray, found: FoundKernels) -> list[FloatArray]:
         """Run the winning start on each crop alone."""
+        start = self._starts[found.best]
         cost = _SINGLE_COST / len(crops)
         return side_by_side(
             [
-                partial(
-                    self._run,
-                    crop[None],
-                    self._starts[found.best],
-                    tell=self._progress.piece(cost),
-                )
+                partial(self._run, crop[None], start, on_progress=self._progress.piece(cost))
                 for crop in crops
             ]
         )
@@ -155,43 +151,33 @@ class PmpEstimator(BlindEstimator):
         return refined(crops, kernel, shared_sigma(crops), device=self._device)
 
     def _run(
-        self, crops: FloatArray, start: Start, *, tell: Callable[[float], None]
+        self, crops: FloatArray, start: Start, *, on_progress: Callable[[float], None]
     ) -> FloatArray:
-        turned = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
-        batch = torch.from_numpy(np.ascontiguousarray(turned))[None].to(self._device)
-        settings = PmpSettings.for_noise(shared_sigma(crops))
+        rotated = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
+        batch = torch.from_numpy(np.ascontiguousarray(rotated))[None].to(self._device)
         settings = replace(
-            settings, sparsity=start.sparsity, gradient_weight=start.gradient_weight
+            PmpSettings.for_noise(shared_sigma(crops)),
+            sparsity=start.sparsity,
+            gradient_weight=start.gradient_weight,
         )
         size = min(start.size, (min(crops.shape[1:]) // 2) * 2 - 1)
-        kernel = estimate_kernels(batch, size=size, settings=settings, tell=tell)[0].cpu().numpy()
-        return np.ascontiguousarray(np.rot90(kernel, -start.quarter_turns), dtype=np.float64)
+        kernels = estimate_kernels(batch, size=size, settings=settings, on_progress=on_progress)
+        kernel = np.rot90(kernels[0].cpu().numpy(), -start.quarter_turns)
+        return np.ascontiguousarray(kernel, dtype=np.float64)
 
 
 def planned(starts: int) -> float:
-    """Say how many of so many starts are run on average, as others than the first two are only
-    where these disagree.
-    """
+    """Mean number of starts run: those after the first two only where these disagree."""
     return min(starts, 2) + _DISAGREE * max(starts - 2, 0)
 
 
 def refined(
     crops: FloatArray, kernel: FloatArray, sigma: float, *, device: str = "cpu"
 ) -> FloatArray:
-    """Refine a kernel (k, k) on the crops (C, H, W):
-    :func:`motdiff.estimators.pmp.blind.refine_kernel`.
-
-    Parameters
-    ----------
-    crops : (C, H, W) float
-    kernel : (k, k) float, odd k, sum 1
-    sigma : float
-        Standard deviation of the noise.
-    device : str
-        Torch device.
-    """
-    light = torch.from_numpy(crops.astype(np.float32))[None].to(device)
-    found = torch.from_numpy(kernel.astype(np.float32))[None].to(device)
+    """Refine a kernel (k, k) on crops (C, H, W) by :func:`~.blind.refine_kernel`, in numpy."""
+    photos, kernels = (
+        torch.from_numpy(array.astype(np.float32))[None].to(device) for array in (crops, kernel)
+    )
     with torch.no_grad():
-        found = refine_kernel(light, found, sigma=sigma)
-    return np.asarray(found[0].cpu().numpy(), dtype=np.float64)
+        kernels = refine_kernel(photos, kernels, sigma=sigma)
+    return np.asarray(kernels[0].cpu().numpy(), dtype=np.float64)

@@ -1,6 +1,4 @@
-"""Grids and frames of the multi-scale search: pyramids, periodic borders, OTFs; batched in
-torch.
-"""
+"""Grids and frames of the multi-scale search: pyramids, periodic borders, OTFs, shifts."""
 
 from __future__ import annotations
 
@@ -12,16 +10,14 @@ from torch.nn import functional
 
 
 def fast_size(size: int) -> int:
-    """Smallest even length >= ``size`` whose only prime factors are 2, 3 and 5: quick Fourier
-    transforms.
-    """
+    """Smallest even length >= ``size`` without prime factors above 5: quick Fourier transforms."""
     candidate = size + size % 2
     while True:
-        rest = candidate
+        cofactor = candidate
         for prime in (2, 3, 5):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1:
+            while cofactor % prime == 0:
+                cofactor //= prime
+        if cofactor == 1:
             return candidate
         candidate += 2
 
@@ -37,9 +33,7 @@ def gradient_power(height: int, width: int, like: Tensor) -> Tensor:
 
 
 def psf_to_otf(kernel: Tensor, shape: tuple[int, int]) -> Tensor:
-    """Half-plane OTF (B, H, W // 2 + 1) of kernels (B, k, k) with zero displacement at ``k //
-    2``.
-    """
+    """Half-plane OTF (B, H, W // 2 + 1) of kernels (B, k, k), zero displacement at ``k // 2``."""
     rows, columns = kernel.shape[-2:]
     padded = functional.pad(kernel, (0, shape[1] - columns, 0, shape[0] - rows))
     otf: Tensor = torch.fft.rfft2(padded.roll((-(rows // 2), -(columns // 2)), (-2, -1)))
@@ -47,9 +41,7 @@ def psf_to_otf(kernel: Tensor, shape: tuple[int, int]) -> Tensor:
 
 
 def downsampled(photo: Tensor, factor: float) -> Tensor:
-    """Shrink photos (B, H, W) by ``factor`` < 1: Gaussian of sigma ``1 / (2 factor)`` px, then
-    bilinear samples.
-    """
+    """Shrink photos (B, H, W) by ``factor`` <= 1, with a Gaussian against aliasing."""
     if factor == 1:
         return photo
     sigma = 1 / (2 * factor)
@@ -64,19 +56,28 @@ def downsampled(photo: Tensor, factor: float) -> Tensor:
 
 
 def resized_kernel(kernel: Tensor, factor: float, size: int) -> Tensor:
-    """Enlarge kernels (B, k, k) by ``factor`` into a frame of ``size`` px with the same centre;
-    sum 1.
-    """
+    """Enlarge kernels (B, k, k) by ``factor`` into a centred frame of ``size`` px; sum 1."""
     offset = kernel.shape[-1] // 2 - (size // 2) / factor
-    grown = _sampled(kernel[:, None], size, size, 1 / factor, offset, offset, "bicubic")[
-        :, 0
-    ].clamp(min=0)
+    grown = _sampled(kernel[:, None], size, size, 1 / factor, offset, offset, "bicubic")[:, 0]
+    grown = grown.clamp(min=0)
     return grown / grown.sum(dim=(1, 2), keepdim=True).clamp(min=1e-12)
 
 
+def shifted(maps: Tensor, shift: Tensor) -> Tensor:
+    """Shift maps (B, C, H, W) by whole pixels (B, 2), down and right, with 0 at the borders."""
+    batch, channels, height, width = maps.shape
+    row = torch.arange(height, device=maps.device)[None, :] - shift[:, :1]
+    column = torch.arange(width, device=maps.device)[None, :] - shift[:, 1:]
+    rows_inside = ((row >= 0) & (row < height))[:, None, :, None]
+    inside = rows_inside & ((column >= 0) & (column < width))[:, None, None, :]
+    rows = row.clamp(0, height - 1)[:, None, :, None].expand(batch, channels, height, width)
+    columns = column.clamp(0, width - 1)[:, None, None, :].expand(batch, channels, height, width)
+    out: Tensor = maps.gather(2, rows).gather(3, columns) * inside
+    return out
+
+
 def periodic_extension(photo: Tensor, shape: tuple[int, int]) -> Tensor:
-    """Extend photos (B, H, W) to ``shape`` so that they wrap around smoothly: harmonic strips join
-    opposite edges.
+    """Extend photos (B, H, W) to ``shape`` by harmonic strips that join opposite edges.
 
     References
     ----------
@@ -104,18 +105,15 @@ def periodic_extension(photo: Tensor, shape: tuple[int, int]) -> Tensor:
 def _joining_strip(first: Tensor, last: Tensor, thickness: int) -> Tensor:
     """Harmonic strip (B, thickness, W) between two edges (B, W), its short sides linear."""
     frame = first.new_zeros(first.shape[0], thickness + 2, first.shape[1])
-    ramp = torch.linspace(0, 1, thickness + 2, device=first.device, dtype=first.dtype)[
-        None, :, None
-    ]
+    ramp = torch.linspace(0, 1, thickness + 2, device=first.device, dtype=first.dtype)
+    ramp = ramp[None, :, None]
     frame[:] = first[:, None, :] * (1 - ramp) + last[:, None, :] * ramp
     frame[:, 1:-1, 1:-1] = _harmonic(frame)
     return frame[:, 1:-1, :]
 
 
 def _harmonic(frame: Tensor) -> Tensor:
-    """Interior (B, m, n) of the harmonic function with the border values of ``frame`` (B, m + 2, n
-    + 2).
-    """
+    """Interior (B, m, n) of the harmonic function with the border of frames (B, m + 2, n + 2)."""
     rows = frame.shape[1] - 2
     columns = frame.shape[2] - 2
     source = frame.new_zeros(frame.shape[0], rows, columns)
@@ -123,6 +121,7 @@ def _harmonic(frame: Tensor) -> Tensor:
     source[:, -1, :] += frame[:, -1, 1:-1]
     source[:, :, 0] += frame[:, 1:-1, 0]
     source[:, :, -1] += frame[:, 1:-1, -1]
+    # the sine transform diagonalises the Laplacian: a direct solution instead of sweeps
     (sine_r, lambda_r), (sine_c, lambda_c) = (_sine_basis(n, frame) for n in (rows, columns))
     spectrum = sine_r @ source @ sine_c / (lambda_r[:, None] + lambda_c[None, :])
     return sine_r @ spectrum @ sine_c

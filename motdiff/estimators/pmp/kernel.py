@@ -1,6 +1,4 @@
-"""The blur kernel of one blind step: sparse non-negative least squares on gradients; batched in
-torch.
-"""
+"""Blur kernel of one blind step: sparse non-negative least squares on gradients."""
 
 from __future__ import annotations
 
@@ -10,10 +8,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from motdiff.estimators.pmp.grids import fast_size, gradient_power
+from motdiff.estimators.pmp.grids import fast_size, gradient_power, shifted
 
 _SPECK_MASS = 0.1
-_SPARSITY_CAP = 0.3
+_SPARSITY_CAP = 0.3  # of the correlation's peak: above it no kernel would be left
 
 
 def fit_kernel(
@@ -27,14 +25,12 @@ def fit_kernel(
     rounds: tuple[int, int],
     keep_share: float = 0.05,
 ) -> Tensor:
-    r"""Kernel (B, size, size) that turns latent gradients into blurred ones: a sparse non-negative
-    least squares.
+    """Sparse non-negative kernel (B, size, size) that turns latent gradients into blurred ones.
 
     Minimises ``|L k - b|^2 + ridge |k|^2 + smoothness |grad k|^2 + 2 s sum(k)`` over ``k >= 0`` by
     accelerated projected gradients. ``s = sparsity * sigma * |L|`` scales with the noise that
     reaches the normal equations: ``sigma`` is the rms residual of a first fit and ``|L|^2`` the
-    energy of the latent gradients. The normal equations are Toeplitz in the kernel, so they run on
-    a frame of twice the kernel's size instead of the photo's.
+    energy of the latent gradients.
 
     Parameters
     ----------
@@ -62,62 +58,59 @@ def fit_kernel(
     spectra = [torch.fft.rfft2(gradient, s=frame) for gradient in (*latent, *blurred)]
     power = (spectra[0].abs().square() + spectra[1].abs().square()).sum(dim=1)
     cross = (spectra[0].conj() * spectra[2] + spectra[1].conj() * spectra[3]).sum(dim=1)
-    right = _lags(torch.fft.irfft2(cross, s=frame), size // 2)
+    Lb = _lags(torch.fft.irfft2(cross, s=frame), size // 2)  # right side of the normal equations
+    # L^T L is Toeplitz in the kernel: a frame of twice the kernel's size does instead of the photo
     small = fast_size(2 * size - 1)
     lags = _lags(torch.fft.irfft2(power, s=frame), size - 1)
     corner = functional.pad(lags, (0, small - lags.shape[-1], 0, small - lags.shape[-2]))
-    data = torch.fft.rfft2(corner.roll((-(size - 1), -(size - 1)), (-2, -1))).real.clamp(min=0)
-    transfer = data + smoothness * gradient_power(small, small, right) + ridge
+    LL = torch.fft.rfft2(corner.roll((-(size - 1), -(size - 1)), (-2, -1))).real.clamp(min=0)
+    A = LL + smoothness * gradient_power(small, small, Lb) + ridge
 
-    def applied(response: Tensor, x: Tensor) -> Tensor:
+    def applied(response: Tensor, k: Tensor) -> Tensor:
         product: Tensor = torch.fft.irfft2(
-            response * torch.fft.rfft2(x, s=(small, small)), s=(small, small)
+            response * torch.fft.rfft2(k, s=(small, small)), s=(small, small)
         )
         return product[:, :size, :size]
 
     latent_energy = lags[:, size - 1, size - 1].clamp(min=1e-12)
     blurred_energy = (blurred[0].square() + blurred[1].square()).sum(dim=(1, 2, 3))
     variance = blurred_energy / (2 * crops * height * width)
-    step = 1 / transfer.amax(dim=(1, 2), keepdim=True)
-    kernel = torch.full_like(right, 1 / size**2)
+    step = 1 / A.amax(
+        dim=(1, 2), keepdim=True
+    )  # over a bound of the eigenvalues: the descent converges
+    x = torch.full_like(Lb, 1 / size**2)
     for steps in rounds:
-        level = torch.minimum(
-            sparsity * (variance * latent_energy).sqrt(), _SPARSITY_CAP * right.amax(dim=(1, 2))
+        s = torch.minimum(
+            sparsity * (variance * latent_energy).sqrt(), _SPARSITY_CAP * Lb.amax(dim=(1, 2))
         )
-        target = right - level[:, None, None].clamp(min=0)
-        ahead = kernel
-        momentum = 1.0
-        for _ in range(steps):
-            descended = (ahead - (applied(transfer, ahead) - target).mul_(step)).clamp_(min=0)
-            following = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
-            ahead = (descended - kernel).mul_((momentum - 1) / following).add_(descended)
-            kernel = descended
-            momentum = following
-        misfit = blurred_energy - (kernel * (2 * right - applied(data, kernel))).sum(dim=(1, 2))
-        variance = misfit.clamp(min=0) / (2 * crops * height * width)
-    return without_faint_light(kernel, below=keep_share)
+        target = Lb - s[:, None, None].clamp(min=0)
+        y = x
+        t = 1.0
+        for _ in range(steps):  # FISTA with constant step, Beck and Teboulle, eq. 4.1 to 4.3
+            x_next = (y - (applied(A, y) - target).mul_(step)).clamp_(min=0)
+            t_next = (1 + math.sqrt(1 + 4 * t**2)) / 2
+            y = (x_next - x).mul_((t - 1) / t_next).add_(x_next)
+            x = x_next
+            t = t_next
+        residual = blurred_energy - (x * (2 * Lb - applied(LL, x))).sum(dim=(1, 2))
+        variance = residual.clamp(min=0) / (2 * crops * height * width)
+    return without_faint_light(x, below=keep_share)
 
 
 def without_faint_light(kernel: Tensor, *, below: float) -> Tensor:
-    """Kernels (B, k, k) with 0 wherever they lie below the share ``below`` of their peak; sum
-    1.
-    """
+    """Kernels (B, k, k), sum 1, with 0 below the share ``below`` of their peak."""
     peak = kernel.amax(dim=(1, 2), keepdim=True)
     return _normalised(torch.where(kernel < below * peak, torch.zeros_like(kernel), kernel))
 
 
 def without_specks(kernel: Tensor) -> Tensor:
-    """Kernels (B, k, k) without connected parts (8 neighbours) that hold less than a tenth of the
-    light; sum 1.
-    """
+    """Kernels (B, k, k), sum 1, without 8-connected components of less than 0.1 of the light."""
     batch, rows, columns = kernel.shape
-    lit = kernel > 0
-    label = torch.arange(1, rows * columns + 1, device=kernel.device, dtype=torch.float32).view(
-        1, 1, rows, columns
-    )
-    label = label.expand(batch, 1, rows, columns) * lit[:, None]
-    while True:  # spread the largest label through each part; its length in px bounds the rounds
-        spread = functional.max_pool2d(label, 3, 1, 1) * lit[:, None]
+    support = kernel[:, None] > 0
+    label = torch.arange(1, rows * columns + 1, device=kernel.device, dtype=torch.float32)
+    label = label.view(1, 1, rows, columns).expand(batch, 1, rows, columns) * support
+    while True:  # spread the largest label through each component
+        spread = functional.max_pool2d(label, 3, 1, 1) * support
         if torch.equal(spread, label):
             break
         label = spread
@@ -125,29 +118,21 @@ def without_specks(kernel: Tensor) -> Tensor:
     mass = kernel.new_zeros(batch, rows * columns + 1).scatter_add(
         1, index, kernel.reshape(batch, -1)
     )
-    mine = mass.gather(1, index).view(batch, rows, columns)
-    largest = mass[:, 1:].amax(dim=1)[:, None, None].clamp(max=_SPECK_MASS)
-    return _normalised(torch.where(mine >= largest, kernel, torch.zeros_like(kernel)))
+    component_mass = mass.gather(1, index).view(batch, rows, columns)
+    # the heaviest one stays even where all are specks; label 0 is the background
+    least_mass = mass[:, 1:].amax(dim=1)[:, None, None].clamp(max=_SPECK_MASS)
+    return _normalised(torch.where(component_mass >= least_mass, kernel, torch.zeros_like(kernel)))
 
 
 def centred(kernel: Tensor) -> Tensor:
-    """Kernels (B, k, k) moved by whole pixels so that the centroid is at the frame's centre; sum
-    1.
-    """
-    batch, rows, columns = kernel.shape
+    """Kernels (B, k, k), sum 1, moved by whole pixels: their centroid is the frame's centre."""
+    _, rows, columns = kernel.shape
     total = kernel.sum(dim=(1, 2)).clamp(min=1e-12)
     y = torch.arange(rows, device=kernel.device)
     x = torch.arange(columns, device=kernel.device)
     down = torch.round((kernel.sum(dim=2) * y).sum(dim=1) / total).long() - rows // 2
     right = torch.round((kernel.sum(dim=1) * x).sum(dim=1) / total).long() - columns // 2
-    row = y[None, :] + down[:, None]
-    column = x[None, :] + right[:, None]
-    inside = ((row >= 0) & (row < rows))[:, :, None] & ((column >= 0) & (column < columns))[
-        :, None, :
-    ]
-    row_index = row.clamp(0, rows - 1)[:, :, None].expand(batch, rows, columns)
-    column_index = column.clamp(0, columns - 1)[:, None, :].expand(batch, rows, columns)
-    return _normalised(kernel.gather(1, row_index).gather(2, column_index) * inside)
+    return _normalised(shifted(kernel[:, None], -torch.stack([down, right], dim=1))[:, 0])
 
 
 def _lags(correlation: Tensor, reach: int) -> Tensor:

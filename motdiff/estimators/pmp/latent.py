@@ -1,6 +1,4 @@
-"""The latent photo of one blind step: L0 gradients with the patch-wise minimal pixels prior,
-batched in torch.
-"""
+"""Latent photo of one blind step: L0 gradients with the patch-wise minimal pixels prior."""
 
 from __future__ import annotations
 
@@ -13,13 +11,12 @@ from torch.nn import functional
 
 from motdiff.estimators.pmp.grids import gradient_power, psf_to_otf
 
-_INTENSITY_CAP = 0.1
+_INTENSITY_CAP = 0.1  # of the adaptive threshold: a bright photo must keep its minima
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """How the half-quadratic splitting of the gradients tightens; the defaults are those of Xu et
-    al. 2013.
+    """Couplings of the half-quadratic splitting of the gradients; defaults of Xu et al. 2013.
 
     Attributes
     ----------
@@ -27,9 +24,8 @@ class Coupling:
         First coupling, in gradient weights: squared gradients below ``1 / start`` are dropped at
         first.
     end : float
-        Where it ends.
     growth : float
-        Its growth per step.
+        Factor per step.
     """
 
     start: float = 2.0
@@ -54,8 +50,7 @@ def l0_pmp_latent(
     coarse: bool,
     coupling: Coupling,
 ) -> Tensor:
-    """Restore a latent photo that has few gradients and whose darkest pixel in each patch is near
-    zero.
+    """Restore a latent photo with few gradients, whose darkest pixel in each patch is near zero.
 
     Half-quadratic splitting: the gradients are hard-thresholded, the minimal pixels shrunk, and
     the photo solved for in the Fourier domain, with a growing coupling.
@@ -83,20 +78,19 @@ def l0_pmp_latent(
     CVPR 2013.
     """
     height, width = blurred.shape[-2:]
-    otf = psf_to_otf(kernel, (height, width))
-    power = otf.abs().square()
-    data = otf.conj() * torch.fft.rfft2(blurred)
-    laplacian = gradient_power(height, width, blurred)
+    K = psf_to_otf(kernel, (height, width))
+    KK = K.abs().square()
+    KB = K.conj() * torch.fft.rfft2(blurred)
+    DD = gradient_power(height, width, blurred)
     photo = blurred
     for alpha in coupling.steps(gradient_weight):
         if intensity_weight > 0:
             photo = _shrink_minimal_pixels(photo, intensity_weight, patch_px, soft=coarse)
-        spectrum = torch.fft.rfft2(_salient_divergence(photo, gradient_weight / alpha))
-        torch.add(data, spectrum, alpha=alpha, out=spectrum)
-        spectrum *= torch.add(
-            power, laplacian, alpha=alpha
-        ).reciprocal_()  # a division takes four times as long
-        photo = torch.fft.irfft2(spectrum, s=(height, width))
+        # X = (K* B + alpha D* G) / (|K|^2 + alpha |D|^2), G the gradients after thresholding
+        X = torch.fft.rfft2(_salient_divergence(photo, gradient_weight / alpha))
+        torch.add(KB, X, alpha=alpha, out=X)
+        X *= torch.add(KK, DD, alpha=alpha).reciprocal_()  # a division takes four times as long
+        photo = torch.fft.irfft2(X, s=(height, width))
     return photo
 
 
@@ -113,13 +107,14 @@ def start_threshold(photo: Tensor, *, size: int) -> Tensor:
     gx, gy = _forward_gradients(photo)
     strength = gx.square() + gy.square()
     angle = torch.atan(gy / torch.where(gx == 0, torch.full_like(gx, 1e-12), gx))
-    wanted = max(20 * size, 10)
-    lowest = []
+    count = max(20 * size, 10)
+    thresholds = []
+    # all four: edges of one orientation alone leave the kernel free along them
     for low in (-torch.pi / 2, -torch.pi / 4, 0.0, torch.pi / 4):
         inside = (angle >= low) & (angle < low + torch.pi / 4)
         values = torch.where(inside, strength, torch.zeros_like(strength)).flatten(1)
-        lowest.append(values.topk(min(wanted, values.shape[1]), dim=1).values[:, -1])
-    return torch.stack(lowest).amin(dim=0)
+        thresholds.append(values.topk(min(count, values.shape[1]), dim=1).values[:, -1])
+    return torch.stack(thresholds).amin(dim=0)
 
 
 def salient_gradients(photo: Tensor, threshold: Tensor) -> tuple[Tensor, Tensor]:
@@ -145,11 +140,8 @@ def salient_gradients(photo: Tensor, threshold: Tensor) -> tuple[Tensor, Tensor]
 
 
 def _salient_divergence(photo: Tensor, threshold: float) -> Tensor:
-    """Divergence of the periodic gradients whose squared size reaches ``threshold``, the others
-    set to 0.
-
-    In place and without truth values, which take torch longer than the arithmetic.
-    """
+    """Divergence of the periodic gradients whose squared size reaches ``threshold``."""
+    # in place and without truth values, which take torch longer than the arithmetic
     gx = torch.empty_like(photo)
     gy = torch.empty_like(photo)
     torch.sub(photo[..., 1:], photo[..., :-1], out=gx[..., :-1])
@@ -174,9 +166,7 @@ def _forward_gradients(photo: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _shrink_minimal_pixels(photo: Tensor, weight: float, patch_px: int, *, soft: bool) -> Tensor:
-    """Shrink the darkest pixel of every patch: softly, or to zero where it is below an adaptive
-    threshold.
-    """
+    """Shrink the darkest pixel of each patch: softly, or to zero below an adaptive threshold."""
     negative, index = functional.max_pool2d(
         -photo[:, None], patch_px, ceil_mode=True, return_indices=True
     )

@@ -7,12 +7,13 @@ import pytest
 import torch
 from torch.nn import functional
 
+from motdiff.estimators.pmp.grids import shifted
 from motdiff.network.condition import PHOTO_PX
 from motdiff.network.physics_maps import QuickStart, quick_kernels
 from motdiff.training import samples as samples_module
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.training.photos import crops
-from motdiff.training.samples import Samples, registration, shifted, simulate
+from motdiff.training.samples import Samples, registration, simulate
 from motdiff.training.simulation import Photography, blurred
 from motdiff.trajectory import Trajectory
 

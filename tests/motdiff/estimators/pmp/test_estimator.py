@@ -115,10 +115,10 @@ def test_more_starts_are_run_only_where_the_first_two_disagree(
     )
     run = []
 
-    def found(_self, _crops, start, *, tell):
+    def found(_self, _crops, start, *, on_progress):
         run.append(start)
-        tell(0.5)
-        tell(1.0)
+        on_progress(0.5)
+        on_progress(1.0)
         return motions[start.size].psf(start.size)
 
     monkeypatch.setattr(PmpEstimator, "_run", found)
