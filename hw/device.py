@@ -86,11 +86,12 @@ class DeviceProfile:
         for field in fields(self):
             _check_field(field.name, getattr(self, field.name), optional=field.default is None)
         for low, high in (("min_chip_ns", "max_chip_ns"), ("min_on_ns", "max_on_ns")):
-            least = getattr(self, low)
-            most = getattr(self, high)
-            if least is not None and most is not None and least > most:
+            low_value = getattr(self, low)
+            high_value = getattr(self, high)
+            if low_value is not None and high_value is not None and low_value > high_value:
                 raise ValueError(
-                    f"{low} is {least} but {high} is {most}: the least must not exceed the most"
+                    f"{low} is {low_value} but {high} is {high_value}: the least must not"
+                    " exceed the most"
                 )
 
     @classmethod
@@ -103,39 +104,39 @@ class DeviceProfile:
         ValueError
             If it has another schema, an unknown field, or a value out of range.
         """
-        given = dict(table)
-        schema = given.pop("schema", None)
+        figures = dict(table)
+        schema = figures.pop("schema", None)
         if schema != _SCHEMA:
             raise ValueError(
                 f'{source} has schema {str(schema)[:40]!r}: schema = "{_SCHEMA}" is needed'
             )
-        known = {field.name for field in fields(cls)}
-        unknown = sorted(set(given) - known)
+        names = {field.name for field in fields(cls)}
+        unknown = sorted(set(figures) - names)
         if unknown:
             raise ValueError(
                 f"{source} has unknown field {unknown[0][:40]!r}: known are"
-                f" {', '.join(sorted(known))}"
+                f" {', '.join(sorted(names))}"
             )
         missing = [
             field.name
             for field in fields(cls)
-            if field.default is MISSING and field.name not in given
+            if field.default is MISSING and field.name not in figures
         ]
         if missing:
             raise ValueError(f"{source} has no {missing[0]}: every profile needs one")
         try:
-            return cls(**given)
+            return cls(**figures)
         except (ValueError, OverflowError) as error:  # whole numbers that no float reaches
             raise ValueError(f"{source}: {_one_line(error)}") from None
 
     def to_dict(self) -> dict[str, Any]:
         """Content of the profile's file: its schema, and the fields that are not left out."""
-        stated = {
+        figures = {
             field.name: value
             for field in fields(self)
             if (value := getattr(self, field.name)) != field.default
         }
-        return {"schema": _SCHEMA, **stated}
+        return {"schema": _SCHEMA, **figures}
 
     def check(self, program: Program) -> tuple[str, ...]:
         """List every limit that a program breaks, each in one plain sentence; empty when it can be
@@ -157,61 +158,71 @@ class DeviceProfile:
         )
 
     def _grid(self, program: Program) -> list[str]:
-        found: list[str] = []
+        problems: list[str] = []
         chip = program.chip_ns
         if chip % self.tick_ns:
             below = chip - chip % self.tick_ns
-            near = " or ".join(str(value) for value in (below, below + self.tick_ns) if value)
-            found.append(
-                f"chip of {chip} ns is not a whole number of {self.tick_ns} ns ticks; {near} ns"
+            nearest = " or ".join(str(value) for value in (below, below + self.tick_ns) if value)
+            problems.append(
+                f"chip of {chip} ns is not a whole number of {self.tick_ns} ns ticks; {nearest} ns"
                 " would be"
             )
         if self.min_chip_ns is not None and chip < self.min_chip_ns:
-            found.append(f"chip of {_time(chip)} is too short; at least {_time(self.min_chip_ns)}")
+            problems.append(
+                f"chip of {_time(chip)} is too short; at least {_time(self.min_chip_ns)}"
+            )
         if self.max_chip_ns is not None and chip > self.max_chip_ns:
-            found.append(f"chip of {_time(chip)} is too long; at most {_time(self.max_chip_ns)}")
+            problems.append(
+                f"chip of {_time(chip)} is too long; at most {_time(self.max_chip_ns)}"
+            )
         if self.max_chips is not None and program.chips > self.max_chips:
-            found.append(f"code of {program.chips} chips is too long; at most {self.max_chips}")
-        return found
+            problems.append(f"code of {program.chips} chips is too long; at most {self.max_chips}")
+        return problems
 
     def _runs(self, program: Program) -> list[str]:
-        found: list[str] = []
+        problems: list[str] = []
         edges = program.edges
-        opened = [t for t, level in edges if level]
-        closed = [t for t, level in edges if not level]
-        on = [end - start for start, end in zip(opened, closed, strict=True)]
-        off = [start - end for start, end in zip(opened[1:], closed[:-1], strict=True)]
+        openings = [t for t, level in edges if level]
+        closings = [t for t, level in edges if not level]
+        open_ns = [end - start for start, end in zip(openings, closings, strict=True)]
+        gaps_ns = [start - end for start, end in zip(openings[1:], closings[:-1], strict=True)]
         # The shutter may rest closed before and after as long as it likes: only gaps between
         # openings are limited.
-        least_on = (
-            max(self.min_on_ns or 0, self.tick_ns if self.on_bias_ns else 0) + self.on_bias_ns
-        )
-        if min(on) < least_on:
-            bias = f" (its own {_time(self.on_bias_ns)} included)" if self.on_bias_ns else ""
-            found.append(f"shortest opening is {_time(min(on))}; at least {_time(least_on)}{bias}")
-        if self.max_on_ns is not None and max(on) > self.max_on_ns:
-            found.append(f"longest opening is {_time(max(on))}; at most {_time(self.max_on_ns)}")
-        if self.min_off_ns is not None and off and min(off) < self.min_off_ns:
-            found.append(
-                f"shortest gap between openings is {_time(min(off))}; at least"
+        min_on_ns = self.min_on_ns or 0
+        bias = ""
+        if self.on_bias_ns:
+            # The command is shorter by the bias, and of a tick at least.
+            min_on_ns = max(min_on_ns, self.tick_ns) + self.on_bias_ns
+            bias = f" (its own {_time(self.on_bias_ns)} included)"
+        if min(open_ns) < min_on_ns:
+            problems.append(
+                f"shortest opening is {_time(min(open_ns))}; at least {_time(min_on_ns)}{bias}"
+            )
+        if self.max_on_ns is not None and max(open_ns) > self.max_on_ns:
+            problems.append(
+                f"longest opening is {_time(max(open_ns))}; at most {_time(self.max_on_ns)}"
+            )
+        if self.min_off_ns is not None and gaps_ns and min(gaps_ns) < self.min_off_ns:
+            problems.append(
+                f"shortest gap between openings is {_time(min(gaps_ns))}; at least"
                 f" {_time(self.min_off_ns)}"
             )
-        if off and min(off) < self.dead_time_ns:
-            found.append(
-                f"shortest gap between openings is {_time(min(off))}; the dead time is"
+        if gaps_ns and min(gaps_ns) < self.dead_time_ns:
+            problems.append(
+                f"shortest gap between openings is {_time(min(gaps_ns))}; the dead time is"
                 f" {_time(self.dead_time_ns)}"
             )
         if self.max_duty is not None and program.duty > self.max_duty:
-            found.append(f"duty is {program.duty:.3f}; at most {self.max_duty:.3f}")
+            problems.append(f"duty is {program.duty:.3f}; at most {self.max_duty:.3f}")
         if self.max_pulses is not None and program.pulses > self.max_pulses:
-            found.append(f"code has {program.pulses} openings; at most {self.max_pulses}")
-        if self.max_rate_hz is not None and len(opened) > 1:
-            rate_hz = 1e9 / min(b - a for a, b in pairwise(opened))
+            problems.append(f"code has {program.pulses} openings; at most {self.max_pulses}")
+        if self.max_rate_hz is not None and len(openings) > 1:
+            rate_hz = 1e9 / min(b - a for a, b in pairwise(openings))
             if rate_hz > self.max_rate_hz:
-                found.append(
+                problems.append(
                     f"openings come at up to {rate_hz:.4g} Hz; at most {self.max_rate_hz:.4g} Hz"
                 )
-        return found
+        return problems
 
 
 def parse_profile(text: str, *, source: str = "profile") -> DeviceProfile:
@@ -273,9 +284,7 @@ def load_profile(name: str | Path) -> DeviceProfile:
     except UnicodeDecodeError:
         text = "\0"
     except (OSError, ValueError) as error:
-        reason = (
-            error.strerror if isinstance(error, OSError) and error.strerror else _one_line(error)
-        )
+        reason = getattr(error, "strerror", None) or _one_line(error)
         raise ValueError(
             f"{text_name} cannot be read: {reason}; name a built-in profile or a .toml file"
         ) from None
@@ -328,9 +337,9 @@ def _check_field(name: str, value: Any, *, optional: bool) -> None:
             raise ValueError(f"closed_level is {value}: it must be 0 or 1")
     else:
         zero = {"dead_time_ns", "on_bias_ns", "rise_ns", "fall_ns", "min_on_ns", "min_off_ns"}
-        least = 0 if name in zero else 1
-        if value < least:
-            raise ValueError(f"{name} is {value}: it must be at least {least}")
+        lowest = 0 if name in zero else 1
+        if value < lowest:
+            raise ValueError(f"{name} is {value}: it must be at least {lowest}")
 
 
 def _time(time_ns: int) -> str:

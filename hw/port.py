@@ -136,10 +136,10 @@ def list_ports() -> tuple[PortInfo, ...]:
     """List the serial ports of this machine, sorted by name."""
     from serial.tools import list_ports as tool
 
-    found = (
+    ports = (
         PortInfo(p.device, p.description or "", p.serial_number or None) for p in tool.comports()
     )
-    return tuple(sorted(found, key=lambda info: info.port))
+    return tuple(sorted(ports, key=lambda info: info.port))
 
 
 def port_named(name: str) -> str:
@@ -152,12 +152,12 @@ def port_named(name: str) -> str:
     """
     if os.path.exists(name):
         return name
-    found = [info.port for info in list_ports() if info.serial_number == name]
-    if len(found) > 1:
+    ports = [info.port for info in list_ports() if info.serial_number == name]
+    if len(ports) > 1:
         raise PortError(
-            f"serial number {name} is that of {' and '.join(found)}: name one of the ports"
+            f"serial number {name} is that of {' and '.join(ports)}: name one of the ports"
         )
-    return found[0] if found else name
+    return ports[0] if ports else name
 
 
 def open_port(port: str, *, baud: int = 115200) -> SerialPort:
@@ -185,7 +185,7 @@ def open_port(port: str, *, baud: int = 115200) -> SerialPort:
     if isinstance(baud, bool) or not isinstance(baud, int) or not 0 < baud <= 10**7:
         raise PortError(f"baud is {baud!r}: a whole number 1..10000000 is needed, usually 115200")
     try:
-        opened: Any = serial.Serial(
+        serial_port: Any = serial.Serial(
             port_named(port), baud, timeout=_POLL_S, write_timeout=1.0, exclusive=True
         )
     except PortError:
@@ -196,8 +196,8 @@ def open_port(port: str, *, baud: int = 115200) -> SerialPort:
         hint = _ERRNO_HINTS.get(_errno(error), one_line(error))
         raise PortError(f"{port} cannot be opened: {hint}") from None
     with contextlib.suppress(Exception):
-        _keep_lines_on_close(opened.fileno())
-    return opened  # type: ignore[no-any-return]
+        _keep_lines_on_close(serial_port.fileno())
+    return serial_port  # type: ignore[no-any-return]
 
 
 def one_line(error: Exception) -> str:

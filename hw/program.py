@@ -116,12 +116,12 @@ class Program:
         chips = _integer(chips, "chips")
         if chip_ns < 1 or chips < 1:
             raise ValueError(f"chip_ns is {chip_ns} and chips is {chips}: both must be at least 1")
-        pieces: list[str] = []
-        done = 0
+        runs: list[str] = []
+        chips_done = 0
         level = 0
         for index, (time_ns, new_level) in enumerate(edges):
-            chip, rest = divmod(time_ns, chip_ns)
-            if rest:
+            chip, remainder = divmod(time_ns, chip_ns)
+            if remainder:
                 raise ValueError(
                     f"edge {index} at {time_ns} ns is off the grid: times must be multiples of"
                     f" {chip_ns} ns"
@@ -130,7 +130,7 @@ class Program:
                 raise ValueError(
                     f"edge {index} has level {new_level}: {1 - level} must follow {level}"
                 )
-            if chip < done or (index and chip == done):
+            if chip < chips_done or (index and chip == chips_done):
                 raise ValueError(
                     f"edge {index} at {time_ns} ns is out of order: times must increase from 0"
                 )
@@ -139,15 +139,15 @@ class Program:
                     f"edge {index} at {time_ns} ns is past the end: {chips} chips last"
                     f" {chips * chip_ns} ns"
                 )
-            pieces.append(str(level) * (chip - done))
-            done = chip
+            runs.append(str(level) * (chip - chips_done))
+            chips_done = chip
             level = new_level
         if level:
             raise ValueError(
                 f"edges leave the shutter open: the last one must close it by {chips * chip_ns} ns"
             )
-        pieces.append("0" * (chips - done))
-        return cls("".join(pieces), chip_ns)
+        runs.append("0" * (chips - chips_done))
+        return cls("".join(runs), chip_ns)
 
     @classmethod
     def from_bytes(cls, packed: bytes, *, chips: int, chip_ns: int) -> Program:

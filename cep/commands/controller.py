@@ -273,7 +273,6 @@ def _confirmed(port: str, status: Status | None) -> dict[str, object]:
 
 
 def _hello_figures(hello: Hello) -> dict[str, object]:
-    max_on_ns = None if hello.max_on_ticks is None else hello.max_on_ticks * hello.tick_ns
     return {
         "firmware": hello.firmware,
         "protocol": f"CXP{hello.version}",
@@ -281,7 +280,7 @@ def _hello_figures(hello: Hello) -> dict[str, object]:
         "tick_ns": hello.tick_ns,
         "min_chip_ns": hello.min_ticks * hello.tick_ns,
         "max_chip_ns": hello.max_ticks * hello.tick_ns,
-        "max_on_ns": max_on_ns,
+        "max_on_ns": hello.max_on_ns,
         "max_duty": hello.max_duty,
         "lead_ns": hello.lead_ns,
         "trigger_input": hello.trigger_input,

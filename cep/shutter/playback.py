@@ -108,17 +108,17 @@ class Playback:
         output = Path(path)
         play = self.plays[0]
         files = playback_files(output, with_psf=motion is not None)
-        with new_folder(output.parent, [file.name for file in files], force=force) as made:
+        with new_folder(output.parent, [file.name for file in files], force=force) as folder:
             about = {
                 "played": play.verdict,
                 "device": None if device is None else device.to_dict(),
             }
-            write_code(made / output.name, StoredCode(self.code, problem=about))
+            write_code(folder / output.name, StoredCode(self.code, problem=about))
             if motion is not None:
                 size = max(
                     PSF_PX, 2 * motion.frame_size()
                 )  # a slow clock goes on beyond the motion that was asked for
-                write_psf(made, self.psf(motion, size=size), stem=_psf_stem(output))
+                write_psf(folder, self.psf(motion, size=size), stem=_psf_stem(output))
         return files
 
 
@@ -175,19 +175,19 @@ def read_playback(
         program = Program.from_bits(program.bits, chip_ns=program.chip_ns)
     recording = read_capture(capture)
     trace = recording.trace(signal)
-    asked = recording.trace(trigger) if trigger else None
-    plays = align(trace, program, trigger=asked)
-    found = Playback(program, trace.name, plays)
+    trigger_trace = recording.trace(trigger) if trigger else None
+    plays = align(trace, program, trigger=trigger_trace)
+    playback = Playback(program, trace.name, plays)
     if signal is not None:
-        return found
+        return playback
     # One that is much quieter is no rival, unless what was taken is wrong.
-    least = 1 if found.wrong else len(trace.edges) // 2
+    min_edges = 1 if playback.wrong else len(trace.edges) // 2
     rivals = (
-        each
-        for each in recording.traces
-        if each not in (trace, asked) and len(each.edges) >= max(least, 1)
+        rival
+        for rival in recording.traces
+        if rival not in (trace, trigger_trace) and len(rival.edges) >= max(min_edges, 1)
     )
-    return replace(found, others=tuple(each.name for each in rivals))
+    return replace(playback, others=tuple(rival.name for rival in rivals))
 
 
 def _psf_stem(output: Path) -> str:

@@ -89,8 +89,8 @@ def fit_clock(readings: Sequence[tuple[float, float, int]]) -> ClockFit:
     if not spread:
         raise ValueError("readings are all of one moment: measure for longer")
     slope = math.fsum((t - mean_t) * (d - mean_d) for _, t, d in quick) / spread
-    rest = math.fsum((d - mean_d - slope * (t - mean_t)) ** 2 for _, t, d in quick)
-    error = math.sqrt(rest / (count - 2) / spread)
+    residual = math.fsum((d - mean_d - slope * (t - mean_t)) ** 2 for _, t, d in quick)
+    error = math.sqrt(residual / (count - 2) / spread)
     return ClockFit(1e6 * slope, 2e6 * error, quick[-1][1] - quick[0][1], count)
 
 

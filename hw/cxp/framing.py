@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import binascii
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -58,8 +59,8 @@ class Framing:
         """Split received bytes into complete frames without their ends (empty ones dropped) and
         the unfinished rest.
         """
-        *frames, rest = buffer.split(self.end)
-        return [frame for frame in frames if frame], rest
+        *frames, unfinished = buffer.split(self.end)
+        return [frame for frame in frames if frame], unfinished
 
 
 def crc16(data: bytes) -> int:
@@ -70,13 +71,7 @@ def crc16(data: bytes) -> int:
     >>> hex(crc16(b"123456789"))
     '0x29b1'
     """
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1) ^ 0x1021 if crc & 0x8000 else crc << 1
-        crc &= 0xFFFF
-    return crc
+    return binascii.crc_hqx(data, 0xFFFF)
 
 
 def _from_stuffed(stuffed: bytes) -> bytes:

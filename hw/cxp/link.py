@@ -90,7 +90,8 @@ class Link:
         self._seq = (self._seq + 1) % 256
         before = self._answerable
         self._answerable = self._answerable or op in _CHANGES
-        for attempt in range(self.attempts if attempts is None else attempts):
+        attempts = attempts or self.attempts
+        for attempt in range(attempts):
             self.retries += attempt > 0
             reply = self._ask(op, payload, self.framing, flush=attempt > 0)
             if reply is not None:
@@ -100,7 +101,7 @@ class Link:
                     self._answerable = False
                 return self._data(reply)
         raise LinkError(
-            f"{self.name} does not answer {op_name(op)}, asked {attempts or self.attempts} times: "
+            f"{self.name} does not answer {op_name(op)}, asked {attempts} times: "
             "check cable, power and firmware"
         )
 
@@ -245,11 +246,11 @@ def open_link(
     LinkError
         If the device disappears while it is greeted.
     """
-    opened = open_port(port)
+    serial_port = open_port(port)
     try:
-        link = Link(opened, name=port, timeout_s=timeout_s, attempts=attempts)
+        link = Link(serial_port, name=port, timeout_s=timeout_s, attempts=attempts)
     except ValueError:
-        opened.close()
+        serial_port.close()
         raise
     try:
         return link, link.hello(hello_s=hello_s)

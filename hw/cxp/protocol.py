@@ -60,6 +60,10 @@ class ResetCause(IntEnum):
     WATCHDOG = 3
     UNKNOWN = 255
 
+    @classmethod
+    def _missing_(cls, _value: object) -> ResetCause:
+        return cls.UNKNOWN  # a later version may know more causes
+
 
 @dataclass(frozen=True, slots=True)
 class Reply:
@@ -108,6 +112,11 @@ class Hello:
     lead_ns: int
     reset_cause: ResetCause
     firmware: str
+
+    @property
+    def max_on_ns(self) -> int | None:
+        """Longest opening, ns."""
+        return None if self.max_on_ticks is None else self.max_on_ticks * self.tick_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,13 +193,12 @@ def unpack_hello(data: bytes) -> Hello:
         raise FrameError(f"HELLO reply has protocol version {data[4]}: version 1 is needed")
     if len(data) < _HELLO.size:
         raise FrameError(f"HELLO reply has {len(data)} bytes: at least {_HELLO.size} are needed")
-    _, version, flags, chips, tick_ns, least, most, on, duty, lead_ns, cause = _HELLO.unpack_from(
-        data
-    )
-    if not chips or not tick_ns or not 1 <= least <= most:
+    _, version, flags, chips, tick_ns, *limits, lead_ns, cause = _HELLO.unpack_from(data)
+    min_ticks, max_ticks, max_on_ticks, permille = limits
+    if not chips or not tick_ns or not 1 <= min_ticks <= max_ticks:
         raise FrameError(
-            f"HELLO reply has {chips} chips of {least}..{most} ticks of {tick_ns} ns: all must be"
-            " at least 1, in order"
+            f"HELLO reply has {chips} chips of {min_ticks}..{max_ticks} ticks of {tick_ns} ns:"
+            " all must be at least 1, in order"
         )
     return Hello(
         version=version,
@@ -198,14 +206,12 @@ def unpack_hello(data: bytes) -> Hello:
         trigger_input=bool(flags & _TRIGGER_INPUT),
         max_chips=chips,
         tick_ns=tick_ns,
-        min_ticks=least,
-        max_ticks=most,
-        max_on_ticks=on or None,
-        max_duty=duty / 1000 if 0 < duty < 1000 else None,
+        min_ticks=min_ticks,
+        max_ticks=max_ticks,
+        max_on_ticks=max_on_ticks or None,
+        max_duty=permille / 1000 if 0 < permille < 1000 else None,
         lead_ns=lead_ns,
-        reset_cause=(
-            ResetCause(cause) if cause in ResetCause._value2member_map_ else ResetCause.UNKNOWN
-        ),
+        reset_cause=ResetCause(cause),
         firmware=data[_HELLO.size :].decode("ascii", "replace").split("\0")[0],
     )
 
@@ -220,10 +226,10 @@ def unpack_status(data: bytes) -> Status:
     """
     if len(data) < _STATUS.size:
         raise FrameError(f"STATUS reply has {len(data)} bytes: {_STATUS.size} are needed")
-    state, *rest = _STATUS.unpack_from(data)
+    state, *figures = _STATUS.unpack_from(data)
     if state not in State._value2member_map_:
         raise FrameError(f"STATUS reply has state {state}: 0..{max(State)} are known")
-    return Status(State(state), *rest)
+    return Status(State(state), *figures)
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,18 +258,18 @@ class Stored:
         """Exact chip time, ticks."""
         return self.ticks + Fraction(self.fraction, 65536)
 
-    def difference(self, other: Stored) -> str:
+    def difference(self, stored: Stored) -> str:
         """Describe how `other` differs, in a few words; empty when they are equal."""
-        if self.chip_ticks != other.chip_ticks:
-            return f"chip of {float(other.chip_ticks):.7g} ticks, not {float(self.chip_ticks):.7g}"
-        if len(self.bits) != len(other.bits):
-            return f"{len(other.bits)} chips, not {len(self.bits)}"
-        wrong = [k for k, (a, b) in enumerate(zip(self.bits, other.bits, strict=True)) if a != b]
-        return (
-            f"{len(wrong)} of {len(self.bits)} chips differ, the first is chip {wrong[0]}"
-            if wrong
-            else ""
-        )
+        if self.chip_ticks != stored.chip_ticks:
+            return (
+                f"chip of {float(stored.chip_ticks):.7g} ticks, not {float(self.chip_ticks):.7g}"
+            )
+        if len(self.bits) != len(stored.bits):
+            return f"{len(stored.bits)} chips, not {len(self.bits)}"
+        wrong = [k for k, (a, b) in enumerate(zip(self.bits, stored.bits, strict=True)) if a != b]
+        if not wrong:
+            return ""
+        return f"{len(wrong)} of {len(self.bits)} chips differ, the first is chip {wrong[0]}"
 
 
 def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) -> Stored:
@@ -299,10 +305,11 @@ def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) ->
             " ns ticks"
         )
     if not hello.min_ticks <= ticks <= hello.max_ticks - (fraction > 0):
-        least = hello.min_ticks * hello.tick_ns
-        most = hello.max_ticks * hello.tick_ns
+        min_ns = hello.min_ticks * hello.tick_ns
+        max_ns = hello.max_ticks * hello.tick_ns
         raise ValueError(
-            f"chip of {program.chip_ns} ns cannot be played: the device takes {least} to {most} ns"
+            f"chip of {program.chip_ns} ns cannot be played: the device takes {min_ns} to"
+            f" {max_ns} ns"
         )
     if program.chips > hello.max_chips:
         raise ValueError(

@@ -84,7 +84,6 @@ class Controller:
     def limits(self) -> DeviceProfile:
         """Limits that the device announced."""
         hello = self.announced
-        max_on_ns = None if hello.max_on_ticks is None else hello.max_on_ticks * hello.tick_ns
         return DeviceProfile(
             name=self.link.name,
             description=hello.firmware,
@@ -92,7 +91,7 @@ class Controller:
             min_chip_ns=hello.min_ticks * hello.tick_ns,
             max_chip_ns=hello.max_ticks * hello.tick_ns,
             max_chips=hello.max_chips,
-            max_on_ns=max_on_ns,
+            max_on_ns=hello.max_on_ns,
             max_duty=hello.max_duty,
         )
 
@@ -178,17 +177,17 @@ class Controller:
         VerifyError
             If the device confirms another CRC-32, or is not loaded afterwards.
         """
-        sent = stored_program(program, self.announced, clock_ppm=clock_ppm)
+        stored = stored_program(program, self.announced, clock_ppm=clock_ppm)
         with self._understood():
-            crc = unpack_crc(self.link.request(Op.LOAD, sent.payload))
-        if crc != sent.crc32:
+            crc = unpack_crc(self.link.request(Op.LOAD, stored.payload))
+        if crc != stored.crc32:
             raise VerifyError(
-                f"{self.link.name} confirms CRC32 0x{crc:08x}: 0x{sent.crc32:08x} was sent"
+                f"{self.link.name} confirms CRC32 0x{crc:08x}: 0x{stored.crc32:08x} was sent"
             )
         status = self.status()
         if status.state is not State.LOADED:
             raise self._contradiction(Op.LOAD, status)
-        return sent
+        return stored
 
     def read(self) -> Stored:
         """Read the stored program back; VerifyError if the reply is no program."""
@@ -331,10 +330,10 @@ class Controller:
         triggered = self.announced.trigger_input and (status.state is State.PLAY or played)
         if status.state is not State.ARMED and not triggered:
             lease_ms = int.from_bytes(payload, "little")
-            over = (
-                f"; its lease of {lease_ms} ms may be over" if status.state is State.LOADED else ""
-            )
-            raise self._contradiction(Op.ARM, status, over)
+            hint = ""
+            if status.state is State.LOADED:
+                hint = f"; its lease of {lease_ms} ms may be over"
+            raise self._contradiction(Op.ARM, status, hint)
         return status
 
     def _contradiction(self, op: Op, status: Status, more: str = "") -> VerifyError:

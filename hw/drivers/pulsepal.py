@@ -43,6 +43,8 @@ class PulsePal(WriteOnlyDevice):
             device.wait()
     """
 
+    limits = (pulse_train,)
+
     def __init__(
         self,
         link: PulsePalLink,
@@ -93,35 +95,24 @@ class PulsePal(WriteOnlyDevice):
             )
         return ()
 
-    def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
-        """List the reasons why the Pulse Pal, or a shutter with the limits of `profile`, cannot
-        play the program.
-        """
-        own: tuple[str, ...] = ()
-        try:
-            pulse_train(program)
-        except ValueError as error:
-            own = (f"{self.name}: {error}",)
-        return own + (profile.check(program) if profile else ())
-
     @property
     def _retries(self) -> int:
         return self.link.retries
 
     def _load(self, program: Program, *, profile: DeviceProfile) -> None:
         train = pulse_train(program)
-        closed = dac_code(0.0)
-        opened = dac_code(self.high_volts)
+        closed_code = dac_code(0.0)
+        open_code = dac_code(self.high_volts)
         if profile.closed_level:
-            closed, opened = opened, closed
+            closed_code, open_code = open_code, closed_code
         # The closed level comes first: until it is set the output may be at any voltage.
         for parameter, value in (
-            (Parameter.REST_VOLTS, closed),
+            (Parameter.REST_VOLTS, closed_code),
             (Parameter.TRAIN_TARGET, 0),
             (Parameter.TRAIN, 1),
             (Parameter.TRAIN_LOOP, 0),
             (Parameter.BIPHASIC, 0),
-            (Parameter.PHASE_1_VOLTS, opened),
+            (Parameter.PHASE_1_VOLTS, open_code),
             (Parameter.PHASE_1_CYCLES, train.phase_cycles),
             (Parameter.BURST_CYCLES, 0),
             (Parameter.TRAIN_CYCLES, train.train_cycles),
@@ -129,8 +120,8 @@ class PulsePal(WriteOnlyDevice):
         ):
             self.link.set(parameter, self.channel, value)
         if len(train.onsets_cycles) < MAX_PULSES:  # behind a full train nothing was ever stored
-            self.link.load_train((*train.onsets_cycles, train.guard_cycles), opened)
-        self.link.load_train(train.onsets_cycles, opened)
+            self.link.load_train((*train.onsets_cycles, train.guard_cycles), open_code)
+        self.link.load_train(train.onsets_cycles, open_code)
         self.link.check_in_step()
 
     def _arm(self) -> None:

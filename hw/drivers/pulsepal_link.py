@@ -205,18 +205,18 @@ class PulsePalLink:
     def _greet(self, seconds: float) -> bytes:
         """Handshake until an answer comes, and return all received bytes."""
         deadline = time.monotonic() + seconds
-        heard = b""
+        received = b""
         for attempt in range(max(1, round(seconds / self.timeout_s))):
             self.retries += attempt > 0
             self._port.write(bytes([_MENU, _Op.HELLO]))
-            again = min(deadline, time.monotonic() + self.timeout_s)
-            while _firmware(heard) is None and time.monotonic() < again:
-                heard = (heard + self._port.read())[-4096:]
-            if _firmware(heard) is not None:
+            retry_s = min(deadline, time.monotonic() + self.timeout_s)
+            while _firmware(received) is None and time.monotonic() < retry_s:
+                received = (received + self._port.read())[-4096:]
+            if _firmware(received) is not None:
                 if attempt:
                     self._quiet()
                 break
-        return heard
+        return received
 
     def _quiet(self) -> None:
         """Let the answers to earlier handshakes pass, which would be taken for
@@ -273,12 +273,12 @@ def open_pulsepal(port: str, *, timeout_s: float = 0.5, hello_s: float = 3.0) ->
     LinkError
         If the device disappears while it is greeted.
     """
-    opened = open_port(port)
+    serial_port = open_port(port)
     try:
-        link = PulsePalLink(opened, name=port, timeout_s=timeout_s)
+        link = PulsePalLink(serial_port, name=port, timeout_s=timeout_s)
         link.hello(hello_s=hello_s)
     except BaseException:
-        opened.close()
+        serial_port.close()
         raise
     return link
 
@@ -288,4 +288,6 @@ def _firmware(heard: bytes) -> int | None:
     if len(heard) < 5 or heard[-5] != ord("K"):
         return None
     number = int.from_bytes(heard[-4:], "little")
-    return number if 0 < number <= _NEWEST else None
+    if not 0 < number <= _NEWEST:
+        return None  # chance bytes, or some other device
+    return number

@@ -144,6 +144,8 @@ class ScpiAwg(WriteOnlyDevice):
             awg.wait()
     """
 
+    limits = (samples, sample_rate)
+
     def __init__(self, link: ScpiLink) -> None:
         self._firmware = _identity(link)
         super().__init__(name=link.name)
@@ -166,18 +168,6 @@ class ScpiAwg(WriteOnlyDevice):
     def firmware(self) -> str:
         """Firmware, as the device reports it."""
         return self._firmware
-
-    def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
-        """List the reasons why the waveform, or a shutter with the limits of `profile`, cannot
-        play the program.
-        """
-        own: tuple[str, ...] = ()
-        for limited in (samples, sample_rate):
-            try:
-                limited(program)
-            except ValueError as error:
-                own += (f"{self.name}: {error}",)
-        return own + (profile.check(program) if profile else ())
 
     def trigger(self) -> None:
         """Play the program once, now.
@@ -216,18 +206,18 @@ class ScpiAwg(WriteOnlyDevice):
                 self.link.do(f"DATA:ARB {WAVEFORM},", _block(samples(program, profile)))
             elif not command.endswith("?") and command != "OUTP ON":
                 self.link.do(command)
-        wanted = float(sample_rate(program))
+        rate = float(sample_rate(program))
         answer = self.link.ask("FUNC:ARB:SRAT?")
         try:
-            got = float(answer)
+            actual_rate = float(answer)
         except ValueError:
             raise DeviceError(
                 f"{self.name} says its sample rate is {answer[:40]!r}: a number is needed"
             ) from None
-        if not abs(got - wanted) <= _CLOCK * wanted:
+        if not abs(actual_rate - rate) <= _CLOCK * rate:
             raise DeviceError(
-                f"{self.name} would play at {got:.9g} Sa/s: chips of {program.chip_ns} ns need"
-                f" {wanted:.9g} Sa/s"
+                f"{self.name} would play at {actual_rate:.9g} Sa/s: chips of"
+                f" {program.chip_ns} ns need {rate:.9g} Sa/s"
             )
 
     def _arm(self) -> None:
@@ -294,7 +284,7 @@ def open_scpi(resource: str, *, backend: str = "@py", timeout_s: float = 3.0) ->
     except ImportError:
         raise PortError(f"{resource} needs an extra: pip install coded-exposure[visa]") from None
     try:
-        opened = pyvisa.ResourceManager(backend).open_resource(
+        instrument = pyvisa.ResourceManager(backend).open_resource(
             resource, timeout=1000 * timeout_s, read_termination="\n", write_termination="\n"
         )
     except (
@@ -303,7 +293,7 @@ def open_scpi(resource: str, *, backend: str = "@py", timeout_s: float = 3.0) ->
         raise PortError(
             f"{resource} cannot be opened: {one_line(error)}; name a VISA resource"
         ) from None
-    return ScpiLink(opened, name=resource)
+    return ScpiLink(instrument, name=resource)
 
 
 def _identity(link: ScpiLink) -> str:
@@ -312,7 +302,7 @@ def _identity(link: ScpiLink) -> str:
         answer = link.ask("*IDN?")
     except LinkError as error:
         raise PortError(str(error)) from None
-    fields = [part.strip() for part in answer.split(",")]
+    fields = [field.strip() for field in answer.split(",")]
     if len(fields) != 4 or not _MODEL.fullmatch(fields[1]):
         raise PortError(
             f"{link.name} is {answer[:60]!r}: a 33500-class generator (335xx, 336xx, EDU3321x) is"

@@ -6,7 +6,7 @@ import atexit
 import contextlib
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import ClassVar, Self
 
@@ -33,6 +33,8 @@ class WriteOnlyDevice(ABC):
     """
 
     capabilities: ClassVar[Capabilities] = Capabilities()
+    limits: ClassVar[tuple[Callable[[Program], object], ...]]
+    """Functions that raise ValueError for a program that the device cannot play."""
 
     def __init__(self, *, name: str) -> None:
         self.name = name
@@ -55,11 +57,17 @@ class WriteOnlyDevice(ABC):
         """Warnings for the user about this device, one sentence each."""
         return ()
 
-    @abstractmethod
     def check(self, program: Program, *, profile: DeviceProfile | None = None) -> tuple[str, ...]:
-        """List the reasons why the device, or a shutter with the limits of `profile`, cannot play
-        the program.
-        """
+        """List every limit of the device, and of `profile`, that the program breaks."""
+        problems: tuple[str, ...] = ()
+        for limit in self.limits:
+            try:
+                limit(program)
+            except ValueError as error:
+                problems += (f"{self.name}: {error}",)
+        if profile is None:
+            return problems
+        return problems + profile.check(program)
 
     def upload(
         self,

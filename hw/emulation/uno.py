@@ -117,8 +117,8 @@ class EmulatedUno:
             raise EmulationError("emulated Uno is on already: stop it first")
         program = build_board()
         shipped = files("hw.firmware").joinpath("avr", "cxp-avr.hex")
-        with contextlib.ExitStack() as kept:
-            firmware = self.firmware or kept.enter_context(as_file(shipped))
+        with contextlib.ExitStack() as resources:
+            firmware = self.firmware or resources.enter_context(as_file(shipped))
             self._board = subprocess.Popen(
                 [str(program), str(firmware), *self._words],
                 stdin=subprocess.PIPE,
@@ -332,11 +332,11 @@ def build_board() -> Path:
             "-lelf",
             "-lutil",
         ]
-        done = subprocess.run(
+        build = subprocess.run(
             command, cwd=folder, capture_output=True, text=True, errors="replace", check=False
         )
-        if done.returncode:
-            raise EmulationError(_reason(done.stderr))
+        if build.returncode:
+            raise EmulationError(_reason(build.stderr))
         os.replace(
             Path(folder, board.name), board
         )  # two that compile at once end with the same whole file
@@ -344,18 +344,18 @@ def build_board() -> Path:
 
 
 def _cache() -> Path:
-    home = os.environ.get("XDG_CACHE_HOME")
-    return (Path(home) if home else Path.home() / ".cache") / "coded-exposure"
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home) / "coded-exposure"
 
 
 def _include_flags() -> list[str]:
     # simavr's headers include one another without their folder's name.
     if shutil.which("pkg-config"):
-        asked = subprocess.run(
+        flags = subprocess.run(
             ["pkg-config", "--cflags", "simavr"], capture_output=True, text=True, check=False
         )
-        if asked.returncode == 0:
-            return asked.stdout.split()
+        if flags.returncode == 0:
+            return flags.stdout.split()
     return ["-I/usr/include/simavr", "-I/usr/local/include/simavr"]
 
 

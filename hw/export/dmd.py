@@ -47,19 +47,19 @@ class DmdPatterns(Exporter):
                 f" of 1000 ns; {nearest_ns} ns would do"
             )
         times = [time_ns for time_ns, _ in program.edges] + [program.duration_ns]
-        starts = times[:-1:2]
-        ends = times[1::2]
-        following = times[2::2]
+        openings = times[:-1:2]
+        closings = times[1::2]
+        next_openings = times[2::2]
         rows = [
             f"{(end - start) // 1000},{(after - end) // 1000}"
-            for start, end, after in zip(starts, ends, following, strict=True)
+            for start, end, after in zip(openings, closings, next_openings, strict=True)
         ]
         values = (
             program.chip_ns,
             program.chips,
             f"0x{program.code_crc32:08x}",
             program.pulses,
-            starts[0] // 1000,
+            openings[0] // 1000,
         )
         head = [f"# {key}: {value}" for key, value in zip(_HEAD, values, strict=True)]
         return "\n".join(["# format: hw.dmd/1", *head, _COLUMNS, *rows]) + "\n"

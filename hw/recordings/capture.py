@@ -30,7 +30,7 @@ def read_capture(path: str | Path) -> Recording:
             " Saleae Logic as CSV"
         ) from None
     except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        reason = getattr(error, "strerror", None) or str(error)
         raise ValueError(
             f"{path} cannot be read: {reason}; name a VCD file, or a CSV export of Saleae Logic"
         ) from None

@@ -68,10 +68,10 @@ def fit_edges(edges: Sequence[tuple[float, int]], program: Program, /) -> EdgeFi
         Commanded program.
     """
     nominal = program.edges
-    opened = [edge for edge in edges if edge[1]]
-    starts = [edge for edge in nominal if edge[1]]
-    anchors = [(opened[0], start) for start in starts[:_STARTS]] + [
-        (edge, starts[0]) for edge in opened[1:_STARTS]
+    openings = [edge for edge in edges if edge[1]]
+    nominal_openings = [edge for edge in nominal if edge[1]]
+    anchors = [(openings[0], start) for start in nominal_openings[:_STARTS]] + [
+        (edge, nominal_openings[0]) for edge in openings[1:_STARTS]
     ]
     scales = [1.0]
     if len(edges) == len(nominal) and not edges[-1][1]:
@@ -96,21 +96,21 @@ def _fitted(
     pairs: list[tuple[int, float, int]] = []
     for nominal, level in program.edges:
         # From edge to edge, so that a slow clock is followed however long the code is.
-        found = _nearest(moments[level], time_ns + scale * (nominal - at), reach)
-        if found is not None:
-            pairs.append((nominal, found, level))
-            time_ns = found
+        match_ns = _nearest(moments[level], time_ns + scale * (nominal - at), reach)
+        if match_ns is not None:
+            pairs.append((nominal, match_ns, level))
+            time_ns = match_ns
             at = nominal
     scale, open_at, close_at = _clock(pairs)
-    again = [
-        (nominal, found, level)
+    refined = [
+        (nominal, match_ns, level)
         for nominal, level in program.edges
-        for found in [
+        for match_ns in [
             _nearest(moments[level], (open_at if level else close_at) + scale * nominal, reach)
         ]
-        if found is not None
+        if match_ns is not None
     ]
-    pairs = again or pairs
+    pairs = refined or pairs
     scale, open_at, close_at = _clock(pairs)
     played = _played(edges, open_at, scale * program.chip_ns, program.chips + 1)
     achieved = played[:-1]
@@ -122,12 +122,14 @@ def _fitted(
 
 def _nearest(moments: Sequence[float], time_ns: float, reach_ns: float) -> float | None:
     index = bisect_left(moments, time_ns)
-    near = min(
+    nearest = min(
         moments[max(index - 1, 0) : index + 1],
         key=lambda moment: abs(moment - time_ns),
         default=None,
     )
-    return near if near is not None and abs(near - time_ns) <= reach_ns else None
+    if nearest is None or abs(nearest - time_ns) > reach_ns:
+        return None
+    return nearest
 
 
 def _clock(pairs: Sequence[tuple[int, float, int]]) -> tuple[float, float, float]:
@@ -136,20 +138,19 @@ def _clock(pairs: Sequence[tuple[int, float, int]]) -> tuple[float, float, float
     """
     kinds = [[(at, time_ns) for at, time_ns, level in pairs if level == kind] for kind in (1, 0)]
     if all(len(kind) < 2 for kind in kinds):
-        kinds = [
-            [(at, time_ns) for at, time_ns, _ in pairs]
-        ]  # a single opening: its length is the clock's
+        # A single opening: its length is the clock's.
+        kinds = [[(at, time_ns) for at, time_ns, _ in pairs]]
     means = [
         (fmean(at for at, _ in kind), fmean(time for _, time in kind)) if kind else None
         for kind in kinds
     ]
-    above = below = 0.0
+    covariance = variance = 0.0
     for kind, mean in zip(kinds, means, strict=True):
         for at, time_ns in kind:
             assert mean is not None
-            above += (at - mean[0]) * (time_ns - mean[1])
-            below += (at - mean[0]) ** 2
-    scale = above / below if below and above > 0 else 1.0
+            covariance += (at - mean[0]) * (time_ns - mean[1])
+            variance += (at - mean[0]) ** 2
+    scale = covariance / variance if variance and covariance > 0 else 1.0
     offsets = [mean[1] - scale * mean[0] for mean in means if mean is not None] or [0.0]
     return scale, offsets[0], offsets[-1]
 
@@ -159,8 +160,10 @@ def _played(
 ) -> str:
     """Chips by majority of open time."""
     open_ns = [0.0] * chips
-    before = [(start_ns, 1)] if not edges[0][1] else []
-    for (begin, level), (end, _) in pairwise([*before, *edges, (start_ns + chips * chip_ns, 0)]):
+    played = [*edges, (start_ns + chips * chip_ns, 0)]
+    if not edges[0][1]:  # the first opening is missing: open from the beginning
+        played.insert(0, (start_ns, 1))
+    for (begin, level), (end, _) in pairwise(played):
         if level:
             first = max(int((begin - start_ns) // chip_ns), 0)
             last = min(int((end - start_ns) // chip_ns), chips - 1)

@@ -71,10 +71,10 @@ class Verification:
         """Summary in one line."""
         if self.problems:
             return "; ".join(self.problems)
-        rest = ", signal inverted" if self.inverted else ""
+        inversion = ", signal inverted" if self.inverted else ""
         return (
             f"the code was played: {len(self.achieved)} chips, clock {self.scale_ppm:+.1f} ppm,"
-            f" jitter {self.jitter_ns:.1f} ns rms, worst edge {self.worst_ns:.1f} ns{rest}"
+            f" jitter {self.jitter_ns:.1f} ns rms, worst edge {self.worst_ns:.1f} ns{inversion}"
         )
 
 
@@ -104,10 +104,10 @@ def align(
         If the signal has no edge or only pulses too short to be chips, or the trigger has no
         rising edge.
     """
-    for each, what in ((trace, "signal"), (trigger, "trigger")):
-        if each is not None and not each.edges:
+    for signal, kind in ((trace, "signal"), (trigger, "trigger")):
+        if signal is not None and not signal.edges:
             raise ValueError(
-                f"{what} {each.name!r} has no edge in this recording: nothing was played into it"
+                f"{kind} {signal.name!r} has no edge in this recording: nothing was played into it"
             )
     if trigger is not None and not any(level for _, level in trigger.edges):
         raise ValueError(
@@ -115,8 +115,8 @@ def align(
         )
     readings = [
         plays
-        for rest in _rests(trace)
-        if (plays := _with_rest(trace, program, trigger, rest=rest))
+        for closed_level in _closed_levels(trace)
+        if (plays := _closed_at(trace, program, trigger, closed_level=closed_level))
     ]
     if not readings:
         raise ValueError(
@@ -127,27 +127,31 @@ def align(
     return min(readings, key=_differing)
 
 
-def _with_rest(
-    trace: Trace, program: Program, trigger: Trace | None, *, rest: int
+def _closed_at(
+    trace: Trace, program: Program, trigger: Trace | None, *, closed_level: int
 ) -> tuple[Verification, ...]:
     """Compare a signal that is closed at the level `rest` with the program."""
-    level = trace.level ^ rest
-    raw = [(time_ns, new ^ rest) for time_ns, new in trace.edges]
-    edges, short = _without_glitches(
-        [(trace.start_ns, 1), *raw] if level else raw, _GLITCH * program.chip_ns
-    )
-    found = []
-    for begin, end, asked in _plays(edges, program, trigger):
-        inside = edges[bisect_left(edges, (begin, 0)) : bisect_left(edges, (end, 0))]
-        glitches = sum(begin <= time_ns < end for time_ns in short)
-        found.append(_verification(inside, program, trace.end_ns, bool(rest), glitches, asked))
-    if level and found:
+    level = trace.level ^ closed_level
+    raw = [(time_ns, new_level ^ closed_level) for time_ns, new_level in trace.edges]
+    if level:
+        raw.insert(0, (trace.start_ns, 1))
+    edges, glitch_times = _without_glitches(raw, _GLITCH * program.chip_ns)
+    verifications = []
+    for begin, end, trigger_ns in _plays(edges, program, trigger):
+        play_edges = edges[bisect_left(edges, (begin, 0)) : bisect_left(edges, (end, 0))]
+        glitches = sum(begin <= time_ns < end for time_ns in glitch_times)
+        verifications.append(
+            _verification(
+                play_edges, program, trace.end_ns, bool(closed_level), glitches, trigger_ns
+            )
+        )
+    if level and verifications:
         cut = ("the recording begins with the shutter open: start it before the trigger",)
-        found[0] = replace(found[0], problems=(*found[0].problems, *cut))
-    return tuple(found)
+        verifications[0] = replace(verifications[0], problems=(*verifications[0].problems, *cut))
+    return tuple(verifications)
 
 
-def _rests(trace: Trace) -> tuple[int, ...]:
+def _closed_levels(trace: Trace) -> tuple[int, ...]:
     """Levels at which the signal may be closed, the likelier one first: that before and after its
     edges.
 
@@ -178,14 +182,14 @@ def _without_glitches(
     """Drop pulses of either level that are too short; return what is left and the moments of the
     dropped ones.
     """
-    kept: list[tuple[float, int]] = []
-    dropped: list[float] = []
+    clean: list[tuple[float, int]] = []
+    glitch_times: list[float] = []
     for edge in edges:
-        if kept and edge[0] - kept[-1][0] < shortest_ns:
-            dropped.append(kept.pop()[0])
+        if clean and edge[0] - clean[-1][0] < shortest_ns:
+            glitch_times.append(clean.pop()[0])
         else:
-            kept.append(edge)
-    return kept, dropped
+            clean.append(edge)
+    return clean, glitch_times
 
 
 def _plays(
@@ -228,13 +232,13 @@ def _verification(
     if not any(level for _, level in edges):
         return _nothing(program, inverted, glitches, trigger_ns or 0.0)
     fit = fit_edges(edges, program)
-    otherwise = ""
+    problems = []
     if fit.wrong:
-        fit, otherwise = _explained(fit, edges, program)
-    problems = [otherwise] if otherwise else []
-    there = sum(level for _, _, level in fit.pairs)
-    missing = fit.program.pulses - there
-    extra = sum(level for _, level in edges) - there
+        fit, deviation = _explained(fit, edges, program)
+        problems.append(deviation)
+    openings = sum(level for _, _, level in fit.pairs)
+    missing = fit.program.pulses - openings
+    extra = sum(level for _, level in edges) - openings
     if missing or extra:
         problems.append(
             f"{missing} of {program.pulses} openings are missing and {extra} are too many"
@@ -246,11 +250,9 @@ def _verification(
     scale_ppm = (fit.scale - 1) * 1e6
     drift = abs(fit.scale - 1) * program.chips
     if drift > _DRIFT_CHIPS:
-        remedy = (
-            "calibrate it"
-            if _CLOCKS[0] < fit.scale < _CLOCKS[1]
-            else "is the chip time right, and the unit of time?"
-        )
+        remedy = "is the chip time right, and the unit of time?"
+        if _CLOCKS[0] < fit.scale < _CLOCKS[1]:
+            remedy = "calibrate it"
         problems.append(
             f"the clock is off by {scale_ppm:+.0f} ppm, {drift:.2f} chips over the code: {remedy}"
         )
@@ -304,12 +306,12 @@ def _explained(
         program.bits[::-1]: "the code is played backwards",
         program.bits.translate(str.maketrans("01", "10")): "open and closed are swapped",
     }
-    for bits, what in mistakes.items():
+    for bits, mistake in mistakes.items():
         mistaken = Program(bits, program.chip_ns) if "1" in bits else program
         if len(mistaken.edges) == len(edges) and mistaken != program:
-            other = fit_edges(edges, mistaken)
-            if not other.wrong and len(other.pairs) == len(edges):
-                return other, f"another code was played: {what}"
+            swapped_fit = fit_edges(edges, mistaken)
+            if not swapped_fit.wrong and len(swapped_fit.pairs) == len(edges):
+                return swapped_fit, f"another code was played: {mistake}"
     first = next(
         k
         for k, (is_, want) in enumerate(zip(fit.achieved, program.bits, strict=True))

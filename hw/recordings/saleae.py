@@ -117,7 +117,9 @@ def _channels(header: list[str], source: str) -> list[str]:
 
 
 def _seconds_ns(text: str) -> Decimal | None:
-    return Decimal(text).scaleb(9) if _SECONDS.fullmatch(text) else None
+    if not _SECONDS.fullmatch(text):
+        return None
+    return Decimal(text).scaleb(9)
 
 
 def _iso_ns(text: str) -> Decimal | None:
@@ -134,5 +136,5 @@ def _iso_ns(text: str) -> Decimal | None:
 
 
 def _number(time_ns: Decimal) -> float:
-    whole = int(time_ns)
-    return whole if whole == time_ns else float(time_ns)
+    whole_ns = int(time_ns)
+    return whole_ns if whole_ns == time_ns else float(time_ns)

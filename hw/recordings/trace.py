@@ -67,13 +67,13 @@ class Recording:
                     " into it"
                 )
             return busiest
-        found = [
+        matches = [
             trace for trace in self.traces if name in {trace.name, trace.name.rpartition(".")[2]}
         ]
-        if len(found) != 1:
-            what = "several signals" if found else "no signal"
-            raise ValueError(f"{self.source} has {what} {name[:40]!r}: its signals are {names}")
-        return found[0]
+        if len(matches) != 1:
+            count = "several signals" if matches else "no signal"
+            raise ValueError(f"{self.source} has {count} {name[:40]!r}: its signals are {names}")
+        return matches[0]
 
 
 class Signal:

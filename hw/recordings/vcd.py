@@ -36,7 +36,7 @@ def parse_vcd(text: str, *, source: str = "VCD") -> Recording:
         itself.
     """
     words = (match.group() for match in _WORD.finditer(text))
-    unit_ns, names, known = _header(words, source)
+    unit_ns, names, codes = _header(words, source)
     if not names:
         raise ValueError(
             f"{source} has no one-bit signal: record the shutter line as a digital channel"
@@ -56,10 +56,12 @@ def parse_vcd(text: str, *, source: str = "VCD") -> Recording:
             while next(words, "$end") != "$end":
                 pass
         elif word not in _DUMPS:
-            value, code = (
-                (word[-1], next(words, "")) if word[0] in "bBrRsS" else (word[0], word[1:])
-            )
-            if (value not in _VALUES and word[0] not in "rRsS") or code not in known:
+            value = word[0]
+            code = word[1:]
+            if word[0] in "bBrRsS":  # a vector, number or text: its code is the next word
+                value = word[-1]
+                code = next(words, "")
+            if (value not in _VALUES and word[0] not in "rRsS") or code not in codes:
                 raise ValueError(
                     f"{source} has {word[:20]!r} among its changes: it is damaged, record again"
                 )
@@ -77,10 +79,10 @@ def _header(words: Iterator[str], source: str) -> tuple[float, list[tuple[str, s
     unit_ns = 0.0
     scopes: list[str] = []
     names: list[tuple[str, str]] = []
-    known: set[str] = set()
+    codes: set[str] = set()
     for word in words:
         if not word.startswith("$"):
-            if known or unit_ns or scopes:
+            if codes or unit_ns or scopes:
                 break
             continue  # sigrok-cli puts a remark of its own in front of the file
         body: list[str] = []
@@ -107,11 +109,11 @@ def _header(words: Iterator[str], source: str) -> tuple[float, list[tuple[str, s
                     f"{source} declares {' '.join(body)[:40]!r}: type, size, code and name are"
                     " needed"
                 )
-            known.add(body[2])
+            codes.add(body[2])
             if body[1] == "1" and body[0] in _ONE_BIT:
                 names.append((".".join([*scopes, "".join(body[3:])]), body[2]))
         elif word == "$enddefinitions":
             if not unit_ns:
                 raise ValueError(f"{source} has no timescale: its times mean nothing without one")
-            return unit_ns, names, known
+            return unit_ns, names, codes
     raise ValueError(f"{source} is no VCD file: a header that ends with $enddefinitions is needed")
