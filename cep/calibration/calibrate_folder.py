@@ -2,20 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import hashlib
+import json
+import os
+import signal
+import time
+import warnings
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import closing, nullcontext
+from dataclasses import dataclass
+from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from cep.calibration.calibrate import CALIBRATION_FILES, Calibration, check_method
-from cep.calibration.photo_cell import estimate_from_figures, estimate_photo, estimator_version
+from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+from cep.calibration.calibrate import (
+    CALIBRATION_FILES,
+    Calibration,
+    check_method,
+    estimate_motion,
+    read_options,
+)
 from cep.files.images import PHOTO_SUFFIXES, parse_gamma, read_image, read_photo
-from cep.jobs.cells import Cell, Figure
-from cep.jobs.engine import Engine
-from cep.jobs.folders import FolderResults, NotWrittenError, is_spelled, run_folder
-from motdiff.estimators.registry import METHODS
-from motdiff.files.outputs import claim_folder
+from cep.files.tables import csv_lines
+from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.registry import METHODS, blind_methods
+from motdiff.files.json_files import plain
+from motdiff.files.outputs import claim_folder, new_files, write_text
+from motdiff.files.plugins import is_reference
+from motdiff.processes import end_with_parent
+from motdiff.threads import one_thread
+
+NOT_REACHED = "left out"
+"""The ``failure`` of a photo that was not reached, after Ctrl-C."""
 
 _SUMMARY = "motions.csv"
+_FINISHED = ".finished.jsonl"
+"""Table in the output, a line for each finished photo: what it was made of, its files and result.
+Lines are only added, so that a run that is killed loses one at most."""
 _COLUMNS = (
     "photo",
     "length_px",
@@ -27,6 +54,74 @@ _COLUMNS = (
     "warnings",
     "failure",
 )
+_DIED = "its process died: not enough memory, or a crash in compiled code"
+
+
+@dataclass(frozen=True)
+class FolderResults:
+    """Results for the photos of a folder.
+
+    Attributes
+    ----------
+    folder : Path
+        With a folder for each photo.
+    summary : Path
+        The table, CSV.
+    found : mapping from a photo's name to its figures, with ``warnings``
+        Without those that failed or were not reached.
+    rows : sequence of mapping
+        The table's: the name, the figures, ``warnings`` and ``failure``, a reason or empty.
+    missing : int
+        Not reached, after Ctrl-C.
+    warnings : sequence of str
+    """
+
+    folder: Path
+    summary: Path
+    found: Mapping[str, Mapping[str, Any]]
+    rows: Sequence[Mapping[str, Any]]
+    missing: int
+    warnings: Sequence[str]
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A photo and how its motion is estimated, as a process is given it."""
+
+    photo: Path
+    method: str
+    options: Mapping[str, Any]
+    gamma: str
+    seed: int
+
+    def key(self) -> str:
+        """Fingerprint of all that makes the estimate: files by their content."""
+        from cep import __version__
+
+        options = {
+            name: _content(value) if isinstance(value, Path) else value
+            for name, value in self.options.items()
+        }
+        made_of = [
+            __version__,
+            _content(self.photo),
+            self.method,
+            _code_of(self.method),
+            options,
+            self.gamma,
+            self.seed,
+        ]
+        return hashlib.sha256(json.dumps(made_of).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class _Estimated:
+    """The motion in a photo with the warnings about both, or the reason why there is none."""
+
+    estimate: MotionEstimate | None
+    warnings: tuple[str, ...] = ()
+    seconds: float = 0.0
+    failure: str = ""
 
 
 def calibrate_folder(
@@ -42,6 +137,9 @@ def calibrate_folder(
     progress: Callable[[float, str], None] = lambda _fraction, _note: None,
 ) -> FolderResults:
     """Estimate and write the motion in each photo, one by one; one that fails costs no other.
+
+    Each photo is written as soon as its motion is found. A photo that an earlier run has finished
+    with the same options is not estimated again, if its files are as they were written.
 
     Parameters
     ----------
@@ -61,7 +159,8 @@ def calibrate_folder(
     workers : int, optional
         Processes; as many as cores when omitted.
     force : bool
-        Whether existing files may be replaced.
+        Whether existing files may be replaced. Those of a photo that fails now are removed: left
+        there they would pass for results of this run.
     progress : callable, optional
         Called with the fraction done and a note.
 
@@ -81,17 +180,15 @@ def calibrate_folder(
     if reason:
         raise ValueError(f"method {method}: {reason}; give the photos of a folder one by one")
     check_method(method, given)
-    sharp: Path | None = given.pop("sharp", None)
     parse_gamma(gamma)
+    sharp: Path | None = given.get("sharp")
     photos = photos_in(folder, but=sharp)
     sharps = {} if sharp is None else sharp_of(photos, sharp)
     if sharp is not None and not sharp.is_dir():
-        read_image(
-            sharp, gamma=gamma, variable="x"
-        )  # what is wrong with it is wrong with every photo
-    named = (
-        folder if folder.name not in ("", "..") else folder.resolve()
-    )  # as "." has no name of its own
+        # what is wrong with it is wrong with every photo
+        read_image(sharp, gamma=gamma, variable="x")
+    # "." has no name of its own
+    named = folder if folder.name not in ("", "..") else folder.resolve()
     target = output or named.with_name(f"{named.name}_motion")
     claim_folder(target, [_SUMMARY], force=force)
     for photo in photos:
@@ -100,60 +197,258 @@ def calibrate_folder(
     failures = {
         label: reason for label, photo in by_label.items() if (reason := unreadable(photo))
     }
-    version = estimator_version(method)
-    cells = [
-        Cell(
-            (label,),
-            estimate_photo,
-            {
-                "photo": photo,
-                "method": method,
-                "gamma": gamma,
-                "seed": seed,
-                "sharp": sharps.get(photo),
-                **given,
-            },
-            version,
-        )
-        for label, photo in by_label.items()
-        if label not in failures
-    ]
+    tasks = {}
+    for label, photo in by_label.items():
+        if label not in failures:
+            own = given | {"sharp": sharps[photo]} if sharps else given
+            tasks[label] = _Task(photo, method, own, gamma, seed)
+    run = _Run(target, tasks, failures, force=force, progress=progress)
+    run.run(workers or _cores())
+    if force:
+        for label in run.failures:
+            _discard(target / by_label[label].stem)
+    return run.results(list(by_label))
 
-    def write(label: str, figures: Mapping[str, Figure]) -> dict[str, Any]:
-        """Write what was found in a photo as ``cep calibrate PHOTO`` does."""
-        photo = by_label[label]
+
+class _Run:
+    """The estimates of a folder's photos: those finished, those that failed, and their table."""
+
+    def __init__(
+        self,
+        folder: Path,
+        tasks: Mapping[str, _Task],
+        failures: Mapping[str, str],
+        *,
+        force: bool,
+        progress: Callable[[float, str], None],
+    ) -> None:
+        self.failures = dict(failures)
+        self._finished: dict[str, Mapping[str, Any]] = {}
+        self._folder = folder
+        self._tasks = tasks
+        self._keys = {label: task.key() for label, task in tasks.items()}
+        self._force = force
+        self._progress = progress
+
+    def run(self, workers: int) -> None:
+        """Take over what is finished, estimate and write the rest; Ctrl-C ends it early."""
+        count = len(self._tasks)
+        self._finished = self._found_finished()
+        waiting = {
+            label: task for label, task in self._tasks.items() if label not in self._finished
+        }
+        self._progress(0.0, f"0 of {count} photos")
+        if self._finished:
+            self._progress(len(self._finished) / count, f"{len(self._finished)} of {count} photos")
+        began_s = time.monotonic()
+        in_hand: tuple[str, _Estimated] | None = None
         try:
-            read = read_photo(photo, gamma=gamma)
-        except (
-            ValueError,
-            OSError,
-        ) as error:  # it was there when its motion was estimated, maybe hours ago
-            raise NotWrittenError(f"has changed since: {error}") from None
-        found, warnings = estimate_from_figures(figures)
-        source = {"image": str(photo), "seed": seed}
-        bits = min(read.bits, 16)
-        calibration = Calibration.of(found, read.pixels)
-        files = calibration.save(
-            target / photo.stem, source=source, force=force, bits=bits, gamma=gamma
-        )
-        return calibration.to_dict(
-            files, seconds=cast(float, figures["seconds"]), warnings=warnings
-        )
+            with closing(_estimates(waiting, workers)) as estimates:
+                for number, in_hand in enumerate(estimates, 1):
+                    self._write(*in_hand)
+                    left_s = (time.monotonic() - began_s) / number * (len(waiting) - number)
+                    done = count - len(waiting) + number
+                    note = f"{done} of {count} photos, about {_in_words(left_s)} left"
+                    self._progress(done / count, note)
+        except KeyboardInterrupt:
+            # an estimate that was being written is finished: it took longer than its writing does
+            if in_hand is not None and in_hand[0] not in {*self._finished, *self.failures}:
+                self._write(*in_hand)
+            return
 
-    return run_folder(
-        target,
-        {label: target / photo.stem for label, photo in by_label.items()},
-        cells,
-        noun="photos",
-        files=CALIBRATION_FILES,
-        summary=_SUMMARY,
-        columns=_COLUMNS,
-        failures=failures,
-        write=write,
-        engine=Engine.of(target, cache=None, workers=workers, dask=None),
-        force=force,
-        progress=progress,
-    )
+    def _found_finished(self) -> dict[str, Mapping[str, Any]]:
+        """Read the results of photos that an earlier run finished in the same way."""
+        try:
+            lines = (self._folder / _FINISHED).read_text(encoding="utf-8").splitlines()
+        except OSError:
+            return {}
+        finished = {}
+        for line in lines:
+            try:
+                record = json.loads(line)
+                label = record["photo"]
+                place = self._folder / self._tasks[label].photo.stem
+                is_whole = record["key"] == self._keys[label] and all(
+                    _content(place / name) == content for name, content in record["files"].items()
+                )
+            except (ValueError, KeyError, TypeError, OSError):
+                continue  # a line cut short, a photo that is gone, or a damaged or missing file
+            if is_whole:
+                paths = {name: place / name for name in record["files"]}
+                finished[label] = record["result"] | {
+                    "trajectory": paths["trajectory.json"],
+                    "psf": paths["psf.npy"],
+                    "files": list(paths.values()),
+                }
+        return finished
+
+    def _write(self, label: str, estimated: _Estimated) -> None:
+        """Write the motion in a photo as ``cep calibrate PHOTO`` does."""
+        if estimated.estimate is None:
+            self.failures[label] = estimated.failure
+            return
+        task = self._tasks[label]
+        try:
+            photo = read_photo(task.photo, gamma=task.gamma)
+        except (ValueError, OSError) as error:
+            # it was there when its motion was estimated, perhaps minutes ago
+            self.failures[label] = f"has changed since: {error}"
+            return
+        calibration = Calibration.of(estimated.estimate, photo.pixels)
+        files = calibration.save(
+            self._folder / task.photo.stem,
+            source={"image": str(task.photo), "seed": task.seed},
+            force=self._force,
+            bits=min(photo.bits, 16),
+            gamma=task.gamma,
+        )
+        result = calibration.to_dict(files, seconds=estimated.seconds, warnings=estimated.warnings)
+        record = {
+            "photo": label,
+            "key": self._keys[label],
+            "files": {name: _content(path) for name, path in files.items()},
+            "result": plain(result),
+        }
+        with (self._folder / _FINISHED).open("a", encoding="utf-8") as table:
+            table.write(json.dumps(record) + "\n")
+        self._finished[label] = result
+
+    def results(self, labels: Sequence[str]) -> FolderResults:
+        """Write the table of all photos, and return what was found."""
+        finished = {label: self._finished[label] for label in labels if label in self._finished}
+        rows = [
+            {
+                "photo": label,
+                **finished.get(label, {}),
+                "failure": self.failures.get(label, "" if label in finished else NOT_REACHED),
+            }
+            for label in labels
+        ]
+        summary = self._folder / _SUMMARY
+        self._folder.mkdir(parents=True, exist_ok=True)  # nothing is in it where all photos failed
+        with new_files([summary], force=self._force) as made:
+            write_text(made[summary], _csv(rows))
+        missing = sum(row["failure"] == NOT_REACHED for row in rows)
+        lines = [
+            f"{label}: {line}" for label, result in finished.items() for line in result["warnings"]
+        ]
+        return FolderResults(self._folder, summary, finished, rows, missing, lines)
+
+
+def _estimates(
+    tasks: Mapping[str, _Task], workers: int
+) -> Generator[tuple[str, _Estimated], None, None]:
+    """Yield the estimates as they are made, in this process or in others of one thread each."""
+    if workers == 1 or len(tasks) < 2:
+        for label, task in tasks.items():
+            yield label, _estimated(task)
+        return
+    waiting = dict(tasks)
+    while waiting:
+        try:
+            with closing(_in_processes(waiting, workers)) as estimates:
+                for label, estimated in estimates:
+                    del waiting[label]
+                    yield label, estimated
+        except TerminatedWorkerError:
+            # one of the photos that were handed out ended its process: each alone shows which
+            for label in list(islice(waiting, 2 * workers)):
+                task = waiting.pop(label)
+                try:
+                    yield from _in_processes({label: task}, workers)
+                except TerminatedWorkerError:
+                    yield label, _Estimated(None, failure=_DIED)
+
+
+def _in_processes(
+    tasks: Mapping[str, _Task], workers: int
+) -> Generator[tuple[str, _Estimated], None, None]:
+    beginning = {"initializer": _begin_worker, "initargs": (os.getpid(),)}
+    with (
+        parallel_config("loky", n_jobs=workers, inner_max_num_threads=1, **beginning),
+        warnings.catch_warnings(),
+    ):
+        # loky restarts processes whose memory has grown, as PyTorch's does, and warns of it;
+        # joblib warns of the photos that Ctrl-C leaves out
+        warnings.simplefilter("ignore", UserWarning)
+        run = Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=2 * workers)
+        stream = run(delayed(_in_folder)(Path.cwd(), label, task) for label, task in tasks.items())
+        try:
+            yield from stream
+        finally:
+            stream.close()
+
+
+def _begin_worker(parent: int) -> None:
+    # a terminal sends Ctrl-C to this process too; joblib ends it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent(parent)
+
+
+def _in_folder(folder: Path, label: str, task: _Task) -> tuple[str, _Estimated]:
+    os.chdir(folder)  # joblib's processes may be those of an earlier run in another folder
+    return label, _estimated(task)
+
+
+def _estimated(task: _Task) -> _Estimated:
+    """Estimate the motion in a photo; an exception becomes the reason of a failure."""
+    try:
+        photo = read_photo(task.photo, gamma=task.gamma)
+        values = read_options(task.method, task.options, gamma=task.gamma)
+        began_s = time.perf_counter()
+        # as many as there are workers run at once, and sums must not depend on how many do
+        with one_thread() if task.method in blind_methods() else nullcontext():
+            estimate = estimate_motion(photo.pixels, method=task.method, seed=task.seed, **values)
+        seconds = time.perf_counter() - began_s
+    except Exception as error:  # whatever a photo or a user-defined estimator raises
+        is_plain = isinstance(error, ValueError | RuntimeError) and bool(str(error))
+        text = str(error) if is_plain else f"{type(error).__name__}: {error}".removesuffix(": ")
+        return _Estimated(None, failure=" ".join(text.removeprefix(f"{task.photo}: ").split()))
+    notes = [line.removeprefix(f"{task.photo}: ") for line in photo.warnings]
+    return _Estimated(estimate, (*notes, *estimate.warnings), seconds)
+
+
+def _content(path: Path) -> str:
+    """Fingerprint of a file's content."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _code_of(method: str) -> str:
+    """Fingerprint of a user-defined estimator's module; that of others is the version's."""
+    if not is_reference(method):
+        return ""
+    spec = find_spec(method.partition(":")[0])
+    return _content(Path(spec.origin)) if spec is not None and spec.origin is not None else ""
+
+
+def _cores() -> int:
+    """Count the cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _in_words(left_s: float) -> str:
+    for unit, size_s in (("h", 3600.0), ("min", 60.0)):
+        if left_s >= size_s:
+            return f"{left_s / size_s:.1f} {unit}"
+    return f"{left_s:.0f} s"
+
+
+def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Lay out the table, a line per photo; what a row lacks is empty."""
+    lines = [{**row, "warnings": "; ".join(row.get("warnings", ()))} for row in rows]
+    return csv_lines([_COLUMNS, *([line.get(name) for name in _COLUMNS] for line in lines)])
+
+
+def _discard(folder: Path) -> None:
+    """Remove the files of a calibration, and the folder where nothing else is in it."""
+    if not folder.is_dir():
+        return
+    for name in CALIBRATION_FILES:
+        (folder / name).unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()
 
 
 def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...]:
@@ -204,10 +499,10 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
 
 
 def unreadable(photo: Path) -> str:
-    """Say why a photo cannot even be opened, empty where it can; and a name that no table can hold
-    is refused.
-    """
-    if not is_spelled(photo.name):
+    """Say why a photo cannot even be opened, or its name not be written; empty where both can."""
+    try:
+        photo.name.encode("utf-8")  # Python keeps other bytes as lone surrogates
+    except UnicodeEncodeError:
         return "the name is no UTF-8, rename it"
     try:
         photo.open("rb").close()

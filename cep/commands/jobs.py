@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
@@ -15,8 +15,26 @@ from cep.commands.console import FAILURE, INTERRUPTED, finish, table
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cep.jobs.folders import FolderResults
     from motdiff.files.outputs import Outputs
+
+NOT_REACHED = "left out"
+"""The ``failure`` of a row that Ctrl-C left out."""
+
+
+class FolderResults(Protocol):
+    """What a command did for everything in a folder."""
+
+    @property
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """A row for each thing, with its figures, ``warnings`` and ``failure``."""
+
+    @property
+    def missing(self) -> int:
+        """How many were not reached, after Ctrl-C."""
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Warnings about all of them."""
 
 
 def only_of_folders(where: str, workers: int | None, dask: str | None, cache: Path | None) -> None:
@@ -58,8 +76,6 @@ def finish_folder(
     typer.Exit
         1 where a row failed, 130 after Ctrl-C.
     """
-    from cep.jobs.folders import NOT_REACHED
-
     name, *figures = columns
     rows = found.rows
     missing = found.missing
@@ -113,8 +129,6 @@ def _state(row: Mapping[str, object]) -> str:
     """Say in a word how a row came out; the reasons and the warnings themselves are told on
     stderr.
     """
-    from cep.jobs.folders import NOT_REACHED
-
     failure = row.get("failure")
     warnings = row.get("warnings")
     if failure:

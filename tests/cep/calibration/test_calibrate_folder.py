@@ -11,12 +11,10 @@ import pytest
 
 from cep.calibration.calibrate import CALIBRATION_FILES, Calibration
 from cep.calibration.calibrate_folder import calibrate_folder, photos_in, sharp_of
-from cep.calibration.photo_cell import estimate_from_figures, estimate_photo
 from cep.commands.console import FAILURE, INTERRUPTED
 from cep.files import images
 from cep.files.files import read_psf
 from cep.files.images import write_image
-from cep.jobs.engine import run_cells
 from cep.search.optimize_folder import motions_in
 from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import mnc_subpixel
@@ -96,10 +94,10 @@ def test_each_photo_gets_the_files_of_the_single_command(cep, tmp_path, monkeypa
     assert list(found["photos"]) == list(MOTIONS)
     assert (found["failures"], found["missing"]) == ({}, 0)
     assert sorted(path.name for path in Path("lamps_motion").iterdir()) == [
+        ".finished.jsonl",
         "a",
         "b",
         "c[1].x",
-        "cells",
         "motions.csv",
     ]
     rows = rows_of(found["summary"])
@@ -159,7 +157,7 @@ def test_photos_that_fail_are_told_by_name_and_the_others_kept(cep, shots, guess
         Path("shots", name).unlink()
     calls = guesses.calls
     assert set(cep.succeeds(*REFERENCE, "--force")["photos"]) == {*MOTIONS, "broken.png"}
-    assert guesses.calls == calls  # a photo of the same content as another is estimated already
+    assert guesses.calls == calls + 1
 
 
 def test_a_photo_that_is_too_small_fails_before_an_estimator_is_made(
@@ -332,27 +330,39 @@ def test_a_photo_that_goes_meanwhile_loses_no_other(cep, shots, guesses, monkeyp
     assert Path("shots_motion/c[1].x/trajectory.json").is_file()
 
 
-def test_an_estimate_comes_back_to_the_last_bit(shots, tmp_path, guesses):
-    from cep.jobs.cells import Cell
+def test_a_finished_photo_comes_back_unless_its_files_or_what_made_them_changed(
+    cep, shots, guesses
+):
+    first = cep.succeeds(*REFERENCE)
+    table = Path("shots_motion/.finished.jsonl")
+    with table.open("a") as stream:
+        stream.write('{"photo": "a.png", "key": ')  # cut short by a killed run
+    again = cep.succeeds(*REFERENCE, "--force")
+    assert guesses.calls == 3
+    assert again["photos"] == first["photos"]
+    before = Path("shots_motion/b/psf.npy").read_bytes()
+    Path("shots_motion/b/psf.npy").write_bytes(before[:-1])
+    Path("shots_motion/a/preview.png").unlink()
+    cep.succeeds(*REFERENCE, "--force")
+    assert guesses.calls == 5
+    assert Path("shots_motion/b/psf.npy").read_bytes() == before
+    Path("sharp.png").write_bytes(Path("shots/a.png").read_bytes())
+    cep.succeeds(*REFERENCE, "--force")
+    assert guesses.calls == 8
 
-    cell = Cell(
-        ("a",),
-        estimate_photo,
-        {"photo": Path("shots/a.png"), "method": "reference", "sharp": Path("sharp.png")},
+
+def test_a_photo_that_ends_its_process_fails_alone(cep, shots, monkeypatch):
+    Path("fatal.py").write_text(
+        "import os\nfrom motdiff.trajectory import Trajectory\n\n\nclass Fatal:\n"
+        "    def estimate(self, photo):\n        if photo.shape[0] == 70:\n"
+        "            os._exit(1)\n        return Trajectory.straight(7.0)\n"
     )
-    for _ in range(2):  # made, and found on disk
-        (result,) = run_cells([cell], cache=tmp_path / "cells").results
-        found, warnings = estimate_from_figures(result.finished.figures)
-        assert (found.method, found.weights, found.confidence, found.details) == (
-            "guess",
-            (1.0,),
-            0.4,
-            {"figure": 1.5},
-        )
-        np.testing.assert_array_equal(found.trajectories[0].xy, BENT.xy)
-        np.testing.assert_array_equal(found.trajectories[0].t, BENT.t)
-        np.testing.assert_array_equal(found.psf, BENT.psf(64))
-        assert warnings == ["a guess"]
+    write_image("shots/fatal.png", np.random.default_rng(0).random((70, 90)))
+    cep("calibrate", "shots", "--method", "fatal:Fatal", "--workers", "2", "--json")
+    assert cep.code == FAILURE
+    assert list(cep.json["photos"]) == list(MOTIONS)
+    assert list(cep.json["failures"]) == ["fatal.png"]
+    assert "its process died" in cep.json["failures"]["fatal.png"]
 
 
 def test_photos_are_those_that_can_be_read(shots):

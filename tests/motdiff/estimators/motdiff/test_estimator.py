@@ -853,7 +853,7 @@ def test_a_method_may_name_its_file_of_weights(oracle_weights, monkeypatch, tmp_
     )
     monkeypatch.setattr(
         "motdiff.estimators.motdiff.estimator.MotDiffEstimator",
-        lambda *, weights: taken.append(weights),
+        lambda *, weights, **_options: taken.append(weights),
     )
     file = tmp_path / "run 2.safetensors"
     file.touch()
