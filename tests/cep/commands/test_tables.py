@@ -72,24 +72,3 @@ def test_another_suffix_is_refused_before_any_work(cep, tmp_path, monkeypatch):
         line = cep.refuses(*command, "--table", "t.xlsx")
         assert line == "cep: --table: t.xlsx: tables are written as .tex, .csv or .md\n"
     assert not list(tmp_path.iterdir())
-
-
-def test_the_table_of_a_folder_is_written_too(cep, workplace, monkeypatch):
-    monkeypatch.syspath_prepend(workplace)
-    Path("shots").mkdir()
-    Path("blurred.png").rename("shots/one.png")
-    plugin = Path("folder_plugin.py")
-    plugin.write_text(
-        "from motdiff.estimators.base import MotionEstimate\nfrom motdiff.trajectory import"
-        " Trajectory\nclass Straight:\n    def estimate(self, photo):\n        path ="
-        " Trajectory.straight(9.0)\n        return MotionEstimate('straight', (path,), (1.0,),"
-        " path.psf(33), confidence=0.5)\n"
-    )
-    options = ("--method", "folder_plugin:Straight", "--workers", "1", "-o", "motions")
-    cep("calibrate", "shots", *options, "--table", "m.tex")
-    assert cep.code == 0, cep.err
-    ((caption, _, head, rows),) = read_tables(Path("m.tex").read_text(encoding="utf-8"))
-    assert caption == "the motion in each photo"
-    assert dict(zip(head, rows[0], strict=True))["long, px"] == "9"
-    line = cep.refuses("calibrate", "shots/one.png", "--method", "pmp", "--table", "m.tex")
-    assert line.startswith("cep: --table: is for a folder")
