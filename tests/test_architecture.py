@@ -61,6 +61,7 @@ UNSAFE_OPTIONS = {("allow_pickle", "True"), ("weights_only", "False")}
 
 COMMANDS = "cep/commands/"
 LIGHT = {
+    "cep.restoration.registry",
     "cep.search.search_options",
     "hw.export",
     "motdiff.estimators.method",

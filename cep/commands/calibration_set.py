@@ -1,9 +1,8 @@
-"""``cep calibration-set``: codes with which to photograph one motion, so that its order in time
-can be told.
-"""
+"""``cep calibration-set``: codes for photos of one motion that show its order in time."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +10,7 @@ import typer
 
 from cep.commands.code_options import ChipTime, Device, chips_option
 from cep.commands.console import finish, progress, table
-from cep.commands.options import Force, Json, Seed, TableFile, output_option, table_files
+from cep.commands.options import CommonOptions, TableFile, command, output_option, table_files
 from cep.commands.search_run import in_bits
 
 if TYPE_CHECKING:
@@ -20,30 +19,33 @@ if TYPE_CHECKING:
     from cep.calibration.calibration_set import CalibrationSet
 
 
-def calibration_set(
+@dataclass(frozen=True, kw_only=True)
+class CalibrationSetOptions(CommonOptions):
+    """Options of ``cep calibration-set``."""
+
     photos: Annotated[
         int,
         typer.Option(
             "--photos", metavar="N", min=1, max=8, help="Photos to be taken of the motion."
         ),
-    ] = 4,
-    chips: Annotated[int, chips_option(least=4)] = 52,
-    chip_ns: ChipTime = 1_000_000,
-    device: Device = None,
+    ] = 4
+    chips: Annotated[int, chips_option(least=4)] = 52
+    chip_ns: ChipTime = 1_000_000
+    device: Device = None
     file_format: Annotated[
         str,
         typer.Option(
             "--format", "-f", metavar="NAME", help="Of the timed programs, as of cep export."
         ),
-    ] = "csv",
+    ] = "csv"
     output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
         "calibration_set"
-    ),
-    tables: TableFile = None,
-    force: Force = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
+    )
+    tables: TableFile = None
+
+
+@command(CalibrationSetOptions)
+def calibration_set(options: CalibrationSetOptions) -> None:
     """Design the codes of photos of one motion that tell its order in time, which one open photo
     cannot.
 
@@ -69,35 +71,45 @@ def calibration_set(
     from cep.calibration.calibration_set import set_files
     from motdiff.files.outputs import claim, claim_folder
 
-    claim_folder(output, set_files(photos, file_format), force=force)
-    outputs = claim(table_files(tables), force=force)
+    output = options.output
+    names = set_files(options.photos, options.file_format)
+    claim_folder(output, names, force=options.force)
+    outputs = claim(table_files(options.tables), force=options.force)
     with progress("designing codes") as tick:
-        found = design(
-            photos,
-            chips=chips,
-            chip_ns=chip_ns,
-            device=device,
-            rng=np.random.default_rng(seed),
+        calibration = design(
+            options.photos,
+            chips=options.chips,
+            chip_ns=options.chip_ns,
+            device=options.device,
+            rng=np.random.default_rng(options.seed),
             progress=tick,
         )
-    files = [output / name for name in set_files(photos, file_format)]
-    result = {"folder": output, "files": files, **found.to_dict(output), "seed": seed}
+    result = {
+        "folder": output,
+        "files": [output / name for name in names],
+        **calibration.to_dict(output),
+        "seed": options.seed,
+    }
     finish(
         result,
-        as_json=as_json,
-        show=lambda console: _show(console, found, output),
+        as_json=options.as_json,
+        show=lambda console: _show(console, calibration, output),
         outputs=outputs,
-        save=lambda _made: found.save(output, file_format=file_format, force=force),
-        tables=tables,
-        summary=in_bits(found.codes),
+        save=lambda _made: calibration.save(
+            output, file_format=options.file_format, force=options.force
+        ),
+        tables=options.tables,
+        summary=in_bits(calibration.codes),
     )
 
 
-def _show(console: Console, found: CalibrationSet, folder: Path) -> None:
-    console.print(found.summary)
+def _show(console: Console, calibration: CalibrationSet, folder: Path) -> None:
+    console.print(calibration.summary)
     rows = [
         (f"P{i}", name, code.open_chips, code.pulses, code.bits)
-        for i, (name, code) in enumerate(zip(found.sources, found.codes, strict=True), 1)
+        for i, (name, code) in enumerate(
+            zip(calibration.sources, calibration.codes, strict=True), 1
+        )
     ]
     console.print(table(str(folder), ("photo", "code", "open", "openings", "bits"), rows))
-    console.print(f"then: {found.command(folder)}")
+    console.print(f"then: {calibration.command(folder)}")
