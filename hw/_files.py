@@ -15,7 +15,7 @@ _MARKS = {
     codecs.BOM_UTF16_BE: "utf-16-be",
 }
 _BINARY = re.compile(r"[\0-\x08\x0e-\x1a\x1c-\x1f]")
-_MOST_BYTES = 32 * 2**20
+_MOST_BYTES = 32 * 2**20  # a capture of millions of edges; more would fill the memory
 
 
 def content(path: str | Path, *, most_bytes: int = _MOST_BYTES) -> bytes:
@@ -29,6 +29,7 @@ def content(path: str | Path, *, most_bytes: int = _MOST_BYTES) -> bytes:
         If it cannot be read.
     """
     with regular_file(path).open("rb") as stream:
+        # Never by the size that the system states: a file may grow while it is read.
         data = stream.read(most_bytes + 1)
     if len(data) > most_bytes:
         raise ValueError(
@@ -38,8 +39,7 @@ def content(path: str | Path, *, most_bytes: int = _MOST_BYTES) -> bytes:
 
 
 def decoded(data: bytes) -> str:
-    """Decode text that begins in ASCII: UTF-8, UTF-16 or UTF-32 with their marks or without, else
-    Windows-1252.
+    """Decode UTF-8, -16 or -32, with a mark or without, else Windows-1252.
 
     Raises
     ------
@@ -51,6 +51,7 @@ def decoded(data: bytes) -> str:
         text = data.removeprefix(mark).decode(
             _MARKS[mark], errors="replace"
         )  # a cut end is the parser's to tell
+    # ASCII in UTF-16 has a zero in every second byte.
     elif len(data) > 1 and 0 in data[:2]:
         text = data.decode("utf-16-le" if data[0] else "utf-16-be", errors="replace")
     else:
@@ -64,8 +65,7 @@ def decoded(data: bytes) -> str:
 
 
 def regular_file(path: str | Path) -> Path:
-    """Check that an input is no pipe, socket or device, whose reading may block for ever or never
-    end.
+    """Check that an input is no pipe, socket or device, whose reading may never end.
 
     Raises
     ------

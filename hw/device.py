@@ -15,7 +15,7 @@ from hw._files import content
 from hw.program import Program
 
 _SCHEMA = "hw.device/1"
-_PROFILE_BYTES = 2**20
+_PROFILE_BYTES = 2**20  # far more than any profile has
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,8 +96,7 @@ class DeviceProfile:
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any], *, source: str = "profile") -> DeviceProfile:
-        """Make a profile of the content of its file, the inverse of `to_dict`; `source` names it
-        in messages.
+        """Make a profile of its file's content, the inverse of `to_dict`; `source` is its name.
 
         Raises
         ------
@@ -111,6 +110,7 @@ class DeviceProfile:
                 f'{source} has schema {str(schema)[:40]!r}: schema = "{_SCHEMA}" is needed'
             )
         names = {field.name for field in fields(cls)}
+        # An unknown field may be a misspelt limit, which must not be dropped in silence.
         unknown = sorted(set(figures) - names)
         if unknown:
             raise ValueError(
@@ -139,19 +139,9 @@ class DeviceProfile:
         return {"schema": _SCHEMA, **figures}
 
     def check(self, program: Program) -> tuple[str, ...]:
-        """List every limit that a program breaks, each in one plain sentence; empty when it can be
-        played.
+        """List every limit that a program breaks, each in one plain sentence.
 
-        Parameters
-        ----------
-        program : Program
-            Program to be played.
-
-        Returns
-        -------
-        tuple of str
-            One sentence per broken limit, with the figure found and the figure that would be
-            right.
+        A sentence has the figure of the program, and the figure that would be right.
         """
         return tuple(
             f"{self.name}: {problem}" for problem in (*self._grid(program), *self._runs(program))
@@ -217,6 +207,7 @@ class DeviceProfile:
         if self.max_pulses is not None and program.pulses > self.max_pulses:
             problems.append(f"code has {program.pulses} openings; at most {self.max_pulses}")
         if self.max_rate_hz is not None and len(openings) > 1:
+            # The two nearest openings: strobes are limited by the shortest period, not the mean.
             rate_hz = 1e9 / min(b - a for a, b in pairwise(openings))
             if rate_hz > self.max_rate_hz:
                 problems.append(
@@ -233,7 +224,7 @@ def parse_profile(text: str, *, source: str = "profile") -> DeviceProfile:
     text : str
         TOML with ``schema = "hw.device/1"`` and the fields of `DeviceProfile`.
     source : str
-        File name for messages.
+        File, for messages.
 
     Raises
     ------
@@ -296,8 +287,7 @@ def load_profile(name: str | Path) -> DeviceProfile:
 
 
 def refusal(problems: Sequence[str], limits: DeviceProfile) -> str:
-    """Say that a program cannot be played, and with which built-in profile a code can be searched
-    that can.
+    """Say why a program cannot be played, and with which profile to search one that can.
 
     Examples
     --------
@@ -310,7 +300,7 @@ def refusal(problems: Sequence[str], limits: DeviceProfile) -> str:
         for name in profile_names()
         if limits.max_chips is not None
         and (limits.tick_ns, limits.max_chips)
-        == ((known := load_profile(name)).tick_ns, known.max_chips)
+        == ((profile := load_profile(name)).tick_ns, profile.max_chips)
     )
     hint = next((f"; search a code that can with --device {name}" for name in alike), "")
     return f"program cannot be played: {'; '.join(problems)}{hint}"

@@ -42,9 +42,7 @@ class WrongStateError(DeviceError):
 
 
 class DutyLimitError(DeviceError):
-    """The program is open for a larger part of its time than the device allows, or it would follow
-    another too soon.
-    """
+    """The program is open for too large a part of its time, or follows another too soon."""
 
 
 class OnLimitError(DeviceError):
@@ -76,15 +74,14 @@ _KINDS: dict[int, tuple[type[DeviceError], str]] = {
     ),
 }
 
+# DUTY_LIMIT as the answer to ARM, where the program itself is allowed.
 _OWED = (
     "a play was cut short, and no other may begin before it would have ended: wait, then arm again"
 )
 
 
 def device_error(code: int, *, request: str, source: str) -> DeviceError:
-    """Typed exception for an error byte; `source` names the device and `request` what it
-    refuses.
-    """
+    """Typed exception for an error byte: `source` refuses `request`."""
     kind, text = _KINDS.get(code, (DeviceError, f"error {code}, which this version does not know"))
     if kind is DutyLimitError and request == "ARM":
         text = _OWED

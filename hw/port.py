@@ -7,8 +7,9 @@ import os
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-_POLL_S = 0.01
+_POLL_S = 0.01  # longest wait of a read: deadlines are checked as often
 _ERRNO_HINTS = {
+    # The numbers of Linux, and 35 of macOS: pyserial passes on nothing else that tells them apart.
     2: "there is no such port: plug the device in, or look at the port's name",
     6: "the device is gone: plug it in again",
     11: "another program has it open: close that one first",
@@ -24,9 +25,7 @@ _ERRNO_HINTS = {
 
 
 class PortError(ValueError):
-    """The port named cannot be used: missing, busy, silent, or not the device that was
-    expected.
-    """
+    """The named port is missing, busy, silent, or another device than expected."""
 
 
 class LinkError(RuntimeError):
@@ -186,7 +185,12 @@ def open_port(port: str, *, baud: int = 115200) -> SerialPort:
         raise PortError(f"baud is {baud!r}: a whole number 1..10000000 is needed, usually 115200")
     try:
         serial_port: Any = serial.Serial(
-            port_named(port), baud, timeout=_POLL_S, write_timeout=1.0, exclusive=True
+            # exclusive: two hosts on one line would take each other's replies
+            port_named(port),
+            baud,
+            timeout=_POLL_S,
+            write_timeout=1.0,
+            exclusive=True,
         )
     except PortError:
         raise
@@ -219,5 +223,5 @@ def _keep_lines_on_close(descriptor: int) -> None:
     import termios
 
     attributes = termios.tcgetattr(descriptor)
-    attributes[2] &= ~termios.HUPCL
+    attributes[2] &= ~termios.HUPCL  # else closing drops DTR, which resets an Arduino
     termios.tcsetattr(descriptor, termios.TCSANOW, attributes)

@@ -63,6 +63,7 @@ class Program:
             raise ValueError(
                 f"bits has no open chip among {len(self.bits)}: at least one must be 1"
             )
+        # True is an int in Python, and would be a chip of 1 ns.
         if isinstance(self.chip_ns, bool) or not isinstance(self.chip_ns, int):
             raise ValueError(
                 f"chip_ns is {self.chip_ns!r}: it must be a whole number of nanoseconds (an int)"
@@ -130,6 +131,7 @@ class Program:
                 raise ValueError(
                     f"edge {index} has level {new_level}: {1 - level} must follow {level}"
                 )
+            # An opening at time 0 is the only edge on a chip already reached.
             if chip < chips_done or (index and chip == chips_done):
                 raise ValueError(
                     f"edge {index} at {time_ns} ns is out of order: times must increase from 0"
@@ -151,9 +153,7 @@ class Program:
 
     @classmethod
     def from_bytes(cls, packed: bytes, *, chips: int, chip_ns: int) -> Program:
-        """Make a program from MSB-first bytes, the inverse of `to_bytes`; the padding bits must be
-        0.
-        """
+        """Make a program from MSB-first bytes, the inverse of `to_bytes`; padding is 0."""
         chips = _integer(chips, "chips")
         if chips < 1 or len(packed) != (chips + 7) // 8:
             raise ValueError(
@@ -166,9 +166,7 @@ class Program:
         return cls(bits[:chips], _integer(chip_ns, "chip_ns"))
 
     def to_bytes(self) -> bytes:
-        """Chips packed eight to a byte, first chip in the most significant bit, padded with closed
-        chips.
-        """
+        """Chips packed eight to a byte, first chip in the highest bit, padded with 0."""
         size = (self.chips + 7) // 8
         return bytes(int(self.bits[8 * k : 8 * k + 8].ljust(8, "0"), 2) for k in range(size))
 
@@ -221,9 +219,7 @@ class Program:
 
     @property
     def code_crc32(self) -> int:
-        """CRC-32 (zlib) over chip_ns (u64), number of chips (u32), both little endian, and
-        `to_bytes`.
-        """
+        """CRC-32 (zlib) over chip_ns (u64) and chips (u32), little endian, and `to_bytes`."""
         return zlib.crc32(struct.pack("<QI", self.chip_ns, self.chips) + self.to_bytes())
 
 

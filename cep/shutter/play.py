@@ -83,7 +83,7 @@ class Shutter:
         )
         if play:
             self.driver.play()
-            if armed_to_play:
+            if armed_to_play:  # the play used up the arming
                 report = replace(report, armed=False, lease_ms=None)
         return report
 
@@ -136,8 +136,7 @@ def open_shutter(port: str, *, driver: str = "cxp") -> Shutter:
 
 
 def on_ticks(code: Timed, tick_ns: int) -> tuple[Timed, tuple[str, ...]]:
-    """Return a code or program with chips of whole ticks, the nearest, and a warning where they
-    were of another time.
+    """Return a code or program with chips of whole ticks, and a warning where they changed.
 
     One that would last more than :data:`MOST_ROUNDING` longer or shorter is left as it is.
 
@@ -147,6 +146,7 @@ def on_ticks(code: Timed, tick_ns: int) -> tuple[Timed, tuple[str, ...]]:
     >>> on_ticks(code, 500)[0].chip_ns, on_ticks(code, 50_000)[0].chip_ns
     (641000, 641026)
     """
+    # At least one tick, for chips shorter than half of one.
     chip_ns = max(1, round(code.chip_ns / tick_ns)) * tick_ns
     if not 0 < abs(chip_ns - code.chip_ns) <= MOST_ROUNDING * code.chip_ns:
         return code, ()
@@ -238,6 +238,7 @@ def play_emulated(
         with open_shutter(uno.port) as shutter:
             report = shutter.upload(code, profile=profile, play=True)
         deadline = time.monotonic() + _LAST_EDGE_S
+        # The play is over by this computer's clock; the emulated one may lag behind.
         while len(edges := uno.edges()) < 2 * code.pulses and time.monotonic() < deadline:
             time.sleep(0.01)
     finally:

@@ -1,6 +1,4 @@
-"""A recording of a shutter compared with what it should have played, and the code and PSF as
-achieved.
-"""
+"""A recording of a shutter compared with its program, and the code and PSF as achieved."""
 
 from __future__ import annotations
 
@@ -53,13 +51,13 @@ class Playback:
     def warnings(self) -> list[str]:
         """What was assumed of the recording, one sentence each."""
         short = sum(play.glitches for play in self.plays)
-        others = ", ".join(self.others)
+        signals = ", ".join(self.others)
         most_edges = (
-            f"{self.signal} is taken for the shutter's, with most edges; {others} has some as"
+            f"{self.signal} is taken for the shutter's, with most edges; {signals} has some as"
             " well, --signal names the right one"
         )
         assumed = {
-            most_edges: bool(others),
+            most_edges: bool(signals),
             f"{self.signal} rests high: low is taken for open": self.plays[0].inverted,
             f"{short} pulses of {self.signal} too short for a chip were passed over": short > 0,
         }
@@ -71,8 +69,7 @@ class Playback:
         return achieved_code(self.plays[0], chip_ns=self.program.chip_ns)
 
     def psf(self, motion: Trajectory, *, size: int = PSF_PX) -> FloatArray:
-        """PSF of the first play along a motion, (size, size), light-true:
-        :func:`cep.optics.as_played.achieved_psf`.
+        """PSF of the first play along a motion, (size, size), light-true.
 
         Raises
         ------
@@ -94,8 +91,7 @@ class Playback:
         device: DeviceProfile | None = None,
         force: bool = False,
     ) -> Sequence[Path]:
-        """Write the first play's code, and along a motion its PSF: all of :func:`playback_files`
-        or none.
+        """Write the first play's code, and along a motion its PSF: all files or none.
 
         The code's file carries the profile of the shutter, where one is given.
 

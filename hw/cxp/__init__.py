@@ -1,3 +1,1 @@
-"""CXP1, the protocol of the shutter controllers: frames, requests, programs in ticks, link, and
-clock calibration.
-"""
+"""CXP1, the shutter controllers' protocol: frames, requests, link and clock calibration."""

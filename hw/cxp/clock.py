@@ -1,6 +1,4 @@
-"""Calibration of a controller's clock against the host's: ceramic resonators are off by thousands
-of ppm.
-"""
+"""Error of a controller's clock, fitted against the host's."""
 
 from __future__ import annotations
 
@@ -12,10 +10,10 @@ from dataclasses import dataclass
 from hw.drivers.cxp import Controller
 from hw.errors import VerifyError
 
-_WRAP_US = 2**32
+_WRAP_US = 2**32  # STATUS counts 32 bits: some 72 minutes
 _LEAST = 8
 _IN_A_ROW = 4
-_LARGEST_PPM = 100_000
+_LARGEST_PPM = 100_000  # 10 %: a clock that is worse is no clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +72,7 @@ def fit_clock(readings: Sequence[tuple[float, float, int]]) -> ClockFit:
         previous = now_us
         host_s = 0.5 * (sent_s + received_s) - start_s
         drift_s = device_us * 1e-6 - host_s
+        # Half a second beyond the largest error: a slow first reply is no restart.
         if abs(drift_s) > _LARGEST_PPM * 1e-6 * host_s + 0.5:
             raise ValueError(
                 "the device's clock jumped: it was restarted meanwhile, or is no clock; measure"
@@ -91,6 +90,7 @@ def fit_clock(readings: Sequence[tuple[float, float, int]]) -> ClockFit:
     slope = math.fsum((t - mean_t) * (d - mean_d) for _, t, d in quick) / spread
     residual = math.fsum((d - mean_d - slope * (t - mean_t)) ** 2 for _, t, d in quick)
     error = math.sqrt(residual / (count - 2) / spread)
+    # Two standard errors of the slope.
     return ClockFit(1e6 * slope, 2e6 * error, quick[-1][1] - quick[0][1], count)
 
 
@@ -121,11 +121,11 @@ def measure_clock(
         raise ValueError(f"seconds is {seconds}: above 0 and below 3600 are needed; 10 are plenty")
     readings: list[tuple[float, float, int]] = []
     start = time.monotonic()
-    while (sent := time.monotonic()) < start + seconds or len(readings) < _LEAST:
+    while (sent_s := time.monotonic()) < start + seconds or len(readings) < _LEAST:
         retries = controller.link.retries
         uptime_us = controller.status().uptime_us
         if controller.link.retries == retries:  # a retry hides when the clock was read
-            readings.append((sent, time.monotonic(), uptime_us))
+            readings.append((sent_s, time.monotonic(), uptime_us))
         if progress is not None:
             progress(min(1.0, (time.monotonic() - start) / seconds))
     try:

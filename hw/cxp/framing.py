@@ -56,9 +56,7 @@ class Framing:
         return body
 
     def split(self, buffer: bytes) -> tuple[list[bytes], bytes]:
-        """Split received bytes into complete frames without their ends (empty ones dropped) and
-        the unfinished rest.
-        """
+        """Split received bytes into complete frames, without their ends, and the rest."""
         *frames, unfinished = buffer.split(self.end)
         return [frame for frame in frames if frame], unfinished
 

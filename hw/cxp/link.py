@@ -24,6 +24,7 @@ from hw.port import LinkError, OpenPort, PortError, SerialPort, open_port
 
 _LONGEST_FRAME = 20_000  # 65535 chips in hexadecimal digits
 _FRAMINGS = (BINARY, TEXT)
+# After one of these this host answers for the shutter: it must be closed when anything fails.
 _CHANGES = frozenset({Op.LOAD, Op.ARM, Op.TRIG})
 
 
@@ -67,7 +68,7 @@ class Link:
         self._answerable = False
         self._seq = 0
         self._rest = b""
-        atexit.register(self._leave)
+        atexit.register(self._leave)  # an exit without close leaves no shutter armed
 
     @property
     def is_open(self) -> bool:
@@ -87,7 +88,7 @@ class Link:
         LinkError
             If no reply came, or the port failed.
         """
-        self._seq = (self._seq + 1) % 256
+        self._seq = (self._seq + 1) % 256  # another seq is another request, never a retry
         before = self._answerable
         self._answerable = self._answerable or op in _CHANGES
         attempts = attempts or self.attempts
@@ -106,8 +107,7 @@ class Link:
         )
 
     def hello(self, *, hello_s: float = 3.0) -> Hello:
-        """Request the device's HELLO for `hello_s` seconds: a board that resets on opening answers
-        late.
+        """Request HELLO for `hello_s` seconds: a board that resets on opening answers late.
 
         Both framings are tried in turn, and the one that is answered is kept.
 
@@ -121,6 +121,7 @@ class Link:
         received = self.received_bytes
         self._seq = (self._seq + 1) % 256
         try:
+            # At least one try in each framing.
             for attempt in range(max(2, round(hello_s / self.timeout_s))):
                 self.retries += attempt > 1
                 framing = _FRAMINGS[(_FRAMINGS.index(self.framing) + attempt) % 2]
@@ -142,9 +143,7 @@ class Link:
         )
 
     def abort(self) -> bool:
-        """Close the shutter and disarm, never raising; False unless the device's status is then at
-        rest.
-        """
+        """Close the shutter and disarm, never raising; False unless the device is then at rest."""
         if not self._port.is_open:
             return False
         try:
@@ -172,9 +171,7 @@ class Link:
         self.close()
 
     def abort_after(self, error: BaseException) -> None:
-        """Send ABORT because of `error`, and note on it when the device is not known to be at rest
-        afterwards.
-        """
+        """Send ABORT because of `error`, with a note on it where the device does not confirm."""
         note = f"{self.name} did not confirm ABORT: the shutter may still be open"
         if not self.abort() and note not in getattr(error, "__notes__", ()):
             error.add_note(note)
@@ -193,6 +190,7 @@ class Link:
         while True:
             frames, self._rest = framing.split(self._rest + self._read())
             self._rest = self._rest[-_LONGEST_FRAME:]
+            # Late replies to an earlier request may come first: they have another op or seq.
             for index, received in enumerate(frames):
                 try:
                     reply = parse_reply(framing.decode(received))

@@ -15,36 +15,36 @@ from fractions import Fraction
 from hw.cxp.framing import FrameError
 from hw.program import Program
 
-_REPLY = 0x80
+_REPLY = 0x80  # set in the op of a reply
 _MAGIC = b"CXP1"
 _HELLO = struct.Struct("<4sBBHHIIIHIB")
 _STORED = struct.Struct("<IHH")
 _STATUS = struct.Struct("<BHHBBII")
-_FRACTIONS = 1
+_FRACTIONS = 1  # bits of HELLO's flags
 _TRIGGER_INPUT = 2
 
 
 class Op(IntEnum):
     """Requests."""
 
-    HELLO = 1
-    LOAD = 2
-    READ = 3
-    ARM = 4
-    TRIG = 5
-    ABORT = 6
+    HELLO = 1  # properties of the device
+    LOAD = 2  # store a program
+    READ = 3  # send the stored program back
+    ARM = 4  # obey the next trigger, for as long as the lease
+    TRIG = 5  # play once, as the trigger input does
+    ABORT = 6  # close and disarm, in any state
     STATUS = 7
 
 
 class State(IntEnum):
     """States of the player; the shutter can be open in PLAY only."""
 
-    IDLE = 0
+    IDLE = 0  # nothing is stored
     LOADED = 1
-    ARMED = 2
+    ARMED = 2  # the lease runs
     PLAY = 3
-    DONE = 4
-    FAULT = 5
+    DONE = 4  # a play has ended
+    FAULT = 5  # an edge was missed: closed, and the play does not count
 
 
 AT_REST = frozenset({State.IDLE, State.LOADED})
@@ -55,9 +55,9 @@ class ResetCause(IntEnum):
     """Cause of the device's last reset."""
 
     POWER = 0
-    RESET_LINE = 1
-    BROWN_OUT = 2
-    WATCHDOG = 3
+    RESET_LINE = 1  # the button, or opening the serial port
+    BROWN_OUT = 2  # the supply was too low
+    WATCHDOG = 3  # the program hung
     UNKNOWN = 255
 
     @classmethod
@@ -67,9 +67,7 @@ class ResetCause(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """A parsed reply: the request's `op` and `seq`, the `error` byte (0 is success) and its
-    `data`.
-    """
+    """A reply: the request's `op` and `seq`, the `error` byte (0 is success) and its `data`."""
 
     op: int
     seq: int
@@ -121,9 +119,7 @@ class Hello:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """State of the player: chips begun, plays ended, edges missed, bad frames, time since boot,
-    program's CRC-32.
-    """
+    """State of the player, with chips begun, plays ended and edges missed."""
 
     state: State
     pos: int
@@ -234,9 +230,7 @@ def unpack_status(data: bytes) -> Status:
 
 @dataclass(frozen=True, slots=True)
 class Stored:
-    """A program as a device stores it: `bits`, each for ``ticks + fraction / 65536`` ticks of the
-    device.
-    """
+    """A program as stored: `bits`, each for ``ticks + fraction / 65536`` ticks of the device."""
 
     bits: str
     ticks: int
@@ -296,6 +290,7 @@ def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) ->
             f"clock_ppm is {clock_ppm}: a clock is off by at most 100000 ppm, anything else is not"
             " its clock"
         )
+    # As a fraction: 1/65536 of a tick over 65535 chips must not depend on float rounding.
     exact = Fraction(program.chip_ns, hello.tick_ns) * (1 + Fraction(clock_ppm) / 10**6)
     units = round(exact * 65536) if hello.fractions else round(exact) * 65536
     ticks, fraction = divmod(units, 65536)
@@ -304,6 +299,7 @@ def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) ->
             f"chip of {program.chip_ns} ns is not a whole number of the device's {hello.tick_ns}"
             " ns ticks"
         )
+    # The longest chip of the device is whole: a fraction more would overflow its counter.
     if not hello.min_ticks <= ticks <= hello.max_ticks - (fraction > 0):
         min_ns = hello.min_ticks * hello.tick_ns
         max_ns = hello.max_ticks * hello.tick_ns

@@ -132,7 +132,7 @@ class Controller:
         problems = self.check(program, profile=profile)
         if problems:
             raise ValueError(refusal(problems, self.limits))
-        payload = pack_arm(lease_ms)
+        payload = pack_arm(lease_ms)  # a wrong lease is refused before anything is sent
         start_s = time.monotonic()
         retries = self.link.retries
         armed = False
@@ -254,6 +254,7 @@ class Controller:
         self.trigger()
         status = self.wait(timeout_s=timeout_s)
         with self._closed_on_doubt():
+            # The count of plays, not the state: DONE may be that of an earlier play.
             plays = (status.runs - before.runs) % 65536
             missed = status.late - before.late
             if (status.state, plays, missed) != (State.DONE, 1, 0):
@@ -281,7 +282,7 @@ class Controller:
                 raise error
             if status.state is not State.PLAY:
                 return status
-            time.sleep(0.001)
+            time.sleep(0.001)  # a question takes longer on the line
 
     def abort(self) -> Status:
         """Close the shutter and disarm; the status afterwards is IDLE or LOADED.
@@ -327,6 +328,7 @@ class Controller:
         self.link.request(Op.ARM, payload)
         status = self.status()
         played = status.state is State.DONE and status.runs != before.runs
+        # Without a trigger input nothing but this host could have begun a play.
         triggered = self.announced.trigger_input and (status.state is State.PLAY or played)
         if status.state is not State.ARMED and not triggered:
             lease_ms = int.from_bytes(payload, "little")

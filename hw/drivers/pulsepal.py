@@ -71,9 +71,7 @@ class PulsePal(WriteOnlyDevice):
         timeout_s: float = 0.5,
         hello_s: float = 3.0,
     ) -> Self:
-        """Open the Pulse Pal on a serial port; see the class and
-        `hw.drivers.pulsepal_link.open_pulsepal`.
-        """
+        """Open the Pulse Pal on a serial port; parameters as the class and `open_pulsepal`."""
         _check_options(channel, trigger_input, high_volts)
         link = open_pulsepal(port, timeout_s=timeout_s, hello_s=hello_s)
         return cls(link, channel=channel, trigger_input=trigger_input, high_volts=high_volts)
@@ -115,6 +113,7 @@ class PulsePal(WriteOnlyDevice):
             (Parameter.PHASE_1_VOLTS, open_code),
             (Parameter.PHASE_1_CYCLES, train.phase_cycles),
             (Parameter.BURST_CYCLES, 0),
+            # Past the last pulse: a train that ends earlier cuts it.
             (Parameter.TRAIN_CYCLES, train.train_cycles),
             (Parameter.DELAY_CYCLES, train.delay_cycles),
         ):

@@ -1,6 +1,4 @@
-"""Serial protocol of the Pulse Pal: a menu byte, an op and its data; some ops are acknowledged by
-one byte.
-"""
+"""Serial protocol of the Pulse Pal: a menu byte, an op and its data; few ops are answered."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ from enum import IntEnum
 from hw.errors import DeviceError
 from hw.port import LinkError, OpenPort, PortError, SerialPort, open_port
 
-_MENU = 213
+_MENU = 213  # begins every command
 _OLDEST = 20  # firmware of model 2 begins at 20; far above, it is some other device that said "K"
 _NEWEST = 99
 _BYTES_PER_S = 50_000  # slowest transfer waited for; USB is much faster
@@ -30,19 +28,19 @@ class _Op(IntEnum):
 class Parameter(IntEnum):
     """Parameters of a channel, with the protocol's numbers."""
 
-    BIPHASIC = 1
+    BIPHASIC = 1  # 0: one phase, hence one voltage a pulse
     PHASE_1_VOLTS = 2
-    PHASE_1_CYCLES = 4
-    BURST_CYCLES = 8
+    PHASE_1_CYCLES = 4  # width of every pulse
+    BURST_CYCLES = 8  # 0: no bursts
     TRAIN_CYCLES = 10
-    DELAY_CYCLES = 11
-    LINK_1 = 12
+    DELAY_CYCLES = 11  # from the trigger to the first pulse
+    LINK_1 = 12  # whether trigger input 1 starts the channel
     LINK_2 = 13
-    TRAIN = 14
-    TRAIN_TARGET = 15
-    TRAIN_LOOP = 16
-    REST_VOLTS = 17
-    TRIGGER_MODE = 128
+    TRAIN = 14  # which custom train, 0 for none
+    TRAIN_TARGET = 15  # whether its times are those of pulses (0) or of bursts
+    TRAIN_LOOP = 16  # whether it is repeated
+    REST_VOLTS = 17  # between pulses
+    TRIGGER_MODE = 128  # of an input: 0 starts at a rising edge, others toggle or gate
 
 
 _FORMATS = {
@@ -57,6 +55,7 @@ _FORMATS = {
 
 def dac_code(volts: float) -> int:
     """Turn a voltage of -10..10 V into the 16-bit code of the output."""
+    # 65536 steps from -10 V, and none for +10 V itself.
     return min(65535, round((volts + 10) / 20 * 65536))
 
 
@@ -139,8 +138,7 @@ class PulsePalLink:
             )
 
     def set(self, parameter: Parameter, channel: int, value: int) -> None:
-        """Set a parameter of an output channel, or of a trigger input for
-        `Parameter.TRIGGER_MODE`.
+        """Set a parameter of an output, or of a trigger input (`Parameter.TRIGGER_MODE`).
 
         Raises
         ------
@@ -208,6 +206,7 @@ class PulsePalLink:
         received = b""
         for attempt in range(max(1, round(seconds / self.timeout_s))):
             self.retries += attempt > 0
+            # The handshake changes nothing, so it alone may be repeated.
             self._port.write(bytes([_MENU, _Op.HELLO]))
             retry_s = min(deadline, time.monotonic() + self.timeout_s)
             while _firmware(received) is None and time.monotonic() < retry_s:
@@ -219,9 +218,7 @@ class PulsePalLink:
         return received
 
     def _quiet(self) -> None:
-        """Let the answers to earlier handshakes pass, which would be taken for
-        acknowledgements.
-        """
+        """Let late answers to handshakes pass, which would be taken for acknowledgements."""
         heard_s = start_s = time.monotonic()
         while time.monotonic() - heard_s < self.timeout_s:
             if self._port.read():

@@ -154,9 +154,7 @@ class ScpiAwg(WriteOnlyDevice):
 
     @classmethod
     def open(cls, resource: str, *, backend: str = "@py", timeout_s: float = 3.0) -> Self:
-        """Open an instrument and check its identity; parameters and errors as
-        `open_scpi`.
-        """
+        """Open an instrument and check its identity; parameters and errors as `open_scpi`."""
         link = open_scpi(resource, backend=backend, timeout_s=timeout_s)
         try:
             return cls(link)
@@ -184,9 +182,7 @@ class ScpiAwg(WriteOnlyDevice):
         super().trigger()
 
     def play(self) -> None:
-        """Play the program once, now, and wait until it must be over; one that was not armed is
-        not left armed.
-        """
+        """Play the program once and wait for its end; what was not armed is not left armed."""
         if self._armed:
             super().play()
             return
@@ -202,7 +198,7 @@ class ScpiAwg(WriteOnlyDevice):
         # From the least voltage on, no order of setting the levels makes them cross.
         for command in ("VOLT MIN", "VOLT:OFFS 0", *commands(program, profile)):
             if command.startswith(f"DATA:ARB {WAVEFORM},"):
-                self.link.do("FORM:BORD SWAP")
+                self.link.do("FORM:BORD SWAP")  # little-endian floats follow
                 self.link.do(f"DATA:ARB {WAVEFORM},", _block(samples(program, profile)))
             elif not command.endswith("?") and command != "OUTP ON":
                 self.link.do(command)
@@ -214,6 +210,7 @@ class ScpiAwg(WriteOnlyDevice):
             raise DeviceError(
                 f"{self.name} says its sample rate is {answer[:40]!r}: a number is needed"
             ) from None
+        # The instrument rounds to what its clock divides to. Written so that NaN is refused too.
         if not abs(actual_rate - rate) <= _CLOCK * rate:
             raise DeviceError(
                 f"{self.name} would play at {actual_rate:.9g} Sa/s: chips of"
@@ -238,6 +235,7 @@ class ScpiAwg(WriteOnlyDevice):
 
     def _abort(self) -> None:
         self._armed = False
+        # Without the error query of `do`: closing must not wait for it.
         self.link.send("OUTP OFF")
         self.link.send("*CLS")  # clear errors of earlier commands
         answer = self.link.ask("OUTP?")
@@ -303,6 +301,7 @@ def _identity(link: ScpiLink) -> str:
     except LinkError as error:
         raise PortError(str(error)) from None
     fields = [field.strip() for field in answer.split(",")]
+    # IEEE 488.2: maker, model, serial number, firmware.
     if len(fields) != 4 or not _MODEL.fullmatch(fields[1]):
         raise PortError(
             f"{link.name} is {answer[:60]!r}: a 33500-class generator (335xx, 336xx, EDU3321x) is"
@@ -312,9 +311,7 @@ def _identity(link: ScpiLink) -> str:
 
 
 def _block(values: tuple[int, ...]) -> bytes:
-    """IEEE 488.2 definite-length block of little-endian 32-bit floats: its length makes a cut
-    transfer an error.
-    """
+    """IEEE 488.2 definite-length block of 32-bit floats: a cut transfer is an error."""
     data = struct.pack(f"<{len(values)}f", *values)
     length = str(len(data))
     return f"#{len(length)}{length}".encode("ascii") + data

@@ -93,7 +93,7 @@ class WriteOnlyDevice(ABC):
         retries = self._retries
         self._program = None
         with self._aborted_on_error():
-            self.abort()
+            self.abort()  # stored programs must not change under a running play
             self._load(program, profile=profile or DeviceProfile(name="generic"))
         self._program = program
         if arm:
@@ -116,8 +116,7 @@ class WriteOnlyDevice(ABC):
         )
 
     def arm(self) -> None:
-        """Let each rising edge of the trigger input play the program, until `abort`: these devices
-        have no lease.
+        """Let each rising edge of the trigger input play the program, until `abort`.
 
         Raises
         ------
@@ -148,6 +147,7 @@ class WriteOnlyDevice(ABC):
             )
         with self._aborted_on_error():
             self._trigger()
+        # The device does not tell the end of a play: it is over when its time is.
         self._ends_s = time.monotonic() + self._lasts_ns(program) / 1e9 + _MARGIN_S
 
     def wait(self) -> None:
@@ -155,8 +155,7 @@ class WriteOnlyDevice(ABC):
         time.sleep(max(0.0, self._ends_s - time.monotonic()))
 
     def play(self) -> None:
-        """Play the program once, now, and wait until it must be over; one that was not armed is
-        not left armed.
+        """Play the program once and wait for its end; what was not armed is not left armed.
 
         Raises
         ------

@@ -97,7 +97,7 @@ class EmulatedUno:
         self._board: subprocess.Popen[str] | None = None
         self._port = ""
         self._events: tuple[tuple[int, str, int], ...] = ()
-        self._talk = threading.Lock()
+        self._talk = threading.Lock()  # a command and its answer belong together
 
     @property
     def port(self) -> str:
@@ -160,8 +160,7 @@ class EmulatedUno:
             self._line()
 
     def trigger(self, *, pulses: int = 1, hertz: float = 5000.0) -> None:
-        """Give rising edges on the trigger input, the first at any moment within half a
-        millisecond.
+        """Give rising edges on the trigger input, the first within half a millisecond.
 
         Pulses of an earlier call that are still to come are dropped.
 
@@ -184,15 +183,11 @@ class EmulatedUno:
         self._command(f"trigger {pulses} {round(CLOCK_HZ / hertz)}")
 
     def hang(self) -> int:
-        """Make the program stop where it is, interrupts off, until it is reset; the cycle since
-        start is returned.
-        """
+        """Stop the program where it is, interrupts off; return the cycle since start."""
         return int(self._command("hang"))
 
     def cycle(self) -> int:
-        """Return how many clock cycles it has run, which may lag behind real time on a busy
-        computer.
-        """
+        """Return the clock cycles it has run, which lag behind on a busy computer."""
         return int(self._command("cycle"))
 
     def unplug(self) -> None:
@@ -204,9 +199,7 @@ class EmulatedUno:
         self._port = self._command("plug")
 
     def edges(self, signal: str = "shutter") -> tuple[tuple[int, int], ...]:
-        """Return the changes of a pin since the start as (time in clock cycles, level); all pins
-        begin low.
-        """
+        """Return the changes of a pin as (time in clock cycles, level); all pins begin low."""
         if signal not in SIGNALS:
             raise ValueError(f"signal is {signal!r}: one of {', '.join(SIGNALS)} is needed")
         return tuple(
@@ -214,9 +207,7 @@ class EmulatedUno:
         )
 
     def write_vcd(self, path: str | Path) -> None:
-        """Write the edges of the pins as the recording of an ideal logic analyser, in units of 100
-        ps.
-        """
+        """Write the pins' edges as an ideal logic analyser records them, in units of 100 ps."""
         marks = dict(zip(SIGNALS, "sbt", strict=True))
         lines = ["$timescale 100 ps $end", "$scope module uno $end"]
         lines += [f"$var wire 1 {mark} {name} $end" for name, mark in marks.items()]
@@ -224,6 +215,7 @@ class EmulatedUno:
         lines += [f"0{mark}" for mark in marks.values()] + ["$end"]
         last = 0
         for cycle, name, level in self._known_events():
+            # A fast crystal makes its cycles in less time.
             time = round(cycle * _CYCLE_UNITS / (1 + self.clock_ppm * 1e-6))
             if time != last:
                 lines.append(f"#{time}")
@@ -283,7 +275,7 @@ class EmulatedUno:
         board = self._board
         self._board = None
         if board is not None:
-            board.kill()
+            board.kill()  # it has nothing to save, and may hang
             assert board.stdin is not None
             with contextlib.suppress(BrokenPipeError):  # a command may be left that nobody read
                 board.stdin.close()
@@ -310,6 +302,7 @@ def build_board() -> Path:
     digest = hashlib.sha256(
         b"".join(name.encode() + text for name, text in sorted(sources.items()))
     ).hexdigest()
+    # Named after its sources: an update never runs the board of an earlier version.
     board = _cache() / f"simavr_uno-{digest[:16]}"
     if board.exists():
         return board

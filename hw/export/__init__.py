@@ -71,6 +71,7 @@ def export_program(
     """
     exporter = find_exporter(file_format)
     text = exporter.export(program, device or GENERIC)
+    # A wrong edge must stop here, not at the shutter.
     if exporter.parse_back(text) != program:
         raise RuntimeError(f"{file_format}: reading the text back gave other edges")
     return text

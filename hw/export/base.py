@@ -58,7 +58,7 @@ class Exporter(ABC):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        EXPORTERS[cls.name] = cls()
+        EXPORTERS[cls.name] = cls()  # in the order in which the modules are imported
 
     @abstractmethod
     def export(self, program: Program, device: DeviceProfile = GENERIC, /) -> str:
@@ -133,6 +133,7 @@ class Exporter(ABC):
         program.
         """
         written = self.export(program, device)
+        # Line by line rather than as a whole, so that the message can name the line.
         pairs = zip_longest(text.rstrip().split("\n"), written.rstrip().split("\n"), fillvalue="")
         for number, (line, right) in enumerate(pairs, start=1):
             if line != right:

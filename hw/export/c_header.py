@@ -71,6 +71,7 @@ static const uint8_t shutter_code[SHUTTER_CODE_BYTES] = {{
         packed = packed_bytes(
             self.only(_ARRAY, text, "shutter_code array"), item="C header shutter_code"
         )
+        # The size is stated twice in the header: in a macro, and by the array.
         if len(packed) != size:
             raise ValueError(
                 f"C header shutter_code has {len(packed)} bytes: SHUTTER_CODE_BYTES says {size}"

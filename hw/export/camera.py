@@ -49,6 +49,7 @@ class CameraRecipe(Exporter):
                 f"shortest opening is {min(widths) + bias} ns: the camera adds {bias} ns to every"
                 " pulse by itself, so every opening must be longer"
             )
+        # Times alternate between openings and closings: every second difference is a gap.
         gaps = [after - before + bias for before, after in pairwise(times[1:-1])][::2]
         active = "low" if device.closed_level else "high"
         # IIDC counts bits from the highest: presence 0, on 6, polarity 7 (1: active high), mode
@@ -137,6 +138,7 @@ def _list(times_ns: list[int]) -> str:
 
 
 def _ns(value: Any, label: str) -> int:
+    # Decimals, not floats: microseconds with three digits are exact nanoseconds.
     if isinstance(value, Decimal) and value.is_finite() and 0 <= value < 2**63:
         time_ns = value * 1000
         if time_ns == time_ns.to_integral_value():

@@ -74,6 +74,7 @@ class CsvEdges(Exporter):
                     raise ValueError(
                         f"CSV line {number} is {line[:40]!r}: a row like '200.000,1' is needed"
                     )
+                # Read as two whole numbers: a float would round long times.
                 micro, nano, level = row.groups()
                 rows.append((1000 * integer(micro, f"CSV line {number}") + int(nano), int(level)))
         missing = [key for key in _HEADER if key not in header]

@@ -71,6 +71,7 @@ class DmdPatterns(Exporter):
             key: integer(facts[key], f"{self.label} {key}") for key in _HEAD if key != "code_crc32"
         }
         chips = self.few_chips(numbers["chips"])
+        # The list has lengths, not times: they add up to the edges.
         time_ns = numbers["leading_dark_us"] * 1000
         edges: list[tuple[int, int]] = []
         for line in text.partition(f"\n{_COLUMNS}\n")[2].splitlines():

@@ -63,6 +63,7 @@ class JsonManifest(Exporter):
             )
         program = Program(manifest["bits"], manifest["chip_ns"])
         self.verified(program, str(manifest["code_crc32"]))
+        # Scripts may use any of the derived fields: none may contradict the code.
         for key, value in _manifest(program).items():
             # Compared as text: in Python True == 1 == 1.0, in the file they differ.
             if key in manifest and json.dumps(manifest[key]) != json.dumps(value):

@@ -16,7 +16,7 @@ MAX_PULSES = 5000
 _FORMAT = "hw.pulsepal/1"
 _LEAST_CYCLES = 2  # documented: no phase below 100 us
 _MOST_CYCLES = 72_000_000  # documented: no time above 3600 s
-_HIGH_VOLTS = 5.0
+_HIGH_VOLTS = 5.0  # TTL
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +72,13 @@ def pulse_train(program: Program, /) -> PulseTrain:
         raise ValueError(
             f"code has {len(onsets)} open chips: a Pulse Pal train holds at most {MAX_PULSES}"
         )
-    end = (program.chips + 1) * phase
+    end = (program.chips + 1) * phase  # a chip more: a train must not end within its last pulse
     if end > _MOST_CYCLES:
         raise ValueError(
             f"code lasts {program.duration_ns / 1e9:.6g} s: with one chip more a Pulse Pal plays"
             " at most 3600 s"
         )
+    # The train begins with the first pulse; the closed chips before it are its delay.
     first = onsets[0]
     return PulseTrain(phase, tuple(onset - first for onset in onsets), first, end, end)
 
@@ -160,6 +161,7 @@ onsets_cycles = [
                 f"{self.label} train has no usable onsets_cycles, phase1_cycles or chips: export"
                 " again"
             )
+        # Before this is allocated, the chips were limited by the longest train.
         bits = bytearray(b"0" * chips)
         for onset in onsets:
             if (

@@ -151,6 +151,7 @@ class Rp2Script(Exporter):
                     f"{self.label} WORDS has {word[:20]!r}: words like 0x0123abcd are needed"
                 )
         levels = "".join(f"{int(word, 16):032b}" for word in words)
+        # At least one level more than chips: the closed one that the state machine stalls on.
         if len(levels) <= chips:
             raise ValueError(
                 f"{self.label} WORDS hold {len(levels)} levels: more than the {chips} chips are"

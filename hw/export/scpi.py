@@ -15,10 +15,10 @@ from hw.program import Program
 WAVEFORM = "SHUTTER"
 """Name of the waveform in the instrument's memory."""
 
-_LEAST_SAMPLES = 8
-_MOST_SAMPLES = 1_000_000
+_LEAST_SAMPLES = 8  # the instrument refuses shorter waveforms
+_MOST_SAMPLES = 1_000_000  # its memory without an option
 _LEAST_CHIP_NS = 16  # 62.5 MSa/s, the most with the filter off
-_HIGH_V = 5
+_HIGH_V = 5  # TTL
 _CHIPS = re.compile(r"^# chips: (\S+)$", re.MULTILINE)
 _CHIP_NS = re.compile(r"^# chip_ns: (\S+)$", re.MULTILINE)
 _CRC = re.compile(r"^# code_crc32: (\S+)$", re.MULTILINE)
@@ -26,8 +26,7 @@ _DATA = re.compile(rf"^DATA:ARB {WAVEFORM},([-1,]+)$", re.MULTILINE)
 
 
 def samples(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[int, ...]:
-    """Make the waveform's samples, one per chip and each -1 (0 V) or 1 (5 V), a closed one before
-    and after.
+    """Make the waveform's samples, one per chip: 1 is 5 V, -1 is 0 V.
 
     Between bursts the instrument holds the voltage of the first sample, hence the closed one
     before: the code begins one chip after the trigger. More closed ones follow up to the least
@@ -62,6 +61,7 @@ def sample_rate(program: Program, /) -> str:
             f"chip of {program.chip_ns} ns is too short for SCPI: at least {_LEAST_CHIP_NS} ns"
             " (62.5 MSa/s)"
         )
+    # In integers: a float has too few digits for 1 uSa/s at 62.5 MSa/s. Rounded to nearest.
     micro = (2 * 10**15 + program.chip_ns) // (2 * program.chip_ns)
     if abs(micro * program.chip_ns - 10**15) > 10**9:
         raise ValueError(
@@ -80,26 +80,26 @@ def commands(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[str,
         As `samples` and `sample_rate`.
     """
     return (
-        "OUTP OFF",
-        "*CLS",
-        "OUTP:LOAD INF",
-        "DATA:VOL:CLE",
+        "OUTP OFF",  # nothing of the set-up may reach the shutter
+        "*CLS",  # errors of earlier commands
+        "OUTP:LOAD INF",  # set to 50 ohm, an open input gets twice the volts
+        "DATA:VOL:CLE",  # a waveform of the same name cannot be replaced
         f"DATA:ARB {WAVEFORM},{','.join(str(value) for value in samples(program, device))}",
         f"FUNC:ARB {WAVEFORM}",
         "FUNC ARB",
-        "FUNC:ARB:FILT OFF",
+        "FUNC:ARB:FILT OFF",  # filters round the edges
         f"FUNC:ARB:SRAT {sample_rate(program)}",
         f"VOLT:HIGH {_HIGH_V}",
         "VOLT:LOW 0",
-        "BURS:MODE TRIG",
-        "BURS:NCYC 1",
+        "BURS:MODE TRIG",  # not gated: the trigger's length is without effect
+        "BURS:NCYC 1",  # the code once a trigger
         "BURS:PHAS 0",
         "TRIG:SOUR EXT",
         "TRIG:SLOP POS",
         "TRIG:DEL 0",
         "BURS:STAT ON",
         "OUTP ON",
-        "*OPC?",
+        "*OPC?",  # answered when all of it is done
         "SYST:ERR?",
     )
 

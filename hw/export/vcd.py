@@ -67,6 +67,7 @@ $enddefinitions $end
         for line in text.splitlines():
             if (moment := _TIME.fullmatch(line)) is not None:
                 time_ns = int(moment[1])
+            # The level at time 0 is the recording's first, no edge.
             elif line in {"0s", "1s"} and time_ns:
                 edges.append((time_ns - chip_ns, int(line[0])))
         program = self.verified(Program.from_edges(edges, chip_ns=chip_ns, chips=chips), facts[3])

@@ -11,8 +11,7 @@ from hw.recordings.vcd import parse_vcd
 
 
 def read_capture(path: str | Path) -> Recording:
-    """Read a VCD file, or a digital CSV export of Saleae Logic, in UTF-8, UTF-16 or the alphabet
-    of a Windows program.
+    """Read a VCD file, or a digital CSV export of Saleae Logic, in any usual encoding.
 
     All that matters in them is ASCII but the signals' names: those in an 8-bit alphabet are read
     as Windows-1252.

@@ -65,7 +65,6 @@ def fit_edges(edges: Sequence[tuple[float, int]], program: Program, /) -> EdgeFi
     edges : sequence of (float, int)
         Recorded changes of one play as (time_ns, level), in order; at least one opening.
     program : Program
-        Commanded program.
     """
     nominal = program.edges
     openings = [edge for edge in edges if edge[1]]
@@ -73,6 +72,8 @@ def fit_edges(edges: Sequence[tuple[float, int]], program: Program, /) -> EdgeFi
     anchors = [(openings[0], start) for start in nominal_openings[:_STARTS]] + [
         (edge, nominal_openings[0]) for edge in openings[1:_STARTS]
     ]
+    # A clock that is far off would lose its edges: where the counts agree, the recording's own
+    # length is tried too.
     scales = [1.0]
     if len(edges) == len(nominal) and not edges[-1][1]:
         scales.append((edges[-1][0] - edges[0][0]) / (nominal[-1][0] - nominal[0][0]))
@@ -101,6 +102,7 @@ def _fitted(
             pairs.append((nominal, match_ns, level))
             time_ns = match_ns
             at = nominal
+    # Once more, now around the fitted line: the first way could follow a wrong edge.
     scale, open_at, close_at = _clock(pairs)
     refined = [
         (nominal, match_ns, level)
@@ -133,9 +135,7 @@ def _nearest(moments: Sequence[float], time_ns: float, reach_ns: float) -> float
 
 
 def _clock(pairs: Sequence[tuple[int, float, int]]) -> tuple[float, float, float]:
-    """Least squares of time = (open_at or close_at) + scale * nominal: one slope, one offset per
-    kind of edge.
-    """
+    """Least squares of time = offset(kind of edge) + scale * nominal."""
     kinds = [[(at, time_ns) for at, time_ns, level in pairs if level == kind] for kind in (1, 0)]
     if all(len(kind) < 2 for kind in kinds):
         # A single opening: its length is the clock's.
@@ -171,4 +171,5 @@ def _played(
                 low = start_ns + chip * chip_ns
                 high = start_ns + (chip + 1) * chip_ns
                 open_ns[chip] += max(min(end, high) - max(begin, low), 0.0)
+    # By majority: slow ramps and late edges leave a chip partly open.
     return "".join("1" if time > chip_ns / 2 else "0" for time in open_ns)

@@ -88,7 +88,6 @@ def align(
     trace : Trace
         The shutter's signal; its level at rest counts as closed, whichever it is.
     program : Program
-        Commanded program.
     trigger : Trace or None
         A signal that rises at or shortly before every play; without one, a play begins with its
         first opening.
@@ -113,6 +112,7 @@ def align(
         raise ValueError(
             f"trigger {trigger.name!r} never rises in this recording: start it before the trigger"
         )
+    # Where both levels may be the closed one, the reading nearer to the program is taken.
     readings = [
         plays
         for closed_level in _closed_levels(trace)
@@ -152,8 +152,7 @@ def _closed_at(
 
 
 def _closed_levels(trace: Trace) -> tuple[int, ...]:
-    """Levels at which the signal may be closed, the likelier one first: that before and after its
-    edges.
+    """Levels at which the signal may be closed, the likelier first: those beyond its edges.
 
     A recording that begins or ends at an edge has two of them.
     """
@@ -166,9 +165,7 @@ def _closed_levels(trace: Trace) -> tuple[int, ...]:
 
 
 def _differing(plays: tuple[Verification, ...]) -> tuple[int, int, int]:
-    """How many plays have other chips than the program, how many openings were lost or added, and
-    other problems.
-    """
+    """Plays with wrong chips, openings lost or added, and other problems."""
     return (
         sum(not play.same_bits for play in plays),
         sum(play.missing + play.extra for play in plays),
@@ -179,9 +176,7 @@ def _differing(plays: tuple[Verification, ...]) -> tuple[int, int, int]:
 def _without_glitches(
     edges: Sequence[tuple[float, int]], shortest_ns: float
 ) -> tuple[list[tuple[float, int]], list[float]]:
-    """Drop pulses of either level that are too short; return what is left and the moments of the
-    dropped ones.
-    """
+    """Drop pulses of either level that are too short; return the rest, and their moments."""
     clean: list[tuple[float, int]] = []
     glitch_times: list[float] = []
     for edge in edges:
@@ -201,6 +196,7 @@ def _plays(
     if trigger is not None:
         moments: list[float] = []
         for time_ns, level in trigger.edges:
+            # Bounces of the trigger, and triggers within a play, start nothing.
             if level and (not moments or time_ns >= moments[-1] + program.duration_ns / _SLACK):
                 moments.append(time_ns)
         # An analyser may see a simultaneous opening a sample earlier.
@@ -296,9 +292,8 @@ def _nothing(program: Program, inverted: bool, glitches: int, trigger_ns: float)
 def _explained(
     fit: EdgeFit, edges: Sequence[tuple[float, int]], program: Program
 ) -> tuple[EdgeFit, str]:
-    """Describe how a wrong code differs; known firmware errors are recognised when they explain
-    every edge.
-    """
+    """Describe how a wrong code differs, by a known firmware error where one explains it."""
+    # A likely error of one's own firmware: bytes played last bit first.
     padded = program.bits.ljust(-(-program.chips // 8) * 8, "0")
     swapped = "".join(padded[8 * (k // 8) + 7 - k % 8] for k in range(program.chips))
     mistakes = {

@@ -37,7 +37,7 @@ def parse_saleae(text: str, *, source: str = "CSV") -> Recording:
     text : str
         The export, with commas or tabs, and times in seconds or in ISO 8601.
     source : str
-        File name for messages.
+        File, for messages.
 
     Raises
     ------
@@ -54,12 +54,13 @@ def parse_saleae(text: str, *, source: str = "CSV") -> Recording:
         if origin is None:
             iso = "T" in time
         moment = _iso_ns(time) if iso else _seconds_ns(time)
+        # Version 1 writes seconds, version 2 seconds or ISO 8601.
         if moment is None:
             example = "2024-05-12T20:47:43.123456789+00:00" if iso else "0.000200000"
             raise ValueError(
                 f"{source}: line {number} has time {time[:40]!r}: one like {example} is needed"
             )
-        initial = origin is None
+        initial = origin is None  # the first row has the levels at the beginning, no edges
         if origin is None:
             origin = moment if iso or abs(moment) > _LATE_NS else Decimal(0)
             start_ns = now_ns = _number(moment - origin)
@@ -89,6 +90,7 @@ def parse_saleae(text: str, *, source: str = "CSV") -> Recording:
 def _rows(text: str, source: str) -> Iterator[tuple[int, list[str]]]:
     """Yield (line number, cells) of each row that is not blank."""
     header = text.split("\n", 1)[0]
+    # Version 1 exports with either.
     delimiter = "\t" if "\t" in header and "," not in header else ","
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=True)
     try:

@@ -35,7 +35,7 @@ class Recording:
     Parameters
     ----------
     source : str
-        File name for messages.
+        File, for messages.
     traces : tuple of Trace
         In the order of the file.
     """
@@ -77,17 +77,14 @@ class Recording:
 
 
 class Signal:
-    """A signal while it is being read. Before its first value it counts as 0, since a shutter
-    rests closed.
-    """
+    """A signal while it is read, closed (0) before its first value."""
 
     def __init__(self) -> None:
         self._first = self._level = 0
         self._edges: list[tuple[float, int]] = []
 
     def set(self, value: str, time_ns: float, *, initial: bool) -> None:
-        """Take the value at a moment not earlier than the last one; what is neither 0 nor 1 leaves
-        the level as it is.
+        """Take the value at a moment; what is neither 0 nor 1 leaves the level as it is.
 
         Parameters
         ----------
@@ -101,7 +98,7 @@ class Signal:
         if value not in ("0", "1"):
             return
         level = int(value)
-        if initial:
+        if initial:  # no edge was seen, only a level
             self._first = level
         elif level != self._level:
             if self._edges and self._edges[-1][0] == time_ns:

@@ -12,6 +12,7 @@ _TIMESCALE = re.compile(r"(1|10|100)(s|ms|us|ns|ps|fs)")
 _TIME = re.compile(r"#[0-9]{1,30}")
 _DUMPS = {"$dumpvars", "$dumpall", "$dumpon", "$dumpoff", "$end"}
 _WORD = re.compile(r"\S+")
+# Besides 0 and 1 the states of Verilog (x, z) and VHDL, which leave a level as it is.
 _VALUES = frozenset("01xXzZuUwWlLhH-")
 _ONE_BIT = frozenset(
     {"wire", "reg", "logic", "bit", "tri", "wand", "wor", "integer", "parameter", "event"}
@@ -27,7 +28,7 @@ def parse_vcd(text: str, *, source: str = "VCD") -> Recording:
         VCD as sigrok, PulseView, Saleae, simulators or `hw.export.vcd` write it: any timescale,
         any names.
     source : str
-        File name for messages.
+        File, for messages.
 
     Raises
     ------
@@ -52,7 +53,7 @@ def parse_vcd(text: str, *, source: str = "VCD") -> Recording:
             elif moment_ns < now_ns:
                 raise ValueError(f"{source} goes back in time at {word}: times must increase")
             now_ns = moment_ns
-        elif word == "$comment":
+        elif word == "$comment":  # may hold anything, changes too
             while next(words, "$end") != "$end":
                 pass
         elif word not in _DUMPS:
@@ -65,7 +66,7 @@ def parse_vcd(text: str, *, source: str = "VCD") -> Recording:
                 raise ValueError(
                     f"{source} has {word[:20]!r} among its changes: it is damaged, record again"
                 )
-            if code in signals:
+            if code in signals:  # else a vector or a number
                 signals[code].set(value, now_ns, initial=start_ns is None or now_ns == start_ns)
     begin_ns = now_ns if start_ns is None else start_ns
     traces = (signals[code].trace(name, start_ns=begin_ns, end_ns=now_ns) for name, code in names)
@@ -73,9 +74,7 @@ def parse_vcd(text: str, *, source: str = "VCD") -> Recording:
 
 
 def _header(words: Iterator[str], source: str) -> tuple[float, list[tuple[str, str]], set[str]]:
-    """Read up to $enddefinitions: the time unit, (name, code) of the one-bit signals, and the
-    codes of all.
-    """
+    """Read up to $enddefinitions: time unit, (name, code) of one-bit signals, all codes."""
     unit_ns = 0.0
     scopes: list[str] = []
     names: list[tuple[str, str]] = []

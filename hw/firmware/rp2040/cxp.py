@@ -117,9 +117,9 @@ class Player:
 
     def poll(self) -> None:
         """Bring the state up to date with clock and shutter."""
-        now = self.clock.ticks_us()
-        elapsed = self.clock.ticks_diff(now, self._now)
-        self._now = now
+        now_us = self.clock.ticks_us()
+        elapsed = self.clock.ticks_diff(now_us, self._now)
+        self._now = now_us
         self._uptime_us = (self._uptime_us + elapsed) & 0xFFFFFFFF
         if self.state != _ARMED:
             self.owed_us = max(self.owed_us - elapsed, 0)
@@ -146,10 +146,10 @@ class Player:
         self._played_us = 0
 
     def _close(self, state: int) -> None:
-        begun = self.state != _ARMED or self.shutter.begun()
+        playing = self.state != _ARMED or self.shutter.begun()
         self.shutter.close()
         if state == _DONE or not (
-            begun or self.shutter.begun()
+            playing or self.shutter.begun()
         ):  # a trigger may have come in between
             self.owed_us = 0
         self.state = state
@@ -221,10 +221,10 @@ class Player:
             or payload[5]
         ):
             return _OUT_OF_RANGE, b""
-        opened, longest, padding = _census(code, chips)
-        if not opened or padding:
+        open_chips, longest, padding = _census(code, chips)
+        if not open_chips or padding:
             return _OUT_OF_RANGE, b""
-        if opened * 1000 > s.max_duty * chips:
+        if open_chips * 1000 > s.max_duty * chips:
             return _DUTY_LIMIT, b""
         if s.max_on_ticks and longest * ticks > s.max_on_ticks:
             return _ON_LIMIT, b""
@@ -257,14 +257,16 @@ class Player:
         )
 
     def _status(self) -> bytes:
-        begun = 0
+        position = 0
         if self.state >= _PLAY:
-            ticks, begun = self._timing()
+            ticks, position = self._timing()
             if self.state != _DONE:
-                begun = min(begun, self._played_us * 1000 // (ticks * self.shutter.tick_ns) + 1)
+                position = min(
+                    position, self._played_us * 1000 // (ticks * self.shutter.tick_ns) + 1
+                )
         return (
             bytes((self.state,))
-            + _le(begun, 2)
+            + _le(position, 2)
             + _le(self.plays, 2)
             + bytes((self.missed, self.bad_frames))
             + _le(self._uptime_us, 4)
@@ -288,14 +290,14 @@ def _le(value: int, size: int) -> bytes:
 
 def _census(code: bytes, chips: int) -> "tuple[int, int, int]":
     # Open chips, longest run of them, and open padding bits.
-    opened = longest = run = padding = 0
+    open_chips = longest = run = padding = 0
     for k in range(8 * len(code)):
         if not code[k >> 3] << (k & 7) & 0x80:
             run = 0
         elif k < chips:
-            opened += 1
+            open_chips += 1
             run += 1
             longest = max(longest, run)
         else:
             padding += 1
-    return opened, longest, padding
+    return open_chips, longest, padding

@@ -318,7 +318,7 @@ MUTANTS = {
     ),
     "a refused LOAD is kept": (
         "cxp.py",
-        "if not opened or padding:",
+        "if not open_chips or padding:",
         "self._stored = payload\n        if padding:",
     ),
     "the lease never ends": ("cxp.py", "self._lease_us -= elapsed", "pass"),
