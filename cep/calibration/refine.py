@@ -117,14 +117,13 @@ def refine_motion(
     'given'
     """
     started = time.perf_counter()
-    given = list(photos)
     if not (np.isfinite(uncertainty_px) and uncertainty_px > 0):
         raise ValueError(f"uncertainty_px: must be above 0, got {uncertainty_px:g}")
-    check_codes([code.bits for code in codes], photos=len(given))
+    check_codes([code.bits for code in codes], photos=len(photos))
     check_times(codes)
     check_resolved(trajectory, codes[0].chips)
-    check_photos(given, "coded")
-    check_apart(given)
+    check_photos(photos, "coded")
+    check_apart(photos)
     progress(0.01, "loading torch")
     import_module("torch")
     from motdiff.estimators.coded.found import UNEXPLAINED
@@ -137,9 +136,9 @@ def refine_motion(
         kernels=kernels,
         progress=lambda share: progress(0.03 + (_FITTED - 0.03) * share, "fitting the path"),
     )
-    found = refiner.refine(paths, given)
+    refined = refiner.refine(paths, photos)
     progress(_FITTED, "comparing the paths")
-    best = found[0]
+    best = refined[0]
     confidence = None
     is_unexplained = bool(best.misfit > UNEXPLAINED)  # NaN where only kernels are compared
     if best.values:
@@ -147,24 +146,28 @@ def refine_motion(
             not is_unexplained and (best.given_misfit - best.misfit) * best.values > NOISE_GAIN
         )
     else:
-        best, confidence = _best_by_test(
-            given, codes, _likeliest_order(given, codes, trajectory), found
-        )
+        likeliest = _likeliest_order(photos, codes, trajectory)
+        best, confidence = _best_by_test(photos, codes, likeliest, refined)
         is_better = confidence > _SURE
-    kept = best.trajectory if is_better else best.given if best.values else trajectory
+    if is_better:
+        chosen = best.trajectory
+    elif best.values:
+        chosen = best.given
+    else:
+        chosen = trajectory
     warnings = []
     if is_unexplained:
-        kept = trajectory
+        chosen = trajectory
         warnings.append(
             "the given path is kept as it is, as none near it explains the photos: the best"
             f" leaves {best.misfit:.1f} times the noise; was the motion the same in each photo,"
             " and are the codes given in the photos' order?"
         )
-    elif best.values and _stands_alone(found, least_gain=NOISE_GAIN):
-        kept = Trajectory(kept.t, kept.xy, direction="known")
+    elif best.values and _stands_alone(refined, least_gain=NOISE_GAIN):
+        chosen = Trajectory(chosen.t, chosen.xy, direction="known")
     progress(1.0, "comparing the paths")
     return Refinement(
-        trajectory=kept,
+        trajectory=chosen,
         kept="refined" if is_better else "given",
         confidence=confidence,
         uncertainty_px=min(best.deviation_px, uncertainty_px) if is_better else uncertainty_px,
@@ -179,9 +182,7 @@ def refine_motion(
 def _likeliest_order(
     photos: Sequence[ArrayLike], codes: Sequence[ShutterCode], trajectory: Trajectory
 ) -> Trajectory:
-    """Return the order in time that the first photo whose code tells both directions apart
-    shows.
-    """
+    """Return the order in time in the first photo whose code tells both directions apart."""
     if trajectory.direction == "known":
         return trajectory
     i = next(i for i, code in enumerate(codes) if code.bits != code.bits[::-1])
@@ -194,33 +195,33 @@ def _best_by_test(
     photos: Sequence[ArrayLike],
     codes: Sequence[ShutterCode],
     baseline: Trajectory,
-    found: Sequence[RefinedPath],
+    refined: Sequence[RefinedPath],
 ) -> tuple[RefinedPath, float]:
     """Return the refined path that the photos prefer, and the probability that it is better than
     the baseline.
     """
 
-    def log_odds(path: Trajectory, other: Trajectory) -> float:
+    def log_odds(path: Trajectory, baseline: Trajectory) -> float:
         total = 0.0
         for photo, code in zip(photos, codes, strict=True):
-            psfs = [coded_psf(one, code, one.frame_size(PSF_PX)) for one in (path, other)]
+            psfs = [coded_psf(each, code, each.frame_size(PSF_PX)) for each in (path, baseline)]
             test = compare_psfs(photo, *psfs)
             sign = {"forward": 1.0, "reverse": -1.0}.get(test.direction, 0.0)
             total += sign * float(np.log(test.confidence / (1 - test.confidence)))
         return total
 
-    best = found[0]
-    for other in found[1:]:
-        if log_odds(other.trajectory, best.trajectory) > 0:
-            best = other
+    best = refined[0]
+    for candidate in refined[1:]:
+        if log_odds(candidate.trajectory, best.trajectory) > 0:
+            best = candidate
     return best, float(1 / (1 + np.exp(-log_odds(best.trajectory, baseline))))
 
 
-def _stands_alone(found: Sequence[RefinedPath], *, least_gain: float) -> bool:
+def _stands_alone(refined: Sequence[RefinedPath], *, least_gain: float) -> bool:
     """Whether no path of another order explains the photos nearly as well as the best one."""
-    best = found[0]
+    best = refined[0]
     return all(
-        other.cost - best.cost > least_gain
-        or timed_distance_px(other.trajectory, best.trajectory) < _SAME_PX
-        for other in found[1:]
+        candidate.cost - best.cost > least_gain
+        or timed_distance_px(candidate.trajectory, best.trajectory) < _SAME_PX
+        for candidate in refined[1:]
     )
