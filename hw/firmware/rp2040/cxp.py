@@ -1,6 +1,5 @@
 # mypy: disable-error-code="import-not-found"
-"""Shutter controller of protocol CXP1, knowing no hardware: what to play, and when it may be
-played.
+"""Shutter controller of protocol CXP1 without the hardware: its state and its answers.
 
 Written for MicroPython 1.9 and later (no f-strings, no `struct`): it also runs on boards of 16 kB,
 and in CPython.

@@ -1,7 +1,5 @@
 # mypy: disable-error-code="import-not-found,attr-defined,no-untyped-call"
-"""Shutter controller CXP1 on a board with an RP2040: what is wired where, and the console it is
-spoken to by.
-"""
+"""Shutter controller CXP1 on a board with an RP2040: its pins, limits and console."""
 
 SHUTTER_PIN = 15  # high is open; 10 kOhm to ground
 TRIGGER_PIN = 14  # a rising edge plays what is armed
