@@ -80,7 +80,7 @@ def demo(options: DemoOptions) -> None:
         from cep.files.images import parse_gamma, read_photo
         from cep.report.demo import DEMO_FILES, write_demo
         from cep.report.demo_chain import EXPOSURE_S, STANDARD_CAMERA, run_chain
-        from cep.report.demo_scene import bundled_scene, own_photo
+        from cep.report.demo_scene import Scene, bundled_scene
         from hw.device import load_profile
         from motdiff.files.outputs import claim_folder
 
@@ -99,7 +99,7 @@ def demo(options: DemoOptions) -> None:
             warnings = list(photo.warnings)
             if options.camera is None:
                 warnings.append(_UNNAMED)
-            scene = own_photo(str(options.photo), photo.pixels, warnings=tuple(warnings))
+            scene = Scene(str(options.photo), photo.pixels, warnings=tuple(warnings))
         chain = run_chain(
             scene,
             camera,

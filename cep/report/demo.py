@@ -1,4 +1,4 @@
-"""The files that the demo leaves, all of them or none."""
+"""Files of the demo, all of them or none."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from cep.calibration.calibrate import CALIBRATION_FILES, Calibration
 from cep.files.files import DEMO_SCHEMA, StoredCode, write_code
 from cep.files.images import write_image
 from cep.report.demo_chain import Chain
-from cep.report.demo_page import DEMO_PICTURES, demo_report
-from cep.report.result_page import write_report
+from cep.report.page import PICTURE_FILES, html, pictures
 from hw.export import EXPORTERS, export_program
 from hw.program import Program
 from motdiff.files.json_files import json_text
@@ -34,7 +33,7 @@ DEMO_FILES = (
     "report.html",
     "demo.json",
     "code.json",
-    *(f"{name}.png" for name in DEMO_PICTURES),
+    *(f"{name}.png" for name in PICTURE_FILES),
     *_PHOTOS,
     *_SET,
     *_RESTORED,
@@ -48,7 +47,7 @@ advised, the further photos of the calibration only where they were taken."""
 def write_demo(
     folder: Path | str, chain: Chain, *, options: str = "", force: bool = False
 ) -> Mapping[str, object]:
-    """Write the report and everything it speaks of.
+    """Write the page and the files that it names.
 
     Parameters
     ----------
@@ -74,14 +73,15 @@ def write_demo(
         source = {"image": chain.scene.name, "seed": chain.seed}
         Calibration.of(chain.estimate, chain.scene.photo).save(made, source=source)
         write_image(made / "blurred.png", chain.scene.photo, bits=16)
-        for name, photo in zip(_SET, chain.found.photos[1:], strict=False):
+        for name, photo in zip(_SET, chain.motion.photos[1:], strict=False):
             write_image(made / name, photo, bits=16)
+        restored = {shot.kind: shot.restored for shot in chain.shots}
         for name, kind in _RESTORED.items():
-            if (shot := chain.shot(kind)) is not None and (chain.coded or name not in _OF_A_CODE):
-                write_image(made / name, shot.restored)
+            if kind in restored and (chain.coded or name not in _OF_A_CODE):
+                write_image(made / name, restored[kind])
         if chain.code is not None:
             metrics = chain.problem.measure(chain.code).to_dict()
-            certificate = dict(chain.certificates)["coded"].to_dict()
+            certificate = chain.certificate.to_dict()
             device = None if chain.device is None else chain.device.to_dict()
             described = {"objective": "mse", "chips": chain.code.chips, "device": device}
             write_code(made / "code.json", StoredCode(chain.code, metrics, described, certificate))
@@ -92,16 +92,12 @@ def write_demo(
                         made / name, export_program(program, file_format, device=chain.device)
                     )
             write_image(made / "coded.png", chain.advised_shot.photo, bits=16)
-        report = demo_report(chain, options=options, guide=_guide(target))
-        shown = [
-            one
-            for section in report.sections
-            for one in (*section.pictures, *section.gallery)
-            if one.name
-        ]
-        for one in shown:
-            (made / f"{one.name}.png").write_bytes(one.png)
-        write_report(made / "report.html", report)
+        png = pictures(chain)
+        for name in PICTURE_FILES:
+            if name in png:
+                (made / f"{name}.png").write_bytes(png[name])
+        page = html(chain, png, options=options, guide=_guide(target))
+        write_text(made / "report.html", page)
         write_text(made / "demo.json", json_text(figures))
     return figures
 
@@ -124,12 +120,12 @@ def _guide(folder: Path) -> str:
 def _figures(chain: Chain) -> dict[str, object]:
     here = chain.advice.here
     psnr_db = {shot.kind: shot.psnr_db for shot in chain.shots}
-    kinds = ("open", "snapshot", "coded")
+    camera = chain.problem.camera
     return {
         "verdict": here.sentence,
         "choice": chain.choice,
         "gains_db": here.gains_db,
-        "psnr_db": {kind: psnr_db.get(kind) for kind in kinds},
+        "psnr_db": {kind: psnr_db.get(kind) for kind in ("open", "snapshot", "coded")},
         "simulated_gains_db": chain.gains_db(),
         "crossover": chain.advice.crossover,
         "photo": chain.scene.name,
@@ -137,27 +133,25 @@ def _figures(chain: Chain) -> dict[str, object]:
         "length_px": chain.estimate.best.length_px,
         "confidence": chain.estimate.confidence,
         "path_uncertainty_px": chain.estimate.path_error_px,
-        "calibration_codes": [code.bits for code in chain.found.codes],
-        "open_photo_alone": _open_photo_alone(chain),
+        "calibration_codes": [code.bits for code in chain.motion.codes],
+        "open_photo_alone": _from_open_photo(chain),
         "bits": None if chain.code is None else chain.code.bits,
         "chips": chain.problem.chips,
         "chip_ns": chain.problem.chip_ns,
-        "camera": chain.camera.to_dict(),
+        "camera": camera.to_dict(),
         "device": None if chain.device is None else chain.device.name,
         "seed": chain.seed,
         "warnings": [*chain.scene.warnings, *chain.estimate.warnings],
     }
 
 
-def _open_photo_alone(chain: Chain) -> dict[str, object] | None:
-    """Figures of what the calibration photo with an open shutter would have given without the
-    others.
-    """
-    if chain.alone is None or chain.found.alone is None:
+def _from_open_photo(chain: Chain) -> dict[str, object] | None:
+    """Return the figures that the photo with an open shutter would have led to by itself."""
+    if chain.shot_from_open is None or chain.motion.from_open is None:
         return None
     return {
-        "length_px": chain.found.alone.best.length_px,
-        "confidence": chain.found.alone.confidence,
-        "bits": chain.alone.way.code.bits,
-        "psnr_db": chain.alone.psnr_db,
+        "length_px": chain.motion.from_open.best.length_px,
+        "confidence": chain.motion.from_open.confidence,
+        "bits": chain.shot_from_open.way.code.bits,
+        "psnr_db": chain.shot_from_open.psnr_db,
     }

@@ -1,33 +1,25 @@
-"""The chain itself: photos of a motion in, verdict, exposures, restorations and, where it pays, a
-code out.
-"""
+"""The demo's chain: motion, verdict, exposures, restorations and, where it pays, a code."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cep.optics.camera import LIGHT_LEVELS, Camera
-from cep.optics.capture import capture
-from cep.optics.code import ShutterCode
-from cep.optics.exposure import coded_psf
+import cep
+from cep.optics.camera import LIGHT_LEVELS
 from cep.optics.path_limits import check_resolved
-from cep.proofs.certify.certificate import Certificate, certify
-from cep.report.demo_scene import FoundMotion, Scene, find_motion
-from cep.restoration.methods import Restoration, restore
-from cep.search.advise import LEVELS, Advice, advise
+from cep.proofs.certify.certificate import Certificate
+from cep.report.demo_scene import Scene, SceneMotion, find_motion
+from cep.restoration.methods import Restoration
+from cep.search.advise import LEVELS, Advice
 from cep.search.chip_count import suited_chips
-from cep.search.problem import SearchProblem
-from cep.search.ways import Choice, Way
-from hw.device import DeviceProfile
+from cep.search.ways import CODED, Choice, Way
 from motdiff.crops import luminance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.simulate import visible
-from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 STANDARD_CAMERA = "video-8bit"
@@ -38,12 +30,14 @@ CONTRAST = "sony-imx250"
 EXPOSURE_S = 1 / 30
 """Length of the exposure where none is given."""
 
+_LEAST_CHIPS = 8
 _MOST_CHIPS = 64
-_LARGEST_SCENE_PX = 768
-_RESTORATION = "wiener"
-_FOUND = 0.68  # shares of the time when each is done
-_ADVISED = 0.82
-_RESTORED = 0.95
+_LARGEST_SCENE_PX = 768  # of a user's photo: TV takes a minute on more
+_RESTORATION = "wiener"  # the one that the expected gains are those of
+# shares of the time when each is done
+_MOTION_SHARE = 0.68
+_ADVICE_SHARE = 0.82
+_PHOTOS_SHARE = 0.95
 
 
 @dataclass(frozen=True)
@@ -59,8 +53,6 @@ class Shot:
         The restoration is at the brightness of the open exposure.
     psnr_db : float
         Of the restoration, grey, linear light, up to shift.
-    known_psnr_db : float or None
-        The same where the true motion is known exactly; None where it is not known.
     """
 
     kind: str
@@ -68,54 +60,51 @@ class Shot:
     photo: FloatArray
     restored: FloatArray
     psnr_db: float
-    known_psnr_db: float | None = None
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Everything that the demo found, for its files and its report.
+    """Results of the demo, for its files and its page.
 
     Attributes
     ----------
     scene : Scene
-    camera : Camera
-        Takes the simulated photos, and is what the exposure is chosen for.
-    exposure_s : float
-    device : DeviceProfile or None
     seed : int
-    found : FoundMotion
+    motion : SceneMotion
     problem : SearchProblem
-        Along the motion found.
+        Along the estimated motion; its camera takes the simulated photos.
+    device : DeviceProfile or None
     advice : Advice
         For this camera, over the light.
     contrast : Advice or None
         For :data:`CONTRAST`, where this camera's exposure is coded.
-    alone : Shot or None
-        What is advised along the motion that the open photo alone shows, taken and restored so.
-    certificates : tuple of (str, Certificate)
-        Smallest MTF of each shot's exposure, along the motion as estimated.
     reference : float ndarray
         The scene at rest, as large as the photos.
     shots : tuple of Shot
         Open shutter first, then the best single exposure and the best code, where the limits leave
         them.
-    seconds : tuple of (str, float)
+    shot_from_open : Shot or None
+        Taken as advised along the motion estimated from the open photo alone.
+    certificate : Certificate
+        Smallest MTF of the exposure advised, along the motion as estimated.
     """
 
     scene: Scene
-    camera: Camera
-    exposure_s: float
-    device: DeviceProfile | None
     seed: int
-    found: FoundMotion
-    problem: SearchProblem
+    motion: SceneMotion
+    problem: cep.SearchProblem
+    device: cep.DeviceProfile | None
     advice: Advice
     contrast: Advice | None
-    alone: Shot | None
-    certificates: tuple[tuple[str, Certificate], ...]
     reference: FloatArray
     shots: tuple[Shot, ...]
-    seconds: tuple[tuple[str, float], ...]
+    shot_from_open: Shot | None
+    certificate: Certificate
+
+    @property
+    def estimate(self) -> MotionEstimate:
+        """The motion that the exposure is chosen for and the photos are restored along."""
+        return self.motion.estimate
 
     @property
     def choice(self) -> Choice:
@@ -125,56 +114,38 @@ class Chain:
     @property
     def coded(self) -> bool:
         """Whether the shutter is to open more than once."""
-        return self.choice in ("strobe", "code")
+        return self.choice in CODED
 
     @property
-    def code(self) -> ShutterCode | None:
+    def code(self) -> cep.ShutterCode | None:
         """The code, where one is advised."""
-        return self.advice.here.advised.code if self.coded else None
-
-    @property
-    def estimate(self) -> MotionEstimate:
-        """The motion that the exposure is chosen for, and the photos are restored along."""
-        return self.found.estimate
+        return self.advised_shot.way.code if self.coded else None
 
     @property
     def advised_shot(self) -> Shot:
         """The photo taken as advised."""
-        kind = "coded" if self.coded else self.choice
+        return self.shot("coded" if self.coded else self.choice)
+
+    def shot(self, kind: str) -> Shot:
+        """Return the photo of a kind that there is."""
         return next(shot for shot in self.shots if shot.kind == kind)
 
-    def shot(self, kind: str) -> Shot | None:
-        """Return the photo of a kind; None where there is none."""
-        return next((shot for shot in self.shots if shot.kind == kind), None)
-
-    def gains_db(self, *, known: bool = False) -> dict[str, float]:
-        """Return the simulated gain of the restored photo of each kind over the open shutter, dB.
-
-        Parameters
-        ----------
-        known : bool
-            Restored along the true motion; empty where that is not known.
-        """
-        figures = {shot.kind: shot.known_psnr_db if known else shot.psnr_db for shot in self.shots}
-        opened = figures["open"]
-        return {
-            kind: psnr - opened
-            for kind, psnr in figures.items()
-            if psnr is not None and opened is not None
-        }
+    def gains_db(self) -> dict[str, float]:
+        """Return the simulated gain of each restored photo over that of the open shutter, dB."""
+        return {shot.kind: shot.psnr_db - self.shots[0].psnr_db for shot in self.shots}
 
 
 def run_chain(
     scene: Scene,
-    camera: Camera,
+    camera: cep.Camera,
     *,
     exposure_s: float = EXPOSURE_S,
-    device: DeviceProfile | None = None,
+    device: cep.DeviceProfile | None = None,
     chips: int | None = None,
     seed: int = 0,
-    found: FoundMotion | None = None,
+    motion: SceneMotion | None = None,
     levels: Sequence[float] = LEVELS,
-    tell: Callable[[float, str], None] = lambda _fraction, _what: None,
+    tell: Callable[[float, str], None] = lambda _fraction, _note: None,
 ) -> Chain:
     """Run the chain.
 
@@ -183,19 +154,18 @@ def run_chain(
     scene : Scene
     camera : Camera
     exposure_s : float
-        Length of the exposure.
     device : DeviceProfile, optional
-        Shutter that must be able to play the code; any other limit there is not.
+        Shutter that must be able to play the code; without it any code can be played.
     chips : int, optional
         When omitted one for each px of the path, at most 64; with a device as many as pay.
     seed : int
-    found : FoundMotion, optional
+    motion : SceneMotion, optional
         By :func:`find_motion` when omitted.
     levels : sequence of float
         Photo-electrons at full scale at which the ways to expose are compared, besides the
-        camera's own.
+        camera's.
     tell : callable
-        Called with the fraction done and what is being done.
+        Called with the fraction done and the current step.
 
     Raises
     ------
@@ -203,219 +173,175 @@ def run_chain(
         If the photo shows nothing to estimate a motion from, or the exposure cannot be divided so
         on the device.
     """
-    clock = _Clock(tell)
-    clock.begin(0.0, "estimating the motion")
-    if found is None:
-        found = find_motion(
+    tell(0.0, "estimating the motion")
+    if motion is None:
+        motion = find_motion(
             scene,
             camera,
             exposure_s=exposure_s,
             device=device,
             seed=seed,
-            tell=lambda share, what: tell(_FOUND * share, what),
+            tell=lambda share, note: tell(_MOTION_SHARE * share, note),
         )
-    estimate = found.estimate
+    estimate = motion.estimate
 
-    def problem_along(one: MotionEstimate, count: int | None) -> SearchProblem:
-        return _problem(one, camera, exposure_s=exposure_s, device=device, chips=count, seed=seed)
+    def problem_along(path: MotionEstimate, chips: int) -> cep.SearchProblem:
+        length_s = exposure_s
+        chip_us = round(1e6 * exposure_s / chips)
+        if device is None and chip_us > 0:  # a clock of whole us, which most controllers can play
+            length_s = 1e-6 * chip_us * chips
+        return cep.SearchProblem.along(
+            path,
+            chips=chips,
+            objective="mse",
+            camera=camera,
+            device=device,
+            exposure_s=length_s,
+        )
 
-    clock.begin(_FOUND, "comparing exposures")
+    tell(_MOTION_SHARE, "comparing exposures")
+    if chips is None:
+        if device is None:
+            chips = int(np.clip(round(estimate.best.length_px), _LEAST_CHIPS, _MOST_CHIPS))
+        else:
+            chips, _ = suited_chips(lambda count: problem_along(estimate, count), seed=seed)
+    check_resolved(estimate.best, chips)
     problem = problem_along(estimate, chips)
     error_px = estimate.path_error_px or 0.0
-    advice = advise(
+    advice_s = _ADVICE_SHARE - _MOTION_SHARE
+    advice = cep.advise(
         problem,
         levels=levels,
         path_error_px=error_px,
         seed=seed,
-        progress=lambda share, what: tell(_FOUND + 0.8 * (_ADVISED - _FOUND) * share, what),
+        progress=lambda share, note: tell(_MOTION_SHARE + 0.8 * advice_s * share, note),
     )
     contrast = None
-    if advice.choice in ("strobe", "code"):
-        other = replace(problem, camera=Camera.load(CONTRAST))
-        contrast = advise(other, levels=LIGHT_LEVELS, path_error_px=error_px, seed=seed)
-    certificates = tuple(
-        (kind, certify(way.code, estimate.best))
-        for kind, way in _ways(advice).items()
-        if kind != "coded" or contrast
+    if advice.choice in CODED:
+        other = replace(problem, camera=cep.Camera.load(CONTRAST))
+        contrast = cep.advise(other, levels=LIGHT_LEVELS, path_error_px=error_px, seed=seed)
+
+    tell(_ADVICE_SHARE, "exposing")
+    exposures = _Exposures(scene, estimate, camera, seed)
+    best_code = advice.here.advised if advice.choice in CODED else advice.here.best("code")
+    ways = {
+        "open": advice.here.ways[0],
+        "snapshot": advice.here.best("snapshot"),
+        "coded": best_code,
+    }
+    possible = {kind: way for kind, way in ways.items() if way is not None}
+    photos = exposures.photos(possible)
+    tell(_PHOTOS_SHARE, "restoring")
+    shots = exposures.restored(possible, photos, estimate.best)
+    shot_from_open = None
+    if motion.from_open is not None:
+        here = cep.advise(
+            problem_along(motion.from_open, problem.chips), levels=(), seed=seed
+        ).here
+        kind = "coded" if here.choice in CODED else here.choice
+        possible = {"open": here.ways[0], kind: here.advised}
+        photos = exposures.photos(possible)
+        shot_from_open = exposures.restored(possible, photos, motion.from_open.best)[-1]
+    tell(1.0, "done")
+    return Chain(
+        scene,
+        seed,
+        motion,
+        problem,
+        device,
+        advice,
+        contrast,
+        exposures.reference,
+        shots,
+        shot_from_open,
+        cep.certify(advice.here.advised.code, estimate.best),
     )
 
-    clock.begin(_ADVISED, "exposing")
-    sharp, truth = _sharp_scene(scene, estimate)
-    frame = truth.frame_size() | 1
-    rng = np.random.default_rng([seed, 3])
 
-    def photographed(ways: dict[str, Way]) -> dict[str, FloatArray]:
-        taken = {
-            kind: capture(
-                sharp,
-                coded_psf(truth, way.code, frame),
-                camera=_with_dark_noise(camera, way),
-                rng=rng,
+class _Exposures:
+    """Simulated photos of one scene, and their restorations."""
+
+    def __init__(
+        self, scene: Scene, estimate: MotionEstimate, camera: cep.Camera, seed: int
+    ) -> None:
+        self._camera = camera
+        self._rng = np.random.default_rng([seed, 3])
+        self._open_photo = None if scene.sharp is None else scene.photo
+        if scene.sharp is not None and scene.motion is not None:
+            self._sharp, self._motion = scene.sharp, scene.motion
+        else:  # of a user's photo neither is known: its restoration and the estimate stand in
+            height, width = (min(side, _LARGEST_SCENE_PX) for side in scene.photo.shape[:2])
+            top = (scene.photo.shape[0] - height) // 2
+            left = (scene.photo.shape[1] - width) // 2
+            crop = scene.photo[top : top + height, left : left + width]
+            self._sharp = np.clip(cep.restore(crop, estimate.psf, method="tv").image, 0, 1)
+            self._motion = estimate.best
+        self._frame = self._motion.frame_size() | 1
+        self.reference = visible(self._sharp, self._frame)
+
+    def photos(self, ways: Mapping[str, Way]) -> dict[str, FloatArray]:
+        """Take a photo each way; the one with the open shutter is the scene's where it has one."""
+        photos = {
+            kind: cep.capture(
+                self._sharp,
+                cep.coded_psf(self._motion, way.code, self._frame),
+                camera=self._camera_of(way),
+                rng=self._rng,
             )
             for kind, way in ways.items()
         }
-        return taken if scene.sharp is None else {**taken, "open": scene.photo}
+        if self._open_photo is not None:
+            photos["open"] = self._open_photo
+        return photos
 
-    clock.begin(_RESTORED, "restoring")
-    reference = visible(sharp, frame)
-    known = None if scene.motion is None else replace(scene.motion, direction="known")
-    ways = _ways(advice)
-    shots = _shots(ways, photographed(ways), estimate.best, known, camera, reference)
-    alone = None
-    if found.alone is not None:
-        here = advise(problem_along(found.alone, problem.chips), levels=(), seed=seed).here
-        kind = "coded" if here.choice in ("strobe", "code") else here.choice
-        ways = {"open": here.ways[0], kind: here.advised}
-        taken = _shots(ways, photographed(ways), found.alone.best, None, camera, reference)
-        alone = next(shot for shot in taken if shot.kind == kind)
-    clock.begin(1.0, "done")
-    return Chain(
-        scene,
-        camera,
-        exposure_s,
-        device,
-        seed,
-        found,
-        problem,
-        advice,
-        contrast,
-        alone,
-        certificates,
-        reference,
-        shots,
-        clock.laps,
-    )
+    def restored(
+        self, ways: Mapping[str, Way], photos: Mapping[str, FloatArray], path: cep.Trajectory
+    ) -> tuple[Shot, ...]:
+        """Restore every photo in the same way, and compare all on the same part of the picture."""
 
-
-def _problem(
-    estimate: MotionEstimate,
-    camera: Camera,
-    *,
-    exposure_s: float,
-    device: DeviceProfile | None,
-    chips: int | None,
-    seed: int,
-) -> SearchProblem:
-    def of(count: int) -> SearchProblem:
-        # a clock that most controllers can play; a device has its own
-        chip_us = round(1e6 * exposure_s / count)
-        length = (
-            {"exposure_s": exposure_s}
-            if device is not None or chip_us == 0
-            else {"chip_ns": 1000 * chip_us}
-        )
-        return SearchProblem.along(
-            estimate, chips=count, objective="mse", camera=camera, device=device, **length
-        )
-
-    if chips is None:
-        if device is None:
-            chips = int(np.clip(round(estimate.best.length_px), 8, _MOST_CHIPS))
-        else:
-            chips, _ = suited_chips(of, seed=seed)
-    check_resolved(estimate.best, chips)
-    return of(chips)
-
-
-def _ways(advice: Advice) -> dict[str, Way]:
-    """Ways to expose that are photographed: the open shutter, the best single exposure, the best
-    code.
-    """
-    here = advice.here
-    coded = here.advised if advice.choice in ("strobe", "code") else here.best("code")
-    ways = {"open": here.ways[0], "snapshot": here.best("snapshot"), "coded": coded}
-    return {kind: way for kind, way in ways.items() if way is not None}
-
-
-def _sharp_scene(scene: Scene, estimate: MotionEstimate) -> tuple[FloatArray, Trajectory]:
-    """Return the scene that the simulated photos show and the motion they see.
-
-    Of one's own photo neither is known: its restoration and the estimate stand in for them.
-    """
-    if scene.sharp is not None and scene.motion is not None:
-        return scene.sharp, scene.motion
-    height, width = (min(side, _LARGEST_SCENE_PX) for side in scene.photo.shape[:2])
-    top = (scene.photo.shape[0] - height) // 2
-    left = (scene.photo.shape[1] - width) // 2
-    part = scene.photo[top : top + height, left : left + width]
-    restored = restore(part, estimate.psf, method="tv").image
-    return np.clip(restored, 0, 1), estimate.best
-
-
-def _shots(
-    ways: dict[str, Way],
-    photos: dict[str, FloatArray],
-    motion: Trajectory,
-    known: Trajectory | None,
-    camera: Camera,
-    reference: FloatArray,
-) -> tuple[Shot, ...]:
-    """Restore every photo in the same way, and judge all of them on the same part of the
-    picture.
-    """
-
-    def restored(kind: str, path: Trajectory) -> Restoration:
-        code = None if kind == "open" else ways[kind].code
-        return restore(
-            photos[kind],
-            trajectory=path,
-            code=code,
-            method=_RESTORATION,
-            camera=_with_dark_noise(camera, ways[kind]),
-        )
-
-    found = {"open": restored("open", motion)}
-    for kind in list(ways)[1:]:
-        if kind == "snapshot" and motion.direction == "unknown":
-            # either direction restores it as well, but one of them shifted: the other photo shows
-            # which
-            turned = [replace(path, direction="known") for path in (motion, motion.reversed())]
-            both = [restored(kind, path) for path in turned]
-            found[kind] = min(
-                both, key=lambda one: float(np.mean((one.image - found["open"].image) ** 2))
+        def restore(kind: str, along: cep.Trajectory) -> Restoration:
+            return cep.restore(
+                photos[kind],
+                trajectory=along,
+                code=None if kind == "open" else ways[kind].code,
+                method=_RESTORATION,
+                camera=self._camera_of(ways[kind]),
             )
-        else:
-            found[kind] = restored(kind, motion)
-    ideal = {} if known is None else {kind: restored(kind, known) for kind in ways}
-    reach = max(one.unreliable_px for one in (*found.values(), *ideal.values())) + 2
-    crop = min(reach, min(reference.shape[:2]) // 4)
-    scene = _grey(reference)
 
-    def psnr_db(one: Restoration) -> float:
-        return psnr_up_to_shift(_grey(one.image), scene, max_shift_px=3.0, crop_px=crop)
-
-    return tuple(
-        Shot(
-            kind,
-            way,
-            photos[kind],
-            found[kind].image,
-            psnr_db(found[kind]),
-            psnr_db(ideal[kind]) if kind in ideal else None,
+        open_image = restore("open", path).image
+        restorations: dict[str, Restoration] = {}
+        for kind in ways:
+            if kind == "snapshot" and path.direction == "unknown":
+                # either direction restores it as well, but one of them shifted: the open photo
+                # shows which
+                restorations[kind] = min(
+                    (
+                        restore(kind, replace(along, direction="known"))
+                        for along in (path, path.reversed())
+                    ),
+                    key=lambda image: float(np.mean((image.image - open_image) ** 2)),
+                )
+            else:
+                restorations[kind] = restore(kind, path)
+        border = max(restoration.unreliable_px for restoration in restorations.values()) + 2
+        border = min(border, min(self.reference.shape[:2]) // 4)
+        reference = _grey(self.reference)
+        return tuple(
+            Shot(
+                kind,
+                way,
+                photos[kind],
+                restorations[kind].image,
+                psnr_up_to_shift(
+                    _grey(restorations[kind].image), reference, max_shift_px=3.0, crop_px=border
+                ),
+            )
+            for kind, way in ways.items()
         )
-        for kind, way in ways.items()
-    )
 
-
-def _with_dark_noise(camera: Camera, way: Way) -> Camera:
-    return camera.with_dark_noise(way.code.integration_ns * 1e-9)
+    def _camera_of(self, way: Way) -> cep.Camera:
+        return self._camera.with_dark_noise(way.code.integration_ns * 1e-9)
 
 
 def _grey(image: FloatArray) -> FloatArray:
     return np.clip(luminance(image), 0, 1)
-
-
-class _Clock:
-    """Notes how long each step took."""
-
-    def __init__(self, tell: Callable[[float, str], None]) -> None:
-        self._tell = tell
-        self._begun: tuple[str, float] | None = None
-        self.laps: tuple[tuple[str, float], ...] = ()
-
-    def begin(self, fraction: float, what: str) -> None:
-        now = time.perf_counter()
-        if self._begun is not None:
-            self.laps += ((self._begun[0], now - self._begun[1]),)
-        self._begun = (what, now)
-        self._tell(fraction, what)

@@ -1,6 +1,4 @@
-"""What can be chosen by name: cameras, shutters, published codes, example motions, export formats,
-serial ports.
-"""
+"""Choices of the page by name: cameras, shutters, example motions, export formats, ports."""
 
 from __future__ import annotations
 
@@ -9,10 +7,8 @@ from functools import cache
 
 import numpy as np
 
-from cep.codes.published import for_chips, names
 from cep.optics.camera import Camera
 from cep.optics.camera import camera_names as camera_names
-from cep.optics.code import ShutterCode
 from hw.device import DeviceProfile
 from hw.device import load_profile as load_profile
 from hw.device import profile_names as profile_names
@@ -21,19 +17,25 @@ from hw.port import list_ports
 from motdiff.motions import boracchi_foi, quadratic
 from motdiff.trajectory import Trajectory
 
+_EXAMPLES = {
+    "shake": "a hand that accelerates: a bent path of 26 px",
+    "turn": "a turntable: an arc of 40 px at constant speed, of known direction",
+    "start": "a conveyor that starts: straight, 32 px, ever faster, of known direction",
+    "walk": "a random walk with reversals, 60 px",
+}
 _THIN_PX = 0.05  # of the walk's 2000 samples
 
 
 @dataclass(frozen=True)
 class Choice:
-    """One thing that can be chosen.
+    """A choice by name.
 
     Attributes
     ----------
     name : str
         As options take it.
     about : str
-        What it is, in a line.
+        One line.
     """
 
     name: str
@@ -42,8 +44,8 @@ class Choice:
 
 def cameras() -> tuple[tuple[Choice, Camera], ...]:
     """List the known cameras."""
-    known = ((name, Camera.load(name)) for name in camera_names())
-    return tuple((Choice(name, camera.kind), camera) for name, camera in known)
+    named = ((name, Camera.load(name)) for name in camera_names())
+    return tuple((Choice(name, camera.kind), camera) for name, camera in named)
 
 
 def devices() -> tuple[Choice, ...]:
@@ -64,24 +66,6 @@ def formats() -> tuple[Choice, ...]:
 def ports() -> tuple[Choice, ...]:
     """List the serial ports of this machine."""
     return tuple(Choice(info.port, info.description) for info in list_ports())
-
-
-def published_codes(chips: int) -> tuple[tuple[Choice, ShutterCode], ...]:
-    """List the published codes of so many chips.
-
-    Examples
-    --------
-    >>> [choice.name for choice, _ in published_codes(52)]
-    ['raskar-52']
-    """
-    return tuple((Choice(entry.name, entry.source), entry.code) for entry in for_chips(chips))
-
-
-def published_chips() -> tuple[tuple[str, int], ...]:
-    """List the names of all published codes with their numbers of chips, shortest first."""
-    from cep.codes.sources import load_code
-
-    return tuple((name, load_code(name).chips) for name in names())
 
 
 def example_motion(name: str) -> Trajectory:
@@ -109,27 +93,19 @@ def example_motions() -> tuple[Choice, ...]:
     return tuple(Choice(name, about) for name, about in _EXAMPLES.items())
 
 
-_EXAMPLES = {
-    "shake": "a hand that accelerates: a bent path of 26 px",
-    "turn": "a turntable: an arc of 40 px at constant speed, of known direction",
-    "start": "a conveyor that starts: straight, 32 px, ever faster, of known direction",
-    "walk": "a random walk with reversals, 60 px",
-}
-
-
 @cache
 def _drawn(name: str) -> Trajectory:
     t = np.linspace(0, 1, 33)
     if name == "shake":
-        found = quadratic(
+        shake = quadratic(
             np.random.default_rng(0), min_length_px=24, max_length_px=28, max_bend=1.5
         )
-        return found.thinned(_THIN_PX)
+        return shake.thinned(_THIN_PX)
     if name == "turn":
-        turned = np.pi / 2 * (t - 0.5)
+        angle = np.pi / 2 * (t - 0.5)
         radius = 40 / (np.pi / 2)
         return Trajectory.from_samples(
-            radius * np.stack([np.sin(turned), np.cos(turned)], axis=1), direction="known"
+            radius * np.stack([np.sin(angle), np.cos(angle)], axis=1), direction="known"
         )
     if name == "start":
         return Trajectory.from_samples(32 * np.stack([t**2, 0 * t], axis=1), direction="known")

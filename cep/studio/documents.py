@@ -1,6 +1,4 @@
-"""Documents that a page opens: motions, codes and studio files, and gyroscope recordings, as the
-page keeps them.
-"""
+"""Documents that a page opens: motions, codes, studio files and gyroscope recordings."""
 
 from __future__ import annotations
 
@@ -14,13 +12,14 @@ import cep
 from cep.files.files import StoredCode, read_code, read_json, stored_device
 from cep.files.formatting import seconds_of
 from cep.studio.catalogue import shutter_name
-from cep.studio.fields import FieldError
-from cep.studio.motions import gyro_motion, stored_paths
+from cep.studio.fields import FieldError, nameless
 from cep.studio.state import path_fields, read_state, saved_setting
 from cep.studio.views import STUDIO_SCHEMA, Views
 from motdiff.files.json_files import json_text, stated_schema
 from motdiff.files.outputs import claim_folder, new_folder
-from motdiff.gyro import DEFAULT_AXES
+from motdiff.files.trajectories import read_motion, stated_uncertainty_px
+from motdiff.gyro import DEFAULT_AXES, trajectory_from_gyro
+from motdiff.trajectory import check_length
 
 EXTRACTED = ("trajectory.json", "code.json", "commands.sh")
 """Files of :func:`extract`."""
@@ -29,8 +28,7 @@ _PATH_PX = 0.01  # by which a motion may differ that another version of the libr
 
 
 def opened_document(file: Path) -> dict[str, Any]:
-    """Return what of a document the page takes over: ``paths`` of a motion, ``bits`` of a code, or
-    a whole ``state``.
+    """Return the fields of a document: ``paths`` of a motion, ``bits`` of a code, or a ``state``.
 
     With the bits comes ``device``, the name of the shutter they were searched for, or a
     ``warning`` where it has none.
@@ -43,27 +41,26 @@ def opened_document(file: Path) -> dict[str, Any]:
     schema = stated_schema(file)
     try:
         if schema == "cep.trajectory/1":
-            paths, error_px = stored_paths(file)
+            stored = read_motion(file)
+            paths = [(stored.weight, stored.trajectory), *stored.alternatives]
             described = [{"weight": weight, **_described(path)} for weight, path in paths]
-            return {"paths": described, "path_error": error_px}
+            return {"paths": described, "path_error": stated_uncertainty_px(stored, file)}
         if schema == "cep.code/1":
             return _opened_code(read_code(file))
         if schema == STUDIO_SCHEMA:
             return {"state": stored_state(file)}
-    except (ValueError, OSError) as error:  # its name is the server's, and says nothing
-        raise FieldError(
-            "open_file", str(error).replace(f"{file}: ", "").replace(str(file), "the file")
-        ) from None
+    except (ValueError, OSError) as error:
+        raise FieldError("open_file", nameless(error, file)) from None
     raise FieldError("open_file", "the file is no trajectory.json, code.json or studio.json")
 
 
-def opened_gyro(file: Path, given: Mapping[str, str]) -> dict[str, Any]:
+def opened_gyro(file: Path, query: Mapping[str, str]) -> dict[str, Any]:
     """Return the motion of one exposure of a gyroscope recording.
 
     Parameters
     ----------
     file : Path
-    given : mapping
+    query : mapping
         ``focal`` px, ``start`` s, ``exposure`` s and ``axes``, the directions of the recording's
         axes.
 
@@ -75,29 +72,26 @@ def opened_gyro(file: Path, given: Mapping[str, str]) -> dict[str, Any]:
     numbers = {}
     for name, parse in (("focal", float), ("start", float), ("exposure", seconds_of)):
         try:
-            numbers[name] = parse(given.get(name, ""))
+            numbers[name] = parse(query.get(name, ""))
         except ValueError as error:
-            said = (
-                str(error).removeprefix("exposure: ")
-                if parse is seconds_of
-                else "a number is needed"
-            )
-            raise FieldError(f"gyro_{name}", said) from None
-    axes = given.get("axes", DEFAULT_AXES)
+            reason = "a number is needed"
+            if parse is seconds_of:
+                reason = str(error).removeprefix("exposure: ")
+            raise FieldError(f"gyro_{name}", reason) from None
+    axes = query.get("axes", DEFAULT_AXES)
     try:
-        path, trace = gyro_motion(
-            file,
+        trace = cep.read_gyro(file)
+        path = trajectory_from_gyro(
+            trace,
             focal_px=numbers["focal"],
             start_s=numbers["start"],
             exposure_s=numbers["exposure"],
             axes=axes,
         )
+        check_length(path)
     except ValueError as error:
         field = "gyro_axes" if str(error).startswith("axes: ") else "gyro"
-        said = str(error).removeprefix("axes: ")
-        raise FieldError(
-            field, said.replace(f"{file}: ", "").replace(str(file), "the file")
-        ) from None
+        raise FieldError(field, nameless(error, file).removeprefix("axes: ")) from None
     read = f"{trace.columns}; axes: {axes}"
     warnings = [read, *(line.removeprefix(f"{file}: ") for line in trace.warnings)]
     return {"paths": [{"weight": 1.0, **_described(path)}], "warnings": warnings}
@@ -136,18 +130,18 @@ def extract(file: Path, folder: Path, *, force: bool = False) -> list[Path]:
 
 
 def _opened_code(stored: StoredCode) -> dict[str, Any]:
-    found = {"bits": stored.code.bits, "exposure": f"{stored.code.duration_ns:d}ns"}
+    fields = {"bits": stored.code.bits, "exposure": f"{stored.code.duration_ns:d}ns"}
     profile = stored_device(stored, source="the file")
     if profile is None:
-        return found
+        return fields
     name = shutter_name(profile)
     if name is not None:
-        return {**found, "device": name}
+        return {**fields, "device": name}
     warning = (
         f"its code was searched for the shutter {profile.name}, whose limits the studio cannot"
         " check: use cep export"
     )
-    return {**found, "device": "", "warning": warning}
+    return {**fields, "device": "", "warning": warning}
 
 
 def stored_state(file: Path) -> dict[str, Any]:

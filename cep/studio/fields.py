@@ -1,11 +1,10 @@
-"""Fields of what a page sends, each checked: what is wrong is one line, shown beside the field of
-the page.
-"""
+"""Checks of the fields that a page sends; each error is one line, shown beside its field."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeGuard
 
 MOST_CHIPS = 512
@@ -56,6 +55,11 @@ class FieldError(ValueError):
         return cls(fallback, str(error))
 
 
+def nameless(error: Exception, file: Path, kind: str = "the file") -> str:
+    """Return a message without the name of an uploaded file, which the server made up."""
+    return str(error).replace(f"{file}: ", "").replace(str(file), kind)
+
+
 def disk_error(field: str, error: OSError) -> FieldError:
     """Return what to say beside a field where the studio's own folder cannot be written."""
     reason = (error.strerror or str(error)).lower()
@@ -66,22 +70,22 @@ def disk_error(field: str, error: OSError) -> FieldError:
     )
 
 
-def read_bits(given: object, field: str) -> str:
+def read_bits(bits: object, field: str) -> str:
     """Read a code with an open chip.
 
     Raises
     ------
     FieldError
     """
-    if not isinstance(given, str) or not given or set(given) - {"0", "1"}:
+    if not isinstance(bits, str) or not bits or set(bits) - {"0", "1"}:
         raise FieldError(field, "a code is a row of 1 (open) and 0 (closed), as 11010001")
-    if len(given) > MOST_CHIPS:
+    if len(bits) > MOST_CHIPS:
         raise FieldError(
-            field, f"the studio takes codes of up to {MOST_CHIPS} chips, this one has {len(given)}"
+            field, f"the studio takes codes of up to {MOST_CHIPS} chips, this one has {len(bits)}"
         )
-    if "1" not in given:
+    if "1" not in bits:
         raise FieldError(field, "all chips are closed; at least one must be open")
-    return given
+    return bits
 
 
 def is_text(value: object, most: int) -> TypeGuard[str]:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 import cep
+from cep.codes.published import names
 from cep.files.files import StoredCode, code_document
 from cep.files.formatting import duration
 from cep.files.images import encode_image
@@ -300,10 +301,7 @@ def start_view() -> dict[str, Any]:
             "devices": catalogue.devices(),
             "formats": catalogue.formats(),
             "examples": catalogue.example_motions(),
-            "published": [
-                {"name": name, "bits": cep.load_code(name).bits}
-                for name, _ in catalogue.published_chips()
-            ],
+            "published": [{"name": name, "bits": cep.load_code(name).bits} for name in names()],
         }
     )
 

@@ -1,6 +1,4 @@
-"""Work of the jobs, each in its own process: the motion of a photo, a search, the verdict over the
-light, a play.
-"""
+"""Work of the jobs, each in its own process: calibration, search, advice, play."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cep.studio.fields import FieldError, disk_error
+from cep.studio.fields import FieldError, disk_error, nameless
 from cep.studio.state import path_fields, read_search, read_setting
 from motdiff.files.json_files import plain
 
@@ -121,18 +119,16 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     from cep.restoration.sharpen import sharpen
     from motdiff.files.outputs import new_file, write_bytes
 
-    path = Path(order["path"])
+    file = Path(order["path"])
     tell(0.0, "reading the photo")
     try:
         photo, small, (height, width) = read_detail(
-            path, side_px=_SEARCHED_PX, preview_px=_PREVIEW_PX
+            file, side_px=_SEARCHED_PX, preview_px=_PREVIEW_PX
         )
-    except ValueError as error:  # its name is the server's, and says nothing
-        raise FieldError(
-            "photo", str(error).replace(f"{path}: ", "").replace(str(path), "the photo")
-        ) from None
+    except ValueError as error:
+        raise FieldError("photo", nameless(error, file, "the photo")) from None
     try:
-        write_bytes(path.with_name(f"{path.stem}_preview.jpg"), encode_image(small, ".jpg"))
+        write_bytes(file.with_name(f"{file.stem}_preview.jpg"), encode_image(small, ".jpg"))
     except OSError as error:
         raise disk_error("photo", error) from None
     pixels = photo.pixels
@@ -144,7 +140,7 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
         )
     tell(0.02, "searching the motion", best={"preview": True, "width": width, "height": height})
     try:
-        found = cep.estimate_motion(
+        motion = cep.estimate_motion(
             pixels,
             method=order.get("method", "motdiff"),
             progress=lambda share, what: tell(0.02 + 0.8 * share, what),
@@ -152,10 +148,10 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     except ValueError as error:
         raise FieldError("photo", str(error).removeprefix("photo: ")) from None
     tell(0.85, "restoring a part of the photo")
-    scene = sharpen(_middle(pixels, _SCENE_PX).astype(np.float64), found)
+    scene = sharpen(_middle(pixels, _SCENE_PX).astype(np.float64), motion)
     try:
         with new_file(
-            path.with_name(f"{path.stem}_scene.npy")
+            file.with_name(f"{file.stem}_scene.npy")
         ) as made:  # a page may read the one before
             np.save(made, np.clip(scene.image, 0, 1).astype(np.float32))
     except OSError as error:
@@ -163,21 +159,21 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     paths = [
         {
             "weight": weight,
-            "length_px": one.length_px,
-            "extent_px": one.extent_px,
-            **path_fields(one),
+            "length_px": path.length_px,
+            "extent_px": path.extent_px,
+            **path_fields(path),
         }
-        for weight, one in zip(found.weights, found.trajectories, strict=True)
+        for weight, path in zip(motion.weights, motion.trajectories, strict=True)
     ]
     return {
-        "method": found.method,
-        "confidence": found.confidence,
+        "method": motion.method,
+        "confidence": motion.confidence,
         "paths": paths,
         "width": width,
         "height": height,
-        "warnings": [*notes, *found.warnings],
+        "warnings": [*notes, *motion.warnings],
         "summary": scene.summary,
-        "path_error": found.path_error_px,
+        "path_error": motion.path_error_px,
     }
 
 
@@ -211,7 +207,7 @@ def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
 
     last = [""]
     tell(0.0, "measuring what is used instead")
-    found = cep.optimize(
+    result = cep.optimize(
         problem,
         steps=steps,
         seed=seed,
@@ -221,13 +217,13 @@ def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
         path_error_px=setting.path_error_px,
     )
     return {
-        "bits": found.code.bits,
-        "sentence": found.verdict.sentence,
-        "steps": found.found.steps,
+        "bits": result.code.bits,
+        "sentence": result.verdict.sentence,
+        "steps": result.found.steps,
         "seed": seed,
-        "stopped": found.found.stopped,
-        "seconds": found.found.seconds,
-        "warnings": found.warnings,
+        "stopped": result.found.stopped,
+        "seconds": result.found.seconds,
+        "warnings": result.warnings,
     }
 
 
@@ -235,14 +231,14 @@ def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
 
     setting = read_setting(order["setting"])
-    found = cep.advise(
+    advice = cep.advise(
         setting.problem(),
         setting.code(),
         path_error_px=setting.path_error_px,
         threads=1,
         progress=lambda share, note: tell(share, note),
     )
-    return found.to_dict() | {"where": found.where, "sentence": found.here.sentence}
+    return advice.to_dict() | {"where": advice.where, "sentence": advice.here.sentence}
 
 
 def _play(order: Order, tell: Tell) -> Mapping[str, Any]:

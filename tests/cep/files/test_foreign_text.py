@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
@@ -30,7 +29,6 @@ from cep.files.tables import Bold, Sheet, latex, markdown, write_sheets
 from cep.optics.code import ShutterCode
 from cep.plots import psf_figure, save
 from cep.plots.codes import code_strips
-from cep.report.result_page import Report, Section, html
 from motdiff.files.inputs import printable
 from motdiff.files.json_files import json_text
 
@@ -154,33 +152,6 @@ def test_a_figure_shows_the_name(tmp_path, name):
     assert printable(name).strip() in [one.strip() for one in texts]
     for suffix in (".png", ".pdf"):
         save(psf_figure({name: [[1.0]]}), tmp_path / f"f{suffix}")
-
-
-@pytest.mark.parametrize("name", HOSTILE, ids=ascii)
-def test_a_page_has_no_element_of_a_name(name):
-    class Tags(HTMLParser):
-        def __init__(self):
-            super().__init__()
-            self.tags = []
-
-        def handle_starttag(self, tag, attrs):
-            self.tags.append((tag, [key for key, _ in attrs]))
-
-    def tags(text):
-        parser = Tags()
-        made = html(
-            Report(
-                text, text, sections=(Section(text, (text,), warnings=(text,), commands=(text,)),)
-            )
-        )
-        made.encode("utf-8")
-        parser.feed(made)
-        return parser.tags, made
-
-    found, made = tags(name)
-    assert found == tags("plain")[0]
-    assert "\x1b" not in made
-    assert "\u202e" not in made
 
 
 def test_json_has_the_name_itself():

@@ -191,7 +191,7 @@ def other_weights(root):
 
 
 def a_module_less(root):
-    (root / "cep/report/demo_page.py").unlink()
+    (root / "cep/report/page.py").unlink()
 
 
 def as_before_workers_were_asked(root):

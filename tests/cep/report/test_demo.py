@@ -2,31 +2,21 @@
 scene."""
 
 import json
-import re
-import shlex
-from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-import typer
 
-from cep.commands.main import app
 from cep.files.files import read_code
 from cep.files.images import read_photo
 from cep.optics.camera import Camera
-from cep.optics.code import ShutterCode
 from cep.report.demo import DEMO_FILES, write_demo
 from cep.report.demo_chain import CONTRAST, STANDARD_CAMERA, run_chain
-from cep.report.demo_page import DEMO_PICTURES, demo_report, share_below_noise
-from cep.report.demo_scene import FoundMotion, bundled_scene, find_motion, own_photo
-from cep.report.result_page import html
+from cep.report.demo_scene import Scene, bundled_scene, find_motion
+from cep.report.page import PICTURE_FILES, html
 from hw.device import load_profile
 from hw.export import EXPORTERS
-from motdiff.estimators.reference.estimator import ReferenceEstimator
 from motdiff.files.trajectories import read_motion, stated_uncertainty_px
 from motdiff.metrics import timed_distance_px
-from motdiff.trajectory import Trajectory
 
 LEVELS = (1000.0,)
 CODED = Camera.load(STANDARD_CAMERA)
@@ -36,78 +26,6 @@ OF_A_CODE = {"code.json", "coded.png", "restored_coded.png", "code_strip.png"}
 
 def small_scene(camera):
     return bundled_scene(camera, rng=np.random.default_rng(0), side_px=288)
-
-
-def seen_once(scene):
-    """What the photo alone tells, by the estimator that needs no luck."""
-    return ReferenceEstimator(scene.sharp).estimate(scene.photo)
-
-
-def chain_of(camera, **options):
-    """Run the chain on a small part of the scene, from its open photo alone."""
-    scene = small_scene(camera)
-    return run_chain(scene, camera, found=FoundMotion(seen_once(scene)), levels=LEVELS, **options)
-
-
-@pytest.fixture(scope="module")
-def coded():
-    return chain_of(CODED, chips=16)
-
-
-@pytest.fixture(scope="module")
-def plain():
-    return chain_of(PLAIN, chips=16)
-
-
-@pytest.fixture(scope="module")
-def calibrated():
-    """A chain whose motion photos through codes told."""
-    scene = small_scene(CODED)
-    known = replace(scene.motion, direction="known")
-    alone = seen_once(scene)
-    estimate = replace(
-        alone,
-        method="coded",
-        trajectories=(known,),
-        weights=(1.0,),
-        details={"path_uncertainty_px": 0.2},
-    )
-    codes = tuple(ShutterCode(bits) for bits in ("1111", "0110"))
-    found = FoundMotion(estimate, codes, (scene.photo, 0.5 * scene.photo), alone=alone)
-    return run_chain(scene, CODED, found=found, levels=LEVELS, chips=16)
-
-
-@pytest.fixture(scope="module", params=["coded", "plain", "calibrated"])
-def either(request):
-    return request.getfixturevalue(request.param)
-
-
-class Page(HTMLParser):
-    """Visible text, commands and images of a page."""
-
-    def __init__(self, page):
-        super().__init__()
-        self.text = ""
-        self.commands = ""
-        self.images = []
-        self.inside = []
-        self.feed(page)
-
-    def handle_starttag(self, tag, attrs):
-        if tag == "img":
-            self.images.append(dict(attrs))
-        if tag in ("code", "script", "style"):
-            self.inside.append(tag)
-
-    def handle_endtag(self, tag):
-        if self.inside and self.inside[-1] == tag:
-            self.inside.pop()
-
-    def handle_data(self, data):
-        if "code" in self.inside:
-            self.commands += data
-        if not {"script", "style"} & set(self.inside):
-            self.text += data
 
 
 def test_the_bundled_scene_repeats_and_moves():
@@ -126,7 +44,7 @@ def test_where_coding_pays_the_photos_show_it(coded):
     assert coded.choice == "code"
     assert coded.code == coded.advised_shot.way.code
     assert coded.shots[0].kind == "open"
-    gains = coded.gains_db(known=True)
+    gains = coded.gains_db()
     assert gains["coded"] > max(gains["open"], gains.get("snapshot", 0.0))
     assert coded.contrast.choice == "snapshot"
     assert coded.contrast.here.camera == PLAIN
@@ -134,7 +52,7 @@ def test_where_coding_pays_the_photos_show_it(coded):
 
 def test_where_it_does_not_the_snapshot_is_better(plain):
     assert plain.choice == "snapshot"
-    assert (plain.code, plain.contrast, plain.alone) == (None, None, None)
+    assert (plain.code, plain.contrast, plain.shot_from_open) == (None, None, None)
     gains = plain.gains_db()
     assert gains["snapshot"] > max(gains["open"], gains["coded"])
 
@@ -156,12 +74,20 @@ def test_restoring_helps(either):
         assert shot.psnr_db > -10 * np.log10(np.mean(error[30:-30, 30:-30] ** 2))
 
 
-def test_no_code_outside_the_devices_limits():
+def test_no_code_outside_the_devices_limits(plain):
     device = load_profile("mechanical-fast")
-    chain = chain_of(PLAIN, chips=16, device=device, exposure_s=0.05)
+    chain = run_chain(
+        plain.scene,
+        PLAIN,
+        motion=plain.motion,
+        levels=LEVELS,
+        chips=16,
+        device=device,
+        exposure_s=0.05,
+    )
     assert chain.problem.limits_runs
     assert all(chain.problem.allows(shot.way.code) for shot in chain.shots if shot.kind != "open")
-    assert "mechanical-fast" in demo_report(chain).setting
+    assert "mechanical-fast" in html(chain)
 
 
 def test_a_set_of_photos_tells_the_order(tmp_path):
@@ -177,39 +103,36 @@ def test_a_set_of_photos_tells_the_order(tmp_path):
     assert found.codes[0].duty == 1
     assert found.estimate.best.direction == "known"
     assert timed_distance_px(found.estimate.best, scene.motion) < 0.5
-    assert found.alone.best.direction == "unknown"
+    assert found.from_open.best.direction == "unknown"
 
 
 def test_no_set_through_a_device_that_cannot_play_it(coded, monkeypatch):
-    monkeypatch.setattr(
-        "cep.report.demo_scene.estimate_motion", lambda _photo, **_options: coded.estimate
-    )
+    monkeypatch.setattr("cep.estimate_motion", lambda _photo, **_options: coded.estimate)
     found = find_motion(
         coded.scene, CODED, exposure_s=0.002, device=load_profile("mechanical-fast")
     )
-    assert (found.codes, found.alone) == ((), None)
+    assert (found.codes, found.from_open) == ((), None)
 
 
 def test_knowing_the_order_is_worth_it(calibrated):
     # 0.2 to 0.5 dB: which of the good codes a search ends at hangs on the processor's last bits
-    assert calibrated.advised_shot.psnr_db > calibrated.alone.psnr_db + 0.1
+    assert calibrated.advised_shot.psnr_db > calibrated.shot_from_open.psnr_db + 0.1
 
 
 def test_ones_own_photo_has_no_truth(coded):
-    scene = own_photo("mine.jpg", coded.scene.photo, warnings=("The transparency was dropped.",))
+    scene = Scene("mine.jpg", coded.scene.photo, warnings=("The transparency was dropped.",))
     told = []
     mine = run_chain(
         scene,
         CODED,
-        found=coded.found,
+        motion=coded.motion,
         levels=LEVELS,
         chips=12,
         tell=lambda share, _what: told.append(share),
     )
     assert (told[0], told[-1]) == (0, 1)
     assert told == sorted(told)
-    assert mine.gains_db(known=True) == {}
-    page = html(demo_report(mine))
+    page = html(mine)
     assert "stands in for the scene" in page
     assert "The transparency was dropped." in page
     assert "The true motion is known" not in page
@@ -217,16 +140,7 @@ def test_ones_own_photo_has_no_truth(coded):
 
 def test_a_featureless_photo_is_refused():
     with pytest.raises(ValueError, match=r"night\.jpg: .*black all over"):
-        run_chain(own_photo("night.jpg", np.zeros((128, 128))), CODED)
-
-
-def test_the_band_below_the_noise_grows_with_noise_and_blur():
-    path = Trajectory.straight(20.0)
-    still = Trajectory.straight(1.0)
-    assert share_below_noise(still, None, PLAIN) < share_below_noise(path, None, PLAIN)
-    assert share_below_noise(path, None, PLAIN) < share_below_noise(
-        path, ShutterCode("1111"), CODED
-    )
+        run_chain(Scene("night.jpg", np.zeros((128, 128))), CODED)
 
 
 # -- files ----------------------------------------------------------------------------------------
@@ -252,7 +166,7 @@ def test_files_and_figures(coded, tmp_path):
         text = (tmp_path / "out" / f"shutter_code{suffix}").read_text()
         assert EXPORTERS[name].parse_back(text).bits == coded.code.bits
     assert read_photo(tmp_path / "out/coded.png").bits == 16
-    for name in DEMO_PICTURES:
+    for name in PICTURE_FILES:
         assert (tmp_path / f"out/{name}.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="use --force"):
         write_demo(tmp_path / "out", coded)
@@ -262,7 +176,7 @@ def test_files_and_figures(coded, tmp_path):
 def test_files_of_a_set(calibrated, tmp_path):
     figures = write_demo(tmp_path, calibrated)
     assert figures["calibration_codes"] == ["1111", "0110"]
-    assert figures["open_photo_alone"]["psnr_db"] == calibrated.alone.psnr_db
+    assert figures["open_photo_alone"]["psnr_db"] == calibrated.shot_from_open.psnr_db
     assert {item.name for item in tmp_path.glob("calibration*")} == {"calibration_2.png"}
     write_demo(tmp_path, calibrated, force=True)
 
@@ -276,75 +190,3 @@ def test_no_code_is_written_where_none_is_advised(coded, plain, tmp_path):
     assert figures["bits"] is None
     assert figures["choice"] == "snapshot"
     assert figures["psnr_db"]["coded"] == plain.shot("coded").psnr_db
-
-
-# -- the page -------------------------------------------------------------------------------------
-
-
-def test_the_page_recommends_no_code_where_none_is_advised(plain):
-    report = demo_report(plain)
-    page = Page(html(report))
-    assert report.summary == plain.advice.here.sentence
-    assert report.summary.startswith("Coding does not pay here")
-    assert plain.shot("coded").way.code.bits not in page.text
-    assert not re.search(
-        r"cep (optimize|upload|export|calibrate blurred)|Code this exposure|Pulse the shutter",
-        page.text,
-    )
-    assert "best code (not advised)" in page.text
-
-
-def test_the_page_leads_with_the_verdict(coded):
-    report = demo_report(coded)
-    page = Page(html(report))
-    assert report.summary == coded.advice.here.sentence
-    assert coded.code.bits in page.text
-    assert coded.contrast.sentence in page.text
-    assert (
-        page.text.index(report.setting)
-        < page.text.index(report.summary)
-        < page.text.index("Gain over the light")
-    )
-
-
-def test_figures_on_the_page_are_those_of_the_files(either, tmp_path):
-    figures = write_demo(tmp_path, either)
-    text = Page((tmp_path / "report.html").read_text(encoding="utf-8")).text.replace("−", "-")
-    assert figures["verdict"] in text
-    for psnr_db in figures["psnr_db"].values():
-        assert psnr_db is None or f"{psnr_db:.2f}" in text
-    advised = "coded" if figures["choice"] in ("code", "strobe") else figures["choice"]
-    for kind, psnr_db in figures["psnr_db"].items():
-        if psnr_db is not None and kind != advised:
-            assert f"{figures['psnr_db'][advised] - psnr_db:+.1f} dB" in text
-    for kind, gain in figures["gains_db"].items():
-        if kind != "code" or gain != figures["gains_db"].get("strobe"):
-            assert f"{gain:+.2f}" in text
-    assert not re.search(r"\bnan\b|\binf\b", text)
-
-
-def test_the_page_is_one_file_and_described(either):
-    page = html(demo_report(either))
-    images = Page(page).images
-    assert len(images) >= 8
-    assert all(
-        image["alt"] and image["src"].startswith("data:image/png;base64,") for image in images
-    )
-    assert not re.search(
-        r"""(?:src|href|srcset|action)="(?!data:image/png;|\#)|url\(|@import|https?:""", page
-    )
-
-
-def test_the_commands_on_the_page_take_their_options(either):
-    commands = typer.main.get_command(app).commands
-    lines = (
-        Page(html(demo_report(either, options="--camera video-8bit --photons 100")))
-        .commands.strip()
-        .splitlines()
-    )
-    assert len(lines) >= 3
-    for line in lines:
-        program, name, *arguments = shlex.split(line)
-        assert program == "cep"
-        known = {option for parameter in commands[name].params for option in parameter.opts}
-        assert {part for part in arguments if part.startswith("-")} <= known

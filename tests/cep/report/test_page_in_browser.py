@@ -1,51 +1,19 @@
 """The report in a headless Chromium: nothing asked of the network, no error, a slider that moves,
 no wide page."""
 
-import numpy as np
 import pytest
 
-from cep.files.images import encode_image
-from cep.report.result_page import Picture, Report, Section, Table, write_report
+from cep.report.demo import write_demo
 
 PHONE = 380
 DESK = 1200
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory):
-    """Address of a report with everything in it that may be wide."""
-    shades = (np.full((300, 400), shade) for shade in (0.1, 0.5, 0.9))
-    gallery = tuple(
-        Picture(encode_image(shade, ".png"), "A photo.", name, title=name)
-        for shade, name in zip(shades, ("Blurred", "Restored", "At rest"), strict=True)
-    )
-    table = Table(tuple(f"a long heading, number {i}" for i in range(9)), (("row", *range(8)),))
-    wide = Picture(encode_image(np.ones((100, 2000)), ".png"), "A figure.", "a wide figure")
-    line = (
-        "cep advise --trajectory motion/trajectory.json --chips 26 --exposure 33332us --camera"
-        " video-8bit " + "1" * 90
-    )
-    section = Section(
-        "Photos",
-        ("1" * 200,),
-        (table,),
-        (wide,),
-        gallery=gallery,
-        compared=(0, 1),
-        commands=(line,),
-    )
-    report = Report(
-        "Title",
-        "Summary",
-        (("length", "12 px"),) * 4,
-        (section,) * 3,
-        "seed 1",
-        "Setting",
-        ("Remark",),
-    )
-    path = tmp_path_factory.mktemp("page") / "report.html"
-    write_report(path, report)
-    return path.as_uri()
+def address(coded, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    write_demo(folder / "demo", coded)
+    return (folder / "demo" / "report.html").as_uri()
 
 
 @pytest.fixture
@@ -103,9 +71,9 @@ def test_any_two_pictures_can_be_compared(opened):
     page = opened(DESK)
     box = page.locator(".compare").first
     alts = "stage => [...stage.querySelectorAll('img')].map(one => one.alt)"
-    assert box.locator(".stage").evaluate(alts) == ["Blurred", "Restored"]
-    box.locator("select").nth(1).select_option(label="At rest")
-    assert box.locator(".stage").evaluate(alts) == ["Blurred", "At rest"]
+    assert box.locator(".stage").evaluate(alts) == ["Blurred", "Coded, restored"]
+    box.locator("select").nth(1).select_option(label="Scene at rest")
+    assert box.locator(".stage").evaluate(alts) == ["Blurred", "Scene at rest"]
 
 
 def test_without_scripts_the_pictures_show(opened):

@@ -1,0 +1,242 @@
+"""The demo's HTML page: one self-contained file, pictures embedded, no network requests.
+
+All prose is in ``templates/demo.html.j2``. The one script, whose hash the page's security policy
+names, lays two photos over each other with a movable boundary; without it both still show.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
+
+from cep.files.formatting import duration, number
+from cep.files.images import encode_image
+from cep.plots import (
+    before_after,
+    code_strips,
+    mtf_figure,
+    png_bytes,
+    psf_figure,
+    trajectory_figure,
+)
+from cep.plots.advice import advice_figure
+from hw.device import load_profile, profile_names
+from hw.program import Program
+from motdiff.files.inputs import printable
+from motdiff.metrics import mnc_subpixel, path_distance_px, timed_distance_px
+from motdiff.psf_frame import PSF_PX
+
+if TYPE_CHECKING:
+    import cep
+    from cep.report.demo_chain import Chain, Shot
+    from cep.search.advise import Advice
+
+PICTURE_FILES = ("advice", "code_strip", "mtf", "photos", "scene_at_rest")
+"""Pictures of the page that are files as well; the code strip where a code is advised."""
+
+_NAMES = {"open": "open shutter", "snapshot": "best single exposure", "coded": "best code"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the page.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        Headings with units; the first column names the row, the others hold numbers or texts.
+    rows : tuple of tuple
+    highlight : int, optional
+        Index of the row that is advised.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[object, ...], ...]
+    highlight: int | None = None
+
+
+def pictures(chain: Chain) -> dict[str, bytes]:
+    """Return the pictures of a chain's page as PNG files, by name."""
+    path = chain.estimate.best
+    shots = [shot for shot in chain.shots if shot.kind != "coded" or chain.coded]
+    restored = {f"{shot.kind} restored": shot.restored for shot in _shown(chain)}
+    psfs = {
+        "estimated": chain.estimate.psf,
+        "estimated path": path.psf(path.frame_size(PSF_PX)),
+    }
+    if (truth := chain.scene.motion) is not None:
+        psfs["true"] = truth.psf(truth.frame_size(PSF_PX))
+    photos = {"blurred": chain.shots[0].photo, **restored, "at rest": chain.reference}
+    figures = {
+        "advice": advice_figure(chain.advice),
+        "mtf": mtf_figure(path, {_NAMES[shot.kind]: shot.way.code for shot in shots}),
+        "photos": before_after(photos),
+        "path": trajectory_figure(chain.scene.photo, path),
+        "psfs": psf_figure(psfs),
+    }
+    if chain.coded:
+        figures["code_strip"] = code_strips(
+            {_NAMES[shot.kind]: shot.way.code for shot in shots if shot.kind != "open"}
+        )
+    images = {
+        "blurred": chain.shots[0].photo,
+        "scene_at_rest": chain.reference,
+        **{f"restored_{shot.kind}": shot.restored for shot in _shown(chain)},
+    }
+    return {name: png_bytes(figure) for name, figure in figures.items()} | {
+        name: encode_image(image, ".png") for name, image in images.items()
+    }
+
+
+def html(
+    chain: Chain, png: Mapping[str, bytes] | None = None, *, options: str = "", guide: str = ""
+) -> str:
+    """Render the page of a chain; every text in it is escaped.
+
+    Parameters
+    ----------
+    chain : Chain
+    png : mapping, optional
+        By :func:`pictures` when omitted.
+    options : str
+        How camera and device are named on a command line.
+    guide : str
+        Address of docs/hardware.md; the page names it without a link when empty.
+    """
+    from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup  # the script is the package's
+
+    # autoescape on: names of files, cameras and devices come from others
+    environment = Environment(
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=lambda value: printable(value) if type(value) is str else value,
+    )
+    environment.filters["cell"] = _cell
+    environment.filters["duration"] = duration
+    source, script = (
+        (resources.files("cep.report") / "templates" / name).read_text(encoding="utf-8")
+        for name in ("demo.html.j2", "compare.js")
+    )
+    versions = [f"{package} {_version(package)}" for package in ("coded-exposure", "numpy")]
+    uris = {
+        name: "data:image/png;base64," + base64.b64encode(data).decode("ascii")
+        for name, data in (png or pictures(chain)).items()
+    }
+    return environment.from_string(source).render(
+        chain=chain,
+        here=chain.advice.here,
+        estimate=chain.estimate,
+        advised=chain.advised_shot,
+        shown=_shown(chain),
+        pictures=uris,
+        gains=_gains(chain.advice),
+        photos=_photos(chain),
+        devices=_devices(chain),
+        truth=_truth(chain),
+        options=options,
+        guide=guide,
+        versions=", ".join([*versions, f"Python {platform.python_version()}"]),
+        script=Markup(script),
+        allowed=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+    )
+
+
+def _shown(chain: Chain) -> list[Shot]:
+    """Restored photos of the gallery: a code that is not advised is not shown."""
+    return [shot for shot in chain.shots if shot.kind == "snapshot" or shot is chain.advised_shot]
+
+
+def _gains(advice: Advice) -> Table:
+    here = advice.here
+    ways = [(here.best(kind), gain_db) for kind, gain_db in here.gains_db.items()]
+    # the best code may be the same even pulses as the best strobe
+    rows = [
+        (way, gain_db)
+        for i, (way, gain_db) in enumerate(ways)
+        if way is not None and way not in [earlier for earlier, _ in ways[:i]]
+    ]
+    return Table(
+        ("best of each kind", "open for", "openings", "expected gain, dB"),
+        tuple(
+            (way.label, _open_time(way.code), way.code.pulses, f"{gain_db:+.2f}")
+            for way, gain_db in rows
+        ),
+        next((i for i, (way, _) in enumerate(rows) if way is here.advised), None),
+    )
+
+
+def _photos(chain: Chain) -> Table:
+    """Compare the restored photos: expected and simulated gains over the open shutter."""
+    simulated = chain.gains_db()
+    opened_db = chain.advice.here.ways[0].psnr_db
+    rows = []
+    for shot in chain.shots:
+        name = _NAMES[shot.kind]
+        if shot.kind == "coded" and not chain.coded:
+            name += " (not advised)"
+        rows.append(
+            (
+                name,
+                _open_time(shot.way.code),
+                f"{shot.way.psnr_db - opened_db:+.2f}",
+                f"{simulated[shot.kind]:+.2f}",
+                f"{shot.psnr_db:.2f}",
+            )
+        )
+    return Table(
+        ("photo", "open for", "expected gain, dB", "simulated gain, dB", "PSNR restored, dB"),
+        tuple(rows),
+        chain.shots.index(chain.advised_shot),
+    )
+
+
+def _devices(chain: Chain) -> Table | None:
+    """List the shutters that can play the code; None where no code is advised."""
+    if chain.code is None:
+        return None
+    program = Program.from_bits(chain.code.bits, chip_ns=chain.code.chip_ns)
+    profiles = [load_profile(name) for name in profile_names()]
+    if chain.device is not None and chain.device not in profiles:
+        profiles.insert(0, chain.device)
+    rows = []
+    for profile in profiles:
+        broken = profile.check(program)
+        reason = broken[0].removeprefix(f"{profile.name}: ") if broken else "can be played"
+        rows.append((profile.name, reason))
+    highlight = None if chain.device is None else profiles.index(chain.device)
+    return Table(("shutter or controller", "this code"), tuple(rows), highlight)
+
+
+def _truth(chain: Chain) -> dict[str, float] | None:
+    """Errors of the estimated motion; None where the true one is not known."""
+    if (truth := chain.scene.motion) is None:
+        return None
+    path = chain.estimate.best
+    distance = timed_distance_px if path.direction == "known" else path_distance_px
+    psf = truth.psf(truth.frame_size(PSF_PX))
+    return {"mnc": mnc_subpixel(chain.estimate.psf, psf), "distance_px": distance(path, truth)}
+
+
+def _open_time(code: cep.ShutterCode) -> str:
+    return duration(code.open_chips * code.chip_ns * 1e-9)
+
+
+def _cell(value: object) -> str:
+    text = number(value) if isinstance(value, float) else str(value)
+    return text.replace("-", "−") if text[:1] in "+-" else text
+
+
+def _version(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:  # run from the source tree
+        return "(not installed)"
