@@ -121,11 +121,9 @@ def stored_device(stored: StoredCode, *, source: str) -> DeviceProfile | None:
     if device is None:
         return None
     try:
-        return (
-            load_profile(device)
-            if isinstance(device, str)
-            else DeviceProfile.from_dict(device, source="its device")
-        )
+        if isinstance(device, str):
+            return load_profile(device)
+        return DeviceProfile.from_dict(device, source="its device")
     except ValueError as error:
         raise ValueError(
             f"{source}: {error}; --device NAME|FILE says which shutter it is for"
@@ -184,9 +182,9 @@ def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple
         _MAT_TEXT.ljust(_MAT_TEXT_BYTES) + matlab.getvalue()[_MAT_TEXT_BYTES:]
     )  # SciPy puts the date there
     contents = (stored.getvalue(), undated, cv2.imencode(".png", grey)[1].tobytes())
-    with new_files(paths) as made:
+    with new_files(paths) as temporary:
         for path, content in zip(paths, contents, strict=True):
-            write_bytes(made[path], content)
+            write_bytes(temporary[path], content)
     return paths[0], paths[1], paths[2]
 
 
@@ -248,10 +246,10 @@ def _psf_doubts(kernel: NDArray[np.float64]) -> list[str]:
         for axis in (0, 1)
     )
     doubts = []
-    # the open parts of a code lie off the middle of the path's time
-    if max(abs(x), abs(y)) > (
-        _OFF_MIDDLE_PX if light > _OPEN_LIGHT else max(_OFF_MIDDLE_PX, extent * _CODED_OFF)
-    ):
+    most_off_px = _OFF_MIDDLE_PX
+    if light <= _OPEN_LIGHT:  # the open chips of a code lie off the middle of the path's time
+        most_off_px = max(_OFF_MIDDLE_PX, extent * _CODED_OFF)
+    if max(abs(x), abs(y)) > most_off_px:
         doubts.append(
             f"its centre of mass is ({x:+.1f}, {y:+.1f}) px (x, y) off its middle, which stands"
             f" for no displacement: the restored photo moves by ({-x:+.1f}, {-y:+.1f}) px; centre"

@@ -67,12 +67,9 @@ def csv_text(text: str) -> str:
     >>> csv_text("=1+1"), csv_text("-0.5"), csv_text("-1+1"), csv_text("a=b")
     ("'=1+1", '-0.5', "'-1+1", 'a=b')
     """
-    shown = printable(text)
-    return (
-        f"'{shown}"
-        if shown.lstrip().startswith(_FORMULA) and not _NUMBER.fullmatch(shown)
-        else shown
-    )
+    visible = printable(text)
+    is_formula = visible.lstrip().startswith(_FORMULA) and not _NUMBER.fullmatch(visible)
+    return f"'{visible}" if is_formula else visible
 
 
 def markdown_text(text: str) -> str:
@@ -94,9 +91,12 @@ def in_code_span(text: str) -> str:
     >>> in_code_span("cep mtf"), in_code_span("a`b")
     ('`cep mtf`', '`` a`b ``')
     """
-    shown = printable(text)
-    longest = max(map(len, re.findall("`+", shown)), default=0)
-    return f"`{shown}`" if longest == 0 else f"{'`' * (longest + 1)} {shown} {'`' * (longest + 1)}"
+    visible = printable(text)
+    longest = max(map(len, re.findall("`+", visible)), default=0)
+    if longest == 0:
+        return f"`{visible}`"
+    fence = "`" * (longest + 1)
+    return f"{fence} {visible} {fence}"
 
 
 def latex_text(text: str) -> str:
@@ -119,5 +119,5 @@ def plot_text(text: str) -> str:
     >>> plot_text("$x$"), plot_text("_a")
     ('\\$x\\$', ' _a')
     """
-    shown = printable(text).replace("$", r"\$")
-    return f" {shown}" if shown.startswith("_") else shown
+    visible = printable(text).replace("$", r"\$")
+    return f" {visible}" if visible.startswith("_") else visible

@@ -1,6 +1,4 @@
-"""Photographs in and out: PNG, TIFF, JPEG, WebP, RAW and .mat files as linear light, 0..1; 16 bit
-stays 16 bit.
-"""
+"""Photographs in and out, as linear light 0..1; 16 bit stays 16 bit."""
 
 from __future__ import annotations
 
@@ -229,8 +227,8 @@ def read_detail(
     )
     top = min(top, height - rows)
     left = min(left, width - columns)
-    part = linear(decoded[top : top + rows, left : left + columns])
-    return Photo(part, _bits(decoded), warnings), small, (height, width)
+    crop = linear(decoded[top : top + rows, left : left + columns])
+    return Photo(crop, _bits(decoded), warnings), small, (height, width)
 
 
 def _decoded(
@@ -259,11 +257,9 @@ def _decoded(
         raise ValueError(
             f"{source}: has {decoded.dtype} samples, wanted 8 or 16 bit or floating point"
         )
-    white = (
-        WhiteLevel(int(np.iinfo(decoded.dtype).max))
-        if suffix in RAW_SUFFIXES
-        else white_level(decoded)
-    )
+    white = WhiteLevel(int(np.iinfo(decoded.dtype).max))
+    if suffix not in RAW_SUFFIXES:  # LibRaw scales to 16 bits itself
+        white = white_level(decoded)
     if white.assumption:
         warnings += (f"{source}: {white.assumption}",)
     # a table of all 2^bits values: forty megapixels cost one look-up each
@@ -413,9 +409,9 @@ def parse_gamma(text: str | float) -> str | float:
 def _exponent(gamma: str | float) -> float | None:
     """Exponent as :func:`motdiff.simulate.to_linear` takes it: None is the sRGB curve."""
     checked = parse_gamma(gamma)
-    if isinstance(checked, str):
-        return None if checked == "srgb" else 1.0
-    return checked
+    if checked == "srgb":
+        return None
+    return 1.0 if isinstance(checked, str) else checked
 
 
 def _precision(decoded: NDArray[Any]) -> type:
@@ -467,9 +463,8 @@ def read_mosaic(path: Path | str) -> Mosaic:
         blacks = raw.black_level_per_channel
         return Mosaic(
             green=np.asarray(raw.raw_image_visible[colours == colour], dtype=np.uint16),
-            black_dn=float(
-                blacks[colour if colour < len(blacks) else 0]
-            ),  # LibRaw's colour of no filters is 6
+            # LibRaw's colour of no filters is 6
+            black_dn=float(blacks[colour if colour < len(blacks) else 0]),
             white_dn=int(raw.white_level),
         )
 
@@ -494,7 +489,7 @@ def _opened_raw(source: Path) -> Iterator[Any]:
             check_px(raw.sizes.raw_width, raw.sizes.raw_height, source)
             yield raw
     except rawpy.LibRawError as error:
-        reason = b"".join(part for part in error.args if isinstance(part, bytes)).decode(
+        reason = b"".join(text for text in error.args if isinstance(text, bytes)).decode(
             errors="replace"
         )
         raise ValueError(

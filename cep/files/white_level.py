@@ -1,6 +1,4 @@
-"""Code value of white in a photo's file: cameras of fewer bits than their files have, or full
-below their last code.
-"""
+"""Code value of white in a photo's file, where the camera has fewer bits than the file."""
 
 from __future__ import annotations
 
@@ -59,12 +57,12 @@ def white_level(codes: NDArray[Any]) -> WhiteLevel:
     if largest >= CLIPPED_LEVEL * full:
         return WhiteLevel(full)
     flat = codes.reshape(-1)
-    parts = (flat[start : start + _CHUNK] for start in range(0, flat.size, _CHUNK))
-    histogram = np.sum([np.bincount(part, minlength=full + 1) for part in parts], axis=0)
-    held = np.flatnonzero(histogram)
-    if held.size <= _LEAST_CODES:
+    chunks = (flat[start : start + _CHUNK] for start in range(0, flat.size, _CHUNK))
+    histogram = np.sum([np.bincount(chunk, minlength=full + 1) for chunk in chunks], axis=0)
+    codes_present = np.flatnonzero(histogram)
+    if codes_present.size <= _LEAST_CODES:
         return WhiteLevel(full)
-    gap = int(np.diff(held).min())
+    gap = int(np.diff(codes_present).min())
     if _is_saturated(histogram, largest, gap) and _noise(codes) > _LEAST_NOISE * gap:
         share = histogram[largest - _window(largest, gap) + 1 :].sum() / histogram.sum()
         return WhiteLevel(
@@ -97,9 +95,9 @@ def _is_saturated(histogram: NDArray[np.int64], largest: int, gap: int) -> bool:
     end = largest - window + 1
     piled = int(histogram[end:].sum())
     below = histogram[max(0, end - _WINDOWS_BELOW * window) : end]
-    there = 2 * gap * np.count_nonzero(below) >= below.size
+    is_dense = 2 * gap * np.count_nonzero(below) >= below.size
     return bool(
-        there
+        is_dense
         and piled > _LEAST_SATURATED * histogram.sum()
         and piled > _PILED * float(below.sum()) / _WINDOWS_BELOW
     )

@@ -1,6 +1,4 @@
-"""Published works behind methods, codes and figures of merit: BibTeX entries, and citations in one
-line.
-"""
+"""Published works: BibTeX entries, and citations in one line."""
 
 from __future__ import annotations
 
@@ -67,17 +65,14 @@ class Work:
         conference = re.search(r"\((\w+)\)$", self.text("booktitle"))
         place = self.text("journal") or (conference[1] if conference else self.text("booktitle"))
         if not place:
-            eprint = self.text("eprint")
-            place = (
-                f"{self.text('archiveprefix')} {eprint}"
-                if eprint
-                else self.text("publisher") or self.text("note")
-            )
+            place = self.text("publisher") or self.text("note")
+            if eprint := self.text("eprint"):
+                place = f"{self.text('archiveprefix')} {eprint}"
         if self.text("journal") and self.text("volume"):
             place += f" {self.text('volume')}"
         parts = (place, self.text("year"))
         return (" " if conference or self.kind == "book" else ", ").join(
-            part for part in parts if part
+            text for text in parts if text
         )
 
     @property
@@ -106,7 +101,7 @@ class Work:
         """
         who = self.authors if len(self.authors) <= _HALF_LINE else (f"{self.authors[0]} et al.",)
         return ", ".join(
-            part for part in (*who, self.text("title").split(":")[0], self.text("year")) if part
+            text for text in (*who, self.text("title").split(":")[0], self.text("year")) if text
         )
 
 
@@ -114,7 +109,7 @@ class Work:
 def works() -> Mapping[str, Work]:
     """Return all works by their keys, in the order of the file."""
     text = (resources.files("cep.files") / "works.bib").read_text(encoding="utf-8")
-    found = (
+    entries = (
         Work(
             key,
             kind,
@@ -123,7 +118,7 @@ def works() -> Mapping[str, Work]:
         )
         for kind, key, body in _ENTRY.findall(text)
     )
-    return MappingProxyType({entry.key: entry for entry in found})
+    return MappingProxyType({entry.key: entry for entry in entries})
 
 
 def work(key: str) -> Work:

@@ -69,36 +69,39 @@ def write_demo(
     """
     target = Path(folder)
     figures = {"schema": DEMO_SCHEMA, "report": str(target / "report.html"), **_figures(chain)}
-    with new_folder(target, DEMO_FILES, force=force) as made:
+    with new_folder(target, DEMO_FILES, force=force) as temporary:
         source = {"image": chain.scene.name, "seed": chain.seed}
-        Calibration.of(chain.estimate, chain.scene.photo).save(made, source=source)
-        write_image(made / "blurred.png", chain.scene.photo, bits=16)
+        Calibration.of(chain.estimate, chain.scene.photo).save(temporary, source=source)
+        write_image(temporary / "blurred.png", chain.scene.photo, bits=16)
         for name, photo in zip(_SET, chain.motion.photos[1:], strict=False):
-            write_image(made / name, photo, bits=16)
+            write_image(temporary / name, photo, bits=16)
         restored = {shot.kind: shot.restored for shot in chain.shots}
         for name, kind in _RESTORED.items():
             if kind in restored and (chain.coded or name not in _OF_A_CODE):
-                write_image(made / name, restored[kind])
+                write_image(temporary / name, restored[kind])
         if chain.code is not None:
             metrics = chain.problem.measure(chain.code).to_dict()
             certificate = chain.certificate.to_dict()
             device = None if chain.device is None else chain.device.to_dict()
             described = {"objective": "mse", "chips": chain.code.chips, "device": device}
-            write_code(made / "code.json", StoredCode(chain.code, metrics, described, certificate))
+            write_code(
+                temporary / "code.json", StoredCode(chain.code, metrics, described, certificate)
+            )
             program = Program.from_bits(chain.code.bits, chip_ns=chain.code.chip_ns)
             for name, file_format in _PROGRAMS.items():
                 with suppress(ValueError):  # the sketch plays chips of 50 us to 32 ms only
                     write_text(
-                        made / name, export_program(program, file_format, device=chain.device)
+                        temporary / name,
+                        export_program(program, file_format, device=chain.device),
                     )
-            write_image(made / "coded.png", chain.advised_shot.photo, bits=16)
+            write_image(temporary / "coded.png", chain.advised_shot.photo, bits=16)
         png = pictures(chain)
         for name in PICTURE_FILES:
             if name in png:
-                (made / f"{name}.png").write_bytes(png[name])
+                (temporary / f"{name}.png").write_bytes(png[name])
         page = html(chain, png, options=options, guide=_guide(target))
-        write_text(made / "report.html", page)
-        write_text(made / "demo.json", json_text(figures))
+        write_text(temporary / "report.html", page)
+        write_text(temporary / "demo.json", json_text(figures))
     return figures
 
 
@@ -108,23 +111,20 @@ def _guide(folder: Path) -> str:
     """
     guide = Path(__file__).resolve().parents[2] / "docs" / "hardware.md"
     try:
-        return (
-            quote(Path(os.path.relpath(guide, folder.resolve())).as_posix())
-            if guide.is_file()
-            else ""
-        )
+        address = Path(os.path.relpath(guide, folder.resolve())).as_posix()
     except ValueError:  # on another drive
         return ""
+    return quote(address) if guide.is_file() else ""
 
 
 def _figures(chain: Chain) -> dict[str, object]:
-    here = chain.advice.here
+    verdict = chain.advice.here
     psnr_db = {shot.kind: shot.psnr_db for shot in chain.shots}
     camera = chain.problem.camera
     return {
-        "verdict": here.sentence,
+        "verdict": verdict.sentence,
         "choice": chain.choice,
-        "gains_db": here.gains_db,
+        "gains_db": verdict.gains_db,
         "psnr_db": {kind: psnr_db.get(kind) for kind in ("open", "snapshot", "coded")},
         "simulated_gains_db": chain.gains_db(),
         "crossover": chain.advice.crossover,

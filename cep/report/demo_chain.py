@@ -218,8 +218,8 @@ def run_chain(
     )
     contrast = None
     if advice.choice in CODED:
-        other = replace(problem, camera=cep.Camera.load(CONTRAST))
-        contrast = cep.advise(other, levels=LIGHT_LEVELS, path_error_px=error_px, seed=seed)
+        elsewhere = replace(problem, camera=cep.Camera.load(CONTRAST))
+        contrast = cep.advise(elsewhere, levels=LIGHT_LEVELS, path_error_px=error_px, seed=seed)
 
     tell(_ADVICE_SHARE, "exposing")
     exposures = _Exposures(scene, estimate, camera, seed)

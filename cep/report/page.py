@@ -65,7 +65,11 @@ def pictures(chain: Chain) -> dict[str, bytes]:
     """Return the pictures of a chain's page as PNG files, by name."""
     path = chain.estimate.best
     shots = [shot for shot in chain.shots if shot.kind != "coded" or chain.coded]
-    restored = {f"{shot.kind} restored": shot.restored for shot in _shown(chain)}
+    advised = chain.advised_shot
+    restored = {
+        "as advised" if shot is advised else _NAMES[shot.kind]: shot.restored
+        for shot in _shown(chain)
+    }
     psfs = {
         "estimated": chain.estimate.psf,
         "estimated path": path.psf(path.frame_size(PSF_PX)),
@@ -156,21 +160,21 @@ def _shown(chain: Chain) -> list[Shot]:
 
 
 def _gains(advice: Advice) -> Table:
-    here = advice.here
-    ways = [(here.best(kind), gain_db) for kind, gain_db in here.gains_db.items()]
+    verdict = advice.here
+    best = [(verdict.best(kind), gain_db) for kind, gain_db in verdict.gains_db.items()]
     # the best code may be the same even pulses as the best strobe
     rows = [
-        (way, gain_db)
-        for i, (way, gain_db) in enumerate(ways)
-        if way is not None and way not in [earlier for earlier, _ in ways[:i]]
+        (exposure, gain_db)
+        for i, (exposure, gain_db) in enumerate(best)
+        if exposure is not None and exposure not in [earlier for earlier, _ in best[:i]]
     ]
     return Table(
         ("best of each kind", "open for", "openings", "expected gain, dB"),
         tuple(
-            (way.label, _open_time(way.code), way.code.pulses, f"{gain_db:+.2f}")
-            for way, gain_db in rows
+            (exposure.label, _open_time(exposure.code), exposure.code.pulses, f"{gain_db:+.2f}")
+            for exposure, gain_db in rows
         ),
-        next((i for i, (way, _) in enumerate(rows) if way is here.advised), None),
+        next((i for i, (exposure, _) in enumerate(rows) if exposure is verdict.advised), None),
     )
 
 

@@ -44,8 +44,8 @@ class Choice:
 
 def cameras() -> tuple[tuple[Choice, Camera], ...]:
     """List the known cameras."""
-    named = ((name, Camera.load(name)) for name in camera_names())
-    return tuple((Choice(name, camera.kind), camera) for name, camera in named)
+    profiles = ((name, Camera.load(name)) for name in camera_names())
+    return tuple((Choice(name, camera.kind), camera) for name, camera in profiles)
 
 
 def devices() -> tuple[Choice, ...]:

@@ -118,12 +118,12 @@ def extract(file: Path, folder: Path, *, force: bool = False) -> list[Path]:
         raise ValueError(f"{file}: state.{error.field}: {error}") from None
     if (wrong := _difference(document, saved)) is not None:
         raise ValueError(f"{file}: {wrong}")
-    with new_folder(folder, EXTRACTED, force=force) as made:
+    with new_folder(folder, EXTRACTED, force=force) as temporary:
         for name in EXTRACTED[:2]:
-            (made / name).write_text(
+            (temporary / name).write_text(
                 json_text(saved[name.removesuffix(".json")]), encoding="utf-8"
             )
-        (made / EXTRACTED[2]).write_text(
+        (temporary / EXTRACTED[2]).write_text(
             "".join(f"{line}\n" for line in saved["commands"]), encoding="utf-8"
         )
     return [folder / name for name in EXTRACTED]
@@ -166,25 +166,25 @@ def _checked(state: object, file: Path) -> dict[str, Any]:
 
 def _difference(document: Mapping[str, Any], saved: Mapping[str, Any]) -> str | None:
     """Say where the trajectory or the code of a studio file is not the one of its state."""
-    again = "save it in the studio again"
+    advice = "save it in the studio again"
     path = document.get("trajectory", saved["trajectory"])
     code = document.get("code", saved["code"])
     for name in "txy":
         samples = np.array(path.get(name, []), dtype=np.float64)
-        others = np.array(saved["trajectory"][name])
-        if samples.shape != others.shape or np.abs(samples - others).max() > _PATH_PX:
-            return f"trajectory.{name}: is not that of the state's motion; {again}"
+        own_samples = np.array(saved["trajectory"][name])
+        if samples.shape != own_samples.shape or np.abs(samples - own_samples).max() > _PATH_PX:
+            return f"trajectory.{name}: is not that of the state's motion; {advice}"
     if path.get("direction", "unknown") != saved["trajectory"]["direction"]:
-        return f"trajectory.direction: is not that of the state's motion; {again}"
+        return f"trajectory.direction: is not that of the state's motion; {advice}"
     for name in ("bits", "chip_ns"):
         if code.get(name) != saved["code"][name]:
-            return f"code.{name}: is not that of the state's code; {again}"
+            return f"code.{name}: is not that of the state's code; {advice}"
     problem = code.get("problem")
     if isinstance(problem, dict) and problem.get("device") not in (
         None,
         saved["code"]["problem"].get("device"),
     ):
-        return f"code.problem.device: is not the state's shutter; {again}"
+        return f"code.problem.device: is not the state's shutter; {advice}"
     return None
 
 

@@ -42,9 +42,8 @@ its mirror image."""
 
 _CURVE = 241  # frequencies along the main axis, 0..0.5 cycles/px
 _BORDER_ROUNDS = 4  # of the filter: the photo is looked at, not measured
-_MOST_BYTES = (
-    96 * 2**20
-)  # of the OTFs of the paths near one that is not known exactly: 70 chips in both directions
+# of the OTFs of the paths near one that is not known exactly: 70 chips in both directions
+_MOST_BYTES = 96 * 2**20
 _BUDGET = 4_000  # cells of the proof of the minimum: milliseconds
 
 
@@ -161,10 +160,10 @@ class LiveBench:
         check_light(self.problem)
         with self._finding:
             if self._ways is None or self._ways[0] != path_error_px:
-                found = WayFinder(self.problem).ordinary(
+                codes = WayFinder(self.problem).ordinary(
                     self.problem.camera, every_length=path_error_px > 0
                 )
-                self._ways = path_error_px, self._judged(found, path_error_px)
+                self._ways = path_error_px, self._judged(codes, path_error_px)
             ways = self._ways[1]
             if not any(way.code.bits == code.bits for way in ways):
                 ways = (*ways, self._judged([code], path_error_px)[-1])
@@ -175,8 +174,11 @@ class LiveBench:
         error.
         """
         with self._finding:
-            judged = {way.code.bits: way.psnr_db for way in self._judged(codes, path_error_px)}
-        return [judged[code.bits] for code in codes]
+            psnrs = {
+                exposure.code.bits: exposure.psnr_db
+                for exposure in self._judged(codes, path_error_px)
+            }
+        return [psnrs[code.bits] for code in codes]
 
     def forget_otfs(self) -> None:
         """Free the OTFs that verdicts use, tens of MB; the next verdict computes them again."""
@@ -186,8 +188,10 @@ class LiveBench:
     def _judged(self, codes: Sequence[ShutterCode], path_error_px: float) -> tuple[Way, ...]:
         if self._expected is None or self._expected[0] != path_error_px:
             self._expected = None  # before the next one is made
-            made = ExpectedPsnr(self.problem, path_error_px=path_error_px, most_bytes=_MOST_BYTES)
-            self._expected = path_error_px, made
+            expected = ExpectedPsnr(
+                self.problem, path_error_px=path_error_px, most_bytes=_MOST_BYTES
+            )
+            self._expected = path_error_px, expected
         problem = self.problem
         expected = self._expected[1]
         return judged_ways(
@@ -256,16 +260,16 @@ class LiveScene:
         ValueError
             If the PSF is larger than the scene.
         """
-        seen = [_middle(one, side_px) for one in valid_window(self.shape, psf.shape)]
+        visible = [_middle(span, side_px) for span in valid_window(self.shape, psf.shape)]
         kernel = fft.rfft2(psf.astype(np.float32), self.shape)
         blurred = fft.irfft2(
             self._spectrum * kernel, self.shape
         )  # lies half a frame further; its wrap is not seen
         below, right = (
-            slice(one.start + n // 2, one.stop + n // 2)
-            for one, n in zip(seen, psf.shape, strict=True)
+            slice(span.start + n // 2, span.stop + n // 2)
+            for span, n in zip(visible, psf.shape, strict=True)
         )
-        window = (slice(None), *seen)
+        window = (slice(None), *visible)
         noise = camera.noise
         z = self._photon[window]
         electrons = np.maximum(blurred[:, below, right], 0) * np.float32(
@@ -277,14 +281,14 @@ class LiveScene:
             counted / np.float32(noise["photons_full_scale"])
             + noise["read_sigma"] * self._read[window]
         )
-        taken = camera.quantise(light)
-        return np.ascontiguousarray(np.moveaxis(taken, 0, 2)) if self._colour else taken[0]
+        photo = camera.quantise(light)
+        return np.ascontiguousarray(np.moveaxis(photo, 0, 2)) if self._colour else photo[0]
 
 
-def _middle(whole: slice, most: int) -> slice:
+def _middle(range_px: slice, most_px: int) -> slice:
     """Middle of a range of pixels, at most so many."""
-    size = min(whole.stop - whole.start, most)
-    begin = whole.start + (whole.stop - whole.start - size) // 2
+    size = min(range_px.stop - range_px.start, most_px)
+    begin = range_px.start + (range_px.stop - range_px.start - size) // 2
     return slice(begin, begin + size)
 
 
@@ -318,25 +322,25 @@ def broken_limits(
     >>> broken_limits(problem, ShutterCode("11100101"))
     ('5 chips are open; the limit is 2 to 4',)
     """
-    said = (
+    reasons = (
         list(device.check(Program.from_bits(code.bits, chip_ns=problem.chip_ns))) if device else []
     )
-    if said or problem.allows(code):
-        return tuple(said)
+    if reasons or problem.allows(code):
+        return tuple(reasons)
     bits = code.array[None].astype(np.int8)
     limits = problem.limits
     low, high = limits.open_range
     for name, words in _WORDS.items():
         if name == "open_range":
-            alone = Limits(limits.chips, limits.open_range)
+            single = Limits(limits.chips, limits.open_range)
         else:
-            kept = RunLimits(**{name: getattr(limits.runs, name)})
-            alone = replace(limits, open_range=(1, limits.chips), runs=kept)
-        if not alone.satisfied(bits)[0]:
+            runs = RunLimits(**{name: getattr(limits.runs, name)})
+            single = replace(limits, open_range=(1, limits.chips), runs=runs)
+        if not single.satisfied(bits)[0]:
             limit = getattr(limits.runs, name, None)
-            said.append(
+            reasons.append(
                 words.format(
                     open=code.open_chips, low=low, high=high, limit=limit, pulses=code.pulses
                 )
             )
-    return tuple(said)
+    return tuple(reasons)

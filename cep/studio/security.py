@@ -86,9 +86,9 @@ class Keys:
     spent: bool = field(default=False, init=False)
     _page: Path | None = field(default=None, init=False)
 
-    def spend(self, given: str) -> bool:
+    def spend(self, token: str) -> bool:
         """Return whether this is the token, for the first time."""
-        if self.spent or not hmac.compare_digest(given.encode(), self.token.encode()):
+        if self.spent or not hmac.compare_digest(token.encode(), self.token.encode()):
             return False
         self.spent = True
         if self._page is not None:
@@ -222,14 +222,14 @@ class Gate:
         return answer
 
     def _knows(self, headers: Headers) -> bool:
-        found: SimpleCookie = SimpleCookie()
+        cookies: SimpleCookie = SimpleCookie()
         try:
-            found.load(headers.get("cookie", ""))
+            cookies.load(headers.get("cookie", ""))
         except CookieError:
             return False
-        given = found.get(self._keys.cookie)
-        return given is not None and hmac.compare_digest(
-            given.value.encode(), self._keys.session.encode()
+        cookie = cookies.get(self._keys.cookie)
+        return cookie is not None and hmac.compare_digest(
+            cookie.value.encode(), self._keys.session.encode()
         )
 
     @staticmethod
@@ -245,36 +245,36 @@ class LateError(Exception):
     """The body of a request did not come in time."""
 
 
-def too_large(most: int) -> Response:
+def too_large(limit: int) -> Response:
     """Return the answer to a body of more than so many bytes."""
-    message = f"at most {most // 1024} KB are read"
-    if most >= 1024 * 1024:
-        message = f"at most {most // 1024 // 1024} MB are read"
+    message = f"at most {limit // 1024} KB are read"
+    if limit >= 1024 * 1024:
+        message = f"at most {limit // 1024 // 1024} MB are read"
     return JSONResponse({"error": {"field": "page", "message": message}}, 413)
 
 
-def _limited(receive: Receive, most: int) -> Receive:
+def _limited(receive: Receive, limit: int) -> Receive:
     """Count the bytes of a body as they come, and the time: a length may be a lie, and the rest
     never come.
     """
-    seen = 0
-    whole = False
-    ends = asyncio.get_running_loop().time() + _MOST_BODY_S
+    received = 0
+    is_complete = False
+    deadline_s = asyncio.get_running_loop().time() + _MOST_BODY_S
 
     async def counted() -> Message:
-        nonlocal seen, whole
-        if whole:  # what comes after the body is that the client has gone
+        nonlocal received, is_complete
+        if is_complete:  # what comes after the body is that the client has gone
             return await receive()
         try:
-            async with asyncio.timeout_at(ends):
+            async with asyncio.timeout_at(deadline_s):
                 message = await receive()
         except TimeoutError:
             raise LateError(f"the request did not come within {_MOST_BODY_S:g} s") from None
         if message["type"] == "http.request":
-            seen += len(message.get("body", b""))
-            whole = not message.get("more_body", False)
-            if seen > most:
-                raise TooLargeError(most)
+            received += len(message.get("body", b""))
+            is_complete = not message.get("more_body", False)
+            if received > limit:
+                raise TooLargeError(limit)
         return message
 
     return counted

@@ -79,76 +79,76 @@ class _Studio:
 
     # -- answers to a document of the page --------------------------------------------------------
 
-    async def picture(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        steps, seed = read_search(asked)
-        found: dict[str, Any] = await self.quickly(
-            self.views.picture, _setting(asked), steps=steps, seed=seed
+    async def picture(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
+        steps, seed = read_search(document)
+        view: dict[str, Any] = await self.quickly(
+            self.views.picture, _setting(document), steps=steps, seed=seed
         )
-        return found
+        return view
 
-    async def photos(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        scene = self._scene(asked.get("scene"))
-        setting = _setting(asked)
-        codes = read_codes(asked.get("codes"), "scene", most=_MOST_PHOTOS)
+    async def photos(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
+        scene = self._scene(document.get("scene"))
+        setting = _setting(document)
+        codes = read_codes(document.get("codes"), "scene", most=_MOST_PHOTOS)
         if any(len(bits) != setting.chips for bits in codes.values()):
             raise FieldError(
                 "scene",
                 f"the codes of the photos need {setting.chips} chips, as the page's code has",
             )
-        restored = asked.get("restored") is True
-        found: dict[str, Any] = await self.quickly(
+        restored = document.get("restored") is True
+        view: dict[str, Any] = await self.quickly(
             self.views.photos, setting, scene, codes, restored=restored
         )
-        return found
+        return view
 
-    async def verdict(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        found: dict[str, Any] = await self.slowly(self.views.verdict, _setting(asked))
-        return found
+    async def verdict(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
+        view: dict[str, Any] = await self.slowly(self.views.verdict, _setting(document))
+        return view
 
-    async def compare(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        pins = read_codes(asked.get("pins"), "pins")
-        found: dict[str, Any] = await self.slowly(self.views.compared, _setting(asked), pins)
-        return found
+    async def compare(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
+        pins = read_codes(document.get("pins"), "pins")
+        view: dict[str, Any] = await self.slowly(self.views.compared, _setting(document), pins)
+        return view
 
-    async def export(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        found: dict[str, Any] = await self.quickly(
-            self.views.exported, _setting(asked), asked.get("format")
+    async def export(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
+        view: dict[str, Any] = await self.quickly(
+            self.views.exported, _setting(document), document.get("format")
         )
-        return found
+        return view
 
-    async def save(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        state = asked.get("state")
+    async def save(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
+        state = document.get("state")
         if not isinstance(state, dict):
             raise FieldError("page", "the state to save must be an object")
-        found: dict[str, Any] = await self.slowly(self.views.saved, _setting(asked), state)
-        return found
+        view: dict[str, Any] = await self.slowly(self.views.saved, _setting(document), state)
+        return view
 
-    async def job(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        page = _page(asked.get("page"))
-        kind = asked.get("kind")
+    async def job(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
+        page = _page(document.get("page"))
+        kind = document.get("kind")
         if not isinstance(kind, str) or kind not in KINDS:
             raise FieldError("job", f"the kinds of jobs are {', '.join(KINDS)}")
         if kind == "calibrate":
-            method = asked.get("method", "motdiff")
+            method = document.get("method", "motdiff")
             if method not in blind_methods():
                 raise FieldError("method", f"the methods are {' and '.join(blind_methods())}")
             order: dict[str, Any] = {
-                "path": str(self.uploads.path(asked.get("photo"))),
+                "path": str(self.uploads.path(document.get("photo"))),
                 "method": method,
             }
         else:
-            _setting(asked).problem()
-            steps, seed = read_search(asked)
-            order = {"setting": asked["setting"], "steps": steps, "seed": seed}
+            _setting(document).problem()
+            steps, seed = read_search(document)
+            order = {"setting": document["setting"], "steps": steps, "seed": seed}
         if kind == "play":
             ports = [choice.name for choice in await self.quickly(catalogue.ports)]
-            if asked.get("port") not in ["emulated", *ports]:
+            if document.get("port") not in ["emulated", *ports]:
                 raise FieldError("port", "choose a port of the list")
-            order |= {"port": asked["port"], "arm": asked.get("arm") is True}
+            order |= {"port": document["port"], "arm": document.get("arm") is True}
         return self.jobs.start(page, kind, order).to_dict()
 
-    async def stop(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
-        self.jobs.stop(_page(asked.get("page")))
+    async def stop(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
+        self.jobs.stop(_page(document.get("page")))
         return {}
 
     def _scene(self, key: object) -> Path | None:
@@ -224,8 +224,10 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
         return JSONResponse({} if opened is None else {"state": opened})
 
     async def ports(_: Request) -> Response:
-        found = await studio.quickly(catalogue.ports)
-        return JSONResponse({"ports": [{"name": one.name, "about": one.about} for one in found]})
+        ports_found = await studio.quickly(catalogue.ports)
+        return JSONResponse(
+            {"ports": [{"name": one.name, "about": one.about} for one in ports_found]}
+        )
 
     async def events(request: Request) -> Response:
         return _News(studio.jobs, _page(request.query_params.get("page")))
@@ -385,8 +387,8 @@ async def _document(request: Request) -> Mapping[str, Any]:
     return document
 
 
-def _setting(asked: Mapping[str, Any]) -> Setting:
-    return read_setting(asked.get("setting"))
+def _setting(document: Mapping[str, Any]) -> Setting:
+    return read_setting(document.get("setting"))
 
 
 def _page(name: object) -> str:

@@ -127,11 +127,12 @@ class Setting:
         FieldError
         """
         try:
-            found = _camera(self.camera) if self.camera else cep.Camera()
-            found = found if self.photons is None else found.at(self.photons)
-            return (
-                found if self.read_noise is None else replace(found, read_noise_e=self.read_noise)
-            )
+            camera = _camera(self.camera) if self.camera else cep.Camera()
+            if self.photons is not None:
+                camera = camera.at(self.photons)
+            if self.read_noise is not None:
+                camera = replace(camera, read_noise_e=self.read_noise)
+            return camera
         except ValueError as error:
             raise FieldError.of(error, fallback="camera") from None
 
@@ -189,14 +190,14 @@ class Setting:
     @property
     def camera_options(self) -> list[str]:
         """Options of the command line that name the camera and the light."""
-        given = {
+        options = {
             "--camera": self.camera or None,
             "--photons": self.photons,
             "--read-noise": self.read_noise,
         }
         return [
             word
-            for name, value in given.items()
+            for name, value in options.items()
             if value is not None
             for word in (name, value if isinstance(value, str) else f"{value:g}")
         ]
@@ -249,8 +250,8 @@ class Setting:
             )
         if steps is not None:
             search = ["--chips", str(self.chips), *time, *self.limit_options, *device, *light]
-            ends = ["--steps", str(steps), "--seed", str(seed), "-o", "searched.json"]
-            lines.insert(0, ["cep", "optimize", *motion, *search, *ends])
+            rest_options = ["--steps", str(steps), "--seed", str(seed), "-o", "searched.json"]
+            lines.insert(0, ["cep", "optimize", *motion, *search, *rest_options])
         return [shlex.join(line) for line in lines]
 
 
@@ -311,7 +312,7 @@ def read_search(document: Mapping[str, Any]) -> tuple[int | None, int]:
     return steps, read_whole(document, "seed", 0, _MOST_SEED, "as a seed") or 0
 
 
-def read_codes(given: object, field: str, *, most: int = _MOST_PINS) -> Mapping[str, str]:
+def read_codes(codes: object, field: str, *, most: int = _MOST_PINS) -> Mapping[str, str]:
     """Read codes by their names.
 
     Raises
@@ -320,11 +321,11 @@ def read_codes(given: object, field: str, *, most: int = _MOST_PINS) -> Mapping[
         Beside the field, if there is none, there are more than ``most``, or a name or a code is
         malformed.
     """
-    if not isinstance(given, dict) or not 1 <= len(given) <= most:
+    if not isinstance(codes, dict) or not 1 <= len(codes) <= most:
         raise FieldError(field, f"needs 1 to {most} codes by their names")
-    if not all(is_text(name, _MOST_NAME) for name in given):
+    if not all(is_text(name, _MOST_NAME) for name in codes):
         raise FieldError(field, f"a code has a name of up to {_MOST_NAME} printable characters")
-    return {name: read_bits(bits, field) for name, bits in given.items()}
+    return {name: read_bits(bits, field) for name, bits in codes.items()}
 
 
 def read_state(document: object) -> dict[str, Any]:
@@ -343,7 +344,7 @@ def read_state(document: object) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise FieldError("page", f"the state must be an object, got {type(document).__name__}")
     setting = saved_setting(document)
-    known = {name: getattr(setting, name) for name in _SETTINGS} | {
+    fields = {name: getattr(setting, name) for name in _SETTINGS} | {
         "open": None if setting.open_range is None else list(setting.open_range),
         **{name: setting.limits.get(name) for name in LIMITS},
         **{
@@ -354,7 +355,7 @@ def read_state(document: object) -> dict[str, Any]:
         "pins": _pins(document.get("pins")),
         "search": _search(document.get("search")),
     }
-    return {name: value for name, value in known.items() if name in document}
+    return {name: value for name, value in fields.items() if name in document}
 
 
 def saved_setting(state: Mapping[str, Any]) -> Setting:
@@ -387,20 +388,20 @@ def path_fields(trajectory: cep.Trajectory, *, most: int = 160) -> dict[str, Any
     return {"kind": "path", "direction": path.direction, "t": t.tolist(), **samples}
 
 
-def _motion(given: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
-    if not isinstance(given, dict):
+def _motion(motion: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
+    if not isinstance(motion, dict):
         raise FieldError("motion", "the motion must be an object with its kind")
-    kind = given.get("kind")
+    kind = motion.get("kind")
     if kind == "straight":
-        length = read_number(given, "length", 1.0, 1_000.0, "px")
-        angle = read_number(given, "angle", -360.0, 360.0, "degrees") or 0.0
+        length = read_number(motion, "length", 1.0, 1_000.0, "px")
+        angle = read_number(motion, "angle", -360.0, 360.0, "degrees") or 0.0
         if length is None:
             raise FieldError("length", "a straight motion needs its length in px")
         return {"kind": kind, "length": length, "angle": angle}, cep.Trajectory.straight(
             length, angle_rad=math.radians(angle)
         )
     if kind == "example":
-        name = given.get("name")
+        name = motion.get("name")
         try:
             return {"kind": kind, "name": name}, example_motion(
                 name if isinstance(name, str) else ""
@@ -409,7 +410,7 @@ def _motion(given: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
             raise FieldError("motion", str(error).removeprefix("motion: ")) from None
     if kind != "path":
         raise FieldError("motion", "the kind of a motion is straight, example or path")
-    columns = [given.get(name) for name in "txy"]
+    columns = [motion.get(name) for name in "txy"]
     sizes = {len(column) if isinstance(column, list) else -1 for column in columns}
     if len(sizes) != 1 or not 2 <= sizes.pop() <= _MOST_SAMPLES:
         raise FieldError(
@@ -421,7 +422,7 @@ def _motion(given: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
     if max(np.abs(x).max(), np.abs(y).max()) > _FARTHEST_PX:
         raise FieldError("motion", f"a path lies within {_FARTHEST_PX:g} px")
     direction: Literal["known", "unknown"] = (
-        "known" if given.get("direction") == "known" else "unknown"
+        "known" if motion.get("direction") == "known" else "unknown"
     )
     try:
         path = cep.Trajectory.from_samples(np.column_stack([x, y]), t=t, direction=direction)
@@ -438,31 +439,31 @@ def _motion(given: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
     }, path
 
 
-def _exposure(given: object) -> str:
-    if not is_text(given, 20) or not given.isascii():
+def _exposure(exposure: object) -> str:
+    if not is_text(exposure, 20) or not exposure.isascii():
         raise FieldError("exposure", "the exposure is a time as 1/30, 20ms or 500us")
     try:
-        exposure_s = seconds_of(given)
+        exposure_s = seconds_of(exposure)
     except ValueError as error:
         raise FieldError.of(error) from None
     if not 1e-9 <= exposure_s <= _MOST_EXPOSURE_S:
         raise FieldError("exposure", f"must be a time within 1ns to {_MOST_EXPOSURE_S:g}s")
-    return given
+    return exposure
 
 
-def _photo(given: object) -> str:
+def _photo(key: object) -> str:
     """Return the key of an upload, empty where there is none."""
-    if given is None:
+    if key is None:
         return ""
-    if not is_text(given, _MOST_NAME):
+    if not is_text(key, _MOST_NAME):
         raise FieldError("photo", "must be the key of a photo")
-    return given
+    return key
 
 
-def _pins(given: object) -> list[dict[str, str]]:
-    if given is None or given == []:
+def _pins(pins_given: object) -> list[dict[str, str]]:
+    if pins_given is None or pins_given == []:
         return []
-    pins: Sequence[Any] = given if isinstance(given, list) else [None]
+    pins: Sequence[Any] = pins_given if isinstance(pins_given, list) else [None]
     if not all(isinstance(pin, dict) and isinstance(pin.get("name"), str) for pin in pins):
         raise FieldError("pins", "must be a list of codes with their name and bits")
     codes = read_codes({pin["name"]: pin.get("bits") for pin in pins}, "pins")
@@ -471,24 +472,24 @@ def _pins(given: object) -> list[dict[str, str]]:
     return [{"name": name, "bits": bits} for name, bits in codes.items()]
 
 
-def _search(given: object) -> dict[str, int] | None:
-    if given is None:
+def _search(search: object) -> dict[str, int] | None:
+    if search is None:
         return None
-    steps, seed = read_search(given) if isinstance(given, dict) else (None, 0)
+    steps, seed = read_search(search) if isinstance(search, dict) else (None, 0)
     if steps is None:
         raise FieldError("search", "must be an object with the steps and the seed of a search")
     return {"steps": steps, "seed": seed}
 
 
-def _open_range(given: object, chips: int) -> tuple[int, int] | None:
-    if given is None:
+def _open_range(bounds: object, chips: int) -> tuple[int, int] | None:
+    if bounds is None:
         return None
-    ends: Sequence[Any] = given if isinstance(given, list) else ()
-    if len(ends) != 2 or not all(
-        isinstance(end, int) and not isinstance(end, bool) for end in ends
+    limits: Sequence[Any] = bounds if isinstance(bounds, list) else ()
+    if len(limits) != 2 or not all(
+        isinstance(end, int) and not isinstance(end, bool) for end in limits
     ):
         raise FieldError("open", "the open chips are two whole numbers, the fewest and the most")
-    low, high = ends
+    low, high = limits
     if not 1 <= low <= high <= chips:
         raise FieldError("open", f"the open chips must lie within 1 to {chips}, the fewest first")
     return low, high

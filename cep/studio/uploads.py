@@ -109,10 +109,10 @@ class Uploads:
         FieldError
             If there is none.
         """
-        found = self._photos.get(key) if isinstance(key, str) else None
-        if found is None or not found.is_file():
+        file = self._photos.get(key) if isinstance(key, str) else None
+        if file is None or not file.is_file():
             raise FieldError("photo", "this photo is no longer here: drop it again")
-        return found
+        return file
 
     def close(self) -> None:
         """Remove everything."""

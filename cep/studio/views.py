@@ -49,9 +49,8 @@ class Views:
     def __init__(self) -> None:
         self._benches: OrderedDict[str, LiveBench] = OrderedDict()
         self._judge: LiveBench | None = None  # of the latest verdict
-        self._own: tuple[Path, int, LiveScene] | None = (
-            None  # file, its time, and scene of the latest photo
-        )
+        # file, its time, and scene of the latest photo
+        self._own: tuple[Path, int, LiveScene] | None = None
         self._keeping = threading.Lock()
 
     def picture(
@@ -68,8 +67,8 @@ class Views:
         """
         bench, problem_error = self._bench(setting)
         code = setting.code()
-        seen = bench.figures(code)
-        opened = bench.opened
+        figures = bench.figures(code)
+        open_figures = bench.opened
         broken: tuple[str, ...] = ()
         if problem_error is None:
             broken = broken_limits(bench.problem, code, setting.profile)
@@ -95,16 +94,16 @@ class Views:
                     "both": bench.problem.both_directions(path),
                     "angle_deg": float(np.degrees(np.arctan2(bench.axis[1], bench.axis[0]))),
                 },
-                "figures": seen.metrics.to_dict() | {"psnr_db": -seen.metrics.mse_db},
-                "open": opened.metrics.to_dict() | {"psnr_db": -opened.metrics.mse_db},
-                "map": _map(seen.band),
-                "open_map": _map(opened.band),
+                "figures": figures.metrics.to_dict() | {"psnr_db": -figures.metrics.mse_db},
+                "open": open_figures.metrics.to_dict() | {"psnr_db": -open_figures.metrics.mse_db},
+                "map": _map(figures.band),
+                "open_map": _map(open_figures.band),
                 "commands": setting.commands(steps=steps, seed=seed),
                 "error": problem_error,
             }
         ) | {
-            "curve": np.round(seen.curve, 5).tolist(),
-            "open_curve": np.round(opened.curve, 5).tolist(),
+            "curve": np.round(figures.curve, 5).tolist(),
+            "open_curve": np.round(open_figures.curve, 5).tolist(),
         }
 
     def photos(
@@ -116,21 +115,21 @@ class Views:
         The scene is a .npy file, or the bundled picture.
         """
         bench, _ = self._bench(setting)
-        shown = _scene() if scene is None else self._scene(scene)
+        live_scene = _scene() if scene is None else self._scene(scene)
         frame = len(bench.psf(cep.ShutterCode("1")))
-        side = min(shown.shape)
+        side = min(live_scene.shape)
         if side < frame + _LEAST_PX:
             raise FieldError(
                 "scene", f"the motion spans {frame} px, too far for this scene of {side} px"
             )
-        found = {}
+        images = {}
         for name, bits in codes.items():
             code = setting.code(bits)
-            photo = bench.photo(code, shown, side_px=_SCENE_PX)
-            found[name] = _jpeg(
+            photo = bench.photo(code, live_scene, side_px=_SCENE_PX)
+            images[name] = _jpeg(
                 bench.restored(code, photo) if restored else photo / max(code.duty, 1e-6)
             )
-        return found
+        return images
 
     def verdict(self, setting: Setting) -> dict[str, Any]:
         """Return what to do with this code at this light, and the ways to expose that it is
@@ -140,24 +139,24 @@ class Views:
         if error is not None:
             raise FieldError(error["field"], error["message"])
         try:
-            judged = self._judging(bench).verdict(
+            verdict = self._judging(bench).verdict(
                 setting.code(), path_error_px=setting.path_error_px
             )
         except ValueError as wrong:
             raise FieldError.of(wrong, fallback="photons") from None
-        best = {kind: judged.best(kind) for kind in ("open", "snapshot", "strobe")}
-        own = next(way for way in judged.ways if way.code.bits == setting.bits)
+        best = {kind: verdict.best(kind) for kind in ("open", "snapshot", "strobe")}
+        psnrs = {exposure.code.bits: exposure.psnr_db for exposure in verdict.ways}
         return _plain(
             {
-                "sentence": judged.sentence,
-                "choice": judged.choice,
-                "gains_db": judged.gains_db,
-                "psnr_db": own.psnr_db,
-                "open_psnr_db": next(way.psnr_db for way in judged.ways if way.kind == "open"),
+                "sentence": verdict.sentence,
+                "choice": verdict.choice,
+                "gains_db": verdict.gains_db,
+                "psnr_db": psnrs[setting.bits],
+                "open_psnr_db": verdict.ways[0].psnr_db,
                 "ways": [
-                    {"name": _WORDS[kind], **way.to_dict()}
-                    for kind, way in best.items()
-                    if way is not None
+                    {"name": _WORDS[kind], **exposure.to_dict()}
+                    for kind, exposure in best.items()
+                    if exposure is not None
                 ],
             }
         )
@@ -174,12 +173,12 @@ class Views:
         )
         rows = {}
         for (name, code), psnr_db in zip(codes.items(), expected, strict=True):
-            seen = bench.figures(code)
+            figures = bench.figures(code)
             rows[name] = {
                 "bits": code.bits,
                 "open": code.open_chips,
-                "curve": np.round(seen.curve, 5),
-                **seen.metrics.to_dict(),
+                "curve": np.round(figures.curve, 5),
+                **figures.metrics.to_dict(),
                 "psnr_db": psnr_db,
             }
         return _plain({"pins": rows})
@@ -191,10 +190,10 @@ class Views:
         if file_format not in (names := [choice.name for choice in catalogue.formats()]):
             raise FieldError("format", f"must be one of {', '.join(names)}")
         try:
-            made = export_code(setting.code(), str(file_format), device=setting.profile)
+            program = export_code(setting.code(), str(file_format), device=setting.profile)
         except ValueError as error:
             raise FieldError("format", str(error)) from None
-        return {"name": made.name, "text": made.text, "warnings": made.warnings}
+        return {"name": program.name, "text": program.text, "warnings": program.warnings}
 
     def saved(self, setting: Setting, state: Mapping[str, Any]) -> dict[str, Any]:
         """Return everything as one document: the page's state, motion, code with its certificate,
@@ -325,8 +324,8 @@ def _decibels(band: FloatArray) -> str:
 
 
 def _plain(fields: Mapping[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = plain(fields)
-    return found
+    view: dict[str, Any] = plain(fields)
+    return view
 
 
 def _jpeg(image: FloatArray) -> str:

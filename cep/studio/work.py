@@ -65,11 +65,11 @@ def run(kind: str, order: Order, pipe: Connection) -> None:
     def tell(share: float | None = None, note: str | None = None, **more: Any) -> None:
         nonlocal last
         stop_if_asked()
-        now = time.monotonic()
-        if more or now - last > _EVERY_S:
-            last = now
-            known = {"share": share, "note": note, **more}
-            pipe.send({name: plain(value) for name, value in known.items() if value is not None})
+        time_s = time.monotonic()
+        if more or time_s - last > _EVERY_S:
+            last = time_s
+            message = {"share": share, "note": note, **more}
+            pipe.send({name: plain(value) for name, value in message.items() if value is not None})
 
     try:
         result = KINDS[kind].do(order, tell)
@@ -96,13 +96,13 @@ def lost_interrupts() -> Callable[[], None]:
     weak reference. A search that was stopped at such a moment went on.
     """
     lost: list[bool] = []
-    others = sys.unraisablehook
+    earlier_hook = sys.unraisablehook
 
     def keep(dropped: Any) -> None:
         if issubclass(dropped.exc_type, KeyboardInterrupt):
             lost.append(True)
         else:
-            others(dropped)
+            earlier_hook(dropped)
 
     def stop_if_asked() -> None:
         if lost:
@@ -152,8 +152,8 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     try:
         with new_file(
             file.with_name(f"{file.stem}_scene.npy")
-        ) as made:  # a page may read the one before
-            np.save(made, np.clip(scene.image, 0, 1).astype(np.float32))
+        ) as temporary:  # a page may read the one before
+            np.save(temporary, np.clip(scene.image, 0, 1).astype(np.float32))
     except OSError as error:
         raise disk_error("photo", error) from None
     paths = [

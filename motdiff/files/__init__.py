@@ -1,3 +1,1 @@
-"""Files: photos, trajectories, gyroscope recordings, MATLAB files; checks of inputs, atomic
-outputs.
-"""
+"""Files: photos, trajectories, gyroscope and MATLAB files; checked inputs, atomic outputs."""

@@ -23,15 +23,17 @@ def _limit(most_mib: int, most_s: int) -> None:
         import resource
     except ImportError:  # Windows: the other process still waits only so long
         return
-    own = Path("/proc/self/statm")
-    taken = int(own.read_text().split()[0]) * resource.getpagesize() if own.exists() else 2**30
-    for kind, most in (
-        (resource.RLIMIT_AS, taken + most_mib * 2**20),
+    statm = Path("/proc/self/statm")
+    process_bytes = (
+        int(statm.read_text().split()[0]) * resource.getpagesize() if statm.exists() else 2**30
+    )
+    for kind, limit in (
+        (resource.RLIMIT_AS, process_bytes + most_mib * 2**20),
         (resource.RLIMIT_CPU, most_s),
         (resource.RLIMIT_CORE, 0),
     ):
         soft, hard = resource.getrlimit(kind)
-        bounds = [bound for bound in (most, soft, hard) if bound != resource.RLIM_INFINITY]
+        bounds = [bound for bound in (limit, soft, hard) if bound != resource.RLIM_INFINITY]
         try:
             resource.setrlimit(kind, (min(bounds), hard))
         except (ValueError, OSError):  # macOS knows this limit and refuses to set it
@@ -45,20 +47,19 @@ def _read(path: str, names: list[str]) -> tuple[dict[str, Any], list[str]]:
     from numpy import asarray
     from scipy.io import loadmat, whosmat
 
-    with Path(path).open(
-        "rb"
-    ) as stream:  # given a name, SciPy tries others when there is no such file
+    # given a name, SciPy tries others when there is no such file
+    with Path(path).open("rb") as stream:
         variables = loadmat(stream, variable_names=names)
         arrays = {name: asarray(variables[name]) for name in names if name in variables}
         stream.seek(0)
-        found = [] if arrays else [str(name) for name, *_ in whosmat(stream)]
+        variable_names = [] if arrays else [str(name) for name, *_ in whosmat(stream)]
     for name, array in arrays.items():
         if array.dtype.hasobject or array.dtype.fields is not None:
             raise ValueError(
                 f"variable {name} is a struct, a cell array or sparse, wanted a full array of"
                 " numbers"
             )
-    return arrays, found
+    return arrays, variable_names
 
 
 def _main(path: str, most_mib: str, most_s: str, *names: str) -> None:
@@ -69,8 +70,8 @@ def _main(path: str, most_mib: str, most_s: str, *names: str) -> None:
     arrays: dict[str, Any] = {}
     answer: dict[str, str | list[str]]
     try:
-        arrays, found = _read(path, list(names))
-        answer = {"sent": list(arrays), "found": found}
+        arrays, variable_names = _read(path, list(names))
+        answer = {"sent": list(arrays), "found": variable_names}
     except MemoryError:
         answer = {"error": f"it needs more than {most_mib} MiB of memory"}
     except NotImplementedError:  # of all that SciPy does not read only this is in use
@@ -80,9 +81,8 @@ def _main(path: str, most_mib: str, most_s: str, *names: str) -> None:
     pipe = sys.stdout.buffer
     pipe.write(json.dumps(answer).encode() + b"\n")
     for array in arrays.values():
-        write_array(
-            SimpleNamespace(write=pipe.write), array, allow_pickle=False
-        )  # by itself it would seek in the pipe
+        # given the pipe itself it would seek in it
+        write_array(SimpleNamespace(write=pipe.write), array, allow_pickle=False)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,4 @@
-"""Decoding of image files to samples, upright: TIFF by tifffile, others by OpenCV; decoders'
-messages are captured.
-"""
+"""Decoding of image files to upright samples: TIFF by tifffile, others by OpenCV."""
 
 from __future__ import annotations
 
@@ -86,9 +84,9 @@ def _decoded_by_opencv(data: bytes, name: object) -> tuple[Samples, tuple[str, .
     if samples.ndim == 2:
         return samples, warnings
     colours = samples[:, :, :3][:, :, ::-1]
-    others = samples[:, :, 3:]
+    extra = samples[:, :, 3:]
     return (colours if colours.shape[2] == 3 else colours[:, :, 0]), warnings + _dropped(
-        others, name
+        extra, name
     )
 
 
@@ -105,17 +103,14 @@ def _opencv_samples(data: bytes) -> Samples | None:
     return None if samples is None else np.asarray(samples)
 
 
-def _dropped(others: Samples, name: object, *, alpha: bool = True) -> tuple[str, ...]:
+def _dropped(extra: Samples, name: object, *, alpha: bool = True) -> tuple[str, ...]:
     """Warnings of channels (H, W, C) beside the colours, which are left out."""
-    full = 1 if others.dtype.kind == "f" else np.iinfo(others.dtype).max
-    if not others.size or (alpha and others.min() >= full):
+    full = 1 if extra.dtype.kind == "f" else np.iinfo(extra.dtype).max
+    if not extra.size or (alpha and extra.min() >= full):
         return ()
-    what = (
-        "the transparency (alpha channel) was dropped"
-        if alpha
-        else "its channels beside the colours were dropped"
-    )
-    return (f"{name}: {what}",)
+    if alpha:
+        return (f"{name}: the transparency (alpha channel) was dropped",)
+    return (f"{name}: its channels beside the colours were dropped",)
 
 
 # -- TIFF -----------------------------------------------------------------------------------------
@@ -126,12 +121,12 @@ def _decoded_tiff(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
         page, number, pages = photo_page(data)
         reason = refusal(page)
         if not reason:
-            colours, others = channels(page)
+            colours, extra = channels(page)
     except Exception:  # of the many kinds that tifffile and its decoders raise
         raise _damaged(name) from None
     if reason:
         raise ValueError(f"{name}: {reason}")
-    warnings = _dropped(others, name, alpha=page.extrasamples[:1] in ((), (1,), (2,)))
+    warnings = _dropped(extra, name, alpha=page.extrasamples[:1] in ((), (1,), (2,)))
     if pages > 1:
         which = "the first" if number == 1 else f"the largest, number {number},"
         warnings += (
@@ -158,7 +153,7 @@ def decoder_output() -> Iterator[list[str]]:
     lines: list[str] = []
     with _TURN:
         try:
-            kept = os.dup(_STDERR)
+            stderr = os.dup(_STDERR)
         except OSError:  # a service may run without one
             yield lines
             return
@@ -170,7 +165,7 @@ def decoder_output() -> Iterator[list[str]]:
         try:
             yield lines
         finally:
-            os.dup2(kept, _STDERR)
-            os.close(kept)
+            os.dup2(stderr, _STDERR)
+            os.close(stderr)
             with os.fdopen(reading, "rb") as stream:
                 lines += (stream.read() or b"").decode(errors="replace").splitlines()

@@ -112,12 +112,12 @@ def read_gyro(
     >>> round(trace.sample_rate_hz), trace.rate_rad_s[0].round(4).tolist()
     (200, [0.0, 1.5708, 0.0])
     """
-    for name, unit, known in (
+    for name, unit, units in (
         ("time_unit", time_unit, _SECONDS),
         ("rate_unit", rate_unit, _RADIANS),
     ):
-        if unit is not None and unit not in known:
-            raise ValueError(f"{name}: must be one of {', '.join(known)}, got {unit!r}")
+        if unit is not None and unit not in units:
+            raise ValueError(f"{name}: must be one of {', '.join(units)}, got {unit!r}")
     lines = [
         (number, line.strip())
         for number, line in enumerate(read_text(path).splitlines(), 1)
@@ -156,9 +156,9 @@ def read_gyro(
         else []
     )
     if repeats:
-        others = f", and so are {len(repeats) - 1} others" if len(repeats) > 1 else ""
+        more = f", and so are {len(repeats) - 1} others" if len(repeats) > 1 else ""
         warnings.append(
-            f"{path}: line {repeats[0]} repeats the time of the row before and is left out{others}"
+            f"{path}: line {repeats[0]} repeats the time of the row before and is left out{more}"
         )
     time, *rates = (one_line(columns.names[index]) for index in columns.index)
     read = (
@@ -334,8 +334,8 @@ def _as_time(name: str) -> TimeUnit | Literal[""] | None:
     units = "|".join(f"(?P<{unit}>{spelled})" for unit, spelled in _TIME_UNITS.items())
     if plain in _NAMED_TIMES:
         return _NAMED_TIMES[plain]
-    found = re.fullmatch(f"({_TIME})(_({units}))?", plain)
-    return None if found is None else next((unit for unit in _TIME_UNITS if found[unit]), "")
+    match = re.fullmatch(f"({_TIME})(_({units}))?", plain)
+    return None if match is None else next((unit for unit in _TIME_UNITS if match[unit]), "")
 
 
 def _as_rate(name: str) -> tuple[str, str, RateUnit | None] | None:
@@ -347,10 +347,10 @@ def _as_rate(name: str) -> tuple[str, str, RateUnit | None] | None:
     )
     plain = _plain(name)
     units = "|".join(f"(?P<{unit}>{spelled})" for unit, spelled in _RATE_UNITS.items())
-    found = re.fullmatch(f"(?P<kind>{_RATE})_?(?P<axis>[xyz])(_axis)?(_({units}))?", plain)
-    if found is None:
+    match = re.fullmatch(f"(?P<kind>{_RATE})_?(?P<axis>[xyz])(_axis)?(_({units}))?", plain)
+    if match is None:
         return None
-    return found["kind"], found["axis"], next((unit for unit in _RATE_UNITS if found[unit]), None)
+    return match["kind"], match["axis"], next((unit for unit in _RATE_UNITS if match[unit]), None)
 
 
 def _plain(name: str) -> str:
@@ -442,8 +442,8 @@ def _gyroscope_rows(
             return [row for row in rows if row[1][place] == label], one_line(
                 f"; {names[place]}: {label}"
             )
-        named = _SENSOR_COLUMN.fullmatch(_plain(names[place])) and len(labels) > 1
-        if gyroscopes or named or any(_OTHER_SENSOR.search(label) for label in texts):
+        is_sensor_column = _SENSOR_COLUMN.fullmatch(_plain(names[place])) and len(labels) > 1
+        if gyroscopes or is_sensor_column or any(_OTHER_SENSOR.search(label) for label in texts):
             listed = one_line(", ".join(sorted(labels)))
             raise ValueError(
                 f"{path}: column {one_line(names[place])} holds {listed}: leave the rows of one"

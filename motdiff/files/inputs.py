@@ -1,6 +1,4 @@
-"""Input files: regular files only, of a limited size, as text, JSON or TOML; errors are one short
-line.
-"""
+"""Input files: regular files of a limited size, as text, JSON or TOML; one-line errors."""
 
 from __future__ import annotations
 

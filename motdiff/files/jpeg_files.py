@@ -1,6 +1,4 @@
-"""Segments of JPEG data: size of the frame, completeness, and what is stored before the first
-scan.
-"""
+"""Segments of JPEG data: size of the frame, completeness, and the metadata."""
 
 from __future__ import annotations
 
@@ -10,11 +8,8 @@ from collections.abc import Iterator
 JPEG = b"\xff\xd8\xff"
 """First bytes of JPEG data."""
 
-_FRAME_MARKERS = {*range(0xC0, 0xD0)} - {
-    0xC4,
-    0xC8,
-    0xCC,
-}  # SOF0 to SOF15 without DHT, JPG and DAC
+# SOF0 to SOF15 without DHT, JPG and DAC (ITU-T T.81, table B.1)
+_FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 
 
 def jpeg_complete(data: bytes) -> bool:

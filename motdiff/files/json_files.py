@@ -127,9 +127,9 @@ def read_versioned(path: Path | str, schema: str) -> dict[str, Any]:
         If the file cannot be read.
     """
     document = read_json(path)
-    stated = document.get("schema") if isinstance(document, dict) else type(document).__name__
-    if not isinstance(document, dict) or stated != schema:
-        raise ValueError(f'{path}: wanted schema "{schema}", found {one_line(repr(stated))}')
+    version = document.get("schema") if isinstance(document, dict) else type(document).__name__
+    if not isinstance(document, dict) or version != schema:
+        raise ValueError(f'{path}: wanted schema "{schema}", found {one_line(repr(version))}')
     return document
 
 
@@ -144,8 +144,8 @@ def load_schema(package: str, name: str) -> Mapping[str, Any]:
     """
     text = (resources.files(package) / "schemas" / f"{name}.json").read_text(encoding="utf-8")
     schema: dict[str, Any] = json.loads(text)
-    for part in _parts(schema):
-        if unknown := part.keys() - KEYWORDS:
+    for subschema in _parts(schema):
+        if unknown := subschema.keys() - KEYWORDS:
             raise ValueError(f"{name}.json: unknown keyword {min(unknown)!r}")
     return schema
 
@@ -173,7 +173,7 @@ def fault(value: object, schema: Mapping[str, Any], *, where: str = "") -> str |
     'bits: must be a whole number within 1..16, got 17'
     """
     if "anyOf" in schema and all(
-        fault(value, one, where=where) is not None for one in schema["anyOf"]
+        fault(value, choice, where=where) is not None for choice in schema["anyOf"]
     ):
         return _refusal(value, schema, where)
     if not _holds(value, schema):
@@ -190,19 +190,19 @@ def _object_fault(value: Mapping[str, Any], schema: Mapping[str, Any], where: st
     for name in schema.get("required", ()):
         if name not in value:
             return f'field "{inside}{name}" is missing'
-    known: Mapping[str, Any] = schema.get("properties", {})
-    others = schema.get("additionalProperties", True)
+    fields: Mapping[str, Any] = schema.get("properties", {})
+    extra = schema.get("additionalProperties", True)
     for name, item in value.items():
-        if name in known:
-            wrong = fault(item, known[name], where=f"{inside}{name}")
-        elif others is False:
+        if name in fields:
+            wrong = fault(item, fields[name], where=f"{inside}{name}")
+        elif extra is False:
             return (
                 f"unknown field {one_line(repr(inside + name))}; there are"
-                f" {', '.join(sorted(known))}"
+                f" {', '.join(sorted(fields))}"
             )
         else:
             wrong = (
-                None if others is True else fault(item, others, where=f"{inside}{one_line(name)}")
+                None if extra is True else fault(item, extra, where=f"{inside}{one_line(name)}")
             )
         if wrong is not None:
             return wrong
@@ -220,8 +220,8 @@ def _list_fault(value: list[Any], schema: Mapping[str, Any], where: str) -> str 
         return (
             None if wrong_at is None else _refusal(value[wrong_at], items, f"{where}[{wrong_at}]")
         )
-    found = (fault(item, items, where=f"{where}[{index}]") for index, item in enumerate(value))
-    return next((wrong for wrong in found if wrong is not None), None)
+    faults = (fault(item, items, where=f"{where}[{index}]") for index, item in enumerate(value))
+    return next((wrong for wrong in faults if wrong is not None), None)
 
 
 def _holds(value: object, schema: Mapping[str, Any]) -> bool:
@@ -233,7 +233,7 @@ def _holds(value: object, schema: Mapping[str, Any]) -> bool:
         return False
     if "const" in schema and not _same(value, schema["const"]):
         return False
-    if "enum" in schema and not any(_same(value, one) for one in schema["enum"]):
+    if "enum" in schema and not any(_same(value, choice) for choice in schema["enum"]):
         return False
     if isinstance(value, str):
         return (
@@ -268,8 +268,8 @@ def _is(value: object, kind: str) -> bool:
     return isinstance(value, kinds[kind])
 
 
-def _same(value: object, one: object) -> bool:
-    return value == one and isinstance(value, bool) == isinstance(one, bool)
+def _same(value: object, constant: object) -> bool:
+    return value == constant and isinstance(value, bool) == isinstance(constant, bool)
 
 
 def _refusal(value: object, schema: Mapping[str, Any], where: str) -> str:
@@ -294,7 +294,7 @@ def _wanted(value: object, schema: Mapping[str, Any]) -> str:
     if "const" in schema:
         return json.dumps(schema["const"])
     if "enum" in schema:
-        return " or ".join(json.dumps(one) for one in schema["enum"])
+        return " or ".join(json.dumps(choice) for choice in schema["enum"])
     types = schema.get("type", [])
     names = [_NAMES[kind] for kind in ([types] if isinstance(types, str) else types)]
     if isinstance(value, float) and not math.isfinite(value):

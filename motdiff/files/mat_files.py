@@ -1,6 +1,4 @@
-"""MATLAB's .mat files, read by SciPy in a separate process: a damaged file may make it crash, hang
-or fill memory.
-"""
+"""MATLAB files, read in a separate process: a damaged one may crash SciPy or fill memory."""
 
 from __future__ import annotations
 
@@ -60,9 +58,11 @@ def read_mat(path: Path | str, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{source}: cannot be read as a .mat file ({one_line(error)})") from None
     if not arrays:
-        wanted = " or ".join(f'"{name}"' for name in names)
-        found = ", ".join(answer["found"]) or "nothing"
-        raise ValueError(f"{source}: wanted a variable {wanted}, found {one_line(found)}")
+        wanted_names = " or ".join(f'"{name}"' for name in names)
+        file_names = ", ".join(answer["found"]) or "nothing"
+        raise ValueError(
+            f"{source}: wanted a variable {wanted_names}, found {one_line(file_names)}"
+        )
     return arrays
 
 
@@ -88,16 +88,8 @@ def levin_psf(kernel: NDArray[Any]) -> NDArray[Any]:
 def _answer(source: Path, names: Sequence[str]) -> bytes:
     limits = (str(_MOST_MIB), str(_MOST_CPU_S))
     # -P: the script's own folder, this package, must not hide modules of the same names
-    command = [
-        sys.executable,
-        "-P",
-        "-W",
-        "ignore",
-        str(_SCRIPT),
-        str(source.absolute()),
-        *limits,
-        *names,
-    ]
+    python = [sys.executable, "-P", "-W", "ignore"]
+    command = [*python, str(_SCRIPT), str(source.absolute()), *limits, *names]
     try:
         run = subprocess.run(
             command,
@@ -105,10 +97,8 @@ def _answer(source: Path, names: Sequence[str]) -> bytes:
             capture_output=True,
             timeout=_MOST_S,
             check=False,
-            env={
-                **os.environ,
-                "OPENBLAS_NUM_THREADS": "1",
-            },  # each thread of the pool takes address space
+            # each thread of the pool takes address space
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
         )
     except subprocess.TimeoutExpired:
         raise ValueError(

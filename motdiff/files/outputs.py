@@ -43,22 +43,23 @@ def new_files(paths: Iterable[Path | str], *, force: bool = True) -> Iterator[di
     if len({place.absolute() for place in real.values()}) < len(places):
         raise ValueError(f"{', '.join(map(str, places))}: two of these are the same file")
     with ExitStack() as stack:
-        made = {
+        temporaries = {
             place: stack.enter_context(_hidden_folder(real[place].parent, place)) / place.name
             for place in places
         }
         with naming(
-            {made[place]: place for place in places}, places[0] if len(places) == 1 else None
+            {temporaries[place]: place for place in places},
+            places[0] if len(places) == 1 else None,
         ):
-            yield made
-            _replace_all({real[place]: made[place] for place in places}, force=force)
+            yield temporaries
+            _replace_all({real[place]: temporaries[place] for place in places}, force=force)
 
 
 @contextmanager
 def new_file(path: Path | str) -> Iterator[Path]:
     """Yield a temporary name for one file, see :func:`new_files`."""
-    with new_files([path]) as made:
-        yield made[Path(path)]
+    with new_files([path]) as temporaries:
+        yield temporaries[Path(path)]
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:
@@ -139,15 +140,15 @@ class Outputs:
         """Check, before any work is done, that the files may be written; raises as :func:`claim`
         does.
         """
-        read = [path for path in map(Path, self.inputs) if path.is_file()]
-        known: set[Path] = set()
+        sources = [path for path in map(Path, self.inputs) if path.is_file()]
+        claimed: set[Path] = set()
         for path in self.paths:
-            if (real := _behind_links(path).absolute()) in known:
+            if (real := _behind_links(path).absolute()) in claimed:
                 raise ValueError(
                     f"{path}: would be written twice, every output needs a name of its own"
                 )
-            known.add(real)
-            if path.exists() and any(path.samefile(one) for one in read):
+            claimed.add(real)
+            if path.exists() and any(path.samefile(source) for source in sources):
                 raise ValueError(f"{path}: is what is read, the output needs another name")
             if path.is_file() and not self.force:
                 raise ValueError(f"{path}: exists already, use --force to replace it")
@@ -158,8 +159,8 @@ class Outputs:
         """Yield a temporary name for each file, as :func:`new_files`; where that fails, the error
         says the summary.
         """
-        with summary_on_failure(summary), new_files(self.paths, force=self.force) as made:
-            yield made
+        with summary_on_failure(summary), new_files(self.paths, force=self.force) as temporaries:
+            yield temporaries
 
 
 @contextmanager
@@ -301,10 +302,10 @@ def _replace_all(
     removed = [place for place in remove if os.path.lexists(place)]
     for temporary in new.values():
         _sync(temporary)
-    put = Path.replace if force else _put_where_none_is
+    rename = Path.replace if force else _put_where_none_is
     if len(new) == 1 and not removed:
         ((place, temporary),) = new.items()
-        put(temporary, place)
+        rename(temporary, place)
         return
     asides: dict[Path, Path] = {}  # a folder for earlier files, in each folder of places
     earlier: dict[Path, Path | None] = {}
@@ -315,19 +316,19 @@ def _replace_all(
                 asides[place.parent] = _hidden(place.parent, place)
             earlier[place] = asides[place.parent] / place.name if os.path.lexists(place) else None
         for place, temporary in new.items():
-            if force and (kept := earlier[place]):
-                _keep(place, kept)
-            put(temporary, place)
+            if force and (backup := earlier[place]):
+                _keep(place, backup)
+            rename(temporary, place)
         for place in removed:
-            if kept := earlier[place]:
-                place.replace(kept)
+            if backup := earlier[place]:
+                place.replace(backup)
     except BaseException as error:
-        for place, kept in reversed(earlier.items()):
+        for place, backup in reversed(earlier.items()):
             try:
-                _restore(place, kept, new.get(place))
+                _restore(place, backup, new.get(place))
             except OSError:
                 restored = False
-                error.add_note(f"the earlier {place} is kept as {kept}")
+                error.add_note(f"the earlier {place} is kept as {backup}")
         raise
     finally:
         if restored:
@@ -366,50 +367,50 @@ def _put_where_none_is(file: Path, place: Path) -> None:
         raise ValueError(f"{place}: exists already, use --force to replace it") from None
 
 
-def _keep(place: Path, kept: Path) -> None:
+def _keep(place: Path, backup: Path) -> None:
     """Give a file a second name, or where the file system has no links, another name."""
     try:
-        os.link(place, kept, follow_symlinks=False)
+        os.link(place, backup, follow_symlinks=False)
     except (OSError, NotImplementedError):
-        place.replace(kept)
+        place.replace(backup)
 
 
-def _restore(place: Path, kept: Path | None, temporary: Path | None) -> None:
-    if kept is not None:
-        if os.path.lexists(kept) and not (
-            os.path.lexists(place) and os.path.samestat(kept.lstat(), place.lstat())
+def _restore(place: Path, backup: Path | None, temporary: Path | None) -> None:
+    if backup is not None:
+        if os.path.lexists(backup) and not (
+            os.path.lexists(place) and os.path.samestat(backup.lstat(), place.lstat())
         ):
-            kept.replace(place)
+            backup.replace(place)
     elif temporary is not None and not temporary.exists():  # it has been renamed
         place.unlink(missing_ok=True)
 
 
 @contextmanager
-def _hidden_folder(folder: Path, shown: Path | str) -> Iterator[Path]:
+def _hidden_folder(folder: Path, output: Path | str) -> Iterator[Path]:
     """Make a temporary folder within ``folder`` and remove it in the end; an OSError of making it
-    names ``shown``.
+    names ``output``.
     """
-    made = _hidden(folder, shown)
+    temporary = _hidden(folder, output)
     try:
-        yield made
+        yield temporary
     finally:
-        shutil.rmtree(made, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _hidden(folder: Path, shown: Path | str) -> Path:
+def _hidden(folder: Path, output: Path | str) -> Path:
     try:
-        return Path(tempfile.mkdtemp(dir=folder, prefix=f".{Path(shown).stem[:32]}."))
+        return Path(tempfile.mkdtemp(dir=folder, prefix=f".{Path(output).stem[:32]}."))
     except OSError as error:
-        raise OSError(error.errno, error.strerror, str(shown)) from error
+        raise OSError(error.errno, error.strerror, str(output)) from error
 
 
 @contextmanager
-def naming(shown: Mapping[Path, Path], nameless: Path | None) -> Iterator[None]:
+def naming(outputs: Mapping[Path, Path], nameless: Path | None) -> Iterator[None]:
     """Give an OSError the output's name in place of a temporary one.
 
     Parameters
     ----------
-    shown : mapping from a temporary file or folder to the output it stands for
+    outputs : mapping from a temporary file or folder to the output it stands for
     nameless : the name of errors that have none; such errors stay as they are when None
     """
     try:
@@ -417,17 +418,17 @@ def naming(shown: Mapping[Path, Path], nameless: Path | None) -> Iterator[None]:
     except OSError as error:
         name = nameless
         if isinstance(error.filename, str | Path):
-            known = Path(error.filename).absolute()
-            parts = {temporary.absolute(): output for temporary, output in shown.items()}
-            inside = next((part for part in (known, *known.parents) if part in parts), None)
-            name = None if inside is None else parts[inside] / known.relative_to(inside)
+            path = Path(error.filename).absolute()
+            parts = {temporary.absolute(): output for temporary, output in outputs.items()}
+            inside = next((folder for folder in (path, *path.parents) if folder in parts), None)
+            name = None if inside is None else parts[inside] / path.relative_to(inside)
         if name is None:
             raise
         # errno is missing where a library counted the bytes written itself
-        named = OSError(error.errno or errno.EIO, error.strerror or str(error), str(name))
+        renamed = OSError(error.errno or errno.EIO, error.strerror or str(error), str(name))
         for note in getattr(error, "__notes__", ()):
-            named.add_note(note)
-        raise named from error
+            renamed.add_note(note)
+        raise renamed from error
 
 
 def _behind_links(path: Path) -> Path:

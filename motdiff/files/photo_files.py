@@ -1,6 +1,4 @@
-"""Image files before they are decoded: kind, completeness, orientation, and size in pixels, which
-is limited.
-"""
+"""Image files before they are decoded: kind, completeness, orientation, limited size."""
 
 from __future__ import annotations
 
@@ -146,14 +144,9 @@ def orientation(data: bytes) -> int:
 
 def is_animated(data: bytes) -> bool:
     """Whether a PNG or WebP file holds more than one picture."""
-    chunks = (
-        _png_chunks(data)
-        if data.startswith(_PNG)
-        else _webp_chunks(data)
-        if _is_webp(data)
-        else ()
-    )
-    return any(kind in (b"acTL", b"ANIM") for kind, _, _ in chunks)
+    if data.startswith(_PNG):
+        return any(kind == b"acTL" for kind, _, _ in _png_chunks(data))
+    return _is_webp(data) and any(kind == b"ANIM" for kind, _, _ in _webp_chunks(data))
 
 
 def _exif(data: bytes) -> Iterator[bytes]:

@@ -1,4 +1,4 @@
-"""Objects of the user's own, named as ``module:name``."""
+"""User-defined objects, named as ``module:name``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def is_reference(text: str) -> bool:
     return (
         bool(colon)
         and name.isidentifier()
-        and all(part.isidentifier() for part in module.split("."))
+        and all(name_part.isidentifier() for name_part in module.split("."))
     )
 
 
@@ -48,17 +48,16 @@ def load_object(reference: str) -> Any:
     if not is_reference(reference):
         raise ValueError(f"{reference[:80]!r}: must be module:name, as mymodule:MyEstimator")
     module, _, name = reference.partition(":")
-    here = str(Path.cwd())
-    if (
-        here not in sys.path
-    ):  # it stays: what is made of the object may import more, or be sent to a worker
-        sys.path.append(here)
+    folder = str(Path.cwd())
+    # it stays: what is made of the object may import more, or be sent to a worker
+    if folder not in sys.path:
+        sys.path.append(folder)
     try:
-        found = import_module(module)
+        imported = import_module(module)
     except Exception as error:  # whatever the user's module raises
         reason = f"{type(error).__name__}: {one_line(error)}"
         raise ValueError(f"{reference}: importing {module} failed ({reason})") from None
     try:
-        return getattr(found, name)
+        return getattr(imported, name)
     except AttributeError:
         raise ValueError(f"{reference}: the module {module} has no {name!r}") from None

@@ -1,6 +1,4 @@
-"""TIFF files by tifffile: which page is the photo, what is not read, and its samples as red green
-blue or grey.
-"""
+"""TIFF files by tifffile: the page that is the photo, and its samples as RGB or grey."""
 
 from __future__ import annotations
 
@@ -22,9 +20,8 @@ TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 Samples = NDArray[Any]
 
-_MOST_FIELDS = (
-    2**15
-)  # of all directories, and what reading a directory takes counts as eight: half a second
+# of all directories; reading a directory counts as eight fields: half a second in all
+_MOST_FIELDS = 2**15
 _MOST_DIRECTORY_BYTES = 2**23  # 120 megapixels in tiles of 16 px take less
 _LEAST_PX = 2**24  # a small image may be stored in one large tile
 _NO_PHOTO = 0b1101  # bits of NewSubfileType: reduced, mask, depth map; bit 1 is a page of several
@@ -42,19 +39,8 @@ _SAMPLES = {
     6: "complex numbers",
 }
 _JPEG = 7
-_COMPRESSIONS = (
-    1,
-    2,
-    3,
-    4,
-    5,
-    _JPEG,
-    8,
-    32773,
-    32946,
-    34925,
-    50000,
-)  # their decoders unpack no more than is wanted
+# their decoders unpack no more than is wanted; others may fill memory from a small file
+_COMPRESSIONS = (1, 2, 3, 4, 5, _JPEG, 8, 32773, 32946, 34925, 50000)
 _MOST_CHANNELS = 8
 _ALPHA = (1, 2)  # extra samples: associated, unassociated
 
@@ -150,13 +136,9 @@ def exif_orientation(exif: bytes) -> int:
 
 
 def _photometric(page: TiffPage) -> int:
-    return (
-        int(page.photometric)
-        if 262 in page.tags
-        else _RGB
-        if page.samplesperpixel >= 3
-        else _BLACK_IS_ZERO
-    )
+    if 262 in page.tags:
+        return int(page.photometric)
+    return _RGB if page.samplesperpixel >= 3 else _BLACK_IS_ZERO
 
 
 def refusal(page: TiffPage) -> str:
@@ -209,7 +191,7 @@ def channels(page: TiffPage) -> tuple[Samples, Samples]:
     -------
     colours : (H, W) or (H, W, 3) array of uint8, uint16 or floating point
         Grey, or red green blue; not turned upright.
-    others : (H, W, C) array
+    extra : (H, W, C) array
 
     Raises
     ------
@@ -219,9 +201,8 @@ def channels(page: TiffPage) -> tuple[Samples, Samples]:
     _check_segments(page)
     photometric = _photometric(page)
     bits = page.bitspersample
-    samples = page.asarray(squeeze=False)[
-        :, 0
-    ]  # planes, rows, columns, channels that are stored together
+    # planes, rows, columns, channels that are stored together
+    samples = page.asarray(squeeze=False)[:, 0]
     samples = samples[0] if len(samples) == 1 else np.moveaxis(samples[:, :, :, 0], 0, 2)
     if photometric == _PALETTE:
         palette = (np.asarray(page.colormap) >> 8).astype(np.uint8).T

@@ -1,6 +1,4 @@
-"""``trajectory.json``: a motion with its alternatives and where it came from (schema
-``cep.trajectory/1``).
-"""
+"""``trajectory.json``: a motion, its alternatives and their source (``cep.trajectory/1``)."""
 
 from __future__ import annotations
 
@@ -60,7 +58,7 @@ def write_motion(path: Path | str, motion: StoredMotion) -> None:
         **_samples(motion.trajectory),
         "weight": motion.weight,
         "alternatives": [
-            {"weight": weight, **_samples(other)} for weight, other in motion.alternatives
+            {"weight": weight, **_samples(path)} for weight, path in motion.alternatives
         ],
         "source": dict(motion.source),
     }
@@ -95,8 +93,8 @@ def read_motion(path: Path | str) -> StoredMotion:
     direction = cast(Direction, document.get("direction", "unknown"))
     try:
         alternatives = tuple(
-            (float(other.get("weight", 1.0)), _trajectory(other, direction))
-            for other in document.get("alternatives", [])
+            (float(fields.get("weight", 1.0)), _trajectory(fields, direction))
+            for fields in document.get("alternatives", [])
         )
         main = _trajectory(document, direction)
         return StoredMotion(
@@ -120,19 +118,19 @@ def stated_uncertainty_px(motion: StoredMotion, path: Path | str) -> float | Non
     ValueError
         If it is no number above 0.
     """
-    stated = motion.source.get("path_uncertainty_px")
-    if stated is None:
+    uncertainty_px = motion.source.get("path_uncertainty_px")
+    if uncertainty_px is None:
         return None
     if (
-        not isinstance(stated, int | float)
-        or isinstance(stated, bool)
-        or not 0 < stated < _FARTHEST_PX
+        not isinstance(uncertainty_px, int | float)
+        or isinstance(uncertainty_px, bool)
+        or not 0 < uncertainty_px < _FARTHEST_PX
     ):
         raise ValueError(
             f"{path}: source path_uncertainty_px must be a number of px above 0, got"
-            f" {one_line(repr(stated))}"
+            f" {one_line(repr(uncertainty_px))}"
         )
-    return float(stated)
+    return float(uncertainty_px)
 
 
 def _samples(trajectory: Trajectory) -> dict[str, list[float]]:
