@@ -63,7 +63,7 @@ def test_the_page_recommends_no_code_where_none_is_advised(plain):
     assert plain.advice.here.sentence in page.text
     assert plain.shot("coded").way.code.bits not in page.text
     assert not re.search(
-        r"cep (optimize|upload|export|calibrate blurred)|Code this exposure|Pulse the shutter",
+        r"cep (optimize|upload|export)|refined\.json|Code this exposure|Pulse the shutter",
         page.text,
     )
     assert "best code (not advised)" in page.text
