@@ -111,9 +111,8 @@ class Playback:
             }
             write_code(folder / output.name, StoredCode(self.code, problem=about))
             if motion is not None:
-                size = max(
-                    PSF_PX, 2 * motion.frame_size()
-                )  # a slow clock goes on beyond the motion that was asked for
+                # A slow clock goes on beyond the motion that was asked for.
+                size = max(PSF_PX, 2 * motion.frame_size())
                 write_psf(folder, self.psf(motion, size=size), stem=_psf_stem(output))
         return files
 

@@ -10,6 +10,7 @@ from hw.drivers.scpi import ScpiAwg
 
 __all__ = ["DRIVERS", "Driver", "Trust", "UploadReport"]
 
+# pyserial and pyvisa are imported when a port is opened: this table costs no start-up time.
 DRIVERS: Mapping[str, type[Driver]] = MappingProxyType(
     {"cxp": Controller, "pulse-pal": PulsePal, "scpi": ScpiAwg}
 )

@@ -123,7 +123,7 @@ class EmulatedUno:
                 [str(program), str(firmware), *self._words],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,  # simavr logs there; errors come on stdout
                 text=True,
                 # Ctrl-C on our terminal must not end it before its pins have been asked for
                 start_new_session=True,
@@ -323,7 +323,7 @@ def build_board() -> Path:
             board.name,
             "-lsimavr",
             "-lelf",
-            "-lutil",
+            "-lutil",  # openpty
         ]
         build = subprocess.run(
             command, cwd=folder, capture_output=True, text=True, errors="replace", check=False

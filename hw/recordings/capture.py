@@ -33,6 +33,7 @@ def read_capture(path: str | Path) -> Recording:
         raise ValueError(
             f"{path} cannot be read: {reason}; name a VCD file, or a CSV export of Saleae Logic"
         ) from None
+    # By content too: an export saved as .txt is read, and a damaged .csv is named as a CSV.
     if Path(path).suffix.lower() == ".csv" or is_saleae(text):
         return parse_saleae(text, source=str(path))
     return parse_vcd(text, source=str(path))
