@@ -62,7 +62,7 @@ UNSAFE_OPTIONS = {("allow_pickle", "True"), ("weights_only", "False")}
 COMMANDS = "cep/commands/"
 LIGHT = {
     "cep.restoration.registry",
-    "cep.search.search_options",
+    "cep.search.objectives",
     "hw.export",
     "motdiff.estimators.method",
     "motdiff.estimators.registry",

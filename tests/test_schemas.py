@@ -118,7 +118,7 @@ def test_cameras(tmp_path):
 def test_fronts():
     from cep.search.problem import SearchProblem
 
-    found = pareto(SearchProblem(chips=8, open_range=(3, 5)), steps=500, seed=0)
+    found = pareto(SearchProblem.along(chips=8, open_range=(3, 5)), steps=500, seed=0)
     assert faults(json.loads(json_text(found.stored({"linear_px": None}))), "front") == []
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,17 +11,11 @@ import typer
 from cep.commands.code_options import Device, Direction, Exposure, chips_option, exposure_seconds
 from cep.commands.console import finish, part, progress, table
 from cep.commands.options import (
-    CameraFile,
-    Force,
-    Json,
-    Linear,
-    Photons,
-    ReadNoise,
-    Seed,
+    CameraOptions,
+    CommonOptions,
+    MotionOptions,
     TableFile,
-    TrajectoryFile,
-    load_camera,
-    load_motion,
+    command,
     output_option,
     table_files,
 )
@@ -30,19 +25,23 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from cep.optics.code import ShutterCode
     from cep.search.advise import Advice
+    from cep.search.problem import SearchProblem
     from cep.search.ways import Way
+    from motdiff.trajectory import Trajectory
 
 _SAME_TIME = 0.01  # relative: a device's ticks round the chip times
 
 
-def advise(
-    trajectory: TrajectoryFile = None,
-    linear: Linear = None,
+@dataclass(frozen=True, kw_only=True)
+class AdviseOptions(CommonOptions, CameraOptions, MotionOptions):
+    """Options of ``cep advise``."""
+
     chips: Annotated[
         int | None, chips_option(least=2, help="Number of chips; as many as pay when omitted.")
-    ] = None,
-    exposure: Exposure = None,
+    ] = None
+    exposure: Exposure = None
     code: Annotated[
         list[str] | None,
         typer.Option(
@@ -50,13 +49,12 @@ def advise(
             metavar="CODE",
             help=(
                 "A code to judge as well: bits, code.json or a name; may be repeated. A file's"
-                " chip time sets the "
-                "exposure."
+                " chip time sets the exposure."
             ),
         ),
-    ] = None,
-    direction: Direction = "auto",
-    device: Device = None,
+    ] = None
+    direction: Direction = "auto"
+    device: Device = None
     path_error: Annotated[
         float | None,
         typer.Option(
@@ -65,18 +63,85 @@ def advise(
             min=0,
             help="Error of the trajectory, px rms; as its file states it when omitted, else none.",
         ),
-    ] = None,
-    camera: CameraFile = None,
-    photons: Photons = None,
-    read_noise: ReadNoise = None,
+    ] = None
     output: Annotated[
         Path | None, output_option("Also draw the gains over the light: .png, .pdf or .svg.")
-    ] = None,
-    tables: TableFile = None,
-    force: Force = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
+    ] = None
+    tables: TableFile = None
+
+    def codes(self) -> list[ShutterCode]:
+        """Return the codes to judge, all of as many chips.
+
+        Raises
+        ------
+        ValueError
+            If one cannot be read, or their numbers of chips differ.
+        """
+        from cep.codes.sources import load_code
+
+        codes = [load_code(source) for source in self.code or ()]
+        if len({code.chips for code in codes} | ({self.chips} if self.chips else set())) > 1:
+            raise ValueError("--code: every code must have as many chips, those of --chips")
+        return codes
+
+    def chip_ns(self, codes: Sequence[ShutterCode]) -> int | None:
+        """Return the chip time that the files of the codes state, ns; None where none does.
+
+        Raises
+        ------
+        ValueError
+            If they contradict each other or the exposure.
+        """
+        from cep.codes.sources import stated_chip_ns
+        from cep.files.formatting import duration
+
+        stated = (
+            stated_chip_ns(source, code)
+            for source, code in zip(self.code or (), codes, strict=True)
+        )
+        times_ns = sorted({time_ns for time_ns in stated if time_ns is not None})
+        if len(times_ns) > 1:
+            raise ValueError(
+                "--code: the files state chips of"
+                f" {' and '.join(duration(t * 1e-9) for t in times_ns)}"
+            )
+        if not times_ns:
+            return None
+        chips = codes[0].chips
+        code_s = chips * times_ns[0] * 1e-9
+        exposure_s = exposure_seconds(self.exposure)
+        if exposure_s is not None and abs(code_s - exposure_s) > _SAME_TIME * exposure_s:
+            raise ValueError(
+                f"--exposure: {duration(exposure_s)} contradicts the file of --code, whose {chips}"
+                f" chips of {duration(times_ns[0] * 1e-9)} take {duration(code_s)}; leave"
+                " --exposure out"
+            )
+        return times_ns[0]
+
+    def problem(
+        self, motion: Trajectory, *, chips: int, chip_ns: int | None = None
+    ) -> SearchProblem:
+        """Return the problem of so many chips; they last ``chip_ns`` where that is stated."""
+        from cep.search.chip_count import ASSUMED_EXPOSURE_S
+        from cep.search.problem import ProblemFields, SearchProblem
+
+        exposure_s = exposure_seconds(self.exposure)
+        fields: ProblemFields = {
+            "direction": self.direction,  # type: ignore[typeddict-item]  # checked there
+            "camera": self.load_camera(),
+        }
+        if chip_ns is not None:
+            fields["chip_ns"] = chip_ns
+            exposure_s = None
+        elif exposure_s is None:
+            exposure_s = ASSUMED_EXPOSURE_S
+        return SearchProblem.along(
+            motion, chips=chips, device=self.device, exposure_s=exposure_s, **fields
+        )
+
+
+@command(AdviseOptions)
+def advise(options: AdviseOptions) -> None:
     """Say whether to leave the shutter open, expose for a shorter time, pulse it evenly or code
     it.
 
@@ -104,108 +169,72 @@ def advise(
     Example: cep advise --trajectory motion/trajectory.json --device sony-pregius --exposure 0.004
     """
     with progress("comparing") as tick:
-        from cep.codes.sources import load_code, stated_chip_ns
         from cep.plots import check_figure_name, save
         from cep.plots.advice import advice_figure
         from cep.search.advise import advise as compare_ways
-        from cep.search.chip_count import ASSUMED_EXPOSURE_S, suited_chips
-        from cep.search.problem import SearchProblem
-        from hw.device import load_profile
+        from cep.search.chip_count import suited_chips
         from motdiff.files.outputs import claim
         from motdiff.files.trajectories import stated_uncertainty_px
 
+        file = options.trajectory
+        output = options.output
         if output is not None:
             check_figure_name(output)
-        own = [load_code(source) for source in code or ()]
-        if len({one.chips for one in own} | ({chips} if chips else set())) > 1:
-            raise ValueError("--code: every code must have as many chips, those of --chips")
-        motion = load_motion(trajectory, linear)
-        if path_error is None and trajectory is not None:
-            path_error = stated_uncertainty_px(motion, trajectory)
-        count = own[0].chips if own else chips
-        profile = None if device is None else load_profile(device)
-        seen_by = load_camera(camera, photons=photons, read_noise=read_noise)
-        exposure_s = exposure_seconds(exposure)
-        stated = {
-            stated_chip_ns(source, one) for source, one in zip(code or (), own, strict=True)
-        } - {None}
-        chip_ns = _chip_time_ns(stated, count, exposure_s)
-
-        def problem_of(count: int) -> SearchProblem:
-            whole_s = ASSUMED_EXPOSURE_S if exposure_s is None else exposure_s
-            time = {"exposure_s": whole_s} if chip_ns is None else {"chip_ns": chip_ns}
-            return SearchProblem.along(
-                motion.trajectory,
-                chips=count,
-                device=profile,
-                direction=direction,
-                camera=seen_by,
-                **time,
-            )
-
-        error_px = path_error or 0.0
+        codes = options.codes()
+        stored = options.load_motion()
+        motion = stored.trajectory
+        error_px = options.path_error
+        if error_px is None and file is not None:
+            error_px = stated_uncertainty_px(stored, file)
+        chip_ns = options.chip_ns(codes)
+        chips = codes[0].chips if codes else options.chips
         gains: Mapping[int, float] = {}
-        problem = None if count is None else problem_of(count)
-        figures = [] if output is None else [output]
-        read = [] if trajectory is None else [trajectory]
-        outputs = claim([*figures, *table_files(tables)], force=force, inputs=read)
-        if problem is None:
-            count, gains = suited_chips(
-                problem_of, path_error_px=error_px, seed=seed, progress=part(tick, 0.0, 0.4)
-            )
-            problem = problem_of(count)
-        advice = compare_ways(
-            problem, *own, path_error_px=error_px, seed=seed, progress=part(tick, 0.4, 1.0)
+        problem = None if chips is None else options.problem(motion, chips=chips, chip_ns=chip_ns)
+        outputs = claim(
+            [*([] if output is None else [output]), *table_files(options.tables)],
+            force=options.force,
+            inputs=[] if file is None else [file],
         )
-    judged = [way for one in own for way in advice.here.ways if way.code.bits == one.bits]
-    known = exposure is not None or chip_ns is not None
-    warnings = [] if known else ["the exposure is taken as 50 ms; --exposure says how long it is"]
-    result = {
-        **advice.to_dict(),
-        "codes": [way.to_dict() for way in judged],
-        "other_chips_db": gains,
-        "plot": output,
-        "seed": seed,
-        "warnings": warnings,
-    }
+        if problem is None:
+            chips, gains = suited_chips(
+                lambda count: options.problem(motion, chips=count),
+                path_error_px=error_px or 0.0,
+                seed=options.seed,
+                progress=part(tick, 0.0, 0.4),
+            )
+            problem = options.problem(motion, chips=chips)
+        advice = compare_ways(
+            problem,
+            *codes,
+            path_error_px=error_px or 0.0,
+            seed=options.seed,
+            progress=part(tick, 0.4, 1.0),
+        )
+    judged = [way for code in codes for way in advice.here.ways if way.code.bits == code.bits]
+    warnings = []
+    if options.exposure is None and chip_ns is None:
+        warnings.append("the exposure is taken as 50 ms; --exposure says how long it is")
 
     def draw(made: Mapping[Path, Path]) -> None:
         if output is not None:
             save(advice_figure(advice), made[output])
 
     finish(
-        result,
-        as_json=as_json,
+        {
+            **advice.to_dict(),
+            "codes": [way.to_dict() for way in judged],
+            "other_chips_db": gains,
+            "plot": output,
+            "seed": options.seed,
+            "warnings": warnings,
+        },
+        as_json=options.as_json,
         show=lambda console: _show(console, advice, judged, gains, output),
         outputs=outputs,
         save=draw,
-        tables=tables,
+        tables=options.tables,
         summary=advice.here.sentence,
     )
-
-
-def _chip_time_ns(
-    stated: set[int | None], chips: int | None, exposure_s: float | None
-) -> int | None:
-    """Chip time that the files of --code state, ns; None where none does."""
-    from cep.files.formatting import duration
-
-    times_ns = sorted(time_ns for time_ns in stated if time_ns is not None)
-    if len(times_ns) > 1:
-        raise ValueError(
-            "--code: the files state chips of"
-            f" {' and '.join(duration(t * 1e-9) for t in times_ns)}"
-        )
-    if not times_ns or chips is None:
-        return None
-    whole_s = chips * times_ns[0] * 1e-9
-    if exposure_s is not None and abs(whole_s - exposure_s) > _SAME_TIME * exposure_s:
-        raise ValueError(
-            f"--exposure: {duration(exposure_s)} contradicts the file of --code, whose {chips}"
-            f" chips of {duration(times_ns[0] * 1e-9)} take {duration(whole_s)}; leave"
-            " --exposure out"
-        )
-    return times_ns[0]
 
 
 def _show(

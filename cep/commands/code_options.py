@@ -1,22 +1,30 @@
-"""Declarations of the options that say which code is searched, shared by ``cep optimize`` and
-``python -m lab pareto``.
-"""
+"""Options that say which code is searched, and the problem that they make."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cep.commands.options import MOTION
+from cep.commands.options import CameraOptions, output_option
+from cep.search.objectives import OBJECTIVES
+
+if TYPE_CHECKING:
+    from cep.optics.code import ShutterCode
+    from cep.search.problem import Mix, ScenarioRule, SearchProblem
+    from cep.search.scenarios import Scenario
+    from motdiff.trajectory import Trajectory
 
 _CODE = "Code"
 _OBJECTIVE = "Objective"
 _LIMITS = "Limits of the shutter"
-_UNSURE = "Uncertain motion and shutter"
 SEARCH = "Search"
 """Panel of the help pages for how the code is searched."""
+
+STANDARD_CHIPS = 52
+"""Chips of a code where their number is neither given nor chosen: as many as Raskar's of 2006."""
 
 
 def _option(panel: str, name: str, metavar: str | None, help: str, **more: Any) -> Any:
@@ -55,31 +63,20 @@ def exposure_seconds(text: str | None) -> float | None:
         raise ValueError(f"--{error}") from None
 
 
-Each = Annotated[
-    Path | None,
-    _option(
-        MOTION,
-        "--each",
-        "FOLDER",
-        "A code for each motion of a folder, FOLDER/*/trajectory.json, as cep calibrate FOLDER"
-        " writes them.",
-    ),
-]
-
 OpenChips = Annotated[
-    str | None, _option(_CODE, "--open", "K|LOW:HIGH", "Open chips; any number when omitted.")
-]
-Duty = Annotated[
     str | None,
-    _option(_CODE, "--duty", "LOW:HIGH", "Instead of --open: open fraction of the time, 0..1."),
+    typer.Option(
+        "--open",
+        "--duty",
+        metavar="K|LOW:HIGH",
+        rich_help_panel=_CODE,
+        help=(
+            "Open chips, or with a decimal point their share of all, as 26, 20:30 or 0.4:0.6; any"
+            " number when omitted."
+        ),
+    ),
 ]
 ChipTime = Annotated[int, _option(_CODE, "--chip-ns", "NS", "Chip time, ns.", min=1)]
-ChipTimeInstead = Annotated[
-    int | None,
-    _option(
-        _CODE, "--chip-ns", "NS", "Instead of --exposure: chip time, ns; 1 ms when omitted.", min=1
-    ),
-]
 Exposure = Annotated[
     str | None,
     _option(
@@ -89,26 +86,14 @@ Exposure = Annotated[
         "Length of the exposure, which sets the chip time: 1/30, 0.02, 20ms or 500us.",
     ),
 ]
-Frames = Annotated[
-    int,
-    _option(
-        _CODE,
-        "--frames",
-        "N",
-        "Exposures restored together, each with its own code: code_1.json, ... With --method"
-        " anneal.",
-        min=1,
-    ),
-]
-
-Objective = Annotated[
+ObjectiveMix = Annotated[
     str | None,
     _option(
         _OBJECTIVE,
         "--objective",
         "NAME",
-        "mse (expected error of the restored photo), min-mtf, flatness, noise, or a mix as"
-        " min-mtf:0.15,noise:1. When omitted: mse; min-mtf with --method exact along a uniform"
+        f"{'; '.join(f'{name} ({one.help})' for name, one in OBJECTIVES.items())}; or a mix as"
+        " min-mtf:0.15,noise:1. mse when omitted; min-mtf with --method exact along a uniform"
         " straight motion.",
     ),
 ]
@@ -121,7 +106,6 @@ Direction = Annotated[
         "Of the motion: unknown (the worse way counts), forward, or auto: as the file says.",
     ),
 ]
-
 Device = Annotated[
     str | None,
     _option(
@@ -132,71 +116,184 @@ Device = Annotated[
         " added.",
     ),
 ]
-MinOpen = Annotated[int, _limit("--min-open", "Shortest open run, chips.")]
-MaxOpen = Annotated[int | None, _limit("--max-open", "Longest open run, chips.")]
-MinClosed = Annotated[int, _limit("--min-closed", "Shortest closed run, chips.")]
-MinPeriod = Annotated[int, _limit("--min-period", "Fewest chips from one opening to the next.")]
-MaxPulses = Annotated[int | None, _limit("--max-pulses", "Most open runs.")]
-FirstOpen = Annotated[bool, _option(_LIMITS, "--first-open", None, "The first chip is open.")]
-LastOpen = Annotated[bool, _option(_LIMITS, "--last-open", None, "The last chip is open.")]
-Fixed = Annotated[
-    str | None,
-    _option(
-        _LIMITS, "--fixed", "MARKS", "A mark for each chip: 1 open, 0 closed, ? free, as 1???0?1."
-    ),
-]
 
-Alternatives = Annotated[
-    bool,
-    _option(
-        _UNSURE,
-        "--alternatives",
-        None,
-        "Design for the other motions that the file holds as well.",
-    ),
-]
-Speed = Annotated[
-    str | None,
-    _option(
-        _UNSURE,
-        "--speed",
-        "LOW:HIGH",
-        "Design for these factors of the path's length, as 0.8:1.2.",
-    ),
-]
-Drift = Annotated[
-    float | None,
-    _option(
-        _UNSURE,
-        "--drift",
-        "SHARE",
-        "Design for a shutter clock off by this share either way, as 0.02.",
-    ),
-]
-Jitter = Annotated[
-    float | None,
-    _option(_UNSURE, "--jitter", "CHIPS", "Design for edges off by this many chips rms, 0..0.15."),
-]
-Rule = Annotated[
-    str, _option(_UNSURE, "--rule", "NAME", "Over several motions: worst, or mean (weighted).")
-]
 
-Method = Annotated[
-    str,
-    _option(
-        SEARCH,
-        "--method",
-        "NAME",
-        "anneal; or exact, which proves the best min-mtf, to about 40 chips.",
-    ),
-]
-Effort = Annotated[
-    str,
-    _option(
-        SEARCH,
-        "--bound",
-        "NAME",
-        "quick; or sdp: half a minute for a tighter bound, and starts drawn from it, along curved"
-        " motion.",
-    ),
-]
+@dataclass(frozen=True, kw_only=True)
+class CodeOptions(CameraOptions):
+    """Number of chips, light, exposure and limits of the codes that are searched."""
+
+    chips: Annotated[
+        int | None, chips_option(least=1, help="Number of chips; 52 when omitted.")
+    ] = None
+    open_chips: OpenChips = None
+    exposure: Exposure = None
+    direction: Direction = "auto"
+    device: Device = None
+    min_open: Annotated[int, _limit("--min-open", "Shortest open run, chips.")] = 1
+    min_closed: Annotated[int, _limit("--min-closed", "Shortest closed run, chips.")] = 1
+    max_pulses: Annotated[int | None, _limit("--max-pulses", "Most open runs.")] = None
+
+    def problem(
+        self,
+        *motions: Trajectory | Scenario,
+        chips: int | None = None,
+        exposure_s: float | None = None,
+        objective: Mix = "min-mtf",
+        rule: ScenarioRule = "worst",
+    ) -> SearchProblem:
+        """Make the problem of the options along motions.
+
+        Parameters
+        ----------
+        *motions : Trajectory or Scenario
+        chips, exposure_s : optional
+            Where the options leave them open; then 52 chips of 1 ms.
+        objective, rule
+            As of :class:`cep.search.problem.SearchProblem`.
+
+        Raises
+        ------
+        ValueError
+            If an option is malformed or they conflict.
+        """
+        from cep.search.limits import RunLimits
+        from cep.search.problem import SearchProblem
+
+        chips = chips or self.chips or STANDARD_CHIPS
+        stated_s = exposure_seconds(self.exposure)
+        return SearchProblem.along(
+            *motions,
+            chips=chips,
+            open_range=open_range(self.open_chips, chips),
+            exposure_s=exposure_s if stated_s is None else stated_s,
+            device=self.device,
+            objective=objective,
+            direction=self.direction,  # type: ignore[arg-type]  # checked there
+            rule=rule,
+            runs=RunLimits(
+                min_open=self.min_open, min_closed=self.min_closed, max_pulses=self.max_pulses
+            ),
+            camera=self.load_camera(),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions:
+    """Objective, moves and time of a search, and the file of its code."""
+
+    objective: ObjectiveMix = None
+    steps: Annotated[
+        int | None,
+        _option(
+            SEARCH,
+            "--steps",
+            "N",
+            "Make so many moves, however long it takes: the same seed and moves give the same"
+            " code. With --time whichever ends first; without either as many as suit the motion,"
+            " for 60 s at most.",
+            min=1,
+        ),
+    ] = None
+    time_s: Annotated[
+        float | None,
+        _option(
+            SEARCH,
+            "--time",
+            "S",
+            "Search for so many seconds, however many moves that is: the code depends on the"
+            " machine. The choice of the number of chips is within it.",
+        ),
+    ] = None
+    output: Annotated[Path, output_option("File to write.")] = Path("code.json")
+
+
+def open_range(text: str | None, chips: int) -> tuple[int, int]:
+    """Read ``--open``: fewest and most open chips.
+
+    Raises
+    ------
+    ValueError
+        If it is no range of chips or of shares.
+
+    Examples
+    --------
+    >>> open_range("3", 8), open_range("2:4", 8), open_range("0.25:0.5", 8)
+    ((3, 3), (2, 4), (2, 4))
+    """
+    if text is None:
+        return 1, chips
+    if "." in text:
+        from cep.search.problem import open_range_of_duty
+
+        return open_range_of_duty(chips, *low_and_high("--open", text, "0.4:0.6"))
+    low, _, high = text.partition(":")
+    try:
+        fewest = int(low)
+        most = int(high or low)
+    except ValueError:
+        raise ValueError(
+            f"--open: must be K or LOW:HIGH in whole chips, or in shares as 0.4:0.6, got {text!r}"
+        ) from None
+    if not 1 <= fewest <= most <= chips:
+        raise ValueError(f"--open: must lie within 1..{chips}, got {text}")
+    return fewest, most
+
+
+def objective_mix(text: str) -> Mix:
+    """Read ``--objective``: a name, or a mix of names with weights.
+
+    Raises
+    ------
+    ValueError
+        If a weight is no number, or a name comes twice.
+
+    Examples
+    --------
+    >>> objective_mix("min-mtf:0.15,noise")
+    (('min-mtf', 0.15), ('noise', 1.0))
+    """
+    if ":" not in text and "," not in text:
+        return text
+    mix = []
+    for term in text.split(","):
+        name, _, weight = term.partition(":")
+        try:
+            mix.append((name.strip(), float(weight or 1)))
+        except ValueError:
+            raise ValueError(
+                f"--objective: must be a name or a mix as min-mtf:0.15,noise:1, got {text!r}"
+            ) from None
+    if len({name for name, _ in mix}) < len(mix):
+        raise ValueError(f"--objective: names one objective twice, got {text!r}")
+    return tuple(mix)
+
+
+def low_and_high(name: str, text: str, example: str) -> tuple[float, float]:
+    """Read an option's ``LOW:HIGH``, or one number for both.
+
+    Raises
+    ------
+    ValueError
+        If they are no numbers.
+    """
+    low, _, high = text.partition(":")
+    try:
+        return float(low), float(high or low)
+    except ValueError:
+        raise ValueError(f"{name}: must be LOW:HIGH as {example}, got {text!r}") from None
+
+
+def openings(code: ShutterCode) -> str:
+    """Say in words how often a code opens."""
+    return f"{code.pulses} opening{'' if code.pulses == 1 else 's'}"
+
+
+def ending(stopped: str, steps: int) -> str:
+    """Say in words what ended a search after so many moves, or codes counted."""
+    return {
+        "steps": f"all {steps:,} moves made",
+        "time": f"stopped by the time, {steps:,} moves made",
+        "interrupted": "stopped by Ctrl-C",
+        "complete": "no other code keeps the limits",
+        "proven": f"all {steps:.2g} codes counted" if steps else "proven before",
+    }[stopped]

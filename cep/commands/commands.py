@@ -17,11 +17,11 @@ from cep.commands.options import COMMON
 _EXAMPLE = "Example: "
 _UNITS = ("_s", "_ms", "_ns", "_px", "_db", "_e", "_ppm", "_hz", "_dn")
 _SET_BY = {
-    "amounts": ("drift",),
     "axes": ("gyro_axes",),
     "bits": ("bits", "code", "codes"),
+    "chip_ns": ("chip_ns", "exposure"),
     "chips": ("chips", "code", "codes"),
-    "effort": ("bound",),
+    "duty": ("duty", "open"),
     "length_px": ("linear",),
     "method": ("method", "methods"),
     "name": ("names",),
@@ -29,9 +29,8 @@ _SET_BY = {
     "photons_full_scale": ("photons",),
     "rate_unit": ("gyro_unit",),
     "response": ("device",),
-    "scenarios": ("alternatives", "speed", "drift", "jitter", "trajectory", "linear"),
-    "sigma_chips": ("jitter",),
-    "trajectory": ("trajectory", "linear", "each"),
+    "scenarios": ("speed", "trajectory", "linear"),
+    "trajectory": ("trajectory", "linear"),
 }
 """Options and arguments that set a parameter of another name: of those given, the first is
 meant."""

@@ -39,6 +39,36 @@ _MOVED = {
 }
 """Commands of earlier versions that are not part of the product."""
 
+_PYTHON = "is for Python: cep.SearchProblem.along and cep.optimize"
+_PROVE = "proofs in blocks moved to the laboratory, in the repository: python -m lab prove"
+_CLASS = "moved to the laboratory, in the repository: python -m lab design-class"
+_DEVICE = "is a figure of the shutter: --device FILE.toml"
+_MOVED_OPTIONS = {
+    "optimize": {
+        "--all": _CLASS,
+        "--alternatives": _PYTHON,
+        "--bound": _PYTHON,
+        "--cache": _PROVE,
+        "--chip-ns": "is --exposure, of all chips together",
+        "--class": _CLASS,
+        "--dask": _PROVE,
+        "--drift": _PYTHON,
+        "--each": "is a loop: for each file one cep optimize --trajectory FILE -o CODE",
+        "--figure": "is for cep audit and cep mtf, which measure the code",
+        "--first-open": _PYTHON,
+        "--fixed": _PYTHON,
+        "--frames": "moved to the laboratory, in the repository: python -m lab frames",
+        "--jitter": _PYTHON,
+        "--last-open": _PYTHON,
+        "--max-open": _DEVICE,
+        "--min-period": _DEVICE,
+        "--rule": _PYTHON,
+        "--table": "is for cep audit CODE, which prints the figures of the code",
+        "--workers": _PROVE,
+    }
+}
+"""Options of earlier versions, by command."""
+
 
 class _Commands(Group):
     def invoke(self, ctx: Any) -> Any:
@@ -114,6 +144,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in (given[0], " ".join(given[:2])):
         if name in _MOVED:
             complain(f"{name} {_MOVED[name]}")
+            return BAD_INPUT
+    for option in (word.partition("=")[0] for word in given[1:]):
+        if moved := _MOVED_OPTIONS.get(given[0], {}).get(option):
+            complain(f"{option} {moved}")
             return BAD_INPUT
     return run_app(app, given, name="cep")
 

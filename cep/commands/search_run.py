@@ -1,129 +1,50 @@
-"""How ``cep optimize`` runs a search, and where its result goes: the same for one code, frames and
-classes.
-"""
+"""Codes that were found are not lost while a command still compares them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from cep.commands.console import finish
-from cep.commands.options import table_files
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from cep.commands.console import Tick
+    from cep.files.files import StoredCode
     from cep.optics.code import ShutterCode
-    from cep.search.optimize import Search
-    from hw.device import DeviceProfile
     from motdiff.files.outputs import Outputs
 
-Write = Callable[[Mapping[Path, Path]], object]
-Keep = Callable[["Sequence[ShutterCode]", Write], None]
 
-
-@dataclass(frozen=True, kw_only=True)
-class SearchRun:
-    """Options of a search that do not change what is searched.
+@contextmanager
+def saved_on_interrupt(outputs: Outputs) -> Iterator[Callable[[Mapping[Path, StoredCode]], None]]:
+    """Write codes on Ctrl-C that are found but not yet compared; another error names them.
 
     Parameters
     ----------
-    how : Search
-    profile : DeviceProfile, optional
-        That must be able to play every code.
-    output : Path
-    force, as_json : bool
-        As the command's options.
-    tables : Path, optional
-        As ``--table``.
-    tick : Tick
+    outputs : Outputs
+        Of the command.
+
+    Yields
+    ------
+    function
+        To be called with each file's code as soon as they are known.
     """
+    from dataclasses import replace
 
-    how: Search
-    profile: DeviceProfile | None
-    output: Path
-    force: bool
-    as_json: bool
-    tables: Path | None
-    tick: Tick
+    from cep.files.files import write_code
 
-    def outputs(self, *files: Path, inputs: Sequence[Path] = ()) -> Outputs:
-        """Return the files that are written: the codes', :attr:`output` when omitted, and the
-        tables'.
-        """
-        from motdiff.files.outputs import Outputs
-
-        return Outputs(
-            (*(files or (self.output,)), *table_files(self.tables)), self.force, tuple(inputs)
-        )
-
-    @contextmanager
-    def keeping(self, *files: Path) -> Iterator[Keep]:
-        """Lose no codes that were found while they are compared: Ctrl-C writes them, another error
-        tells them.
-
-        Parameters
-        ----------
-        *files : Path
-            Of the codes, :attr:`output` when omitted.
-
-        Yields
-        ------
-        function
-            To be called with the codes, and with what writes them under the temporary names of the
-            files; raises ValueError where the device cannot play one.
-        """
-        from cep.search.playable import unplayable
-        from motdiff.files.outputs import Outputs
-
-        candidates: list[tuple[str, Write]] = []
-
-        def keep(codes: Sequence[ShutterCode], write: Write) -> None:
-            for code in codes:
-                if reason := unplayable(code.bits, self.profile, code.chip_ns):
-                    raise ValueError(reason)
-            candidates.append((in_bits(codes), write))
-
-        try:
-            yield keep
-        except KeyboardInterrupt:
-            for bits, write in candidates:
-                with Outputs(files or (self.output,), self.force).written(summary=bits) as made:
-                    write(made)
-            raise
-        except Exception as error:
-            for bits, _ in candidates:
-                error.add_note(f"found: {bits}")
-            raise
-
-    def shown(
-        self,
-        result: Mapping[str, Any],
-        show: Callable[[Console], None],
-        *,
-        outputs: Outputs,
-        save: Write,
-        codes: Sequence[ShutterCode],
-    ) -> Callable[[], None]:
-        """Return the function that writes the outputs and prints a result, see
-        :func:`cep.commands.console.finish`.
-        """
-        from functools import partial
-
-        return partial(
-            finish,
-            {**result, "seed": self.how.seed},
-            as_json=self.as_json,
-            show=show,
-            outputs=outputs,
-            save=save,
-            tables=self.tables,
-            summary=in_bits(codes),
-        )
+    codes: dict[Path, StoredCode] = {}
+    try:
+        yield codes.update
+    except KeyboardInterrupt:
+        if codes:
+            summary = in_bits(stored.code for stored in codes.values())
+            with replace(outputs, paths=tuple(codes)).written(summary=summary) as made:
+                for path, stored in codes.items():
+                    write_code(made[path], stored)
+        raise
+    except Exception as error:
+        if codes:
+            error.add_note(f"found: {in_bits(stored.code for stored in codes.values())}")
+        raise
 
 
 def in_bits(codes: Iterable[ShutterCode]) -> str:

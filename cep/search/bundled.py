@@ -35,7 +35,7 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
 
     Examples
     --------
-    >>> found = proven_optimum(SearchProblem(chips=14, open_range=(9, 9)))
+    >>> found = proven_optimum(SearchProblem.along(chips=14, open_range=(9, 9)))
     >>> found.code.bits, found.proof.file
     ('11111001101010', 'docs/optima.md')
     """
@@ -69,7 +69,7 @@ def proven_starts(problem: SearchProblem) -> list[ShutterCode]:
 
     Examples
     --------
-    >>> [code.bits for code in proven_starts(SearchProblem(chips=5, open_range=(2, 4)))]
+    >>> [code.bits for code in proven_starts(SearchProblem.along(chips=5, open_range=(2, 4)))]
     ['11010', '11101']
     """
     straight = all(

@@ -1,6 +1,4 @@
-"""Codes of several exposures of one motion, restored together: the search, and the best single
-code in every frame.
-"""
+"""Codes of several exposures of one motion that are restored together."""
 
 from __future__ import annotations
 
@@ -20,7 +18,14 @@ from cep.search.annealing.anneal import Stopped
 from cep.search.annealing.frames import FramesResult, anneal_frames
 from cep.search.annealing.joint import joint_figures
 from cep.search.expected import equal_light_noise, joint_psnr_db, light_noise
-from cep.search.optimize import Search, certificate_warnings, ended_early, searched_problem
+from cep.search.optimize import (
+    Search,
+    certificate_warnings,
+    described_search,
+    ended_early,
+    searched_problem,
+)
+from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
 from cep.search.recipe import mean_length_px, search_code
 from cep.search.ways import CODED, Way, WayFinder, best_possible, check_light, judged_ways
@@ -88,7 +93,7 @@ class FramesOptimum:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Fields for JSON, as ``cep optimize --frames --json`` prints them."""
+        """Fields for JSON, as ``python -m lab frames --json`` prints them."""
         found = self.found
         return {
             "verdict": self.verdict.sentence,
@@ -113,41 +118,30 @@ class FramesOptimum:
             "interrupted": found.stopped == "interrupted",
         }
 
-    def save(self, files: Sequence[Path], *, described: Mapping[str, Any]) -> None:
-        """Write a ``code.json`` for each frame, all of them or none; ``described`` is what they
-        say of the problem.
+    def stored(self, *, source: Mapping[str, object] | None = None) -> list[StoredCode]:
+        """Return what the ``code.json`` of each frame holds.
+
+        Parameters
+        ----------
+        source : mapping, optional
+            Where the motion comes from.
         """
         figures = [metrics.to_dict() for metrics in self.metrics]
-        write_frames(
-            files, self.found, described=described, metrics=figures, joint=asdict(self.joint)
-        )
+        about = {
+            **(source or {}),
+            **_described(self.problem, self.how, self.found),
+            "joint": asdict(self.joint),
+        }
+        return [
+            StoredCode(code, each, {**about, "frame": number})
+            for number, (code, each) in enumerate(zip(self.found.codes, figures, strict=True), 1)
+        ]
 
-
-def write_frames(
-    files: Sequence[Path],
-    found: FramesResult,
-    *,
-    described: Mapping[str, Any],
-    metrics: Sequence[Mapping[str, Any]] | None = None,
-    joint: Mapping[str, Any] | None = None,
-) -> None:
-    """Write the codes that were found, with their figures where these are known: all files or
-    none.
-    """
-    about = {
-        **described,
-        "frames": len(found.codes),
-        "bits_of_frames": [code.bits for code in found.codes],
-        "steps": found.steps,
-        "stopped": found.stopped,
-    }
-    together = {} if joint is None else {"joint": joint}
-    figures = metrics or [{}] * len(files)
-    with new_files(files) as made:
-        for number, (file, code, own) in enumerate(
-            zip(files, found.codes, figures, strict=True), 1
-        ):
-            write_code(made[file], StoredCode(code, own, {**about, "frame": number, **together}))
+    def save(self, files: Sequence[Path], *, source: Mapping[str, object] | None = None) -> None:
+        """Write :meth:`stored`, a file for each frame: all of them or none."""
+        with new_files(files) as made:
+            for file, stored in zip(files, self.stored(source=source), strict=True):
+                write_code(made[file], stored)
 
 
 def optimize_frames(
@@ -156,8 +150,7 @@ def optimize_frames(
     frames: int,
     *,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
-    on_checked: Callable[[], None] = lambda: None,
-    on_found: Callable[[FramesResult], None] = lambda _found: None,
+    on_found: Callable[[list[StoredCode]], None] = lambda _stored: None,
 ) -> FramesOptimum:
     """Search the codes of several frames, and measure them beside the best single code played in
     every frame.
@@ -171,30 +164,36 @@ def optimize_frames(
     frames : int
     progress : callable, optional
         Called with the finished share, 0..1, and a note.
-    on_checked : callable, optional
-        Called before the work, when the method has been checked.
     on_found : callable, optional
         Called with the codes before they are measured.
 
     Raises
     ------
     ValueError
-        If the method is another, there is no frame, or even the shortest opening saturates at the
-        problem's light.
+        If the method is another, there is no frame, even the shortest opening saturates at the
+        problem's light, or the device cannot play a code.
     """
     if how.method != "anneal":
         raise ValueError(
             f"frames: not valid with method={how.method!r}, which searches a single code"
         )
     check_light(problem)
-    on_checked()
     single, searched = _search(
         searched_problem(problem), how, frames, mean_length_px(problem), progress
     )
     found = replace(
         searched, codes=tuple(replace(code, chip_ns=problem.chip_ns) for code in searched.codes)
     )
-    on_found(found)
+    for code in found.codes:
+        if reason := unplayable(code.bits, problem.device, code.chip_ns):
+            raise ValueError(reason)
+    about = _described(problem, how, found)
+    on_found(
+        [
+            StoredCode(code, problem={**about, "frame": number})
+            for number, code in enumerate(found.codes, 1)
+        ]
+    )
     circle = replace(problem, scenarios=()) if problem.on_circle else None
 
     def together(codes: Sequence[ShutterCode]) -> Together:
@@ -214,6 +213,15 @@ def optimize_frames(
     judged = frames_verdict(problem, found.codes)
     progress(1.0, "")
     return FramesOptimum(problem, how, found, metrics, joint, single, repeated, judged)
+
+
+def _described(problem: SearchProblem, how: Search, found: FramesResult) -> dict[str, Any]:
+    """Describe the search of all frames, as each one's code file does."""
+    return {
+        **described_search(problem, how, found),
+        "frames": len(found.codes),
+        "bits_of_frames": [code.bits for code in found.codes],
+    }
 
 
 def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verdict:

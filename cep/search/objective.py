@@ -1,13 +1,6 @@
-"""Objectives as decibels to minimise, for many codes at once.
+"""Cost of codes on a problem's sampled frequencies, in decibels: a mix of criteria.
 
-=========
-=============================================================================================
-min-mtf   ``-20 log10 min |H|`` flatness  ``10 log10 (variance of |H| over the band / duty^2)``
-noise     ``10 log10 mean 1 / |H|^2`` mse       ``10 log10`` of the Wiener filter's mean square
-error under the camera's noise =========
-=============================================================================================
-
-H is light-true, so lost light raises the cost everywhere but in ``flatness``.
+The criteria are those of :data:`cep.search.objectives.OBJECTIVES`.
 """
 
 from __future__ import annotations
@@ -24,6 +17,7 @@ from cep.optics.band import ACROSS, BandSamples, band_samples, circle_samples
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import inverse_scene, noise_variance
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
+from cep.search.objectives.criterion import Spectrum
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_rows
 
@@ -203,7 +197,7 @@ class Objective:
         """
         chips = code.array[None]
         otf = self.otf(chips)
-        if any(name == "min-mtf" for name, _ in self.problem.objective_mix):
+        if any(criterion.continuum for criterion, _ in self.problem.criteria):
             for part in self.parts:
                 modulus = np.hypot(otf[0, 0, part.columns], otf[0, 1, part.columns])
                 deepest = int(modulus.argmin())
@@ -229,39 +223,21 @@ class Objective:
         squared = otf * otf
         power = np.maximum(squared[:, 0] + squared[:, 1], 1e-30)
         worst = np.full((self.scenario_shares.size, len(power)), -np.inf)
-        for index, part in enumerate(self.parts):
+        for part in self.parts:
+            spectrum = Spectrum(
+                power[:, part.columns],
+                part.samples.weight.astype(power.dtype),
+                self.priors[part.columns],
+                self.shares_across[part.columns],
+                duty,
+                noise,
+            )
             total = sum(
-                weight * self._decibels(name, power[:, part.columns], index, duty, noise)
-                for name, weight in self.problem.objective_mix
+                weight * (10 * np.log10(criterion.figure(spectrum)))
+                for criterion, weight in self.problem.criteria
             )
             worst[part.scenario] = np.maximum(worst[part.scenario], total)
         return worst
-
-    def _decibels(
-        self,
-        name: str,
-        power: RealArray,
-        part: int,
-        duty: NDArray[np.float64],
-        noise: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        columns = self.parts[part].columns
-        weight = self.parts[part].samples.weight.astype(power.dtype)
-        if name == "min-mtf":
-            value = 1 / power.min(axis=1).astype(np.float64)
-        elif name == "noise":
-            value = ((1 / power) @ weight).astype(np.float64)
-        elif name == "flatness":
-            mean_power = (power @ weight).astype(np.float64)
-            mean = (np.sqrt(power) @ weight).astype(np.float64)
-            value = np.maximum(mean_power - mean**2, 1e-12) / duty**2
-        else:
-            per_noise = power / noise.astype(power.dtype)[:, None]
-            prior = self.priors[columns]
-            shares = self.shares_across[columns]
-            errors = sum(shares[:, q] / (per_noise + prior[:, q]) for q in range(shares.shape[1]))
-            value = (errors @ weight).astype(np.float64)
-        return np.asarray(10 * np.log10(value), dtype=np.float64)
 
 
 def sample_count(problem: SearchProblem, *, oversampling: int) -> int:

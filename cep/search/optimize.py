@@ -1,15 +1,13 @@
-"""From a search problem to a code and what it is worth: the search or proof, baselines,
-certificate, bound.
-"""
+"""Best shutter code for a motion, with its comparison, certificate and bound."""
 
 from __future__ import annotations
 
-import json
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,25 +15,29 @@ from cep.files.files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
-from cep.proofs.measure import CodeMetrics, FigureOfMerit, find_figures, own_figures
+from cep.proofs.measure import CodeMetrics, FigureOfMerit, own_figures
 from cep.search.advise import Verdict, verdict
+from cep.search.annealing.anneal import standard_moves
+from cep.search.annealing.frames import FramesResult
+from cep.search.chip_count import ChipCount, choose_chips
 from cep.search.compare import Comparison, as_designed, compare
+from cep.search.exhaustive.exact import codes_to_count
+from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Found, mean_length_px, prove_code, search_code
 from cep.search.ways import check_light
-from motdiff.files.json_files import plain
 from motdiff.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from cep.jobs.cells import Figure
 
 STANDARD_TIME_S = 60.0
 """Limit of an annealing that is given neither moves nor a time, seconds."""
 
+_CHOOSING = 0.3  # of the time: the number of chips, where it is to be chosen
+_LEAST_LEFT = 0.1  # of the time, for the search after that choice
 _SEARCH_SHARE = 0.9  # of the time: comparing and certifying take the rest
 _NO_TIME_S = 1e-9  # ends an annealing at its start
 _RELAXED = 128  # chips to which the relaxation takes seconds
 _ROUNDED = 16  # codes drawn from it
+_FEWER = "{} ended the choice of the number of chips: fewer numbers were tried"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,11 +93,9 @@ class Search:
 
     def moves(self, problem: SearchProblem) -> int | None:
         """Say how many moves an annealing makes; None where the time alone ends it."""
-        from cep.search.annealing.anneal import standard_moves
-
-        return (
-            standard_moves(problem) if self.steps is None and self.time_s is None else self.steps
-        )
+        if self.steps is None and self.time_s is None:
+            return standard_moves(problem)
+        return self.steps
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,8 @@ class Optimum:
         What no code of so much light can exceed, and how far off this one is: 0..1, or dB for the
         noise. Of a code proven on the unit circle, the bound that the proof gives to all codes
         within the limits.
+    chip_count : ChipCount or None
+        How the number of chips was chosen, where it was not given.
     """
 
     problem: SearchProblem
@@ -135,6 +137,7 @@ class Optimum:
     figure: str
     bound: float | None
     gap: float | None
+    chip_count: ChipCount | None = None
 
     @property
     def code(self) -> ShutterCode:
@@ -152,6 +155,7 @@ class Optimum:
         found = self.found
         moves = self.how.moves(searched_problem(self.problem))
         early = (row.name for row in self.comparison if row.stopped_early)
+        count_ended = self.chip_count.early if self.chip_count else ""
         # with a time alone every run differs
         repeats = found.stopped == "interrupted" or self.how.method == "exact" or moves is not None
         return (
@@ -168,6 +172,8 @@ class Optimum:
                 for way in self.verdict.ways
                 if way.saturates and way.code.bits == self.code.bits
             ),
+            *([_FEWER.format("the time")] if count_ended == "time" else ()),
+            *([_FEWER.format("Ctrl-C")] if count_ended == "interrupted" else ()),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -207,22 +213,27 @@ class Optimum:
                 )
                 for row in self.comparison[1:]
             },
+            **({"other_chips_db": self.chip_count.gains_db} if self.chip_count else {}),
         }
 
-    def stored(self, described: Mapping[str, Any] | None = None) -> StoredCode:
-        """Return what a ``code.json`` holds of it.
+    def save(self, path: Path | str, *, source: Mapping[str, object] | None = None) -> None:
+        """Write a ``code.json``, whole or not at all.
 
         Parameters
         ----------
-        described : mapping, optional
-            What the file says of the problem; a summary of it when omitted.
+        path : Path or str
+        source : mapping, optional
+            Where the motion comes from, for the file's description of the problem.
         """
-        about = stored_search(described or described_search(self.problem, self.how), self.found)
-        return StoredCode(self.code, self.metrics.to_dict(), about, self.certificate.to_dict())
-
-    def save(self, path: Path | str, *, described: Mapping[str, Any] | None = None) -> None:
-        """Write :meth:`stored` as a ``code.json``, whole or not at all."""
-        write_code(path, self.stored(described))
+        about = {
+            **(source or {}),
+            **described_search(self.problem, self.how, self.found),
+            "proof": self.found.proof,
+        }
+        write_code(
+            path,
+            StoredCode(self.code, self.metrics.to_dict(), about, self.certificate.to_dict()),
+        )
 
     def __repr__(self) -> str:
         lines = [
@@ -245,7 +256,7 @@ class Optimum:
 
 
 def optimize(
-    problem: SearchProblem,
+    problem: SearchProblem | Callable[[int], SearchProblem],
     *,
     method: Literal["anneal", "exact"] = "anneal",
     steps: int | None = None,
@@ -253,13 +264,12 @@ def optimize(
     effort: Literal["quick", "sdp"] = "quick",
     seed: int = 0,
     start: Sequence[ShutterCode] = (),
-    interrupted: bool = False,
     along: Trajectory | None = None,
     path_error_px: float = 0.0,
     figures: Mapping[str, FigureOfMerit] | None = None,
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
-    on_found: Callable[[ShutterCode, Found], None] = lambda _code, _found: None,
+    on_found: Callable[[StoredCode], None] = lambda _stored: None,
     on_best: Callable[[ShutterCode], None] = lambda _code: None,
 ) -> Optimum:
     """Search the code that is best along a problem's motions, certify it, and compare it with what
@@ -271,14 +281,14 @@ def optimize(
 
     Parameters
     ----------
-    problem : SearchProblem
+    problem : SearchProblem or callable
+        A callable returns the problem with so many chips: as many as pay are chosen, see
+        :func:`cep.search.chip_count.choose_chips`. After Ctrl-C within that choice the best of the
+        codes to start from and to compare with is returned.
     method, steps, time_s, effort, seed
-        As of :class:`Search`.
+        As of :class:`Search`. The choice of the number of chips is within the time.
     start : sequence of ShutterCode
         Codes to start an annealing from, besides those that the code is compared with.
-    interrupted : bool
-        Whether Ctrl-C has ended the work already: the best of the codes to start from and to
-        compare with is returned, as after Ctrl-C in the search.
     along : Trajectory, optional
         What the certificate is for; the first scenario's path when omitted. Where the code's
         polynomial alone decides, it is for the unit circle.
@@ -300,8 +310,8 @@ def optimize(
     ------
     ValueError
         If the problem has no motion, its paths cannot be measured or are too short for so many
-        chips, even the shortest opening saturates at its light, or the method does not solve it;
-        or a figure of the user's own fails.
+        chips, even the shortest opening saturates at its light, the method does not solve it, or
+        its device cannot play the code; or a user-defined figure fails.
 
     Examples
     --------
@@ -311,6 +321,35 @@ def optimize(
     ('1010111100100100', 'proven')
     """
     how = Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)
+    started = time.monotonic()
+    chosen: ChipCount | None = None
+    searched_s = time_s
+    done = 0.0
+    if not isinstance(problem, SearchProblem):
+        chosen = choose_chips(
+            problem,
+            path_error_px=path_error_px,
+            seed=seed,
+            time_s=math.inf if time_s is None else _CHOOSING * time_s,
+            threads=threads,
+            progress=lambda share, note: progress(_CHOOSING * share, note),
+        )
+        problem = problem(chosen.chips)
+        start = [*start, *([] if chosen.code is None else [chosen.code])]
+        done = _CHOOSING
+        if time_s is not None:
+            left_s = time_s - (time.monotonic() - started)
+            searched_s = max(left_s, _LEAST_LEFT * time_s)
+        if chosen.early == "interrupted":
+            searched_s = _NO_TIME_S
+
+    def tell(share: float, note: str) -> None:
+        progress(done + (1 - done) * share, note)
+
+    def tell_best(share: float, best: ShutterCode) -> None:
+        on_best(best)
+        tell(_SEARCH_SHARE * share, f"{best.open_chips} open")
+
     if not problem.scenarios:
         raise ValueError("scenarios: need a motion to compare and certify codes along")
     motion = along or problem.scenarios[0].trajectory
@@ -318,33 +357,35 @@ def optimize(
     check_resolved(motion, problem.chips)
     check_light(problem)
     designed = as_designed(motion, problem.direction)
-    own_figures(
-        figures or {}, designed, ShutterCode("1" * problem.chips)
-    )  # one that fails does so before the search
-
-    def tell(share: float, best: ShutterCode) -> None:
-        on_best(best)
-        progress(_SEARCH_SHARE * share, f"{best.open_chips} open")
-
+    # a figure that fails does so before the search
+    own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))
+    asked = searched_problem(problem)
+    tell(0.0, f"{codes_to_count(asked):.2g} codes" if method == "exact" else "")
     found = search(
-        searched_problem(problem),
-        replace(how, time_s=_NO_TIME_S) if interrupted else how,
+        asked,
+        replace(how, time_s=searched_s),
         start=start,
         length_px=mean_length_px(problem),
         threads=threads,
-        progress=tell,
+        progress=tell_best,
     )
-    found = replace(found, stopped="interrupted") if interrupted else found
+    if chosen is not None and chosen.early == "interrupted":
+        found = replace(found, stopped="interrupted")
     code = replace(found.code, chip_ns=problem.chip_ns)
-    on_found(code, found)
-    progress(_SEARCH_SHARE, "comparing with other codes")
+    if reason := unplayable(code.bits, problem.device, code.chip_ns):
+        raise ValueError(reason)
+    about = described_search(problem, how, found)
+    on_found(StoredCode(code, problem={**about, "proof": found.proof}))
+    tell(_SEARCH_SHARE, "comparing with other codes")
     comparison = compare(problem, code, baselines=found.baselines, figures=figures, along=motion)
     judged = verdict(problem, code, path_error_px=path_error_px)
     path = None if problem.on_circle else designed
     certificate = certify(code, path)
     bounded = _bounded(problem, found, comparison[0].metrics, straight=path is None, effort=effort)
-    progress(1.0, "")
-    return Optimum(problem, how, found, comparison, judged, path, certificate, *bounded)
+    tell(1.0, "")
+    return Optimum(
+        problem, how, found, comparison, judged, path, certificate, *bounded, chip_count=chosen
+    )
 
 
 def searched_problem(problem: SearchProblem) -> SearchProblem:
@@ -356,11 +397,6 @@ def searched_problem(problem: SearchProblem) -> SearchProblem:
         if problem.on_circle and problem.objective == "min-mtf"
         else problem
     )
-
-
-def stored_search(described: Mapping[str, Any], found: Found) -> dict[str, Any]:
-    """Return what a code file says of its problem, and of the search that ended so."""
-    return {**described, "steps": found.steps, "stopped": found.stopped, "proof": found.proof}
 
 
 def ended_early(how: Search, stopped: str, moves: int | None) -> list[str]:
@@ -448,62 +484,10 @@ def search(
     )
 
 
-def optimize_motion(
-    *, problem: SearchProblem, along: Trajectory, how: Search, figures: Sequence[str] = ()
-) -> dict[str, str]:
-    """Search a code with :func:`optimize` on one thread: the work of a cell, see
-    :mod:`cep.jobs.engine`.
-
-    Parameters
-    ----------
-    problem : SearchProblem
-    along : Trajectory
-    how : Search
-    figures : sequence of str
-        Figures of merit of the user's own, each ``module:name``.
-
-    Returns
-    -------
-    dict of texts
-        For :func:`code_from_figures`.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        If Ctrl-C ended the search: half a search must not count as a finished one.
-    """
-
-    def whole(_code: ShutterCode, found: Found) -> None:
-        if found.stopped == "interrupted":
-            raise KeyboardInterrupt
-
-    own = find_figures(figures)
-    best = optimize(problem, **asdict(how), along=along, figures=own, threads=1, on_found=whole)
-    parts = {"report": {**best.to_dict(), "warnings": best.warnings}, "file": best.stored({})}
-    return {name: json.dumps(plain(part), allow_nan=False) for name, part in parts.items()}
-
-
-def code_from_figures(
-    figures: Mapping[str, Figure], described: Mapping[str, Any]
-) -> tuple[dict[str, Any], StoredCode]:
-    """Return the report of a code with its warnings, and what its file holds, from
-    :func:`optimize_motion`'s texts.
-
-    Parameters
-    ----------
-    figures : mapping
-    described : mapping
-        What the file says of the problem; the search's steps and proof are added.
-    """
-    report, file = (json.loads(str(figures[part])) for part in ("report", "file"))
-    code = ShutterCode(report["bits"], report["chip_ns"])
-    return report, StoredCode(
-        code, file["metrics"], {**described, **file["problem"]}, file["certificate"]
-    )
-
-
-def described_search(problem: SearchProblem, how: Search) -> dict[str, Any]:
-    """Describe a problem and how it is searched, as a code file does."""
+def described_search(
+    problem: SearchProblem, how: Search, found: Found | FramesResult
+) -> dict[str, Any]:
+    """Describe a problem, how it was searched and how that ended, as a code file does."""
     return {
         "chips": problem.chips,
         **asdict(problem.runs),
@@ -515,6 +499,8 @@ def described_search(problem: SearchProblem, how: Search) -> dict[str, Any]:
         "device": None if problem.device is None else problem.device.to_dict(),
         "method": how.method,
         "seed": how.seed,
+        "steps": found.steps,
+        "stopped": found.stopped,
     }
 
 

@@ -1,11 +1,9 @@
-"""Search problem: motions, number of chips, light, objective, direction rule and the shutter's
-limits.
-"""
+"""Search problem: motions, number of chips, light, objective and the shutter's limits."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +15,7 @@ from cep.optics.response import ShutterResponse
 from cep.optics.timeline import check_lengths, checked_edges
 from cep.proofs.measure import CodeMetrics, measure, worst_of
 from cep.search.limits import Limits, RunLimits, check_feasible, checked_mask
+from cep.search.objectives import OBJECTIVES, Criterion
 from cep.search.playable import chip_time_ns, within_camera, within_device
 from cep.search.sampling import draw
 from cep.search.scenarios import Scenario
@@ -25,13 +24,26 @@ from motdiff.estimators.base import MotionEstimate
 from motdiff.trajectory import Trajectory
 from motdiff.types import BoolArray
 
-OBJECTIVES = ("min-mtf", "flatness", "noise", "mse")
 DirectionRule = Literal["auto", "unknown", "forward"]
+ScenarioRule = Literal["worst", "mean"]
+Mix = str | tuple[tuple[str, float], ...]
+"""Name of an objective, or names with their weights."""
+
+
+class ProblemFields(TypedDict, total=False):
+    """Fields of a problem that :meth:`SearchProblem.along` takes as they are."""
+
+    objective: Mix
+    direction: DirectionRule
+    rule: ScenarioRule
+    runs: RunLimits
+    camera: Camera
+    chip_ns: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchProblem:
-    """Problem of a search for a shutter code.
+    """Problem of a search for a shutter code; :meth:`along` makes one.
 
     Parameters
     ----------
@@ -43,8 +55,8 @@ class SearchProblem:
         speed of a straight motion.
     open_range : (int, int), optional
         Fewest and most open chips; any number when omitted.
-    objective : {"min-mtf", "flatness", "noise", "mse"} or tuple of (name, weight)
-        Objective; a mix adds the objectives' decibels. See :mod:`cep.search.objective`.
+    objective : str or tuple of (name, weight)
+        Of :data:`cep.search.objectives.OBJECTIVES`; a mix adds the objectives' decibels.
     direction : {"auto", "unknown", "forward"}
         Unknown: the worse of both directions counts. Forward: only the one given. Auto: as of each
         trajectory.
@@ -79,9 +91,9 @@ class SearchProblem:
     chips: int
     scenarios: tuple[Scenario, ...] = ()
     open_range: tuple[int, int] | None = None
-    objective: str | tuple[tuple[str, float], ...] = "min-mtf"
+    objective: Mix = "min-mtf"
     direction: DirectionRule = "auto"
-    rule: Literal["worst", "mean"] = "worst"
+    rule: ScenarioRule = "worst"
     runs: RunLimits = field(default_factory=RunLimits)
     camera: Camera = field(default_factory=Camera)
     response: ShutterResponse | None = None
@@ -131,20 +143,23 @@ class SearchProblem:
     @classmethod
     def along(
         cls,
-        *motions: Trajectory | MotionEstimate,
+        *motions: Trajectory | MotionEstimate | Scenario,
         chips: int,
         open_range: tuple[int, int] | None = None,
         duty: tuple[float, float] | None = None,
         exposure_s: float | None = None,
         device: DeviceProfile | str | None = None,
-        **options: Any,
+        **fields: Unpack[ProblemFields],
     ) -> SearchProblem:
-        """Make a problem of equally weighted motions.
+        """Make the problem of motions, a camera or a device, an exposure and limits.
+
+        Every command and study makes its problems here, so that none forgets what the shutter
+        cannot do.
 
         Parameters
         ----------
-        *motions : Trajectory or MotionEstimate
-            Of an estimate its best trajectory.
+        *motions : Trajectory, MotionEstimate or Scenario
+            Of an estimate its best trajectory, with a weight of 1. None at all: the unit circle.
         chips : int
         open_range : (int, int), optional
             Fewest and most open chips.
@@ -157,7 +172,7 @@ class SearchProblem:
             :func:`hw.device.load_profile`: its limits tighten ``runs`` and the open range, and the
             search counts its rise and fall. Without one the camera's own shutter plays them, and
             its shortest exposure is the shortest opening.
-        **options
+        **fields
             The other fields.
 
         Raises
@@ -180,31 +195,33 @@ class SearchProblem:
             open_range = open_range_of_duty(chips, *duty)
         profile = load_profile(device) if isinstance(device, str) else device
         if exposure_s is not None:
-            if "chip_ns" in options:
+            if "chip_ns" in fields:
                 raise ValueError("exposure_s and chip_ns: give one of them")
-            options["chip_ns"] = chip_time_ns(exposure_s, chips, profile)
+            fields["chip_ns"] = chip_time_ns(exposure_s, chips, profile)
+        chip_ns = fields.get("chip_ns", cls.chip_ns)
+        runs = fields.get("runs", RunLimits())
+        response = None
         if profile is None:
-            camera = options.get("camera", Camera())
-            chip_ns = options.get("chip_ns", cls.chip_ns)
-            options["runs"] = within_camera(
-                camera, chips=chips, chip_ns=chip_ns, runs=options.get("runs", RunLimits())
-            )
+            camera = fields.get("camera", Camera())
+            fields["runs"] = within_camera(camera, chips=chips, chip_ns=chip_ns, runs=runs)
         else:
             played = within_device(
                 profile,
                 chips=chips,
-                chip_ns=options.get("chip_ns", cls.chip_ns),
+                chip_ns=chip_ns,
                 open_range=open_range or (1, chips),
-                runs=options.get("runs", RunLimits()),
+                runs=runs,
             )
             open_range = played.open_range
-            options |= {"runs": played.runs, "response": played.response, "device": profile}
-        paths = (motion if isinstance(motion, Trajectory) else motion.best for motion in motions)
+            fields["runs"] = played.runs
+            response = played.response
         return cls(
             chips=chips,
-            scenarios=tuple(Scenario(path) for path in paths),
+            scenarios=tuple(_scenario(motion) for motion in motions),
             open_range=open_range,
-            **options,
+            response=response,
+            device=profile,
+            **fields,
         )
 
     @property
@@ -225,6 +242,11 @@ class SearchProblem:
         return (
             ((self.objective, 1.0),) if isinstance(self.objective, str) else tuple(self.objective)
         )
+
+    @property
+    def criteria(self) -> tuple[tuple[Criterion, float], ...]:
+        """The registered objectives with their weights."""
+        return tuple((OBJECTIVES[name], weight) for name, weight in self.objective_mix)
 
     @property
     def open_limits(self) -> tuple[int, int]:
@@ -333,6 +355,12 @@ class SearchProblem:
                 " (open_range)"
             )
         check_feasible(self.limits)
+
+
+def _scenario(motion: Trajectory | MotionEstimate | Scenario) -> Scenario:
+    if isinstance(motion, Scenario):
+        return motion
+    return Scenario(motion if isinstance(motion, Trajectory) else motion.best)
 
 
 def open_range_of_duty(chips: int, low: float, high: float) -> tuple[int, int]:

@@ -146,7 +146,7 @@ def search_code(
             time_s=time_s,
             length_px=length_px,
             threads=threads,
-            count=lambda *_args, **_options: optimum,
+            proven=optimum,
         )
     began = time.monotonic()
     for_baselines, for_search = rng.spawn(2)
@@ -195,7 +195,7 @@ def prove_code(
     length_px: float | None = None,
     progress: Callable[[float, ShutterCode], None] | None = None,
     threads: int | None = None,
-    count: Callable[..., ExactResult] = exact,
+    proven: ExactResult | None = None,
 ) -> Found:
     """Count all codes for the best; where Ctrl-C stops that, a baseline may be the best yet.
 
@@ -206,15 +206,16 @@ def prove_code(
         Of the baselines, as of :func:`baselines`; the count runs to its end.
     progress, threads
         Of the count, as :func:`cep.search.exhaustive.exact.exact` takes them.
-    count : callable
-        That function, or another that takes the same and returns a proof.
+    proven : ExactResult, optional
+        Outcome of a count that was made before.
 
     Raises
     ------
     ValueError
         If the problem is not one that can be counted.
     """
-    proven = count(problem, threads=threads, progress=progress)
+    if proven is None:
+        proven = exact(problem, threads=threads, progress=progress)
     judge = Objective(problem, oversampling=_FINE, dtype=np.float64)
     known: list[Baseline] = []
     with suppress(KeyboardInterrupt):

@@ -15,6 +15,7 @@ from cep.codes.published import names as code_names
 from cep.codes.published import published_works
 from cep.files.works import Work, works
 from cep.restoration.registry import METHODS as RESTORATIONS
+from cep.search.objectives import OBJECTIVES
 from motdiff.estimators.registry import METHODS as ESTIMATORS
 
 SOFTWARE = "coded-exposure"
@@ -54,12 +55,7 @@ _NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "calibrated-point": ("howie2017",),
         "oracle": (),
     },
-    "objectives": {
-        "min-mtf": ("raskar2006",),
-        "flatness": ("raskar2006", "jeon2017"),
-        "noise": ("agrawal2009capture",),
-        "mse": _WIENER,
-    },
+    "objectives": {name: criterion.cites for name, criterion in OBJECTIVES.items()},
     "search and proofs": {
         "anneal": ("kirkpatrick1983", "glover1989", "gallardo2009"),
         "exact": ("hare2021",),

@@ -86,7 +86,7 @@ def measure_code(
         When stopped: an interrupted search is no comparison.
     """
     code = ShutterCode(bits)
-    problem = SearchProblem(
+    problem = SearchProblem.along(
         chips=code.chips, open_range=(code.open_chips, code.open_chips), objective=_MIX
     )
     rng = np.random.default_rng(list(seed))

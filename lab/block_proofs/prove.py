@@ -167,7 +167,7 @@ def best_survivor(plan: BlockPlan, records: Iterable[Mapping[str, Any]]) -> str:
 
 def _first_code(plan: BlockPlan, threads: int | None) -> str:
     """Return a code proven before or annealed; it sets the first bound, not the outcome."""
-    problem = SearchProblem(chips=plan.chips, open_range=(plan.fewest, plan.most))
+    problem = SearchProblem.along(chips=plan.chips, open_range=(plan.fewest, plan.most))
     start = search_code(
         problem, rng=np.random.default_rng(0), steps=_START_STEPS, time_s=math.inf, threads=threads
     )

@@ -9,7 +9,7 @@ import typer
 
 from cep.commands.commands import Command, Group
 from cep.commands.main import run_app
-from lab.commands import bench, pareto, prove
+from lab.commands import bench, design_class, frames, pareto, prove
 
 app = typer.Typer(
     name="lab",
@@ -38,6 +38,8 @@ def _root() -> None:
 app.add_typer(bench.bench, name="bench", cls=Group)
 app.command("pareto")(pareto.pareto)
 app.command("prove")(prove.prove)
+app.command("design-class")(design_class.design_class)
+app.command("frames")(frames.frames)
 for _group in (app, bench.bench):
     for _command in _group.registered_commands:
         _command.cls = Command

@@ -2,44 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.commands.code_options import (
-    SEARCH,
-    ChipTime,
-    Direction,
-    Duty,
-    MaxOpen,
-    MaxPulses,
-    MinClosed,
-    MinOpen,
-    MinPeriod,
-    OpenChips,
-    chips_option,
-)
-from cep.commands.commands import in_options
+from cep.commands.code_options import SEARCH, CodeOptions, chips_option, ending
 from cep.commands.console import finish, progress, table
 from cep.commands.options import (
-    CameraFile,
-    Force,
-    Json,
-    Linear,
-    Photons,
+    CommonOptions,
+    MotionOptions,
     PlotFile,
-    ReadNoise,
-    Seed,
     TableFile,
-    TrajectoryFile,
-    load_camera,
-    load_motion,
+    command,
     output_option,
     table_files,
 )
 from cep.commands.search_run import in_bits
-from cep.search.search_options import ending
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -50,23 +30,13 @@ if TYPE_CHECKING:
 _FIGURES = (".png", ".pdf", ".svg")
 
 
-def pareto(
-    context: typer.Context,
-    trajectory: TrajectoryFile = None,
-    linear: Linear = None,
-    chips: Annotated[int, chips_option(least=2)] = 52,
-    open_chips: OpenChips = None,
-    duty: Duty = None,
-    chip_ns: ChipTime = 1_000_000,
-    direction: Direction = "auto",
-    min_open: MinOpen = 1,
-    max_open: MaxOpen = None,
-    min_closed: MinClosed = 1,
-    min_period: MinPeriod = 1,
-    max_pulses: MaxPulses = None,
-    camera: CameraFile = None,
-    photons: Photons = None,
-    read_noise: ReadNoise = None,
+@dataclass(frozen=True, kw_only=True)
+class ParetoOptions(CommonOptions, CodeOptions, MotionOptions):
+    """Options of ``python -m lab pareto``."""
+
+    chips: Annotated[
+        int | None, chips_option(least=2, help="Number of chips; 52 when omitted.")
+    ] = None
     time_s: Annotated[
         float | None,
         typer.Option(
@@ -78,7 +48,7 @@ def pareto(
                 " the machine."
             ),
         ),
-    ] = None,
+    ] = None
     steps: Annotated[
         int | None,
         typer.Option(
@@ -88,18 +58,17 @@ def pareto(
             rich_help_panel=SEARCH,
             help=(
                 "Make so many moves, however long it takes: the same seed and moves give the same"
-                " front. With --time "
-                "whichever ends first."
+                " front. With --time whichever ends first."
             ),
         ),
-    ] = None,
-    output: Annotated[Path, output_option("File to write.")] = Path("front.json"),
-    plot: PlotFile = None,
-    tables: TableFile = None,
-    force: Force = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
+    ] = None
+    output: Annotated[Path, output_option("File to write.")] = Path("front.json")
+    plot: PlotFile = None
+    tables: TableFile = None
+
+
+@command(ParetoOptions)
+def pareto(options: ParetoOptions) -> None:
     """Search the codes that no other beats in minimum, noise and light together; Ctrl-C keeps what
     is found so far.
 
@@ -122,71 +91,56 @@ def pareto(
     Example: python -m lab pareto --chips 52 --open 22:40 --time 60 -o front.json --plot front.png
     """
     with progress("searching") as tick:
-        from cep.search.limits import RunLimits
-        from cep.search.problem import SearchProblem
-        from cep.search.scenarios import Scenario
-        from cep.search.search_options import open_limits
         from lab.fronts.run import pareto as find_front
         from motdiff.files.outputs import Outputs
         from motdiff.files.trajectories import stated_uncertainty_px
 
-        picture = plot or output.with_suffix(".png")
+        output = options.output
+        picture = options.plot or output.with_suffix(".png")
         if picture.suffix.lower() not in _FIGURES:
             raise ValueError(
                 f"--plot: must end in {', '.join(_FIGURES[:-1])} or {_FIGURES[-1]}, got {picture}"
             )
         if picture == output:
             raise ValueError(f"--plot: must be another file than the output, got {picture}")
-        stated = trajectory is not None or linear is not None
-        motion = load_motion(trajectory, linear) if stated else None
-        error_px = (
-            None
-            if motion is None or trajectory is None
-            else stated_uncertainty_px(motion, trajectory)
+        file = options.trajectory
+        error_px = None
+        motions = []
+        if file is not None or options.linear is not None:
+            stored = options.load_motion()
+            motions = [stored.trajectory]
+            error_px = None if file is None else stated_uncertainty_px(stored, file)
+        problem = options.problem(*motions)
+        outputs = Outputs(
+            (output, picture, *table_files(options.tables)),
+            options.force,
+            () if file is None else (file,),
         )
-        problem = SearchProblem(
-            chips=chips,
-            scenarios=() if motion is None else (Scenario(motion.trajectory),),
-            open_range=open_limits(chips, open_chips, duty),
-            direction=direction,  # type: ignore[arg-type]
-            runs=RunLimits(
-                min_open=min_open,
-                min_closed=min_closed,
-                max_pulses=max_pulses,
-                max_open=max_open,
-                min_period=min_period,
-            ),
-            camera=load_camera(camera, photons=photons, read_noise=read_noise),
-            chip_ns=chip_ns,
-        )
-        inputs = () if trajectory is None else (trajectory,)
-        outputs = Outputs((output, picture, *table_files(tables)), force, inputs)
-        found = find_front(
+        front = find_front(
             problem,
-            steps=steps,
-            time_s=time_s,
-            seed=seed,
+            steps=options.steps,
+            time_s=options.time_s,
+            seed=options.seed,
             path_error_px=error_px or 0.0,
             progress=tick,
             on_checked=outputs.check,
         )
-    warnings = [in_options(line, context) for line in found.warnings]
     result = {
         "file": output,
         "plot": picture,
-        **found.to_dict(),
-        "seed": seed,
-        "warnings": warnings,
+        **front.to_dict(),
+        "seed": options.seed,
+        "warnings": front.warnings,
     }
-    source = {"trajectory": trajectory, "linear_px": linear}
+    source = {"trajectory": file, "linear_px": options.linear}
     finish(
         result,
-        as_json=as_json,
-        show=lambda console: _show(console, found, output, picture),
+        as_json=options.as_json,
+        show=lambda console: _show(console, front, output, picture),
         outputs=outputs,
-        save=lambda made: found.save(made[output], made[picture], source=source),
-        tables=tables,
-        summary=in_bits(point.code for point in found.front.points),
+        save=lambda made: front.save(made[output], made[picture], source=source),
+        tables=options.tables,
+        summary=in_bits(point.code for point in front.front.points),
     )
 
 

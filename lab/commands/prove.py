@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.commands.code_options import OpenChips
+from cep.commands.code_options import OpenChips, open_range
 from cep.commands.console import INTERRUPTED, finish, progress
 from cep.commands.jobs import Dask
 from cep.commands.options import CommonOptions, command, output_option
@@ -87,14 +87,13 @@ def prove(options: ProveOptions) -> None:
         raise ValueError("--chips N and -o FOLDER: both are needed, or --check FILE")
     from os import cpu_count
 
-    from cep.search.search_options import open_limits
     from lab.block_proofs.prove import prove as find
 
-    open_range = open_limits(options.chips, options.open_chips, None)
+    chips_open = open_range(options.open_chips, options.chips)
     with progress("judging blocks") as tick:
         proof = find(
             options.chips,
-            open_range,
+            chips_open,
             folder=options.output,
             workers=options.workers or cpu_count() or 1,
             dask=options.dask,

@@ -66,7 +66,8 @@ class FrontComparison:
         elif self.front.stopped == "time" and self.how.steps is not None:
             moves = f"{self.how.steps:,} moves"
             warnings.append(
-                f"time_s ended the search before its {moves}: another run may give another front"
+                f"the limit of {self.how.limit_s:g} s ended the search before its {moves}:"
+                " another run may give another front"
             )
         if self.front.sampled:
             warnings.append(

@@ -45,12 +45,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--seconds", type=float, default=60.0)
     options = parser.parse_args()
-    annealed(SearchProblem(chips=40), 0.1, 0)  # compiling
+    annealed(SearchProblem.along(chips=40), 0.1, 0)  # compiling
     print("| chips | open | proven | annealed | share, % | million moves | cpu s | seed |")
     print("|--:|--:|--:|--:|--:|--:|--:|--:|")
     for seed in options.seeds:
         for chips in options.chips:
-            problem = SearchProblem(chips=chips, open_range=(26, 26) if chips == 52 else None)
+            problem = SearchProblem.along(
+                chips=chips, open_range=(26, 26) if chips == 52 else None
+            )
             proven = proven_optimum(problem)
             if proven is None:
                 raise SystemExit(f"--chips: no proof for {chips} chips, see docs/optima.md")

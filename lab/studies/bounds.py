@@ -35,9 +35,9 @@ def problems() -> dict[str, SearchProblem]:
     )
     along = SearchProblem.along
     return {
-        "circle n=52 k=26": SearchProblem(chips=CHIPS, open_range=OPEN),
-        "circle n=32": SearchProblem(chips=32),
-        "circle n=12 k=6": SearchProblem(chips=12, open_range=(6, 6)),
+        "circle n=52 k=26": SearchProblem.along(chips=CHIPS, open_range=OPEN),
+        "circle n=32": SearchProblem.along(chips=32),
+        "circle n=12 k=6": SearchProblem.along(chips=12, open_range=(6, 6)),
         "straight 60 px": along(Trajectory.straight(60.0), chips=CHIPS, open_range=OPEN),
         "straight 30 px": along(Trajectory.straight(30.0), chips=CHIPS, open_range=OPEN),
         "accelerated 60 px": along(ramp, chips=CHIPS, open_range=OPEN, direction="forward"),

@@ -156,7 +156,7 @@ def straight(seconds: float) -> None:
 
     print(f"\nAnnealing at n = 52, k = 26 on the unit circle, {seconds:g} s each, one core")
     for objective in ("min-mtf", "noise"):
-        problem = SearchProblem(chips=52, open_range=(26, 26), objective=objective)
+        problem = SearchProblem.along(chips=52, open_range=(26, 26), objective=objective)
         start = [entry.code for entry in for_chips(52)]
         found = anneal(
             problem, rng=np.random.default_rng(0), steps=None, time_s=seconds, start=start

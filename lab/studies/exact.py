@@ -30,7 +30,7 @@ def free(most: int, threads: int) -> None:
         " |\n|--:|--:|--:|--:|:--|--:|--:|"
     )
     for chips in range(8, most + 1):
-        found, seconds = timed(SearchProblem(chips=chips), threads)
+        found, seconds = timed(SearchProblem.along(chips=chips), threads)
         core = found.code.bits.strip("0")
         codes = sum(entry.codes for entry in found.proof.lengths)
         row = (
@@ -52,7 +52,9 @@ def by_open(most: int, threads: int) -> None:
     for chips in range(8, most + 1):
         cells = [""] * (most - 2)
         for opened in range(3, chips + 1):
-            found, _ = timed(SearchProblem(chips=chips, open_range=(opened, opened)), threads)
+            found, _ = timed(
+                SearchProblem.along(chips=chips, open_range=(opened, opened)), threads
+            )
             cells[opened - 3] = f"{found.proof.upper:.4f}"
             codes[opened] = found.code.bits.strip("0")
         print(f"| {chips} | " + " | ".join(cells) + " |", flush=True)
@@ -63,7 +65,7 @@ def by_open(most: int, threads: int) -> None:
 
 def speed(threads: int) -> None:
     for chips in (28, 32, 36):
-        found, seconds = timed(SearchProblem(chips=chips), threads)
+        found, seconds = timed(SearchProblem.along(chips=chips), threads)
         judged = sum(entry.judged for entry in found.proof.lengths)
         print(
             f"n = {chips}: {found.seconds:.2f} s, {seconds:.2f} cpu s with {threads} thread(s), "
@@ -75,7 +77,7 @@ def compare(chips: int) -> None:
     """Print processor seconds of the scan with bit tables and of the folded one, both with the
     optimum as bound.
     """
-    problem = SearchProblem(chips=chips)
+    problem = SearchProblem.along(chips=chips)
     known, seconds = timed(problem, 1)
     plan = plan_blocks(chips, 1, chips)
     records = [
@@ -108,7 +110,7 @@ def main() -> None:
         "--compare", type=int, nargs="+", default=(), help="chips: only compare the two scans"
     )
     args = parser.parse_args()
-    exact(SearchProblem(chips=20), threads=1)
+    exact(SearchProblem.along(chips=20), threads=1)
     if args.compare:
         judge_block(12, 1, 12, 0, 25, 1.0)
         for chips in args.compare:

@@ -24,9 +24,8 @@ from cep.optics.exposure import coded_otf
 from cep.optics.mtf import inverse_scene, noise_variance
 from cep.search.annealing.anneal import anneal
 from cep.search.objective import Objective
-from cep.search.optimize_class import draw_motions
 from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario
+from lab.class_code import draw_motions
 from motdiff.trajectory import Trajectory
 
 ROWS = ("noise", "noise x8", "mse", "mse x8")
@@ -89,9 +88,7 @@ def figures(
     code = anneal(problem, rng=np.random.default_rng(1), steps=steps, time_s=600, threads=1).code
     seconds = time.process_time() - began
     judge = Objective(
-        SearchProblem(
-            chips=_CHIPS, scenarios=(Scenario(path),), objective="noise", direction="forward"
-        ),
+        SearchProblem.along(path, chips=_CHIPS, objective="noise", direction="forward"),
         oversampling=16,
         dtype=np.float64,
     )

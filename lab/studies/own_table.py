@@ -16,8 +16,9 @@ import numpy as np
 
 from cep.optics.camera import Camera
 from cep.search.objective import Objective
+from cep.search.objectives import OBJECTIVES
 from cep.search.optimize import Search, search
-from cep.search.problem import OBJECTIVES, SearchProblem, open_range_of_duty
+from cep.search.problem import SearchProblem, open_range_of_duty
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -38,7 +39,7 @@ def random_problem(rng: np.random.Generator) -> SearchProblem:
     return SearchProblem.along(
         path,
         chips=chips,
-        objective=str(rng.choice(OBJECTIVES)),
+        objective=str(rng.choice(list(OBJECTIVES))),
         open_range=open_range_of_duty(chips, low, min(1.0, low + 0.4)),
         camera=Camera(
             photons_full_scale=float(10 ** rng.uniform(3, 5)),

@@ -51,7 +51,7 @@ def frontier(seconds: float, seed: int) -> None:
     print("| 52 chips, 26 open | min P | noise, dB | s |\n|---|---|---|---|")
     lowest, noise = figures(PUBLISHED["raskar-52"])
     print(f"| raskar-52 (2006) | {lowest:.4f} | {noise:.2f} | - |")
-    circle = SearchProblem(chips=52, open_range=(26, 26))
+    circle = SearchProblem.along(chips=52, open_range=(26, 26))
     for objective in ("min-mtf", "noise", (("min-mtf", 0.15), ("noise", 1.0))):
         code, took = search(replace(circle, objective=objective), seconds, seed)
         lowest, noise = figures(code)
@@ -80,9 +80,9 @@ def jeon(seconds: float, seed: int) -> None:
 def proven(seconds: float, seed: int) -> None:
     del seconds, seed
     print("| chips | min P, proven | open | codes | s | G codes/s |\n|---|---|---|---|---|---|")
-    exact(SearchProblem(chips=21))  # compiling
+    exact(SearchProblem.along(chips=21))  # compiling
     for chips in (20, 24, 28, 32, 36, 39):
-        problem = SearchProblem(chips=chips)
+        problem = SearchProblem.along(chips=chips)
         found = exact(problem)
         count = codes_to_count(problem)
         rate = count / found.seconds / 1e9
@@ -92,7 +92,7 @@ def proven(seconds: float, seed: int) -> None:
             flush=True,
         )
     print("first code with min P > 2:")
-    first = SearchProblem(chips=39, open_range=(19, 19))
+    first = SearchProblem.along(chips=39, open_range=(19, 19))
     code, took = search(first, 15.0, 0)
     print(f"annealing, 39 chips, 19 open: {min_chip(code):.6f} in {took:.0f} s, {code.bits}")
 
@@ -165,7 +165,7 @@ def direction(seconds: float, seed: int) -> None:
 def long_codes(seconds: float, seed: int) -> None:
     print("| chips | open | min P | noise, dB | s |\n|---|---|---|---|---|")
     for chips in (128, 256, 512, 1024):
-        problem = SearchProblem(
+        problem = SearchProblem.along(
             chips=chips, open_range=(chips // 2, chips // 2), objective="noise"
         )
         code, took = search(problem, seconds, seed)
@@ -174,7 +174,7 @@ def long_codes(seconds: float, seed: int) -> None:
             f"| {chips} | {code.open_chips} | {lowest:.4f} | {noise:.2f} | {took:.0f} |",
             flush=True,
         )
-    problem = SearchProblem(
+    problem = SearchProblem.along(
         chips=52, open_range=(20, 30), objective="noise", runs=RunLimits(min_open=2, min_closed=2)
     )
     code, took = search(problem, seconds / 2, seed)

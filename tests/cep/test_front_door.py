@@ -1,7 +1,6 @@
 """``import cep``: its names, how they are loaded, and objects of the user's own."""
 
 import ast
-import csv
 import inspect
 import shutil
 import subprocess
@@ -256,26 +255,13 @@ def test_commands_take_figures(cep, workplace, plugin):
     curves = cep.succeeds("mtf", "--code", "1101000101101111", *own)["curves"]
     assert curves["open shutter"]["figures"][light] == [1.0, 1.0]
     assert curves["1101000101101111"]["figures"] == audited
-    search = ("optimize", "--chips", "8", "--steps", "200")
-    best = cep.succeeds(*search, *own, "--direction", "forward", "-o", "new.json")
-    assert best["figures"][light] == best["duty"]
-    assert best["baselines"]["open shutter"]["figures"][light] == 1.0
     assert "forward / backward" in cep("audit", "1011", *own).out
-    Path("motions/one").mkdir(parents=True)
-    shutil.copy("trajectory.json", "motions/one")
-    found = cep.succeeds(*search, "--each", "motions", "--figure", light, "-o", "codes")["codes"][
-        "one"
-    ]
-    assert found["figures"] == {light: [found["duty"]] * 2}
-    (line,) = csv.DictReader(Path("codes/codes.csv").read_text().splitlines())
-    assert line[light] == f"{found['duty']:.6g} / {found['duty']:.6g}"
     for name in ("broken", "wordy", "undefined", "number", "missing"):
-        for command in (("audit", "1011"), ("mtf", "-o", "x.png"), (*search, "-o", "x.json")):
+        for command in (("audit", "1011"), ("mtf", "-o", "x.png")):
             line = cep.refuses(
                 *command, "--trajectory", "trajectory.json", "--figure", f"{plugin}:{name}"
             )
             assert f"{plugin}:{name}" in line
-    assert "--figure" in cep.refuses(*search, "--linear", "9", "--frames", "2", "--figure", light)
     assert not list(Path().glob("x.*"))
 
 

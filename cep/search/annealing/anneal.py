@@ -26,7 +26,6 @@ Codes = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
 _SEARCH_OVERSAMPLING = 8  # of the moves, and of the polish, which uses the continuum too
 _JUDGED_OVERSAMPLING = 64
-_HOT_DB = {"min-mtf": 0.8, "noise": 0.3, "flatness": 0.1, "mse": 0.1}  # docs/decisions/search.md
 _HOT_CHIPS = 52  # these temperatures are for so many chips; fewer are at most so much hotter
 _HOTTEST = 4.0
 COOLING = 3.0  # hottest over coldest
@@ -218,14 +217,13 @@ def standard_moves(problem: SearchProblem) -> int:
         problem.rule == "mean"
     ):  # every move is judged on every motion, and a class of them leaves few valleys
         return int(np.clip(_STANDARD_WORK // columns, _LEAST_OF_MEAN, 2**25))
-    # the expected error of the best code gains less than 0.03 dB from four times as many
-    most = 2**22 if problem.objective == "mse" else 2**25
+    most = max(criterion.most_moves for criterion, _ in problem.criteria)
     return int(np.clip(_STANDARD_WORK // columns, 2**20, most))
 
 
 def hottest_db(problem: SearchProblem) -> float:
     """Temperature, dB, at which a chain from anywhere starts."""
-    hot = sum(weight * _HOT_DB[name] for name, weight in problem.objective_mix)
+    hot = sum(weight * criterion.hot_db for criterion, weight in problem.criteria)
     # the more chips, the less a move changes
     return float(hot * min(_HOTTEST, (_HOT_CHIPS / problem.chips) ** 1.5))
 

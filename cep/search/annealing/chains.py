@@ -28,7 +28,6 @@ from cep.search.annealing.proposals import draw_any, draw_blocks, keeps_runs, un
 from cep.search.annealing.states import found_by, new_chain, own_tables, refresh, smallest_power
 from cep.search.annealing.sweeps import Sweeps, SweepTables, sweeps
 from cep.search.annealing.terms import (
-    STEEP,
     Tables,
     add_rows,
     alone,
@@ -39,6 +38,7 @@ from cep.search.annealing.terms import (
     turn,
     work_space,
 )
+from cep.search.objectives.criterion import STEEP
 from cep.search.problem import SearchProblem
 
 Codes = NDArray[np.int8]

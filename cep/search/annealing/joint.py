@@ -87,12 +87,11 @@ def joint_tables(objective: Objective, frames: int) -> Tables:
     chips = objective.problem.chips
     tables = lay_out(objective)
     mean_open = np.arange(frames * chips + 1) / frames
-    light = np.ones((len(tables.kinds), mean_open.size), np.float32)
-    for o, (name, _) in enumerate(objective.problem.objective_mix):
-        if name == "flatness":
-            light[o, 1:] = mean_open[1:] ** -2.0
-        elif name == "mse":
-            light[o] = 1 / np.interp(mean_open, np.arange(chips + 1), objective.noise)
+    noise = np.interp(mean_open, np.arange(chips + 1), objective.noise)
+    light = np.array(
+        [criterion.light(mean_open, noise) for criterion, _ in objective.problem.criteria],
+        dtype=np.float32,
+    )
     return tables._replace(rows=np.tile(tables.rows, (frames, 1, 1, 1, 1)), light=light)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
-from cep.search.annealing.terms import BLOCK, FLATNESS, SMALLEST, Tables, decibels, sums_over
+from cep.search.annealing.terms import BLOCK, SMALLEST, Tables, decibels, sums_over
+from cep.search.objectives.criterion import FLATNESS
 
 Floats = NDArray[np.float32]
 

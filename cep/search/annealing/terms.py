@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 from cep.compiled import compiled, inlined
 from cep.search.annealing.proposals import Limits
 from cep.search.objective import Objective
+from cep.search.objectives.criterion import FLATNESS, NO_TERM, RECIPROCAL, STEEP, Columns
 from cep.search.problem import SearchProblem
 from motdiff.types import FloatArray
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]
-RECIPROCAL = 0  # objectives: sum of 1 / x, sum of 1 / x^4, variance of |H|
-STEEP = 1
-FLATNESS = 2
 BLOCK = 64
 SMALLEST = np.float32(1e-8)  # of |P|^2: a chip has |P| of about 1
 
@@ -337,10 +335,6 @@ def add_rows(rows: Floats, otf: Floats, picked: Ints, count: int, chips: int) ->
             changed[f] += sign * row[f]
 
 
-_LEAST = 1e-9  # of a term's x, however deep a zero: 1 / x^4 must not overflow
-_NEVER = 1e30  # offset of columns that fill up a block: their terms vanish
-
-
 def limits_of(problem: SearchProblem) -> Limits:
     """Light and run limits for the compiled loop."""
     low, high = problem.open_limits
@@ -373,32 +367,25 @@ def lay_out(objective: Objective) -> Tables:
     filling = places < 0
     weight = np.concatenate([part.samples.weight for part in objective.parts])[places]
     chips = problem.chips
-    mix = problem.objective_mix
-    across = (
-        max((p.samples.radius2.shape[1] for p in objective.parts), default=1)
-        if "mse" in dict(mix)
-        else 1
+    mix = problem.criteria
+    samples = ~filling
+    sampled = Columns(
+        weight[samples],
+        objective.priors[places[samples]],
+        objective.shares_across[places[samples]],
+        chips,
     )
+    terms = [criterion.terms(sampled) for criterion, _ in mix]
+    across = max(len(factors) for factors, _ in terms)
     scale = np.zeros((len(mix), across, places.size))
-    offset = np.full((len(mix), across, places.size), _NEVER)
-    light = np.ones((len(mix), chips + 1))
-    kinds = []
-    for o, (name, _) in enumerate(mix):
-        kept = ~filling
-        kinds.append({"min-mtf": STEEP, "flatness": FLATNESS}.get(name, RECIPROCAL))
-        if name == "min-mtf":
-            scale[o, 0, kept], offset[o, 0, kept] = chips**-2, _LEAST
-        elif name == "noise":
-            scale[o, 0, kept], offset[o, 0, kept] = 1 / (weight[kept] * chips**2), _LEAST
-        elif name == "flatness":
-            scale[o, 0, kept] = weight[kept]
-            light[o, 1:] = 1.0 / np.arange(1, chips + 1) ** 2
-        else:
-            share = (objective.shares_across[places] * weight[:, None]).T * ~filling
-            some = share > 0
-            scale[o][some] = 1 / (share[some] * chips**2)
-            offset[o][some] = objective.priors[places].T[some] / share[some]
-            light[o] = 1 / objective.noise
+    # columns that fill up a block have no terms
+    offset = np.full((len(mix), across, places.size), NO_TERM)
+    for o, (factors, offsets) in enumerate(terms):
+        scale[o, : len(factors), samples] = factors.T
+        offset[o, : len(factors), samples] = offsets.T
+    counts = np.arange(chips + 1.0)
+    light = np.array([criterion.light(counts, objective.noise) for criterion, _ in mix])
+    kinds = [criterion.kind for criterion, _ in mix]
     rows = (chips * objective.rows)[..., np.where(filling, 0, places)]
     rows[..., filling] = 0
     packed = rows.reshape(*rows.shape[:3], -1, BLOCK).transpose(0, 1, 3, 2, 4)

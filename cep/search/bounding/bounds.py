@@ -76,7 +76,7 @@ def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") 
 
     Examples
     --------
-    >>> limits = bound(SearchProblem(chips=16, open_range=(8, 8)))
+    >>> limits = bound(SearchProblem.along(chips=16, open_range=(8, 8)))
     >>> print(f"no code has a minimum above {limits.min_chip:.3f} chips")
     no code has a minimum above 2.000 chips
     """

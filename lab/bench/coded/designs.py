@@ -201,9 +201,9 @@ def _problem(
             if weight > 0
         )
     )
-    return SearchProblem(
+    return SearchProblem.along(
+        *scenarios,
         chips=chips,
-        scenarios=scenarios,
         open_range=open_range,
         objective=objective,
         # coded photos tell the direction: such an estimate has a known one

@@ -15,7 +15,7 @@ import numpy as np
 
 from cep.optics.camera import Camera
 from cep.restoration.registry import find_method
-from cep.search.problem import OBJECTIVES
+from cep.search.objectives import OBJECTIVES
 from motdiff.files.inputs import one_line, read_toml
 from motdiff.motions import boracchi_foi, quadratic, random_straight
 from motdiff.psf_frame import PSF_PX
@@ -41,7 +41,7 @@ _WHOLE = {  # least and most; the comparison leaves out 32 px at each border
 _ALLOWED = {
     "borders": ("real", "symmetric"),
     "shakes": ("boracchi-foi", "mixed"),
-    "objective": OBJECTIVES,
+    "objective": tuple(OBJECTIVES),
     "restored_by": ("psf", "path", "estimate", "blind"),
 }
 

@@ -259,9 +259,7 @@ def test_a_dense_path_is_searched_as_quickly_as_any(cep, workplace, monkeypatch)
     assert seen[0].scenarios[0].trajectory.t.size < 2000
 
 
-@pytest.mark.parametrize(
-    "command", ["optimize --chips 8", "pareto --chips 8", "audit 11010011", "mtf"]
-)
+@pytest.mark.parametrize("command", ["optimize --chips 8", "audit 11010011", "mtf"])
 def test_noise_between_samples_is_refused_at_once(refused, workplace, command):
     dense(0.01)
     line = refused(*command.split(), "--trajectory", "dense.json")
@@ -641,10 +639,7 @@ def test_damaged_raw_files(refused, workplace):
 # -- light ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("frames", ["1", "2"])
-def test_light_that_cannot_be_judged_is_refused_before_a_code_is_written(
-    refused, workplace, frames
-):
+def test_light_that_cannot_be_judged_is_refused_before_a_code_is_written(refused, workplace):
     (workplace / "bright.toml").write_text("photons_full_scale = 1e8")
     (workplace / "full.toml").write_text("photons_full_scale = 1e6\nfull_well_e = 1000.0")
     asked = (
@@ -655,8 +650,6 @@ def test_light_that_cannot_be_judged_is_refused_before_a_code_is_written(
         "8",
         "--steps",
         "10",
-        "--frames",
-        frames,
         "-o",
         "new.json",
         "--camera",
@@ -691,7 +684,6 @@ def path_of(length_px, *, turns=0):
         ("audit", "101100111000"),
         ("mtf", "--code", "101100111000", "-o", "new.png"),
         ("advise",),
-        ("pareto", "--chips", "12", "-o", "new.json"),
         ("simulate", "sharp.png", "-o", "new.png"),
         ("deblur", "sharp.png", "-o", "new.png"),
         ("calibrate", "sharp.png", "--code", "101100111000", "-o", "new"),

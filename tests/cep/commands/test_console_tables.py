@@ -110,8 +110,6 @@ def shown(cep, monkeypatch):
     [
         ("optimize --linear 52 --open 26 --steps 500 --force", 1),
         ("optimize --trajectory trajectory.json --chips 12 --steps 500 --force", 1),
-        ("optimize --linear 24 --chips 24 --open 12 --frames 2 --steps 500", 1),
-        ("pareto --chips 13 --open 6:10 --steps 500", 1),
         ("audit 101100111000010 --flips 1", 3),
         ("mtf --linear 52 --code raskar-52", 1),
     ],

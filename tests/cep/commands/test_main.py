@@ -286,7 +286,7 @@ def test_optimize(cep, workplace):
         "--steps",
         "3000",
     )
-    found = cep.succeeds(*arguments, "--seed", "3", "--chip-ns", "500000", "-o", "new.json")
+    found = cep.succeeds(*arguments, "--seed", "3", "--exposure", "6ms", "-o", "new.json")
     needed = {
         "bits",
         "chips",

@@ -14,19 +14,6 @@ from motdiff.files.trajectories import read_motion
 
 FILES = {
     "optimize": ("optimize", "--linear", "8", "--chips", "8", "-o", "OUT.json"),
-    "optimize --frames": (
-        "optimize",
-        "--linear",
-        "8",
-        "--chips",
-        "8",
-        "--frames",
-        "2",
-        "-o",
-        "OUT.json",
-    ),
-    "pareto": ("pareto", "--linear", "8", "--chips", "8", "-o", "OUT.json", "--plot", "free.png"),
-    "pareto --plot": ("pareto", "--chips", "8", "-o", "free.json", "--plot", "OUT.png"),
     "audit": ("audit", "1011", "-o", "OUT.json"),
     "mtf": ("mtf", "--linear", "8", "-o", "OUT.png"),
     "simulate": ("simulate", "sharp.png", "--linear", "8", "-o", "OUT.png"),
@@ -56,7 +43,7 @@ FILES = {
     "hw emulate": ("hw", "emulate", "uno", "--vcd", "OUT.vcd"),
 }
 """Commands that write a file, or files beside it."""
-BESIDE = {"optimize --frames": "OUT_2.json", "simulate": "OUT_psf.mat", "hw verify": "OUT_psf.npy"}
+BESIDE = {"simulate": "OUT_psf.mat", "hw verify": "OUT_psf.npy"}
 """The last of those files, where the first is free."""
 
 FOLDERS = {
@@ -65,14 +52,6 @@ FOLDERS = {
     "calibrate FOLDER, a photo": (
         ("calibrate", "shots", "--method", "pmp", "-o", "OUT"),
         "blurred/psf.mat",
-    ),
-    "optimize --each": (
-        ("optimize", "--each", "motions", "--chips", "8", "-o", "OUT"),
-        "codes.csv",
-    ),
-    "optimize --each, a motion": (
-        ("optimize", "--each", "motions", "--chips", "8", "-o", "OUT"),
-        "one/code.json",
     ),
     "demo": (("demo", "-o", "OUT"), DEMO_FILES[-1]),
     "bench": (("bench", "--quick", "-o", "OUT"), "README.md"),
@@ -88,8 +67,6 @@ WORK = (
     "cep.files.images.decode",
     "cep.calibration.calibrate.make_method",
     "cep.search.optimize.search",
-    "cep.search.frames.search_code",
-    "lab.fronts.run.pareto_front",
     "cep.proofs.audit.certify",
     "cep.plots.mtf_curves.mtf_curve",
     "cep.restoration.methods.restore",

@@ -67,8 +67,6 @@ print(json.dumps({"code": code, "shown": shown, "last": Terminal.text}))
         ),
         (("demo", "--photo", "small.png"), "starting"),
         (("optimize", "--linear", "12", "--chips", "12", "--open", "13"), "searching"),
-        (("optimize", "--each", "nowhere"), "searching"),
-        (("pareto", "--chips", "12", "--open", "13"), "searching"),
         (("bench", "--data", "nowhere", "-o", "out"), "planning"),
         (("bench", "blind", "--data", "nowhere"), "measuring"),
         (("bench", "codes", "nobody"), "measuring"),
@@ -118,7 +116,7 @@ def told(monkeypatch):
         bars.append([])
         yield lambda share, _what="", /: bars[-1].append(share)
 
-    for name in ("calibrate", "optimize", "pareto", "demo", "bench", "jobs"):
+    for name in ("calibrate", "optimize", "demo", "bench", "jobs"):
         monkeypatch.setattr(f"cep.commands.{name}.progress", progress)
     return bars
 

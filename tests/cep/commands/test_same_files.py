@@ -15,9 +15,7 @@ COMMANDS = {
         "optimize --linear 16 --chips 16 --objective min-mtf:0.2,noise:1 --steps 20000 -o"
         " OUT/code.json"
     ),
-    "optimize frames": "optimize --linear 12 --chips 12 --frames 2 --steps 10000 -o OUT/code.json",
     "a proof": "optimize --linear 27 --chips 27 --method exact -o OUT/code.json",
-    "pareto": "pareto --chips 10 --steps 20000 -o OUT/front.json --plot OUT/front.svg",
     "audit": "audit code.json --trajectory trajectory.json -o OUT/audit.json",
     "mtf as svg": "mtf --linear 8 --code code.json -o OUT/mtf.svg",
     "mtf as pdf": "mtf --linear 8 --code code.json -o OUT/mtf.pdf",

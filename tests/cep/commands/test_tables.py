@@ -4,23 +4,9 @@ import csv
 from pathlib import Path
 
 import pytest
-from cep_tables import read_tables
 
 from cep.files.files import StoredCode, write_code
 from cep.optics.code import ShutterCode
-
-
-def test_the_comparison_of_a_search_is_written_as_latex(cep, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    found = cep.succeeds(
-        "optimize", "--linear", "12", "--chips", "12", "--steps", "2000", "--table", "compared.tex"
-    )
-    ((caption, _, head, rows),) = read_tables(Path("compared.tex").read_text(encoding="utf-8"))
-    assert caption.startswith("compared on this motion")
-    assert head[:2] == ["code", "open"]
-    assert len(rows) == 1 + len(found["baselines"])
-    assert rows[0][1] == str(found["open"])
-    assert float(rows[0][2]) == pytest.approx(found["min_chip"], rel=1e-3)
 
 
 def test_csv_has_the_figures_in_full(cep, tmp_path):
@@ -37,7 +23,6 @@ def test_csv_has_the_figures_in_full(cep, tmp_path):
         (("camera", "list"), {"name", "read noise"}),
         (("mtf", "--linear", "9", "--code", "1011"), {"code", "min MTF"}),
         (("advise", "--linear", "8", "--chips", "8"), {"at equal light, dB", "advised"}),
-        (("pareto", "--chips", "10", "--open", "5", "--steps", "2000"), {"noise gain, dB"}),
     ],
 )
 def test_every_table_of_a_page_is_written(cep, tmp_path, monkeypatch, command, heads):
@@ -51,9 +36,7 @@ def test_every_table_of_a_page_is_written(cep, tmp_path, monkeypatch, command, h
 
 def _elsewhere(command):
     """Another output, so that only the table is in the way."""
-    return {"mtf": ("-o", "b.png"), "advise": ("-o", "b.png"), "pareto": ("-o", "b.json")}.get(
-        command[0], ()
-    )
+    return {"mtf": ("-o", "b.png"), "advise": ("-o", "b.png")}.get(command[0], ())
 
 
 def test_brackets_in_the_names_of_files_stay(cep, tmp_path, monkeypatch):
@@ -68,7 +51,7 @@ def test_brackets_in_the_names_of_files_stay(cep, tmp_path, monkeypatch):
 
 def test_another_suffix_is_refused_before_any_work(cep, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for command in (("optimize", "--linear", "9"), ("audit", "1011"), ("advise", "--linear", "9")):
+    for command in (("audit", "1011"), ("advise", "--linear", "9")):
         line = cep.refuses(*command, "--table", "t.xlsx")
         assert line == "cep: --table: t.xlsx: tables are written as .tex, .csv or .md\n"
     assert not list(tmp_path.iterdir())

@@ -1,6 +1,7 @@
 """``python -m lab pareto``: its files, what it says, its exit codes."""
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,8 @@ def test_both_files_are_written(lab, workplace):
         "2000",
         "--seed",
         "2",
-        "--chip-ns",
-        "5000",
+        "--exposure",
+        "65us",
     )
     found = lab.succeeds("pareto", *options, "-o", "f.json", "--plot", "f.svg")
     assert Path("f.svg").read_text().startswith("<?xml")
@@ -91,19 +92,11 @@ def test_an_interrupt_keeps_the_front(lab, workplace, monkeypatch):
 
 
 def test_runs_and_periods_are_limited(lab, workplace):
-    lab.succeeds(
-        "pareto",
-        "--chips",
-        "12",
-        "--max-open",
-        "2",
-        "--min-period",
-        "3",
-        "--steps",
-        "1000",
-        "-o",
-        "a.json",
+    Path("strobe.toml").write_text(
+        'schema = "hw.device/1"\nname = "strobe"\nmax_on_ns = 2500000\nmax_rate_hz = 400.0\n'
     )
+    options = ("--chips", "12", "--device", "strobe.toml", "--steps", "1000", "-o", "a.json")
+    lab.succeeds("pareto", *options)
     front = json.loads(Path("a.json").read_text())
     assert (front["problem"]["max_open"], front["problem"]["min_period"]) == (2, 3)
     assert front["points"]
@@ -127,8 +120,7 @@ def test_repeatable(lab, workplace):
         ("--open", ("--open", "5:2")),
         ("--open", ("--open", "some")),
         ("--open", ("--open", "3:99")),
-        ("--open and --duty", ("--open", "3", "--duty", "0.2:0.4")),
-        ("duty", ("--duty", "0.9:0.2")),
+        ("--open", ("--duty", "0.9:0.2")),
         ("--direction", ("--direction", "left")),
         ("--trajectory", ("--linear", "20", "--trajectory", "trajectory.json")),
         ("--linear", ("--linear", "-3")),
@@ -136,10 +128,6 @@ def test_repeatable(lab, workplace):
         ("--plot", ("--plot", "front.gif")),
         ("--plot", ("-o", "a.png", "--plot", "a.png")),
         ("--min-open", ("--min-open", "12", "--open", "3")),
-        (
-            "--max-open 2 and --min-period 9",
-            ("--max-open", "2", "--min-period", "9", "--open", "7"),
-        ),
         ("--time", ("--time", "0")),
         ("zero", ("--open", "16", "--steps", "0")),
         ("no folder", ("-o", "nowhere/front.json")),
@@ -173,3 +161,29 @@ def test_help_has_an_example_and_says_what_is_judged(lab):
         "curved",
     ):
         assert text in shown
+
+
+def test_the_front_says_what_ended_it(lab, workplace):
+    quick = ("pareto", "--chips", "12", "--open", "6", "--force")
+    for given, stopped in (
+        (("--steps", "900"), "steps"),
+        (("--time", "0.2"), "time"),
+        (("--steps", "1000000000", "--time", "0.2"), "time"),
+    ):
+        found = lab.succeeds(*quick, *given)
+        assert (found["stopped"], found["interrupted"]) == (stopped, False)
+        assert bool(found["warnings"]) == (len(given) == 4)
+
+
+def test_the_fronts_time_rules_unless_moves_are_given(lab, workplace, monkeypatch):
+    seen = []
+    real = pareto.pareto_front
+
+    def hasty(problem, *, steps, time_s, **options):
+        seen.append((steps, time_s))
+        return real(problem, **options, steps=100, time_s=60.0)
+
+    monkeypatch.setattr("lab.fronts.run.pareto_front", hasty)
+    for given in ((), ("--time", "7"), ("--steps", "90"), ("--steps", "90", "--time", "7")):
+        lab.succeeds("pareto", "--chips", "12", "--open", "6", "--force", *given)
+    assert seen == [(None, 60.0), (None, 7.0), (90, math.inf), (90, 7.0)]

@@ -1,4 +1,4 @@
-"""One code for a class of motions, where the order of a single one in time cannot be had."""
+"""One shutter code for a class of motions, by its mean decibels over them."""
 
 from __future__ import annotations
 
@@ -13,29 +13,22 @@ from numpy.typing import NDArray
 
 from cep.codes.published import PUBLISHED
 from cep.files.files import StoredCode, write_code
-from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
-from cep.search.compare import as_designed
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
-from cep.search.optimize import Search, described_search, ended_early, search, stored_search
-from cep.search.optimize_folder import motions_in
+from cep.search.objectives import OBJECTIVES
+from cep.search.optimize import Search, described_search, ended_early, search
+from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Found
 from cep.search.scenarios import class_scenarios
-from cep.search.search_options import SearchOptions, problem_of
-from hw.device import DeviceProfile
 from motdiff.files.gyro_tables import read_gyro
-from motdiff.files.trajectories import StoredMotion, read_motion
+from motdiff.files.trajectories import read_motion
 from motdiff.gyro import GyroTrace
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
-
-CLASS_OBJECTIVES = ("noise", "mse")
-"""Objectives whose mean over a class says something: along most curved paths a minimum is a true
-zero."""
 
 DRAWN = 100
 OTHERS = 300
@@ -44,6 +37,7 @@ OTHERS = 300
 WALKS = "walks"
 """Class of simulated hand shakes; another class is named by a gyro recording."""
 
+_MOTION = "trajectory.json"
 _LENGTH_PX = 60.0
 _PUBLISHED = "published: "
 _STANDARD = "raskar-52"  # compared with where no published code has as many chips
@@ -193,7 +187,7 @@ class ClassOptimum:
         return (*ended_early(self.how, self.found.stopped, self.how.moves(self.problem)), *few)
 
     def to_dict(self) -> dict[str, Any]:
-        """Fields for JSON, as ``cep optimize --class --json`` prints them."""
+        """Fields for JSON, as ``python -m lab design-class --json`` prints them."""
         code = self.code
         found = self.found
         own = self.rows[0]
@@ -216,125 +210,126 @@ class ClassOptimum:
             "baselines": {row.name: row.to_dict() for row in self.rows[1:]},
         }
 
-    def save(self, path: Path | str, *, described: Mapping[str, Any] | None = None) -> None:
-        """Write a ``code.json``, whole or not at all; it has no certificate, which is for a single
-        motion.
+    def save(self, path: Path | str, *, source: Mapping[str, object] | None = None) -> None:
+        """Write a ``code.json``, whole or not at all.
+
+        It has no certificate, which is for a single motion.
+
+        Parameters
+        ----------
+        path : Path or str
+        source : mapping, optional
+            Where the motions come from.
         """
-        own = self.rows[0]
-        about = stored_search(described or described_search(self.problem, self.how), self.found)
-        figures = {"mean_db": own.mean_db, "others_db": own.others_db}
-        write_code(
-            path, StoredCode(self.code, {}, {**about, "motions": self.motions, **figures}, {})
-        )
+        about = {
+            **(source or {}),
+            **described_search(self.problem, self.how, self.found),
+            "proof": self.found.proof,
+            "motions": self.motions,
+            "mean_db": self.rows[0].mean_db,
+            "others_db": self.rows[0].others_db,
+        }
+        write_code(path, StoredCode(self.code, problem=about))
 
 
 @dataclass(frozen=True)
-class ClassTask:
-    """A search of one code for many motions.
+class MotionClass:
+    """Motions of a class.
 
     Attributes
     ----------
-    problem : SearchProblem
-        Of the rule "mean".
-    motions, others : tuple of Trajectory
-        Motions to search on, and others to judge by.
-    described : mapping
-        What the code file says of the problem.
+    searched, others : tuple of Trajectory
+        Motions to search a code on, and others of the same class to judge it by.
+    source : mapping
+        Where they come from, for the code file.
     warnings : tuple of str
         Of the recording.
     """
 
-    problem: SearchProblem
-    motions: tuple[Trajectory, ...]
+    searched: tuple[Trajectory, ...]
     others: tuple[Trajectory, ...]
-    described: Mapping[str, Any]
+    source: Mapping[str, object]
     warnings: tuple[str, ...] = ()
 
 
-def class_task(
-    wish: SearchOptions,
-    how: Search,
+def motion_class(
+    kind: str,
     *,
-    camera: Camera,
-    profile: DeviceProfile | None,
-    folder: Path | None = None,
-    kind: str | None = None,
     length_px: float | None = None,
     count: int | None = None,
-) -> ClassTask:
-    """Make the search of the options for the motions of a folder, or for a class of drawn ones.
+    exposure_s: float,
+    seed: int = 0,
+) -> MotionClass:
+    """Draw the motions of a class, or read those of a folder.
 
     Parameters
     ----------
-    wish, how, camera, profile
-        The options; ``wish.rule`` is the mean in any case.
-    folder : Path, optional
-        As ``cep calibrate FOLDER`` writes it.
-    kind : str, optional
-        Instead: :data:`WALKS` or a gyro recording, whose z axis is the line of sight; x and y may
-        point anywhere.
-    length_px, count
+    kind : str
+        :data:`WALKS`; a gyro recording, whose z axis is the line of sight and whose x and y may
+        point anywhere; or a folder with motions, as ``cep calibrate FOLDER`` writes it.
+    length_px, count : optional
         Of the drawn motions; 60 px and :data:`DRAWN` when omitted.
+    exposure_s : float
+        Length of each shake that is cut from a recording.
+    seed : int
 
     Raises
     ------
     ValueError
-        If there are no motions, one cannot be read, or the options are malformed or conflict.
+        If there are no motions, one cannot be read, or the length is out of range.
     """
-    if how.method != "anneal":
-        raise ValueError("--method: a code for a class of motions needs anneal")
-    others: tuple[Trajectory, ...] = ()
-    warnings: tuple[str, ...] = ()
-    drawn = None
-    if folder is not None:
+    if Path(kind).is_dir():
         if length_px is not None or count is not None:
-            raise ValueError(f"{'--motions' if length_px is None else '--length'}: needs --class")
-        read = (read_motion(path).trajectory for path in motions_in(folder).values())
-        motions = tuple(as_designed(path, wish.direction) for path in read)
-    else:
-        assert kind is not None
-        length_px = _LENGTH_PX if length_px is None else length_px
-        if not 1 <= length_px <= 1000:
-            raise ValueError(f"--length: must lie within 1..1000 px, got {length_px:g}")
-        if kind != WALKS and not Path(kind).exists():
-            raise ValueError(
-                f"--class: must be {WALKS} or a gyro recording, and there is no file {kind}"
-            )
-        gyro = None if kind == WALKS else read_gyro(kind)
-        warnings = () if gyro is None else gyro.warnings
-        exposure_s = wish.chips * wish.chip_ns * 1e-9
-        motions, others = _drawn(kind, gyro, length_px, exposure_s, count or DRAWN, how.seed)
-        drawn = {"kind": kind, "length_px": length_px}
-    wish = replace(wish, objective=wish.objective or "mse", rule="mean", direction="forward")
-    rng = np.random.default_rng([how.seed, 2])
-    problem = problem_of(wish, StoredMotion(motions[0]), camera=camera, profile=profile, rng=rng)
-    problem = replace(problem, scenarios=class_scenarios(motions))
-    check_class(problem)
-    described = {
-        "folder": None if folder is None else str(folder),
-        "class": drawn,
-        **described_search(problem, how),
-    }
-    return ClassTask(problem, motions, others, described, warnings)
-
-
-def _drawn(
-    kind: str, gyro: GyroTrace | None, length_px: float, exposure_s: float, count: int, seed: int
-) -> tuple[tuple[Trajectory, ...], tuple[Trajectory, ...]]:
-    made = []
-    for part, number in enumerate((count, OTHERS)):
-        rng = np.random.default_rng([seed, 4, part])
+            option = "--motions" if length_px is None else "--length"
+            raise ValueError(f"{option}: not valid with a folder, whose motions are all taken")
+        read = tuple(read_motion(path).trajectory for path in motions_in(kind).values())
+        return MotionClass(read, (), {"folder": kind, "class": None})
+    length_px = _LENGTH_PX if length_px is None else length_px
+    if not 1 <= length_px <= 1000:
+        raise ValueError(f"--length: must lie within 1..1000 px, got {length_px:g}")
+    if kind != WALKS and not Path(kind).exists():
+        raise ValueError(
+            f"CLASS: must be {WALKS}, a gyro recording or a folder, and there is no file {kind}"
+        )
+    gyro = None if kind == WALKS else read_gyro(kind)
+    drawn = []
+    for number, size in enumerate((count or DRAWN, OTHERS)):
+        rng = np.random.default_rng([seed, 4, number])
         try:
-            made.append(
-                draw_motions(
-                    number, length_px=length_px, rng=rng, gyro=gyro, exposure_s=exposure_s
-                )
+            drawn.append(
+                draw_motions(size, length_px=length_px, rng=rng, gyro=gyro, exposure_s=exposure_s)
             )
         except ValueError as error:  # only a recording's
             raise ValueError(
-                f"{kind}: {str(error).partition(': ')[2]}; the exposure is --chips times --chip-ns"
+                f"{kind}: {str(error).partition(': ')[2]}; --exposure says how long a shake is"
             ) from None
-    return made[0], made[1]
+    source = {"folder": None, "class": {"kind": kind, "length_px": length_px}}
+    return MotionClass(drawn[0], drawn[1], source, () if gyro is None else gyro.warnings)
+
+
+def motions_in(folder: Path | str) -> dict[str, Path]:
+    """List the motions that ``cep calibrate FOLDER`` wrote, by the names of their folders.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds no motions.
+    """
+    root = Path(folder)
+    motions = {
+        path.parent.name: path for path in sorted(root.glob(f"*/{_MOTION}")) if not path.is_dir()
+    }
+    if not motions:
+        single = root / _MOTION
+        hint = (
+            f"; for a single motion: cep optimize --trajectory {single}"
+            if single.is_file()
+            else ""
+        )
+        raise ValueError(
+            f"{root}: holds no */{_MOTION}, as cep calibrate FOLDER writes them{hint}"
+        )
+    return motions
 
 
 def draw_motions(
@@ -380,16 +375,17 @@ def check_class(problem: SearchProblem) -> None:
     Raises
     ------
     ValueError
-        If the objective is none of :data:`CLASS_OBJECTIVES`, a path cannot be measured, or all are
-        too short for so many chips.
+        If the objective's mean says nothing, a path cannot be measured, or all are too short for
+        so many chips.
     """
-    for name, _ in problem.objective_mix:
-        if name not in CLASS_OBJECTIVES:
+    for criterion, _ in problem.criteria:
+        if not criterion.averages:
+            names = [name for name, other in OBJECTIVES.items() if other.averages]
             raise ValueError(
-                f"objective: a class is searched by {' or '.join(CLASS_OBJECTIVES)} alone, got"
-                f" {name}"
+                f"objective: a class is searched by {' or '.join(names)} alone, got"
+                f" {criterion.name}"
             )
-    paths = [one.trajectory for one in problem.scenarios]
+    paths = [scenario.trajectory for scenario in problem.scenarios]
     for path in paths:
         check_frame(path)
     check_resolved(max(paths, key=lambda path: path.length_px), problem.chips)
@@ -403,7 +399,7 @@ def optimize_class(
     others: Sequence[Trajectory] = (),
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
-    on_found: Callable[[ShutterCode, Found], None] = lambda _code, _found: None,
+    on_found: Callable[[StoredCode], None] = lambda _stored: None,
 ) -> ClassOptimum:
     """Search the code whose mean decibels over a class of motions are best, and judge it on
     others.
@@ -431,13 +427,13 @@ def optimize_class(
     Raises
     ------
     ValueError
-        If there are no motions, or as of :func:`check_class`.
+        If there are no motions, the device cannot play the code, or as of :func:`check_class`.
 
     Examples
     --------
     >>> rng = np.random.default_rng(0)
     >>> walks, unseen = (draw_motions(count, length_px=20.0, rng=rng) for count in (4, 2))
-    >>> problem = SearchProblem(chips=8, open_range=(4, 4), objective="mse")
+    >>> problem = SearchProblem.along(chips=8, open_range=(4, 4), objective="mse")
     >>> best = optimize_class(walks, problem, Search(steps=500), others=unseen)
     >>> others_db = [row.others_db for row in best.rows if row.within_limits]
     >>> best.code.open_chips, best.rows[0].others_db <= min(others_db)
@@ -454,7 +450,9 @@ def optimize_class(
         progress=lambda share, best: progress(_SEARCH_SHARE * share, f"{best.open_chips} open"),
     )
     code = replace(found.code, chip_ns=problem.chip_ns)
-    on_found(code, found)
+    if reason := unplayable(code.bits, problem.device, code.chip_ns):
+        raise ValueError(reason)
+    on_found(StoredCode(code, problem=described_search(problem, how, found)))
     rivals = {
         one.name: (ShutterCode(one.code.bits, problem.chip_ns), one.within_limits)
         for one in found.baselines

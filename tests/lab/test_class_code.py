@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from cep.commands.code_options import openings
 from cep.files.files import read_code
 from cep.optics.band import band_samples
 from cep.optics.camera import Camera
@@ -15,10 +16,9 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import mtf
 from cep.search.annealing import anneal
 from cep.search.optimize import Search
-from cep.search.optimize_class import check_class, draw_motions, optimize_class, per_motion_db
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import MOST_SCENARIOS, class_scenarios
-from cep.search.search_options import openings
+from lab.class_code import check_class, draw_motions, optimize_class, per_motion_db
 from motdiff.gyro import GyroTrace
 from motdiff.trajectory import Trajectory
 
@@ -28,7 +28,7 @@ EVERY = [
     ShutterCode("".join("01"[k in on] for k in range(CHIPS)))
     for on in combinations(range(CHIPS), OPEN)
 ]
-PROBLEM = SearchProblem(chips=CHIPS, open_range=(OPEN, OPEN), objective="noise")
+PROBLEM = SearchProblem.along(chips=CHIPS, open_range=(OPEN, OPEN), objective="noise")
 WALKS = draw_motions(3, length_px=15.0, rng=np.random.default_rng(1))
 
 

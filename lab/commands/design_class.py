@@ -1,0 +1,167 @@
+"""``python -m lab design-class``: one code for a class of motions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cep.commands.code_options import (
+    STANDARD_CHIPS,
+    CodeOptions,
+    SearchOptions,
+    ending,
+    exposure_seconds,
+    objective_mix,
+    openings,
+)
+from cep.commands.console import finish, progress, table
+from cep.commands.options import MOTION, CommonOptions, TableFile, command, table_files
+from cep.commands.search_run import saved_on_interrupt
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lab.class_code import ClassOptimum
+
+_CHIP_S = 1e-3  # where no exposure is given
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignClassOptions(CommonOptions, SearchOptions, CodeOptions):
+    """Options of ``python -m lab design-class``."""
+
+    motion_class: Annotated[
+        str,
+        typer.Argument(
+            metavar="CLASS",
+            help=(
+                "walks (simulated hand shakes); a gyro recording, its z axis along the line of"
+                " sight, cut into shakes as long as the exposure; or a folder with motions,"
+                " FOLDER/*/trajectory.json."
+            ),
+        ),
+    ]
+    length: Annotated[
+        float | None,
+        typer.Option(
+            "--length",
+            metavar="PX",
+            rich_help_panel=MOTION,
+            help="Length of each walk, or larger side of each shake; 60 when omitted.",
+        ),
+    ] = None
+    motions: Annotated[
+        int | None,
+        typer.Option(
+            "--motions",
+            metavar="N",
+            min=2,
+            max=256,
+            rich_help_panel=MOTION,
+            help=(
+                "Motions to draw for the search; 100 when omitted. The code is judged on 300"
+                " others."
+            ),
+        ),
+    ] = None
+    tables: TableFile = None
+
+
+@command(DesignClassOptions)
+def design_class(options: DesignClassOptions) -> None:
+    """Search the code that is best for a class of motions, in their mean decibels.
+
+    Where a single motion's order in time cannot be had, a code for its class takes its place.
+
+    Fields of --json that need a word:
+
+    - motions, mean_db, other_motions, others_db: the mean of the objective's decibels over the
+      motions of the search, and over motions drawn anew, null for a folder.
+    - behind_db and behind_error_db, of each of baselines: how much worse it is there, and the
+      standard error.
+
+    Example: python -m lab design-class walks --length 60 --chips 32 --open 16
+
+    Example: python -m lab design-class shots_motion --chips 40 --duty 0.4:0.6
+    """
+    with progress("searching") as tick:
+        from cep.search.compare import as_designed
+        from cep.search.optimize import Search
+        from cep.search.scenarios import class_scenarios
+        from lab.class_code import motion_class, optimize_class
+        from motdiff.files.outputs import claim
+
+        stated_s = exposure_seconds(options.exposure)
+        exposure_s = (options.chips or STANDARD_CHIPS) * _CHIP_S if stated_s is None else stated_s
+        motions = motion_class(
+            options.motion_class,
+            length_px=options.length,
+            count=options.motions,
+            exposure_s=exposure_s,
+            seed=options.seed,
+        )
+        direction = options.direction
+        searched = [as_designed(path, direction) for path in motions.searched]
+        problem = options.problem(
+            *class_scenarios(searched),
+            objective=objective_mix(options.objective or "mse"),
+            rule="mean",
+        )
+        outputs = claim([options.output, *table_files(options.tables)], force=options.force)
+        with saved_on_interrupt(outputs) as keep:
+            best = optimize_class(
+                searched,
+                problem,
+                Search(steps=options.steps, time_s=options.time_s, seed=options.seed),
+                others=motions.others,
+                progress=tick,
+                on_found=lambda stored: keep({options.output: stored}),
+            )
+    finish(
+        {
+            "file": options.output,
+            **best.to_dict(),
+            "warnings": [*motions.warnings, *best.warnings],
+            "seed": options.seed,
+        },
+        as_json=options.as_json,
+        show=lambda console: _show(console, best, options.output),
+        outputs=outputs,
+        save=lambda made: best.save(made[options.output], source=motions.source),
+        tables=options.tables,
+        summary=best.code.bits,
+    )
+
+
+def _show(console: Console, best: ClassOptimum, file: Path) -> None:
+    """Print a class code for people."""
+    code = best.code
+    found = best.found
+    console.print(best.verdict)
+    console.print(f"{file}: {code.bits}")
+    light = f"{code.open_chips} of {code.chips} chips open, {openings(code)}"
+    console.print(f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}")
+    unseen = best.others > 0
+    rows = [
+        (
+            row.label,
+            row.code.open_chips,
+            row.mean_db,
+            *([row.others_db] if unseen else []),
+            row.behind_db,
+            row.behind_error_db,
+        )
+        for row in best.rows
+    ]
+    where = [f"on the {best.motions} searched", *([f"on {best.others} others"] if unseen else [])]
+    objective = best.problem.objective if isinstance(best.problem.objective, str) else "mix"
+    console.print(
+        table(
+            f"mean {objective} over the motions, dB, lower is better",
+            ("code", "open", *where, "behind this code", "standard error"),
+            rows,
+        )
+    )

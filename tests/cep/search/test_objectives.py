@@ -1,0 +1,96 @@
+"""Objectives are registered classes: every list has them, and one more is found in each."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from cep.search.annealing.terms import lay_out
+from cep.search.objective import Objective
+from cep.search.objectives import OBJECTIVES, Criterion
+from cep.search.optimize import optimize
+from cep.search.problem import SearchProblem
+from motdiff.trajectory import Trajectory
+
+DUMMY = '''
+from cep.search.objectives import OBJECTIVES, Criterion
+
+class MeanPower(Criterion):
+    """Inverse of the mean power."""
+
+    name = "dummy"
+    help = "inverse mean power"
+    cites = ("raskar2006",)
+
+    def figure(self, spectrum):
+        return 1 / (spectrum.power @ spectrum.weight).astype(float)
+
+    def terms(self, columns):
+        flat = columns.weight[None] * 0.0
+        return flat + columns.chips**-2, flat + 1.0
+
+OBJECTIVES["dummy"] = MeanPower()
+'''
+
+
+@pytest.fixture
+def dummy():
+    """Register another objective, for this test."""
+    space = {}
+    exec(DUMMY, space)
+    yield space["MeanPower"]
+    del OBJECTIVES["dummy"]
+
+
+def test_each_says_what_it_is():
+    assert list(OBJECTIVES) == ["min-mtf", "flatness", "noise", "mse"]
+    for name, criterion in OBJECTIVES.items():
+        assert isinstance(criterion, Criterion)
+        assert (criterion.name, criterion.unit) == (name, "dB")
+        assert criterion.help
+        assert criterion.cites
+        assert criterion.hot_db > 0
+
+
+def test_another_one_is_searched(dummy):
+    path = Trajectory.straight(8.0)
+    problem = SearchProblem.along(path, chips=8, objective="dummy", open_range=(3, 5))
+    best = optimize(problem, steps=500)
+    judge = Objective(problem, oversampling=16, dtype=np.float64)
+    codes = problem.random_codes(50, rng=np.random.default_rng(0))
+    assert judge.cost_of(best.code.array[None])[0] <= judge.cost_of(codes).min() + 1e-9
+    assert best.code.open_chips == 5  # more light, more power
+    mixed = SearchProblem.along(path, chips=8, objective=(("dummy", 1.0), ("mse", 0.5)))
+    assert len(lay_out(Objective(mixed, oversampling=8)).kinds) == 2
+
+
+def test_another_one_is_in_every_list(tmp_path):
+    """The help of the commands, the refusal of a wrong name, the benchmark, the page of works."""
+    script = (
+        DUMMY
+        + """
+import sys
+sys.path.insert(0, "docs/_extensions")
+from cep.commands.main import main
+from lab.commands.main import main as lab_main
+
+main(["optimize", "--help"])
+lab_main(["design-class", "--help"])
+main(["optimize", "--linear", "9", "--chips", "9", "--objective", "wrong"])
+
+from lab.bench.coded import protocol
+import citations
+
+assert "dummy" in protocol._ALLOWED["objective"]
+print(list(citations.cite(["dummy"]).works))
+"""
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    shown = " ".join(run.stdout.replace("│", " ").split())
+    assert shown.count("dummy (inverse mean power)") == 2
+    assert "must be one of min-mtf, flatness, noise, mse, dummy, got 'wrong'" in run.stderr
+    assert "raskar2006" in run.stdout.splitlines()[-1]
