@@ -126,7 +126,7 @@ def refine_motion(
     check_apart(photos)
     progress(0.01, "loading torch")
     import_module("torch")
-    from motdiff.estimators.coded.found import UNEXPLAINED
+    from motdiff.estimators.coded.candidates import UNEXPLAINED
     from motdiff.estimators.coded.refine import NOISE_GAIN, PathRefiner
 
     paths = [trajectory] if trajectory.direction == "known" else orders_in_time(trajectory)

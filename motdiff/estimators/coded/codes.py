@@ -1,4 +1,4 @@
-"""Which codes show the order in time of a motion, checked before anything slow is loaded."""
+"""Check of codes that show the order in time of a motion; imports nothing slow."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 
 def check_codes(codes: Sequence[str], *, photos: int | None = None) -> None:
-    """Refuse codes from which no order in time can be told.
+    """Refuse codes from which no order in time follows.
 
     Parameters
     ----------
     codes : sequence of str
         Bits, one code per photo.
     photos : int, optional
-        How many photos there are, where that is known.
+        Number of photos.
 
     Raises
     ------

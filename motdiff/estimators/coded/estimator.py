@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.estimators.coded.candidates import CandidatePath, explained_share, motion_of_paths
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.exposures import Exposures, exposures_of
-from motdiff.estimators.coded.found import FoundPath, explained_share, motion_of_paths
 from motdiff.estimators.coded.search import find_paths
 from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
@@ -22,38 +22,36 @@ _FIT_SHARE = 0.55
 # computed error (docs/decisions/motion-estimation.md)
 _SHARE_RIGHT = (0.05, 0.75, 0.67, 0.88)
 _ERROR_RATIO = 2.8
-_TWO_VAGUE = 0.3  # two photos whose path is known less exactly; whose searches end apart
+_TWO_VAGUE = 0.3  # two photos whose path has a large expected error; whose searches end apart
 _TWO_ALONE = 0.2
 _VAGUE_PX = 0.25
-_KERNELS_ALONE = (
-    0.3  # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
-)
+# photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
+_KERNELS_ALONE = 0.3
 _ALMOST_EQUAL = 1e-3
 _LEAST_EXTENTS = 5.0  # of a path, in units of its expected error
 
 
 class CodedEstimator:
-    """Find the motion that explains photos taken through known codes, with its order and direction
-    in time.
+    """Find the motion, with its order and direction in time, of photos taken through known codes.
 
     The kernel of each photo is searched on its own. Paths decoded from them, orders of the traced
     path and random walks are fitted to the kernels, crossed with each other, and fitted to the
-    photos themselves where these show one scene: what one photo shows through the PSF of another
-    must be what the other shows through its own. Two photos, and more whose best path leaves more
-    than noise, are searched without the kernels too, until two searches agree.
+    photos themselves where these show one scene: one photo blurred by the PSF of another must
+    equal the other blurred by the first's. Two photos, and more whose best path leaves more than
+    noise, are searched without the kernels too, until two searches agree.
 
     ``confidence`` is the probability that the order is right: the share of simulated motions of
     which it was, with as many photos through codes as ``cep calibration-set`` designs them.
     ``details`` hold it as ``order_confidence``, the expected error ``path_uncertainty_px`` (rms
     over time), ``deviation_px`` at evenly spaced times and ``searches_agreeing``. ``weights`` are
-    relative among the paths found.
+    relative among the candidate paths.
 
     Parameters
     ----------
     codes : sequence of str
         Bits of each photo's code, in the order of the photos; "1" throughout for an open shutter.
     kernels : Estimator, optional
-        What finds the kernel of each photo; PMP when omitted.
+        Estimator of each photo's kernel; PMP when omitted.
     seed : int
         Of the random starts.
     progress : callable, optional
@@ -82,9 +80,7 @@ class CodedEstimator:
         self._tell = progress
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Estimate the motion from one coded photo, (H, W) or (H, W, 3) float, linear light
-        0..1.
-        """
+        """Estimate the motion of one coded photo, (H, W) or (H, W, 3), linear light 0..1."""
         return self.estimate_from([photo])
 
     def estimate_from(self, photos: Sequence[ArrayLike]) -> MotionEstimate:
@@ -93,8 +89,8 @@ class CodedEstimator:
         Parameters
         ----------
         photos : sequence of I (H, W) or (H, W, 3) array_like, linear light 0..1
-            Of one size where they show one scene; shifts of a few px and other brightness are
-            found.
+            Of one size where they show one scene; shifts of a few px and other brightness do not
+            matter.
 
         Returns
         -------
@@ -125,9 +121,7 @@ class CodedEstimator:
 
 
 def _at_rest(still: MotionEstimate, *, photos: int) -> MotionEstimate:
-    """Estimate of photos without motion blur: no path, of which no order or error could be
-    stated.
-    """
+    """Estimate of photos without motion blur: no order, and no error of the path."""
     details = {**still.details, "order_confidence": None, "path_uncertainty_px": None}
     warnings = still.warnings if photos == 1 else ("The photos show no motion blur",)
     return replace(
@@ -139,17 +133,17 @@ def _at_rest(still: MotionEstimate, *, photos: int) -> MotionEstimate:
     )
 
 
-def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> MotionEstimate:
+def _described(paths: Sequence[CandidatePath], times: int, exposures: Exposures) -> MotionEstimate:
     best = paths[0]
     photos = len(exposures.codes)
-    together = bool(np.isfinite(best.misfit))
     warnings = []
-    if photos > 1 and not together:
-        why = "are too small beside their blur" if exposures.photos else "show different scenes"
+    if photos > 1 and np.isnan(best.misfit):
+        reason = "are too small beside their blur" if exposures.photos else "show different scenes"
         warnings.append(
-            f"the photos {why}: the path is fitted to their kernels alone, and less exact"
+            f"the photos {reason}: the path is fitted to their kernels alone, and less exact"
         )
-    probability = _order_probability(best, photos if together else max(1, photos - 1), times=times)
+        photos -= 1
+    probability = _order_probability(best, photos, times=times)
     deviation_px = _ERROR_RATIO * exposures.shrunk * best.deviation_px
     error_px = float(np.sqrt((deviation_px**2).mean()))
     extent_px = exposures.shrunk * float(np.hypot(*np.ptp(best.path, axis=0)))
@@ -163,7 +157,7 @@ def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> 
         "coded",
         paths,
         probability=probability,
-        shares=[1 / max(other.cost / best.cost - 1, _ALMOST_EQUAL) for other in paths[1:]],
+        shares=[1 / max(path.cost / best.cost - 1, _ALMOST_EQUAL) for path in paths[1:]],
         deviation_px=deviation_px,
         scale=exposures.shrunk,
         warnings=warnings,
@@ -175,13 +169,12 @@ def _described(paths: Sequence[FoundPath], times: int, exposures: Exposures) -> 
     )
 
 
-def _order_probability(best: FoundPath, photos: int, *, times: int) -> float:
-    """Probability that a path is the true one to within 1 px: as often as with so many photos of
-    one scene.
+def _order_probability(best: CandidatePath, photos: int, *, times: int) -> float:
+    """Probability that a path is the true one to within 1 px, by the number of photos.
 
-    It is low where their kernels alone were fitted. It falls with what the path leaves
-    unexplained; of two photos also where no other search ended at that path, or its expected error
-    is large, as on scenes of little texture.
+    It is low where their kernels alone were fitted, and falls with the misfit; of two photos also
+    where no other search ended at that path, or its expected error is large, as on scenes of
+    little texture.
     """
     share = _SHARE_RIGHT[min(photos, len(_SHARE_RIGHT)) - 1]
     if not np.isfinite(best.misfit):

@@ -1,6 +1,4 @@
-"""Photos of one motion through known codes, with what is known of each before a path is fitted to
-all.
-"""
+"""Photos of one motion through known codes, each with its kernel, weight and gain."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ from motdiff.estimators.coded.misfit import SceneSpectra, scene_spectra
 from motdiff.progress import Progress
 from motdiff.types import FloatArray
 
-_SAME_SCENE = 0.8  # correlation of what two photos show beyond their blur
+_SAME_SCENE = 0.8  # correlation of two photos beyond their blur
 _BLUR_PX = 12.0
 _TRUSTED = 0.5  # confidence in a kernel
 _BLIND_WEIGHT = 300.0  # a blind kernel's error: about a tenth of its square
@@ -32,27 +30,27 @@ _LEAST_INSIDE_PX = 96  # of a photo without its borders
 
 @dataclass(frozen=True)
 class Exposures:
-    """What is known of photos of one motion, that with the most light first.
+    """Photos of one motion, that with the most light first.
 
     Attributes
     ----------
     codes : tuple of I str
     kernels : tuple of I (S, S) float
-        Found in each photo alone.
+        Estimated in each photo alone.
     weights : (I,) float
         Inverse of the relative squared error expected of each kernel, times the values that it is
         spread over.
     gains : (I,) float
         Brightness of each photo against the first, beyond what the codes explain.
     photos : tuple of I (H, W) float, or empty
-        Photos of one scene, laid on each other to within a few px; empty where the scenes differ.
+        Photos of one scene, aligned to within a few px; empty where the scenes differ.
     shrunk : int
-        By how much the photos were made smaller: a path of theirs is that much shorter.
+        Factor by which the photos were made smaller: a path of theirs is that much shorter.
     confidences : tuple of I float
         Of the kernels.
     still : MotionEstimate or None
-        That of a photo without motion blur, where all photos are such, or one that saw the whole
-        motion.
+        Estimate of a sharp photo where all photos are sharp, or those with the shutter open
+        throughout.
     """
 
     codes: tuple[str, ...]
@@ -65,26 +63,20 @@ class Exposures:
     still: MotionEstimate | None = None
 
     def spectra(self) -> list[SceneSpectra]:
-        """Spectra of the photos on three grids, coarse to fine; none where the scene is not shared
-        or too small.
-        """
+        """Spectra on three grids, coarse to fine; none without one scene large enough."""
         if len(self.photos) < 2:
             return []
-        y, x = (
-            np.concatenate(axis)
-            for axis in zip(*(np.nonzero(k) for k in self.kernels), strict=True)
-        )
-        margin_px = int(np.ceil(0.5 * max(np.ptp(y), np.ptp(x)))) + 10
+        indices = zip(*(np.nonzero(kernel) for kernel in self.kernels), strict=True)
+        extent_px = max(np.ptp(np.concatenate(axis)) for axis in indices)
+        margin_px = int(np.ceil(0.5 * extent_px)) + 10
         side = min(
             _LARGEST_SIDE_PX, *(n // _SIDE_STEP_PX * _SIDE_STEP_PX for n in self.photos[0].shape)
         )
         if side - 2 * margin_px < _LEAST_INSIDE_PX:
             return []
-        top, left = pick_crops(self.photos[0], size=side, count=1)[
-            0
-        ]  # where the scene has texture
-        cut = [photo[top : top + side, left : left + side] for photo in self.photos]
-        return scene_spectra(cut, grids=[side // part for part in (6, 3, 2)], margin_px=margin_px)
+        row, column = pick_crops(self.photos[0], size=side, count=1)[0]  # of the most texture
+        crops = [photo[row : row + side, column : column + side] for photo in self.photos]
+        return scene_spectra(crops, grids=[side // n for n in (6, 3, 2)], margin_px=margin_px)
 
 
 def exposures_of(
@@ -95,16 +87,16 @@ def exposures_of(
     progress: Progress | None = None,
     cost: float = 1.0,
 ) -> Exposures:
-    """Find the kernel of each photo on its own, and whether they show one scene.
+    """Estimate the kernel of each photo on its own, and whether they show one scene.
 
     Parameters
     ----------
     photos : sequence of I (H, W) or (H, W, 3) array_like, linear light 0..1
     codes : sequence of I str
     kernels : Estimator, optional
-        What finds a kernel; :class:`motdiff.estimators.pmp.estimator.PmpEstimator` when omitted.
+        Estimator of a kernel; PMP when omitted.
     progress : Progress, optional
-        Where the work done is reported; its plan holds ``cost`` for it already.
+        Its plan holds ``cost`` for this work already.
     cost : float
 
     Raises
@@ -113,7 +105,7 @@ def exposures_of(
         If the numbers of photos and codes differ, the sizes differ, or a photo cannot be searched.
     """
     check_codes(codes, photos=len(photos))
-    told = progress or Progress()
+    progress = progress or Progress()
     greys = [
         _grey(photo, f"photo {i}" if len(photos) > 1 else "photo")
         for i, photo in enumerate(photos, 1)
@@ -124,41 +116,39 @@ def exposures_of(
             raise ValueError(
                 f"photo {i}: has {w} x {h} px, the first one {w0} x {h0}; give photos of one size"
             )
-    found = _kernels_of(greys, kernels, told, cost)
-    shrunk = median_low(
-        _shrunk(one) for one in found
-    )  # one motion: a kernel much larger than the others is wrong
+    estimates = _kernels_of(greys, kernels, progress, cost)
+    # one motion: a kernel much larger than the others is wrong
+    shrunk = median_low(map(_shrunk, estimates))
     if shrunk > 1:  # the blur outgrew the search
         size = (greys[0].shape[1] // shrunk, greys[0].shape[0] // shrunk)
         greys = [
             np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float64)
             for grey in greys
         ]
-        told.expect_more(cost)
-        found = _kernels_of(greys, kernels, told, cost)
+        progress.expect_more(cost)
+        estimates = _kernels_of(greys, kernels, progress, cost)
     light = [code.count("1") for code in codes]
     order = sorted(range(len(light)), key=lambda i: -light[i])
-    trust = np.array([found[i].confidence for i in order])
+    confidences = tuple(estimates[i].confidence for i in order)
     level = np.array([greys[i].mean() / light[i] for i in order])
     return Exposures(
         codes=tuple(codes[i] for i in order),
-        kernels=tuple(found[i].psf for i in order),
-        weights=_BLIND_WEIGHT * np.clip(trust, _LEAST_TRUST, 1) ** 2,
+        kernels=tuple(estimates[i].psf for i in order),
+        weights=_BLIND_WEIGHT * np.clip(np.array(confidences), _LEAST_TRUST, 1) ** 2,
         gains=level / level[0],
         photos=tuple(greys[i] for i in order) if _are_one_scene(greys) else (),
         shrunk=shrunk,
-        confidences=tuple(found[i].confidence for i in order),
-        still=_still(found, codes),
+        confidences=confidences,
+        still=_still(estimates, codes),
     )
 
 
-def _still(found: Sequence[MotionEstimate], codes: Sequence[str]) -> MotionEstimate | None:
-    """Return the estimate of a camera at rest where the photos that saw the whole exposure, else
-    all, are sharp.
-    """
-    whole = [one for one, code in zip(found, codes, strict=True) if "0" not in code]
-    seen = whole or found
-    return seen[0] if all(one.details.get("motion_blur") is False for one in seen) else None
+def _still(estimates: Sequence[MotionEstimate], codes: Sequence[str]) -> MotionEstimate | None:
+    """Estimate of a camera at rest where the uncoded photos, or all without any, are sharp."""
+    pairs = zip(estimates, codes, strict=True)
+    decisive = [estimate for estimate, code in pairs if "0" not in code] or estimates
+    sharp = all(estimate.details.get("motion_blur") is False for estimate in decisive)
+    return decisive[0] if sharp else None
 
 
 def _kernels_of(
@@ -166,8 +156,8 @@ def _kernels_of(
 ) -> list[MotionEstimate]:
     from motdiff.estimators.pmp.estimator import PmpEstimator
 
-    def estimator(tell: Callable[[float], None]) -> Estimator:
-        return kernels or PmpEstimator(crops=1, progress=tell)
+    def estimator(on_progress: Callable[[float], None]) -> Estimator:
+        return kernels or PmpEstimator(crops=1, progress=on_progress)
 
     return [estimator(progress.piece(cost / len(greys))).estimate(grey) for grey in greys]
 
@@ -180,17 +170,19 @@ def _grey(photo: ArrayLike, name: str) -> FloatArray:
 
 
 def _shrunk(estimate: MotionEstimate) -> int:
-    """How much smaller a photo was made before its kernel was found."""
+    """Factor by which a photo was made smaller for its kernel."""
     scale = estimate.details.get("scale", 1.0)
-    return round(1 / scale) if isinstance(scale, float) and estimate.confidence >= _TRUSTED else 1
+    if isinstance(scale, float) and estimate.confidence >= _TRUSTED:
+        return round(1 / scale)
+    return 1
 
 
 def _are_one_scene(photos: Sequence[FloatArray]) -> bool:
-    """Whether all photos show the scene of the first, as far as their blur lets one see."""
-    seen = [
+    """Whether all photos show the scene of the first, by details coarser than their blur."""
+    coarse = [
         ndimage.gaussian_filter(photo, _BLUR_PX) - ndimage.gaussian_filter(photo, 4 * _BLUR_PX)
         for photo in photos
     ]
     return all(
-        np.corrcoef(seen[0].ravel(), other.ravel())[0, 1] > _SAME_SCENE for other in seen[1:]
+        np.corrcoef(coarse[0].ravel(), photo.ravel())[0, 1] > _SAME_SCENE for photo in coarse[1:]
     )

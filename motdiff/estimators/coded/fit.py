@@ -1,6 +1,4 @@
-"""Candidates beside coded photos: the terms that judge them, and how they are laid on the
-photos.
-"""
+"""Fit of candidate paths to coded photos: its terms, and the candidates' registration."""
 
 from __future__ import annotations
 
@@ -10,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from motdiff.estimators.coded.candidates import distinct
 from motdiff.estimators.coded.exposures import Exposures
-from motdiff.estimators.coded.found import distinct
 from motdiff.estimators.coded.misfit import (
     KernelTerm,
     Roughness,
@@ -27,11 +25,8 @@ from motdiff.types import FloatArray
 
 KNOTS = 53
 """Of a path that is fitted finely."""
-_PATH_ERRORS_PX = (
-    1.0,
-    0.3,
-    0.04,
-)  # allowed on the three grids; at last, what straight pieces between knots leave
+# allowed on the three grids; the last is the error of straight pieces between knots
+_PATH_ERRORS_PX = (1.0, 0.3, 0.04)
 _LOOSE = 0.3  # roughness beside kernels, beside photos: second differences of 0.2 px
 _STIFF = 30.0
 _SATURATION = 60.0
@@ -69,14 +64,12 @@ class PhotoFit:
             dtype=torch.float32,
         )
         self.scenes = [
-            SceneTerm(self.unknowns, self._otfs, one, path_error_px=error_px)
-            for one, error_px in zip(spectra, _PATH_ERRORS_PX, strict=False)
+            SceneTerm(self.unknowns, self._otfs, on_grid, path_error_px=error_px)
+            for on_grid, error_px in zip(spectra, _PATH_ERRORS_PX, strict=False)
         ]
 
     def kernels(self, sigma_px: float, *, saturated: bool = False) -> KernelTerm:
-        """Term of the photos' kernels through a Gaussian; saturated, a kernel that is wrong costs
-        little.
-        """
+        """Term of the kernels through a Gaussian; saturated, a wrong kernel costs little."""
         return KernelTerm(
             self.unknowns,
             self._otfs,
@@ -87,27 +80,21 @@ class PhotoFit:
         )
 
     def pack(self, paths: FloatArray) -> Tensor:
-        """Candidates of paths (B, K, 2), centred, with the kernels' shifts that lay centroid on
-        centroid.
-        """
+        """Candidates of paths (B, K, 2), centred, whose PSFs share the kernels' centroids."""
         centred = torch.tensor(paths - paths.mean(axis=1, keepdims=True), dtype=torch.float32)
         shifts = self._centroids - self._otfs.centroids(centred)
         gains = torch.tensor(np.tile(self.exposures.gains, (len(paths), 1)), dtype=torch.float32)
         return self.unknowns.pack(centred, gains, shifts)
 
     def registered(self, x: Tensor) -> Tensor:
-        """Candidates with the photos' shifts found, where these are of one scene."""
+        """Candidates with the photos' shifts by correlation, where these are of one scene."""
         return self.scenes[0].registered(x) if self.scenes else x
 
     def misfit(self, x: Tensor) -> float:
-        """Misfit of the photos by a candidate (1, N), as a multiple of the noise; NaN without a
-        scene.
-        """
-        return (
-            float(self.scenes[-1].cost(x)) / self.scenes[-1].values
-            if self.scenes
-            else float("nan")
-        )
+        """Misfit by a candidate (1, N), as a multiple of the noise; NaN without a scene."""
+        if not self.scenes:
+            return float("nan")
+        return float(self.scenes[-1].cost(x)) / self.scenes[-1].values
 
     def paths(self, x: Tensor) -> FloatArray:
         """Paths (B, K, 2) of candidates."""

@@ -1,6 +1,4 @@
-"""OTFs of exposures of one motion through known codes, for many paths at once, with their
-derivatives.
-"""
+"""OTFs of exposures of one motion through known codes, and their derivatives by the path."""
 
 from __future__ import annotations
 
@@ -17,8 +15,7 @@ _SMALL = 1e-2  # half phases below this are expanded: sin(h) / h loses digits th
 
 
 class CodedOtfs:
-    """Exact OTFs, normalised to 1 at zero frequency, of paths that are straight between knots
-    evenly spaced in time.
+    """Exact OTFs, 1 at zero frequency, of paths that are straight between evenly spaced knots.
 
     A straight, uniform piece from a to b that lasts dt has the OTF ``dt exp(-pi i f.(a + b))
     sinc(f.(b - a))``, as in :class:`motdiff.trajectory.Trajectory`; an exposure sums those of its
@@ -32,16 +29,16 @@ class CodedOtfs:
     """
 
     def __init__(self, codes: Sequence[str], knots: int) -> None:
-        at = np.linspace(0, 1, knots)
+        times = np.linspace(0, 1, knots)
         edges = [np.linspace(0, 1, len(code) + 1) for code in codes]
-        cuts = np.unique(np.round(np.concatenate([at, *edges]), 12))
+        # rounded, so that a knot and a chip's edge at one time make no piece of 1e-17 between them
+        cuts = np.unique(np.round(np.concatenate([times, *edges]), 12))
         middle = 0.5 * (cuts[1:] + cuts[:-1])
-        lasting = np.diff(cuts)
         is_open = [
             np.array(list(code), dtype=np.float64)[(middle * len(code)).astype(np.intp)]
             for code in codes
         ]
-        light = np.stack(is_open) * lasting
+        light = np.stack(is_open) * np.diff(cuts)
         self.open_share: FloatArray = light.sum(axis=1)
         """(I,) open fraction of each code."""
         # positions at the cuts from those at the knots
@@ -50,9 +47,7 @@ class CodedOtfs:
         mix = np.zeros((cuts.size, knots))
         mix[np.arange(cuts.size), before] = 1 - share
         mix[np.arange(cuts.size), before + 1] += share
-        self._aligned = (
-            mix.shape[0] == knots
-        )  # codes whose chips begin at the knots need no mixing
+        self._aligned = mix.shape[0] == knots  # chips that begin at the knots need no mixing
         self._mix = torch.tensor(mix, dtype=torch.float32)
         self._light = torch.tensor(light / self.open_share[:, None], dtype=torch.float32)
 
@@ -67,41 +62,38 @@ class CodedOtfs:
         return torch.einsum("is,bsd->bid", self._light, 0.5 * (cuts[:, 1:] + cuts[:, :-1]))
 
     def otfs(self, paths: Tensor, shifts: Tensor, frequencies: Tensor) -> Tensor:
-        """OTFs (B, I, F), complex, of paths (B, K, 2) px moved by shifts (B, I, 2) px, at (F, 2)
-        cycles/px.
-        """
-        mean, fade, _ = self._pieces(paths, frequencies)
-        still = torch.complex(
-            torch.einsum("is,bsf->bif", self._light, fade * torch.cos(mean)),
-            -torch.einsum("is,bsf->bif", self._light, fade * torch.sin(mean)),
+        """OTFs (B, I, F) of paths (B, K, 2) moved by shifts (B, I, 2), px, at (F, 2) cycles/px."""
+        mean, sinc, _ = self._pieces(paths, frequencies)
+        H = torch.complex(
+            torch.einsum("is,bsf->bif", self._light, sinc * torch.cos(mean)),
+            -torch.einsum("is,bsf->bif", self._light, sinc * torch.sin(mean)),
         )
-        return still * _phases(shifts, frequencies)
+        return H * _phases(shifts, frequencies)
 
     def with_slopes(
         self, paths: Tensor, shifts: Tensor, frequencies: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """OTFs, and their derivatives (B, I, F, K), complex, with respect to ``2 pi f.p`` of each
-        knot's position p.
-        """
-        mean, fade, slope = self._pieces(paths, frequencies)
+        """OTFs, and their derivatives (B, I, F, K) by ``2 pi f.p`` of each knot's position p."""
+        mean, sinc, slope = self._pieces(paths, frequencies)
         cos = torch.cos(mean)
         sin = torch.sin(mean)
-        moved = _phases(shifts, frequencies)
-        otf = torch.einsum(
-            "is,bsf->bif", self._light.to(torch.complex64), torch.complex(fade * cos, -fade * sin)
+        phases = _phases(shifts, frequencies)
+        H = torch.einsum(
+            "is,bsf->bif", self._light.to(torch.complex64), torch.complex(sinc * cos, -sinc * sin)
         )
-        # d/dphase at the piece's start and end: -i/2 T -+ slope/2 exp(-i mean)
-        middle = torch.complex(-0.5 * fade * sin, -0.5 * fade * cos)
+        # d/dphase at the piece's start and end: -i/2 T -+ slope/2 exp(-i mean), T the piece's OTF
+        common = torch.complex(-0.5 * sinc * sin, -0.5 * sinc * cos)
         spread = torch.complex(0.5 * slope * cos, -0.5 * slope * sin)
         pieces = (
             self._light[None, :, None]
-            * torch.stack([middle - spread, middle + spread]).transpose(2, 3)[:, :, None]
+            * torch.stack([common - spread, common + spread]).transpose(2, 3)[:, :, None]
         )
-        at_cuts = torch.zeros(*pieces.shape[1:-1], pieces.shape[-1] + 1, dtype=torch.complex64)
-        at_cuts[..., :-1] += pieces[0]
-        at_cuts[..., 1:] += pieces[1]
-        at_knots = at_cuts if self._aligned else at_cuts @ self._mix.to(torch.complex64)
-        return otf * moved, at_knots * moved[..., None]
+        dH = torch.zeros(*pieces.shape[1:-1], pieces.shape[-1] + 1, dtype=torch.complex64)
+        dH[..., :-1] += pieces[0]
+        dH[..., 1:] += pieces[1]
+        if not self._aligned:
+            dH = dH @ self._mix.to(torch.complex64)
+        return H * phases, dH * phases[..., None]
 
     def _at_cuts(self, paths: Tensor) -> Tensor:
         return paths if self._aligned else torch.einsum("uk,bkd->bud", self._mix, paths)
@@ -113,9 +105,9 @@ class CodedOtfs:
         half = 0.5 * (phase[:, 1:] - phase[:, :-1])
         small = half.abs() < _SMALL
         safe = torch.where(small, torch.ones_like(half), half)
-        fade = torch.where(small, 1 - half**2 / 6, torch.sin(safe) / safe)
+        sinc = torch.where(small, 1 - half**2 / 6, torch.sin(safe) / safe)
         slope = torch.where(small, -half / 3, (torch.cos(safe) - torch.sin(safe) / safe) / safe)
-        return mean, fade, slope
+        return mean, sinc, slope
 
 
 def _phases(shifts: Tensor, frequencies: Tensor) -> Tensor:

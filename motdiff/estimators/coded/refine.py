@@ -1,4 +1,4 @@
-"""Refinement of a motion that is known roughly, by photos of it taken through known codes."""
+"""Refinement of an approximate motion by photos of it taken through known codes."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from motdiff.estimators.base import Estimator
+from motdiff.estimators.coded.candidates import expected_deviation_px
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.exposures import Exposures, exposures_of
 from motdiff.estimators.coded.fit import KNOTS, PhotoFit
-from motdiff.estimators.coded.found import expected_deviation_px
-from motdiff.estimators.coded.misfit import Term, Unknowns, descend
+from motdiff.estimators.coded.misfit import PathQuadratic, Term, Unknowns, descend
 from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 NOISE_GAIN = 4.0 * KNOTS
-"""What noise alone gains in the sum of squares: twice the coordinates of the knots."""
+"""Decrease of the sum of squares by noise alone: twice the coordinates of the knots."""
 _SMOOTH_OVER = 0.12  # of the exposure: an error of the path changes over such times
 _ROUGH_PX = 0.03  # error of each knot beside the smooth one
-_ANYWHERE_PX = 100.0  # the place of the whole path is of no account
+_ANYWHERE_PX = 100.0  # the position of the whole path does not matter
 _FIXED_PX = 1e-3
-_ORDERS_KEPT = 4
-_STEERED = (0.5, 1.0, 2.0)  # descents with other deviations end in other minima
+_MOST_ORDERS = 4
+_DEVIATION_FACTORS = (0.5, 1.0, 2.0)  # descents with other deviations end in other minima
 _NEAREST_COST = 2.0  # in fits
-# stated is this times what the curvature of the fit gives: docs/decisions/motion-estimation.md
+# of true to computed error: docs/decisions/motion-estimation.md
 _ERROR_RATIO = 1.5
 
 
@@ -48,7 +48,7 @@ class RefinedPath:
         Of the photos, before and after, as a multiple of what noise alone leaves; NaN where only
         kernels are compared.
     values : int
-        How many values that misfit is the mean of.
+        Number of values that the misfit is the mean of.
     deviation_px : float
         Expected error of the refined path, rms over time.
     """
@@ -63,11 +63,11 @@ class RefinedPath:
 
 
 class PathRefiner:
-    """Fit paths that are known roughly to photos of that motion, each taken through a known code.
+    """Fit approximate paths to photos of that motion, each taken through a known code.
 
-    Each path may deviate from what is given by an error that is smooth in time and of the size
-    ``deviation_px``. It is fitted to the kernels of the photos, each found in its photo alone, and
-    to the photos themselves where two or more show one scene.
+    Each path may deviate from the given one by an error that is smooth in time and of the size
+    ``deviation_px``. It is fitted to the kernels of the photos, each estimated in its photo alone,
+    and to the photos themselves where two or more show one scene.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class PathRefiner:
     deviation_px : float
         Expected error of the given path, rms over time.
     kernels : Estimator, optional
-        What finds the kernel of each photo; PMP when omitted.
+        Estimator of each photo's kernel; PMP when omitted.
     progress : callable, optional
         Called with the finished share 0..1.
 
@@ -127,29 +127,27 @@ class PathRefiner:
             progress = Progress(self._tell)
             progress.expect(1.0)
             exposures = exposures_of(photos, self._codes, kernels=self._kernels, progress=progress)
-            found = self._refined(paths, exposures, progress)
+            refined = self._refined(paths, exposures, progress)
             progress.finish()
-            return found
+            return refined
 
     def _refined(
         self, paths: Sequence[Trajectory], exposures: Exposures, progress: Progress
     ) -> list[RefinedPath]:
         fit = _RefiningFit(exposures)
         factor = exposures.shrunk
-        given = [path.scaled(1 / factor) for path in paths]
-        progress.expect(
-            _NEAREST_COST * (len(given) > 1) + min(len(given), _ORDERS_KEPT) * len(_STEERED)
-        )
-        near = given
-        if len(given) > 1:
-            near = fit.nearest(given)
+        orders = [path.scaled(1 / factor) for path in paths]
+        fits = min(len(orders), _MOST_ORDERS) * len(_DEVIATION_FACTORS)
+        progress.expect(_NEAREST_COST * (len(orders) > 1) + fits)
+        if len(orders) > 1:
+            orders = fit.nearest(orders)
             progress.spend(_NEAREST_COST)
-        found = []
-        for path in near:
-            for one in fit.refined(path, self._deviation_px / factor, factor=factor):
-                found.append(one)
+        refined = []
+        for path in orders:
+            for candidate in fit.refined(path, self._deviation_px / factor, factor=factor):
+                refined.append(candidate)
                 progress.spend(1.0)
-        return sorted(found, key=lambda one: one.cost)
+        return sorted(refined, key=lambda candidate: candidate.cost)
 
 
 class _RefiningFit(PhotoFit):
@@ -158,25 +156,27 @@ class _RefiningFit(PhotoFit):
         self.sharpest = self.kernels(1.0, saturated=True)
 
     def nearest(self, paths: Sequence[Trajectory]) -> list[Trajectory]:
-        """Those of the paths from which the photos are explained best after a few steps."""
+        """Paths with the least cost after a few steps of descent."""
         x = self.registered(self.pack(np.stack([_knots(path) for path in paths])))
         terms: list[Term] = [self.kernels(1.5), self.loose]
         if self.scenes:
             terms = [self.scenes[0], self.sharpest, self.loose]
         _, costs = descend(terms, x, steps=4)
-        return [paths[i] for i in torch.argsort(costs)[:_ORDERS_KEPT].tolist()]
+        return [paths[i] for i in torch.argsort(costs)[:_MOST_ORDERS].tolist()]
 
     def refined(
         self, path: Trajectory, deviation_px: float, *, factor: int
     ) -> Iterator[RefinedPath]:
         """Descend from a path with half, once and twice its deviation."""
         start = _knots(path)
-        prior = _PathPrior(self.unknowns, start, deviation_px)
+        prior = _path_prior(self.unknowns, start, deviation_px)
         terms: list[Term] = [self.sharpest, prior, *self.scenes[-1:]]
-        begin = self.registered(self.pack(start[None]))
-        given_misfit = self._misfit_of_given(begin)
-        for steered in _STEERED:
-            x = self._descended(begin, _PathPrior(self.unknowns, start, steered * deviation_px))
+        x0 = self.registered(self.pack(start[None]))
+        given_misfit = self._misfit_of_given(x0)
+        for deviation_factor in _DEVIATION_FACTORS:
+            x = self._descended(
+                x0, _path_prior(self.unknowns, start, deviation_factor * deviation_px)
+            )
             knots_px = expected_deviation_px(self.unknowns, terms, x)
             yield RefinedPath(
                 given=path.scaled(factor),
@@ -188,54 +188,31 @@ class _RefiningFit(PhotoFit):
                 deviation_px=_ERROR_RATIO * factor * float(np.sqrt((knots_px**2).mean())),
             )
 
-    def _descended(self, x: Tensor, guide: _PathPrior) -> Tensor:
+    def _descended(self, x: Tensor, prior: Term) -> Tensor:
         if not self.scenes:
-            return descend([self.sharpest, guide], x, steps=20)[0]
+            return descend([self.sharpest, prior], x, steps=20)[0]
         for term, steps in zip(self.scenes, (6, 6, 12), strict=True):
-            x, _ = descend([term, self.sharpest, guide], x, steps=steps)
+            x, _ = descend([term, self.sharpest, prior], x, steps=steps)
         return x
 
     def _misfit_of_given(self, x: Tensor) -> float:
         """Misfit of the photos along a path that stays as it is; shifts and gains are fitted."""
-        still = _PathPrior(
+        fixed = _path_prior(
             self.unknowns, self.unknowns.paths(x)[0].numpy(), _FIXED_PX, rough_px=_FIXED_PX
         )
         for term in self.scenes:
-            x, _ = descend([term, still], x, steps=4)
+            x, _ = descend([term, fixed], x, steps=4)
         return self.misfit(x)
 
 
-class _PathPrior:
-    """Deviation from a path as a Gaussian process in time: smooth, of an expected size, and of any
-    shift.
-    """
-
-    def __init__(
-        self,
-        unknowns: Unknowns,
-        path: FloatArray,
-        deviation_px: float,
-        rough_px: float = _ROUGH_PX,
-    ) -> None:
-        t = np.linspace(0, 1, unknowns.knots)
-        covariance = 0.5 * deviation_px**2 * np.exp(-0.5 * ((t[:, None] - t) / _SMOOTH_OVER) ** 2)
-        covariance += rough_px**2 * np.eye(len(t)) + _ANYWHERE_PX**2
-        self._matrix = torch.tensor(np.linalg.inv(covariance), dtype=torch.float32)
-        self._path = torch.tensor(path, dtype=torch.float32)
-        self._unknowns = unknowns
-
-    def cost(self, x: Tensor) -> Tensor:
-        """See :class:`motdiff.estimators.coded.misfit.Term`."""
-        away = self._unknowns.paths(x) - self._path
-        return torch.einsum("bkd,kl,bld->b", away, self._matrix, away)
-
-    def add_normal(self, x: Tensor, matrix: Tensor, slope: Tensor) -> None:
-        """See :class:`motdiff.estimators.coded.misfit.Term`."""
-        away = self._unknowns.paths(x) - self._path
-        end = 2 * self._unknowns.knots
-        for axis in (0, 1):
-            matrix[:, axis:end:2, axis:end:2] += self._matrix
-            slope[:, axis:end:2] += away[..., axis] @ self._matrix
+def _path_prior(
+    unknowns: Unknowns, path: FloatArray, deviation_px: float, rough_px: float = _ROUGH_PX
+) -> PathQuadratic:
+    """Deviation from a path as a Gaussian process: smooth in time, of any shift."""
+    t = np.linspace(0, 1, unknowns.knots)
+    covariance = 0.5 * deviation_px**2 * np.exp(-0.5 * ((t[:, None] - t) / _SMOOTH_OVER) ** 2)
+    covariance += rough_px**2 * np.eye(len(t)) + _ANYWHERE_PX**2
+    return PathQuadratic(unknowns, np.asarray(np.linalg.inv(covariance), np.float64), path)
 
 
 def _knots(path: Trajectory) -> FloatArray:
@@ -245,8 +222,8 @@ def _knots(path: Trajectory) -> FloatArray:
 
 
 def _moved(path: Trajectory, move: FloatArray) -> Trajectory:
-    """Path moved by (K, 2) px at evenly spaced times: what it has between the knots stays."""
-    at = np.linspace(0, 1, KNOTS)
-    t = np.union1d(path.t, at)
-    shift = np.stack([np.interp(t, at, move[:, axis]) for axis in (0, 1)], axis=1)
+    """Path moved by (K, 2) px at evenly spaced times; its detail between the knots stays."""
+    knot_times = np.linspace(0, 1, KNOTS)
+    t = np.union1d(path.t, knot_times)
+    shift = np.stack([np.interp(t, knot_times, move[:, axis]) for axis in (0, 1)], axis=1)
     return Trajectory.from_samples(path.at(t) + shift, t=t, direction=path.direction)

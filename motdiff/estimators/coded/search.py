@@ -1,6 +1,4 @@
-"""Search for the path that explains coded photos: from many starts, coarse to fine, by crossing
-what was found.
-"""
+"""Search for the path of coded photos: many starts, coarse to fine, crossings of candidates."""
 
 from __future__ import annotations
 
@@ -10,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from motdiff.estimators.coded.candidates import CandidatePath, expected_deviation_px, merged
 from motdiff.estimators.coded.exposures import Exposures
 from motdiff.estimators.coded.fit import KNOTS, PhotoFit
-from motdiff.estimators.coded.found import FoundPath, expected_deviation_px, merged
 from motdiff.estimators.coded.misfit import SceneSpectra, Term, descend
 from motdiff.estimators.coded.starts import bridged, crossed, decoded_paths, loop_reversals, orders
 from motdiff.motions import boracchi_foi
@@ -24,25 +22,25 @@ _DECODED = 64
 _ORDERS = 48
 _WALKS = 48
 _POPULATION = 8
-_KEPT = 10
+_CHILDREN_FITTED = 10
 _PARENTS = 4
 _ROUNDS = 6
-_STILL = 2
+_PATIENCE = 2  # rounds without improvement
 _IMPROVED = 0.98
 
 # the search beside the photos alone
 _DOUBTFUL = 1.0  # misfit; right paths have 0.6 to 0.97 on simulated walks
-_FEW_PHOTOS = 2  # their kernels mislead too often to be all that a search begins from
+_FEW_PHOTOS = 2  # their kernels mislead too often to be the only starts
 _FEW_KNOTS = 27  # half as many unknowns make a step twice as cheap
 _LONE_WALKS = 96
 _USUAL_PX = 50.0
 _MOST_SEARCHES = 4
 _SAME_PX = 1.0
 _WIDE_ROUNDS = 20
-_WIDE_STILL = 4
+_WIDE_PATIENCE = 4
 _CHILDREN = 32
-_KEPT_OF_WIDE = 6
-_PATIENT = 0.995
+_WIDE_RESULTS = 6
+_WIDE_IMPROVED = 0.995
 
 
 def find_paths(
@@ -51,7 +49,7 @@ def find_paths(
     rng: np.random.Generator,
     progress: Progress | None = None,
     cost: float = 1.0,
-) -> tuple[list[FoundPath], int]:
+) -> tuple[list[CandidatePath], int]:
     """Find the paths that explain the photos best.
 
     Where the best one leaves more than noise, some kernel may be wrong: the search goes on from
@@ -62,47 +60,44 @@ def find_paths(
     exposures : Exposures
     rng : numpy Generator
     progress : Progress, optional
-        Where the work done is reported; its plan holds ``cost`` for it already.
+        Its plan holds ``cost`` for this work already.
     cost : float
         Of one search, in the unit of that plan.
 
     Returns
     -------
-    list of FoundPath, best first, and how many searches found the best one
+    list of CandidatePath, best first, and the number of searches that ended at the best one
     """
-    told = progress or Progress()
+    progress = progress or Progress()
     spectra = exposures.spectra()
-    search = _Search(exposures, spectra, rng, spend=lambda share: told.spend(share * cost))
+    search = _Search(exposures, spectra, rng, spend=lambda share: progress.spend(share * cost))
     x = search.from_kernels()
     if spectra and len(exposures.codes) == _FEW_PHOTOS:
-        return _found_widely(
-            search, spectra, known=search.paths(x), most=_MOST_SEARCHES, spend=search.spend
+        return _wide_paths(
+            search, spectra, starts=search.paths(x), most=_MOST_SEARCHES, spend=search.spend
         )
-    found = search.run(x)
+    paths = search.run(x)
     times = 1
-    for most in (
-        1,
-        _MOST_SEARCHES,
-    ):  # what one search finds and three photos bear out needs no other
-        if not found[0].misfit > _DOUBTFUL:
+    # a path of one search that three photos confirm needs no other search
+    for most in (1, _MOST_SEARCHES):
+        if not paths[0].misfit > _DOUBTFUL:
             break
-        told.expect_more(2 * cost)
-        known = np.stack([path.path for path in found])
-        other, again = _found_widely(
+        progress.expect_more(2 * cost)
+        wide, wide_times = _wide_paths(
             search,
             spectra,
-            known=known,
+            starts=np.stack([path.path for path in paths]),
             most=most,
-            spend=lambda share: told.spend(2 * share * cost),
+            spend=lambda share: progress.spend(2 * share * cost),
         )
-        if other[0].misfit < found[0].misfit:
-            found = other
-            times = again
-    return found, times
+        if wide[0].misfit < paths[0].misfit:
+            paths = wide
+            times = wide_times
+    return paths, times
 
 
 class _Search(PhotoFit):
-    """A search that the photos' kernels lead."""
+    """Search from the photos' kernels."""
 
     def __init__(
         self,
@@ -136,8 +131,8 @@ class _Search(PhotoFit):
             x, _ = self.best([term, self.loose], x, steps=8, keep=keep)
         return self.registered(x)
 
-    def run(self, x: Tensor) -> list[FoundPath]:
-        """Paths that candidates lead to, best first."""
+    def run(self, x: Tensor) -> list[CandidatePath]:
+        """Paths at the ends of descents and crossings of candidates, best first."""
         coarse: list[Term] = [*self.scenes[:1], self.sharpest, self.loose]
         x, costs = self.best(coarse, x, steps=6, keep=_POPULATION)
         self.spend(0.25)
@@ -150,13 +145,13 @@ class _Search(PhotoFit):
         self.spend(0.1)
         return self._ended(x)
 
-    def finished(self, paths: FloatArray) -> list[FoundPath]:
-        """Paths that others (B, K, 2) become beside the photos' finest details, best first."""
+    def finished(self, paths: FloatArray) -> list[CandidatePath]:
+        """Paths (B, K, 2) fitted to the photos' finest details, best first."""
         x = self.registered(self.pack(paths))
         x, _ = self.best([self.scenes[1], self.sharpest, self.stiff], x, steps=6, keep=4)
         return self._ended(x)
 
-    def _ended(self, x: Tensor) -> list[FoundPath]:
+    def _ended(self, x: Tensor) -> list[CandidatePath]:
         finest: list[Term] = [self.scenes[2], self.sharpest, self.stiff]
         x, costs = self.best(finest, x, steps=12, keep=len(x))
         self.spend(0.15)
@@ -174,114 +169,91 @@ class _Search(PhotoFit):
         )
 
     def _evolved(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> tuple[Tensor, Tensor]:
-        """Cross the best candidates with each other and with decoded paths, and reverse their
-        loops, while it helps.
-        """
-        still = 0
-        for done in range(_ROUNDS):
+        """Cross the best with each other and decoded paths, and reverse loops, while it helps."""
+        idle_rounds = 0
+        for index in range(_ROUNDS):
             new = self.pack(np.stack(self._children(x)))
             new, _ = descend([self.coarse_kernels[2.5], self.loose], new, steps=3)
-            new, _ = self.best([self.coarse_kernels[1.5], self.loose], new, steps=4, keep=_KEPT)
-            new, reached = descend(terms, self.registered(new), steps=5)
-            before = float(costs.min())
-            x, costs = self.distinct(
-                torch.cat([x, new]), torch.cat([costs, reached]), keep=_POPULATION
+            new, _ = self.best(
+                [self.coarse_kernels[1.5], self.loose], new, steps=4, keep=_CHILDREN_FITTED
             )
-            still = 0 if float(costs[0]) < _IMPROVED * before else still + 1
+            new, new_costs = descend(terms, self.registered(new), steps=5)
+            least = float(costs.min())
+            x, costs = self.distinct(
+                torch.cat([x, new]), torch.cat([costs, new_costs]), keep=_POPULATION
+            )
+            idle_rounds = 0 if float(costs[0]) < _IMPROVED * least else idle_rounds + 1
             self.spend(0.5 / _ROUNDS)
-            if still == _STILL:
-                self.spend(0.5 * (_ROUNDS - 1 - done) / _ROUNDS)
+            if idle_rounds == _PATIENCE:
+                self.spend(0.5 * (_ROUNDS - 1 - index) / _ROUNDS)
                 break
         return x, costs
 
     def _children(self, x: Tensor) -> list[FloatArray]:
         shifts = self.unknowns.kernel_shifts(x)
-        paths = self.paths(x) + shifts[:, :1].numpy()  # all laid on the first kernel
+        paths = self.paths(x) + shifts[:, :1].numpy()  # all aligned with the first kernel
         children = []
         for i, path in enumerate(paths[:_PARENTS]):
-            others = [paths[j] for j in range(len(paths)) if j != i]
+            partners = [*paths[:i], *paths[i + 1 :]]
             if i < 2:
-                others += list(self._decoded(12, shifts[i].numpy().astype(np.float64)))
+                partners += list(self._decoded(12, shifts[i].numpy().astype(np.float64)))
             children += loop_reversals(path, most=4 if i < 2 else 2, rng=self.rng)
-            children += [
-                child
-                for other in others
-                if (child := crossed(path, other, rng=self.rng)) is not None
-            ]
+            crossings = (crossed(path, partner, rng=self.rng) for partner in partners)
+            children += [child for child in crossings if child is not None]
         return children
 
-    def _described(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> list[FoundPath]:
-        found = []
-        for one, path, cost in zip(x, self.paths(x), costs.tolist(), strict=True):
-            misfit = self.misfit(one[None])
-            unexplained = max(1.0, misfit) if self.scenes else 1.0
-            deviation_px = np.sqrt(0.5 * unexplained) * expected_deviation_px(
-                self.unknowns, terms, one[None]
+    def _described(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> list[CandidatePath]:
+        described = []
+        for candidate, path, cost in zip(x[:, None], self.paths(x), costs.tolist(), strict=True):
+            misfit = self.misfit(candidate)
+            noise_factor = max(1.0, misfit) if self.scenes else 1.0
+            deviation_px = np.sqrt(0.5 * noise_factor) * expected_deviation_px(
+                self.unknowns, terms, candidate
             )
-            found.append(FoundPath(path, cost, misfit, deviation_px))
-        return found
+            described.append(CandidatePath(path, cost, misfit, deviation_px))
+        return described
 
 
-def _found_widely(
+def _wide_paths(
     search: _Search,
     spectra: Sequence[SceneSpectra],
     *,
-    known: FloatArray,
+    starts: FloatArray,
     most: int,
     spend: Callable[[float], None],
-) -> tuple[list[FoundPath], int]:
-    """Paths of the search beside the photos alone, best first, and how many of its searches ended
-    at the best.
-    """
-    wide, times = _widely_searched(
-        search.exposures, spectra, search.rng, known=known, most=most, spend=spend
-    )
-    found = search.finished(wide)
-    apart = found[0].path - wide[0]
-    moved_px = np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean())
-    return (
-        found,
-        times if moved_px < _SAME_PX else 1,
-    )  # in the finest details another path may be the best
-
-
-def _widely_searched(
-    exposures: Exposures,
-    spectra: Sequence[SceneSpectra],
-    rng: np.random.Generator,
-    *,
-    known: FloatArray,
-    most: int,
-    spend: Callable[[float], None],
-) -> tuple[FloatArray, int]:
-    """Search beside the photos alone, from known paths (N, K, 2) and random walks.
+) -> tuple[list[CandidatePath], int]:
+    """Search without the kernels, from paths (N, K, 2) and random walks.
 
     Searches are repeated, the later ones from walks alone, until two of them end at one path,
     ``most`` times at most.
 
     Returns
     -------
-    (M, K, 2) best paths, and how many searches ended at the first
+    Paths, best first, and the number of searches that ended at the best
     """
-    fit = PhotoFit(exposures, spectra, knots=_FEW_KNOTS)
+    fit = PhotoFit(search.exposures, spectra, knots=_FEW_KNOTS)
     share = 0.85 / most
-    begun = _with_knots(known, _FEW_KNOTS)
+    starts = _with_knots(starts, _FEW_KNOTS)
     ends: list[tuple[Tensor, Tensor]] = []
-    for done in range(1, most + 1):
-        ends.append(_wide_search(fit, begun, rng, spend=lambda part: spend(share * part)))
-        begun = begun[:0]
-        x, _, times = merged(fit.unknowns, ends, keep=_KEPT_OF_WIDE, same_px=_SAME_PX)
+    for count in range(1, most + 1):
+        ends.append(_wide_search(fit, starts, search.rng, spend=lambda s: spend(share * s)))
+        starts = starts[:0]
+        x, _, times = merged(fit.unknowns, ends, keep=_WIDE_RESULTS, same_px=_SAME_PX)
         if times > 1:
-            spend(share * (most - done))
+            spend(share * (most - count))
             break
-    return _with_knots(fit.paths(x), KNOTS), times
+    wide = _with_knots(fit.paths(x), KNOTS)
+    paths = search.finished(wide)
+    change = paths[0].path - wide[0]
+    moved_px = np.sqrt(((change - change.mean(axis=0)) ** 2).sum(axis=1).mean())
+    # in the finest details another path may be the best, at which no other search ended
+    return paths, times if moved_px < _SAME_PX else 1
 
 
 def _wide_search(
-    fit: PhotoFit, known: FloatArray, rng: np.random.Generator, *, spend: Callable[[float], None]
+    fit: PhotoFit, starts: FloatArray, rng: np.random.Generator, *, spend: Callable[[float], None]
 ) -> tuple[Tensor, Tensor]:
-    """Candidates and their costs, best first, from known paths (N, K, 2), of few knots, and as
-    many walks as usual.
+    """Candidates and costs, best first, from paths (N, K, 2) of few knots and random walks.
 
     Stretches of the best paths are drawn anew between their ends, turned, or taken from each
     other; on the middle grid, where the photos still allow an error of 0.3 px, but few wrong
@@ -290,39 +262,37 @@ def _wide_search(
     coarse: list[Term] = [fit.scenes[0], fit.loose]
     middle: list[Term] = [fit.scenes[1], fit.stiff]
     x = fit.registered(
-        fit.pack(np.concatenate([known, _usual_walks(rng, fit.knots, _LONE_WALKS)]))
+        fit.pack(np.concatenate([starts, _usual_walks(rng, fit.knots, _LONE_WALKS)]))
     )
     x, _ = fit.best(coarse, x, steps=4, keep=32)
     x, costs = fit.best(middle, x, steps=4, keep=12)
     spend(0.2)
-    still = 0
-    for done in range(_WIDE_ROUNDS):
+    idle_rounds = 0
+    for index in range(_WIDE_ROUNDS):
         new = fit.registered(
             fit.pack(_children_of(fit.paths(x), _usual_walks(rng, fit.knots, _CHILDREN), rng=rng))
         )
         new, _ = fit.best(coarse, new, steps=2, keep=20)
         new, _ = fit.best(middle, new, steps=2, keep=8)
-        new, reached = descend(middle, new, steps=4)
-        before = float(costs.min())
-        x, costs = fit.distinct(torch.cat([x, new]), torch.cat([costs, reached]), keep=_POPULATION)
-        still = 0 if float(costs[0]) < _PATIENT * before else still + 1
+        new, new_costs = descend(middle, new, steps=4)
+        least = float(costs.min())
+        x, costs = fit.distinct(
+            torch.cat([x, new]), torch.cat([costs, new_costs]), keep=_POPULATION
+        )
+        idle_rounds = 0 if float(costs[0]) < _WIDE_IMPROVED * least else idle_rounds + 1
         spend(0.8 / _WIDE_ROUNDS)
-        if still == _WIDE_STILL:
-            spend(0.8 * (_WIDE_ROUNDS - 1 - done) / _WIDE_ROUNDS)
+        if idle_rounds == _WIDE_PATIENCE:
+            spend(0.8 * (_WIDE_ROUNDS - 1 - index) / _WIDE_ROUNDS)
             break
     return x, costs
 
 
 def _children_of(paths: FloatArray, walks: FloatArray, *, rng: np.random.Generator) -> FloatArray:
-    """As many changed paths as there are walks, of the paths (N, K, 2) that come first most
-    often.
-    """
+    """Change parents drawn from (N, K, 2), the first likelier, one for each walk."""
     chance = np.exp(-0.3 * np.arange(len(paths)))
+    parents = rng.choice(len(paths), len(walks), p=chance / chance.sum())
     children = []
-    for parent, walk in zip(
-        rng.choice(len(paths), len(walks), p=chance / chance.sum()), walks, strict=True
-    ):
-        path = paths[parent]
+    for path, walk in zip(paths[parents], walks, strict=True):
         kind = rng.random()
         child = None
         if kind < 0.25:
@@ -344,7 +314,5 @@ def _usual_walks(rng: np.random.Generator, knots: int, count: int) -> FloatArray
 
 def _walks(rng: np.random.Generator, knots: int, lengths_px: FloatArray) -> FloatArray:
     """Random walks (B, K, 2) of such lengths."""
-    at = np.linspace(0, 1, knots)
-    return np.stack(
-        [boracchi_foi(rng, max_length_px=length_px).at(at) for length_px in lengths_px]
-    )
+    times = np.linspace(0, 1, knots)
+    return np.stack([boracchi_foi(rng, max_length_px=px).at(times) for px in lengths_px])

@@ -1,6 +1,4 @@
-"""Paths to begin a fit from: decoded from the photos' kernels, in other orders of a path, and
-crossed from two.
-"""
+"""Starting paths of a fit: decoded from kernels, other orders of a path, crossings of two."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ _LOOP_PX = 4.0  # less path between two meetings is no loop
 _MOST_MEETINGS = 10
 _FAINT = 0.04  # share of the peak
 _DOUBT = 0.08  # least share of the light at a point with the shutter open, or closed
-_BLUR_PX = 1.0  # between kernels that were found apart from each other
+_BLUR_PX = 1.0  # kernels estimated apart from each other do not match to a pixel
 _EMISSION = 0.3  # weight of how bright a point is
 _STRAY_PX = 0.6  # stretches that differ by less are the same
 
@@ -35,12 +33,11 @@ def decoded_paths(
     rng: np.random.Generator,
     shifts: FloatArray | None = None,
 ) -> FloatArray:
-    """Draw paths whose every moment lies where the kernels have light at the codes' bits of that
-    moment.
+    """Draw paths that are, at each time, where the kernels' light fits the codes' bits.
 
-    The share of a point's light that an exposure holds tells whether its shutter was open when the
-    path passed there. A hidden Markov model over the points of the first kernel with steps of
-    about the mean speed draws whole paths (forward filtering, backward sampling).
+    The share of a point's light in an exposure shows whether its shutter was open when the path
+    passed there. A hidden Markov model over the points of the first kernel, with steps of about
+    the mean speed, draws paths by forward filtering and backward sampling.
 
     Parameters
     ----------
@@ -49,15 +46,19 @@ def decoded_paths(
     codes : sequence of I str
     knots, count : int
     length_px : float
-        Length of the path, as far as it is known.
+        Approximate length of the path.
     rng : numpy Generator
     shifts : (I, 2) float, optional
-        Where each kernel lies against the path, (x, y) px; they are laid on the first one when
+        Shift of each kernel against the path, (x, y) px; by correlation with the first kernel when
         omitted.
 
     Returns
     -------
     (count, knots, 2) float, px
+
+    References
+    ----------
+    Scott, "Bayesian methods for hidden Markov models", JASA 97, 2002 (the sampling).
     """
     size = max(len(kernel) for kernel in kernels)
     light = [np.mean(np.array(list(code), dtype=np.float64)) for code in codes]
@@ -65,175 +66,153 @@ def decoded_paths(
         share * ndimage.gaussian_filter(in_frame(kernel / kernel.sum(), size), _BLUR_PX)
         for kernel, share in zip(kernels, light, strict=True)
     ]
-    laid = [soft[0]]
+    aligned = [soft[0]]
     for i, kernel in enumerate(soft[1:], 1):
-        move = (
-            register_shift(soft[0], kernel)[::-1]
-            if shifts is None
-            else (shifts[0] - shifts[i])[::-1]
-        )
-        laid.append(np.maximum(ndimage.shift(kernel, move, order=1), 0))
-    lit = soft[0] > _FAINT * soft[0].max()
-    rows, columns = np.nonzero(lit)
+        shift = register_shift(soft[0], kernel) if shifts is None else shifts[0] - shifts[i]
+        aligned.append(np.maximum(ndimage.shift(kernel, shift[::-1], order=1), 0))
+    support = soft[0] > _FAINT * soft[0].max()
+    rows, columns = np.nonzero(support)
     steps = knots - 1
-    when = (np.arange(steps) + 0.5) / steps
-    score = np.tile(_EMISSION * np.log(soft[0][lit] / soft[0].max()), (steps, 1))
-    for code, share, kernel in zip(codes, light, laid, strict=True):
+    times = (np.arange(steps) + 0.5) / steps
+    score = np.tile(_EMISSION * np.log(soft[0][support] / soft[0].max()), (steps, 1))
+    for code, share, kernel in zip(codes, light, aligned, strict=True):
         if share == 1:
-            continue
-        held = np.clip(kernel[lit] / soft[0][lit] * light[0], _DOUBT, 1 - _DOUBT)
-        is_open = np.array(list(code))[(when * len(code)).astype(np.intp)] == "1"
-        score += np.where(is_open[:, None], np.log(held), np.log(1 - held))
+            continue  # open throughout, it says nothing of time
+        p_open = np.clip(kernel[support] / soft[0][support] * light[0], _DOUBT, 1 - _DOUBT)
+        is_open = np.array(list(code))[(times * len(code)).astype(np.intp)] == "1"
+        score += np.where(is_open[:, None], np.log(p_open), np.log(1 - p_open))
     emission = np.exp(score - score.max(axis=1, keepdims=True))
     step_px = length_px / steps
-    apart = np.hypot(rows[:, None] - rows, columns[:, None] - columns)
-    passing = np.exp(-0.5 * ((apart - step_px) / (0.6 * step_px + 0.5)) ** 2)
-    passing /= passing.sum(axis=1, keepdims=True)
+    distance = np.hypot(rows[:, None] - rows, columns[:, None] - columns)
+    transition = np.exp(-0.5 * ((distance - step_px) / (0.6 * step_px + 0.5)) ** 2)
+    transition /= transition.sum(axis=1, keepdims=True)
     forward = np.empty_like(emission)
     forward[0] = emission[0] / emission[0].sum()
     for k in range(1, steps):
-        forward[k] = (forward[k - 1] @ passing) * emission[k]
+        forward[k] = (forward[k - 1] @ transition) * emission[k]
         forward[k] /= forward[k].sum()
     points = np.stack([columns, rows], axis=1) - float(size // 2)
     state = rng.choice(len(points), size=count, p=forward[-1])
-    drawn = [state]
+    states = [state]
     for k in range(steps - 2, -1, -1):
-        chances = np.cumsum(forward[k] * passing[:, state].T, axis=1)
-        state = (chances < rng.random((count, 1)) * chances[:, -1:]).sum(axis=1)
-        drawn.append(np.minimum(state, len(points) - 1))
-        state = drawn[-1]
-    smooth = ndimage.gaussian_filter1d(points[np.array(drawn[::-1])], 1.5, axis=0, mode="nearest")
-    at = np.linspace(0, 1, knots)
+        # inverse transform of p(state_k | state_k+1); rounding may pass the last one
+        cdf = np.cumsum(forward[k] * transition[:, state].T, axis=1)
+        state = (cdf < rng.random((count, 1)) * cdf[:, -1:]).sum(axis=1)
+        state = np.minimum(state, len(points) - 1)
+        states.append(state)
+    smooth = ndimage.gaussian_filter1d(points[np.array(states[::-1])], 1.5, axis=0, mode="nearest")
+    knot_times = np.linspace(0, 1, knots)
     return np.stack(
-        [[np.interp(at, when, smooth[:, i, axis]) for axis in (0, 1)] for i in range(count)]
+        [
+            [np.interp(knot_times, times, smooth[:, i, axis]) for axis in (0, 1)]
+            for i in range(count)
+        ]
     ).swapaxes(1, 2)
 
 
 def orders(path: Trajectory, *, knots: int, most: int) -> FloatArray:
-    """Orders in time (N, knots, 2) that draw the same PSF: loops between two meetings reversed,
-    and the whole.
-
-    Parameters
-    ----------
-    path : Trajectory
-    knots, most : int
-    """
+    """Orders in time (N, knots, 2), N <= most, of one PSF: loops and the whole path reversed."""
     fine = path.at(np.linspace(0, 1, 20 * (knots - 1) + 1))
     loops = _meetings(fine, path)
     subsets = itertools.chain.from_iterable(
         itertools.combinations(loops, n) for n in range(len(loops) + 1)
     )
-    chosen = (
+    nested = (
         subset
         for subset in subsets
         if not any(_overlap(*pair) for pair in itertools.combinations(subset, 2))
     )
-    found = []
-    for subset in itertools.islice(chosen, max(1, most // 2)):
+    paths = []
+    for subset in itertools.islice(nested, max(1, most // 2)):
         order = fine
         for start, stop in sorted(subset, key=lambda loop: loop[1] - loop[0]):  # inner loops first
             order = _reversed_loop(order, start, stop)
-        found += [order[::20], order[::-20]]
-    return np.stack(found)[:most]
+        paths += [order[::20], order[::-20]]
+    return np.stack(paths)[:most]
 
 
 def loop_reversals(points: FloatArray, *, most: int, rng: np.random.Generator) -> list[FloatArray]:
-    """Paths (K, 2) like ``points`` but for one loop, reversed; the whole path reversed where there
-    is none.
-    """
+    """Paths (K, 2) with one loop of ``points`` reversed; the path reversed if it has none."""
     loops = _meetings(points, Trajectory.from_samples(points))
-    found = [_reversed_loop(points, start, stop) for start, stop in loops] or [points[::-1]]
-    return [found[i] for i in rng.permutation(len(found))[:most]]
+    paths = [_reversed_loop(points, start, stop) for start, stop in loops] or [points[::-1]]
+    return [paths[i] for i in rng.permutation(len(paths))[:most]]
 
 
 def crossed(path: FloatArray, other: FloatArray, *, rng: np.random.Generator) -> FloatArray | None:
-    """Return a path (K, 2) with a stretch of another, between two times at which both are at one
-    place, or None.
+    """Return a path (K, 2) with a stretch of another, between two times at which they meet.
 
-    Parameters
-    ----------
-    path, other : (K, 2) float, px
-    rng : numpy Generator
+    None where there is no such stretch.
     """
-    apart = np.linalg.norm(path - other, axis=1)
-    inner = (apart[1:-1] < _PASS_PX) & (apart[1:-1] <= apart[:-2]) & (apart[1:-1] <= apart[2:])
+    distance = np.linalg.norm(path - other, axis=1)
+    inner = distance[1:-1]
+    minimum = (inner < _PASS_PX) & (inner <= distance[:-2]) & (inner <= distance[2:])
     last = len(path) - 1
-    together = [0, *(1 + np.flatnonzero(inner)).tolist(), last]
+    meetings = [0, *(1 + np.flatnonzero(minimum)).tolist(), last]
     stretches = [
         (start, stop)
-        for start, stop in itertools.combinations(together, 2)
-        if (start, stop) != (0, last) and apart[start : stop + 1].max() > _STRAY_PX
+        for start, stop in itertools.combinations(meetings, 2)
+        if (start, stop) != (0, last) and distance[start : stop + 1].max() > _STRAY_PX
     ]
     if not stretches:
         return None
     start, stop = stretches[rng.integers(len(stretches))]
-    gap_start = path[start] - other[start]
-    gap_stop = path[stop] - other[stop]
-    if start == 0:  # an end of the path may lie elsewhere
-        gap_start = gap_stop
-    elif stop == last:
-        gap_stop = gap_start
-    share = np.linspace(0, 1, stop - start + 1)[:, None]
-    child = path.copy()
-    child[start : stop + 1] = other[start : stop + 1] + (1 - share) * gap_start + share * gap_stop
-    return child
+    return _replaced(path, other[start : stop + 1], start)
 
 
 def bridged(path: FloatArray, walk: FloatArray, *, rng: np.random.Generator) -> FloatArray:
-    """Return a path with a stretch, 15 to 60 % of it, drawn anew: as in a walk, or run backwards,
-    between its ends.
-
-    Parameters
-    ----------
-    path, walk : (K, 2) float, px
-    rng : numpy Generator
-    """
+    """Return a path (K, 2) with a stretch, 15 to 60 % of it, as in a walk, or run backwards."""
     knots = len(path)
     length = int(knots * rng.uniform(0.15, 0.6))
     middle = int(rng.integers(knots))
     start = max(0, middle - length // 2)
     stop = min(knots - 1, middle + length - length // 2)
-    new = path[start : stop + 1][::-1] if rng.random() < 0.25 else walk[start : stop + 1]
-    gaps = [path[start] - new[0], path[stop] - new[-1]]
+    stretch = path[start : stop + 1][::-1] if rng.random() < 0.25 else walk[start : stop + 1]
+    return _replaced(path, stretch, start)
+
+
+def _replaced(path: FloatArray, stretch: FloatArray, start: int) -> FloatArray:
+    """Path with a stretch (n, 2) from index ``start``, moved so that it joins on at both ends."""
+    stop = start + len(stretch) - 1
+    gap_start = path[start] - stretch[0]
+    gap_stop = path[stop] - stretch[-1]
     if start == 0:  # an end of the path may lie elsewhere
-        gaps[0] = gaps[1]
-    elif stop == knots - 1:
-        gaps[1] = gaps[0]
+        gap_start = gap_stop
+    elif stop == len(path) - 1:
+        gap_stop = gap_start
     share = np.linspace(0, 1, stop - start + 1)[:, None]
     child = path.copy()
-    child[start : stop + 1] = new + (1 - share) * gaps[0] + share * gaps[1]
+    child[start : stop + 1] = stretch + (1 - share) * gap_start + share * gap_stop
     return child
 
 
-def _overlap(loop: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether one loop begins within the other and ends outside: reversed, it moves the other's
-    meeting point.
+def _overlap(a: tuple[int, int], b: tuple[int, int]) -> bool:
+    """Whether one loop begins within the other and ends outside.
+
+    Reversed, it would move the other's meeting point.
     """
-    (first, first_end), (second, second_end) = sorted([loop, other])
-    return first < second < first_end < second_end
+    (a_start, a_stop), (b_start, b_stop) = sorted([a, b])
+    return a_start < b_start < a_stop < b_stop
 
 
 def _meetings(points: FloatArray, path: Trajectory) -> list[tuple[int, int]]:
-    """Pairs of indices at which a path of points evenly spaced in time meets itself, nearest
-    first.
-    """
+    """Index pairs at which a path of points evenly spaced in time meets itself, nearest first."""
     stride = max(1, len(points) // 240)
     fine = points[::stride]
-    apart = np.linalg.norm(fine[:, None] - fine, axis=-1)
+    distance = np.linalg.norm(fine[:, None] - fine, axis=-1)
     arc = np.interp(np.linspace(0, 1, len(points))[::stride], path.t, path.arc_px)
-    apart[(np.abs(arc[:, None] - arc) < _LOOP_PX) | np.tri(len(fine), dtype=bool)] = np.inf
-    found: list[tuple[int, int]] = []
-    while len(found) < _MOST_MEETINGS:
-        i, j = np.unravel_index(int(apart.argmin()), apart.shape)
-        if apart[i, j] > _PASS_PX:
+    distance[(np.abs(arc[:, None] - arc) < _LOOP_PX) | np.tri(len(fine), dtype=bool)] = np.inf
+    meetings: list[tuple[int, int]] = []
+    while len(meetings) < _MOST_MEETINGS:
+        i, j = np.unravel_index(int(distance.argmin()), distance.shape)
+        if distance[i, j] > _PASS_PX:
             break
-        found.append((int(i) * stride, int(j) * stride))
-        near = 0.75 * _LOOP_PX
-        apart[np.ix_(np.abs(arc - arc[i]) < near, np.abs(arc - arc[j]) < near)] = np.inf
-    return found
+        meetings.append((int(i) * stride, int(j) * stride))
+        radius = 0.75 * _LOOP_PX
+        distance[np.ix_(np.abs(arc - arc[i]) < radius, np.abs(arc - arc[j]) < radius)] = np.inf
+    return meetings
 
 
 def _reversed_loop(points: FloatArray, start: int, stop: int) -> FloatArray:
-    turned = points.copy()
-    turned[start : stop + 1] = points[start : stop + 1][::-1]
-    return turned
+    out = points.copy()
+    out[start : stop + 1] = points[start : stop + 1][::-1]
+    return out

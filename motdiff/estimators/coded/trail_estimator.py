@@ -10,8 +10,8 @@ from scipy import ndimage
 
 from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.coded.candidates import CandidatePath, explained_share, motion_of_paths
 from motdiff.estimators.coded.codes import check_codes
-from motdiff.estimators.coded.found import FoundPath, explained_share, motion_of_paths
 from motdiff.estimators.coded.starts import orders
 from motdiff.estimators.coded.trail_search import Trails, find_trail_paths
 from motdiff.estimators.point.estimator import background_light
@@ -21,11 +21,11 @@ from motdiff.threads import one_thread_a_call
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
-_GAP_PX = 12  # a trail's parts lie no further apart: closed chips
+_GAP_PX = 12  # within a trail, where the shutter was closed
 _MARGIN_PX = 7
 _MOST_PX = 160
-_LIT_SIGMA = 4.0
-_FOUND_SIGMA = 12.0
+_TRAIL_SIGMA = 4.0
+_PEAK_SIGMA = 12.0
 _LEAST_NOISE = 1 / 255 / np.sqrt(12)  # 8 bits round by that
 _MODEL_ERROR = 0.02  # of a pixel's light: the spot is no Gaussian, the pixels differ
 _MOST_CLIPPED = 0.2
@@ -37,16 +37,15 @@ _ERROR_RATIO = 1.5
 
 
 class TrailEstimator:
-    """Find the motion that drew a small light's trail through a known code, with its order and
-    direction in time.
+    """Find the motion, with its order in time, of a small light's trail through a known code.
 
-    The light, on a darker background and apart from others, is a Gaussian spot whose width is
-    found. Each chip carries the same light, so one path must explain every pixel of the trail.
-    Paths are searched from random walks, coarse to fine, until two searches end at one path.
+    The light, on a darker background and apart from others, is a Gaussian spot of fitted width.
+    Each chip carries the same light, so one path must explain every pixel of the trail. Paths are
+    searched from random walks, coarse to fine, until two searches end at one path.
 
     ``confidence`` is the probability that the order is right: the share of simulated motions of
-    which it was, where two searches agreed or none did, less on one photo of a path that meets
-    itself, and less what other paths found explain as well. ``details`` are as those of
+    which it was, where two searches agreed or none did; lower on one photo of a path that meets
+    itself, and where other paths explain the trails as well. ``details`` are as those of
     :class:`motdiff.estimators.coded.estimator.CodedEstimator`.
 
     Parameters
@@ -84,9 +83,7 @@ class TrailEstimator:
         self._tell = progress
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
-        """Estimate the motion from one coded photo, (H, W) or (H, W, 3) float, linear light
-        0..1.
-        """
+        """Estimate the motion of one coded photo, (H, W) or (H, W, 3), linear light 0..1."""
         return self.estimate_from([photo])
 
     def estimate_from(self, photos: Sequence[ArrayLike]) -> MotionEstimate:
@@ -117,40 +114,35 @@ class TrailEstimator:
                 try:
                     cut.append(_trail(photos[i]))
                 except ValueError as error:
-                    raise ValueError(
-                        f"photo {i + 1}: {error}" if len(photos) > 1 else f"photo: {error}"
-                    ) from None
+                    name = f"photo {i + 1}" if len(photos) > 1 else "photo"
+                    raise ValueError(f"{name}: {error}") from None
             trails = Trails(
                 codes=tuple(self._codes[i] for i in order),
                 images=tuple(image for image, _ in cut),
                 sigmas=tuple(sigma for _, sigma in cut),
             )
-            found, times = find_trail_paths(
+            paths, times = find_trail_paths(
                 trails, rng=np.random.default_rng(self._seed), progress=progress
             )
-            estimate = _described(found, times, photos=len(photos))
+            estimate = _described(paths, times, photos=len(photos))
             progress.finish()
             return estimate
 
 
 def _trail(photo: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Trail of the brightest light without the background, and the standard deviation of each
-    pixel.
-    """
+    """Trail of the brightest light without the background, and each pixel's standard deviation."""
     light = crops.luminance(photo)
     above = light - background_light(light, PSF_PX)
     above = above - np.median(above)
     noise = max(float(1.4826 * np.median(np.abs(above))), _LEAST_NOISE)
-    lit = ndimage.uniform_filter(above, 3) > _LIT_SIGMA * noise / 3
-    joined = ndimage.binary_dilation(lit, iterations=_GAP_PX // 2)
+    bright = ndimage.uniform_filter(above, 3) > _TRAIL_SIGMA * noise / 3
+    joined = ndimage.binary_dilation(bright, iterations=_GAP_PX // 2)
     labels, count = ndimage.label(joined)
-    if not count or above[lit].max() < _FOUND_SIGMA * noise:
+    if not count or above[bright].max() < _PEAK_SIGMA * noise:
         raise ValueError("shows no light above its background")
-    brightest = 1 + int(
-        np.argmax(ndimage.sum_labels(np.where(lit, above, 0), labels, np.arange(1, count + 1)))
-    )
-    own = lit & (labels == brightest)
-    rows, columns = (np.flatnonzero(own.any(axis=axis)) for axis in (1, 0))
+    sums = ndimage.sum_labels(np.where(bright, above, 0), labels, np.arange(1, count + 1))
+    trail = bright & (labels == 1 + int(np.argmax(sums)))
+    rows, columns = (np.flatnonzero(trail.any(axis=axis)) for axis in (1, 0))
     height, width = light.shape
     if rows[0] == 0 or columns[0] == 0 or rows[-1] == height - 1 or columns[-1] == width - 1:
         raise ValueError("the light's trail is cut off by the border")
@@ -159,33 +151,35 @@ def _trail(photo: ArrayLike) -> tuple[FloatArray, FloatArray]:
             f"the light's trail is longer than {_MOST_PX} px; give the photo at a smaller size"
         )
     clipped = crops.clipped_mask(photo)
-    if clipped[own].mean() > _MOST_CLIPPED:
+    if clipped[trail].mean() > _MOST_CLIPPED:
         raise ValueError("the light is saturated on its trail; expose less or dim the light")
-    part = tuple(
-        slice(max(0, at[0] - _MARGIN_PX), min(n, at[-1] + _MARGIN_PX + 1))
-        for at, n in ((rows, height), (columns, width))
+    crop = tuple(
+        slice(max(0, index[0] - _MARGIN_PX), min(n, index[-1] + _MARGIN_PX + 1))
+        for index, n in ((rows, height), (columns, width))
     )
-    image = above[part]
+    image = above[crop]
     sigma = np.sqrt(noise**2 + (_MODEL_ERROR * np.maximum(image, 0)) ** 2)
-    others = ndimage.binary_dilation(lit & ~own, iterations=3)[part]
-    sigma[others | clipped[part]] = np.inf
-    return np.where(others, 0.0, image), sigma
+    other_lights = ndimage.binary_dilation(bright & ~trail, iterations=3)[crop]
+    sigma[other_lights | clipped[crop]] = np.inf
+    return np.where(other_lights, 0.0, image), sigma
 
 
-def _described(found: Sequence[FoundPath], times: int, *, photos: int) -> MotionEstimate:
-    best = found[0]
-    folded = len(orders(Trajectory.from_samples(best.path), knots=len(best.path), most=4)) > 2
-    agreed = _FOLDED if folded and photos == 1 else _AGREED
+def _described(paths: Sequence[CandidatePath], times: int, *, photos: int) -> MotionEstimate:
+    best = paths[0]
+    share = _ALONE
+    if times > 1:
+        folded = len(orders(Trajectory.from_samples(best.path), knots=len(best.path), most=4)) > 2
+        share = _FOLDED if folded and photos == 1 else _AGREED
     excess = np.array(
-        [0.5 * (other.cost - best.cost) / max(1.0, best.misfit) for other in found[1:]]
+        [0.5 * (path.cost - best.cost) / max(1.0, best.misfit) for path in paths[1:]]
     )
-    likely = np.exp(-np.minimum(excess, 700))
-    share = (agreed if times > 1 else _ALONE) * explained_share(best.misfit)
+    likelihoods = np.exp(-np.minimum(excess, 700))  # against the best path's; 1e-304 at least
+    share *= explained_share(best.misfit)
     return motion_of_paths(
         "point",
-        found,
-        probability=float(share / (1 + likely.sum())),
-        shares=np.maximum(likely, 1e-9),
+        paths,
+        probability=float(share / (1 + likelihoods.sum())),
+        shares=np.maximum(likelihoods, 1e-9),
         deviation_px=_ERROR_RATIO * best.deviation_px,
         details={"searches_agreeing": times},
     )

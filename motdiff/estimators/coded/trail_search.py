@@ -10,10 +10,10 @@ import torch
 from scipy import ndimage, optimize
 from torch import Tensor
 
-from motdiff.estimators.coded.found import (
+from motdiff.estimators.coded.candidates import (
     UNEXPLAINED,
-    FoundPath,
-    apart_px,
+    CandidatePath,
+    distance_px,
     distinct,
     expected_deviation_px,
     merged,
@@ -27,23 +27,19 @@ from motdiff.types import FloatArray
 
 _LEAST_PIECES = 52
 _ROUGHNESS = 10.0  # second differences of 0.3 px at 53 knots
-_COARSE = (
-    (4.0, 0.06),
-    (2.5, 0.04),
-    (1.5, 0.02),
-    (1.0, 0.007),
-)  # blur, px, and the error allowed, of the brightest
+# blur, px, and the error allowed, as a share of the brightest pixel
+_COARSE = ((4.0, 0.06), (2.5, 0.04), (1.5, 0.02), (1.0, 0.007))
 _STARTS = 160
-_KEPT = (80, 40, 20)
+_SELECTED = (80, 40, 20)  # after each coarse blur
 _POPULATION = 12
 _PARENTS = 6
 _NEWCOMERS = 8
 _ROUNDS = 40
-_STILL = 6
+_PATIENCE = 6  # rounds without improvement
 _IMPROVED = 0.98
 _REROUTED = 5
 _SEARCHES = 5
-_FOUND = 4
+_RESULTS = 4
 _SAME_PX = 0.3
 _WALK_PX = (20.0, 90.0)
 _LONGEST_PX = 160.0
@@ -82,7 +78,7 @@ def find_trail_paths(
     rng: np.random.Generator,
     progress: Progress | None = None,
     cost: float = 1.0,
-) -> tuple[list[FoundPath], int]:
+) -> tuple[list[CandidatePath], int]:
     """Find the paths that explain the trails best.
 
     Searches, the later ones from random walks alone, are repeated until two of them end at one
@@ -93,30 +89,30 @@ def find_trail_paths(
     trails : Trails
     rng : numpy Generator
     progress : Progress, optional
-        Where the work done is reported; its plan holds ``cost`` for it already.
+        Its plan holds ``cost`` for this work already.
     cost : float
 
     Returns
     -------
-    list of FoundPath, best first, and how many searches found the best one
+    list of CandidatePath, best first, and the number of searches that ended at the best one
     """
-    told = progress or Progress()
+    progress = progress or Progress()
     search = _TrailSearch(trails, rng)
     ends: list[tuple[Tensor, Tensor]] = []
-    for done in range(_SEARCHES):
-        ends.append(search.evolved(search.begun(traced=not done)))
-        told.spend(cost / (_SEARCHES + 1))
+    for index in range(_SEARCHES):
+        ends.append(search.evolved(search.starts(traced=not index)))
+        progress.spend(cost / (_SEARCHES + 1))
         x, costs, times = merged(search.unknowns, ends, keep=_POPULATION, same_px=_SAME_PX)
         if times > 1 and search.misfit(x[:1]) < UNEXPLAINED:
-            told.spend(cost * (_SEARCHES - done) / (_SEARCHES + 1))
+            progress.spend(cost * (_SEARCHES - index) / (_SEARCHES + 1))
             break
     else:
-        x, costs = search.evolved(x)  # what one of them lacks, another may have
-        told.spend(cost / (_SEARCHES + 1))
+        x, costs = search.evolved(x)  # crossings of several searches' ends
+        progress.spend(cost / (_SEARCHES + 1))
         times = max(
-            1, sum(apart_px(search.unknowns, x[0], best[0]) < _SAME_PX for best, _ in ends)
+            1, sum(distance_px(search.unknowns, x[0], best[0]) < _SAME_PX for best, _ in ends)
         )
-    return search.described(x[:_FOUND], costs[:_FOUND]), times
+    return search.described(x[:_RESULTS], costs[:_RESULTS]), times
 
 
 def run_by_light(
@@ -141,9 +137,9 @@ def run_by_light(
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     pieces = int(np.clip(arc[-1] / _PIECE_PX, 20, _MOST_PIECES))
     edges = np.linspace(0, arc[-1], pieces + 1)
-    at = _along(path, arc, 0.5 * (edges[1:] + edges[:-1]))
+    spots = _along(path, arc, 0.5 * (edges[1:] + edges[:-1]))
     down, across = (
-        np.exp(-0.5 * ((np.arange(n) - n // 2 - at[:, axis, None]) / width_px) ** 2)
+        np.exp(-0.5 * ((np.arange(n) - n // 2 - spots[:, axis, None]) / width_px) ** 2)
         for n, axis in zip(image.shape, (1, 0), strict=True)
     )
     shapes = (down[:, :, None] * across[:, None]).reshape(pieces, -1).T
@@ -152,13 +148,13 @@ def run_by_light(
     factor = np.linalg.cholesky(matrix + 1e-6 * np.trace(matrix) / pieces * np.eye(pieces))
     light, _ = optimize.nnls(factor.T, np.linalg.solve(factor, shapes.T @ image.ravel()))
     # a little light everywhere, and at all times: where the shutter is closed the path goes on
-    seen = np.concatenate([[0.0], np.cumsum(light / max(light.sum(), 1e-12) + 1e-3 / pieces)])
-    shown = np.concatenate([[0.0], np.cumsum(is_open / is_open.sum() + 1e-3 / is_open.size)])
-    return _along(path, arc, np.interp(shown / shown[-1], seen / seen[-1], edges))
+    by_arc = np.concatenate([[0.0], np.cumsum(light / max(light.sum(), 1e-12) + 1e-3 / pieces)])
+    by_time = np.concatenate([[0.0], np.cumsum(is_open / is_open.sum() + 1e-3 / is_open.size)])
+    return _along(path, arc, np.interp(by_time / by_time[-1], by_arc / by_arc[-1], edges))
 
 
-def _along(path: FloatArray, arc: FloatArray, where: FloatArray) -> FloatArray:
-    return np.stack([np.interp(where, arc, path[:, axis]) for axis in (0, 1)], axis=1)
+def _along(path: FloatArray, arc: FloatArray, positions: FloatArray) -> FloatArray:
+    return np.stack([np.interp(positions, arc, path[:, axis]) for axis in (0, 1)], axis=1)
 
 
 class _TrailSearch:
@@ -187,8 +183,8 @@ class _TrailSearch:
             for code in trails.codes
         ]
         self.light = [
-            image.sum() / part.mean()
-            for image, part in zip(trails.images, self.is_open, strict=True)
+            image.sum() / is_open.mean()
+            for image, is_open in zip(trails.images, self.is_open, strict=True)
         ]
         self.moments = [_moments(image) for image in trails.images]
         self.spot_px = min(_spot_px(image) for image in trails.images)
@@ -199,51 +195,47 @@ class _TrailSearch:
         )
 
     def misfit(self, x: Tensor) -> float:
-        """Misfit of a candidate (1, N), as a multiple of what noise leaves; how rough the path is
-        counts as well.
+        """Misfit of a candidate (1, N), with its roughness, as a multiple of the noise.
 
-        Where the shutter is closed a wrong path may run as it likes, but seldom smoothly.
+        Where the shutter is closed a wrong path costs no light, but seldom is it smooth.
         """
         return float(self.fine.cost(x) + self.rough.cost(x)) / self.fine.values
 
-    def begun(self, *, traced: bool) -> Tensor:
+    def starts(self, *, traced: bool) -> Tensor:
         """Paths from new random walks, and traced ones where asked, fitted coarse to fine."""
-        starts = [*(self._traced() if traced else ()), *(self._walk() for _ in range(_STARTS))]
-        x = self._pack(np.stack(starts))
-        for term, keep in zip(self.coarse[:3], _KEPT, strict=True):
+        paths = self._traced() if traced else []
+        paths += [self._walk() for _ in range(_STARTS)]
+        x = self._pack(np.stack(paths))
+        for term, keep in zip(self.coarse[:3], _SELECTED, strict=True):
             x, _ = self.distinct(*descend([term, self.rough], x, steps=6), keep=keep)
         return x
 
     def evolved(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Paths crossed with each other, their loops reversed and parts led another way, while it
-        helps.
-        """
-        best: list[Term] = [self.coarse[3], self.rough]
-        x, costs = self.distinct(*descend(best, x, steps=6), keep=_POPULATION)
-        still = 0
+        """Paths crossed with each other, loops reversed and stretches rerouted, while it helps."""
+        finest: list[Term] = [self.coarse[3], self.rough]
+        x, costs = self.distinct(*descend(finest, x, steps=6), keep=_POPULATION)
+        idle_rounds = 0
         for _ in range(_ROUNDS):
             new = self._pack(np.stack(self._children(x)))
             new, _ = descend([self.coarse[1], self.rough], new, steps=2)
             new, _ = self.distinct(
                 *descend([self.coarse[2], self.rough], new, steps=4), keep=2 * _POPULATION
             )
-            new, reached = descend(best, new, steps=5)
-            before = float(costs[0])
+            new, new_costs = descend(finest, new, steps=5)
+            least = float(costs[0])
             x, costs = self.distinct(
-                torch.cat([x, new]), torch.cat([costs, reached]), keep=_POPULATION
+                torch.cat([x, new]), torch.cat([costs, new_costs]), keep=_POPULATION
             )
-            still = 0 if float(costs[0]) < _IMPROVED * before else still + 1
-            if still == _STILL:
+            idle_rounds = 0 if float(costs[0]) < _IMPROVED * least else idle_rounds + 1
+            if idle_rounds == _PATIENCE:
                 break
-        return self.distinct(*descend([self.fine, self.rough], x[:6], steps=20), keep=_FOUND)
+        return self.distinct(*descend([self.fine, self.rough], x[:6], steps=20), keep=_RESULTS)
 
     def _traced(self) -> list[FloatArray]:
-        """Orders of the paths that are traced in the first photo, its gaps bridged by blur, run as
-        its light tells.
-        """
+        """Orders of paths traced in the first photo, gaps bridged by blur, timed by its light."""
         from motdiff.tracing import trace_psf_to_trajectory
 
-        found: list[FloatArray] = []
+        paths: list[FloatArray] = []
         image = np.maximum(self.trails.images[0], 0)
         centre = np.array([image.shape[1] // 2, image.shape[0] // 2])
         for blur_px in _TRACE_BLURS_PX:
@@ -255,44 +247,38 @@ class _TrailSearch:
                 continue
             rows, columns = np.indices(soft.shape)
             middle = np.array([(soft * columns).sum(), (soft * rows).sum()]) / soft.sum() - centre
-            found += [
+            paths += [
                 run_by_light(path + middle, image, self.is_open[0], width_px=self.spot_px + 0.3)
                 for path in orders(traced, knots=_TRACED_POINTS, most=_ORDERS)
             ]
-        return found
+        return paths
 
     def _walk(self) -> FloatArray:
-        """Random walk (K, 2) whose trail has the centroid and the covariance of the first
-        photo's.
-        """
+        """Random walk (K, 2) whose trail has the first photo's centroid and covariance."""
         centre, spread = self.moments[0]
         spread = spread - (self.spot_px**2 + 1 / 12 - 0.05) * np.eye(2)
         values, axes = np.linalg.eigh(spread)
         shape = axes @ np.diag(np.sqrt(np.maximum(values, 0.05)))
-        at = np.linspace(0, 1, self.unknowns.knots)
+        times = np.linspace(0, 1, self.unknowns.knots)
         while True:
-            walk = boracchi_foi(
-                self.rng, max_length_px=self.rng.uniform(*_WALK_PX), samples=500
-            ).at(at)
+            length_px = self.rng.uniform(*_WALK_PX)
+            walk = boracchi_foi(self.rng, max_length_px=length_px, samples=500).at(times)
             middle = 0.5 * (walk[1:] + walk[:-1])
             mean = np.average(middle, axis=0, weights=self.is_open[0])
-            own = np.linalg.cholesky(
-                np.cov((middle - mean).T, aweights=self.is_open[0]) + 1e-3 * np.eye(2)
-            )
+            covariance = np.cov((middle - mean).T, aweights=self.is_open[0])
+            root = np.linalg.cholesky(covariance + 1e-3 * np.eye(2))
             turn, _ = np.linalg.qr(self.rng.standard_normal((2, 2)))
-            path = (shape @ turn @ np.linalg.solve(own, (walk - mean).T)).T + centre
+            path = (shape @ turn @ np.linalg.solve(root, (walk - mean).T)).T + centre
             if np.linalg.norm(np.diff(path, axis=0), axis=1).sum() < _LONGEST_PX:
                 return np.asarray(path, dtype=np.float64)
 
     def _pack(self, paths: FloatArray) -> Tensor:
-        """Candidates of paths (B, K, 2), moved so that each trail has the centroid of its
-        photo.
-        """
+        """Candidates of paths (B, K, 2), moved so that each trail has its photo's centroid."""
         middle = 0.5 * (paths[:, 1:] + paths[:, :-1])
         shifts = np.stack(
             [
-                centre - np.einsum("bsd,s->bd", middle, part / part.sum())
-                for (centre, _), part in zip(self.moments, self.is_open, strict=True)
+                centre - np.einsum("bsd,s->bd", middle, is_open / is_open.sum())
+                for (centre, _), is_open in zip(self.moments, self.is_open, strict=True)
             ],
             axis=1,
         )
@@ -310,36 +296,35 @@ class _TrailSearch:
         children = [self._walk() for _ in range(_NEWCOMERS)]
         for i, path in enumerate(paths[:_PARENTS]):
             children += loop_reversals(path, most=5, rng=self.rng)
-            others = [paths[j] for j in range(len(paths)) if j != i]
-            children += [
-                child
-                for other in others
-                if (child := crossed(path, other, rng=self.rng)) is not None
-            ]
+            partners = (*paths[:i], *paths[i + 1 :])
+            crossings = (crossed(path, partner, rng=self.rng) for partner in partners)
+            children += [child for child in crossings if child is not None]
             children += [self._slipped(path), path[::-1]]
             children += [bridged(path, self._walk(), rng=self.rng) for _ in range(_REROUTED)]
         return children
 
     def _slipped(self, path: FloatArray) -> FloatArray:
         """Path that runs earlier or later for a while."""
-        at = np.linspace(0, 1, len(path))
-        near = np.exp(-0.5 * ((at - self.rng.uniform()) / _SLIP_SPAN) ** 2)
-        when = np.clip(at + self.rng.normal(0, _SLIP) * near, 0, 1)
-        return np.stack([np.interp(when, at, path[:, axis]) for axis in (0, 1)], axis=1)
+        times = np.linspace(0, 1, len(path))
+        window = np.exp(-0.5 * ((times - self.rng.uniform()) / _SLIP_SPAN) ** 2)
+        slipped = np.clip(times + self.rng.normal(0, _SLIP) * window, 0, 1)
+        return _along(path, times, slipped)
 
     def distinct(self, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
         """Best candidates, none near a better one."""
         return distinct(self.unknowns, x, costs, keep=keep, least_px=_SAME_PX)
 
-    def described(self, x: Tensor, costs: Tensor) -> list[FoundPath]:
+    def described(self, x: Tensor, costs: Tensor) -> list[CandidatePath]:
         """Candidates with their misfit and the standard deviations of their knots."""
-        found = []
-        for one, cost in zip(x, costs.tolist(), strict=True):
-            misfit = self.misfit(one[None])
-            deviation_px = expected_deviation_px(self.unknowns, [self.fine, self.rough], one[None])
-            path = self.unknowns.paths(one[None])[0].numpy().astype(np.float64)
-            found.append(FoundPath(path, cost, misfit, max(1.0, misfit) ** 0.5 * deviation_px))
-        return found
+        described = []
+        for candidate, cost in zip(x[:, None], costs.tolist(), strict=True):
+            misfit = self.misfit(candidate)
+            path = self.unknowns.paths(candidate)[0].numpy().astype(np.float64)
+            terms: list[Term] = [self.fine, self.rough]
+            noise_factor = max(1.0, misfit) ** 0.5
+            deviation_px = noise_factor * expected_deviation_px(self.unknowns, terms, candidate)
+            described.append(CandidatePath(path, cost, misfit, deviation_px))
+        return described
 
 
 def _moments(image: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -347,19 +332,17 @@ def _moments(image: FloatArray) -> tuple[FloatArray, FloatArray]:
     weight = np.maximum(image, 0)
     weight = np.where(weight > 0.05 * weight.max(), weight, 0)
     rows, columns = np.indices(image.shape)
-    at = np.stack([columns - image.shape[1] // 2, rows - image.shape[0] // 2], axis=-1).reshape(
-        -1, 2
-    )
+    x = columns.ravel() - image.shape[1] // 2
+    y = rows.ravel() - image.shape[0] // 2
+    points = np.stack([x, y], axis=-1)
     flat = weight.ravel() / weight.sum()
-    centre = flat @ at
-    apart = at - centre
-    return centre, (apart * flat[:, None]).T @ apart
+    centre = flat @ points
+    offsets = points - centre
+    return centre, (offsets * flat[:, None]).T @ offsets
 
 
 def _spot_px(image: FloatArray) -> float:
-    """Estimate the standard deviation of the light's spot, px, from how sharp the ridges of its
-    trail are.
-    """
+    """Estimate the standard deviation of the light's spot, px, by the curvature of the ridges."""
     blur_px = 0.7
     soft = ndimage.gaussian_filter(image, blur_px)
     xx, yy, xy = (

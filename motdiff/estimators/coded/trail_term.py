@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import pi, sqrt
 
@@ -21,8 +21,7 @@ _AT_ONCE = 2**23  # values of the derivatives held at a time
 
 @dataclass(frozen=True)
 class TrailUnknowns(Unknowns):
-    """What is fitted to trails: the path, each photo's shift, light and offset, and the width of
-    the light's spot.
+    """Parameters of a fit to trails: path, shifts, light, offsets, and the spot's width.
 
     Attributes
     ----------
@@ -51,9 +50,7 @@ class TrailUnknowns(Unknowns):
         return self.offset(self.exposures)
 
     def pack_trails(self, paths: Tensor, shifts: Tensor, light: Tensor, spot_px: Tensor) -> Tensor:
-        """Vectors of paths (B, K, 2), shifts (B, I, 2), light (B, I) and spots (B,); the offsets
-        are 0.
-        """
+        """Vectors of paths (B, K, 2), shifts (B, I, 2), light (B, I) and spots (B,), offsets 0."""
         return torch.cat(
             [
                 paths.flatten(1),
@@ -67,8 +64,8 @@ class TrailUnknowns(Unknowns):
 
     def shifts(self, x: Tensor) -> Tensor:
         """Shifts of the photos (B, I, 2), px."""
-        others = x[:, self.shift(1) : self.gain(0)].reshape(len(x), -1, 2)
-        return torch.cat([torch.zeros(len(x), 1, 2), others], 1)
+        shifts = x[:, self.shift(1) : self.gain(0)].reshape(len(x), -1, 2)
+        return torch.cat([torch.zeros(len(x), 1, 2), shifts], 1)
 
     def light(self, x: Tensor) -> Tensor:
         """Light of the whole exposures (B, I)."""
@@ -80,12 +77,11 @@ class TrailUnknowns(Unknowns):
 
 
 class TrailTerm:
-    """Difference between the trails of a path through codes and the photos of them, in units of
-    their noise.
+    """Difference between the trails of a path through codes and the photos, in noise units.
 
-    The light is a Gaussian spot, seen by square pixels. The path is straight between knots, which
-    divide each chip evenly, and its light is summed at Gauss-Legendre points: exact as long as a
-    piece is no longer than some spots.
+    The light is a Gaussian spot on square pixels. The path is straight between knots, which divide
+    each chip evenly, and its light is summed at Gauss-Legendre points: exact as long as a piece is
+    no longer than some spots.
 
     Parameters
     ----------
@@ -95,9 +91,9 @@ class TrailTerm:
     photos : sequence of I (H, W) float
         The middle of pixel ``(H // 2, W // 2)`` is the origin of the path.
     sigmas : sequence of I (H, W) float
-        Standard deviation of each pixel; infinite where it says nothing.
+        Standard deviation of each pixel; infinite where it does not count.
     blur_px : float
-        Gaussian that both are seen through: large, the term has few local minima.
+        Gaussian that both are blurred with: large, the term has few local minima.
     points : int
         Of the quadrature, in each piece; two are enough where the blur is large.
     """
@@ -133,37 +129,29 @@ class TrailTerm:
         for photo, sigma in zip(photos, sigmas, strict=True):
             soft = ndimage.gaussian_filter(photo, blur_px, mode="constant") if blur_px else photo
             rows, columns = (np.arange((n // 2) % step, n, step) for n in photo.shape)
-            at = np.ix_(rows, columns)
-            self._photos.append(torch.tensor(soft[at], dtype=torch.float32))
-            self._certain.append(torch.tensor(1 / sigma[at], dtype=torch.float32))
+            grid = np.ix_(rows, columns)
+            self._photos.append(torch.tensor(soft[grid], dtype=torch.float32))
+            self._certain.append(torch.tensor(1 / sigma[grid], dtype=torch.float32))
             self._rows.append(torch.tensor(rows - photo.shape[0] // 2, dtype=torch.float32))
             self._columns.append(torch.tensor(columns - photo.shape[1] // 2, dtype=torch.float32))
         self.values = int(sum(int((certain > 0).sum()) for certain in self._certain))
-        """How many pixels are compared."""
+        """Number of pixels that are compared."""
 
     def cost(self, x: Tensor) -> Tensor:
         """See :class:`motdiff.estimators.coded.misfit.Term`."""
-        un = self._unknowns
         total = torch.zeros(len(x))
-        for photo in range(un.exposures):
-            down, across = self._responses(x, photo)[:2]
-            shape = torch.einsum("bsqh,q,bsqw->bhw", down, self._weight, across)
-            total += self._residual(x, photo, shape).square().sum((1, 2))
+        for residual in self.residuals(x):
+            total += residual.square().sum((1, 2))
         return total
 
-    def residuals(self, x: Tensor) -> list[Tensor]:
+    def residuals(self, x: Tensor) -> Iterator[Tensor]:
         """Residuals (B, H, W) of each photo, in units of its noise."""
-        found = []
         for photo in range(self._unknowns.exposures):
             down, across = self._responses(x, photo)[:2]
-            found.append(
-                self._residual(
-                    x, photo, torch.einsum("bsqh,q,bsqw->bhw", down, self._weight, across)
-                )
-            )
-        return found
+            shape = torch.einsum("bsqh,q,bsqw->bhw", down, self._weight, across)
+            yield self._residual(x, photo, shape)
 
-    def add_normal(self, x: Tensor, matrix: Tensor, slope: Tensor) -> None:
+    def add_normal(self, x: Tensor, JJ: Tensor, Jr: Tensor) -> None:
         """See :class:`motdiff.estimators.coded.misfit.Term`."""
         most = max(
             len(rows) * len(columns)
@@ -171,13 +159,13 @@ class TrailTerm:
         )
         at_once = max(1, _AT_ONCE // (most * self._unknowns.size))
         for start in range(0, len(x), at_once):
-            part = slice(start, start + at_once)
+            chunk = slice(start, start + at_once)
             for photo in range(self._unknowns.exposures):
-                rows, wrong = self._normal_rows(x[part], photo)
-                matrix[part] += rows @ rows.transpose(1, 2)
-                slope[part] += torch.einsum("bnm,bm->bn", rows, wrong)
+                J, r = self._jacobian(x[chunk], photo)
+                JJ[chunk] += J @ J.transpose(1, 2)
+                Jr[chunk] += torch.einsum("bnm,bm->bn", J, r)
 
-    def _normal_rows(self, x: Tensor, photo: int) -> tuple[Tensor, Tensor]:
+    def _jacobian(self, x: Tensor, photo: int) -> tuple[Tensor, Tensor]:
         """Jacobian (B, N, pixels) and residual (B, pixels) of one photo."""
         un = self._unknowns
         end = 2 * self._unknowns.knots
@@ -210,47 +198,44 @@ class TrailTerm:
     def _residual(self, x: Tensor, photo: int, shape: Tensor) -> Tensor:
         light = self._unknowns.light(x)[:, photo]
         offset = x[:, self._unknowns.offset(photo)]
-        drawn = light[:, None, None] * shape + offset[:, None, None]
-        return (drawn - self._photos[photo]) * self._certain[photo]
+        model = light[:, None, None] * shape + offset[:, None, None]
+        return (model - self._photos[photo]) * self._certain[photo]
 
     def _responses(
         self, x: Tensor, photo: int
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, tuple[Tensor, Tensor]]:
-        """Responses of rows (B, S, Q, H) and columns (B, S, Q, W), their slopes in position and in
-        log spot width.
+        """Responses of rows (B, S, Q, H) and columns (B, S, Q, W), and their slopes.
+
+        The slopes are by the position, and by the logarithm of the spot's width.
         """
         un = self._unknowns
         paths = un.paths(x) + un.shifts(x)[:, photo, None]
         start = paths[:, self._open[photo]]
         stop = paths[:, self._open[photo] + 1]
-        at = start[:, :, None] + self._share[:, None] * (stop - start)[:, :, None]
+        points = start[:, :, None] + self._share[:, None] * (stop - start)[:, :, None]
         spot2 = un.spot_px(x).clamp(min=_LEAST_SPOT_PX).square()
         width = (spot2 + self._blur2).sqrt()[:, None, None, None]
         grows = (spot2 / (spot2 + self._blur2))[:, None, None, None]  # d log width / d log spot
         respond = _blurred_response if self._blur2 else _response
         (across, across_slope, across_wider), (down, down_slope, down_wider) = (
-            respond(pixels - at[..., axis, None], width)
+            respond(pixels - points[..., axis, None], width)
             for axis, pixels in ((0, self._columns[photo]), (1, self._rows[photo]))
         )
         return down, across, down_slope, across_slope, (down_wider * grows, across_wider * grows)
 
 
-def _response(apart: Tensor, width: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Response of a pixel to a Gaussian spot at a distance, and its slopes in the spot's place and
-    log width.
-    """
-    high = (apart + 0.5) / width
-    low = (apart - 0.5) / width
+def _response(distance: Tensor, width: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Response of a pixel to a Gaussian spot, and its slopes by the position and log width."""
+    high = (distance + 0.5) / width
+    low = (distance - 0.5) / width
     dense_high, dense_low = (torch.exp(-0.5 * z.square()) / sqrt(2 * pi) for z in (high, low))
     within = 0.5 * (torch.erf(high / sqrt(2)) - torch.erf(low / sqrt(2)))
     return within, (dense_low - dense_high) / width, dense_low * low - dense_high * high
 
 
-def _blurred_response(apart: Tensor, width: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """As :func:`_response` where the spot is wider than a pixel: the pixel then widens it as a
-    Gaussian would.
-    """
-    spread = (width.square() + 1 / 12).sqrt()
-    z = apart / spread
+def _blurred_response(distance: Tensor, width: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """:func:`_response` for a spot wider than a pixel."""
+    spread = (width.square() + 1 / 12).sqrt()  # the pixel as a Gaussian of its variance
+    z = distance / spread
     within = torch.exp(-0.5 * z.square()) / (sqrt(2 * pi) * spread)
     return within, within * z / spread, within * (z.square() - 1) * (width / spread).square()

@@ -1,4 +1,4 @@
-"""Paths that were found, and the estimate that they make."""
+"""Candidate paths: distances, expected errors, and the estimate of the best ones."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MISFIT_POWER = 4.0
 
 
 @dataclass(frozen=True)
-class FoundPath:
+class CandidatePath:
     """A path that explains the photos.
 
     Attributes
@@ -46,9 +46,7 @@ class FoundPath:
 
 
 def explained_share(misfit: float) -> float:
-    """Return what a probability falls to with what a path leaves unexplained, a misfit above 1: a
-    guess.
-    """
+    """Factor of a probability for a path with a misfit above 1; the power is a guess."""
     return 1.0 if np.isnan(misfit) else min(1.0, misfit**-_MISFIT_POWER)
 
 
@@ -62,23 +60,23 @@ def unexplained_warnings(misfit: float) -> list[str]:
     ]
 
 
-def apart_px(unknowns: Unknowns, one: Tensor, other: Tensor) -> float:
+def distance_px(unknowns: Unknowns, x: Tensor, y: Tensor) -> float:
     """Rms distance of the paths of two candidates (N,), after the best shift."""
-    apart = unknowns.paths((one - other)[None])[0]
-    return float((apart - apart.mean(0)).square().sum(1).mean().sqrt())
+    difference = unknowns.paths((x - y)[None])[0]
+    return float((difference - difference.mean(0)).square().sum(1).mean().sqrt())
 
 
 def distinct(
     unknowns: Unknowns, x: Tensor, costs: Tensor, *, keep: int, least_px: float = 0.3
 ) -> tuple[Tensor, Tensor]:
     """Best candidates of (B, N) and their costs, none nearer than ``least_px`` to a better one."""
-    kept = list[int]()
+    index = list[int]()
     for i in torch.argsort(costs).tolist():
-        if all(apart_px(unknowns, x[i], x[j]) > least_px for j in kept):
-            kept.append(i)
-        if len(kept) == keep:
+        if all(distance_px(unknowns, x[i], x[j]) > least_px for j in index):
+            index.append(i)
+        if len(index) == keep:
             break
-    return x[kept], costs[kept]
+    return x[index], costs[index]
 
 
 def merged(
@@ -91,33 +89,27 @@ def merged(
     Best distinct candidates, their costs, and how many searches ended within ``same_px`` of the
     best
     """
-    x, costs = distinct(
-        unknowns, *(torch.cat(parts) for parts in zip(*ends, strict=True)), keep=keep
-    )
-    return x, costs, sum(apart_px(unknowns, x[0], best[0]) < same_px for best, _ in ends)
+    candidates, costs = (torch.cat(tensors) for tensors in zip(*ends, strict=True))
+    x, costs = distinct(unknowns, candidates, costs, keep=keep)
+    return x, costs, sum(distance_px(unknowns, x[0], best[0]) < same_px for best, _ in ends)
 
 
 def expected_deviation_px(
     unknowns: Unknowns, terms: Sequence[Term], candidate: Tensor
 ) -> FloatArray:
-    """Return the standard deviation (K,) of each knot of a candidate (1, N), by the curvature of
-    the terms.
-    """
+    """Return the standard deviation (K,) of each knot of a candidate (1, N), from ``J^T J``."""
     knots = unknowns.knots
     size = unknowns.size
-    matrix = torch.zeros(1, size, size)
-    slope = torch.zeros(1, size)
+    JJ = torch.zeros(1, size, size)
+    Jr = torch.zeros(1, size)
     for term in terms:
-        term.add_normal(candidate, matrix, slope)
-    curvature = matrix[0].double()
-    scale = (
-        curvature.diagonal().clamp(min=1e-12).sqrt()
-    )  # light and px differ by orders of magnitude
+        term.add_normal(candidate, JJ, Jr)
+    curvature = JJ[0].double()
+    # scaled to a diagonal of 1, as light and px differ by orders of magnitude
+    scale = curvature.diagonal().clamp(min=1e-12).sqrt()
     scaled = curvature / scale[:, None] / scale + 1e-9 * torch.eye(size)
     covariance = (torch.linalg.inv(scaled) / scale[:, None] / scale)[: 2 * knots, : 2 * knots]
-    centring = (
-        torch.eye(knots).double() - 1 / knots
-    )  # the place of the whole path is of no account
+    centring = torch.eye(knots).double() - 1 / knots  # a shift of the whole path is no error
     variances = [
         (centring @ covariance[axis::2, axis::2] @ centring).diagonal().clamp(min=0)
         for axis in (0, 1)
@@ -127,7 +119,7 @@ def expected_deviation_px(
 
 def motion_of_paths(
     method: str,
-    paths: Sequence[FoundPath],
+    paths: Sequence[CandidatePath],
     *,
     probability: float,
     shares: ArrayLike,
@@ -136,51 +128,49 @@ def motion_of_paths(
     warnings: Sequence[str] = (),
     details: Mapping[str, object],
 ) -> MotionEstimate:
-    """Estimate that the best of some paths makes, and others beside it.
+    """Motion estimate of the best of some paths, with alternatives.
 
     Parameters
     ----------
     method : str
-    paths : sequence of FoundPath, best first
+    paths : sequence of CandidatePath, best first
     probability : float
         That the order of the best one is right.
     shares : (N - 1,) float
-        Of what is left, for each other path, relative to each other.
+        Of the remaining probability, for each other path, relative to each other.
     deviation_px : (K,) float
         Expected error of the best path at evenly spaced times.
     scale : float
-        What the paths are multiplied by.
+        Factor of the paths.
     warnings : sequence of str
     details : mapping
         Beside ``order_confidence``, ``path_uncertainty_px``, ``deviation_px`` and ``misfit``.
     """
     best = paths[0]
-    others = paths[1:_MOST_PATHS]
+    paths = paths[:_MOST_PATHS]
     weights = np.ones(1)
-    if others:
-        share = np.asarray(shares, dtype=np.float64)[: len(others)]
-        rest = np.minimum(
-            (1 - probability) * share / share.sum(), probability
-        )  # the best one stays the likeliest
-        weights = np.array([probability, *rest]) / (probability + rest.sum())
+    if len(paths) > 1:
+        share = np.asarray(shares, dtype=np.float64)[: len(paths) - 1]
+        # at most its own: the best one stays the likeliest
+        alternatives = np.minimum((1 - probability) * share / share.sum(), probability)
+        weights = np.array([probability, *alternatives]) / (probability + alternatives.sum())
     trajectories = tuple(
-        Trajectory.from_samples(scale * path.path, direction="known") for path in (best, *others)
+        Trajectory.from_samples(scale * path.path, direction="known") for path in paths
     )
-    doubt = (
-        f"the order in time is uncertain (confidence {probability:.2f}): take more photos of this"
-        " motion through other codes, as cep calibration-set designs them"
-    )
+    all_warnings = [*unexplained_warnings(best.misfit), *warnings]
+    if probability < 0.5:
+        all_warnings.insert(
+            0,
+            f"the order in time is uncertain (confidence {probability:.2f}): take more photos of"
+            " this motion through other codes, as cep calibration-set designs them",
+        )
     return MotionEstimate(
         method=method,
         trajectories=trajectories,
         weights=tuple(weights.tolist()),
         psf=trajectories[0].psf(trajectories[0].frame_size(PSF_PX)),
         confidence=probability,
-        warnings=(
-            *([doubt] if probability < 0.5 else []),
-            *unexplained_warnings(best.misfit),
-            *warnings,
-        ),
+        warnings=tuple(all_warnings),
         details={
             "order_confidence": probability,
             "path_uncertainty_px": float(np.sqrt((deviation_px**2).mean())),
