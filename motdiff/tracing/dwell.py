@@ -22,8 +22,7 @@ _SHORTEST_PX = 0.05  # a path must lead somewhere, even for a point
 def fit_dwell(
     path_px: ArrayLike, psf: ArrayLike, *, smoothness: float = 0.01, extend_px: float = 1.0
 ) -> Trajectory:
-    """Fit the time spent along a path, and its global sub-pixel shift, so that the exact PSF
-    matches ``psf``.
+    """Fit the time spent along a path, and its sub-pixel shift, so that its exact PSF is ``psf``.
 
     Parameters
     ----------
@@ -45,8 +44,7 @@ def fit_dwell(
     Raises
     ------
     ValueError
-        If the path is not (N, 2) and finite, or the PSF is not finite, non-negative and with
-        light.
+        If the path is not (N, 2) and finite, or as :func:`checked_psf`.
     """
     light = checked_psf(psf)
     target = in_frame(light / light.sum(), 2 * (max(light.shape) // 2) + 1)
@@ -54,26 +52,21 @@ def fit_dwell(
 
 
 def _fit(nodes: FloatArray, psf: FloatArray, smoothness: float) -> Trajectory:
-    """Minimise ``|| K' w - psf ||^2`` over dwells w, and the path's shift, in turn; the PSF's side
-    is odd.
-    """
-    moved = nodes
-    for turn in range(_ROUNDS):
-        pieces, target = _piece_psfs(moved, psf)
+    """Minimise ``|| K' w - psf ||^2`` over dwells w, and the path's shift, in turn."""
+    for index in range(_ROUNDS):
+        pieces, target = _piece_psfs(nodes, psf)
         dwell = _non_negative_fit(pieces, target, smoothness)
-        if turn == _ROUNDS - 1:
+        if index == _ROUNDS - 1:
             break
-        drawn = np.tensordot(dwell, pieces, axes=1)
-        shift = np.array(register_shift(target, drawn))
+        shift = np.array(register_shift(target, np.tensordot(dwell, pieces, axes=1)))
         if np.abs(shift).max() > _MOST_SHIFT_PX or np.abs(shift).max() < 0.02:
             break
-        moved = moved + shift
-    return _trajectory(moved, dwell)
+        nodes = nodes + shift
+    return _trajectory(nodes, dwell)
 
 
 def _piece_psfs(nodes: FloatArray, psf: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """PSF of each piece between nodes (n, S, S), summing to 1 each, and the target in the same
-    frame.
+    """PSF of each piece between nodes (n, S, S), sum 1, and the target in the same frame.
 
     The frame just holds the path: no dwell explains light of the target further out.
     """
@@ -95,11 +88,11 @@ def _non_negative_fit(pieces: FloatArray, target: FloatArray, smoothness: float)
     right = flat @ target.ravel()
     total = max(float(right.sum() / max(gram.sum(), 1e-30)), 1e-12)  # of the best uniform dwell
     floor = np.full(count, _FLOOR * total)
+    # least squares on the Cholesky factor: the same minimum from n equations instead of S^2
     root = linalg.cholesky(gram)
-    rest = linalg.solve_triangular(root, right - gram @ floor, trans="T")
-    above, _ = optimize.nnls(root, rest, maxiter=100 * count)
-    dwell = floor + above
-    return np.asarray(dwell, dtype=np.float64)
+    target_above = linalg.solve_triangular(root, right - gram @ floor, trans="T")
+    above, _ = optimize.nnls(root, target_above, maxiter=100 * count)
+    return np.asarray(floor + above, dtype=np.float64)
 
 
 def _nodes(path_px: ArrayLike, extend_px: float) -> FloatArray:
@@ -116,23 +109,18 @@ def _nodes(path_px: ArrayLike, extend_px: float) -> FloatArray:
     arc = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
     if extend_px > 0:
         # the direction at an end, from the last pixel or so
-        ends = [_at(arc, path, s) for s in (min(1.0, arc[-1]), max(arc[-1] - 1.0, 0.0))]
-        before = path[0] - ends[0]
-        after = path[-1] - ends[1]
-        path = np.concatenate(
-            [
-                (path[0] + extend_px * before / np.linalg.norm(before))[None],
-                path,
-                (path[-1] + extend_px * after / np.linalg.norm(after))[None],
-            ]
-        )
+        before = path[0] - _at(arc, path, min(1.0, arc[-1]))
+        after = path[-1] - _at(arc, path, max(arc[-1] - 1.0, 0.0))
+        first = path[0] + extend_px * before / np.linalg.norm(before)
+        last = path[-1] + extend_px * after / np.linalg.norm(after)
+        path = np.concatenate([first[None], path, last[None]])
         arc = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
     count = int(np.ceil(arc[-1] / _SPACING_PX)) + 1
     return _at(arc, path, np.linspace(0, arc[-1], max(count, 2)))
 
 
-def _at(arc: FloatArray, path: FloatArray, where: float | FloatArray) -> FloatArray:
-    return np.stack([np.interp(where, arc, path[:, axis]) for axis in (0, 1)], axis=-1)
+def _at(arc: FloatArray, path: FloatArray, s: float | FloatArray) -> FloatArray:
+    return np.stack([np.interp(s, arc, path[:, axis]) for axis in (0, 1)], axis=-1)
 
 
 def _trajectory(nodes: FloatArray, dwell: FloatArray) -> Trajectory:
@@ -145,9 +133,7 @@ def _trajectory(nodes: FloatArray, dwell: FloatArray) -> Trajectory:
 
 
 def checked_psf(psf: ArrayLike) -> FloatArray:
-    """Return a PSF as float64, or raise ValueError if it is not finite, non-negative, (H, W) and
-    with light.
-    """
+    """Return a PSF as float64; ValueError if not finite, non-negative, (H, W) and with light."""
     light = np.asarray(psf, dtype=np.float64)
     if (
         light.ndim != 2

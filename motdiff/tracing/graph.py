@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,20 +28,18 @@ class Branch:
     ends : (int, int)
         Nodes at its first and last point.
     extra_px : float
-        Drawn pixels beyond those of a single line of usual width: the mark of strands side by
-        side.
+        Path pixels beyond those of a single line of usual width: the mark of strands side by side.
     optional : bool
         True for a guess across a gap: a trail may use it but need not.
-    worth : float, 0..1
-        Weight of its pixels where a trail leaves them out: small for a faint line among bright
-        ones.
+    weight : float, 0..1
+        Of its pixels where a trail leaves them out: small for a faint line among bright ones.
     """
 
     points: FloatArray
     ends: tuple[int, int]
     extra_px: float = 0.0
     optional: bool = False
-    worth: float = 1.0
+    weight: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -51,9 +50,8 @@ class BranchGraph:
     branches: tuple[Branch, ...]
 
 
-def drawn_pixels(hr_map: ArrayLike) -> BoolArray:
-    """Mask of the path's pixels in a binary or soft map (hysteresis threshold relative to its
-    maximum).
+def path_pixels(hr_map: ArrayLike) -> BoolArray:
+    """Mask of the path's pixels in a binary or soft map, by hysteresis.
 
     Raises
     ------
@@ -76,19 +74,18 @@ def drawn_pixels(hr_map: ArrayLike) -> BoolArray:
 
 
 def branch_graph(
-    drawn: BoolArray, *, gap_px: float = 6.0, speck_px: int = 4, spur_px: float = 0.0
+    mask: BoolArray, *, gap_px: float = 6.0, speck_px: int = 4, spur_px: float = 0.0
 ) -> BranchGraph:
-    """Skeletonise the drawn pixels, join their parts and split them into branches at ends and
-    crossings.
+    """Skeletonise path pixels, join their components and split them at ends and crossings.
 
     Parameters
     ----------
-    drawn : (H, W) bool
+    mask : (H, W) bool
     gap_px : float
-        Longest gap bridged, in pixels of the map. Parts further away are kept only if they are the
-        largest.
+        Longest gap bridged, in pixels of the map. Components further away are dropped unless they
+        are the largest.
     speck_px : int
-        Parts of fewer pixels than this are dust when there is anything larger.
+        Components of fewer pixels than this are dust when there is anything larger.
     spur_px : float
         Dead ends shorter than this are taken off, shortest first; of a forked tip the longer prong
         stays.
@@ -96,52 +93,47 @@ def branch_graph(
     from skimage.morphology import skeletonize
 
     # padded, so that lines along the frame thin like any others
-    thin = np.asarray(skeletonize(_without_pinholes(np.pad(drawn, 1))), dtype=bool)[1:-1, 1:-1]
-    skeleton = _joined_parts(thin, gap_px, speck_px)
+    thin = np.asarray(skeletonize(_without_pinholes(np.pad(mask, 1))), dtype=bool)[1:-1, 1:-1]
+    skeleton = _joined(thin, gap_px, speck_px)
     nodes, branches = _split(skeleton)
     while spurs := _spurs(nodes, branches, spur_px):
         for branch in spurs:
             column, row = np.rint(branch.points[1:]).astype(np.intp).T
             skeleton[row, column] = False
         nodes, branches = _split(skeleton)
-    branches = _with_extra(branches, drawn)
+    branches = _with_extra(branches, mask)
     return BranchGraph(nodes, (*branches, *_gap_branches(nodes, branches, gap_px)))
 
 
-def _without_pinholes(drawn: BoolArray) -> BoolArray:
-    labels, _ = ndimage.label(~drawn)
+def _without_pinholes(mask: BoolArray) -> BoolArray:
+    labels, _ = ndimage.label(~mask)
     area = np.bincount(labels.ravel())
-    return np.asarray(drawn | (area[labels] <= _PINHOLE_AREA), dtype=bool)
+    return np.asarray(mask | (area[labels] <= _PINHOLE_AREA), dtype=bool)
 
 
-def _joined_parts(skeleton: BoolArray, gap_px: float, speck_px: int) -> BoolArray:
-    """Keep the largest part, and every part that short straight bridges can reach, with the
-    bridges drawn.
-    """
+def _joined(skeleton: BoolArray, gap_px: float, speck_px: int) -> BoolArray:
+    """Join to the largest component all others within reach of short straight bridges."""
     labels, count = ndimage.label(skeleton, structure=_EIGHT)
     if count <= 1:
         return skeleton
-    parts = [np.argwhere(labels == label) for label in range(1, count + 1)]
-    parts.sort(key=len, reverse=True)
-    kept = parts[0]
-    rest = [part for part in parts[1:] if len(part) >= speck_px]
-    joined = np.zeros_like(skeleton)
-    joined[tuple(kept.T)] = True
-    while rest:
-        tree = spatial.cKDTree(kept)
-        reaches = [tree.query(part) for part in rest]
+    components = [np.argwhere(labels == label) for label in range(1, count + 1)]
+    components.sort(key=len, reverse=True)
+    pixels, *candidates = components
+    candidates = [candidate for candidate in candidates if len(candidate) >= speck_px]
+    while candidates:
+        tree = spatial.cKDTree(pixels)
+        reaches = [tree.query(candidate) for candidate in candidates]
         nearest = int(np.argmin([distance.min() for distance, _ in reaches]))
         distance, index = reaches[nearest]
         if distance.min() > max(gap_px, 1.5):
             break
-        part = rest.pop(nearest)
-        here = int(np.argmin(distance))
-        bridge = np.rint(
-            np.linspace(part[here], kept[index[here]], int(np.ceil(distance[here])) + 1)
-        ).astype(np.intp)
-        joined[tuple(part.T)] = True
-        joined[tuple(bridge.T)] = True
-        kept = np.concatenate([kept, part, bridge])
+        component = candidates.pop(nearest)
+        i = int(np.argmin(distance))
+        steps = int(np.ceil(distance[i])) + 1
+        bridge = np.rint(np.linspace(component[i], pixels[index[i]], steps)).astype(np.intp)
+        pixels = np.concatenate([pixels, component, bridge])
+    joined = np.zeros_like(skeleton)
+    joined[tuple(pixels.T)] = True
     return joined
 
 
@@ -149,7 +141,7 @@ def _neighbours(skeleton: BoolArray, pixels: NDArray[np.intp]) -> list[list[int]
     """8-neighbours of each pixel; a diagonal step is dropped where two straight steps make it."""
     number = np.full(np.add(skeleton.shape, 2), -1, dtype=np.intp)
     number[pixels[:, 0] + 1, pixels[:, 1] + 1] = np.arange(len(pixels))
-    found: list[list[int]] = [[] for _ in range(len(pixels))]
+    neighbours: list[list[int]] = [[] for _ in range(len(pixels))]
     for i, (row, column) in enumerate(pixels + 1):
         for dr in (-1, 0, 1):
             for dc in (-1, 0, 1):
@@ -158,27 +150,26 @@ def _neighbours(skeleton: BoolArray, pixels: NDArray[np.intp]) -> list[list[int]
                     continue
                 if dr and dc and (number[row + dr, column] >= 0 or number[row, column + dc] >= 0):
                     continue
-                found[i].append(j)
-    return found
+                neighbours[i].append(j)
+    return neighbours
+
+
+def _degrees(nodes: FloatArray, branches: list[Branch]) -> NDArray[np.intp]:
+    return np.bincount([end for branch in branches for end in branch.ends], minlength=len(nodes))
 
 
 def _spurs(nodes: FloatArray, branches: list[Branch], spur_px: float) -> list[Branch]:
-    """Find the shortest short dead end at each crossing, turned so that it starts at the
-    crossing.
-    """
-    degree = np.bincount([end for branch in branches for end in branch.ends], minlength=len(nodes))
+    """Find the shortest short dead end at each crossing, from the crossing to its tip."""
+    degree = _degrees(nodes, branches)
     shortest: dict[int, Branch] = {}
     for branch in branches:
-        turned = (
-            branch
-            if degree[branch.ends[1]] == 1
-            else Branch(branch.points[::-1], branch.ends[::-1])
-        )
-        crossing, tip = turned.ends
+        if degree[branch.ends[1]] != 1:
+            branch = Branch(branch.points[::-1], branch.ends[::-1])
+        crossing, tip = branch.ends
         if degree[tip] != 1 or degree[crossing] < 3 or len(branch.points) - 1 >= spur_px:
             continue
         if crossing not in shortest or len(branch.points) < len(shortest[crossing].points):
-            shortest[crossing] = turned
+            shortest[crossing] = branch
     return list(shortest.values())
 
 
@@ -206,12 +197,12 @@ def _split(skeleton: BoolArray) -> tuple[FloatArray, list[Branch]]:
                     queue.append(j)
         add_node(cluster)
     branches: list[Branch] = []
-    used: set[int] = set()
+    visited: set[int] = set()
 
     def walk(first: int, second: int) -> None:
         line = [first, second]
         while line[-1] not in node_of:
-            used.add(line[-1])
+            visited.add(line[-1])
             a, b = neighbours[line[-1]]
             line.append(b if a == line[-2] else a)
         ends = node_of[line[0]], node_of[line[-1]]
@@ -224,12 +215,10 @@ def _split(skeleton: BoolArray) -> tuple[FloatArray, list[Branch]]:
             if second in node_of:  # neighbouring nodes; a cluster is not joined to itself
                 if start < second and node_of[start] != node_of[second]:
                     walk(start, second)
-            elif second not in used:
+            elif second not in visited:
                 walk(start, second)
-    for start in range(
-        len(pixels)
-    ):  # what is left are loops without any crossing: cut them at their sharpest bend
-        if start in node_of or start in used:
+    for start in range(len(pixels)):  # loops without any crossing: cut at their sharpest bend
+        if start in node_of or start in visited:
             continue
         loop = [start, neighbours[start][0]]
         while loop[-1] != start:
@@ -242,27 +231,23 @@ def _split(skeleton: BoolArray) -> tuple[FloatArray, list[Branch]]:
 
 
 def _sharpest(loop: FloatArray, reach: int = 5) -> int:
-    ahead = np.roll(loop, -reach, axis=0) - loop
-    behind = loop - np.roll(loop, reach, axis=0)
-    norms = np.linalg.norm(ahead, axis=1) * np.linalg.norm(behind, axis=1)
-    return int(np.argmin(np.sum(ahead * behind, axis=1) / np.maximum(norms, 1e-9)))
+    forward = np.roll(loop, -reach, axis=0) - loop
+    backward = loop - np.roll(loop, reach, axis=0)
+    norms = np.linalg.norm(forward, axis=1) * np.linalg.norm(backward, axis=1)
+    return int(np.argmin(np.sum(forward * backward, axis=1) / np.maximum(norms, 1e-9)))
 
 
-def _with_extra(branches: list[Branch], drawn: BoolArray) -> list[Branch]:
+def _with_extra(branches: list[Branch], mask: BoolArray) -> list[Branch]:
     if not branches:
         return branches
     owner = np.repeat(np.arange(len(branches)), [len(branch.points) for branch in branches])
-    _, nearest = spatial.cKDTree(np.concatenate([branch.points for branch in branches])).query(
-        np.argwhere(drawn)[:, ::-1]
-    )
+    tree = spatial.cKDTree(np.concatenate([branch.points for branch in branches]))
+    _, nearest = tree.query(np.argwhere(mask)[:, ::-1])
     area = np.bincount(owner[nearest], minlength=len(branches)).astype(np.float64)
     steps = np.array([max(1, len(branch.points) - 1) for branch in branches])
     order = np.argsort(area / steps)
-    # the width below which half of the line lies
-    width = max(
-        1.0,
-        float((area / steps)[order][np.searchsorted(np.cumsum(steps[order]), 0.5 * steps.sum())]),
-    )
+    median = np.searchsorted(np.cumsum(steps[order]), 0.5 * steps.sum())  # weighted by length
+    width = max(1.0, float((area / steps)[order][median]))
     return [
         replace(branch, extra_px=float(min(max(0.0, area[i] / width - steps[i] - 1), steps[i])))
         for i, branch in enumerate(branches)
@@ -270,12 +255,10 @@ def _with_extra(branches: list[Branch], drawn: BoolArray) -> list[Branch]:
 
 
 def _gap_branches(nodes: FloatArray, branches: list[Branch], gap_px: float) -> list[Branch]:
-    """Find optional branches across gaps between loose ends of one part."""
-    degree = np.bincount([end for branch in branches for end in branch.ends], minlength=len(nodes))
-    loose = [int(i) for i in np.flatnonzero(degree == 1)]
-    guesses = []
-    for at, i in enumerate(loose):
-        for j in loose[at + 1 :]:
-            if np.linalg.norm(nodes[i] - nodes[j]) <= gap_px:
-                guesses.append(Branch(nodes[[i, j]], (i, j), optional=True))
-    return guesses
+    """Find optional branches across gaps between loose ends."""
+    loose_ends = np.flatnonzero(_degrees(nodes, branches) == 1).tolist()
+    return [
+        Branch(nodes[[i, j]], (i, j), optional=True)
+        for i, j in itertools.combinations(loose_ends, 2)
+        if np.linalg.norm(nodes[i] - nodes[j]) <= gap_px
+    ]

@@ -14,22 +14,19 @@ from motdiff.types import FloatArray
 _SMOOTHING_PX = 2.0
 _MEMORY_PX = 5 * _SMOOTHING_PX
 _UNCOVERED_COST = 0.8  # per pixel of line left out
-_REPEAT_COST = 0.03  # per pixel drawn again
+_REPEAT_COST = 0.03  # per pixel passed again
 _GAP_COST = 0.6  # per pixel of a gap jumped
 _EXTRA_WEIGHT = 1.0
-_BURIED_END_COST = 1.0  # for an end of the path that no loose end of the drawing shows
-_REVERSAL_RELIEF = (
-    2.0  # a hand that stops and turns back is likelier than its bend of 180 degrees looks
-)
+_BURIED_END_COST = 1.0  # for an end of the path that is no loose end of the lines
+# a hand that stops and turns back is likelier than its bend of 180 degrees looks
+_REVERSAL_RELIEF = 2.0
 _PROMISE = 0.03  # per pixel still to cover, when partial walks are compared
 _MOST_PASSES = 3
 
 
 @dataclass(frozen=True)
 class _Line:
-    """A branch in one direction: where it leads, and its bends (changes of the unit tangent) along
-    its length.
-    """
+    """A branch in one direction, with its bends (changes of the unit tangent)."""
 
     start: int
     stop: int
@@ -38,12 +35,12 @@ class _Line:
     last: FloatArray
     at: FloatArray  # (b,) arc length of each bend
     bends: FloatArray  # (b, 2)
-    own_cost: float
+    bend_cost: float
 
 
 class _Walk(NamedTuple):  # made by the ten thousand
     cost: float
-    left_px: float  # line not covered yet, each pixel by its worth
+    uncovered_px: float  # weighted length of line
     passes: int  # two bits per branch
     recent: tuple[int, ...]  # directed branches that still influence the next turn
     before: _Walk | None
@@ -72,22 +69,23 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
     if not graph.branches:
         return graph.nodes[:1]
     lines = [
-        _line(branch.points[::way], branch.ends[::way])
+        _line(branch.points[::direction], branch.ends[::direction])
         for branch in graph.branches
-        for way in (1, -1)
+        for direction in (1, -1)
     ]
     leaving: dict[int, list[int]] = {}
     for i, line in enumerate(lines):
         leaving.setdefault(line.start, []).append(i)
     optional = [branch.optional for branch in graph.branches]
-    worth = [branch.worth for branch in graph.branches]
+    weight = [branch.weight for branch in graph.branches]
     extra = [_EXTRA_WEIGHT * branch.extra_px for branch in graph.branches]
     total = sum(
-        worth[i] * (line.length + extra[i]) for i, line in enumerate(lines[::2]) if not optional[i]
+        weight[i] * (line.length + extra[i])
+        for i, line in enumerate(lines[::2])
+        if not optional[i]
     )
-    turns: dict[
-        tuple[tuple[int, ...], int], tuple[float, tuple[int, ...]]
-    ] = {}  # cost, and what is recent after it
+    # cost of each turn, and the recent branches after it
+    turns: dict[tuple[tuple[int, ...], int], tuple[float, tuple[int, ...]]] = {}
 
     def extend(walk: _Walk, i: int) -> _Walk | None:
         branch = i // 2
@@ -100,50 +98,52 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
         if turn is None:
             turn = turns[walk.recent, i] = _turn(lines, walk.recent, i)
         cost = walk.cost + turn[0] - relief
-        left = walk.left_px
+        uncovered_px = walk.uncovered_px
         if optional[branch]:
             cost += _GAP_COST * line.length
         elif passes:
-            cost += _REPEAT_COST * line.length + line.own_cost
-            left -= worth[branch] * extra[branch] if passes == 1 else 0.0
+            cost += _REPEAT_COST * line.length + line.bend_cost
+            if passes == 1:
+                uncovered_px -= weight[branch] * extra[branch]
         else:
-            left -= worth[branch] * line.length
-        return _Walk(cost, left, walk.passes + (1 << 2 * branch), turn[1], walk, i)
+            uncovered_px -= weight[branch] * line.length
+        return _Walk(cost, uncovered_px, walk.passes + (1 << 2 * branch), turn[1], walk, i)
 
-    buried = {node: _BURIED_END_COST if len(near) > 1 else 0.0 for node, near in leaving.items()}
-    fresh = []
+    buried = {node: _BURIED_END_COST * (len(steps) > 1) for node, steps in leaving.items()}
+    walks = []
     for i, line in enumerate(lines):
         walk = extend(_Walk(buried[line.start], total, 0, (), None, -2), i)
         if walk is not None:
-            fresh.append(walk)
-    best = fresh[0]
+            walks.append(walk)
+    best = walks[0]
     best_cost = np.inf
     for _ in range(_MOST_PASSES * len(lines)):
-        if not fresh:
+        if not walks:
             break
-        for walk in fresh:
-            final = walk.cost + buried[lines[walk.step].stop] + _UNCOVERED_COST * walk.left_px
+        for walk in walks:
+            final = walk.cost + buried[lines[walk.step].stop] + _UNCOVERED_COST * walk.uncovered_px
             if final < best_cost - 1e-9:
                 best = walk
                 best_cost = final
         unique: dict[tuple[tuple[int, ...], int], _Walk] = {}
-        for walk in fresh:
+        for walk in walks:
             key = (walk.recent, walk.passes)
             if key not in unique or walk.cost < unique[key].cost:
                 unique[key] = walk
-        kept = sorted(unique.values(), key=lambda walk: walk.cost + _PROMISE * walk.left_px)[:beam]
-        fresh = []
-        for walk in kept:
-            if walk.left_px < 1e-6:
+        ranked = sorted(unique.values(), key=lambda w: w.cost + _PROMISE * w.uncovered_px)
+        walks = []
+        for walk in ranked[:beam]:
+            if walk.uncovered_px < 1e-6:
                 continue
-            here = lines[walk.step].stop
-            dead_end = len(leaving[here]) == 1
-            for i in leaving[here]:
+            node = lines[walk.step].stop
+            dead_end = len(leaving[node]) == 1
+            for i in leaving[node]:
                 if i == walk.step ^ 1 and not dead_end:
                     continue
                 longer = extend(walk, i)
+                # reliefs of later reversals may still lower the cost
                 if longer is not None and longer.cost < best_cost + 4:
-                    fresh.append(longer)
+                    walks.append(longer)
     steps = []
     while best.before is not None:
         steps.append(best.step)
@@ -166,20 +166,20 @@ def _line(points: FloatArray, ends: tuple[int, ...]) -> _Line:
     tangents = steps / lengths[:, None]
     at = np.cumsum(lengths)[:-1]
     bends = np.diff(tangents, axis=0)
-    own = float(np.sum(_felt(at[:, None] - at[None, :]) * (bends @ bends.T)))
-    return _Line(ends[0], ends[1], float(lengths.sum()), tangents[0], tangents[-1], at, bends, own)
+    cost = float(np.sum(_coupling(at[:, None] - at[None, :]) * (bends @ bends.T)))
+    length = float(lengths.sum())
+    return _Line(ends[0], ends[1], length, tangents[0], tangents[-1], at, bends, cost)
 
 
-def _felt(distance_px: FloatArray) -> FloatArray:
+def _coupling(distance_px: FloatArray) -> FloatArray:
+    """Product of two bends' Gaussians, integrated along the curve; 1 at distance 0."""
     return np.asarray(np.exp(-((distance_px / (2 * _SMOOTHING_PX)) ** 2)), dtype=np.float64)
 
 
 def _turn(
     lines: list[_Line], recent: tuple[int, ...], following: int
 ) -> tuple[float, tuple[int, ...]]:
-    """Cost of going on along ``following``, and the directed branches that still influence the
-    turn after it.
-    """
+    """Cost of going on along ``following``, and the branches that influence the turn after it."""
     cost = _turn_cost([lines[j] for j in recent], lines[following])
     recent = (*recent, following)
     while len(recent) > 1 and sum(lines[j].length for j in recent[1:]) >= _MEMORY_PX:
@@ -188,16 +188,12 @@ def _turn(
 
 
 def _turn_cost(recent: list[_Line], following: _Line) -> float:
-    """Bending energy that joining a line adds: the corner with everything near, and the two sides
-    with each other.
-    """
+    """Bending energy that a line adds: its corner's, and its bends' with the recent ones."""
     if not recent:
         return 0.0
     corner = following.first - recent[-1].last
-    at = [np.zeros(1), following.at]
-    bends = [corner[None], following.bends]
-    new_at = np.concatenate(at)
-    new_bends = np.concatenate(bends)
+    new_at = np.concatenate([np.zeros(1), following.at])
+    new_bends = np.concatenate([corner[None], following.bends])
     old_at = []
     old_bends = []
     end = 0.0
@@ -211,6 +207,7 @@ def _turn_cost(recent: list[_Line], following: _Line) -> float:
             old_bends.append((line.first - recent[k - 1].last)[None])
     past_at = np.concatenate(old_at)
     past_bends = np.concatenate(old_bends)
-    across = 2 * np.sum(_felt(new_at[:, None] - past_at[None, :]) * (new_bends @ past_bends.T))
-    ahead = 2 * np.sum(_felt(following.at) * (following.bends @ corner))
-    return float(across + ahead + corner @ corner)
+    couplings = _coupling(new_at[:, None] - past_at[None, :])
+    with_past = 2 * np.sum(couplings * (new_bends @ past_bends.T))
+    with_corner = 2 * np.sum(_coupling(following.at) * (following.bends @ corner))
+    return float(with_past + with_corner + corner @ corner)

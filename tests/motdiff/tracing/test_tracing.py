@@ -308,22 +308,22 @@ def test_a_line_is_worth_the_square_of_its_light_over_the_median_and_never_more_
         Branch(np.c_[columns, np.full_like(columns, row)], (2 * i, 2 * i + 1))
         for i, row in enumerate(rows)
     ]
-    graph = path._with_worth(
+    graph = path._with_weights(
         BranchGraph(np.concatenate([line.points[[0, -1]] for line in lines]), tuple(lines)), light
     )
-    assert [line.worth for line in graph.branches] == pytest.approx([1.0, 1.0, 0.25], abs=0.01)
+    assert [line.weight for line in graph.branches] == pytest.approx([1.0, 1.0, 0.25], abs=0.01)
 
 
 @pytest.mark.parametrize(
-    ("extra_px", "worth", "passes"), [(0.0, 1.0, 1), (60.0, 1.0, 2), (60.0, 0.03, 0)]
+    ("extra_px", "weight", "passes"), [(0.0, 1.0, 1), (60.0, 1.0, 2), (60.0, 0.03, 0)]
 )
-def test_the_mark_of_two_strands_counts_as_much_as_their_line(extra_px, worth, passes):
+def test_the_mark_of_two_strands_counts_as_much_as_their_line(extra_px, weight, passes):
     """A straight line of 60 px with one of 30 px that leaves it in the middle, drawn wide enough
     for two strands."""
     legs = [line((0, 0), (30, 0), 31), line((30, 0), (60, 0), 31), line((30, 0), (30, 30), 31)]
     ends = [(0, 1), (1, 2), (1, 3)]
     branches = [Branch(points, end) for points, end in zip(legs[:2], ends[:2], strict=True)]
-    branches.append(Branch(legs[2], ends[2], extra_px=extra_px, worth=worth))
+    branches.append(Branch(legs[2], ends[2], extra_px=extra_px, weight=weight))
     trail = smoothest_trail(
         BranchGraph(np.array([[0.0, 0.0], [30, 0], [60, 0], [30, 30]]), tuple(branches))
     )
