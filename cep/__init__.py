@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from cep.proofs.certify.certificate import certify
     from cep.proofs.verify.certificates import verify
     from cep.restoration.direction import detect_direction
-    from cep.restoration.methods import restore
+    from cep.restoration.restore import restore
     from cep.search.advise import advise
     from cep.search.bounding.bounds import bound
     from cep.search.compare import compare
@@ -102,7 +102,7 @@ _MODULES = {
     "read_image": "cep.files.images",
     "read_playback": "cep.shutter.playback",
     "refine_motion": "cep.calibration.refine",
-    "restore": "cep.restoration.methods",
+    "restore": "cep.restoration.restore",
     "verify": "cep.proofs.verify.certificates",
     "write_image": "cep.files.images",
 }

@@ -2,44 +2,38 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cep.commands.console import finish, part, progress
 from cep.commands.options import (
     MOTION,
-    CameraFile,
-    Force,
+    CameraOptions,
+    CommonOptions,
     Gamma,
-    Json,
-    Linear,
-    Photons,
-    ReadNoise,
-    Seed,
-    TrajectoryFile,
-    load_camera,
-    load_motion,
+    MotionOptions,
+    command,
     output_option,
 )
 from cep.restoration.registry import METHODS, find_method
 
 if TYPE_CHECKING:
-    from cep.restoration.sharpen import Sharpened
+    from cep.restoration.result import Restoration
 
 
-def deblur(
+@dataclass(frozen=True, kw_only=True)
+class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
+    """Options of ``cep deblur``."""
+
     image: Annotated[
         Path,
         typer.Argument(
             metavar="IMAGE", help="Blurred photo, coded or not: PNG, TIFF, JPEG, WebP or RAW."
         ),
-    ],
-    trajectory: TrajectoryFile = None,
-    linear: Linear = None,
+    ]
     code: Annotated[
         str | None,
         typer.Option(
@@ -48,7 +42,7 @@ def deblur(
             help="Code of the exposure: bits, code.json or a name; the open shutter when omitted.",
             rich_help_panel=MOTION,
         ),
-    ] = None,
+    ] = None
     psf: Annotated[
         Path | None,
         typer.Option(
@@ -57,7 +51,7 @@ def deblur(
             help="Instead of --trajectory, --linear and --code: a PSF as .npy, .mat or .png.",
             rich_help_panel=MOTION,
         ),
-    ] = None,
+    ] = None
     method: Annotated[
         str,
         typer.Option(
@@ -68,18 +62,51 @@ def deblur(
                 + ", or module:name; auto is wiener, and of a photo alone what suits it."
             ),
         ),
-    ] = "auto",
-    gamma: Gamma = "srgb",
-    camera: CameraFile = None,
-    photons: Photons = None,
-    read_noise: ReadNoise = None,
+    ] = "auto"
+    gamma: Gamma = "srgb"
     output: Annotated[
         Path | None, output_option("Restored photo; IMAGE_sharp.png when omitted.")
-    ] = None,
-    force: Force = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
+    ] = None
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether neither motion nor PSF is given."""
+        return self.trajectory is None and self.linear is None and self.psf is None
+
+    @property
+    def is_photo_alone(self) -> bool:
+        """Whether what suits the photo is to be chosen, since nothing is said of it."""
+        figures = (self.code, self.camera, self.photons, self.read_noise)
+        return self.method == "auto" and self.is_blind and figures == (None,) * 4
+
+    def check(self) -> None:
+        """Refuse options that contradict each other.
+
+        Raises
+        ------
+        ValueError
+            If they do, or the method is not known.
+        """
+        method = "wiener" if self.method == "auto" else self.method
+        find_method(method)
+        if sum(given is not None for given in (self.trajectory, self.linear, self.psf)) > 1:
+            raise ValueError(
+                "--trajectory FILE, --linear PX and --psf FILE: give one of them at most"
+            )
+        if self.psf is not None and self.code is not None:
+            raise ValueError("--code: not valid with --psf, whose file already holds the code")
+        *others, last = (each.name for each in METHODS.values() if each.uses_camera)
+        if method not in (*others, last):
+            for name in ("camera", "photons", "read_noise"):
+                if getattr(self, name) is not None:
+                    raise ValueError(
+                        f"--{name.replace('_', '-')}: not valid with --method {method};"
+                        f" {', '.join(others)} and {last} use the camera"
+                    )
+
+
+@command(DeblurOptions)
+def deblur(options: DeblurOptions) -> None:
     """Restore a photo along a trajectory, with a PSF, or with neither: the PSF is then searched in
     the photo itself.
 
@@ -105,162 +132,80 @@ def deblur(
     with progress("restoring") as tick:
         tick(0.0, "reading the photo")
         from cep.codes.sources import load_code
-        from cep.files.images import check_image_name, parse_gamma, read_photo, write_image
+        from cep.files.images import check_image_name, parse_gamma, read_photo
         from motdiff.files.outputs import claim
 
-        parse_gamma(gamma)
-        shutter = None if code is None else load_code(code)
-        target = output or image.with_name(f"{image.stem}_sharp.png")
+        parse_gamma(options.gamma)
+        code = None if options.code is None else load_code(options.code)
+        target = options.output or options.image.with_name(f"{options.image.stem}_sharp.png")
         check_image_name(target)
-        outputs = claim([target], force=force, inputs=[image])
+        outputs = claim([target], force=options.force, inputs=[options.image])
 
-        from cep.calibration.calibrate import check_photo, check_texture, estimate_motion
+        from cep.calibration.calibrate import check_photo, check_texture
         from cep.files.files import load_psf
         from cep.optics.path_limits import check_resolved
-        from cep.restoration.methods import restore
+        from cep.restoration.restore import restore
 
-        alone = method == "auto" and all(
-            one is None for one in (trajectory, linear, psf, code, camera, photons, read_noise)
-        )  # what suits the photo is chosen
-        method = "wiener" if method == "auto" else method
-        find_method(method)
-        if sum(one is not None for one in (trajectory, linear, psf)) > 1:
-            raise ValueError(
-                "--trajectory FILE, --linear PX and --psf FILE: give one of them at most"
-            )
-        if psf is not None and code is not None:
-            raise ValueError("--code: not valid with --psf, whose file already holds the code")
-        options = {}
-        if camera is not None or photons is not None or read_noise is not None:
-            using = [each.name for each in METHODS.values() if each.uses_camera]
-            if method not in using:
-                first = (
-                    "--camera"
-                    if camera is not None
-                    else "--photons"
-                    if photons is not None
-                    else "--read-noise"
-                )
-                raise ValueError(
-                    f"{first}: not valid with --method {method}; {_listed(using)} use the camera"
-                )
-            options["camera"] = load_camera(camera, photons=photons, read_noise=read_noise)
-        stated = trajectory is not None or linear is not None
-        motion = load_motion(trajectory, linear).trajectory if stated else None
-        if motion is not None and shutter is not None:
-            check_resolved(motion, shutter.chips)
-        kernel, doubts = (None, ()) if psf is None else load_psf(psf)
-        photo = read_photo(image, gamma=gamma)
-        blind = motion is None and kernel is None
+        options.check()
+        known: dict[str, Any] = {}
+        warnings: list[str] = []
+        if options.has_camera:
+            known["camera"] = options.load_camera()
+        if options.trajectory is not None or options.linear is not None:
+            known["trajectory"] = options.load_motion().trajectory
+            if code is not None:
+                check_resolved(known["trajectory"], code.chips)
+        if options.psf is not None:
+            known["psf"], doubts = load_psf(options.psf)
+            warnings += doubts
+        photo = read_photo(options.image, gamma=options.gamma)
         try:
-            if blind:
-                check_photo(photo.pixels, "motdiff" if alone else "pmp")
+            if options.is_blind:
+                check_photo(photo.pixels, "motdiff" if options.is_photo_alone else "pmp")
             else:
                 check_texture(photo.pixels)
         except ValueError as error:
-            raise ValueError(f"{image}: {str(error).removeprefix('photo: ')}") from None
-        tick(0.05, "searching the PSF" if blind else "restoring")
-        if alone:
-            from cep.restoration.sharpen import sharpen
-
-            started = time.perf_counter()
-            estimate = estimate_motion(photo.pixels, seed=seed, progress=part(tick, 0.05, 0.75))
-            tick(0.75, "restoring")
-            sharpened = sharpen(photo.pixels, estimate)
-            with outputs.written() as made:
-                write_image(made[target], sharpened.image, bits=photo.bits, gamma=gamma)
-            seconds = time.perf_counter() - started
-        else:
-            restored = restore(
-                photo.pixels,
-                kernel,
-                trajectory=motion,
-                code=shutter,
-                method=method,
-                progress=part(tick, 0.05, 0.98),
-                **options,
-            )
-            with outputs.written() as made:
-                restored.save(made[target], bits=photo.bits, gamma=gamma)
-        tick(1.0)
-    if alone:
-        _finish_alone(
-            sharpened, target, seconds=seconds, seed=seed, warnings=photo.warnings, as_json=as_json
+            raise ValueError(f"{options.image}: {str(error).removeprefix('photo: ')}") from None
+        tick(0.05, "searching the PSF" if options.is_blind else "restoring")
+        restored = restore(
+            photo.pixels,
+            code=code,
+            method=options.method,
+            seed=options.seed,
+            progress=part(tick, 0.05, 0.98),
+            **known,
         )
-        return
-    direction = restored.direction or ("unknown" if blind else "given by the PSF")
-    test = restored.direction_test
+        with outputs.written() as folder:
+            restored.save(folder[target], bits=photo.bits, gamma=options.gamma)
+        tick(1.0)
     result = {
         "image": target,
-        "method": method,
-        "psf_source": "photo" if blind else "trajectory" if psf is None else "file",
-        "psf_confidence": restored.psf_confidence,
-        "direction": direction,
-        "direction_confidence": None if test is None else test.confidence,
-        "direction_likelihoods": None if test is None else test.likelihoods,
-        "residual": restored.residual,
-        "unreliable_px": restored.unreliable_px,
-        "seconds": restored.seconds,
-        "seed": seed,
-        "warnings": [*photo.warnings, *doubts, *restored.warnings],
+        **restored.to_dict(),
+        "seed": options.seed,
+        "warnings": [*photo.warnings, *warnings, *restored.warnings],
     }
-    if restored.psf_confidence is None:
-        sure = "" if test is None else f" (confidence {test.confidence:.2f})"
-        motion_line = f"{target}: {method}, direction {direction}{sure}"
-    else:
-        motion_line = (
-            f"{target}: restored with the PSF found in this photo alone, which is good with"
-            f" probability {restored.psf_confidence:.2f}; its order in time is not known; {method}"
-        )
     finish(
         result,
-        as_json=as_json,
-        show=lambda console: console.print(
-            f"{motion_line}, residual {restored.residual:.3g} of full scale; "
-            f"the outer {restored.unreliable_px} px lean on a guess"
-        ),
+        as_json=options.as_json,
+        show=lambda console: console.print(*_lines(restored, target), sep="\n"),
     )
 
 
-def _listed(names: Sequence[str]) -> str:
-    return f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def _finish_alone(
-    sharpened: Sharpened,
-    target: Path,
-    *,
-    seconds: float,
-    seed: int,
-    warnings: Sequence[str],
-    as_json: bool,
-) -> None:
-    """Report a photo that was restored with what was found in it."""
-    result = {
-        "image": target,
-        "summary": sharpened.summary,
-        "kept": sharpened.kept,
-        "method": sharpened.method,
-        "psf_source": (
-            {"psf": "photo", "trajectory": "path in the photo"}.get(sharpened.psf_source or "")
-        ),
-        "psf_confidence": sharpened.psf_confidence,
-        "direction": "unknown",
-        "direction_confidence": None,
-        "direction_likelihoods": None,
-        "residual": sharpened.residual,
-        "unreliable_px": sharpened.unreliable_px,
-        "seconds": seconds,
-        "seed": seed,
-        "warnings": [*warnings, *sharpened.warnings],
-    }
-    figures = (
-        ""
-        if sharpened.kept
-        else (
-            f"; residual {sharpened.residual:.3g} of full scale, the outer"
-            f" {sharpened.unreliable_px} px lean on a guess"
+def _lines(restored: Restoration, target: Path) -> list[str]:
+    """Say how the photo was restored, for the console."""
+    figures = f"residual {restored.residual:.3g} of full scale"
+    border = f"the outer {restored.unreliable_px} px lean on a guess"
+    if restored.kept:
+        return [f"{restored.summary}.", f"{target}"]
+    if restored.summary:
+        return [f"{restored.summary}.", f"{target}; {figures}, {border}"]
+    if restored.psf_source == "photo":
+        about = (
+            "restored with the PSF found in this photo alone, which is good with probability"
+            f" {restored.psf_confidence:.2f}; its order in time is not known; {restored.method}"
         )
-    )
-    lines = (f"{sharpened.summary}.", f"{target}{figures}")
-    finish(result, as_json=as_json, show=lambda console: console.print(*lines, sep="\n"))
+    else:
+        about = f"{restored.method}, direction {restored.to_dict()['direction']}"
+        if restored.direction_test is not None:
+            about += f" (confidence {restored.direction_test.confidence:.2f})"
+    return [f"{target}: {about}, {figures}; {border}"]

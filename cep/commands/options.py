@@ -200,6 +200,11 @@ class CameraOptions:
     photons: Photons = None
     read_noise: ReadNoise = None
 
+    @property
+    def has_camera(self) -> bool:
+        """Whether any of the three is given."""
+        return (self.camera, self.photons, self.read_noise) != (None, None, None)
+
     def load_camera(self) -> Camera:
         """Return the camera; the standard one where none is named.
 

@@ -12,7 +12,7 @@ from cep.optics.camera import LIGHT_LEVELS
 from cep.optics.path_limits import check_resolved
 from cep.proofs.certify.certificate import Certificate
 from cep.report.demo_scene import Scene, SceneMotion, find_motion
-from cep.restoration.methods import Restoration
+from cep.restoration.result import Restoration
 from cep.search.advise import LEVELS, Advice
 from cep.search.chip_count import suited_chips
 from cep.search.ways import CODED, Choice, Way

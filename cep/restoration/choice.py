@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from cep.restoration.blur import Blur, channels_first, channels_last
 from cep.restoration.clipping import fill_clipped, lights_cut
-from cep.restoration.methods import misfit
 from cep.restoration.noise import fit_spectrum
+from cep.restoration.result import misfit
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
 from motdiff.crops import clipped_mask, luminance, pick_crops

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from cep.files.images import read_image, write_image
-from cep.restoration.methods import restore
+from cep.restoration.restore import restore
 from lab.studies.inputs import photos as photos_of
 from lab.studies.inputs import smooth_trace
 from motdiff.crops import CROP_PX

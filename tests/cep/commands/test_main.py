@@ -208,7 +208,7 @@ def test_an_interrupt_exits_130(cep, monkeypatch, workplace):
     def interrupted(*_arguments, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cep.restoration.methods.restore", interrupted)
+    monkeypatch.setattr("cep.restoration.restore.restore", interrupted)
     before = sorted(workplace.iterdir())
     assert cep("deblur", "blurred.png", "--trajectory", "trajectory.json").code == 130
     assert (cep.out, cep.err) == ("", "cep: interrupted\n")

@@ -69,7 +69,7 @@ WORK = (
     "cep.search.optimize.search",
     "cep.proofs.audit.certify",
     "cep.plots.mtf_curves.mtf_curve",
-    "cep.restoration.methods.restore",
+    "cep.restoration.restore.restore",
     "cep.jobs.engine.run_cells",
     "lab.bench.coded.job.measure_coded",
     "hw.drivers.cxp.open_link",

@@ -9,7 +9,7 @@ from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration import blind
-from cep.restoration.methods import restore
+from cep.restoration.restore import restore
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory

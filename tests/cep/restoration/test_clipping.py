@@ -7,8 +7,9 @@ from skimage import data
 
 from cep.restoration.choice import choose_psf, is_possible_light
 from cep.restoration.clipping import fill_clipped, lights_cut
-from cep.restoration.methods import misfit, restore
 from cep.restoration.registry import METHODS
+from cep.restoration.restore import restore
+from cep.restoration.result import misfit
 from motdiff.crops import clipped_mask
 from motdiff.metrics import psnr
 from motdiff.simulate import blur_valid, photograph, visible

@@ -8,9 +8,9 @@ from skimage import data
 from cep.files.images import read_photo
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
-from cep.restoration.methods import restore
 from cep.restoration.pnp import pnp
 from cep.restoration.registry import METHODS
+from cep.restoration.restore import restore
 from cep.restoration.wiener import wiener
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory

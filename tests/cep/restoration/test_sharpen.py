@@ -41,7 +41,7 @@ def still():
 def test_a_blurred_photo_is_restored_and_it_is_said_with_what():
     found = sharpen(PHOTO, FOUND)
     assert psnr_up_to_shift(found.image, SHARP) > psnr_up_to_shift(PHOTO, SHARP) + 3
-    assert (found.kept, found.method, found.psf_source) == (False, "tv", "psf")
+    assert (found.kept, found.method, found.psf_source) == (False, "tv", "photo")
     assert (
         found.summary
         == "The photo was restored with the blur kernel found in it (confidence 0.90), by tv"
@@ -64,7 +64,7 @@ def test_a_dim_photo_is_restored_as_the_bright_one():
 def test_the_path_s_psf_is_taken_where_the_free_one_does_not_fit():
     speckled = PATH.psf(64) + 0.002 * np.random.default_rng(0).random((64, 64))
     found = sharpen(PHOTO, replace(FOUND, psf=speckled / speckled.sum()))
-    assert found.psf_source == "trajectory"
+    assert found.psf_source == "path in the photo"
     assert "with the path found in it" in found.summary
 
 

@@ -10,7 +10,8 @@ from cep.optics.capture import capture
 from cep.restoration.blur import trimmed_psf
 from cep.restoration.inverse import inverse_filter
 from cep.restoration.l0 import l0, tv_less_ringing
-from cep.restoration.methods import misfit, restore
+from cep.restoration.restore import restore
+from cep.restoration.result import misfit
 from cep.restoration.tv import divergence, shrink_gradients, tv
 from cep.restoration.wiener import wiener
 from motdiff.simulate import visible

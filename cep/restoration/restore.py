@@ -1,0 +1,209 @@
+"""Restoration of a photo: along a trajectory, with a PSF, or from the photo alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.restoration.blind import find_psf
+from cep.restoration.blur import channels_first, trimmed_psf
+from cep.restoration.clipping import fill_clipped
+from cep.restoration.direction import DirectionResult, detect_direction
+from cep.restoration.registry import find_method, is_registered
+from cep.restoration.result import Restoration, misfit
+from cep.restoration.sharpen import sharpen
+from motdiff.crops import clipped_mask
+from motdiff.psf_frame import PSF_PX
+from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
+
+_FULL_LIGHT = 1.001  # 1, but for rounding
+_FEW_CLIPPED = 1e-3  # specks of noise, up to here
+_SEARCH_SHARE = 0.9  # of the time of a blind restoration
+_ESTIMATE_SHARE = 0.75  # of the time where the motion is estimated by the network
+
+
+def restore(
+    photo: ArrayLike,
+    psf: ArrayLike | None = None,
+    *,
+    trajectory: Trajectory | None = None,
+    code: ShutterCode | None = None,
+    method: str | Callable[..., ArrayLike] = "wiener",
+    seed: int = 0,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+    **options: Any,
+) -> Restoration:
+    """Restore a photo with a PSF, along its trajectory, or with neither: from the photo alone.
+
+    Along a trajectory of unknown direction a coded photo is tested for its orders in time, see
+    :func:`cep.restoration.direction.detect_direction`. Without trajectory and PSF the PSF is
+    searched in the photo, see :func:`cep.restoration.blind.find_psf`. Clipped pixels are replaced
+    before a method of ours, see :func:`cep.restoration.clipping.fill_clipped`.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    psf : (S, S) array_like, optional
+        Light-true PSF, zero displacement at index ``size // 2``.
+    trajectory : Trajectory, optional
+        Instead of a PSF.
+    code : ShutterCode, optional
+        Of the exposure, without a PSF; the open shutter when omitted.
+    method : str or callable
+        A name of :data:`cep.restoration.registry.METHODS`: "wiener", "inverse", "tv", "l0",
+        "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser); or a function of your
+        own, or its ``module:name``, that takes (photo, psf) and returns the restored photo, or a
+        Restoration. "auto" is "wiener", and where nothing but the photo is given what suits it:
+        see :func:`cep.restoration.sharpen.sharpen`.
+    seed : int
+        Of what is drawn at random, with "auto".
+    progress : callable, optional
+        Called with the finished share 0..1 and what is being done.
+    **options
+        Passed on to the method, as ``camera`` to "wiener" and "pnp".
+
+    Raises
+    ------
+    ValueError
+        If the method is not known or refuses its arguments, both PSF and trajectory are given, a
+        code is given with a PSF, the motion does not fit into the photo, or a PSF cannot be
+        searched in it.
+
+    Examples
+    --------
+    >>> from motdiff.simulate import blur_valid
+    >>> scene = np.kron(np.random.default_rng(0).random((8, 8)), np.ones((10, 10)))
+    >>> path = Trajectory.straight(9.0)
+    >>> photo = np.clip(blur_valid(scene, path.psf(11)), 0, 1)
+    >>> sharp = restore(photo, trajectory=path)
+    >>> sharp.image.shape, sharp.residual < 0.001
+    ((70, 70), True)
+    """
+    if method == "auto":
+        if psf is None and trajectory is None and code is None and not options:
+            return _restore_alone(photo, seed=seed, progress=progress)
+        method = "wiener"
+    label, apply = find_method(method)
+    if psf is not None and trajectory is not None:
+        raise ValueError("trajectory and psf: give one of them at most")
+    if psf is not None and code is not None:
+        raise ValueError("code: not valid with a PSF, which holds its code already")
+    started = time.perf_counter()
+    channels = channels_first(photo)
+    psf_source = "given"
+    direction: str | None = None
+    psf_confidence: float | None = None
+    test: DirectionResult | None = None
+    notes: list[str] = []
+    if trajectory is not None:
+        _check_reach("trajectory", trajectory.frame_size(), channels)
+        psf_source = "trajectory"
+        direction = trajectory.direction
+        if direction == "unknown" and code is not None:
+            test = detect_direction(photo, trajectory, code)
+            direction = test.direction
+            psf = test.psf
+        else:
+            size = trajectory.frame_size(PSF_PX)
+            psf = coded_psf(trajectory, code or ShutterCode("1"), size=size)
+        if direction == "undecidable":
+            notes.append("the photo does not tell the direction of the motion; forward was taken")
+    elif psf is None:
+        blind = find_psf(
+            photo,
+            code,
+            progress=lambda share: progress(_SEARCH_SHARE * share, "searching the PSF"),
+        )
+        psf_source = "photo"
+        psf = blind.psf
+        psf_confidence = blind.confidence
+        notes += blind.warnings
+    assert psf is not None
+    progress(0.0 if psf_confidence is None else _SEARCH_SHARE, "restoring")
+    kernel = trimmed_psf(psf)
+    if trajectory is None:
+        _check_reach("psf", len(kernel), channels)
+        if kernel.sum() > _FULL_LIGHT:
+            notes.append(
+                f"the PSF sums to {kernel.sum():.4g}, a light-true one to the open share of the"
+                " exposure, at most 1; the photo comes out darker by that factor"
+            )
+    reach = len(kernel) // 2
+    clipped = float(clipped_mask(photo).mean())
+    fills = is_registered(apply)  # a user-defined function gets the photo as it is
+    if clipped > _FEW_CLIPPED:
+        meaning = "expect ringing around them"
+        if fills:
+            meaning = "their light was inferred from the other pixels"
+        notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: {meaning}")
+    if 4 * reach > min(channels.shape[1:]):
+        notes.append(
+            f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x"
+            f" {channels.shape[1]} px"
+        )
+    restored = apply(fill_clipped(photo, psf) if fills else photo, psf, **options)
+    image = _checked_image(restored, np.shape(photo), label)
+    progress(1.0, "restoring")
+    return Restoration(
+        image=image,
+        method=label,
+        psf=np.asarray(psf, dtype=np.float64),
+        psf_source=psf_source,
+        psf_confidence=psf_confidence,
+        direction=direction,
+        direction_test=test,
+        residual=misfit(photo, image, psf),
+        unreliable_px=reach,
+        saturated_fraction=clipped,
+        warnings=tuple(notes),
+        seconds=time.perf_counter() - started,
+    )
+
+
+def _restore_alone(
+    photo: ArrayLike, *, seed: int, progress: Callable[[float, str], None]
+) -> Restoration:
+    """Restore a photo with what suits it of the motion found in it, or keep it."""
+    from motdiff.estimators.registry import METHODS as ESTIMATORS  # its import loads no torch
+
+    started = time.perf_counter()
+    estimator = ESTIMATORS["motdiff"]().load(
+        seed=seed, progress=lambda share, note: progress(_ESTIMATE_SHARE * share, note)
+    )
+    estimate = estimator.estimate(np.asarray(photo))
+    progress(_ESTIMATE_SHARE, "restoring")
+    restored = sharpen(photo, estimate)
+    return replace(restored, seconds=time.perf_counter() - started)
+
+
+def _checked_image(restored: object, shape: tuple[int, ...], label: str) -> FloatArray:
+    if isinstance(restored, Restoration):  # of a function that calls :func:`restore`
+        restored = restored.image
+    try:
+        image = np.asarray(restored, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"method: {label} returned a {type(restored).__name__}, wanted the restored photo"
+        ) from None
+    if image.shape != shape:
+        raise ValueError(
+            f"method: {label} returned an image of shape {image.shape}, wanted {shape}"
+        )
+    return image
+
+
+def _check_reach(name: str, reach_px: int, channels: FloatArray) -> None:
+    side = min(channels.shape[1:])
+    if reach_px > side:
+        raise ValueError(
+            f"{name}: the motion spans {reach_px} px around its zero, the photo is only {side} px"
+            " on its shorter side"
+        )
