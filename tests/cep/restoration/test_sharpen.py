@@ -1,6 +1,7 @@
 """A photo of the user's own, sharpened or kept; the command and the file of a calibration."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ from cep.calibration.calibrate import Calibration
 from cep.files.images import read_photo, write_image
 from cep.restoration.sharpen import sharpen
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.motdiff import MotDiff
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.simulate import photograph, visible
 from motdiff.trajectory import Trajectory
@@ -99,10 +101,8 @@ def test_a_photo_that_is_not_improved_is_kept(estimate, begins):
 @pytest.fixture
 def estimated(monkeypatch):
     def given(estimate):
-        monkeypatch.setattr(
-            "cep.calibration.calibrate.estimate_motion",
-            lambda photo, **_options: Calibration.of(estimate, np.squeeze(photo)),
-        )
+        estimator = SimpleNamespace(estimate=lambda _photo: estimate)
+        monkeypatch.setattr(MotDiff, "load", lambda _method, **_options: estimator)
 
     return given
 
