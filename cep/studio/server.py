@@ -13,7 +13,7 @@ from contextlib import asynccontextmanager, suppress
 from importlib import resources
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from starlette.applications import Starlette
@@ -50,6 +50,7 @@ _MOST_SILENT_S = 10.0  # of a connection that has asked nothing yet
 _MOST_PHOTOS = 3
 _MOST_PAGE = 64
 Answer = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
+T = TypeVar("T")
 
 
 class _Studio:
@@ -63,12 +64,12 @@ class _Studio:
         self._quick = ThreadPoolExecutor(2, thread_name_prefix="picture")
         self._slow = ThreadPoolExecutor(1, thread_name_prefix="verdict")
 
-    async def quickly(self, do: Callable[..., Any], *args: Any, **options: Any) -> Any:
+    async def quickly(self, do: Callable[..., T], *args: Any, **options: Any) -> T:
         return await asyncio.get_running_loop().run_in_executor(
             self._quick, lambda: do(*args, **options)
         )
 
-    async def slowly(self, do: Callable[..., Any], *args: Any) -> Any:
+    async def slowly(self, do: Callable[..., T], *args: Any) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._slow, lambda: do(*args))
 
     def close(self) -> None:
@@ -81,10 +82,7 @@ class _Studio:
 
     async def picture(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
         steps, seed = read_search(document)
-        view: dict[str, Any] = await self.quickly(
-            self.views.picture, _setting(document), steps=steps, seed=seed
-        )
-        return view
+        return await self.quickly(self.views.picture, _setting(document), steps=steps, seed=seed)
 
     async def photos(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
         scene = self._scene(document.get("scene"))
@@ -96,32 +94,23 @@ class _Studio:
                 f"the codes of the photos need {setting.chips} chips, as the page's code has",
             )
         restored = document.get("restored") is True
-        view: dict[str, Any] = await self.quickly(
-            self.views.photos, setting, scene, codes, restored=restored
-        )
-        return view
+        return await self.quickly(self.views.photos, setting, scene, codes, restored=restored)
 
     async def verdict(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
-        view: dict[str, Any] = await self.slowly(self.views.verdict, _setting(document))
-        return view
+        return await self.slowly(self.views.verdict, _setting(document))
 
     async def compare(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
         pins = read_codes(document.get("pins"), "pins")
-        view: dict[str, Any] = await self.slowly(self.views.compared, _setting(document), pins)
-        return view
+        return await self.slowly(self.views.compared, _setting(document), pins)
 
     async def export(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
-        view: dict[str, Any] = await self.quickly(
-            self.views.exported, _setting(document), document.get("format")
-        )
-        return view
+        return await self.quickly(self.views.exported, _setting(document), document.get("format"))
 
     async def save(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
         state = document.get("state")
         if not isinstance(state, dict):
             raise FieldError("page", "the state to save must be an object")
-        view: dict[str, Any] = await self.slowly(self.views.saved, _setting(document), state)
-        return view
+        return await self.slowly(self.views.saved, _setting(document), state)
 
     async def job(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
         page = _page(document.get("page"))
