@@ -6,30 +6,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-
-class ProvenCode(NamedTuple):
-    """The code with the largest minimum of |P| among all codes of a range of lengths and open
-    chips.
-
-    Attributes
-    ----------
-    bits : str
-        From the first open chip to the last.
-    chips : int
-        Most chips of the codes that the proof covers.
-    fewest_open, most_open : int
-        Their fewest and most open chips.
-    proof : str
-        File of the proof, or else the page with its table, in the documentation.
-    """
-
-    bits: str
-    chips: int
-    fewest_open: int
-    most_open: int
-    proof: str
-
-
 _TABLE = "docs/optima.md"
 _ANY_LIGHT = (
     ("1", 9),
@@ -79,6 +55,30 @@ _BY_OPEN_CHIPS = (
 )
 _MOST_BY_OPEN_CHIPS = 28  # chips
 _IN_BLOCKS = 42  # chips from which each number has a proof of its own
+
+
+class ProvenCode(NamedTuple):
+    """The code with the largest minimum of |P| among all codes of a range of lengths and open
+    chips.
+
+    Attributes
+    ----------
+    bits : str
+        From the first open chip to the last.
+    chips : int
+        Most chips of the codes that the proof covers.
+    fewest_open, most_open : int
+        Their fewest and most open chips.
+    proof : str
+        File of the proof, or else the page with its table, in the documentation.
+    """
+
+    bits: str
+    chips: int
+    fewest_open: int
+    most_open: int
+    proof: str
+
 
 OPTIMA = (
     *(

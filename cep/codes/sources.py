@@ -1,4 +1,4 @@
-"""A code by its bits, its file, its published name, or an object of the user's own."""
+"""Codes by their bits, file, published name, or as a user-defined object."""
 
 from __future__ import annotations
 
@@ -35,23 +35,17 @@ def load_codes(sources: Sequence[str]) -> tuple[ShutterCode, ...]:
     >>> [code.bits for code in load_codes(["open", "bdinr-8"])]
     ['11111111', '11100101']
     """
-    known = [None if source == "open" else load_code(source) for source in sources]
-    chips = next((code.chips for code in known if code is not None), 1)
-    stated = [
-        None if code is None else stated_chip_ns(source, code)
-        for source, code in zip(sources, known, strict=True)
-    ]
+    codes = {source: load_code(source) for source in sources if source != "open"}
+    chips = next((code.chips for code in codes.values()), 1)
+    chip_times = [stated_chip_ns(source, code) for source, code in codes.items()]
     chip_ns = next(
-        (time_ns for time_ns in stated if time_ns is not None), ShutterCode("1").chip_ns
+        (time_ns for time_ns in chip_times if time_ns is not None), ShutterCode("1").chip_ns
     )
-    return tuple(
-        (
-            code
-            if code is not None and time_ns is not None
-            else ShutterCode(code.bits if code else "1" * chips, chip_ns)
-        )
-        for code, time_ns in zip(known, stated, strict=True)
-    )
+    codes["open"] = ShutterCode("1" * chips, chip_ns)
+    for source, time_ns in zip(codes, chip_times, strict=False):
+        if time_ns is None:
+            codes[source] = ShutterCode(codes[source].bits, chip_ns)
+    return tuple(codes[source] for source in sources)
 
 
 def stated_chip_ns(source: str, code: ShutterCode) -> int | None:
@@ -86,7 +80,7 @@ def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
     elif source.startswith(("0", "1")) or not source:
         stored = StoredCode(ShutterCode(source))
     elif is_reference(source):
-        stored = StoredCode(_own(source))
+        stored = StoredCode(_load_own(source))
     else:
         try:
             stored = StoredCode(published(source).code)
@@ -118,10 +112,10 @@ def code_label(source: str) -> str:
     return source if len(source) <= 16 else f"{source[:12]}... ({len(source)})"
 
 
-def _own(reference: str) -> ShutterCode:
-    found = load_object(reference)
+def _load_own(reference: str) -> ShutterCode:
+    target = load_object(reference)
     try:
-        made = found() if callable(found) else found
-        return made if isinstance(made, ShutterCode) else ShutterCode(made)
+        code = target() if callable(target) else target
+        return code if isinstance(code, ShutterCode) else ShutterCode(code)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{reference}: is no code ({error})") from None

@@ -145,8 +145,8 @@ class Audit:
             "lowest_at": self.certificate.at,
             "null": self.null,
             "zeros": [
-                {"direction": way, **zero.to_dict(), "method": zero.method}
-                for way, zeros in self.zeros.items()
+                {"direction": direction, **zero.to_dict(), "method": zero.method}
+                for direction, zeros in self.zeros.items()
                 for zero in zeros.found
             ],
             "zeros_complete": all(zeros.complete for zeros in self.zeros.values()),
@@ -224,9 +224,10 @@ def audit(
     check_frame(motion)
     check_resolved(motion, code.chips)
     on_checked()
-    far = flips if flips is not None else 3 if code.chips <= _LONG_CHIPS else 2
+    if flips is None:
+        flips = 3 if code.chips <= _LONG_CHIPS else 2
     progress(0.0, "measuring")
-    own = own_figures(figures or {}, motion, code)
+    own_values = own_figures(figures or {}, motion, code)
     metrics = measure_worst(motion, code, camera=camera)
     along = None if metrics.min_chip is not None else motion
     progress(0.1, "proving the minimum")
@@ -235,9 +236,11 @@ def audit(
     metrics = with_proven_zero(code, along, metrics)
     grids = grid_claims(code, along, certificate.upper)
     progress(0.5, "looking at neighbours")
-    neighbours = better_neighbours(code, along, flips=far)
+    neighbours = better_neighbours(code, along, flips=flips)
     progress(1.0, "")
-    return Audit(code, motion, along, metrics, certificate, zeros, grids, neighbours, far, own)
+    return Audit(
+        code, motion, along, metrics, certificate, zeros, grids, neighbours, flips, own_values
+    )
 
 
 def null_threshold(code: ShutterCode, trajectory: Trajectory | None) -> float:
@@ -340,13 +343,13 @@ def better_neighbours(
     re = np.ascontiguousarray(basis[:, order].real)
     im = np.ascontiguousarray(basis[:, order].imag)
     change = 1 - 2 * chips
-    worth = max(
+    fewest_db = max(
         _WORTH * _exact(code, trajectory),
         _NO_ZERO * (code.open_chips if trajectory is None else code.duty),
     )
-    found: list[Neighbour] = []
+    neighbours: list[Neighbour] = []
     for count in range(1, min(flips, code.chips) + 1):
-        scores = np.full(_REFINED, worth**2)
+        scores = np.full(_REFINED, fewest_db**2)
         places = np.full((_REFINED, 3), -1, dtype=np.int64)
         start_re = chips @ re
         start_im = chips @ im
@@ -364,8 +367,8 @@ def better_neighbours(
                     )
                 )
         exact.sort(key=lambda n: n.minimum, reverse=True)
-        found.extend(n for n in exact[:keep] if n.minimum > worth)
-    return tuple(found)
+        neighbours.extend(n for n in exact[:keep] if n.minimum > fewest_db)
+    return tuple(neighbours)
 
 
 def _basis(chips: int, trajectory: Trajectory | None) -> ComplexArray:
@@ -375,12 +378,10 @@ def _basis(chips: int, trajectory: Trajectory | None) -> ComplexArray:
         return np.asarray(np.exp(-2j * np.pi * np.arange(chips)[:, None] * cycles))
     samples = band_samples(trajectory, oversampling=8)
     forward = chip_basis(trajectory, chips, samples.fx, samples.fy)
+    if trajectory.direction == "known":
+        return forward
     # the reversed path draws the same chips in the opposite order
-    return (
-        forward
-        if trajectory.direction == "known"
-        else np.concatenate([forward, forward[::-1]], axis=1)
-    )
+    return np.concatenate([forward, forward[::-1]], axis=1)
 
 
 @compiled

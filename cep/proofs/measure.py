@@ -24,6 +24,11 @@ from motdiff.files.plugins import load_object
 from motdiff.trajectory import Trajectory
 
 _ZERO = 1e-12  # |H| below this is rounding
+FigureOfMerit = Callable[[Trajectory, ShutterCode], float]
+"""A figure of merit of the user's own, along a trajectory taken as given."""
+OwnFigure = float | tuple[float, float]
+"""What it comes to: one number, or those of both directions, forward and backward, where the
+direction is unknown."""
 
 
 @dataclass(frozen=True)
@@ -169,14 +174,6 @@ def measure_worst(
     return worst_of(forward, measure(trajectory.reversed(), code, camera=camera))
 
 
-FigureOfMerit = Callable[[Trajectory, ShutterCode], float]
-"""A figure of merit of the user's own, along a trajectory taken as given."""
-
-OwnFigure = float | tuple[float, float]
-"""What it comes to: one number, or those of both directions, forward and backward, where the
-direction is unknown."""
-
-
 def find_figures(references: Iterable[str]) -> dict[str, FigureOfMerit]:
     """Import figures of merit of the user's own, each ``module:name``; returns them by these
     names.
@@ -186,11 +183,11 @@ def find_figures(references: Iterable[str]) -> dict[str, FigureOfMerit]:
     ValueError
         If there is no such object, or it is no function.
     """
-    found = {reference: load_object(reference) for reference in references}
-    for reference, figure in found.items():
+    figures = {reference: load_object(reference) for reference in references}
+    for reference, figure in figures.items():
         if not callable(figure):
             raise ValueError(f"figure {reference}: is no function of a trajectory and a code")
-    return found
+    return figures
 
 
 def own_figures(
@@ -220,11 +217,11 @@ def own_figures(
     paths = (
         [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
     )
-    found: dict[str, OwnFigure] = {}
+    by_name: dict[str, OwnFigure] = {}
     for name, figure in figures.items():
         values = [_number(name, figure, replace(path, direction="known"), code) for path in paths]
-        found[name] = values[0] if len(values) == 1 else (values[0], values[1])
-    return found
+        by_name[name] = values[0] if len(values) == 1 else (values[0], values[1])
+    return by_name
 
 
 def _number(name: str, figure: FigureOfMerit, path: Trajectory, code: ShutterCode) -> float:

@@ -138,39 +138,39 @@ def certify(
             forward, "light-true", code, BOTH if same_back else FORWARD, "forward", vertices
         )
     backward = mtf_minimum(trajectory.reversed(), code, budget=budget)
-    way = "forward" if forward.upper <= backward.upper else "backward"
-    worse = forward if way == "forward" else backward
+    direction = "forward" if forward.upper <= backward.upper else "backward"
+    worse = forward if direction == "forward" else backward
     lower = min(forward.lower, backward.lower)
     return _of(
         Minimum(lower, worse.upper, worse.at, worse.method, worse.zero),
         "light-true",
         code,
         BOTH,
-        way,
+        direction,
         vertices,
     )
 
 
 def _of(
-    found: Minimum,
+    minimum: Minimum,
     unit: str,
     code: ShutterCode,
     directions: tuple[str, ...],
     direction: str,
     vertices: Mapping[str, Any] | None,
 ) -> Certificate:
-    lower = float(found.lower)
-    upper = float(found.upper)
-    at = tuple(float(value) for value in np.atleast_1d(found.at))
+    lower = float(minimum.lower)
+    upper = float(minimum.upper)
+    at = tuple(float(value) for value in np.atleast_1d(minimum.at))
     return Certificate(
         unit,
         lower,
         upper,
         at,
-        found.method,
+        minimum.method,
         code.bits,
         directions,
         direction,
         vertices,
-        found.zero,
+        minimum.zero,
     )

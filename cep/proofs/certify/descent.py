@@ -71,17 +71,22 @@ def _expand(
         f = -2 * my[s] * uy * s1
         cr += e * re - f * im
         ci += e * im + f * re
-    one = 2 * np.pi
-    two = 4 * np.pi**2
+    slope_scale = 2 * np.pi
+    turn2 = 4 * np.pi**2
     out[0], out[1] = hr, hi
-    out[2], out[3], out[4], out[5] = one * xr, one * xi, one * yr, one * yi
+    out[2], out[3], out[4], out[5] = (
+        slope_scale * xr,
+        slope_scale * xi,
+        slope_scale * yr,
+        slope_scale * yi,
+    )
     out[6], out[7], out[8], out[9], out[10], out[11] = (
-        two * ar,
-        two * ai,
-        two * br,
-        two * bi,
-        two * cr,
-        two * ci,
+        turn2 * ar,
+        turn2 * ai,
+        turn2 * br,
+        turn2 * bi,
+        turn2 * cr,
+        turn2 * ci,
     )
 
 
@@ -148,12 +153,12 @@ def _descend(
                 if new_x == fx and new_y == fy:
                     break
                 _expand(new_x, new_y, weight, middle, delta, trial)
-                found = np.sqrt(trial[0] * trial[0] + trial[1] * trial[1])
-                if found < value:
-                    better = found < value * (1 - 1e-15)
+                modulus = np.sqrt(trial[0] * trial[0] + trial[1] * trial[1])
+                if modulus < value:
+                    better = modulus < value * (1 - 1e-15)
                     fx = new_x
                     fy = new_y
-                    value = found
+                    value = modulus
                     jet[:] = trial
                     break
                 step_x *= 0.35

@@ -88,8 +88,8 @@ def min_chip(code: ShutterCode) -> float:
     floor = floors(pieces, jets(pieces, starts), np.array([1 / (_PADDED * code.chips), 0.0]))
     order = np.argsort(floor + 0.1 * grid[local])
     lowest = float(polish(pieces, starts[order[:_LATER]])[1].min())
-    others = order[_LATER:][floor[order[_LATER:]] < lowest]
-    lowest = min(lowest, float(polish(pieces, starts[others])[1].min(initial=np.inf)))
+    later = order[_LATER:][floor[order[_LATER:]] < lowest]
+    lowest = min(lowest, float(polish(pieces, starts[later])[1].min(initial=np.inf)))
     proven_zero = lowest < _NEARLY_ZERO * code.open_chips and zeros_of_code(code.bits).found
     return 0.0 if proven_zero else lowest
 
@@ -98,10 +98,10 @@ def chip_minimum(code: ShutterCode, *, budget: int = 2_000_000) -> Minimum:
     """Bounds of :func:`min_chip`, within a millionth of it; zeros are decided in exact
     arithmetic.
     """
-    found = _bounded(
+    bounds = _bounded(
         pieces_of_code(code), _CHIP_GAP, budget, lambda _: _first(zeros_of_code(code.bits).found)
     )
-    return Minimum(found.lower, found.upper, found.at[:1], found.method, found.zero)
+    return Minimum(bounds.lower, bounds.upper, bounds.at[:1], bounds.method, bounds.zero)
 
 
 def mtf_minimum(
@@ -137,14 +137,14 @@ def mtf_minimum(
         zero = _first(zeros_along(trajectory, code).found)
         if zero is not None:  # rounding may put the first one just outside
             return Minimum(0.0, 0.0, zero.at, zero.method, zero)
-    found = _bounded(
+    bounds = _bounded(
         pieces_along(path, axis),
         _PATH_GAP,
         budget,
         lambda _: _first(zeros_along(trajectory, code).found) if uniform_px is not None else None,
     )
-    at = found.zero.at if found.zero else in_band(found.at[0], axis)
-    return Minimum(found.lower, found.upper, at, found.method, found.zero)
+    at = bounds.zero.at if bounds.zero else in_band(bounds.at[0], axis)
+    return Minimum(bounds.lower, bounds.upper, at, bounds.method, bounds.zero)
 
 
 def _bounded(
@@ -155,57 +155,51 @@ def _bounded(
     """
     dc = float(pieces.weight.sum())
     plane = pieces.box[1, 1] > pieces.box[1, 0]
+    corners = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]] if plane else [[-1, 0], [1, 0]])
     points_only = not pieces.delta.any()
     cells, half = first_cells(pieces) if plane else first_cells(pieces, cells_per_px=_ALONG)
     lower = np.inf
     upper = np.inf
     at = cells[0]
-    tried = np.inf
+    unproven_zero = np.inf
     while True:
         jet = jets(pieces, cells)
         values = np.hypot(jet[:, 0], jet[:, 1])
         if values.min() < upper:
-            starts = (
-                _local_minima(pieces, half, values)
-                if upper == np.inf
-                else np.argsort(values)[:_LATER]
-            )
+            starts = np.argsort(values)[:_LATER]
+            if upper == np.inf:
+                starts = _local_minima(pieces, half, values)
             points = snapped(polish(pieces, cells[starts])[0])
             jet_there = jets(pieces, points)
             lowest = np.hypot(jet_there[:, 0], jet_there[:, 1]) + pieces.slack
             if lowest.min() < upper:
                 upper = float(lowest.min())
                 at = points[lowest.argmin()]
-        if upper < min(_NEARLY_ZERO * dc, 0.5 * tried):
-            tried = upper
+        if upper < min(_NEARLY_ZERO * dc, 0.5 * unproven_zero):
+            unproven_zero = upper
             zero = prove(at)
             if zero is not None:
                 return Minimum(0.0, 0.0, zero.at, zero.method, zero)
         floor = floors(pieces, jet, half)
-        closed = floor >= upper * (1 - gap)
-        lower = min(lower, float(floor[closed].min(initial=np.inf)))
-        ways = 2 ** (1 + plane)
-        left = int((~closed).sum())
+        is_settled = floor >= upper * (1 - gap)
+        lower = min(lower, float(floor[is_settled].min(initial=np.inf)))
+        children = 2 ** (1 + plane)
+        open_cells = int((~is_settled).sum())
         if (
             points_only
-            and left < _FEW
+            and open_cells < _FEW
             and 0.1 * gap * upper < pieces.slack
             and not pieces.extended
         ):
             pieces = extended(pieces)
-            there = jets(pieces, at[None])[0]
-            upper = min(upper, float(np.hypot(there[0], there[1])) + pieces.slack)
-        budget -= left * ways
-        if left == 0 or budget < 0 or half.max() < 1e-15:
-            lower = min(lower, float(floor[~closed].min(initial=np.inf)), upper)
+            jet_at = jets(pieces, at[None])[0]
+            upper = min(upper, float(np.hypot(jet_at[0], jet_at[1])) + pieces.slack)
+        budget -= open_cells * children
+        if open_cells == 0 or budget < 0 or half.max() < 1e-15:
+            lower = min(lower, float(floor[~is_settled].min(initial=np.inf)), upper)
             return Minimum(lower, upper, (float(at[0]), float(at[1])))
         half = half / 2
-        corners = half * (
-            np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-            if plane
-            else np.array([[-1, 0], [1, 0]])
-        )
-        cells = (cells[~closed][:, None] + corners).reshape(-1, 2)
+        cells = (cells[~is_settled][:, None] + half * corners).reshape(-1, 2)
 
 
 def _local_minima(pieces: Pieces, half: FloatArray, values: FloatArray) -> NDArray[np.intp]:

@@ -50,32 +50,32 @@ def divisible(coefficients: IntArray, order: int) -> bool:
     It does exactly if ``z^d - 1`` divides the product with ``z^(d/p) - 1`` over the primes p of d:
     those contain every other factor of ``z^d - 1``, and never this one.
     """
-    rest = np.zeros(order, dtype=np.int64)
+    remainder = np.zeros(order, dtype=np.int64)
     padded = np.zeros(-(-len(coefficients) // order) * order, dtype=np.int64)
     padded[: len(coefficients)] = coefficients
-    rest += padded.reshape(-1, order).sum(axis=0)
+    remainder += padded.reshape(-1, order).sum(axis=0)
     for prime in _primes_of(order):
-        rest = np.roll(rest, order // prime) - rest
-    return not rest.any()
+        remainder = np.roll(remainder, order // prime) - remainder
+    return not remainder.any()
 
 
 def divided(coefficients: IntArray, order: int) -> IntArray:
     """Quotient by the cyclotomic polynomial of ``order`` > 1, which must divide."""
     # Phi_d is the product of (1 - z^(d/e))^mu(e) over the squarefree e: as power series, shifts
     # and running sums
-    rest = coefficients.copy()
+    quotient = coefficients.copy()
     squarefree = [(1, 1)]
     for prime in _primes_of(order):
         squarefree += [(e * prime, -sign) for e, sign in squarefree]
     for e, sign in squarefree:
         step = order // e
         if sign > 0:
-            for start in range(min(step, len(rest))):
-                rest[start::step] = np.cumsum(rest[start::step])
+            for start in range(min(step, len(quotient))):
+                quotient[start::step] = np.cumsum(quotient[start::step])
         else:
-            rest[step:] = rest[step:] - rest[:-step]
-    kept = np.flatnonzero(rest)
-    return np.asarray(rest[: kept[-1] + 1], dtype=np.int64)
+            quotient[step:] = quotient[step:] - quotient[:-step]
+    nonzero = np.flatnonzero(quotient)
+    return np.asarray(quotient[: nonzero[-1] + 1], dtype=np.int64)
 
 
 def circle_rest(coefficients: IntArray) -> IntArray | None:
@@ -91,21 +91,21 @@ def circle_rest(coefficients: IntArray) -> IntArray | None:
     -------
     (r,) int, self-reciprocal up to sign and an exact divisor, or None where it could not be found.
     """
-    rest = coefficients
+    cofactor = coefficients
     for order in vanishing_orders(coefficients):
-        while divisible(rest, order):
-            rest = divided(rest, order)
-    if len(rest) == 1:
+        while divisible(cofactor, order):
+            cofactor = divided(cofactor, order)
+    if len(cofactor) == 1:
         return np.ones(1, dtype=np.int64)
-    if np.array_equal(rest, rest[::-1]) or np.array_equal(rest, -rest[::-1]):
-        return rest
+    if np.array_equal(cofactor, cofactor[::-1]) or np.array_equal(cofactor, -cofactor[::-1]):
+        return cofactor
     # modulo a prime the divisor's degree can only grow: what is 1 there is 1
-    common = _gcd(rest % _PRIME, rest[::-1] % _PRIME)
+    common = _gcd(cofactor % _PRIME, cofactor[::-1] % _PRIME)
     if len(common) == 1:
         return np.ones(1, dtype=np.int64)
     lifted = np.where(common > _PRIME // 2, common - _PRIME, common)
     symmetric = np.array_equal(lifted, lifted[::-1]) or np.array_equal(lifted, -lifted[::-1])
-    return lifted if symmetric and _divides(lifted, rest) else None
+    return lifted if symmetric and _divides(lifted, cofactor) else None
 
 
 def real_form(factor: IntArray, cycles: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -142,25 +142,25 @@ def sign_changes(factor: IntArray) -> tuple[tuple[SignChange, ...], bool]:
     bend = 4 * np.pi**2 * float(np.abs(factor) @ middle**2)
     centres = (np.arange(4 * len(factor)) + 0.5) / (8 * len(factor))
     half = 1 / (16 * len(factor))
-    found = []
+    changes = []
     looked = 0
     while centres.size and looked < _CELLS and half > 1e-13:
         looked += centres.size
         value, slope, slack = real_form(factor, centres)
         reach = np.abs(slope) * half + 0.5 * bend * half**2 + slack
-        near = np.abs(value) <= reach
+        may_vanish = np.abs(value) <= reach
         monotone = np.abs(slope) > bend * half + slack * 2 * np.pi * len(factor)
-        ends = real_form(factor, np.concatenate([centres - half, centres + half]))[0].reshape(
+        edges = real_form(factor, np.concatenate([centres - half, centres + half]))[0].reshape(
             2, -1
         )
-        crosses = (ends[0] > 0) != (ends[1] > 0)
-        for centre in centres[near & monotone & crosses]:
-            found.append(_bisected(factor, float(centre - half), float(centre + half)))
-        centres = centres[near & ~monotone]
+        crosses = (edges[0] > 0) != (edges[1] > 0)
+        for centre in centres[may_vanish & monotone & crosses]:
+            changes.append(_bisected(factor, float(centre - half), float(centre + half)))
+        centres = centres[may_vanish & ~monotone]
         half /= 2
         centres = np.concatenate([centres - half, centres + half])
-    proven = tuple(change for change in found if change is not None)
-    return proven, not centres.size and len(proven) == len(found)
+    proven = tuple(change for change in changes if change is not None)
+    return proven, not centres.size and len(proven) == len(changes)
 
 
 def _bisected(factor: IntArray, low: float, high: float) -> SignChange | None:
@@ -174,23 +174,23 @@ def _bisected(factor: IntArray, low: float, high: float) -> SignChange | None:
     at = 0.5 * (low + high)
     radius = 1e-14
     while radius < 1e-3:
-        ends, _, slack = real_form(factor, np.array([at - radius, at + radius]))
-        if abs(ends[0]) > slack and abs(ends[1]) > slack and (ends[0] > 0) != (ends[1] > 0):
+        edges, _, slack = real_form(factor, np.array([at - radius, at + radius]))
+        if abs(edges[0]) > slack and abs(edges[1]) > slack and (edges[0] > 0) != (edges[1] > 0):
             return SignChange(at, radius)
         radius *= 2
     return None
 
 
 def _primes_of(number: int) -> list[int]:
-    found = []
+    primes = []
     divisor = 2
     while divisor * divisor <= number:
         if number % divisor == 0:
-            found.append(divisor)
+            primes.append(divisor)
             while number % divisor == 0:
                 number //= divisor
         divisor += 1
-    return [*found, number] if number > 1 else found
+    return [*primes, number] if number > 1 else primes
 
 
 def _totients(limit: int) -> list[int]:
@@ -205,24 +205,24 @@ def _gcd(a: IntArray, b: IntArray) -> IntArray:
     """Monic greatest common divisor modulo the prime, lowest degree first."""
     while b.size:
         b = b * pow(int(b[-1]), -1, _PRIME) % _PRIME
-        rest = a.copy()
-        while rest.size >= b.size:
-            offset = rest.size - b.size
-            rest[offset:] = (rest[offset:] - rest[-1] * b) % _PRIME
-            kept = np.flatnonzero(rest)
-            rest = rest[: kept[-1] + 1] if kept.size else rest[:0]
+        remainder = a.copy()
+        while remainder.size >= b.size:
+            offset = remainder.size - b.size
+            remainder[offset:] = (remainder[offset:] - remainder[-1] * b) % _PRIME
+            nonzero = np.flatnonzero(remainder)
+            remainder = remainder[: nonzero[-1] + 1] if nonzero.size else remainder[:0]
         a = b
-        b = rest
+        b = remainder
     return np.asarray(a * pow(int(a[-1]), -1, _PRIME) % _PRIME, dtype=np.int64)
 
 
-def _divides(factor: IntArray, whole: IntArray) -> bool:
+def _divides(factor: IntArray, dividend: IntArray) -> bool:
     """Whether a monic factor divides, by long division in Python's unbounded integers."""
-    rest = [int(v) for v in whole]
-    parts = [int(v) for v in factor]
-    while len(rest) >= len(parts):
-        lead = rest.pop()
-        offset = len(rest) + 1 - len(parts)
-        for place, part in enumerate(parts[:-1]):
-            rest[offset + place] -= lead * part
-    return not any(rest)
+    remainder = [int(v) for v in dividend]
+    divisor = [int(v) for v in factor]
+    while len(remainder) >= len(divisor):
+        lead = remainder.pop()
+        offset = len(remainder) + 1 - len(divisor)
+        for place, coefficient in enumerate(divisor[:-1]):
+            remainder[offset + place] -= lead * coefficient
+    return not any(remainder)

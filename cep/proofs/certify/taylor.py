@@ -77,7 +77,10 @@ def pieces_along(path: OpenPath, axis: FloatArray) -> Pieces:
     it.
     """
     reach = 0.5 * float(np.abs(axis).sum())
-    a, b = (np.stack([ends @ axis, np.zeros(len(ends))], axis=1) for ends in (path.a, path.b))
+    a, b = (
+        np.stack([vertices @ axis, np.zeros(len(vertices))], axis=1)
+        for vertices in (path.a, path.b)
+    )
     return _pieces(path.dt, a, b, np.array([[0.0, reach], [0.0, 0.0]]))
 
 

@@ -106,21 +106,21 @@ def zeros_of_code(bits: str) -> Zeros:
     ()
     """
     chips = np.array([int(bit) for bit in bits.strip("0")], dtype=np.int64)
-    found = [
+    zeros = [
         Zero((turn / order,), "root of unity", order=order)
         for order in vanishing_orders(chips)
         for turn in range(1, order // 2 + 1)
         if gcd(turn, order) == 1
     ]
-    rest = circle_rest(chips)
-    if rest is None:
-        return Zeros(tuple(sorted(found, key=lambda zero: zero.at)), complete=False)
-    changes, complete = sign_changes(rest)
-    factor = tuple(int(value) for value in rest)
-    found += [
+    cofactor = circle_rest(chips)
+    if cofactor is None:
+        return Zeros(tuple(sorted(zeros, key=lambda zero: zero.at)), complete=False)
+    changes, complete = sign_changes(cofactor)
+    factor = tuple(int(value) for value in cofactor)
+    zeros += [
         Zero((change.at,), "sign change", change.radius, factor=factor) for change in changes
     ]
-    return Zeros(tuple(sorted(found, key=lambda zero: zero.at)), complete)
+    return Zeros(tuple(sorted(zeros, key=lambda zero: zero.at)), complete)
 
 
 def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_000) -> Zeros:
@@ -143,13 +143,13 @@ def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_
         return Zeros((), complete=False)
     pieces = pieces_of_path(open_path(trajectory, code))
     cells, half = first_cells(pieces)
-    found: list[Zero] = []
+    zeros: list[Zero] = []
     complete = True
     while len(cells):
         if len(cells) > budget:
             # no time for all: the ones that are reached from somewhere else
-            tried = _newton(pieces, cells[:: max(1, len(cells) // _TRIED)])
-            found = _joined(found, [zero for zero in tried if _place_in(pieces.box, zero)])
+            points = _newton(pieces, cells[:: max(1, len(cells) // _TRIED)])
+            zeros = _joined(zeros, [zero for zero in points if _place_in(pieces.box, zero)])
             complete = False
             break
         budget -= len(cells)
@@ -157,17 +157,17 @@ def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_
         keep = floors(pieces, jet, half) <= 0
         cells = cells[keep]
         jet = jet[keep]
-        _, alone = _radii(pieces, jet)
-        settled = alone > float(np.hypot(*half))
+        _, alone_within = _radii(pieces, jet)
+        settled = alone_within > float(np.hypot(*half))
         proven = [(zero, _place_in(pieces.box, zero)) for zero in _newton(pieces, cells[settled])]
         complete &= len(proven) == settled.sum() and all(
             inside is not None for _, inside in proven
         )
-        found = _joined(found, [zero for zero, inside in proven if inside])
+        zeros = _joined(zeros, [zero for zero, inside in proven if inside])
         half = half / 2
         corners = half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
         cells = (cells[~settled][:, None] + corners).reshape(-1, 2)
-    return Zeros(tuple(sorted(found, key=lambda zero: zero.at)), complete)
+    return Zeros(tuple(sorted(zeros, key=lambda zero: zero.at)), complete)
 
 
 def kantorovich(pieces: Pieces, point: FloatArray) -> Zero | None:
@@ -202,8 +202,8 @@ def _radii(pieces: Pieces, jet: FloatArray) -> tuple[FloatArray, FloatArray]:
     h = lipschitz * residual / smallest**2
     root = np.sqrt(np.maximum(1 - 2 * h, 0))
     # (1 - root) / (K) with K = lipschitz / smallest, written without cancellation
-    near = np.where(h <= 0.49, 2 * residual / (smallest * (1 + root)), np.inf)
-    return near, np.where(h <= 0.49, (1 + root) * smallest / lipschitz, 0.0)
+    inner = np.where(h <= 0.49, 2 * residual / (smallest * (1 + root)), np.inf)
+    return inner, np.where(h <= 0.49, (1 + root) * smallest / lipschitz, 0.0)
 
 
 def _newton(pieces: Pieces, points: FloatArray) -> list[Zero]:
@@ -218,10 +218,10 @@ def _newton(pieces: Pieces, points: FloatArray) -> list[Zero]:
         points[:, 0] -= (jet[:, 5] * jet[:, 0] - jet[:, 4] * jet[:, 1]) / determinant
         points[:, 1] -= (jet[:, 2] * jet[:, 1] - jet[:, 3] * jet[:, 0]) / determinant
         np.clip(points, -1, 1, out=points)
-    near, alone = _radii(pieces, jets(pieces, points))
+    radius, alone_within = _radii(pieces, jets(pieces, points))
     return [
         Zero((float(f[0]), float(f[1])), "kantorovich", float(r), float(a))
-        for f, r, a in zip(points, near, alone, strict=True)
+        for f, r, a in zip(points, radius, alone_within, strict=True)
         if np.isfinite(r)
     ]
 
@@ -237,18 +237,20 @@ def _place_in(box: FloatArray, zero: Zero) -> bool | None:
     return edge > 0 and zero.at[1] >= box[1, 0] - max(zero.alone_within, zero.radius)
 
 
-def _joined(found: list[Zero], more: list[Zero]) -> list[Zero]:
+def _joined(zeros: list[Zero], more: list[Zero]) -> list[Zero]:
     for zero in more:
-        if not any(_same(zero, other) for other in found):
-            found = [*found, zero]
-    return found
+        if not any(_same(zero, known_zero) for known_zero in zeros):
+            zeros = [*zeros, zero]
+    return zeros
 
 
-def _same(one: Zero, other: Zero) -> bool:
-    a = np.array(one.at)
-    b = np.array(other.at)
-    alone = max(one.alone_within, other.alone_within)
-    return bool(min(np.linalg.norm(a - b), np.linalg.norm(a + b)) < alone)
+def _same(a: Zero, b: Zero) -> bool:
+    place_a = np.array(a.at)
+    place_b = np.array(b.at)
+    alone_within = max(a.alone_within, b.alone_within)
+    return bool(
+        min(np.linalg.norm(place_a - place_b), np.linalg.norm(place_a + place_b)) < alone_within
+    )
 
 
 def _straight_zeros(trajectory: Trajectory, code: ShutterCode) -> Zeros:
@@ -260,14 +262,14 @@ def _straight_zeros(trajectory: Trajectory, code: ShutterCode) -> Zeros:
     per_chip = code.chips / length_px
     reach = 0.5 * float(np.abs(axis).sum()) / per_chip
     of_code = zeros_of_code(code.bits)
-    found: dict[float, Zero] = {}
-    for whole in range(ceil(reach) + 1):
-        turns = [(float(whole), Zero((), "closed form"))]
-        turns += [(whole + sign * zero.at[0], zero) for zero in of_code.found for sign in (1, -1)]
+    zeros: dict[float, Zero] = {}
+    for cycle in range(ceil(reach) + 1):
+        turns = [(float(cycle), Zero((), "closed form"))]
+        turns += [(cycle + sign * zero.at[0], zero) for zero in of_code.found for sign in (1, -1)]
         # half a cycle is its own mirror image
-        found |= {round(turn, 12): zero for turn, zero in turns if 0 < turn <= reach}
+        zeros |= {round(turn, 12): zero for turn, zero in turns if 0 < turn <= reach}
     listed = []
-    for turn, zero in sorted(found.items()):
+    for turn, zero in sorted(zeros.items()):
         listed.append(
             Zero(
                 in_band(turn * per_chip, axis),

@@ -19,7 +19,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.proofs.verify.sums import Lines, RefusedError, chip_lines, named, on_axis, path_lines
+from cep.proofs.verify.sums import (
+    Lines,
+    RefusedError,
+    chip_lines,
+    on_axis,
+    path_lines,
+    place_in_words,
+)
 from cep.proofs.verify.zeros import zero_holds
 
 FloatArray = NDArray[np.float64]
@@ -114,7 +121,7 @@ def _check(
     if unit == "chips":
         if at.shape != (1,) or not np.isfinite(at).all():
             raise RefusedError("a frequency in chip units is one number")
-        ways = {"forward": chip_lines(bits)}
+        lines_by_direction = {"forward": chip_lines(bits)}
         box = np.array([[0.0, 0.5], [0.0, 0.0]])
         vertices = None
         point = np.array([[at[0], 0.0]])
@@ -126,26 +133,32 @@ def _check(
         listed = tuple(claim.get("directions", ("forward", "backward")))
         if not listed or set(listed) - {"forward", "backward"}:
             raise RefusedError("the directions are unknown")
-        both = {"forward": (t, xy), "backward": (1 - t[::-1], xy[::-1])}
-        ways = {way: path_lines(bits, *both[way]) for way in listed}
+        paths = {"forward": (t, xy), "backward": (1 - t[::-1], xy[::-1])}
+        lines_by_direction = {
+            direction: path_lines(bits, *paths[direction]) for direction in listed
+        }
         box = np.array([[-0.5, 0.5], [0.0, 0.5]])
         point = at[None]
     else:
         raise RefusedError(f"the unit {unit!r} is unknown")
-    way = claim.get("direction", next(iter(ways)))
-    if way not in ways:
+    direction = claim.get("direction", next(iter(lines_by_direction)))
+    if direction not in lines_by_direction:
         raise RefusedError("the direction of the minimum is not among those covered")
-    value = abs(ways[way].look(point)[0][0])
-    if value > upper * (1 + _TOLERANCE) + 2 * ways[way].slack and upper > 0:
-        raise RefusedError(f"|H| at {named(at)} is {value:.9g}, above the upper bound {upper:.9g}")
+    value = abs(lines_by_direction[direction].look(point)[0][0])
+    if value > upper * (1 + _TOLERANCE) + 2 * lines_by_direction[direction].slack and upper > 0:
+        raise RefusedError(
+            f"|H| at {place_in_words(at)} is {value:.9g}, above the upper bound {upper:.9g}"
+        )
     if upper == 0:
-        reasons.append(zero_holds(bits, claim.get("zero") or {}, at, ways[way], vertices))
+        reasons.append(
+            zero_holds(bits, claim.get("zero") or {}, at, lines_by_direction[direction], vertices)
+        )
         return
-    reasons.append(f"|H| at {named(at)} is {value:.9g}, not above the upper bound")
+    reasons.append(f"|H| at {place_in_words(at)} is {value:.9g}, not above the upper bound")
     if lower == 0:
         reasons.append("no lower bound above 0 is claimed")
         return
-    for name, lines in ways.items():
+    for name, lines in lines_by_direction.items():
         # open chips may lie on a straight stretch one way and on a bend the other: each way has
         # its own frequencies
         looked = _nothing_below(*on_axis(lines, box), lower * (1 - _TOLERANCE), budget)
@@ -157,15 +170,19 @@ def _check(
 def _nothing_below(lines: Lines, box: FloatArray, level: float, budget: int) -> int:
     sides = np.ptp(box, axis=1)
     looked = 0
-    used = sides > 0
-    counts = np.where(used, np.maximum(1, np.ceil(4 * sides * max(2.0, lines.spread))), 1).astype(
-        int
-    )
+    active = sides > 0
+    counts = np.where(
+        active, np.maximum(1, np.ceil(4 * sides * max(2.0, lines.spread))), 1
+    ).astype(int)
     half = sides / counts / 2
     axes = [box[k, 0] + half[k] * (2 * np.arange(counts[k]) + 1) for k in (0, 1)]
     cells = np.array(np.meshgrid(*axes, indexing="ij")).reshape(2, -1).T
     signs = np.array(
-        [(i, j) for i in ((-1, 1) if used[0] else (0,)) for j in ((-1, 1) if used[1] else (0,))]
+        [
+            (i, j)
+            for i in ((-1, 1) if active[0] else (0,))
+            for j in ((-1, 1) if active[1] else (0,))
+        ]
     )
     while len(cells):
         looked += len(cells)
@@ -173,10 +190,10 @@ def _nothing_below(lines: Lines, box: FloatArray, level: float, budget: int) -> 
             raise RefusedError(
                 f"the lower bound {level:.9g} could not be confirmed with {budget} frequencies"
             )
-        size, loss = lines.bound_cells(cells, half, used)
+        size, loss = lines.bound_cells(cells, half, active)
         if size.min() < level - lines.slack:
             where = cells[size.argmin()]
-            at = named(where[used])
+            at = place_in_words(where[active])
             raise RefusedError(
                 f"|H| at {at} is {size.min():.9g}, below the lower bound {level:.9g}"
             )
@@ -192,21 +209,21 @@ def _nothing_below(lines: Lines, box: FloatArray, level: float, budget: int) -> 
 
 
 def _vertices(stored: Any, path: Any) -> tuple[FloatArray, FloatArray]:
-    given = None if path is None else (np.array(path[0], float), np.array(path[1], float))
+    expected = None if path is None else (np.array(path[0], float), np.array(path[1], float))
     if stored is not None:
-        found = (
+        own_path = (
             np.array(stored["t"], float),
             np.stack([np.array(stored[k], float) for k in "xy"], axis=1),
         )
-        if given and any(
+        if expected and any(
             a.shape != b.shape or not np.allclose(a, b, rtol=0, atol=1e-9)
-            for a, b in zip(found, given, strict=True)
+            for a, b in zip(own_path, expected, strict=True)
         ):
             raise RefusedError("the certificate is about another trajectory")
-        given = found
-    if given is None:
+        expected = own_path
+    if expected is None:
         raise RefusedError("the certificate does not hold its trajectory, and none was given")
-    t, xy = given
+    t, xy = expected
     if (
         len(t) < 2
         or xy.shape != (len(t), 2)

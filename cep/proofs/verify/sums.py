@@ -40,34 +40,34 @@ class Lines:
         slope = np.empty((len(f), 2), np.complex128)
         step = max(1, _CHUNK // len(self.weight))
         for lo in range(0, len(f), step):
-            part = f[lo : lo + step]
-            turns = part @ self.middle.T
-            x = pi * (part @ self.delta.T)
+            batch = f[lo : lo + step]
+            turns = batch @ self.middle.T
+            x = pi * (batch @ self.delta.T)
             small = np.abs(x) < 1e-3
             safe = np.where(small, 1.0, x)
             gain = np.where(small, 1 - x * x / 6, np.sin(safe) / safe)
             change = np.where(small, -x / 3 + x**3 / 30, (np.cos(safe) - gain) / safe)
             wave = self.weight * np.exp(-2j * pi * (turns - np.rint(turns)))
-            seen = wave * gain
-            value[lo : lo + step] = seen.sum(axis=1)
-            slope[lo : lo + step] = -2j * pi * (seen @ self.middle) + pi * (
+            terms = wave * gain
+            value[lo : lo + step] = terms.sum(axis=1)
+            slope[lo : lo + step] = -2j * pi * (terms @ self.middle) + pi * (
                 (wave * change) @ self.delta
             )
         return value, slope
 
     def bound_cells(
-        self, cells: FloatArray, half: FloatArray, used: NDArray[np.bool_]
+        self, cells: FloatArray, half: FloatArray, active: NDArray[np.bool_]
     ) -> tuple[FloatArray, FloatArray]:
         """|H| at the centres of cells (F, 2), and by how much it may be lower within them, but for
         rounding, (F,) each.
 
-        The cells have half-sides ``half``, (2,); an axis that is not ``used`` has none.
+        The cells have half-sides ``half``, (2,); an axis that is not ``active`` has none.
         """
         value, slope = self.look(cells)
         size = np.abs(value)
         radius = float(np.hypot(*half))
         downhill = (
-            np.where(used, np.abs((np.conj(value)[:, None] * slope).real), 0)
+            np.where(active, np.abs((np.conj(value)[:, None] * slope).real), 0)
             / np.maximum(size, 1e-300)[:, None]
         )
         return size, (downhill * half).sum(axis=1) * (
@@ -93,8 +93,8 @@ class Lines:
 def chip_lines(bits: str) -> Lines:
     """Open chips as points on a line, a chip a unit."""
     places = np.array([k for k, bit in enumerate(bits) if bit == "1"], dtype=np.float64)
-    ends = np.stack([places, 0 * places], axis=1)
-    return _about_centroid(np.ones(len(places)), ends, ends)
+    vertices = np.stack([places, 0 * places], axis=1)
+    return _about_centroid(np.ones(len(places)), vertices, vertices)
 
 
 def path_lines(bits: str, t: FloatArray, xy: FloatArray) -> Lines:
@@ -102,10 +102,10 @@ def path_lines(bits: str, t: FloatArray, xy: FloatArray) -> Lines:
     chips = len(bits)
     cuts = np.union1d(t, np.arange(chips + 1) / chips)
     cuts = cuts[(cuts >= 0) & (cuts <= 1)]
-    ends = np.stack([np.interp(cuts, t, xy[:, 0]), np.interp(cuts, t, xy[:, 1])], axis=1)
+    vertices = np.stack([np.interp(cuts, t, xy[:, 0]), np.interp(cuts, t, xy[:, 1])], axis=1)
     chip = np.clip(np.floor((cuts[1:] + cuts[:-1]) / 2 * chips).astype(int), 0, chips - 1)
-    seen = np.array([bit == "1" for bit in bits])[chip]
-    return _about_centroid(np.diff(cuts)[seen], ends[:-1][seen], ends[1:][seen])
+    is_open = np.array([bit == "1" for bit in bits])[chip]
+    return _about_centroid(np.diff(cuts)[is_open], vertices[:-1][is_open], vertices[1:][is_open])
 
 
 def _about_centroid(weight: FloatArray, a: FloatArray, b: FloatArray) -> Lines:
@@ -142,14 +142,14 @@ def on_axis(lines: Lines, box: FloatArray) -> tuple[Lines, FloatArray]:
     ):
         return lines, box
     a, b = (
-        np.stack([ends @ along, 0 * lines.weight], axis=1)
-        for ends in (lines.middle - lines.delta / 2, lines.middle + lines.delta / 2)
+        np.stack([vertices @ along, 0 * lines.weight], axis=1)
+        for vertices in (lines.middle - lines.delta / 2, lines.middle + lines.delta / 2)
     )
     return _about_centroid(lines.weight, a, b), np.array(
         [[0.0, 0.5 * np.abs(along).sum()], [0.0, 0.0]]
     )
 
 
-def named(at: FloatArray) -> str:
+def place_in_words(at: FloatArray) -> str:
     """Write a frequency."""
     return "(" + ", ".join(f"{value:.6g}" for value in at) + ")"

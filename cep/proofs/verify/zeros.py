@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.proofs.verify.sums import Lines, RefusedError, named
+from cep.proofs.verify.sums import Lines, RefusedError, place_in_words
 
 FloatArray = NDArray[np.float64]
 _MOST_TURNS = 2**17  # points on a circle
@@ -45,7 +45,9 @@ def zero_holds(
             or abs(turns - turn / order) > 1e-9
             or gcd(turn, order) != 1
         ):
-            raise RefusedError(f"{named(at)} is no primitive root of unity of order {order}")
+            raise RefusedError(
+                f"{place_in_words(at)} is no primitive root of unity of order {order}"
+            )
         if any(_remainder([int(bit) for bit in bits], _cyclotomic(order))):
             raise RefusedError(
                 f"the polynomial does not vanish at the roots of unity of order {order}"
@@ -57,7 +59,7 @@ def zero_holds(
         )
     if kind == "closed form" and vertices is not None:
         if round(turns) == 0 or abs(turns - round(turns)) > 1e-9:
-            raise RefusedError(f"{named(at)} is no zero of a chip's sinc")
+            raise RefusedError(f"{place_in_words(at)} is no zero of a chip's sinc")
         return "a chip of the straight motion covers a whole number of periods"
     raise RefusedError("a minimum of 0 is claimed without a proof that can be checked")
 
@@ -79,12 +81,12 @@ def _crossing(bits: str, factor: list[int], turns: float, radius: float) -> str:
     wave = np.cos if factor[0] == factor[-1] else np.sin
     # a straight motion's frequency is known to a few roundings only
     radius += 1e-12
-    ends = [
+    edges = [
         sum(value * wave(2 * pi * f * place) for value, place in zip(factor, places, strict=True))
         for f in (turns - radius, turns + radius)
     ]
     slack = 1e-15 * sum(abs(value) for value in factor) * (len(factor) + 10)
-    if not (min(ends) < -slack and max(ends) > slack):
+    if not (min(edges) < -slack and max(edges) > slack):
         raise RefusedError(f"no change of sign is seen at {turns:.9g} cycles per chip")
     return (
         f"a self-reciprocal factor changes sign within {radius:.1e} of {turns:.9g} cycles per chip"
@@ -106,27 +108,29 @@ def _encircled(lines: Lines, at: FloatArray, alone_within: float) -> str:
             if abs(round(float(steps.sum()) / (2 * pi))) >= 1:
                 return (
                     f"H turns once around 0 on the circle of {radius:.2e} cycles/px about"
-                    f" {named(at)}"
+                    f" {place_in_words(at)}"
                 )
-            raise RefusedError(f"H does not turn around 0 near {named(at)}: no zero there")
+            raise RefusedError(
+                f"H does not turn around 0 near {place_in_words(at)}: no zero there"
+            )
         points *= 2
-    raise RefusedError(f"the zero at {named(at)} could not be encircled within the band")
+    raise RefusedError(f"the zero at {place_in_words(at)} could not be encircled within the band")
 
 
 def _cyclotomic(order: int) -> list[int]:
     """Coefficients, lowest first: one prime at a time, Phi_mp(z) = Phi_m(z^p) / Phi_m(z), then z
     -> z^(d / radical).
     """
-    found = [-1, 1]
+    coefficients = [-1, 1]
     radical = 1
-    rest = order
+    unfactored = order
     for prime in range(2, order + 1):
-        if rest % prime == 0:
-            while rest % prime == 0:
-                rest //= prime
-            found = _long_division(_spread(found, prime), found)[0]
+        if unfactored % prime == 0:
+            while unfactored % prime == 0:
+                unfactored //= prime
+            coefficients = _long_division(_spread(coefficients, prime), coefficients)[0]
             radical *= prime
-    return _spread(found, order // radical)
+    return _spread(coefficients, order // radical)
 
 
 def _spread(coefficients: list[int], step: int) -> list[int]:
@@ -135,20 +139,20 @@ def _spread(coefficients: list[int], step: int) -> list[int]:
     return out
 
 
-def _remainder(whole: list[int], factor: list[int]) -> list[int]:
-    return _long_division(whole, factor)[1]
+def _remainder(dividend: list[int], factor: list[int]) -> list[int]:
+    return _long_division(dividend, factor)[1]
 
 
-def _long_division(whole: list[int], factor: list[int]) -> tuple[list[int], list[int]]:
+def _long_division(dividend: list[int], factor: list[int]) -> tuple[list[int], list[int]]:
     """Quotient and remainder by a polynomial whose leading coefficient is 1 or -1, in Python's
     exact integers.
     """
-    rest = list(whole)
+    remainder = list(dividend)
     quotient = []
     size = len(factor)
-    while len(rest) >= size:
-        lead = rest.pop() * factor[-1]
+    while len(remainder) >= size:
+        lead = remainder.pop() * factor[-1]
         quotient.append(lead)
         for place in range(size - 1):
-            rest[len(rest) - size + 1 + place] -= lead * factor[place]
-    return quotient[::-1], rest
+            remainder[len(remainder) - size + 1 + place] -= lead * factor[place]
+    return quotient[::-1], remainder

@@ -35,14 +35,25 @@ _SHORT = 64  # chips up to which walks find better codes than cooling on straigh
 MOST_SWAPS = 2**12  # chips up to which every neighbour is evaluated in each step
 REHEATED = 0.6
 _SWEPT = 0.28  # temperature of sweeps, over the hottest: docs/decisions/search.md
-_ELITES = 32
+_ELITES = 32  # codes kept for the polish, which evaluates each on the fine grid
 _POOL = 8  # of the best, from which walks start
 _STANDARD_WORK = 2**33  # moves times frequencies after which more rarely find a better code
-_SWEPT_MOVES = (
-    2**29
-)  # the same number for sweeps, which take the time of a sixteenth of other moves
+# the same number for sweeps, which take the time of a sixteenth of other moves
+_SWEPT_MOVES = 2**29
 _LEAST_OF_MEAN = 2**16
-MOVES_SHARE = 0.9  # of the fraction done that is told: the rest is the polish
+MOVES_SHARE = 0.9  # of the progress reported: the polish has the remainder
+Stopped = Literal["steps", "time", "interrupted", "complete", "proven"]
+"""What ended a search: all its moves made, the time limit, Ctrl-C, that no other code keeps the
+limits, or a proof."""
+_Piece = TypeVar("_Piece")
+# of a round: enough for most machines' cores, and the outcome must not depend on their number
+CHAINS = 8
+_SHORTEST = 2**15  # moves of a chain in the first and the last rounds
+_LONGEST = 2**22
+_LONGEST_SWEPT = 2**26  # the same in sweeps
+# of the time limit, or seconds if that is more: what the polish may take on top
+_POLISH_SHARE = 0.1
+_POLISH_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -150,23 +161,23 @@ def anneal(
     """
     started = time.monotonic()
     budget = Budget(steps, time_s, started)
-    given = [code.array for code in start]
-    if any(bits.size != problem.chips for bits in given):
+    starts = [code.array for code in start]
+    if any(bits.size != problem.chips for bits in starts):
         raise ValueError(f"start: every code must have {problem.chips} chips")
     coarse = moved or Objective(problem, oversampling=_SEARCH_OVERSAMPLING)
     sweeping = swept(problem)
     if sweeping:
         judge = judge or Objective(problem, oversampling=_JUDGED_OVERSAMPLING, dtype=np.float64)
     elites = _Elites(judge if judge is not None and sweeping else coarse)
-    seeds = np.array([*given, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
+    seeds = np.array([*starts, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
     elites.offer(seeds[problem.satisfied(seeds)])
     free = problem.free_chips
     stopped: Stopped = "complete"
 
     def tick(moves: int) -> bool:
-        budget.done += moves
+        budget.moves += moves
         if progress is not None:
-            progress(MOVES_SHARE * budget.used(), elites.best())
+            progress(MOVES_SHARE * budget.share(), elites.best())
         return budget.elapsed() < time_s
 
     try:
@@ -178,12 +189,12 @@ def anneal(
                 threads,
                 sweep_tables(coarse, judge) if sweeping and judge else None,
             )
-            budget.began = (
+            budget.start_s = (
                 time.monotonic()
             )  # the samples of a class of motions may take longer than the whole limit
             round_number = 0
             longest = _LONGEST_SWEPT if sweeping else _LONGEST
-            while budget.left():
+            while budget.remains():
                 moves = budget.chain(round_number, longest=longest)
                 plans = _plans(problem, elites, moves, rng, first=round_number == 0)
                 crews[round_number % len(crews)].run(plans, tick, elites.offer)
@@ -192,19 +203,19 @@ def anneal(
     except KeyboardInterrupt:
         stopped = "interrupted"
 
-    def told(piece: Polished, over: bool) -> None:
+    def report(piece: Polished, over: bool) -> None:
         if progress is not None:
             progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece.done, piece.code)
 
     best = elites.best()
     fine = judge or Objective(problem, oversampling=_JUDGED_OVERSAMPLING, dtype=np.float64)
-    found = Polished(best, fine.exact_cost(best), 0.0)
-    found, stopped = budget.polished(
-        found, polish(fine, elites.ranked(), swaps=swaps), told, stopped=stopped
+    polished = Polished(best, fine.exact_cost(best), 0.0)
+    polished, stopped = budget.polished(
+        polished, polish(fine, elites.ranked(), swaps=swaps), report, stopped=stopped
     )
-    metrics = problem.measure(found.code)
+    metrics = problem.measure(polished.code)
     return SearchResult(
-        found.code, found.cost, metrics, time.monotonic() - started, budget.done, stopped
+        polished.code, polished.cost, metrics, time.monotonic() - started, budget.moves, stopped
     )
 
 
@@ -217,8 +228,8 @@ def standard_moves(problem: SearchProblem) -> int:
         problem.rule == "mean"
     ):  # every move is judged on every motion, and a class of them leaves few valleys
         return int(np.clip(_STANDARD_WORK // columns, _LEAST_OF_MEAN, 2**25))
-    most = max(criterion.most_moves for criterion, _ in problem.criteria)
-    return int(np.clip(_STANDARD_WORK // columns, 2**20, most))
+    largest = max(criterion.most_moves for criterion, _ in problem.criteria)
+    return int(np.clip(_STANDARD_WORK // columns, 2**20, largest))
 
 
 def hottest_db(problem: SearchProblem) -> float:
@@ -247,8 +258,8 @@ def _crews(
     parts = [coarse.instead(name) for name, _ in problem.objective_mix]
     objectives = [coarse] if len(parts) == 1 else [*parts, coarse]
     return [
-        Crew(one.problem, lay_out(one), free, threads=threads, sweeping=sweeping)
-        for one in objectives
+        Crew(objective.problem, lay_out(objective), free, threads=threads, sweeping=sweeping)
+        for objective in objectives
     ]
 
 
@@ -270,12 +281,12 @@ def _plans(
     cooled = CHAINS - walks
     codes = problem.random_codes(cooled, rng=rng).astype(np.int8)
     best = elites.ranked()
-    kept = min(
+    leaders = min(
         len(best), cooled // 2
     )  # the others from anywhere: starts may all lie in one valley
-    codes[:kept] = best[:kept]
+    codes[:leaders] = best[:leaders]
     seeds = [int(seed) for seed in rng.integers(1, 2**62, CHAINS)]
-    heats = [hot if first or index >= kept else REHEATED * hot for index in range(cooled)]
+    heats = [hot if first or index >= leaders else REHEATED * hot for index in range(cooled)]
     chains = [
         Cooling(*plan)
         for plan in zip(
@@ -285,30 +296,14 @@ def _plans(
     return [*chains, *(Walks(best[:_POOL], moves, seed) for seed in seeds[cooled:])]
 
 
-Stopped = Literal["steps", "time", "interrupted", "complete", "proven"]
-"""What ended a search: all its moves made, the time limit, Ctrl-C, that no other code keeps the
-limits, or a proof."""
-
-_Piece = TypeVar("_Piece")
-# of a round: enough for most machines' cores, and the outcome must not depend on their number
-CHAINS = 8
-_SHORTEST = 2**15  # moves of a chain in the first and the last rounds
-_LONGEST = 2**22
-_LONGEST_SWEPT = 2**26  # the same in sweeps
-_POLISH_SHARE = (
-    0.1  # of the time limit, or seconds if that is more: what the polish may take on top
-)
-_POLISH_S = 0.5
-
-
 @dataclass
 class Budget:
     """Moves and seconds: how much of them is used, and whether any is left."""
 
     steps: int | None
     time_s: float
-    began: float
-    done: int = 0
+    start_s: float
+    moves: int = 0
 
     def __post_init__(self) -> None:
         if self.steps is not None and self.steps < 1:
@@ -316,43 +311,44 @@ class Budget:
         if not self.time_s > 0:
             raise ValueError(f"time_s: must be above 0 seconds, got {self.time_s}")
 
-    def used(self) -> float:
+    def share(self) -> float:
         """Fraction used, 0..1."""
         return min(
             1.0,
             max(
-                self.elapsed() / self.time_s, 0.0 if self.steps is None else self.done / self.steps
+                self.elapsed() / self.time_s,
+                0.0 if self.steps is None else self.moves / self.steps,
             ),
         )
 
     def elapsed(self) -> float:
         """Seconds since it began."""
-        return time.monotonic() - self.began
+        return time.monotonic() - self.start_s
 
-    def left(self) -> bool:
+    def remains(self) -> bool:
         """Whether neither the moves nor the time is used up."""
-        return self.elapsed() < self.time_s and (self.steps is None or self.done < self.steps)
+        return self.elapsed() < self.time_s and (self.steps is None or self.moves < self.steps)
 
     def chain(self, round_number: int, *, longest: int = _LONGEST) -> int:
         """Return the number of moves of each chain of a round."""
-        wanted: int = min(_SHORTEST << round_number, longest)
+        moves: int = min(_SHORTEST << round_number, longest)
         if self.steps is not None:
-            return min(wanted, -(-(self.steps - self.done) // CHAINS))
-        if not self.done:
-            return wanted
+            return min(moves, -(-(self.steps - self.moves) // CHAINS))
+        if not self.moves:
+            return moves
         # a chain cut off by the time limit is wasted
         affordable = (
-            self.done / max(self.elapsed(), 1e-3) * (self.time_s - self.elapsed()) / CHAINS
+            self.moves / max(self.elapsed(), 1e-3) * (self.time_s - self.elapsed()) / CHAINS
         )
-        return max(256, int(min(wanted, 0.95 * affordable)))
+        return max(256, int(min(moves, 0.95 * affordable)))
 
     def stopped(self) -> Stopped:
         """Return the exhausted limit: the moves, where they and the time ran out together."""
-        return "steps" if self.steps is not None and self.done >= self.steps else "time"
+        return "steps" if self.steps is not None and self.moves >= self.steps else "time"
 
     def polished(
         self,
-        found: _Piece,
+        piece: _Piece,
         pieces: Iterable[_Piece],
         tell: Callable[[_Piece, bool], None],
         *,
@@ -363,7 +359,7 @@ class Budget:
 
         Parameters
         ----------
-        found : piece
+        piece : piece
             Stands where the polish is stopped before its first piece.
         pieces : iterable
             Each the best so far.
@@ -381,12 +377,12 @@ class Budget:
         if stopped == "interrupted":
             ends_s = self.elapsed() + _POLISH_S
         try:
-            for found in pieces:
-                tell(found, False)
+            for piece in pieces:
+                tell(piece, False)
                 if self.elapsed() > ends_s:
                     stopped = "time" if stopped == "steps" else stopped
                     break
-            tell(found, True)
+            tell(piece, True)
         except KeyboardInterrupt:
             stopped = "interrupted"
-        return found, stopped
+        return piece, stopped

@@ -30,10 +30,10 @@ from cep.search.annealing.sweeps import Sweeps, SweepTables, sweeps
 from cep.search.annealing.terms import (
     Tables,
     add_rows,
-    alone,
     decibels,
     judge,
     limits_of,
+    one_sum_decides,
     sum_of_cost,
     turn,
     work_space,
@@ -49,6 +49,8 @@ _PATIENCE = 32  # steps without a better code before a walk ends
 _KEPT = 64  # walks of a chain whose ends are offered: an exact objective ranks them
 _KICK = (3, 9)  # swaps that start a walk from one of the best
 _FRESH = 0.8  # share of walks that start from a random code: docs/decisions/search.md
+_TENURE = 4  # steps that a moved chip stays where it is: at least, and drawn on top
+_SPREAD = 12
 
 
 @dataclass(frozen=True)
@@ -141,12 +143,12 @@ class Crew:
             Called with (R, n) codes of every chain.
         """
         stop = Event()
-        made = [0] * len(plans)
+        moves_made = [0] * len(plans)
 
-        def one(index: int, plan: Cooling | Walks | Sweeps) -> Codes:
+        def run_plan(index: int, plan: Cooling | Walks | Sweeps) -> Codes:
             best: Codes = np.empty((0, self._problem.chips), np.int8)
             for moves, codes in self._steps(plan):
-                made[index] += moves
+                moves_made[index] += moves
                 best = codes[self._problem.satisfied(codes)]
                 if stop.is_set():
                     break
@@ -154,23 +156,23 @@ class Crew:
 
         with ThreadPoolExecutor(self._threads) as pool:
             jobs: list[Future[Codes]] = [
-                pool.submit(one, index, plan) for index, plan in enumerate(plans)
+                pool.submit(run_plan, index, plan) for index, plan in enumerate(plans)
             ]
             try:
-                told = 0
+                reported = 0
                 waiting = set(jobs)
                 while waiting:
                     _, waiting = wait(waiting, timeout=_TICK_S, return_when=FIRST_COMPLETED)
-                    now = sum(made)
-                    news = now - told
-                    told = now
+                    total = sum(moves_made)
+                    news = total - reported
+                    reported = total
                     if not tick(news):
                         break
             finally:
                 stop.set()
                 for job in jobs:
                     offer(job.result())
-            if (late := sum(made) - told) > 0:  # a stopped chain ends its slice first
+            if (late := sum(moves_made) - reported) > 0:  # a stopped chain ends its slice first
                 tick(late)
 
     def _steps(self, plan: Cooling | Walks | Sweeps) -> Iterator[tuple[int, Codes]]:
@@ -185,14 +187,14 @@ class Crew:
         work = work_space(self._tables, self._problem)
         chain = new_chain(tables, plan.code, plan.seed)
         ratio = plan.cold_db / plan.hot_db
-        done = 0
+        moves = 0
         deepest: list[Codes] = []
-        while done < plan.moves:
+        while moves < plan.moves:
             refresh(tables, chain, self._problem.chips)
-            count = min(_COOL_SLICE, plan.moves - done)
-            heat = [plan.hot_db * ratio ** (move / plan.moves) for move in (done, done + count)]
+            count = min(_COOL_SLICE, plan.moves - moves)
+            heat = [plan.hot_db * ratio ** (move / plan.moves) for move in (moves, moves + count)]
             cool(tables, self._limits, chain, self._free, work, np.array(heat), count)
-            done += count
+            moves += count
             # of every slice: what is deepest on the search's samples need not be so in between
             deepest = [*deepest, found_by(chain)][-_KEPT:]
             chain.cost[2] = 0.0
@@ -202,45 +204,42 @@ class Crew:
         tables = own_tables(self._tables)
         work = work_space(self._tables, self._problem)
         rng = np.random.default_rng(plan.seed)
-        done = 0
-        kept: list[tuple[float, Codes]] = []
-        while done < plan.moves:
+        moves = 0
+        finished: list[tuple[float, Codes]] = []
+        while moves < plan.moves:
             chain = new_chain(tables, self._kicked(plan.pool, rng), int(rng.integers(1, 2**62)))
-            held = np.zeros(self._problem.chips, np.int64)
+            tabu_until = np.zeros(self._problem.chips, np.int64)
             step = 1
             since = 0
-            while since < _PATIENCE and done < plan.moves:
+            while since < _PATIENCE and moves < plan.moves:
                 refresh(tables, chain, self._problem.chips)
                 before = chain.cost[1]
-                judged = walk(
-                    tables, self._limits, chain, self._free, work, held, step, _WALK_SLICE
+                step_moves = walk(
+                    tables, self._limits, chain, self._free, work, tabu_until, step, _WALK_SLICE
                 )
                 step = step + _WALK_SLICE
-                done = done + judged
+                moves = moves + step_moves
                 since = 0 if chain.cost[1] < before else since + _WALK_SLICE
-                now = sorted(
-                    [*kept, (float(chain.cost[1]), found_by(chain))], key=lambda entry: entry[0]
+                ranked = sorted(
+                    [*finished, (float(chain.cost[1]), found_by(chain))],
+                    key=lambda entry: entry[0],
                 )[:_KEPT]
-                yield judged, np.concatenate([codes for _, codes in now])
-                if not judged:
+                yield step_moves, np.concatenate([codes for _, codes in ranked])
+                if not step_moves:
                     return
-            kept = now
+            finished = ranked
 
     def _kicked(self, pool: Codes, rng: np.random.Generator) -> Codes:
         if rng.random() < _FRESH:
-            drawn: Codes = self._problem.random_codes(1, rng=rng)[0].astype(np.int8)
-            return drawn
+            fresh: Codes = self._problem.random_codes(1, rng=rng)[0].astype(np.int8)
+            return fresh
         code: Codes = pool[int(rng.integers(len(pool)))].copy()
-        opened = self._free[code[self._free] == 1]
-        closed = self._free[code[self._free] == 0]
-        swaps = min(int(rng.integers(*_KICK)), opened.size, closed.size)
-        code[rng.choice(opened, swaps, replace=False)] = 0
-        code[rng.choice(closed, swaps, replace=False)] = 1
+        open_chips = self._free[code[self._free] == 1]
+        closed_chips = self._free[code[self._free] == 0]
+        swaps = min(int(rng.integers(*_KICK)), open_chips.size, closed_chips.size)
+        code[rng.choice(open_chips, swaps, replace=False)] = 0
+        code[rng.choice(closed_chips, swaps, replace=False)] = 1
         return code
-
-
-_TENURE = 4  # steps that a moved chip stays where it is: at least, and drawn on top
-_SPREAD = 12
 
 
 @compiled
@@ -250,7 +249,7 @@ def walk(
     chain: Any,
     free: NDArray[np.int64],
     work: Any,
-    held: NDArray[np.int64],
+    tabu_until: NDArray[np.int64],
     first: int,
     steps: int,
 ) -> int:
@@ -266,7 +265,7 @@ def walk(
     work : (3, 64) float32 or None
         Work space; None where every move is usual (:func:`cep.search.annealing.terms.work_space`),
         which is faster.
-    held : (chips,) int64
+    tabu_until : (chips,) int64
         Step until which each chip stays; changed in place.
     first : int
         Number of the first step.
@@ -287,37 +286,37 @@ def walk(
     picked = np.zeros((2, 3), np.int64)
     best = np.zeros(2, np.int64)
     variants = rows.shape[1]
-    early = alone(tables)
+    early = one_sum_decides(tables)
     steep = kinds[0] == STEEP
-    opened = int(code.sum())
-    judged = 0
+    open_chips = int(code.sum())
+    moves = 0
     for step in range(first, first + steps):
         record = sum_of_cost(tables, costs[1]) if early else np.inf
         lowest = np.inf
         ceiling = np.inf
-        taken = 0
+        best_count = 0
         for a in range(len(free)):
             # b = a is a flip, any other b a swap of two unlike chips
             for b in range(a, len(free)):
                 i = free[a]
                 j = free[b]
                 if a == b:
-                    if not limits.low <= opened + 1 - 2 * code[i] <= limits.high:
+                    if not limits.low <= open_chips + 1 - 2 * code[i] <= limits.high:
                         continue
                 elif code[i] == code[j]:
                     continue
                 # a move that is held counts if it leads where the walk has never been
-                worth = lowest
-                most = ceiling
-                if (held[i] > step or held[j] > step) and costs[1] < lowest:
-                    worth = costs[1]
-                    most = record
+                to_beat = lowest
+                limit = ceiling
+                if (tabu_until[i] > step or tabu_until[j] > step) and costs[1] < lowest:
+                    to_beat = costs[1]
+                    limit = record
                 changed[0], changed[1] = i, j
                 count = 1 if a == b else 2
                 more = turn(code, changed, count, limits.chips, variants, picked)
                 cost = np.inf
                 if not limits.constrained or keeps_runs(code, limits):
-                    judged += 1
+                    moves += 1
                     if judge(
                         rows,
                         layout,
@@ -329,24 +328,24 @@ def walk(
                         picked,
                         count,
                         limits.chips,
-                        opened + more,
-                        most,
+                        open_chips + more,
+                        limit,
                         work,
                         sums,
                     ):
-                        cost = decibels(tables, sums, opened + more)
+                        cost = decibels(tables, sums, open_chips + more)
                 for c in range(count):
                     code[changed[c]] = 1 - code[changed[c]]
-                if cost < worth:
-                    lowest, taken, best[0], best[1] = cost, count, i, j
+                if cost < to_beat:
+                    lowest, best_count, best[0], best[1] = cost, count, i, j
                     if early:
                         ceiling = sum_of_cost(tables, lowest)
-        if taken == 0:
+        if best_count == 0:
             break
-        opened += turn(code, best, taken, limits.chips, variants, picked)
-        add_rows(rows, otf, picked, taken, limits.chips)
-        for c in range(taken):
-            held[best[c]] = step + _TENURE + int(uniform(random) * _SPREAD)
+        open_chips += turn(code, best, best_count, limits.chips, variants, picked)
+        add_rows(rows, otf, picked, best_count, limits.chips)
+        for c in range(best_count):
+            tabu_until[best[c]] = step + _TENURE + int(uniform(random) * _SPREAD)
         costs[0] = lowest
         if lowest < costs[1]:
             costs[1] = lowest
@@ -356,7 +355,7 @@ def walk(
             if deep > costs[2]:
                 costs[2] = deep
                 chain.deepest[:] = code
-    return judged
+    return moves
 
 
 @compiled
@@ -402,18 +401,18 @@ def cool(
     variants = rows.shape[1]
     may_change = np.zeros(len(code), np.bool_)
     may_change[free] = True
-    early = alone(tables)
+    early = one_sum_decides(tables)
     steep = kinds[0] == STEEP
     cooling = (temperatures[1] / temperatures[0]) ** (1.0 / moves)
     temperature = temperatures[0]
-    opened = int(code.sum())
+    open_chips = int(code.sum())
     accepted = 0
     for _ in range(moves):
         temperature *= cooling
         if limits.constrained:
-            count = draw_blocks(code, may_change, limits, opened, random, trial, changed)
+            count = draw_blocks(code, may_change, limits, open_chips, random, trial, changed)
         else:
-            count = draw_any(code, free, limits, opened, random, changed)
+            count = draw_any(code, free, limits, open_chips, random, changed)
         if count == 0:
             continue
         more = turn(code, changed, count, limits.chips, variants, picked)
@@ -431,18 +430,18 @@ def cool(
             picked,
             count,
             limits.chips,
-            opened + more,
+            open_chips + more,
             ceiling,
             work,
             sums,
         ):
-            cost = decibels(tables, sums, opened + more)
+            cost = decibels(tables, sums, open_chips + more)
         if not cost <= highest:
             for c in range(count):
                 code[changed[c]] = 1 - code[changed[c]]
             continue
         accepted += 1
-        opened += more
+        open_chips += more
         costs[0] = cost
         add_rows(rows, otf, picked, count, limits.chips)
         if cost < costs[1]:

@@ -42,10 +42,8 @@ from motdiff.types import FloatArray
 Codes = NDArray[np.int8]
 Progress = Callable[[float, tuple[ShutterCode, ...]], None]
 _OVERSAMPLING = 8
-_SLICE = (
-    4096  # moves until the OTF is summed anew, and in one frame until the next one has its turn
-)
-_VISIT = 256
+_SLICE = 4096  # moves until the OTF is summed anew: float32 sums drift
+_VISIT = 256  # moves in one frame until the next one has its turn
 _ELITES = 16
 
 
@@ -123,14 +121,14 @@ def anneal_frames(
     if frames < 1:
         raise ValueError(f"frames: must be at least 1, got {frames}")
     budget = Budget(steps, time_s, time.monotonic())
-    given = [[code.array for code in codes] for codes in start]
+    starts = [[code.array for code in codes] for codes in start]
     if any(
         len(codes) != frames or any(bits.size != problem.chips for bits in codes)
-        for codes in given
+        for codes in starts
     ):
         raise ValueError(f"start: every one must be {frames} codes of {problem.chips} chips")
     elites = _Elites(Objective(problem, oversampling=_OVERSAMPLING))
-    seeds = np.array([*given, problem.random_codes(frames, rng=rng)], dtype=np.int8)
+    seeds = np.array([*starts, problem.random_codes(frames, rng=rng)], dtype=np.int8)
     seeds = seeds[[bool(problem.satisfied(codes).all()) for codes in seeds]]
     elites.offer(seeds)
     free = problem.free_chips
@@ -141,7 +139,7 @@ def anneal_frames(
             joint = _Joint.of(elites.coarse, frames, free)
             with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
                 round_number = 0
-                while budget.left():
+                while budget.remains():
                     _round(joint, elites, budget, round_number, rng, pool, progress)
                     round_number += 1
             stopped = budget.stopped()
@@ -151,19 +149,19 @@ def anneal_frames(
         [elites.ranked(frames), seeds]
     )  # no start may beat what is returned on the fine grid
 
-    def told(piece: tuple[NDArray[np.int8], float], over: bool) -> None:
+    def report(piece: tuple[NDArray[np.int8], float], over: bool) -> None:
         if progress is not None:
             progress(
                 1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece[1], _as_codes(piece[0])
             )
 
     (best, _), stopped = budget.polished(
-        (ranked[0], 0.0), polish_jointly(problem, ranked), told, stopped=stopped
+        (ranked[0], 0.0), polish_jointly(problem, ranked), report, stopped=stopped
     )
     codes = _as_codes(best)
     cost = float(joint_cost(Objective(problem, oversampling=64, dtype=np.float64), best[None])[0])
     return FramesResult(
-        codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.done, stopped
+        codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.moves, stopped
     )
 
 
@@ -218,15 +216,15 @@ class _Joint:
         for visit, first in enumerate(range(0, moves, _VISIT)):
             count = min(_VISIT, moves - first)
             frame = visit % self.frames
-            own = slice(frame * chips, (frame + 1) * chips)
-            others = int(chain.code.sum()) - int(chain.code[own].sum())
+            chips_here = slice(frame * chips, (frame + 1) * chips)
+            open_elsewhere = int(chain.code.sum()) - int(chain.code[chips_here].sum())
             limits = self.limits._replace(
-                low=self.limits.low + others, high=self.limits.high + others
+                low=self.limits.low + open_elsewhere, high=self.limits.high + open_elsewhere
             )
             heats = heats_db[0] * (heats_db[1] / heats_db[0]) ** (
                 np.array([first, first + count]) / moves
             )
-            cool(tables, limits, chain, self.free + own.start, work, heats, count)
+            cool(tables, limits, chain, self.free + chips_here.start, work, heats, count)
 
 
 def _round(
@@ -242,32 +240,36 @@ def _round(
     whatever ends them.
     """
     best = elites.ranked(joint.frames)
-    kept = min(len(best), CHAINS // 2 if round_number else CHAINS)
-    drawn = joint.problem.random_codes(CHAINS * joint.frames, rng=rng).astype(np.int8)
-    codes = [*best[:kept], *drawn.reshape(CHAINS, joint.frames, -1)[kept:]]
-    runs = [joint.chain(one, int(rng.integers(1, 2**62))) for one in codes]
+    leaders = min(len(best), CHAINS // 2 if round_number else CHAINS)
+    random = joint.problem.random_codes(CHAINS * joint.frames, rng=rng).astype(np.int8)
+    codes = [*best[:leaders], *random.reshape(CHAINS, joint.frames, -1)[leaders:]]
+    runs = [joint.chain(start, int(rng.integers(1, 2**62))) for start in codes]
     # a move in one frame changes a sum of so many less, and colder still found better codes
     hot = hottest_db(joint.problem) / joint.frames**2
-    heats = [hot * (REHEATED if round_number and index < kept else 1.0) for index in range(CHAINS)]
+    heats = [
+        hot * (REHEATED if round_number and index < leaders else 1.0) for index in range(CHAINS)
+    ]
     moves = budget.chain(round_number)
     try:
         for first in range(0, moves, _SLICE):
             count = min(_SLICE, moves - first)
             jobs = []
             for (tables, chain), heat in zip(runs, heats, strict=True):
-                ends = heat * (hot / COOLING / heat) ** (np.array([first, first + count]) / moves)
-                jobs.append(pool.submit(joint.advance, tables, chain, ends, count))
+                temperatures = heat * (hot / COOLING / heat) ** (
+                    np.array([first, first + count]) / moves
+                )
+                jobs.append(pool.submit(joint.advance, tables, chain, temperatures, count))
             for job in jobs:
                 job.result()
-            budget.done += count * CHAINS
+            budget.moves += count * CHAINS
             if progress is not None:
-                progress(MOVES_SHARE * budget.used(), _as_codes(best[0]))
+                progress(MOVES_SHARE * budget.share(), _as_codes(best[0]))
             if budget.elapsed() >= budget.time_s:
                 break
     finally:
         for _, chain in runs:
-            found = found_by(chain)
-            elites.offer(found.reshape(len(found), joint.frames, -1))
+            best_codes = found_by(chain)
+            elites.offer(best_codes.reshape(len(best_codes), joint.frames, -1))
 
 
 def _as_codes(codes: Codes) -> tuple[ShutterCode, ...]:

@@ -128,22 +128,22 @@ def _climb(fine: Objective, codes: Codes, cost: float) -> Iterator[tuple[float, 
     swaps = chips**2 // 4 * fine.rows[0].size * chips <= _MOST_WORK
     stuck = frame = 0
     while stuck < frames:
-        others = np.delete(codes, frame, axis=0)
-        power = _power(fine, others).sum(axis=0)
-        duty = fine.duty(others).sum()
+        other_frames = np.delete(codes, frame, axis=0)
+        power = _power(fine, other_frames).sum(axis=0)
+        duty = fine.duty(other_frames).sum()
         otf = fine.otf(codes[frame][None])[0]
-        near = neighbours(fine.problem, codes[frame], swaps=swaps)
-        found = np.full(len(near), np.inf)
-        for first in range(0, len(near), step):
-            batch = near[first : first + step]
-            own = (otf_nearby(fine, codes[frame], otf, batch) ** 2).sum(axis=1)
-            found[first : first + step] = _cost_of_power(
-                fine, own + power, (fine.duty(batch) + duty) / frames
+        candidates = neighbours(fine.problem, codes[frame], swaps=swaps)
+        costs = np.full(len(candidates), np.inf)
+        for first in range(0, len(candidates), step):
+            batch = candidates[first : first + step]
+            frame_power = (otf_nearby(fine, codes[frame], otf, batch) ** 2).sum(axis=1)
+            costs[first : first + step] = _cost_of_power(
+                fine, frame_power + power, (fine.duty(batch) + duty) / frames
             )
             yield cost, codes
-        best = int(found.argmin()) if found.size else 0
-        if found.size and found[best] < cost - 1e-9:
-            cost, codes[frame], stuck = float(found[best]), near[best], 0
+        best = int(costs.argmin()) if costs.size else 0
+        if costs.size and costs[best] < cost - 1e-9:
+            cost, codes[frame], stuck = float(costs[best]), candidates[best], 0
         else:
             frame = (frame + 1) % frames
             stuck = stuck + 1

@@ -21,9 +21,12 @@ from cep.search.problem import SearchProblem
 
 Codes = NDArray[np.int8]
 _HOPEFUL = 8  # neighbours evaluated on the continuum in a step
-_MOST_WORK = (
-    2**39
-)  # numbers times chips of a step; beyond, as for very long codes, swaps are left out
+# numbers times chips of a step; beyond, as for very long codes, swaps are left out
+_MOST_WORK = 2**39
+Indices = NDArray[np.intp]
+RealArray = NDArray[Any]
+_BATCH = 2**18  # numbers of an OTF evaluated at once: they stay in the cache
+_SPARSE = 8  # one frequency in so many suffices to reject nearly every code
 
 
 class Polished(NamedTuple):
@@ -54,9 +57,9 @@ def polish(fine: Objective, ranked: Codes, *, swaps: bool = True) -> Iterator[Po
         After every piece of work, so that the caller may stop; the last one is the outcome.
     """
     curved = any(straight_axis(s.trajectory) is None for s in fine.problem.scenarios)
-    judged, climbed = (4, 1) if curved else (len(ranked), 6)
+    evaluated, climbed = (4, 1) if curved else (len(ranked), 6)
     leaders: list[tuple[float, str, ShutterCode]] = []
-    for code in (ShutterCode.from_array(array) for array in ranked[:judged]):
+    for code in (ShutterCode.from_array(array) for array in ranked[:evaluated]):
         leaders = sorted([*leaders, (fine.exact_cost(code), code.bits, code)])[:climbed]
         yield Polished(leaders[0][2], leaders[0][0], 0.0)
     best = leaders[0][2]
@@ -85,10 +88,10 @@ def _climb(
         for found_yet in cheapest(fine, bits, codes, most=_HOPEFUL, below=below):
             hopeful = found_yet
             yield cost, code
-        found = [
+        costs = [
             (fine.exact_cost(c), c) for c in (ShutterCode.from_array(codes[i]) for i in hopeful)
         ]
-        best = min(found, key=lambda pair: pair[0], default=(cost, code))
+        best = min(costs, key=lambda pair: pair[0], default=(cost, code))
         if best[0] >= below:
             return
         cost, code = best
@@ -110,14 +113,8 @@ def neighbours(problem: SearchProblem, bits: Codes, *, swaps: bool) -> Codes:
         swapped[np.arange(first.size), first] = 0
         swapped[np.arange(first.size), second] = 1
         codes.append(swapped)
-    every = np.concatenate(codes)
-    return every[problem.satisfied(every)]
-
-
-Indices = NDArray[np.intp]
-RealArray = NDArray[Any]
-_BATCH = 2**18  # numbers of an OTF evaluated at once: they stay in the cache
-_SPARSE = 8  # one frequency in so many suffices to reject nearly every code
+    candidates = np.concatenate(codes)
+    return candidates[problem.satisfied(candidates)]
 
 
 def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) -> RealArray:
@@ -131,13 +128,13 @@ def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) 
     if variants == 4:
         # chips turn over one after the other from the first: the left neighbour has done so, the
         # right one has not
-        left = np.pad(codes, ((0, 0), (1, 0)))[which, chip]
-        right = np.pad(code, (0, 1))[chip + 1]
-        row = 4 * chip + 2 * left + right
+        left_open = np.pad(codes, ((0, 0), (1, 0)))[which, chip]
+        right_open = np.pad(code, (0, 1))[chip + 1]
+        row = 4 * chip + 2 * left_open + right_open
     signs = change[which, chip].astype(objective.rows.dtype)
-    ends = np.searchsorted(which, np.arange(len(codes) + 1))
+    row_starts = np.searchsorted(which, np.arange(len(codes) + 1))
     changed = csr_array(
-        (signs, row, ends), shape=(len(codes), chips * variants)
+        (signs, row, row_starts), shape=(len(codes), chips * variants)
     ) @ objective.rows.reshape(chips * variants, -1)
     changed += otf.ravel()
     return np.asarray(changed.reshape(len(codes), *otf.shape))
@@ -156,25 +153,25 @@ def cheapest(
     """
     judges = [(judge, judge.otf(code[None])[0]) for judge in _judges(objective)]
     step = max(1, _BATCH // judges[0][1].size)
-    found = np.empty(0, np.intp)
+    indices = np.empty(0, np.intp)
     costs = np.empty(0)
     for start in range(0, len(codes), step):
-        limit = below if found.size < most else float(costs[-1])
-        left = np.arange(start, min(start + step, len(codes)))
-        now = np.empty(0)
+        limit = below if indices.size < most else float(costs[-1])
+        candidates = np.arange(start, min(start + step, len(codes)))
+        candidate_costs = np.empty(0)
         for judge, otf in judges:
-            some = codes[left]
-            now = judge.cost(
-                otf_nearby(judge, code, otf, some), judge.duty(some), judge.noise_of(some)
+            batch = codes[candidates]
+            candidate_costs = judge.cost(
+                otf_nearby(judge, code, otf, batch), judge.duty(batch), judge.noise_of(batch)
             )
-            left = left[now < limit]
-            now = now[now < limit]
-        found = np.append(found, left)
-        costs = np.append(costs, now)
+            candidates = candidates[candidate_costs < limit]
+            candidate_costs = candidate_costs[candidate_costs < limit]
+        indices = np.append(indices, candidates)
+        costs = np.append(costs, candidate_costs)
         order = np.argsort(costs, kind="stable")[:most]
-        found = found[order]
+        indices = indices[order]
         costs = costs[order]
-        yield found
+        yield indices
 
 
 def _judges(objective: Objective) -> list[Objective]:
@@ -183,13 +180,15 @@ def _judges(objective: Objective) -> list[Objective]:
     """
     if any(name != "min-mtf" for name, _ in objective.problem.objective_mix):
         return [objective]
-    kept = [np.arange(part.columns.start, part.columns.stop, _SPARSE) for part in objective.parts]
-    ends = np.cumsum([0, *(columns.size for columns in kept)]).tolist()
+    columns_by_part = [
+        np.arange(part.columns.start, part.columns.stop, _SPARSE) for part in objective.parts
+    ]
+    edges = np.cumsum([0, *(columns.size for columns in columns_by_part)]).tolist()
     few = copy(objective)
-    few.rows = np.ascontiguousarray(objective.rows[..., np.concatenate(kept)])
+    few.rows = np.ascontiguousarray(objective.rows[..., np.concatenate(columns_by_part)])
     # a minimum takes nothing of a part but its columns
     few.parts = tuple(
         replace(part, columns=slice(*bounds))
-        for part, bounds in zip(objective.parts, pairwise(ends), strict=True)
+        for part, bounds in zip(objective.parts, pairwise(edges), strict=True)
     )
     return [few, objective]

@@ -59,14 +59,14 @@ def uniform(random: Random) -> float:
 
 @inlined
 def draw_any(
-    code: Codes, free: Ints, limits: Any, opened: int, random: Random, changed: Ints
+    code: Codes, free: Ints, limits: Any, open_chips: int, random: Random, changed: Ints
 ) -> int:
     """Draw a flip or a swap into ``changed``; the number of chips, 0 if the draw found none that
     keeps the light.
     """
     if limits.low < limits.high and uniform(random) < 0.5:
         pick = free[int(uniform(random) * free.size)]
-        if limits.low <= opened + 1 - 2 * code[pick] <= limits.high:
+        if limits.low <= open_chips + 1 - 2 * code[pick] <= limits.high:
             changed[0] = pick
             return 1
     first = free[int(uniform(random) * free.size)]
@@ -83,7 +83,7 @@ def draw_blocks(
     code: Codes,
     may_change: NDArray[np.bool_],
     limits: Any,
-    opened: int,
+    open_chips: int,
     random: Random,
     trial: Codes,
     changed: Ints,
@@ -111,7 +111,7 @@ def draw_blocks(
             for j in range(size):
                 trial[begin + (j + shift) % size] = code[begin + j]
         count = 0
-        light = opened
+        light = open_chips
         for j in range(code.size):
             if trial[j] != code[j]:
                 if not may_change[j] or count == _MOST_CHANGES:
@@ -135,7 +135,7 @@ def keeps_runs(code: Codes, limits: Any) -> bool:
         run = 0
         pulses = 0
         value = 0
-        began = 0
+        pulse_start = 0
         for j in range(start, start + chips):
             if code[j] == value:
                 run += 1
@@ -144,10 +144,10 @@ def keeps_runs(code: Codes, limits: Any) -> bool:
                 if run < limits.min_open or run > limits.max_open:
                     return False
             else:
-                if pulses > 0 and (run < limits.min_closed or j - began < limits.min_period):
+                if pulses > 0 and (run < limits.min_closed or j - pulse_start < limits.min_period):
                     return False
                 pulses += 1
-                began = j
+                pulse_start = j
             value = code[j]
             run = 1
         if value == 1 and (run < limits.min_open or run > limits.max_open):

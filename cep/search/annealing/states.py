@@ -61,11 +61,11 @@ def worst_first(tables: Any, otf: Floats) -> None:
     rows = tables.rows
     scale = tables.scale
     offset = tables.offset
-    for part in range(len(tables.layout)):
-        first = tables.layout[part, 0]
-        size = (tables.layout[part, 1] - tables.layout[part, 0]) * BLOCK
+    for band in range(len(tables.layout)):
+        first = tables.layout[band, 0]
+        size = (tables.layout[band, 1] - tables.layout[band, 0]) * BLOCK
         key = np.empty(size, np.float32)
-        kept = np.empty(size, np.float32)
+        sorted_row = np.empty(size, np.float32)
         for place in range(size):
             block = first + place // BLOCK
             f = place % BLOCK
@@ -82,26 +82,30 @@ def worst_first(tables: Any, otf: Floats) -> None:
             variant = line // 2 % rows.shape[1]
             half = line % 2
             for place in range(size):
-                kept[place] = rows[
+                sorted_row[place] = rows[
                     chip, variant, first + order[place] // BLOCK, half, order[place] % BLOCK
                 ]
             for place in range(size):
-                rows[chip, variant, first + place // BLOCK, half, place % BLOCK] = kept[place]
+                rows[chip, variant, first + place // BLOCK, half, place % BLOCK] = sorted_row[
+                    place
+                ]
         for line in range(frames * 2):
             for place in range(size):
-                kept[place] = otf[
+                sorted_row[place] = otf[
                     line // 2, first + order[place] // BLOCK, line % 2, order[place] % BLOCK
                 ]
             for place in range(size):
-                otf[line // 2, first + place // BLOCK, line % 2, place % BLOCK] = kept[place]
+                otf[line // 2, first + place // BLOCK, line % 2, place % BLOCK] = sorted_row[place]
         for table in (scale, offset):
             for line in range(scale.shape[0] * scale.shape[2]):
                 o = line // scale.shape[2]
                 q = line % scale.shape[2]
                 for place in range(size):
-                    kept[place] = table[o, first + order[place] // BLOCK, q, order[place] % BLOCK]
+                    sorted_row[place] = table[
+                        o, first + order[place] // BLOCK, q, order[place] % BLOCK
+                    ]
                 for place in range(size):
-                    table[o, first + place // BLOCK, q, place % BLOCK] = kept[place]
+                    table[o, first + place // BLOCK, q, place % BLOCK] = sorted_row[place]
 
 
 @compiled
@@ -109,7 +113,7 @@ def total_cost(tables: Any, chips: int, code: NDArray[np.int8], otf: Floats) -> 
     """Cost, dB, of a code whose OTF (frames, nb, 2, 64) is given."""
     work = np.empty((3, BLOCK), np.float32)
     sums = np.empty((len(tables.kinds), len(tables.layout), 2))
-    opened = int(code.sum())
+    open_chips = int(code.sum())
     sums_over(
         tables.rows,
         tables.layout,
@@ -121,12 +125,12 @@ def total_cost(tables: Any, chips: int, code: NDArray[np.int8], otf: Floats) -> 
         np.zeros((2, 3), np.int64),
         0,
         chips,
-        opened,
+        open_chips,
         np.inf,
         work,
         sums,
     )
-    return decibels(tables, sums, opened)
+    return decibels(tables, sums, open_chips)
 
 
 @compiled

@@ -110,13 +110,13 @@ def sweep_tables(objective: Objective, judge: Objective) -> SweepTables:
     )
     fine = (problem.chips * judge.rows[:, 0]).astype(np.float32)
     lanes = -(-problem.chips // _LANES) * _LANES
-    turned = np.zeros((count, 2, lanes), np.float32)
-    turned[:, :, : problem.chips] = coarse.transpose(2, 1, 0)
+    by_frequency = np.zeros((count, 2, lanes), np.float32)
+    by_frequency[:, :, : problem.chips] = coarse.transpose(2, 1, 0)
     free = np.zeros(problem.chips, np.bool_)
     free[problem.free_chips] = True
     low, high = problem.open_limits
     return SweepTables(
-        np.ascontiguousarray(coarse), turned, np.ascontiguousarray(fine), free, low, high
+        np.ascontiguousarray(coarse), by_frequency, np.ascontiguousarray(fine), free, low, high
     )
 
 
@@ -129,27 +129,27 @@ def sweeps(
     rng = np.random.default_rng(plan.seed)
     random = np.array([int(rng.integers(1, 2**62)) | 1], dtype=np.uint64)
     deepest = np.zeros(1)
-    kept = np.empty((0, problem.chips), np.int8)
-    done = 0
-    while done < plan.moves:
+    elites = np.empty((0, problem.chips), np.int8)
+    total = 0
+    while total < plan.moves:
         code = problem.random_codes(1, rng=rng)[0].astype(np.int8)
-        until = min(plan.moves, done + _CHAIN)
-        while done < until:
+        until = min(plan.moves, total + _CHAIN)
+        while total < until:
             best = np.empty((_KEPT, problem.chips), np.int8)
-            found = np.zeros(1, np.int64)
+            count = np.zeros(1, np.int64)
             moves = sweep(
                 tables,
                 code,
                 random,
                 plan.temperature_db,
-                min(_SLICE, until - done),
+                min(_SLICE, until - total),
                 deepest,
                 best,
-                found,
+                count,
             )
-            done += moves
-            kept = np.concatenate([kept, best[: found[0]]])[-_KEPT:]
-            yield moves, kept
+            total += moves
+            elites = np.concatenate([elites, best[: count[0]]])[-_KEPT:]
+            yield moves, elites
 
 
 @inlined
@@ -159,12 +159,12 @@ def _term_sum(
     """Sum of 1 / |P|^8 after the chips ``a`` and ``b`` have opened (1), closed (-1) or stayed
     (0).
     """
-    one = np.float32(1)
+    unit = np.float32(1)
     total = np.float32(0)
     for f in range(otf.shape[1]):
         x = otf[0, f] + s * by_chip[a, 0, f] + t * by_chip[b, 0, f]
         y = otf[1, f] + s * by_chip[a, 1, f] + t * by_chip[b, 1, f]
-        term = one / (x * x + y * y + _TINY)
+        term = unit / (x * x + y * y + _TINY)
         square = term * term
         total += square * square
     return total
@@ -185,9 +185,9 @@ def _find_dips(otf: Floats, power: Floats, dips: NDArray[np.int64]) -> int:
     count = 0
     for f in range(size):
         if power[f] < limit and count < _DIPS:
-            left = power[f - 1] if f > 0 else power[1]
-            right = power[f + 1] if f < size - 1 else power[size - 2]
-            if power[f] <= left and power[f] < right:
+            before = power[f - 1] if f > 0 else power[1]
+            after = power[f + 1] if f < size - 1 else power[size - 2]
+            if power[f] <= before and power[f] < after:
                 dips[count] = f
                 count += 1
     return count
@@ -202,7 +202,7 @@ def sweep(
     moves: int,
     deepest: NDArray[np.float64],
     best: Codes,
-    found: NDArray[np.int64],
+    best_count: NDArray[np.int64],
 ) -> int:
     """Judge ``moves`` moves or some more, at a constant temperature; returns their number.
 
@@ -219,7 +219,7 @@ def sweep(
         Largest smallest |P|^2 on the fine samples yet; changed in place.
     best : (R, n) int8
         Filled with the last codes that raised it.
-    found : (1,) int64
+    best_count : (1,) int64
         How many codes were filled in.
     """
     by_chip = tables.by_chip
@@ -235,10 +235,10 @@ def sweep(
     refused = np.empty(lanes, np.int32)
     dips = np.zeros(_DIPS, np.int64)
     precise = np.empty((2, fine.shape[2]), np.float32)
-    opened = 0
+    open_chips = 0
     for j in range(chips):
         signs[j] = 1 - 2 * code[j]
-        opened += code[j]
+        open_chips += code[j]
         if code[j]:
             for f in range(size):
                 otf[0, f] += by_chip[j, 0, f]
@@ -247,57 +247,57 @@ def sweep(
     cost = _term_sum(by_chip, otf, 0, 0, zero, zero)
     count = _find_dips(otf, power, dips)
     heat = temperature * np.log(10.0) / 2.5
-    made = 0
-    while made < moves:
-        made += chips
+    judged_moves = 0
+    while judged_moves < moves:
+        judged_moves += chips
         i = int(uniform(random) * chips)
         limit = np.float32(cost * (1.0 - uniform(random)) ** -heat)
         start = int(uniform(random) * chips)
         if not free[i]:
             continue
         floor = np.float32(1.0 / np.sqrt(np.sqrt(limit)))
-        own = signs[i]
+        sign_i = signs[i]
         signs[i] = 0  # its lane is the flip alone
         for j in range(lanes):
             refused[j] = 0
         for d in range(count):
             f = dips[d]
-            x0 = otf[0, f] + own * by_chip[i, 0, f]
-            y0 = otf[1, f] + own * by_chip[i, 1, f]
+            x0 = otf[0, f] + sign_i * by_chip[i, 0, f]
+            y0 = otf[1, f] + sign_i * by_chip[i, 1, f]
             real = by_frequency[f, 0]
             imaginary = by_frequency[f, 1]
             for j in range(lanes):
                 x = x0 + signs[j] * real[j]
                 y = y0 + signs[j] * imaginary[j]
                 refused[j] += x * x + y * y < floor
-        signs[i] = own
-        once = tables.low <= opened + int(own) <= tables.high
-        twice = tables.low <= opened + 2 * int(own) <= tables.high
+        signs[i] = sign_i
+        once = tables.low <= open_chips + int(sign_i) <= tables.high
+        twice = tables.low <= open_chips + 2 * int(sign_i) <= tables.high
         for step in range(chips):
             j = start + step
             if j >= chips:
                 j -= chips
             if refused[j] > 0 or not free[j]:
                 continue
-            other = signs[j] if j != i else zero
-            if other == zero:
+            sign_j = signs[j] if j != i else zero
+            if sign_j == zero:
                 if not once:
                     continue
-            elif other == own and not twice:
+            elif sign_j == sign_i and not twice:
                 continue
-            changed = _term_sum(by_chip, otf, i, j, own, other)
+            changed = _term_sum(by_chip, otf, i, j, sign_i, sign_j)
             if changed > limit:
                 continue
             cost = changed
             for f in range(size):
-                otf[0, f] += own * by_chip[i, 0, f] + other * by_chip[j, 0, f]
-                otf[1, f] += own * by_chip[i, 1, f] + other * by_chip[j, 1, f]
+                otf[0, f] += sign_i * by_chip[i, 0, f] + sign_j * by_chip[j, 0, f]
+                otf[1, f] += sign_i * by_chip[i, 1, f] + sign_j * by_chip[j, 1, f]
             code[i] = 1 - code[i]
-            signs[i] = -own
-            opened += int(own) + int(other)
+            signs[i] = -sign_i
+            open_chips += int(sign_i) + int(sign_j)
             if j != i:
                 code[j] = 1 - code[j]
-                signs[j] = -other
+                signs[j] = -sign_j
             count = _find_dips(otf, power, dips)
             lowest = np.float32(np.inf)
             for d in range(count):
@@ -305,15 +305,15 @@ def sweep(
             if lowest > deepest[0]:
                 lowest = _fine_power(fine, code, precise)
                 if lowest > deepest[0]:
-                    if found[0] == best.shape[0]:
+                    if best_count[0] == best.shape[0]:
                         for r in range(1, best.shape[0]):
                             best[r - 1] = best[r]
-                        found[0] -= 1
-                    best[found[0]] = code
-                    found[0] += 1
+                        best_count[0] -= 1
+                    best[best_count[0]] = code
+                    best_count[0] += 1
                     deepest[0] = lowest
             break
-    return made
+    return judged_moves
 
 
 @inlined

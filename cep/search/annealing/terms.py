@@ -103,7 +103,7 @@ def _pair_sum(
     """One objective's terms on one block when two chips of a single frame change: the usual move,
     nothing stored.
     """
-    one = np.float32(1)
+    unit = np.float32(1)
     total = np.float32(0)
     a = picked[0, 0]
     u = picked[0, 1]
@@ -114,7 +114,7 @@ def _pair_sum(
     for f in range(BLOCK):
         x = otf[0, block, 0, f] + s * rows[a, u, block, 0, f] + t * rows[b, v, block, 0, f]
         y = otf[0, block, 1, f] + s * rows[a, u, block, 1, f] + t * rows[b, v, block, 1, f]
-        term = one / (
+        term = unit / (
             light * scale[0, block, 0, f] * (x * x + y * y + SMALLEST) + offset[0, block, 0, f]
         )
         square = term * term
@@ -138,13 +138,13 @@ def _pair_sums(
     """As :func:`sums_over` for the usual move."""
     plain = np.float32(not steep)  # a branch would keep vector instructions away
     sharp = np.float32(steep)
-    for part in range(layout.shape[0]):
+    for band in range(layout.shape[0]):
         total = 0.0
-        for block in range(layout[part, 0], layout[part, 1]):
+        for block in range(layout[band, 0], layout[band, 1]):
             total += float(_pair_sum(rows, otf, scale, offset, light, plain, sharp, picked, block))
             if total > limit:
                 return False
-        sums[0, part, 0] = total
+        sums[0, band, 0] = total
     return True
 
 
@@ -160,7 +160,7 @@ def sums_over(
     picked: Ints,
     count: int,
     chips: int,
-    opened: int,
+    open_chips: int,
     limit: float,
     work: Floats,
     sums: NDArray[np.float64],
@@ -168,41 +168,41 @@ def sums_over(
     """Sum the terms of every part and objective for a changed code; False as soon as the first
     exceeds ``limit``.
     """
-    one = np.float32(1)
-    for part in range(layout.shape[0]):
+    unit = np.float32(1)
+    for band in range(layout.shape[0]):
         for o in range(kinds.size):
-            sums[o, part, 0] = 0.0
-            sums[o, part, 1] = 0.0
-        for block in range(layout[part, 0], layout[part, 1]):
+            sums[o, band, 0] = 0.0
+            sums[o, band, 1] = 0.0
+        for block in range(layout[band, 0], layout[band, 1]):
             _block_power(rows, otf, picked, count, chips, block, work)
             for o in range(kinds.size):
                 total = np.float32(0)
                 mean = np.float32(0)
-                light = lights[o, opened]
+                light = lights[o, open_chips]
                 if kinds[o] == STEEP:
                     for f in range(BLOCK):
-                        term = one / (scale[o, block, 0, f] * work[2, f] + offset[o, block, 0, f])
+                        term = unit / (scale[o, block, 0, f] * work[2, f] + offset[o, block, 0, f])
                         square = term * term
                         total += square * square
                 elif kinds[o] == RECIPROCAL:
                     for q in range(scale.shape[2]):
                         for f in range(BLOCK):
-                            total += one / (
+                            total += unit / (
                                 light * scale[o, block, q, f] * work[2, f] + offset[o, block, q, f]
                             )
                 else:
                     for f in range(BLOCK):
                         total += scale[o, block, 0, f] * work[2, f]
                         mean += scale[o, block, 0, f] * np.sqrt(work[2, f])
-                sums[o, part, 0] += total
-                sums[o, part, 1] += mean
-            if sums[0, part, 0] > limit:
+                sums[o, band, 0] += total
+                sums[o, band, 1] += mean
+            if sums[0, band, 0] > limit:
                 return False
     return True
 
 
 @compiled
-def decibels(tables: Any, sums: NDArray[np.float64], opened: int) -> float:
+def decibels(tables: Any, sums: NDArray[np.float64], open_chips: int) -> float:
     """Cost of the sums: a scenario counts as its worse direction; scenarios as the worst, or by
     their shares.
     """
@@ -211,28 +211,30 @@ def decibels(tables: Any, sums: NDArray[np.float64], opened: int) -> float:
     worst = -np.inf
     mean = 0.0
     scenario = -1
-    here = -np.inf
-    for part in range(layout.shape[0]):
+    scenario_cost = -np.inf
+    for band in range(layout.shape[0]):
         total = 0.0
         for o in range(kinds.size):
-            value = sums[o, part, 0]
+            value = sums[o, band, 0]
             if kinds[o] == FLATNESS:
-                value = max(value - sums[o, part, 1] ** 2, 1e-12 * value) * tables.light[o, opened]
+                value = (
+                    max(value - sums[o, band, 1] ** 2, 1e-12 * value) * tables.light[o, open_chips]
+                )
             total += tables.weights[o] * (2.5 if kinds[o] == STEEP else 10.0) * np.log10(value)
-        if layout[part, 2] != scenario:
+        if layout[band, 2] != scenario:
             if scenario >= 0:
-                mean += tables.shares[scenario] * here
-            scenario = layout[part, 2]
-            here = total
+                mean += tables.shares[scenario] * scenario_cost
+            scenario = layout[band, 2]
+            scenario_cost = total
         else:
-            here = max(here, total)
+            scenario_cost = max(scenario_cost, total)
         worst = max(worst, total)
-    mean += tables.shares[scenario] * here
+    mean += tables.shares[scenario] * scenario_cost
     return mean if tables.mean_rule else worst
 
 
 @inlined
-def alone(tables: Any) -> bool:
+def one_sum_decides(tables: Any) -> bool:
     """Whether one sum over frequencies decides: the evaluation of a move may then end early."""
     return len(tables.kinds) == 1 and tables.kinds[0] != FLATNESS and not tables.mean_rule
 
@@ -254,20 +256,20 @@ def turn(
     ``picked`` (at least 2, 3) takes chip, variant, and 1 for opening, -1 for closing, 0 for
     neither.
     """
-    opened = 0
+    more_open = 0
     for c in range(count):
         j = changed[c]
         picked[c, 0], picked[c, 1], picked[c, 2] = j, 0, 1 - 2 * code[j]
         if variants == 4:
             place = j % chips
-            left = code[j - 1] if place > 0 else 0
-            right = code[j + 1] if place < chips - 1 else 0
-            picked[c, 1] = 2 * left + right
-        opened += picked[c, 2]
+            left_open = code[j - 1] if place > 0 else 0
+            right_open = code[j + 1] if place < chips - 1 else 0
+            picked[c, 1] = 2 * left_open + right_open
+        more_open += picked[c, 2]
         code[j] = 1 - code[j]
     if count == 1:
         picked[1, 0], picked[1, 1], picked[1, 2] = picked[0, 0], picked[0, 1], 0
-    return opened
+    return more_open
 
 
 @inlined
@@ -282,7 +284,7 @@ def judge(
     picked: Ints,
     count: int,
     chips: int,
-    opened: int,
+    open_chips: int,
     limit: float,
     work: Floats | None,
     sums: NDArray[np.float64],
@@ -300,7 +302,7 @@ def judge(
             otf,
             scale,
             offset,
-            light[0, opened],
+            light[0, open_chips],
             kinds[0] == STEEP,
             picked,
             limit,
@@ -317,7 +319,7 @@ def judge(
         picked,
         count,
         chips,
-        opened,
+        open_chips,
         limit,
         work,
         sums,

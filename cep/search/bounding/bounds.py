@@ -83,9 +83,9 @@ def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") 
     if effort not in ("quick", "sdp"):
         raise ValueError(f'effort: must be "quick" or "sdp", got {effort!r}')
     counts = np.arange(problem.open_limits[0], problem.open_limits[1] + 1)
-    wanted = {name for name, _ in problem.objective_mix} if effort == "sdp" else set()
+    objectives = {name for name, _ in problem.objective_mix} if effort == "sdp" else set()
     chip_name, chip = _best(chip_ceilings(problem.chips, counts))
-    parts, judged = _motions(problem)
+    parts, noisy_parts = _motions(problem)
     light = _light(problem, counts)
     proofs: list[DualProof] = []
     if not problem.scenarios:
@@ -93,20 +93,20 @@ def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") 
         mtf = chip / problem.chips
     else:
         mtf_name, mtf = _best({"light": light, **mtf_ceilings(parts, counts)})
-        if "min-mtf" in wanted and parts and problem.chips <= _MOST_CHIPS:
+        if "min-mtf" in objectives and parts and problem.chips <= _MOST_CHIPS:
             mtf, won = tightened(parts, counts, mtf, "min")
             proofs += won
             mtf_name = "sdp" if _decides(won, counts[mtf.argmax()]) else mtf_name
     noise_name = "light"
     noise = -20 * np.log10(light)
     worst: MotionBasis | None = None
-    for part in judged:
-        name, floors = _best(noise_floors(part, counts), upper=False)
+    for motion_basis in noisy_parts:
+        name, floors = _best(noise_floors(motion_basis, counts), upper=False)
         if floors.min() > noise.min():
             noise_name = name
             noise = floors
-            worst = part
-    if "noise" in wanted and worst is not None and problem.chips <= _MOST_CHIPS:
+            worst = motion_basis
+    if "noise" in objectives and worst is not None and problem.chips <= _MOST_CHIPS:
         noise, won = tightened([worst], counts, noise, "noise")
         proofs += won
         noise_name = "sdp" if _decides(won, counts[noise.argmin()]) else noise_name
@@ -132,15 +132,15 @@ def relaxed_minimum(problem: SearchProblem, open_chips: int) -> Relaxation:
     return relaxed(parts, open_chips)[0]
 
 
-def _best(named: dict[str, FloatArray], *, upper: bool = True) -> tuple[str, FloatArray]:
+def _best(limits: dict[str, FloatArray], *, upper: bool = True) -> tuple[str, FloatArray]:
     """Best bound for each number of open chips, and the name of the one that decides where it is
     weakest.
     """
-    values = np.stack(list(named.values()))
+    values = np.stack(list(limits.values()))
     best = values.min(axis=0) if upper else values.max(axis=0)
     weakest = int(best.argmax() if upper else best.argmin())
     column = values[:, weakest]
-    return list(named)[int(column.argmin() if upper else column.argmax())], best
+    return list(limits)[int(column.argmin() if upper else column.argmax())], best
 
 
 def _decides(proofs: list[DualProof], open_chips: np.intp) -> bool:
@@ -159,18 +159,18 @@ def _motions(problem: SearchProblem) -> tuple[list[MotionBasis], list[MotionBasi
         return circle, circle
     for_minima = []
     for_means = []
-    for motion, both, edges in _played(problem):
+    for motion, reversible, edges in _played(problem):
         samples = band_samples(motion)
         affordable = chips * samples.fx.size <= _MOST_NUMBERS
         if affordable:
             basis = chip_basis(motion, chips, samples.fx, samples.fy, edges=edges)
-            for_means.append(MotionBasis(motion, both, samples, basis, edges))
+            for_means.append(MotionBasis(motion, reversible, samples, basis, edges))
         if affordable and straight_axis(motion) is None:
             for_minima.append(for_means[-1])
             continue
         samples = _thinned(band_samples(motion, oversampling=8), _MOST_NUMBERS // chips)
         basis = chip_basis(motion, chips, samples.fx, samples.fy, edges=edges)
-        for_minima.append(MotionBasis(motion, both, samples, basis, edges))
+        for_minima.append(MotionBasis(motion, reversible, samples, basis, edges))
     return for_minima, for_means
 
 
@@ -180,19 +180,19 @@ def _played(problem: SearchProblem) -> list[tuple[Trajectory, bool, FloatArray |
     """
     if problem.response is not None and not problem.response.instant:
         return []
-    found: list[tuple[Trajectory, bool, FloatArray | None]] = []
+    motions: list[tuple[Trajectory, bool, FloatArray | None]] = []
     for scenario in problem.scenarios:
         motion = scenario.trajectory
-        both = problem.both_directions(scenario.trajectory)
+        reversible = problem.both_directions(scenario.trajectory)
         edges = scenario.edges
         if edges is None:
-            found.append((motion, both, None))
+            motions.append((motion, reversible, None))
         else:  # the reversed path's chips are not the forward ones in another order
-            found += [
+            motions += [
                 (path, False, edges)
-                for path in ([motion, motion.reversed()] if both else [motion])
+                for path in ([motion, motion.reversed()] if reversible else [motion])
             ]
-    return found
+    return motions
 
 
 def _light(problem: SearchProblem, counts: NDArray[np.intp]) -> FloatArray:
@@ -201,7 +201,7 @@ def _light(problem: SearchProblem, counts: NDArray[np.intp]) -> FloatArray:
     """
     if not problem.scenarios:
         return np.asarray(counts / problem.chips, dtype=np.float64)
-    most = np.full(counts.size, np.inf)
+    ceiling = np.full(counts.size, np.inf)
     for scenario in problem.scenarios:
         basis, _, tail = chip_parts(
             scenario.trajectory,
@@ -214,17 +214,17 @@ def _light(problem: SearchProblem, counts: NDArray[np.intp]) -> FloatArray:
         # what opening takes away is left out: it only lowers the light; and each pulse has one
         # tail
         pulses = np.minimum(counts, problem.chips - counts + 1)
-        chips, tails = (np.sort(each.real)[::-1].cumsum() for each in (basis, tail))
-        most = np.minimum(most, chips[counts - 1] + tails[pulses - 1])
-    return np.asarray(most * (1 + 1e-12), dtype=np.float64)
+        chips, tails = (np.sort(column.real)[::-1].cumsum() for column in (basis, tail))
+        ceiling = np.minimum(ceiling, chips[counts - 1] + tails[pulses - 1])
+    return np.asarray(ceiling * (1 + 1e-12), dtype=np.float64)
 
 
-def _thinned(samples: BandSamples, most: int) -> BandSamples:
-    every = slice(None, None, -(-samples.fx.size // most))
+def _thinned(samples: BandSamples, size: int) -> BandSamples:
+    stride = slice(None, None, -(-samples.fx.size // size))
     return BandSamples(
-        samples.fx[every],
-        samples.fy[every],
-        samples.weight[every],
-        samples.radius2[every],
-        samples.radius2_weight[every],
+        samples.fx[stride],
+        samples.fy[stride],
+        samples.weight[stride],
+        samples.radius2[stride],
+        samples.radius2_weight[stride],
     )

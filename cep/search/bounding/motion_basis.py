@@ -81,11 +81,11 @@ class MotionBasis:
 
     def random_power(self, open_chips: int) -> FloatArray:
         """Mean of |H|^2 over all codes with k ones, (F,), kept away from 0."""
-        own, all_open = self.power
+        chip_power, all_open = self.power
         n = len(self.basis)
         k = open_chips
         pairs = k * (k - 1) / (n * max(n - 1, 1))
-        mean = (k / n - pairs) * own + pairs * all_open
+        mean = (k / n - pairs) * chip_power + pairs * all_open
         return np.asarray(np.maximum(mean, 1e-4 * mean.mean()), dtype=np.float64)
 
 
@@ -95,101 +95,111 @@ def chip_ceilings(chips: int, counts: Counts) -> dict[str, FloatArray]:
     """
     if chips == 1:
         return {"light": counts.astype(np.float64)}
-    found = {"random-code": np.sqrt(counts * (chips - counts) / (chips - 1)) * _UP}
+    ceilings = {"random-code": np.sqrt(counts * (chips - counts) / (chips - 1)) * _UP}
     if chips <= _PROVEN_CHIPS:
-        found["degree-38"] = np.full(counts.size, 2.0)
+        ceilings["degree-38"] = np.full(counts.size, 2.0)
     if chips <= _CLASSES_PAY:
-        found["roots-of-unity"] = _class_ceilings(chips)[counts] + 1e-12
-    return found
+        ceilings["roots-of-unity"] = _class_ceilings(chips)[counts] + 1e-12
+    return ceilings
 
 
 def mtf_ceilings(parts: list[MotionBasis], counts: Counts) -> dict[str, FloatArray]:
     """Upper bounds of the smallest |H| over all motions for each number of ones, light-true, by
     name.
     """
-    found = dict[str, FloatArray]()
-    for part in parts:
-        closed = _uniform_ceilings(part, counts)
-        if not closed:
-            largest = np.sort(np.abs(part.basis), axis=0)[::-1].cumsum(axis=0)
-            closed = {
+    ceilings = dict[str, FloatArray]()
+    for motion_basis in parts:
+        uniform = _uniform_ceilings(motion_basis, counts)
+        if not uniform:
+            largest = np.sort(np.abs(motion_basis.basis), axis=0)[::-1].cumsum(axis=0)
+            uniform = {
                 "one-frequency": largest.min(axis=1)[counts - 1] * _UP,
-                **_gram_ceilings(part, counts),
+                **_gram_ceilings(motion_basis, counts),
             }
-        for name, values in closed.items():
-            found[name] = np.minimum(found.get(name, np.inf), values)
-    return found
+        for name, values in uniform.items():
+            ceilings[name] = np.minimum(ceilings.get(name, np.inf), values)
+    return ceilings
 
 
-def noise_floors(part: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
+def noise_floors(motion_basis: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
     """Lower bounds of 10 log10 mean 1/|H|^2 for each number of ones, light-true, by name."""
-    weight = part.samples.weight
-    found = {
-        "jensen": -10 * np.log10(np.maximum(largest_forms(part.gram(weight), counts), 1e-300))
+    weight = motion_basis.samples.weight
+    floors = {
+        "jensen": -10
+        * np.log10(np.maximum(largest_forms(motion_basis.gram(weight), counts), 1e-300))
     }
     best = np.full(counts.size, -np.inf)
-    tried = set[int]()
-    while len(tried) < _TRIES:
+    counted = set[int]()
+    while len(counted) < _TRIES:
         # weights that suit one count serve all: try where the bound is lowest until that is tried
-        index = int(best.argmin()) if tried else counts.size - 1
-        if index in tried:
+        index = int(best.argmin()) if counted else counts.size - 1
+        if index in counted:
             break
-        tried.add(index)
-        ratio = 1 / part.random_power(int(counts[index]))
-        if part.motion is None:
-            ratio = circle_average(ratio, len(part.basis))
+        counted.add(index)
+        ratio = 1 / motion_basis.random_power(int(counts[index]))
+        if motion_basis.motion is None:
+            ratio = circle_average(ratio, len(motion_basis.basis))
         reached = 20 * np.log10(float(weight @ ratio)) - 1e-9
         best = np.maximum(
-            best, reached - 10 * np.log10(largest_forms(part.gram(weight * ratio**2), counts))
+            best,
+            reached - 10 * np.log10(largest_forms(motion_basis.gram(weight * ratio**2), counts)),
         )
-    return {**found, "jensen-weighted": best}
+    return {**floors, "jensen-weighted": best}
 
 
-def _gram_ceilings(part: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
-    radius = np.hypot(part.samples.fx, part.samples.fy)
-    chips = len(part.basis)
+def _gram_ceilings(motion_basis: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
+    radius = np.hypot(motion_basis.samples.fx, motion_basis.samples.fy)
+    chips = len(motion_basis.basis)
     eigen = np.full(counts.size, np.inf)
     rows = np.full(counts.size, np.inf)
     for inner in np.linspace(0, 0.95 * radius.max(), _RADII if chips <= 256 else 3):
-        share = np.where(radius >= inner, part.samples.weight, 0.0)
-        matrix = part.gram(share / share.sum())
+        share = np.where(radius >= inner, motion_basis.samples.weight, 0.0)
+        matrix = motion_basis.gram(share / share.sum())
         eigen = np.minimum(eigen, largest_forms(matrix, counts))
-        others = np.sort(np.where(np.eye(chips, dtype=bool), np.inf, matrix), axis=1)[:, ::-1]
-        others[:, 0] = np.diag(matrix)
+        off_diagonal = np.sort(np.where(np.eye(chips, dtype=bool), np.inf, matrix), axis=1)[
+            :, ::-1
+        ]
+        off_diagonal[:, 0] = np.diag(matrix)
         # column k - 1: the most that each open chip can add beside k - 1 others; the k largest of
         # them
-        most = np.sort(others.cumsum(axis=1), axis=0)[::-1].cumsum(axis=0).diagonal()
-        rows = np.minimum(rows, most[counts - 1] + 1e-12 * np.abs(matrix).sum())
+        largest = np.sort(off_diagonal.cumsum(axis=1), axis=0)[::-1].cumsum(axis=0).diagonal()
+        rows = np.minimum(rows, largest[counts - 1] + 1e-12 * np.abs(matrix).sum())
     return {
         "gram": np.sqrt(np.maximum(eigen, 0.0)) * _UP,
         "gram-rows": np.sqrt(np.maximum(rows, 0.0)) * _UP,
     }
 
 
-def _uniform_ceilings(part: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
+def _uniform_ceilings(motion_basis: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
     """Find closed forms where a straight uniform motion's band covers the whole circle of |P|."""
-    if part.motion is None or part.edges is not None or uniform_length_px(part.motion) is None:
+    if (
+        motion_basis.motion is None
+        or motion_basis.edges is not None
+        or uniform_length_px(motion_basis.motion) is None
+    ):
         return {}
-    chips = len(part.basis)
-    path = part.motion.xy[-1] - part.motion.xy[0]
+    chips = len(motion_basis.basis)
+    path = motion_basis.motion.xy[-1] - motion_basis.motion.xy[0]
     reach = 0.5 * float(np.abs(path).sum()) / chips  # cycles per chip in the band's corner
     if reach < 0.5 or chips == 1:
         return {}
     # |P| repeats: each n-th root of unity is seen wherever in the band the chip's sinc is smallest
-    seen = np.arange(1, chips)[:, None] / chips + np.arange(
+    frequency = np.arange(1, chips)[:, None] / chips + np.arange(
         -np.ceil(reach) - 1, np.ceil(reach) + 1
     )
-    gain = np.where(np.abs(seen) <= reach * _UP, np.abs(np.sinc(seen)), np.inf).min(axis=1)
+    gain = np.where(np.abs(frequency) <= reach * _UP, np.abs(np.sinc(frequency)), np.inf).min(
+        axis=1
+    )
     power = counts * (chips - counts) / np.sum(1 / np.maximum(gain, 1e-9) ** 2)
-    found = {
+    ceilings = {
         name: values / chips
         for name, values in chip_ceilings(chips, counts).items()
         if name != "random-code"
     }
-    found["weighted-parseval"] = np.sqrt(power) / chips * _UP
+    ceilings["weighted-parseval"] = np.sqrt(power) / chips * _UP
     if reach >= 1:  # the chip's own zero
-        found["one-frequency"] = np.full(counts.size, 1e-15)
-    return found
+        ceilings["one-frequency"] = np.full(counts.size, 1e-15)
+    return ceilings
 
 
 @lru_cache(maxsize=64)
@@ -205,8 +215,8 @@ def _class_ceilings(chips: int) -> FloatArray:
         sizes = [len(range(first, chips, classes)) for first in range(classes)]
         half = classes // 2
         (ones_a, values_a), (ones_b, values_b) = (
-            _all_counts(sizes[part], roots[part])
-            for part in (slice(0, half), slice(half, classes))
+            _all_counts(sizes[half_of_classes], roots[half_of_classes])
+            for half_of_classes in (slice(0, half), slice(half, classes))
         )
         reached = np.zeros(chips + 1)
         for ones, value in zip(ones_a, values_a, strict=True):

@@ -70,35 +70,34 @@ def tightened(
     """
     best = known.copy()
     proofs = dict[int, DualProof]()
-    tried = set[int]()
+    solved = set[int]()
     sign = 1.0 if quantity == "min" else -1.0
     settled = -np.inf
     for _ in range(_LIGHTS):
         index = int((sign * best).argmax())
         k = int(counts[index])
         # neighbours of a relaxed number are hardly weaker: relaxing them too gains little
-        if index in tried or not 1 < k < len(parts[0].basis) or sign * best[index] < settled:
+        if index in solved or not 1 < k < len(parts[0].basis) or sign * best[index] < settled:
             break
-        tried.add(index)
+        solved.add(index)
         try:
             proof, matrix, reached = (_minimum if quantity == "min" else _mean)(parts, k, solvers)
         except ValueError:  # no solver found an optimum
             break
-        for other, count in enumerate(counts):
+        for row, count in enumerate(counts):
             form = max(largest_form(matrix, proof.multipliers, int(count)), 1e-300)
             # a hair for the rounding of the power, which the proof is checked with
-            value = (
-                (form / reached) ** 0.5 * (1 + 1e-12)
-                if quantity == "min"
-                else 10 * np.log10(reached / form) - 1e-9
-            )
-            if sign * value < sign * best[other]:
-                best[other] = value
-                proofs[other] = replace(proof, open_chips=int(count), bound=float(value))
+            if quantity == "min":
+                value = (form / reached) ** 0.5 * (1 + 1e-12)
+            else:
+                value = 10 * np.log10(reached / form) - 1e-9
+            if sign * value < sign * best[row]:
+                best[row] = value
+                proofs[row] = replace(proof, open_chips=int(count), bound=float(value))
         settled = max(
             settled, sign * best[index] + (0.01 * best[index] if quantity == "min" else 0.05)
         )
-    return best, [proofs[other] for other in sorted(proofs)]
+    return best, [proofs[row] for row in sorted(proofs)]
 
 
 def relaxed(
@@ -117,29 +116,31 @@ def relaxed(
     ValueError
         If no solver finds an optimum on the first frequencies.
     """
-    power = np.concatenate([part.random_power(open_chips) for part in parts])
-    sizes = [part.samples.fx.size for part in parts]
+    power = np.concatenate([motion_basis.random_power(open_chips) for motion_basis in parts])
+    sizes = [motion_basis.samples.fx.size for motion_basis in parts]
     spread = np.linspace(0, power.size - 1, min(_START // 2, power.size)).astype(np.intp)
     chosen = np.unique(np.concatenate([np.argsort(power)[: _START // 2], spread]))
     best: tuple[Relaxation, Counts] | None = None
     for _ in range(_ROUNDS):
         try:
-            found = relax(_columns(parts, _split(chosen, sizes)), open_chips, solvers=solvers)
+            relaxation = relax(_columns(parts, _split(chosen, sizes)), open_chips, solvers=solvers)
         except ValueError:
             if best is None:
                 raise
             break
-        value = found.weights.sum()
+        value = relaxation.weights.sum()
         before = 0.0 if best is None else best[0].weights.sum()
         if value > before:
-            best = found, chosen
+            best = relaxation, chosen
         if value < before * (1 + _SETTLED):
             break
-        reached = np.concatenate([_power(part, found.products) for part in parts])
+        reached = np.concatenate(
+            [_power(motion_basis, relaxation.products) for motion_basis in parts]
+        )
         low = np.argsort(reached)[:_ADDED]
         low = low[reached[low] < open_chips / value * (1 - _SETTLED)]
-        used = chosen[found.weights > _UNUSED * found.weights.max()]
-        more = np.unique(np.concatenate([used, low]))
+        active = chosen[relaxation.weights > _UNUSED * relaxation.weights.max()]
+        more = np.unique(np.concatenate([active, low]))
         if np.isin(low, chosen).all():
             break
         chosen = more
@@ -150,12 +151,14 @@ def relaxed(
 def _minimum(
     parts: Sequence[MotionBasis], open_chips: int, solvers: Sequence[Solver] | None
 ) -> tuple[DualProof, FloatArray, float]:
-    found, chosen = relaxed(parts, open_chips, solvers=solvers)
-    weights = np.maximum(found.weights, 0.0)
-    ends = np.cumsum([index.size for index in chosen])
-    matrix = np.zeros_like(found.products)
-    for part, index, share in zip(parts, chosen, np.split(weights, ends[:-1]), strict=True):
-        matrix += replace(part, basis=part.basis[:, index]).gram(share)
+    relaxation, chosen = relaxed(parts, open_chips, solvers=solvers)
+    weights = np.maximum(relaxation.weights, 0.0)
+    bounds = np.cumsum([index.size for index in chosen])
+    matrix = np.zeros_like(relaxation.products)
+    for motion_basis, index, share in zip(
+        parts, chosen, np.split(weights, bounds[:-1]), strict=True
+    ):
+        matrix += replace(motion_basis, basis=motion_basis.basis[:, index]).gram(share)
     frequencies = [
         np.stack([p.samples.fx[i], p.samples.fy[i]], axis=1)
         for p, i in zip(parts, chosen, strict=True)
@@ -164,13 +167,13 @@ def _minimum(
         quantity="min",
         chips=len(matrix),
         open_chips=open_chips,
-        motions=tuple(part.motion for part in parts),
-        both=tuple(part.both for part in parts),
-        edges=tuple(part.edges for part in parts),
+        motions=tuple(motion_basis.motion for motion_basis in parts),
+        both=tuple(motion_basis.both for motion_basis in parts),
+        edges=tuple(motion_basis.edges for motion_basis in parts),
         motion=np.repeat(np.arange(len(parts)), [index.size for index in chosen]),
         frequencies=np.concatenate(frequencies),
         weights=weights,
-        multipliers=found.multipliers,
+        multipliers=relaxation.multipliers,
         bound=np.inf,
     )
     return proof, matrix, float(weights.sum())
@@ -179,14 +182,14 @@ def _minimum(
 def _mean(
     parts: Sequence[MotionBasis], open_chips: int, solvers: Sequence[Solver] | None
 ) -> tuple[DualProof, FloatArray, float]:
-    part = parts[0]
+    motion_basis = parts[0]
     coarse = parts[0]
-    samples = part.samples
-    chips = len(part.basis)
-    if part.motion is not None and straight_axis(part.motion) is not None:
-        few = band_samples(part.motion, oversampling=_STRAIGHT_OVERSAMPLING)
-        basis = chip_basis(part.motion, chips, few.fx, few.fy, edges=part.edges)
-        coarse = replace(part, samples=few, basis=basis)
+    samples = motion_basis.samples
+    chips = len(motion_basis.basis)
+    if motion_basis.motion is not None and straight_axis(motion_basis.motion) is not None:
+        few = band_samples(motion_basis.motion, oversampling=_STRAIGHT_OVERSAMPLING)
+        basis = chip_basis(motion_basis.motion, chips, few.fx, few.fy, edges=motion_basis.edges)
+        coarse = replace(motion_basis, samples=few, basis=basis)
     shares = coarse.samples.weight
     if shares.size > _MOST_FREQUENCIES:
         raise ValueError(
@@ -194,55 +197,56 @@ def _mean(
             f" {_MOST_FREQUENCIES}"
         )
     # the ends of a straight band may weigh nothing
-    seen = shares > 0
-    columns = _columns([coarse], [np.flatnonzero(seen)])
-    found = relax(columns, open_chips, shares=shares[seen], solvers=solvers)
-    ratio = np.sqrt(np.maximum(found.weights, 0.0) / shares[seen])
-    if coarse is not part:
+    active = shares > 0
+    columns = _columns([coarse], [np.flatnonzero(active)])
+    relaxation = relax(columns, open_chips, shares=shares[active], solvers=solvers)
+    ratio = np.sqrt(np.maximum(relaxation.weights, 0.0) / shares[active])
+    if coarse is not motion_basis:
         radius = [np.hypot(s.fx, s.fy) for s in (samples, coarse.samples)]
-        ratio = np.interp(radius[0], radius[1][seen], ratio)
-    elif part.motion is None:
+        ratio = np.interp(radius[0], radius[1][active], ratio)
+    elif motion_basis.motion is None:
         ratio = circle_average(ratio, chips)
     full = np.zeros_like(samples.weight)
-    full[seen if coarse is part else slice(None)] = ratio
+    full[active if coarse is motion_basis else slice(None)] = ratio
     weights = samples.weight * full**2
     proof = DualProof(
         quantity="noise",
         chips=chips,
         open_chips=open_chips,
-        motions=(part.motion,),
-        both=(part.both,),
-        edges=(part.edges,),
+        motions=(motion_basis.motion,),
+        both=(motion_basis.both,),
+        edges=(motion_basis.edges,),
         motion=np.zeros(weights.size, dtype=np.intp),
         frequencies=np.stack([samples.fx, samples.fy], axis=1),
         weights=weights,
-        multipliers=found.multipliers,
+        multipliers=relaxation.multipliers,
         bound=-np.inf,
     )
-    return proof, part.gram(weights), float(samples.weight @ full) ** 2
+    return proof, motion_basis.gram(weights), float(samples.weight @ full) ** 2
 
 
 def _columns(parts: Sequence[MotionBasis], chosen: Sequence[Counts]) -> FloatArray:
     """``G_f = sum_r columns[:, f, r] columns[:, f, r]'``, (n, m, 2), or 4 where both directions
     count.
     """
-    rank = 4 if any(part.both for part in parts) else 2
+    rank = 4 if any(motion_basis.both for motion_basis in parts) else 2
     blocks = []
-    for part, index in zip(parts, chosen, strict=True):
-        basis = part.basis[:, index]
+    for motion_basis, index in zip(parts, chosen, strict=True):
+        basis = motion_basis.basis[:, index]
         columns = np.stack([basis.real, basis.imag], axis=2)
-        if part.both:
+        if motion_basis.both:
             columns = np.concatenate([columns, columns[::-1]], axis=2) / np.sqrt(2)
         blocks.append(np.pad(columns, ((0, 0), (0, 0), (0, rank - columns.shape[2]))))
     return np.concatenate(blocks, axis=1)
 
 
-def _power(part: MotionBasis, products: FloatArray) -> FloatArray:
+def _power(motion_basis: MotionBasis, products: FloatArray) -> FloatArray:
     """``tr(G_f C)`` on all samples, (F,)."""
-    if part.both:
+    if motion_basis.both:
         products = 0.5 * (products + products[::-1, ::-1])
     return np.asarray(
-        (part.basis.conj() * (products @ part.basis)).sum(axis=0).real, dtype=np.float64
+        (motion_basis.basis.conj() * (products @ motion_basis.basis)).sum(axis=0).real,
+        dtype=np.float64,
     )
 
 

@@ -63,6 +63,8 @@ _MOST_STEPS = 150
 _COOLING = 0.15
 _COOLING_OF_MEAN = 0.1
 _BLOCK = 128  # frequencies whose products with all others are held at once
+# of a basis, a Gram matrix and its eigenvalues, relative to the largest number that enters
+_ROUNDING = 1e-11
 
 
 @dataclass(frozen=True)
@@ -116,15 +118,17 @@ def relax(
     ValueError
         If no solver ends as "optimal"; the line has the status of each.
     """
-    said = []
+    failures = []
     scale = float((columns**2).sum(axis=(0, 2)).mean())
     for solver in solvers or SOLVERS:
-        found = solver(columns / np.sqrt(scale), open_chips, shares)
-        finite = np.isfinite(found.weights).all() and np.isfinite(found.multipliers).all()
-        if found.status == "optimal" and finite:
-            return replace(found, weights=found.weights / scale)
-        said.append(f"{found.solver}: {found.status}")
-    raise ValueError(f"relaxation: no solver found an optimum ({'; '.join(said)})")
+        relaxation = solver(columns / np.sqrt(scale), open_chips, shares)
+        finite = (
+            np.isfinite(relaxation.weights).all() and np.isfinite(relaxation.multipliers).all()
+        )
+        if relaxation.status == "optimal" and finite:
+            return replace(relaxation, weights=relaxation.weights / scale)
+        failures.append(f"{relaxation.solver}: {relaxation.status}")
+    raise ValueError(f"relaxation: no solver found an optimum ({'; '.join(failures)})")
 
 
 def rounded_codes(
@@ -140,9 +144,9 @@ def rounded_codes(
     mean = np.diag(relaxation.products)
     values, vectors = np.linalg.eigh(relaxation.products - np.outer(mean, mean))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    drawn = mean + rng.standard_normal((count, mean.size)) @ root.T
+    samples = mean + rng.standard_normal((count, mean.size)) @ root.T
     codes = np.zeros((count, mean.size), dtype=np.int8)
-    np.put_along_axis(codes, np.argsort(-drawn, axis=1)[:, : relaxation.open_chips], 1, axis=1)
+    np.put_along_axis(codes, np.argsort(-samples, axis=1)[:, : relaxation.open_chips], 1, axis=1)
     return codes
 
 
@@ -157,8 +161,8 @@ def newton_solver(
     )  # column i is what chip i's multiplier multiplies
 
     def slack(a: FloatArray, v: FloatArray) -> FloatArray:
-        used = (flat * np.repeat(a, rank)) @ flat.T
-        return np.asarray(np.eye(chips) - used - 0.5 * (v[:, None] + v) + open_chips * np.diag(v))
+        gram = (flat * np.repeat(a, rank)) @ flat.T
+        return np.asarray(np.eye(chips) - gram - 0.5 * (v[:, None] + v) + open_chips * np.diag(v))
 
     def goal(a: FloatArray) -> float:
         return float(a.sum() if shares is None else np.sqrt(shares * a).sum())
@@ -190,11 +194,9 @@ def newton_solver(
             heat *= cooling
             continue
         down = step[:m] < 0
-        length = (
-            min(1.0, 0.9 / float(-step[:m][down].min()))
-            if down.any() and step[:m].min() < -0.9
-            else 1.0
-        )
+        length = 1.0
+        if down.any() and step[:m].min() < -0.9:
+            length = min(1.0, 0.9 / float(-step[:m][down].min()))
         before = merit(a, v, heat)
         # steps in a are relative
         while (
@@ -222,9 +224,9 @@ def _random_power(columns: FloatArray, open_chips: int) -> FloatArray:
     """Mean of ``c' G_f c`` over all codes with k ones, (m,), kept away from 0."""
     chips = len(columns)
     pairs = open_chips * (open_chips - 1) / (chips * (chips - 1))
-    own = (columns**2).sum(axis=(0, 2))
+    chip_power = (columns**2).sum(axis=(0, 2))
     all_open = (columns.sum(axis=0) ** 2).sum(axis=1)
-    power = (open_chips / chips - pairs) * own + pairs * all_open
+    power = (open_chips / chips - pairs) * chip_power + pairs * all_open
     return np.asarray(np.maximum(power, 1e-4 * power.mean()), dtype=np.float64)
 
 
@@ -242,8 +244,8 @@ def _newton_step(
     through = inverse @ flat
     pairs = _pairs(flat, through, rank)
     mixed = (through * (products @ through)).reshape(len(inverse), m, rank).sum(axis=2)
-    turned = inverse @ products
-    chips = 0.5 * (inverse * (products @ turned) + turned * turned.T)
+    transformed = inverse @ products
+    chips = 0.5 * (inverse * (products @ transformed) + transformed * transformed.T)
     slope = -(flat * through).sum(axis=0).reshape(m, rank).sum(axis=1) * a
     if shares is None:
         slope += a / heat + 1
@@ -256,7 +258,7 @@ def _newton_step(
         [[pairs * np.outer(a, a) + np.diag(bend), (mixed * a).T], [mixed * a, chips]]
     )
     size = np.sqrt(np.diag(hessian))
-    gradient = np.concatenate([slope, -np.diag(turned)])
+    gradient = np.concatenate([slope, -np.diag(transformed)])
     hessian /= size
     hessian /= size[:, None]
     hessian[np.diag_indices(size.size)] += 1e-12
@@ -277,9 +279,9 @@ def _pairs(flat: FloatArray, through: FloatArray, rank: int) -> FloatArray:
     for start in range(0, m, _BLOCK):
         rows = slice(start, start + _BLOCK)
         for first in range(rank):
-            left = flat[:, first::rank][:, rows].T
+            factors = flat[:, first::rank][:, rows].T
             for columns in right:
-                block = left @ columns
+                block = factors @ columns
                 block *= block
                 out[rows] += block
     return out
@@ -297,9 +299,9 @@ def cvxpy_solver(
     forms = np.einsum("ifr,jfr->ijf", columns, columns).reshape(chips * chips, m)
     ones = np.ones((1, chips))
     spread = cvxpy.reshape(v, (chips, 1), order="C") @ ones
-    used = cvxpy.reshape(forms @ a, (chips, chips), order="C")
+    gram = cvxpy.reshape(forms @ a, (chips, chips), order="C")
     semidefinite = (
-        np.eye(chips) - used - 0.5 * (spread + spread.T) + open_chips * cvxpy.diag(v) >> 0
+        np.eye(chips) - gram - 0.5 * (spread + spread.T) + open_chips * cvxpy.diag(v) >> 0
     )
     goal = cvxpy.sum(a) if shares is None else np.sqrt(shares) @ cvxpy.sqrt(a)
     problem = cvxpy.Problem(cvxpy.Maximize(goal), [semidefinite])
@@ -329,10 +331,6 @@ def _scs(columns: FloatArray, open_chips: int, shares: FloatArray | None = None)
 
 
 SOLVERS: tuple[Solver, ...] = (newton_solver, _clarabel, _scs)
-
-
-# of a basis, a Gram matrix and its eigenvalues, relative to the largest number that enters
-_ROUNDING = 1e-11
 
 
 @dataclass(frozen=True)
@@ -389,19 +387,20 @@ class DualProof:
         if not ((self.weights >= 0).all() and self.weights.any()):
             return False
         if any(
-            both and edges is not None for both, edges in zip(self.both, self.edges, strict=True)
+            reversible and edges is not None
+            for reversible, edges in zip(self.both, self.edges, strict=True)
         ):
             return False  # the reversed path is no mirror image then
         total = np.zeros((n, n))
-        for index, (motion, both, edges) in enumerate(
+        for index, (motion, reversible, edges) in enumerate(
             zip(self.motions, self.both, self.edges, strict=True)
         ):
-            mine = self.motion == index
-            basis = _basis_again(motion, n, self.frequencies[mine], edges) * np.sqrt(
-                self.weights[mine]
+            of_motion = self.motion == index
+            basis = _basis_again(motion, n, self.frequencies[of_motion], edges) * np.sqrt(
+                self.weights[of_motion]
             )
-            part = basis.real @ basis.real.T + basis.imag @ basis.imag.T
-            total += 0.5 * (part + part[::-1, ::-1]) if both else part
+            gram = basis.real @ basis.real.T + basis.imag @ basis.imag.T
+            total += 0.5 * (gram + gram[::-1, ::-1]) if reversible else gram
         if self.quantity == "min":
             allowed = self.bound**2 * float(self.weights.sum()) / k
         else:
@@ -461,25 +460,25 @@ def largest_forms(matrix: FloatArray, counts: NDArray[np.intp]) -> FloatArray:
     second = values[-2] if len(values) > 1 else top - spread
     above = top + spread * len(values) * np.logspace(-12, 1.5, 160)
     between = second + (top - second) * np.linspace(0.005, 0.995, 100)
-    tried = np.concatenate([between, above])[:, None]
+    multipliers = np.concatenate([between, above])[:, None]
     best = np.full(counts.size, np.inf)
     for _ in range(4):
         with np.errstate(divide="ignore", invalid="ignore"):
-            x = 1 / (ones / (tried[..., None] - values)).sum(axis=-1)
+            x = 1 / (ones / (multipliers[..., None] - values)).sum(axis=-1)
             # below the top eigenvalue only a negative x keeps lambda the largest
-            valid = np.isfinite(x) & ((tried > top) | ((x < 0) & (tried > second)))
-            found = (
-                tried
+            valid = np.isfinite(x) & ((multipliers > top) | ((x < 0) & (multipliers > second)))
+            forms = (
+                multipliers
                 - x * counts
-                + _ROUNDING * (np.abs(tried) + np.abs(x) * (counts + values.size) + abs(top))
+                + _ROUNDING * (np.abs(multipliers) + np.abs(x) * (counts + values.size) + abs(top))
             )
-        found = np.where(valid, found, np.inf)
-        pick = found.argmin(axis=0)
-        best = np.minimum(best, found[pick, np.arange(counts.size)])
-        columns = np.minimum(np.arange(counts.size), tried.shape[1] - 1)
-        low = tried[np.maximum(pick - 1, 0), columns]
-        high = tried[np.minimum(pick + 1, len(tried) - 1), columns]
-        tried = low + (high - low) * np.linspace(0, 1, 24)[:, None]
+        forms = np.where(valid, forms, np.inf)
+        pick = forms.argmin(axis=0)
+        best = np.minimum(best, forms[pick, np.arange(counts.size)])
+        columns = np.minimum(np.arange(counts.size), multipliers.shape[1] - 1)
+        low = multipliers[np.maximum(pick - 1, 0), columns]
+        high = multipliers[np.minimum(pick + 1, len(multipliers) - 1), columns]
+        multipliers = low + (high - low) * np.linspace(0, 1, 24)[:, None]
     # the ends that the search only approaches: x = 0, and x without end, where only all chips open
     # are left
     best = np.minimum(best, top + _ROUNDING * abs(top) * values.size)

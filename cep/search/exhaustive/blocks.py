@@ -118,9 +118,9 @@ class Scanner:
     ) -> None:
         self.tables = tables
         limits = tables.limits
-        head, near, tail = _cut(length)
-        start = tables.inner_at - head - near
-        places = np.cumsum([start, head, near, INNER, tail])
+        head, near_chips, tail = _cut(length)
+        start = tables.inner_at - head - near_chips
+        places = np.cumsum([start, head, near_chips, INNER, tail])
         front = all_patterns(head)
         back = all_patterns(tail)
         if ends_open:
@@ -129,11 +129,11 @@ class Scanner:
         # as seen from the ends of the code, over as many chips as both have
         seen_front = front[:, :tail] @ (1 << np.arange(tail)[::-1])
         seen_back = back[:, ::-1] @ (1 << np.arange(tail)[::-1])
-        ways = [front, all_patterns(near), all_patterns(INNER), back]
+        patterns = [front, all_patterns(near_chips), all_patterns(INNER), back]
         sides = [(True, False), (False, False), (False, False), (False, True)]
         keep = [
-            possible(way, limits, side) & _allowed(way, int(place), fixed)
-            for way, side, place in zip(ways, sides, places[:4], strict=True)
+            possible(rows, limits, side) & _allowed(rows, int(place), fixed)
+            for rows, side, place in zip(patterns, sides, places[:4], strict=True)
         ]
         order = np.argsort(seen_back, kind="stable")
         order = order[keep[3][order]]
@@ -141,9 +141,11 @@ class Scanner:
         seen_front = seen_front[keep[0]]
         back = back[order]
         seen_back = seen_back[order]
-        middle = ways[1][keep[1]]
+        middle = patterns[1][keep[1]]
         middle = middle[np.argsort(middle.sum(axis=1), kind="stable")]
-        self.near_at = np.searchsorted(middle.sum(axis=1), np.arange(near + 2)).astype(np.int64)
+        self.near_at = np.searchsorted(middle.sum(axis=1), np.arange(near_chips + 2)).astype(
+            np.int64
+        )
         self.head = self._part(front, int(places[0]), tables.corner)
         self.near = self._part(middle, int(places[1]))
         self.tail = self._part(back, int(places[3]))
@@ -152,17 +154,17 @@ class Scanner:
         self.tails = np.full(len(front), len(back), dtype=np.int64)
         if ends_open and mirrors:
             self.tails[:] = np.searchsorted(seen_back, seen_front, side="right")
-        inner = ways[2]
+        inner = patterns[2]
         self.inner_bits = _bits(inner, tables.inner_at)
         outside = np.arange(8 * BYTES + 1)[:, None] + inner.sum(axis=1)
-        left = keep[2] & (outside >= limits.fewest) & (outside <= limits.most)
-        self.inner_left = np.packbits(left, axis=1, bitorder="little").view(np.uint64)
-        self.inner_count = left.sum(axis=1).astype(np.int64)
+        fits_light = keep[2] & (outside >= limits.fewest) & (outside <= limits.most)
+        self.inner_left = np.packbits(fits_light, axis=1, bitorder="little").view(np.uint64)
+        self.inner_count = fits_light.sum(axis=1).astype(np.int64)
 
     def spans(self, codes: int) -> Iterator[tuple[int, int]]:
         """Ranges of heads of about so many codes."""
-        each = codes >> (INNER + self.near_at.size - 2)
-        chunk = np.cumsum(self.tails) // max(each, 1)
+        heads = codes >> (INNER + self.near_at.size - 2)
+        chunk = np.cumsum(self.tails) // max(heads, 1)
         edges = [0, *(np.flatnonzero(np.diff(chunk)) + 1).tolist(), chunk.size]
         yield from pairwise(edges)
 
@@ -173,7 +175,7 @@ class Scanner:
     def run(
         self,
         span: NDArray[np.int64],
-        found: NDArray[np.uint64],
+        buffer: NDArray[np.uint64],
         counts: NDArray[np.int64],
         halt: NDArray[np.bool_],
     ) -> NDArray[np.uint64]:
@@ -197,11 +199,11 @@ class Scanner:
             tables.dense,
             tables.limit2,
             span,
-            found,
+            buffer,
             counts,
             halt,
         )
-        return found[:number].copy()
+        return buffer[:number].copy()
 
     def _part(self, patterns: Patterns, start: int, corner: ComplexArray | None = None) -> Part:
         tables = self.tables
@@ -222,8 +224,8 @@ class Scanner:
 
 def _cut(chips: int) -> tuple[int, int, int]:
     """Chips of head, near part and tail; the inner block is between the last two."""
-    near = min(_NEAR, chips - INNER - 2)
-    return (chips - INNER - near + 1) // 2, near, (chips - INNER - near) // 2
+    near_chips = min(_NEAR, chips - INNER - 2)
+    return (chips - INNER - near_chips + 1) // 2, near_chips, (chips - INNER - near_chips) // 2
 
 
 def _order(basis: ComplexArray, limits: Limits, limit: float) -> NDArray[np.intp]:
@@ -241,21 +243,21 @@ def _order(basis: ComplexArray, limits: Limits, limit: float) -> NDArray[np.intp
     )
     # a cell takes a part of the limit away
     below = np.ascontiguousarray((sampled < limit * (1 - 0.6 * _CELL)).T)
-    left = np.ones(_SAMPLE, dtype=np.bool_)
+    survives = np.ones(_SAMPLE, dtype=np.bool_)
     free = np.ones(candidates.size, dtype=np.bool_)
     picked = []
     for _ in range(min(3 * _FREQUENCIES, candidates.size)):
-        discards = np.where(free, below[:, left].sum(axis=1), -1)
+        discards = np.where(free, below[:, survives].sum(axis=1), -1)
         if discards.max() == 0:
-            left[:] = True
+            survives[:] = True
             discards = np.where(free, below.sum(axis=1), -1)
         pick = int(discards.argmax())
         picked.append(pick)
         free[pick] = False
-        left &= ~below[pick]
-    rest = np.flatnonzero(free)
-    rest = rest[np.argsort(-below[rest].sum(axis=1), kind="stable")]
-    return np.asarray(candidates[[*picked, *rest.tolist()]], dtype=np.intp)
+        survives &= ~below[pick]
+    unpicked = np.flatnonzero(free)
+    unpicked = unpicked[np.argsort(-below[unpicked].sum(axis=1), kind="stable")]
+    return np.asarray(candidates[[*picked, *unpicked.tolist()]], dtype=np.intp)
 
 
 def _bits(patterns: Patterns, start: int) -> NDArray[np.uint64]:

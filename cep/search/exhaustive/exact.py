@@ -51,6 +51,8 @@ _CLIMBED = 20  # chips below which no climb is needed
 _OVERSAMPLING = 8  # frequencies per 1 / chips on the unit circle
 _BATCH = 2**13
 _DARK = 1e-9  # |H| at which no code passes anything
+Patterns = NDArray[np.int8]
+_LEAST = 1e-6  # relative gain of a step
 
 
 def codes_to_count(problem: SearchProblem) -> int:
@@ -96,7 +98,7 @@ def exact(
         For another objective, too many chips, a motion that no code can serve, or another
         problem's log.
     """
-    began = time.monotonic()
+    start_s = time.monotonic()
     if [name for name, _ in problem.objective_mix] != ["min-mtf"] or problem.rule != "worst":
         raise ValueError(
             'objective: only the largest "min-mtf" in the worst scenario can be proven'
@@ -115,7 +117,7 @@ def exact(
         # the log says what is missing
         pass
     code, minimum, log = proof.outcome()
-    return ExactResult(code, minimum, log, time.monotonic() - began, log.complete)
+    return ExactResult(code, minimum, log, time.monotonic() - start_s, log.complete)
 
 
 class _Proof:
@@ -154,8 +156,8 @@ class _Proof:
     def offer(self, codes: Codes) -> None:
         """Judge codes in float64; the best one sets the limit."""
         for at in range(0, codes.size, _BATCH):
-            part = codes[at : at + _BATCH, None] >> np.arange(self.problem.chips, dtype=np.uint64)
-            bits = (part & np.uint64(1)).astype(np.int8)
+            words = codes[at : at + _BATCH, None] >> np.arange(self.problem.chips, dtype=np.uint64)
+            bits = (words & np.uint64(1)).astype(np.int8)
             bits = bits[self.problem.satisfied(bits)]
             sampled = np.abs(dot(bits, self.basis)).min(axis=1)
             for index in np.argsort(-sampled, kind="stable"):
@@ -189,14 +191,14 @@ class _Proof:
         if self.problem.chips < _CLIMBED:
             return
         rng = np.random.default_rng(0)
-        some = self.basis[:, rng.permutation(self.basis.shape[1])[:256]]
+        sample = self.basis[:, rng.permutation(self.basis.shape[1])[:256]]
         single = np.eye(self.problem.chips, dtype=np.int8)[[0, self.problem.chips // 2]]
         starts = [
             *self.problem.random_codes(_RESTARTS, rng=rng),
             *single[self.problem.satisfied(single)],
         ]
         for code in starts:
-            self.offer(_packed(_name(climbed(code, some, self.problem.satisfied))))
+            self.offer(_packed(_name(climbed(code, sample, self.problem.satisfied))))
 
     def count(self, progress: Progress | None, threads: int) -> None:
         """Go through all codes, length by length."""
@@ -235,9 +237,11 @@ class _Proof:
                     # a round has one limit, so that what is discarded where does not depend on who
                     # is faster
                     scanner = self._scanner(length)
-                    now = todo[:size]
+                    batch = todo[:size]
                     todo = todo[size:]
-                    running = {pool.submit(self._slice, scanner, span, halt): span for span in now}
+                    running = {
+                        pool.submit(self._slice, scanner, span, halt): span for span in batch
+                    }
                     for future in as_completed(running):
                         self.logs[length] = self.logs[length].grown(
                             running[future], future.result()
@@ -268,9 +272,9 @@ class _Proof:
         counts = np.zeros(4, dtype=np.int64)
         room = scanner.buffer()
         while span[0] < span[1] and not halt[0]:
-            found = scanner.run(span, room, counts, halt)
+            survivors = scanner.run(span, room, counts, halt)
             with self.lock:
-                self.offer(found)
+                self.offer(survivors)
         return counts
 
     def outcome(self) -> tuple[ShutterCode, Minimum, ProofLog]:
@@ -282,12 +286,12 @@ class _Proof:
         if self.circle:
             minimum = chip_minimum(code)
         else:
-            found = [
-                mtf_minimum(one.path(reversed_path=turned), code, edges=one.edges)
-                for one, turned in problem.ways()
+            minima = [
+                mtf_minimum(scenario.path(reversed_path=is_reversed), code, edges=scenario.edges)
+                for scenario, is_reversed in problem.ways()
             ]
-            worst = min(found, key=lambda one: one.upper)
-            minimum = replace(worst, lower=min(one.lower for one in found))
+            worst = min(minima, key=lambda minimum: minimum.upper)
+            minimum = replace(worst, lower=min(minimum.lower for minimum in minima))
         complete = all(entry.complete for entry in self.logs.values())
         # mean |P|^2 is the number of open chips; |H| is nowhere above the duty
         parseval = (
@@ -326,10 +330,10 @@ def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
             dtype=np.complex128,
         )
     rows = []
-    for one, turned in problem.ways():
-        path = one.path(reversed_path=turned)
+    for scenario, is_reversed in problem.ways():
+        path = scenario.path(reversed_path=is_reversed)
         samples = band_samples(path)
-        rows.append(chip_basis(path, problem.chips, samples.fx, samples.fy, edges=one.edges))
+        rows.append(chip_basis(path, problem.chips, samples.fx, samples.fy, edges=scenario.edges))
     return np.concatenate(rows, axis=1)
 
 
@@ -343,10 +347,6 @@ def _packed(bits: str) -> Codes:
 
 def _rank(bits: str) -> tuple[int, int, str]:
     return bits.count("1"), -len(bits.strip("0")), bits
-
-
-Patterns = NDArray[np.int8]
-_LEAST = 1e-6  # relative gain of a step
 
 
 def climbed(
@@ -367,14 +367,14 @@ def climbed(
     first, second = np.triu_indices(code.size)
     best = -1.0
     while True:
-        near = np.repeat(code[None], first.size, axis=0)
+        neighbours = np.repeat(code[None], first.size, axis=0)
         rows = np.arange(first.size)
-        near[rows, first] ^= 1
+        neighbours[rows, first] ^= 1
         # a pair of one chip and itself is a single flip
-        near[rows, second] ^= (first != second).astype(np.int8)
-        near = near[satisfied(near)]
-        lowest = np.abs(dot(near, basis)).min(axis=1, initial=np.inf)
-        if not len(near) or lowest.max() <= best + _LEAST * abs(best):
+        neighbours[rows, second] ^= (first != second).astype(np.int8)
+        neighbours = neighbours[satisfied(neighbours)]
+        lowest = np.abs(dot(neighbours, basis)).min(axis=1, initial=np.inf)
+        if not len(neighbours) or lowest.max() <= best + _LEAST * abs(best):
             return code
-        code = near[lowest.argmax()]
+        code = neighbours[lowest.argmax()]
         best = float(lowest.max())

@@ -30,6 +30,7 @@ SHIFT = 16  # a cell is 2^16 fixed-point units wide
 Bits = NDArray[np.uint64]
 Ints = NDArray[np.int32]
 Counts = NDArray[np.int64]
+_NONE = 64  # more than any code has
 
 
 class Part(NamedTuple):
@@ -105,15 +106,15 @@ def fill_cells(
                 middle_x = corner[f, 0] + step * (x + 0.5)
                 row = (f * grid + y) * grid + x
                 for word in range(words):
-                    left = np.uint64(0)
+                    survivors = np.uint64(0)
                     for bit in range(64):
                         # the farthest point of the cell decides
                         away_x = abs(inner[f, 0, word * 64 + bit] + middle_x) + half
                         away_y = abs(inner[f, 1, word * 64 + bit] + middle_y) + half
-                        left |= np.uint64(
+                        survivors |= np.uint64(
                             away_x * away_x + away_y * away_y >= limit2
                         ) << np.uint64(bit)
-                    cells[row * words + word] = left
+                    cells[row * words + word] = survivors
     return cells
 
 
@@ -171,7 +172,7 @@ def _reaches(code: np.uint64, dense: NDArray[np.float32], limit2: np.float32) ->
 def scan(
     head: Part,
     tail: Part,
-    near: Part,
+    middle: Part,
     tails: Counts,
     near_at: Counts,
     first_cell: Ints,
@@ -184,15 +185,15 @@ def scan(
     dense: NDArray[np.float32],
     limit2: np.float32,
     span: Counts,
-    found: Bits,
+    survivors: Bits,
     counts: Counts,
     halt: NDArray[np.bool_],
 ) -> int:
-    """Go through all codes of a range of heads; returns how many were written to ``found``.
+    """Go through all codes of a range of heads; returns how many were written to ``survivors``.
 
     Parameters
     ----------
-    head, tail, near : Part
+    head, tail, middle : Part
         Far chips at the start and the end, and near chips, the latter sorted by their open chips.
     tails : (R,) int64
         How many of the first rows of ``tail`` go with each head.
@@ -215,9 +216,9 @@ def scan(
         Smallest |H|^2 of interest there, less rounding errors.
     span : (3,) int64
         First head, end of heads, first tail of the first head. Its first and last are moved to
-        where the scan stopped: at the end, where ``found`` may not hold the next block, or at
+        where the scan stopped: at the end, where ``survivors`` may not hold the next block, or at
         ``halt``.
-    found : (M,) uint64
+    survivors : (M,) uint64
         Codes that reach the limit at every frequency.
     counts : (4,) int64
         Raised by the number of codes within the limit on light, and of those that the cells left,
@@ -226,19 +227,19 @@ def scan(
         Set from another thread to stop.
     """
     rows = np.zeros(first_cell.size, np.uint32)
-    far = np.zeros(2 * first_cell.size, np.int32)
-    left = np.zeros(inner_left.shape[1], np.uint64)
-    words = left.size
+    outer_sums = np.zeros(2 * first_cell.size, np.int32)
+    alive = np.zeros(inner_left.shape[1], np.uint64)
+    words = alive.size
     frequencies = first_cell.size
     side = np.int32(grid)
     top = np.int32(grid - 1)
     zero = np.int32(0)
     number = 0
-    room = found.size - near.bits.size * inner_bits.size
+    room = survivors.size - middle.bits.size * inner_bits.size
     unlimited = free_runs(limits)
-    near_sums = near.sums
-    near_opened = near.opened
-    near_bits = near.bits
+    near_sums = middle.sums
+    near_opened = middle.opened
+    near_bits = middle.bits
     most_near = near_at.size - 2
     start = span[2]
     for i in range(span[0], span[1]):
@@ -246,29 +247,29 @@ def scan(
             if number > room or halt[0]:
                 span[0], span[2] = i, j
                 return number
-            opened = head.opened[i] + tail.opened[j]
-            low = max(limits.fewest - opened - INNER, 0)
-            high = min(limits.most - opened, most_near)
+            open_chips = head.opened[i] + tail.opened[j]
+            low = max(limits.fewest - open_chips - INNER, 0)
+            high = min(limits.most - open_chips, most_near)
             # joined in the middle they may still be one pulse
             if low > high or head.pulses[i] + tail.pulses[j] - 1 > limits.max_pulses:
                 continue
             far_bits = head.bits[i] | tail.bits[j]
-            for f in range(far.size):
-                far[f] = head.sums[i, f] + tail.sums[j, f]
+            for f in range(outer_sums.size):
+                outer_sums[f] = head.sums[i, f] + tail.sums[j, f]
             for k in range(near_at[low], near_at[high + 1]):
-                outside = opened + near_opened[k]
+                outside = open_chips + near_opened[k]
                 counts[0] += inner_count[outside]
                 for f in range(frequencies):
-                    x = (far[f] + near_sums[k, f]) >> SHIFT
-                    y = (far[frequencies + f] + near_sums[k, frequencies + f]) >> SHIFT
+                    x = (outer_sums[f] + near_sums[k, f]) >> SHIFT
+                    y = (outer_sums[frequencies + f] + near_sums[k, frequencies + f]) >> SHIFT
                     rows[f] = (
                         first_cell[f] + min(max(y, zero), top) * side + min(max(x, zero), top)
                     )
                 # plain loops over a length known only at run time: those become vector
                 # instructions
-                some = np.uint64(1)
+                any_alive = np.uint64(1)
                 for word in range(words):
-                    left[word] = inner_left[outside, word]
+                    alive[word] = inner_left[outside, word]
                 for at in range(0, rows.size, 8):
                     a = rows[at] * words
                     b = rows[at + 1] * words
@@ -278,42 +279,42 @@ def scan(
                     f = rows[at + 5] * words
                     g = rows[at + 6] * words
                     h = rows[at + 7] * words
-                    some = np.uint64(0)
+                    any_alive = np.uint64(0)
                     for word in range(words):
-                        rest = (
-                            left[word]
+                        bits = (
+                            alive[word]
                             & cells[a + word]
                             & cells[b + word]
                             & cells[c + word]
                             & cells[d + word]
                         )
-                        rest &= (
+                        bits &= (
                             cells[e + word] & cells[f + word] & cells[g + word] & cells[h + word]
                         )
-                        left[word] = rest
-                        some |= rest
-                    if some == 0:
+                        alive[word] = bits
+                        any_alive |= bits
+                    if any_alive == 0:
                         break
-                if some == 0:
+                if any_alive == 0:
                     continue
                 outer = far_bits | near_bits[k]
-                for word in range(left.size):
-                    rest = left[word]
-                    while rest:
+                for word in range(alive.size):
+                    bits = alive[word]
+                    while bits:
                         code = (
                             outer
                             | inner_bits[
-                                64 * word + _ones((rest & (~rest + np.uint64(1))) - np.uint64(1))
+                                64 * word + _ones((bits & (~bits + np.uint64(1))) - np.uint64(1))
                             ]
                         )
-                        rest &= rest - np.uint64(1)
+                        bits &= bits - np.uint64(1)
                         counts[1] += 1
                         if not unlimited and not keeps_runs(code, limits):
                             continue
                         counts[2] += 1
                         if _reaches(code, dense, limit2):
                             counts[3] += 1
-                            found[number] = code
+                            survivors[number] = code
                             number += 1
         start = 0
     span[0], span[2] = span[1], 0
@@ -328,9 +329,6 @@ def _ones(word: np.uint64) -> int:
         word &= word - np.uint64(1)
         count += 1
     return count
-
-
-_NONE = 64  # more than any code has
 
 
 class Limits(NamedTuple):
@@ -397,9 +395,9 @@ def keeps_runs(code: np.uint64, limits: Limits) -> bool:
 
 
 def possible(
-    patterns: NDArray[np.int8], limits: Limits, ends: tuple[bool, bool]
+    patterns: NDArray[np.int8], limits: Limits, at_ends: tuple[bool, bool]
 ) -> NDArray[np.bool_]:
-    """Which patterns may be part of a code that keeps the run limits; ``ends`` says whether the
+    """Which patterns may be part of a code that keeps the run limits; ``at_ends`` says whether the
     code ends there.
     """
     if (
@@ -407,23 +405,23 @@ def possible(
         and limits.max_open >= patterns.shape[1]
     ):
         return np.ones(len(patterns), dtype=np.bool_)
-    return np.array([_runs_fit(row.tolist(), limits, ends) for row in patterns], dtype=np.bool_)
+    return np.array([_runs_fit(row.tolist(), limits, at_ends) for row in patterns], dtype=np.bool_)
 
 
-def _runs_fit(row: list[int], limits: Limits, ends: tuple[bool, bool]) -> bool:
+def _runs_fit(row: list[int], limits: Limits, at_ends: tuple[bool, bool]) -> bool:
     runs = [(bit, len(list(group))) for bit, group in groupby(row)]
     place = 0
-    began = -limits.min_period
+    pulse_start = -limits.min_period
     for index, (bit, length) in enumerate(runs):
-        starts_here = index > 0 or (bit and ends[0])
-        ends_here = index < len(runs) - 1 or (bit and ends[1])
+        starts_here = index > 0 or (bit and at_ends[0])
+        ends_here = index < len(runs) - 1 or (bit and at_ends[1])
         if starts_here and ends_here and length < (limits.min_open if bit else limits.min_closed):
             return False
         if bit and (
-            length > limits.max_open or (starts_here and place - began < limits.min_period)
+            length > limits.max_open or (starts_here and place - pulse_start < limits.min_period)
         ):
             return False
         if bit and starts_here:
-            began = place
+            pulse_start = place
         place += length
     return True
