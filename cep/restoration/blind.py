@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 from cep.optics.code import ShutterCode
 from motdiff.types import FloatArray
 
-_LOST = 0.5
+_LEAST_CONFIDENCE = 0.5  # more likely good than lost
 
 
 @dataclass(frozen=True)
-class FoundPsf:
+class BlindPsf:
     """A PSF that was found in a photo.
 
     Attributes
@@ -44,7 +44,7 @@ def find_psf(
     code: ShutterCode | None = None,
     *,
     progress: Callable[[float], None] | None = None,
-) -> FoundPsf:
+) -> BlindPsf:
     """Find the PSF of a photo blindly; of the code it needs the open share of the time.
 
     Parameters
@@ -63,12 +63,13 @@ def find_psf(
     from motdiff.estimators.pmp.estimator import PmpEstimator
 
     duty = 1.0 if code is None else code.duty
-    found = PmpEstimator(progress=progress).estimate(photo)
-    warnings = list(found.psf_warnings)
-    if found.confidence < _LOST:
+    estimate = PmpEstimator(progress=progress).estimate(photo)
+    warnings = list(estimate.psf_warnings)
+    if estimate.confidence < _LEAST_CONFIDENCE:
         warnings.insert(
             0,
-            f"the PSF is probably lost (confidence {found.confidence:.2f}), and the restored photo"
-            " may be worse than the one given: calibrate the motion, and give its trajectory",
+            f"the PSF is probably lost (confidence {estimate.confidence:.2f}), and the restored"
+            " photo may be worse than the one given: calibrate the motion, and give its"
+            " trajectory",
         )
-    return FoundPsf(duty * found.psf, found.confidence, tuple(warnings))
+    return BlindPsf(duty * estimate.psf, estimate.confidence, tuple(warnings))

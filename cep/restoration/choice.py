@@ -90,7 +90,7 @@ def choose_psf(
     crop = np.ascontiguousarray(grey[row : row + side, column : column + side])
     clipped = clipped_mask(photo)[row : row + side, column : column + side]
     sigma = max(noise_sigma(crop), _LEAST_SIGMA)
-    own = _sparsity(crop)
+    photo_sparsity = _sparsity(crop)
     scores = {}
     sparsity = {}
     for name, psf in psfs.items():
@@ -102,7 +102,7 @@ def choose_psf(
             - _RESIDUAL_DB * np.log(residual / sigma)
             - _IMPOSSIBLE_DB * _impossible(restored)
         )
-        sparsity[name] = _sparsity(restored) / own
+        sparsity[name] = _sparsity(restored) / photo_sparsity
     sharper = [name for name in scores if sparsity[name] < _NO_SPARSER]
     return PsfChoice(max(sharper, key=scores.__getitem__, default=None), scores, sparsity)
 

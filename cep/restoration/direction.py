@@ -189,11 +189,11 @@ def _compared(photo: ArrayLike, psfs: Sequence[FloatArray]) -> tuple[DirectionRe
 
 def _distinct(kernels: Sequence[FloatArray]) -> list[int]:
     """List the kernels, by index, that no earlier one equals."""
-    kept: list[int] = []
+    distinct: list[int] = []
     for i, kernel in enumerate(kernels):
-        if all(mnc_subpixel(kernels[j], kernel) <= _ONE_PSF_MNC for j in kept):
-            kept.append(i)
-    return kept
+        if all(mnc_subpixel(kernels[j], kernel) <= _ONE_PSF_MNC for j in distinct):
+            distinct.append(i)
+    return distinct
 
 
 def _log_odds(likelihoods: FloatArray, ringing: FloatArray) -> FloatArray:
