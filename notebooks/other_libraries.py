@@ -39,6 +39,7 @@ from scipy.signal import fftconvolve
 from skimage import data, restoration
 
 import cep
+from cep.jobs.engine import Engine
 from lab.bench.coded.protocol import coded_protocol
 from lab.bench.coded.run import measure_coded
 from lab.bench.datasets import bundled_photos, labels_of, pick
@@ -133,9 +134,9 @@ with tempfile.TemporaryDirectory() as folder:
             "paper", ["photos=3", "motions=3", "crop_px=160", f"restoration={method}"]
         )
         table = measure_coded(
-            protocol, photos, cache=Path(folder, "cells"), designs=["open", "raskar-52"]
+            protocol, photos, engine=Engine(Path(folder, "cells")), designs=["open", "raskar-52"]
         )
-        assert not table.failures
+        assert not table.outcome.failures
         found = {
             (shot.design, shot.photo, shot.motion): shot.figures["psnr_db"] for shot in table.shots
         }

@@ -44,6 +44,7 @@ from IPython.display import Markdown, display
 from matplotlib import pyplot as plt
 
 import cep
+from cep.jobs.engine import Engine
 from lab.bench.coded.picture import coded_figure
 from lab.bench.coded.protocol import coded_protocol, drawn_motions
 from lab.bench.coded.run import measure_coded
@@ -81,11 +82,11 @@ with tempfile.TemporaryDirectory() as cells:
     measured = measure_coded(
         protocol,
         photos,
-        cache=Path(cells),
+        engine=Engine(Path(cells)),
         designs=["open", "raskar-52", "dce", "oracle"],
         codes=random_codes,
     )
-assert not measured.failures
+assert not measured.outcome.failures
 assert len(measured.shots) == 7 * 5 * 5
 
 # %% [markdown]

@@ -18,7 +18,7 @@ from cep.optics.code import ShutterCode
 from cep.search.optimize import optimize
 from hw.export import EXPORTERS, export_program
 from hw.program import Program
-from lab.bench.table_io import made_json, tables_json
+from lab.bench.table_io import Provenance, made_json, tables_json
 from lab.bench.tables import Column, tabulate
 from lab.fronts.run import pareto
 from motdiff.files.json_files import fault, json_text, load_schema
@@ -137,11 +137,11 @@ def test_tables_of_the_benchmarks():
     }
     columns = [Column("gain", "gain, dB", "high")]
     table = tabulate("t", figures, columns, rng=np.random.default_rng(0), row=0, cluster=(1, 2))
-    about = {
-        "command": "python -m lab bench",
-        "seed": 0,
-        "warnings": ["few"],
-        "machines": [
+    about = Provenance(
+        command="python -m lab bench",
+        seed=0,
+        warnings=["few"],
+        machines=[
             {
                 "processor": "x",
                 "cores": 2,
@@ -151,10 +151,10 @@ def test_tables_of_the_benchmarks():
                 "versions": {},
             },
         ],
-    }
-    assert faults(json.loads(tables_json([table], **about)), "bench") == []
+    )
+    assert faults(json.loads(tables_json([table], about)), "bench") == []
     codes = {"codes": [{"name": "raskar-52", "chips": 4, "open": 3, "bits": "1011"}]}
-    assert faults(json.loads(made_json(codes, **about)), "bench") == []
+    assert faults(json.loads(made_json(codes, about)), "bench") == []
 
 
 def test_proofs():

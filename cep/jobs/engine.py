@@ -49,6 +49,11 @@ class Outcome:
         }
 
     @property
+    def reasons(self) -> dict[str, str]:
+        """Reasons of the failed cells by label."""
+        return {"/".join(name): reason for name, reason in self.failures.items()}
+
+    @property
     def machines(self) -> list[Mapping[str, Any]]:
         """Machines that computed the results, the busiest first; cached results may come from
         other machines.
@@ -126,8 +131,8 @@ class Engine:
     """Where cells are kept and what runs them, as :func:`run_cells` takes it."""
 
     cache: Path
-    workers: int
-    dask: str | None
+    workers: int = 1
+    dask: str | None = None
 
     @classmethod
     def of(

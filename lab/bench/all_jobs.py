@@ -1,46 +1,45 @@
-"""All tables of ``python -m lab bench`` in one folder, planned before any is measured."""
+"""All tables of ``python -m lab bench`` in one folder: planned together, with an index page."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from cep.files.foreign_text import in_code_span, markdown_text
 from cep.jobs.engine import Engine
-from lab.bench.blind.job import blind_job, speed_job
-from lab.bench.blind.report import outputs
+from lab.bench.blind.job import BLIND_FILES, SPEED_FILES, blind_job, speed_job
 from lab.bench.coded.job import cep_job
 from lab.bench.coded.report import OUTPUTS
-from lab.bench.codes import CODE_FILES
-from lab.bench.codes_job import codes_job
-from lab.bench.index_page import INDEX
-from lab.bench.job import Job
-from motdiff.files.outputs import claim_folder
+from lab.bench.codes import CODE_FILES, codes_job
+from lab.bench.harness import Job, Report, Request
+from lab.bench.table_io import machines_markdown
+from motdiff.files.outputs import write_text
+
+INDEX = "README.md"
+"""The page; one of this name is shown where folders are browsed."""
 
 _PROTOCOLS = ("paper", "ours")
 _QUICK_CODES = ("jeon-50", "jeon-60", "jeon-100")
 _QUICK_SEARCH_S = 1.0
+_FILES: Mapping[str, Sequence[str]] = {
+    "codes": CODE_FILES,
+    "speed": SPEED_FILES,
+    **{f"blind-{protocol}": BLIND_FILES for protocol in _PROTOCOLS},
+    **{f"cep-{protocol}": OUTPUTS for protocol in _PROTOCOLS},
+}
 
 
-def all_jobs(
-    output: Path,
-    engine: Engine,
-    *,
-    data: Path | None,
-    gyro: Path | None,
-    search_s: float,
-    quick: bool,
-    force: bool,
-) -> dict[str, Job]:
+def all_jobs(request: Request, *, gyro: Path | None, search_s: float) -> dict[str, Job]:
     """Plan all tables, each in a folder of its own name; they share their cells.
 
     Parameters
     ----------
-    output : Path
-        Folder to write into, with the page that leads to the tables.
-    engine : Engine
+    request : Request
         Costs are measured by one worker, never on its cluster.
-    data, gyro, quick, force
-        As of :func:`lab.bench.blind.job.blind_job`.
+    gyro : Path, optional
+        Recording of a gyroscope for the hand shake.
     search_s : float
         Of each search against a published code, at full size.
 
@@ -49,69 +48,95 @@ def all_jobs(
     ValueError
         If a file is in the way, before any photo is read; or what a table's plan raises.
     """
-    claim_folder(output, [INDEX], force=force)
-    for name, files in _files().items():
-        claim_folder(output / name, files, force=force)
-    return _jobs(output, engine, data=data, gyro=gyro, search_s=search_s, quick=quick, force=force)
+    request.claim([INDEX])
+    for name, files in _FILES.items():
+        _in_folder(request, name).claim(files)
+    return _jobs(request, gyro=gyro, search_s=search_s)
 
 
-def _files() -> dict[str, Sequence[str]]:
-    """Files of each table of :func:`_jobs`."""
-    files: dict[str, Sequence[str]] = {"codes": CODE_FILES, "speed": outputs("speed")}
-    for protocol in _PROTOCOLS:
-        files |= {f"blind-{protocol}": outputs("blind"), f"cep-{protocol}": OUTPUTS}
-    return files
-
-
-def _jobs(
-    output: Path,
-    engine: Engine,
-    *,
-    data: Path | None,
-    gyro: Path | None,
-    search_s: float,
-    quick: bool,
-    force: bool,
-) -> dict[str, Job]:
-    names, time_s = (_QUICK_CODES, _QUICK_SEARCH_S) if quick else ((), search_s)
+def _jobs(request: Request, *, gyro: Path | None, search_s: float) -> dict[str, Job]:
+    names: Sequence[str] = ()
+    time_s = search_s
+    if request.quick:
+        names = _QUICK_CODES
+        time_s = _QUICK_SEARCH_S
+    alone = replace(_in_folder(request, "speed"), engine=Engine(request.engine.cache))
+    # its command has neither --data nor --quick
+    codes = replace(_in_folder(request, "codes"), data=None, quick=False)
     jobs = {
-        "codes": codes_job(
-            output / "codes", engine, names=names, time_s=time_s, seed=0, force=force
-        ),
-        # before the blind table, whose cells these are, and here: a cost is measured while nothing
-        # else runs
-        "speed": speed_job(
-            output / "speed",
-            Engine(engine.cache, 1, None),
-            data=data,
-            protocol="paper",
-            methods=(),
-            gyro=None,
-            quick=quick,
-            force=force,
-        ),
+        "codes": codes_job(codes, names=names, time_s=time_s, seed=0),
+        # before the blind table, whose cells these are: a cost is measured while nothing else runs
+        "speed": speed_job(alone),
     }
     for protocol in _PROTOCOLS:
         name = f"blind-{protocol}"
-        jobs[name] = blind_job(
-            output / name,
-            engine,
-            data=data,
-            protocol=protocol,
-            methods=(),
-            gyro=gyro if protocol == "ours" else None,
-            quick=quick,
-            force=force,
-        )
+        trace = gyro if protocol == "ours" else None
+        jobs[name] = blind_job(_in_folder(request, name), protocol=protocol, gyro=trace)
     for protocol in _PROTOCOLS:
         name = f"cep-{protocol}"
-        jobs[name] = cep_job(
-            output / name,
-            engine,
-            data=data,
-            protocol=protocol,
-            designs=(),
-            quick=quick,
-            force=force,
-        )
+        jobs[name] = cep_job(_in_folder(request, name), protocol=protocol)
     return jobs
+
+
+def _in_folder(request: Request, name: str) -> Request:
+    return replace(request, output=request.output / name)
+
+
+def write_index(
+    folder: Path, reports: Sequence[Report], *, command: str, missing: Sequence[str] = ()
+) -> Path:
+    """Write :data:`INDEX`: commands, machines, and for each table its first figures, its picture
+    and links to its files.
+
+    Parameters
+    ----------
+    folder : Path
+        Above the tables' folders.
+    reports : sequence of Report
+    command : str
+        Command that makes all of them again.
+    missing : sequence of str
+        Tables not reached, after Ctrl-C.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    machines: list[Mapping[str, Any]] = []
+    for report in reports:
+        machines += [machine for machine in report.made.machines if machine not in machines]
+    head = [
+        "# The paper's tables",
+        "",
+        f"Made by {in_code_span(command)} on",
+        "",
+        machines_markdown(machines) or "- no machine",
+        "",
+        *(
+            f"**{name} is not measured: stopped early; the same command with --force goes on.**\n"
+            for name in missing
+        ),
+    ]
+    sections = [f"\n{_section(folder, report)}" for report in reports]
+    path = folder / INDEX
+    write_text(path, "\n".join(head) + "".join(sections))
+    return path
+
+
+def _section(folder: Path, report: Report) -> str:
+    places = {name: file.relative_to(folder).as_posix() for name, file in report.files.items()}
+    notes = [
+        *report.made.warnings,
+        *(f"failed: {label}: {reason}" for label, reason in report.outcome.reasons.items()),
+    ]
+    blocks = [f"## {report.title}", in_code_span(report.made.command)]
+    if notes:
+        blocks.append("\n".join(f"- {markdown_text(note)}" for note in notes))
+    blocks.append(report.summary.rstrip("\n"))
+    blocks += [
+        f"![{report.title}]({place})" for name, place in places.items() if name.endswith(".png")
+    ]
+    links = ", ".join(f"[{name}]({place})" for name, place in places.items())
+    blocks.append(f"All of it: {links}.")
+    return "\n\n".join(blocks) + "\n"

@@ -7,27 +7,47 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cep.files.foreign_text import in_code_span, markdown_text
+from cep.codes import published as registry
+from cep.files.foreign_text import in_code_span
 from cep.files.tables import Sheet, csv_lines, latex, markdown_table
 from cep.jobs.cells import Cell, Figure
+from cep.jobs.engine import Outcome
 from cep.jobs.fingerprint import source_version
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import chip_noise_db
 from cep.proofs.certify.minimum import min_chip
 from cep.search.annealing.anneal import anneal
 from cep.search.problem import SearchProblem
-from lab.bench.table_io import machines_markdown, made_json
-from motdiff.files.outputs import new_folder
+from lab.bench.harness import (
+    TABLE_ENDINGS,
+    Job,
+    Progress,
+    Report,
+    Request,
+    outcome_warnings,
+    warning_lines,
+)
+from lab.bench.table_io import Provenance, machines_markdown, made_json
+from lab.bench.tables import TextTable
+from lab.bench.user_codes import load_user_codes, user_code_options
 
-_MIX = (
-    ("min-mtf", 0.1),
-    ("noise", 1.0),
-)  # a decibel of noise is harder to gain than one of the minimum
+CODE_FILES = tuple(f"codes{ending}" for ending in TABLE_ENDINGS)
+CODE_HEAD = (
+    "code",
+    "open",
+    "its min |P|",
+    "its noise, dB",
+    "our min |P|",
+    "our noise, dB",
+    "better on both",
+)
+
+# a decibel of noise is harder to gain than one of the minimum
+_MIX = (("min-mtf", 0.1), ("noise", 1.0))
 
 
 @dataclass(frozen=True)
@@ -90,16 +110,16 @@ def measure_code(
         chips=code.chips, open_range=(code.open_chips, code.open_chips), objective=_MIX
     )
     rng = np.random.default_rng(list(seed))
-    found = anneal(problem, rng=rng, steps=None, time_s=time_s, threads=threads)
-    if found.stopped == "interrupted":
+    search = anneal(problem, rng=rng, steps=None, time_s=time_s, threads=threads)
+    if search.stopped == "interrupted":
         raise KeyboardInterrupt
     return {
-        "bits": found.code.bits,
+        "bits": search.code.bits,
         "minimum": min_chip(code),
         "noise_db": _noise_db(code),
-        "our_minimum": min_chip(found.code),
-        "our_noise_db": _noise_db(found.code),
-        "seconds": found.seconds,
+        "our_minimum": min_chip(search.code),
+        "our_noise_db": _noise_db(search.code),
+        "seconds": search.seconds,
     }
 
 
@@ -179,20 +199,6 @@ def _noise_db(code: ShutterCode) -> float:
     return float(noise_db)
 
 
-CODE_FILES = ("codes.md", "codes.tex", "codes.csv", "codes.json")
-"""Files of the table."""
-
-CODE_HEAD = (
-    "code",
-    "open",
-    "its min |P|",
-    "its noise, dB",
-    "our min |P|",
-    "our noise, dB",
-    "better on both",
-)
-
-
 def code_lines(rows: Sequence[CodeRow]) -> list[tuple[str, ...]]:
     """Lay out rows below :data:`CODE_HEAD`."""
     return [
@@ -226,70 +232,104 @@ def codes_table(rows: Sequence[CodeRow]) -> list[dict[str, Any]]:
     ]
 
 
-def write_codes_report(
-    folder: Path,
-    rows: Sequence[CodeRow],
-    *,
-    command: str,
-    seed: int,
-    time_s: float,
-    machines: Sequence[Mapping[str, Any]],
-    warnings: Sequence[str],
-    force: bool = False,
-) -> dict[str, Path]:
-    """Write :data:`CODE_FILES`, all or nothing.
-
-    Parameters
-    ----------
-    folder : Path, made where it is missing
-    rows : sequence of CodeRow
-    command : str
-        Command that reproduces them.
-    seed : int
-    time_s : float
-        Of each search.
-    machines : sequence of mapping
-    warnings : sequence of str
-    force : bool
-        Whether existing files may be replaced.
-
-    Returns
-    -------
-    dict from a file's name to its path
-    """
-    head = [
+def codes_report(
+    rows: Sequence[CodeRow], made: Provenance, outcome: Outcome, *, time_s: float
+) -> Report:
+    """Lay out the table; ``time_s`` is that of each search."""
+    lines = code_lines(rows)
+    better = sum(row.better for row in rows)
+    markdown = [
         "# Published codes",
         "",
-        f"Made by {in_code_span(command)}, seed {seed}, on",
+        f"Made by {in_code_span(made.command)}, seed {made.seed}, on",
         "",
-        machines_markdown(machines) or "- no machine",
+        machines_markdown(made.machines) or "- no machine",
         "",
         (
             "Straight uniform motion: the smallest |P| over the unit circle, in chips, and the"
             f" noise of deconvolution relative to DC. Ours is searched for {time_s:g} s at the"
             " same number of chips, as many of them open, one code for both."
         ),
-        *(f"\n- {markdown_text(warning)}" for warning in warnings),
+        *warning_lines(made.warnings),
         "",
+        markdown_table(CODE_HEAD, lines),
+        f"\nBetter on both: {better} of {len(rows)}.\n",
     ]
-    count = f"\nBetter on both: {sum(row.better for row in rows)} of {len(rows)}.\n"
-    lines = code_lines(rows)
-    with new_folder(folder, CODE_FILES, force=force) as made:
-        texts = {
-            "codes.md": "\n".join(head) + f"\n{markdown_table(CODE_HEAD, lines)}\n{count}",
-            "codes.tex": latex([Sheet("Published codes", CODE_HEAD, lines)]),
-            "codes.csv": _csv(rows),
-            "codes.json": made_json(
-                {"codes": codes_table(rows)},
-                command=command,
-                seed=seed,
-                machines=machines,
-                warnings=warnings,
-            ),
-        }
-        for name, content in texts.items():
-            (made / name).write_text(content, encoding="utf-8", newline="")
-    return {name: folder / name for name in CODE_FILES}
+    texts = (
+        "\n".join(markdown),
+        latex([Sheet("Published codes", CODE_HEAD, lines)]),
+        _csv(rows),
+        made_json({"codes": codes_table(rows)}, made),
+    )
+    shown = TextTable(
+        f"smallest |P|, and noise relative to DC; {time_s:g} s each",
+        CODE_HEAD,
+        lines,
+        f"better on both: {better} of {len(rows)}",
+    )
+    return Report(
+        "Published codes",
+        made,
+        outcome,
+        {"codes": codes_table(rows)},
+        [shown],
+        markdown_table(CODE_HEAD, lines),
+        dict(zip(TABLE_ENDINGS, texts, strict=True)),
+    )
+
+
+def codes_job(
+    request: Request,
+    *,
+    names: Sequence[str] = (),
+    codes: Sequence[str] = (),
+    time_s: float,
+    seed: int,
+) -> Job:
+    """Plan the comparison of published codes with searched ones.
+
+    Parameters
+    ----------
+    request : Request
+    names : sequence of str
+        Published codes; Jeon's table when no code is named.
+    codes : sequence of str
+        User-defined codes, each ``NAME=SOURCE``.
+    time_s : float
+        Of each search.
+    seed : int
+
+    Raises
+    ------
+    ValueError
+        If a file is in the way, or an option is not valid.
+    """
+    request.claim(CODE_FILES)
+    if not 0 < time_s < 1e6:
+        raise ValueError(f"time_s: must be above 0 seconds, got {time_s:g}")
+    user_codes = load_user_codes(codes)
+    family = [] if user_codes else [name for name in registry.names() if name.startswith("jeon")]
+    compared = {name: registry.published(name).code for name in dict.fromkeys(names or family)}
+    if twice := sorted(user_codes.keys() & compared.keys()):
+        raise ValueError(
+            f"code: {twice[0]} is the name of a published code that is compared too, take another"
+        )
+    compared |= user_codes
+    cells = code_cells(list(compared.items()), time_s=time_s, seed=seed)
+    arguments = f"{' '.join(names)} {user_code_options(codes, user_codes)}".strip()
+    command = request.command("codes", {"": arguments, "--time": f"{time_s:g}", "--seed": seed})
+
+    def measure(progress: Progress) -> Report:
+        outcome = request.engine.run(cells, progress=progress)
+        rows = [
+            code_row(name, compared[name], figures)
+            for (name,), figures in outcome.figures.items()
+            if figures
+        ]
+        made = Provenance(command, seed, outcome.machines, outcome_warnings(outcome))
+        return codes_report(rows, made, outcome, time_s=time_s)
+
+    return Job(request, CODE_FILES, {"folder": request.output, "seed": seed}, measure)
 
 
 def _csv(rows: Sequence[CodeRow]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 TABLES_SCHEMA = "cep.bench/1"
 FIGURE_SUFFIXES = (".png", ".pdf", ".svg")
 """What :func:`write_figure` writes."""
-_TABLE_ENDINGS = (".md", ".tex", ".csv", ".json")
 _PRINT_DPI = 300
 
 
@@ -78,65 +77,50 @@ def machines_markdown(machines: Sequence[Mapping[str, Any]]) -> str:
 
 def tables_csv(tables: Sequence[Table]) -> str:
     """Lay out tables as CSV, a line per row and figure; empty where not measured."""
-    heads = (
-        "table",
-        "row",
-        "figure",
-        "cells",
-        "n",
-        "mean",
-        "low",
-        "high",
-        "median",
-        "sd",
-        "q05",
-        "q95",
-        "bold",
-    )
-    rows: list[tuple[object, ...]] = [heads]
+    statistics = ("mean", "low", "high", "median", "sd", "q05", "q95")
+    rows: list[tuple[object, ...]] = [
+        ("table", "row", "figure", "cells", "n", *statistics, "bold")
+    ]
     for table in tables:
         for label, entries in table.rows.items():
             for entry, column in zip(entries, table.columns, strict=True):
-                one = entry.summary
-                ends = entry.interval
-                numbers = (
-                    one.mean,
-                    *((ends.low, ends.high) if ends else (None, None)),
-                    one.median,
-                    one.sd,
-                    one.q05,
-                    one.q95,
+                numbers = (asdict(entry.interval) if entry.interval else {}) | asdict(
+                    entry.summary
                 )
-                texts = (
-                    "" if number is None or math.isnan(number) else f"{number:.6g}"
-                    for number in numbers
-                )
-                start = (table.title, label, column.figure, table.cells[label], one.n)
+                texts = (number_text(numbers.get(name)) for name in statistics)
+                start = (table.title, label, column.figure, table.cells[label], entry.summary.n)
                 rows.append((*start, *texts, "yes" if entry.bold else "no"))
     return csv_lines(rows)
 
 
-def tables_json(
-    tables: Sequence[Table],
-    *,
-    command: str,
-    seed: int,
-    machines: Sequence[Mapping[str, Any]],
-    warnings: Sequence[str],
-) -> str:
-    """Lay out tables as JSON (schema ``cep.bench/1``) with command, seed, machines and warnings.
+def number_text(number: float | None) -> str:
+    """Write a number of a CSV file; empty where it was not measured."""
+    return "" if number is None or math.isnan(number) else f"{number:.6g}"
 
-    Parameters
+
+@dataclass(frozen=True)
+class Provenance:
+    """How figures were made.
+
+    Attributes
     ----------
-    tables : sequence of Table
     command : str
-        Command that reproduces them.
+        Command that makes them again.
     seed : int
     machines : sequence of mapping
         As of :attr:`cep.jobs.engine.Outcome.machines`, with the versions used there.
     warnings : sequence of str
     """
-    listed = [
+
+    command: str
+    seed: int
+    machines: Sequence[Mapping[str, Any]]
+    warnings: Sequence[str]
+
+
+def tables_json(tables: Sequence[Table], made: Provenance) -> str:
+    """Lay out tables as JSON (schema ``cep.bench/1``)."""
+    content = [
         {
             "title": table.title,
             "columns": [asdict(column) for column in table.columns],
@@ -152,77 +136,19 @@ def tables_json(
         }
         for table in tables
     ]
-    return made_json(
-        {"tables": listed}, command=command, seed=seed, machines=machines, warnings=warnings
-    )
+    return made_json({"tables": content}, made)
 
 
-def made_json(
-    content: Mapping[str, Any],
-    *,
-    command: str,
-    seed: int,
-    machines: Sequence[Mapping[str, Any]],
-    warnings: Sequence[str],
-) -> str:
-    """Lay out a table's content as JSON; the other parameters as those of :func:`tables_json`."""
-    made = {
-        "command": command,
-        "seed": seed,
+def made_json(content: Mapping[str, Any], made: Provenance) -> str:
+    """Lay out a table's content as JSON (schema ``cep.bench/1``)."""
+    about = {
+        "command": made.command,
+        "seed": made.seed,
         "engine": ENGINE,
-        "machines": machines,
-        "warnings": warnings,
+        "machines": made.machines,
+        "warnings": made.warnings,
     }
-    return json_text({"schema": TABLES_SCHEMA, **made, **content})
-
-
-def report_files(name: str, cells: str) -> tuple[str, ...]:
-    """Name the files of a report and its figure; ``cells`` ends the name of the file of single
-    figures.
-    """
-    return (
-        *(f"{name}{ending}" for ending in (*_TABLE_ENDINGS, cells)),
-        *(f"{name}{suffix}" for suffix in FIGURE_SUFFIXES),
-    )
-
-
-def write_report_files(
-    folder: Path,
-    name: str,
-    tables: Sequence[Table],
-    *,
-    text: str,
-    cells: tuple[str, str],
-    command: str,
-    seed: int,
-    machines: Sequence[Mapping[str, Any]],
-    warnings: Sequence[str],
-) -> tuple[str, ...]:
-    """Write the texts of a report into a folder of its own, beside the figure that may be there.
-
-    Parameters
-    ----------
-    folder : Path
-    name : str
-    tables : sequence of Table
-    text : str
-        Of the Markdown file.
-    cells : (str, str)
-        Ending of a further file's name, and its text.
-    command, seed, machines, warnings
-        As of :func:`tables_json`.
-
-    Returns
-    -------
-    names of all files in the folder
-    """
-    about = tables_json(tables, command=command, seed=seed, machines=machines, warnings=warnings)
-    texts = dict(
-        zip(_TABLE_ENDINGS, (text, tables_latex(tables), tables_csv(tables), about), strict=True)
-    )
-    for ending, content in (texts | dict([cells])).items():
-        (folder / f"{name}{ending}").write_text(content, encoding="utf-8", newline="")
-    return tuple(sorted(item.name for item in folder.iterdir()))
+    return json_text({"schema": TABLES_SCHEMA, **about, **content})
 
 
 def write_figure(figure: Figure, folder: Path, stem: str) -> None:

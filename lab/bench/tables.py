@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -48,6 +48,11 @@ class Column:
     def shown(self, entry: Entry) -> float:
         """Return the figure of a row that is shown."""
         return entry.summary.median if self.middle == "median" else entry.summary.mean
+
+
+def unranked(columns: Sequence[Column]) -> tuple[Column, ...]:
+    """Return the same columns, in which no row may be bold."""
+    return tuple(replace(column, better=None) for column in columns)
 
 
 @dataclass(frozen=True)

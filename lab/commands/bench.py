@@ -1,138 +1,36 @@
-"""``python -m lab bench``: comparisons with what others published, run again here, one by one or
-all of them.
+"""``python -m lab bench``: the tables of published work measured again, one by one or all of
+them.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cep.commands.console import complain, finish, progress
-from cep.commands.jobs import Cache, Dask, Workers, end
-from cep.commands.options import Force, Json, Seed, output_option
-from lab.commands.tables import Data, Gyro, Quick, run_job, show_tables
+from cep.commands.jobs import end
+from cep.commands.options import Seed, command
+from lab.commands.tables import (
+    Folder,
+    Gyro,
+    PhotoOptions,
+    TableOptions,
+    WorkerOptions,
+    run_job,
+    show_tables,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lab.bench.job import Job, Part
+    from lab.bench.harness import Job, Report
 
+_SEARCH_S = 30.0
 
-Methods = Annotated[
-    str,
-    typer.Option(
-        "--methods",
-        metavar="NAME,...",
-        help=(
-            "Estimators, as pmp,motdiff; all that take seconds when omitted. Others: selfdeblur"
-            " (hours), blinddps:FOLDER of weights, network:ddpm:1000, network:ddim:10:8 (eight"
-            " draws), networks:ddim:10:8 (corrected ones), motdiff@FILE and network:ddim:10@FILE"
-            " of other weights, module:name of an estimator of your own."
-        ),
-    ),
-]
-ProtocolName = Annotated[
-    str,
-    typer.Option(
-        "--protocol",
-        metavar="NAME|FILE",
-        help="paper, ours, card-walks, card-gyro, or a .toml file like these.",
-    ),
-]
-
-
-def blind(
-    data: Data = None,
-    protocol: ProtocolName = "paper",
-    methods: Methods = "",
-    gyro: Gyro = None,
-    quick: Quick = False,
-    workers: Workers = None,
-    dask: Dask = None,
-    cache: Cache = None,
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
-        "bench-blind"
-    ),
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
-    """Measure estimators where the motion is known: the paper's tables I and II.
-
-    A folder of sharp photos, or of GoPro's layout, is blurred by simulated shakes; Levin's .mat
-    files, RSBlur's pairs and Koehler's photos are taken as they are. Finished cells are kept:
-    stopped by Ctrl-C, the same command with --force goes on.
-
-    Example: python -m lab bench blind --quick -o blind
-    """
-
-    def plan() -> Job:
-        from cep.jobs.engine import Engine
-        from lab.bench.blind.job import blind_job
-
-        engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
-        return blind_job(
-            output,
-            engine,
-            data=data,
-            protocol=protocol,
-            methods=_names(methods),
-            gyro=gyro,
-            quick=quick,
-            force=force,
-        )
-
-    run_job(plan, as_json=as_json)
-
-
-def speed(
-    data: Data = None,
-    protocol: ProtocolName = "paper",
-    methods: Methods = "",
-    gyro: Gyro = None,
-    quick: Quick = False,
-    cache: Cache = None,
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
-        "bench-speed"
-    ),
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
-    """Measure what an estimate costs: processor time, time and memory per photo, one after the
-    other on one thread.
-
-    Cells are those of python -m lab bench blind with the same protocol, one motion per photo: a
-    common --cache has them already.
-
-    Example: python -m lab bench speed --quick -o speed
-    """
-
-    def plan() -> Job:
-        from cep.jobs.engine import Engine
-        from lab.bench.blind.job import speed_job
-
-        engine = Engine.of(output, cache=cache, workers=1, dask=None)
-        return speed_job(
-            output,
-            engine,
-            data=data,
-            protocol=protocol,
-            methods=_names(methods),
-            gyro=gyro,
-            quick=quick,
-            force=force,
-        )
-
-    run_job(plan, as_json=as_json)
-
-
-def _names(text: str) -> list[str]:
-    """Split names that a comma parts; none where nothing is given."""
-    return [name.strip() for name in text.split(",")] if text else []
-
-
-OwnCodes = Annotated[
+UserCodes = Annotated[
     list[str] | None,
     typer.Option(
         "--code",
@@ -145,8 +43,47 @@ OwnCodes = Annotated[
 ]
 
 
-def cep(
-    data: Data = None,
+@dataclass(frozen=True, kw_only=True)
+class SpeedOptions(TableOptions, PhotoOptions):
+    """Options of ``python -m lab bench speed``."""
+
+    protocol: Annotated[
+        str,
+        typer.Option(
+            "--protocol",
+            metavar="NAME|FILE",
+            help="paper, ours, card-walks, card-gyro, or a .toml file like these.",
+        ),
+    ] = "paper"
+    methods: Annotated[
+        str,
+        typer.Option(
+            "--methods",
+            metavar="NAME,...",
+            help=(
+                "Estimators, as pmp,motdiff; all that take seconds when omitted. Others:"
+                " selfdeblur (hours), blinddps:FOLDER of weights, network:ddpm:1000,"
+                " network:ddim:10:8 (eight draws), networks:ddim:10:8 (corrected ones),"
+                " motdiff@FILE and network:ddim:10@FILE of other weights, module:name of an"
+                " estimator of your own."
+            ),
+        ),
+    ] = ""
+    gyro: Gyro = None
+    output: Folder = Path("bench-speed")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlindOptions(SpeedOptions, WorkerOptions):
+    """Options of ``python -m lab bench blind``."""
+
+    output: Folder = Path("bench-blind")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CepOptions(TableOptions, WorkerOptions, PhotoOptions):
+    """Options of ``python -m lab bench cep``."""
+
     protocol: Annotated[
         str,
         typer.Option(
@@ -155,7 +92,7 @@ def cep(
             help="paper, ours, or a .toml file like lab/bench/coded/ours.toml, in "
             "which the restoration may be module:name of a function (photo, psf) of your own.",
         ),
-    ] = "paper",
+    ] = "paper"
     designs: Annotated[
         str,
         typer.Option(
@@ -168,8 +105,8 @@ def cep(
                 " calibrated-point, class-snapshot."
             ),
         ),
-    ] = "",
-    code: OwnCodes = None,
+    ] = ""
+    code: UserCodes = None
     changes: Annotated[
         list[str] | None,
         typer.Option(
@@ -181,17 +118,89 @@ def cep(
                 "restored_by=blind; may be repeated."
             ),
         ),
-    ] = None,
-    quick: Quick = False,
-    workers: Workers = None,
-    dask: Dask = None,
-    cache: Cache = None,
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
-        "bench-cep"
-    ),
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
+    ] = None
+    output: Folder = Path("bench-cep")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CodesOptions(TableOptions, WorkerOptions):
+    """Options of ``python -m lab bench codes``."""
+
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME", help="Published codes; Jeon's table when no code is named."
+        ),
+    ] = None
+    code: UserCodes = None
+    time_s: Annotated[
+        float, typer.Option("--time", metavar="S", help="Time of each search, seconds.")
+    ] = _SEARCH_S
+    output: Folder = Path("bench-codes")
+    seed: Seed = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class AllOptions(TableOptions, WorkerOptions, PhotoOptions):
+    """Options of ``python -m lab bench``."""
+
+    context: typer.Context
+    gyro: Gyro = None
+
+
+@command(BlindOptions)
+def blind(options: BlindOptions) -> None:
+    """Measure estimators where the motion is known: the paper's tables I and II.
+
+    A folder of sharp photos, or of GoPro's layout, is blurred by simulated shakes; Levin's .mat
+    files, RSBlur's pairs and Koehler's photos are taken as they are. Finished cells are kept:
+    stopped by Ctrl-C, the same command with --force goes on.
+
+    Example: python -m lab bench blind --quick -o blind
+    """
+
+    def plan() -> Job:
+        from lab.bench.blind.job import blind_job
+
+        request = options.request(
+            data=options.data, quick=options.quick, workers=options.workers, dask=options.dask
+        )
+        return blind_job(
+            request,
+            protocol=options.protocol,
+            methods=_names(options.methods),
+            gyro=options.gyro,
+        )
+
+    run_job(plan, as_json=options.as_json)
+
+
+@command(SpeedOptions)
+def speed(options: SpeedOptions) -> None:
+    """Measure what an estimate costs: processor time, time and memory per photo, one after the
+    other on one thread.
+
+    Cells are those of python -m lab bench blind with the same protocol, one motion per photo: a
+    common --cache has them already.
+
+    Example: python -m lab bench speed --quick -o speed
+    """
+
+    def plan() -> Job:
+        from lab.bench.blind.job import speed_job
+
+        return speed_job(
+            options.request(data=options.data, quick=options.quick, workers=1),
+            protocol=options.protocol,
+            methods=_names(options.methods),
+            gyro=options.gyro,
+        )
+
+    run_job(plan, as_json=options.as_json)
+
+
+@command(CepOptions)
+def cep(options: CepOptions) -> None:
     """Compare codes by the photos they give: the paper's table III, and ours with real borders,
     light and directions.
 
@@ -207,49 +216,24 @@ def cep(
     """
 
     def plan() -> Job:
-        from cep.jobs.engine import Engine
         from lab.bench.coded.job import cep_job
 
-        engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
+        request = options.request(
+            data=options.data, quick=options.quick, workers=options.workers, dask=options.dask
+        )
         return cep_job(
-            output,
-            engine,
-            data=data,
-            protocol=protocol,
-            designs=_names(designs),
-            codes=code or (),
-            changes=changes or (),
-            quick=quick,
-            force=force,
+            request,
+            protocol=options.protocol,
+            designs=_names(options.designs),
+            codes=options.code or (),
+            changes=options.changes or (),
         )
 
-    run_job(plan, as_json=as_json)
+    run_job(plan, as_json=options.as_json)
 
 
-_SEARCH_S = 30.0
-
-
-def codes(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="NAME", help="Published codes; Jeon's table when no code is named."
-        ),
-    ] = None,
-    code: OwnCodes = None,
-    time_s: Annotated[
-        float, typer.Option("--time", metavar="S", help="Time of each search, seconds.")
-    ] = _SEARCH_S,
-    workers: Workers = None,
-    dask: Dask = None,
-    cache: Cache = None,
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
-        "bench-codes"
-    ),
-    force: Force = False,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
+@command(CodesOptions)
+def codes(options: CodesOptions) -> None:
     """Search against published codes, each at its own number of chips and open chips; one code for
     both figures.
 
@@ -259,21 +243,22 @@ def codes(
     """
 
     def plan() -> Job:
-        from cep.jobs.engine import Engine
-        from lab.bench.codes_job import codes_job
+        from lab.bench.codes import codes_job
 
-        engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
         return codes_job(
-            output,
-            engine,
-            names=names or (),
-            codes=code or (),
-            time_s=time_s,
-            seed=seed,
-            force=force,
+            options.request(workers=options.workers, dask=options.dask),
+            names=options.names or (),
+            codes=options.code or (),
+            time_s=options.time_s,
+            seed=options.seed,
         )
 
-    run_job(plan, as_json=as_json)
+    run_job(plan, as_json=options.as_json)
+
+
+def _names(text: str) -> list[str]:
+    """Split names at commas; none where the text is empty."""
+    return [name.strip() for name in text.split(",")] if text else []
 
 
 bench = typer.Typer(
@@ -286,20 +271,8 @@ bench.command("codes")(codes)
 
 
 @bench.callback()
-def everything(
-    context: typer.Context,
-    data: Data = None,
-    gyro: Gyro = None,
-    quick: Quick = False,
-    workers: Workers = None,
-    dask: Dask = None,
-    cache: Cache = None,
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
-        "bench"
-    ),
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
+@command(AllOptions)
+def everything(options: AllOptions) -> None:
     """Compare with what others published: one table by its name, or with options alone all of them
     in one folder.
 
@@ -309,51 +282,60 @@ def everything(
 
     Example: python -m lab bench --quick -o bench
     """
+    context = options.context
     if context.invoked_subcommand is not None:
         _refuse_options(context)
         return
     with progress("planning"):
-        from cep.jobs.engine import Engine
-        from lab.bench.all_jobs import all_jobs
-        from lab.bench.index_page import INDEX, write_index
-        from lab.bench.job import spelled
+        from lab.bench.all_jobs import INDEX, all_jobs, write_index
 
-        engine = Engine.of(output, cache=cache, workers=workers, dask=dask)
-        jobs = all_jobs(
-            output, engine, data=data, gyro=gyro, search_s=_SEARCH_S, quick=quick, force=force
+        request = options.request(
+            data=options.data, quick=options.quick, workers=options.workers, dask=options.dask
         )
-    parts: dict[str, Part] = {}
+        jobs = all_jobs(request, gyro=options.gyro, search_s=_SEARCH_S)
+    reports: dict[str, Report] = {}
     for name, job in jobs.items():
         with progress(name) as tick:
-            parts[name] = job.run(tick)
-        if parts[name].missing:
+            reports[name] = job.run(tick)
+        if reports[name].outcome.missing:
             break  # by Ctrl-C
-    command = spelled(
-        "", {"--data": data and data.resolve().name, "--gyro": gyro and gyro.name}, quick=quick
+    not_reached = [name for name in jobs if name not in reports]
+    index = write_index(
+        options.output,
+        list(reports.values()),
+        command=request.command("", {"--gyro": options.gyro and options.gyro.name}),
+        missing=not_reached,
     )
-    unmade = [name for name in jobs if name not in parts]
-    index = write_index(output, list(parts.values()), command=command, unmade=unmade)
-    failed = sum(len(part.failures) for part in parts.values())
-    warnings = [f"{name}: {warning}" for name, part in parts.items() for warning in part.warnings]
+    failures = {name: report.outcome.reasons for name, report in reports.items()}
+    failed = sum(map(len, failures.values()))
+    missing = {name: report.outcome.missing for name, report in reports.items()}
     result = {
-        "folder": output,
-        "files": [index, *(file for part in parts.values() for file in part.files.values())],
-        "tables": {name: part.tables for name, part in parts.items()},
-        "failures": {name: part.failures for name, part in parts.items() if part.failures},
-        "missing": {name: part.missing for name, part in parts.items() if part.missing},
-        "unmade": unmade,
-        "warnings": warnings,
+        "folder": options.output,
+        "files": [index, *(file for report in reports.values() for file in report.files.values())],
+        "tables": {name: report.tables for name, report in reports.items()},
+        "failures": {
+            name: report.outcome.reasons
+            for name, report in reports.items()
+            if report.outcome.reasons
+        },
+        "missing": {name: count for name, count in missing.items() if count},
+        "unmade": not_reached,
+        "warnings": [
+            f"{name}: {warning}"
+            for name, report in reports.items()
+            for warning in report.made.warnings
+        ],
     }
 
     def page(console: Console) -> None:
-        for part in parts.values():
-            show_tables(console, part.shown)
-        console.print(f"{output}: {INDEX}, {', '.join(jobs)}")
+        for report in reports.values():
+            show_tables(console, report.shown)
+        console.print(f"{options.output}: {INDEX}, {', '.join(jobs)}")
 
-    finish(result, as_json=as_json, show=page)
+    finish(result, as_json=options.as_json, show=page)
     if failed:
         complain(f"{failed} cells failed: {index} names them")
-    end(missing=sum(part.missing for part in parts.values()), failed=failed)
+    end(missing=sum(missing.values()), failed=failed)
 
 
 def _refuse_options(context: typer.Context) -> None:

@@ -1,32 +1,77 @@
-"""What the commands that measure tables share: their options, the run, and the printed tables."""
+"""Options of the commands that measure tables, their run, and the printed tables."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cep.commands.console import finish, progress, table
-from cep.commands.jobs import end
+from cep.commands.jobs import Cache, Dask, Workers, end
+from cep.commands.options import Force, Json, output_option
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from cep.files.tables import Bold
-    from lab.bench.job import Job, Part
+    from lab.bench.harness import Job, Report, Request
     from lab.bench.tables import Column, Entry, Table, TextTable
 
-Data = Annotated[
-    Path | None,
-    typer.Option(
-        "--data",
-        metavar="FOLDER",
-        help="Folder of photos; scikit-image's own when omitted, fit to try it only.",
-    ),
-]
-Quick = Annotated[bool, typer.Option("--quick", help="The protocol's small size.")]
+
+Folder = Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableOptions:
+    """Options of every table."""
+
+    cache: Cache = None
+    output: Folder = Path("bench")
+    force: Force = False
+    as_json: Json = False
+
+    def request(
+        self,
+        *,
+        data: Path | None = None,
+        quick: bool = False,
+        workers: int | None = None,
+        dask: str | None = None,
+    ) -> Request:
+        """Return the request that the options make."""
+        from cep.jobs.engine import Engine
+        from lab.bench.harness import Request
+
+        engine = Engine.of(self.output, cache=self.cache, workers=workers, dask=dask)
+        return Request(self.output, engine, data=data, quick=quick, force=self.force)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoOptions:
+    """Photos of a table, and its size."""
+
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            "--data",
+            metavar="FOLDER",
+            help="Folder of photos; scikit-image's own when omitted, fit to try it only.",
+        ),
+    ] = None
+    quick: Annotated[bool, typer.Option("--quick", help="The protocol's small size.")] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerOptions:
+    """Processes or machines that measure a table."""
+
+    workers: Workers = None
+    dask: Dask = None
+
+
 Gyro = Annotated[
     Path | None,
     typer.Option(
@@ -48,43 +93,44 @@ def run_job(plan: Callable[[], Job], *, as_json: bool) -> None:
     with progress("measuring") as tick:
         tick(0.0, "planning")
         job = plan()
-        part = job.run(tick)
-    _finish_table(job.about, part, as_json=as_json)
+        report = job.run(tick)
+    _finish_table(job.about, report, as_json=as_json)
 
 
-def _finish_table(about: Mapping[str, object], part: Part, *, as_json: bool) -> None:
+def _finish_table(about: Mapping[str, object], report: Report, *, as_json: bool) -> None:
+    missing = report.outcome.missing
     result = {
         **about,
-        "files": list(part.files.values()),
-        "tables": part.tables,
-        "failures": part.failures,
-        "missing": part.missing,
-        "warnings": part.warnings,
+        "files": list(report.files.values()),
+        "tables": report.tables,
+        "failures": report.outcome.reasons,
+        "missing": missing,
+        "warnings": report.made.warnings,
     }
 
     def page(console: Console) -> None:
-        show_tables(console, part.shown)
-        folder = next(iter(part.files.values())).parent
-        console.print(f"{folder}: {', '.join(part.files)}")
+        show_tables(console, report.shown)
+        folder = next(iter(report.files.values())).parent
+        console.print(f"{folder}: {', '.join(report.files)}")
 
     finish(result, as_json=as_json, show=page)
-    end(missing=part.missing, failed=len(part.failures))
+    end(missing=missing, failed=len(report.outcome.reasons))
 
 
 def show_tables(console: Console, tables: Sequence[Table | TextTable]) -> None:
     """Print tables for people: means, or medians, whose intervals are in the files."""
     from lab.bench.tables import TextTable
 
-    for one in tables:
-        if isinstance(one, TextTable):
-            console.print(table(one.title, one.head, one.lines))
-            console.print(one.note)
+    for sheet in tables:
+        if isinstance(sheet, TextTable):
+            console.print(table(sheet.title, sheet.head, sheet.lines))
+            console.print(sheet.note)
             continue
         lines = [
-            (label, *map(_shown, one.columns, entries), *one.sizes(label))
-            for label, entries in one.rows.items()
+            (label, *map(_shown, sheet.columns, entries), *sheet.sizes(label))
+            for label, entries in sheet.rows.items()
         ]
-        console.print(table(one.title, one.head, lines, kept=1))
+        console.print(table(sheet.title, sheet.head, lines, kept=1))
 
 
 def _shown(column: Column, entry: Entry) -> str | Bold | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,159 +15,16 @@ from lab.bench.blind.methods import OURS
 from lab.bench.blind.picture import blind_figure, shown
 from lab.bench.blind.run import Plan
 from lab.bench.blind.work import CEILINGS
-from lab.bench.table_io import (
-    means_in_words,
-    report_files,
-    tables_markdown,
-    write_figure,
-    write_report_files,
-)
-from lab.bench.tables import Column, Table, differences, tabulate
+from lab.bench.harness import Report, report_of_means, warning_lines
+from lab.bench.table_io import Provenance, means_in_words, number_text
+from lab.bench.tables import Column, Table, differences, tabulate, unranked
 from lab.evaluation.measure import RESTORATION
-from motdiff.files.outputs import new_folder
 
-_CELLS = "-cells.csv"
+CELLS = "-cells.csv"
+"""Ending of the name of the file of single figures."""
 _RESTORED = (
     f"PSNR and SSIM are those of the photo's luminance restored, up to shift, by {RESTORATION}.",
 )
-
-
-def outputs(name: str) -> tuple[str, ...]:
-    """Files of the table ``name``."""
-    return report_files(name, _CELLS)
-
-
-def write_report(
-    folder: Path,
-    name: str,
-    tables: Sequence[Table],
-    *,
-    plan: Plan,
-    outcome: Outcome,
-    command: str,
-    warnings: Sequence[str],
-    pictured: Sequence[str] = (),
-    unmeasured: Mapping[str, str] | None = None,
-    force: bool = False,
-) -> dict[str, Path]:
-    """Write NAME.md .tex .csv .json, NAME-cells.csv, and NAME.png .pdf .svg where methods are
-    pictured; all or none.
-
-    Parameters
-    ----------
-    folder : Path, made where it is missing
-    name : str
-    tables : sequence of Table
-    plan : Plan
-    outcome : Outcome
-    command : str
-        Command that reproduces them.
-    warnings : sequence of str
-        All warnings, the plan's included.
-    pictured : sequence of methods
-    unmeasured : mapping from method to reason
-        Listed in the report, with the methods of which every cell failed.
-    force : bool
-        Whether existing files may be replaced.
-
-    Returns
-    -------
-    dict from a file's name to its path
-
-    Raises
-    ------
-    ValueError
-        If a file exists and ``force`` is not given.
-    OSError
-        If one cannot be written.
-    """
-    lines = shown(outcome.results, methods=pictured) if pictured else []
-    with new_folder(folder, outputs(name), force=force) as made:
-        text = _introduction(name, plan, outcome, tables, command, warnings) + tables_markdown(
-            tables
-        )
-        absent = {**(unmeasured or {}), **_failed(outcome)}
-        text += "".join(
-            f"\n{markdown_text(method)} is not measured: {markdown_text(reason)}.\n"
-            for method, reason in absent.items()
-        )
-        if lines:
-            write_figure(blind_figure(lines, pictured), made, name)
-            text += f"\n![photos, kernels and what each method restores]({name}.png)\n"
-        names = write_report_files(
-            made,
-            name,
-            tables,
-            text=text,
-            cells=(_CELLS, cells_csv(outcome.figures, outcome.failures)),
-            command=command,
-            seed=plan.protocol.seed,
-            machines=outcome.machines,
-            warnings=warnings,
-        )
-    return {item: folder / item for item in names}
-
-
-def _introduction(
-    name: str,
-    plan: Plan,
-    outcome: Outcome,
-    tables: Sequence[Table],
-    command: str,
-    warnings: Sequence[str],
-) -> str:
-    machines = "; ".join(_in_words(machine) for machine in outcome.machines)
-    restored = any(column.figure == "psnr_db" for table in tables for column in table.columns)
-    head = [
-        f"# The {name} table",
-        "",
-        (
-            f"Made by {in_code_span(command)}, protocol {in_code_span(plan.protocol.name)}, seed"
-            f" {plan.protocol.seed}, on"
-        ),
-        f"{machines or 'no machine'}.",
-        f"{_counts(plan)}.",
-        means_in_words(tables),
-        *(_RESTORED if restored else ()),
-        *(f"\n- {markdown_text(warning)}" for warning in warnings),
-        "",
-        "",
-    ]
-    return "\n".join(head)
-
-
-def _counts(plan: Plan) -> str:
-    """Count photos and motions; a folder may hold fewer than the protocol asks for."""
-    photos, motions, taken = (
-        len({cell.name[place] for cell in plan.cells}) for place in (1, 2, slice(1, 3))
-    )
-    if not any("motion" in cell.arguments for cell in plan.cells):
-        return f"{_number(taken, 'photo')} with real blur, of {_number(photos, 'scene')}"
-    if taken == photos * motions:
-        return f"{_number(photos, 'photo')}, each with {_number(motions, 'motion')}"
-    return f"{_number(photos, 'photo')}, {_number(motions, 'motion')}, {taken} pairs of them"
-
-
-def _number(count: int, what: str) -> str:
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
-
-
-def _failed(outcome: Outcome) -> dict[str, str]:
-    """Return a reason for each method without a single figure."""
-    measured = {name[0] for name, own in outcome.figures.items() if own}
-    return {
-        name[0]: reason for name, reason in outcome.failures.items() if name[0] not in measured
-    }
-
-
-def _in_words(machine: Mapping[str, Any]) -> str:
-    versions = machine["versions"]
-    packages = ", ".join(
-        f"{package} {versions[package]}" for package in ("numpy", "torch") if versions.get(package)
-    )
-    return (
-        f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}, {packages}"
-    )
 
 
 Figures = Mapping[tuple[str, ...], Mapping[str, Figure]]
@@ -190,7 +46,107 @@ _COST = (
     Column("wall_s", "s", None, 2),
     Column("memory_mib", "MiB", None, 0),
 )
-_OWN = ("confidence", "path_px")
+_UNSHOWN = ("confidence", "path_px")
+
+
+def blind_report(
+    name: str,
+    title: str,
+    tables: Sequence[Table],
+    *,
+    plan: Plan,
+    outcome: Outcome,
+    made: Provenance,
+    pictured: Sequence[str] = (),
+    unmeasured: Mapping[str, str] | None = None,
+) -> Report:
+    """Lay out a table of estimators, with a figure where methods are pictured.
+
+    Parameters
+    ----------
+    name : str
+        Of its files.
+    title : str
+    tables : sequence of Table
+    plan : Plan
+    outcome : Outcome
+    made : Provenance
+        With all warnings, the plan's included.
+    pictured : sequence of methods
+    unmeasured : mapping from method to reason
+        Listed in the report, with the methods of which every cell failed.
+    """
+    below = "".join(
+        f"\n{markdown_text(method)} is not measured: {markdown_text(reason)}.\n"
+        for method, reason in {**(unmeasured or {}), **_failed(outcome)}.items()
+    )
+    figure = None
+    if pictured and (rows := shown(outcome.results, methods=pictured)):
+        figure = blind_figure(rows, pictured)
+        below += f"\n![photos, kernels and what each method restores]({name}.png)\n"
+    return report_of_means(
+        title,
+        tables,
+        made=made,
+        outcome=outcome,
+        introduction=_introduction(name, plan, tables, made),
+        below=below,
+        cells=(CELLS, cells_csv(outcome.figures, outcome.failures)),
+        figure=figure,
+    )
+
+
+def _introduction(name: str, plan: Plan, tables: Sequence[Table], made: Provenance) -> list[str]:
+    machines = "; ".join(_machine_text(machine) for machine in made.machines)
+    restored = any(column.figure == "psnr_db" for table in tables for column in table.columns)
+    return [
+        f"# The {name} table",
+        "",
+        (
+            f"Made by {in_code_span(made.command)}, protocol {in_code_span(plan.protocol.name)},"
+            f" seed {plan.protocol.seed}, on"
+        ),
+        f"{machines or 'no machine'}.",
+        f"{_counts(plan)}.",
+        means_in_words(tables),
+        *(_RESTORED if restored else ()),
+        *warning_lines(made.warnings),
+    ]
+
+
+def _counts(plan: Plan) -> str:
+    """Count photos and motions; a folder may hold fewer than the protocol asks for."""
+    names = [cell.name for cell in plan.cells]
+    photos = len({photo for _, photo, _, _ in names})
+    motions = len({motion for _, _, motion, _ in names})
+    pairs = len({name[1:3] for name in names})
+    if not any("motion" in cell.arguments for cell in plan.cells):
+        return f"{_number(pairs, 'photo')} with real blur, of {_number(photos, 'scene')}"
+    if pairs == photos * motions:
+        return f"{_number(photos, 'photo')}, each with {_number(motions, 'motion')}"
+    return f"{_number(photos, 'photo')}, {_number(motions, 'motion')}, {pairs} pairs of them"
+
+
+def _number(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def _failed(outcome: Outcome) -> dict[str, str]:
+    """Return a reason for each method without a single figure."""
+    measured = {name[0] for name, figures in outcome.figures.items() if figures}
+    return {
+        name[0]: reason for name, reason in outcome.failures.items() if name[0] not in measured
+    }
+
+
+def _machine_text(machine: Mapping[str, Any]) -> str:
+    versions = machine["versions"]
+    packages = ", ".join(
+        f"{package} {versions[package]}" for package in ("numpy", "torch") if versions.get(package)
+    )
+    return (
+        f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}, {packages}"
+    )
 
 
 def blind_tables(figures: Figures, lights: Sequence[str], *, title: str, seed: int) -> list[Table]:
@@ -206,35 +162,24 @@ def blind_tables(figures: Figures, lights: Sequence[str], *, title: str, seed: i
         Of the bootstrap.
     """
     tables = []
+    quality = (*_QUALITY, _COST[0])
     for light in lights:
-        here = {name: own for name, own in figures.items() if name[3] == light}
-        measured = {name: own for name, own in here.items() if name[0] not in CEILINGS}
-        limits = {name: own for name, own in here.items() if name[0] in CEILINGS}
-        tables.append(_table(f"{title}, {light}", measured, (*_QUALITY, _COST[0]), seed))
+        at_light = {name: cell for name, cell in figures.items() if name[3] == light}
+        measured = {name: cell for name, cell in at_light.items() if name[0] not in CEILINGS}
+        limits = {name: cell for name, cell in at_light.items() if name[0] in CEILINGS}
+        draws = {name: cell for name, cell in measured.items() if cell.get("covered") is not None}
+        head = f"{title}, {light}"
+        tables.append(_table(head, measured, quality, seed))
         if limits:
-            plain = tuple(
-                Column(column.figure, column.head, None, column.digits) for column in _QUALITY
-            )
-            tables.append(
-                _table(f"{title}, {light}: kernels that know the truth", limits, plain, seed)
-            )
-        if drawn := {
-            name: own for name, own in measured.items() if own.get("covered") is not None
-        }:
-            tables.append(
-                _table(f"{title}, {light}: several draws of each photo", drawn, _DRAWS, seed)
-            )
-        ours = next((name for name in OURS if any(cell[0] == name for cell in here)), None)
-        if ours is not None and len({name[0] for name in measured}) > 1:
-            plain = tuple(Column(c.figure, c.head, None, c.digits) for c in (*_QUALITY, _COST[0]))
-            tables.append(
-                _table(
-                    f"{title}, {light}: {ours} less each, paired",
-                    differences(measured, ours),
-                    plain,
-                    seed,
-                )
-            )
+            limit_head = f"{head}: kernels that know the truth"
+            tables.append(_table(limit_head, limits, unranked(_QUALITY), seed))
+        if draws:
+            tables.append(_table(f"{head}: several draws of each photo", draws, _DRAWS, seed))
+        methods = {name[0] for name in measured}
+        ours = next((name for name in OURS if name in methods), None)
+        if ours is not None and len(methods) > 1:
+            paired = f"{head}: {ours} less each, paired"
+            tables.append(_table(paired, differences(measured, ours), unranked(quality), seed))
     return tables
 
 
@@ -247,15 +192,11 @@ def speed_tables(figures: Figures, *, title: str, seed: int) -> list[Table]:
 
 def cells_csv(figures: Figures, failures: Mapping[tuple[str, ...], str]) -> str:
     """Write every cell as a line of CSV; empty where not measured."""
-    names = [column.figure for column in (*_QUALITY, *_COST, *_DRAWS)] + list(_OWN)
+    names = [column.figure for column in (*_QUALITY, *_COST, *_DRAWS)] + list(_UNSHOWN)
     rows = [("method", "photo", "motion", "light", *names, "failure")]
-    for name, own in figures.items():
-        values = (own.get(key) for key in names)
-        texts = (
-            "" if value is None else f"{value:.6g}"
-            for value in values
-            if not isinstance(value, str)
-        )
+    for name, cell_figures in figures.items():
+        values = (cell_figures.get(key) for key in names)
+        texts = (number_text(value) for value in values if not isinstance(value, str))
         rows.append((*name, *texts, failures.get(name, "")))
     return csv_lines(rows)
 
@@ -265,7 +206,7 @@ def _table(title: str, figures: Figures, columns: Sequence[Column], seed: int) -
     used = [
         column
         for column in columns
-        if any(own.get(column.figure) is not None for own in figures.values())
+        if any(cell.get(column.figure) is not None for cell in figures.values())
     ]
     # every photo has the same motions: cluster by both
     return tabulate(title, figures, used, rng=np.random.default_rng(seed), row=0, cluster=(1, 2))

@@ -5,7 +5,6 @@ and a picture.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from statistics import mean, median
 from typing import TYPE_CHECKING
 
@@ -15,23 +14,16 @@ from lab.bench.coded.designs import DESIGNS
 from lab.bench.coded.picture import coded_figure
 from lab.bench.coded.protocol import CodedProtocol
 from lab.bench.coded.run import ESTIMATORS, CodedTable
-from lab.bench.coded.tables import harmed, shots_csv
-from lab.bench.table_io import (
-    means_in_words,
-    report_files,
-    tables_markdown,
-    write_figure,
-    write_report_files,
-)
+from lab.bench.coded.tables import coded_tables, harmed, shots_csv
+from lab.bench.harness import Report, file_names, report_of_means, warning_lines
+from lab.bench.table_io import Provenance, means_in_words
 from lab.bench.tables import Table
-from motdiff.files.outputs import new_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_NAME = "cep"
 _PHOTOS = "-photos.csv"
-OUTPUTS = report_files(_NAME, _PHOTOS)
+OUTPUTS = file_names("cep", _PHOTOS)
 """Files of the table."""
 
 _RESTORED_BY = {
@@ -47,68 +39,47 @@ _RESTORED_BY = {
     "blind": " with the kernel that the search of PMP finds in that photo alone.",
 }
 _RIGHT_PX = 1.0
-_MNC = "kernel_mnc"
 _PICTURED = ("calibrated-4", "both-ways", "parametric", "dce", "dnf", "snapshot", "open")
 
 
-def write_coded_report(
-    folder: Path,
-    tables: Sequence[Table],
-    measured: CodedTable,
-    *,
-    command: str,
-    warnings: Sequence[str],
-    force: bool = False,
-) -> dict[str, Path]:
-    """Write :data:`OUTPUTS`, all or nothing; the picture where anything was measured.
-
-    Parameters
-    ----------
-    folder : Path, made where it is missing
-    tables : sequence of Table
-    measured : CodedTable
-    command : str
-        Command that reproduces them.
-    warnings : sequence of str
-    force : bool
-        Whether existing files may be replaced.
-
-    Returns
-    -------
-    dict from a file's name to its path
-    """
-    with new_folder(folder, OUTPUTS, force=force) as made:
-        text = _introduction(measured, tables, command, warnings) + tables_markdown(tables)
-        if measured.shots:
-            write_figure(_figure(measured), made, _NAME)
-            text += "\n![photo, coded photo with code and PSF, restored photo, MTF](cep.png)\n"
-        names = write_report_files(
-            made,
-            _NAME,
-            tables,
-            text=text,
-            cells=(_PHOTOS, shots_csv(measured)),
-            command=command,
-            seed=measured.protocol.seed,
-            machines=measured.machines,
-            warnings=warnings,
-        )
-    return {name: folder / name for name in names}
+def coded_report(measured: CodedTable, made: Provenance) -> Report:
+    """Lay out the table, with a picture where anything was measured."""
+    tables = coded_tables(measured)
+    figure = None
+    below = ""
+    if measured.shots:
+        figure = _figure(measured)
+        below = "\n![photo, coded photo with code and PSF, restored photo, MTF](cep.png)\n"
+    return report_of_means(
+        f"Coded exposure, {measured.protocol.name}",
+        tables,
+        made=made,
+        outcome=measured.outcome,
+        introduction=_introduction(measured, tables, made),
+        below=below,
+        cells=(_PHOTOS, shots_csv(measured)),
+        figure=figure,
+    )
 
 
 def _figure(measured: CodedTable) -> Figure:
     # after Ctrl-C there may be none at the calibration photo's level
-    taken = dict.fromkeys(shot.photons for shot in measured.shots)
-    level = min(taken, key=lambda one: abs((one or 0) - measured.protocol.calibration_photons))
-    at = [shot for shot in measured.shots if shot.photons == level]
-    photo = at[0].photo
-    motion = at[0].motion
-    shown = {shot.design: shot for shot in at if (shot.photo, shot.motion) == (photo, motion)}
-    wanted = (*_PICTURED, *(name for name in shown if name not in DESIGNS))
-    picked = {name: shown[name] for name in wanted if name in shown} or shown
+    levels = dict.fromkeys(shot.photons for shot in measured.shots)
+    nearest = min(
+        levels, key=lambda level: abs((level or 0) - measured.protocol.calibration_photons)
+    )
+    first = next(shot for shot in measured.shots if shot.photons == nearest)
+    place = (first.photo, first.motion, nearest)
+    shots = {
+        shot.design: shot
+        for shot in measured.shots
+        if (shot.photo, shot.motion, shot.photons) == place
+    }
+    designs = (*_PICTURED, *(name for name in shots if name not in DESIGNS))
+    columns = {name: shots[name] for name in designs if name in shots} or shots
     return coded_figure(
-        {name: shot.arguments for name, shot in picked.items()},
-        {name: f"{float(shot.figures['psnr_db'] or 0):.2f} dB" for name, shot in picked.items()},
+        {name: shot.arguments for name, shot in columns.items()},
+        {name: f"{float(shot.figures['psnr_db'] or 0):.2f} dB" for name, shot in columns.items()},
         linear=bool(measured.protocol.photons),
     )
 
@@ -116,65 +87,72 @@ def _figure(measured: CodedTable) -> Figure:
 def _light(protocol: CodedProtocol) -> str:
     if not protocol.photons:
         return ""
-    said = f", motions estimated at {protocol.calibration_photons:,.0f} photo-electrons"
-    return said + (", codes searched for each light level" if protocol.objective == "mse" else "")
+    text = f", motions estimated at {protocol.calibration_photons:,.0f} photo-electrons"
+    if protocol.objective == "mse":
+        text += ", codes searched for each light level"
+    return text
 
 
-def _found(measured: CodedTable) -> list[str]:
-    """How good the estimates and calibrations are, a line for each kind."""
+def _estimate_quality(measured: CodedTable) -> list[str]:
+    """Quality of the estimates and calibrations, a line for each kind."""
     by_kind: dict[str, dict[tuple[str, int], Mapping[str, Measured]]] = {}
     for (kind, photo, index), figures in measured.estimates.items():
         if figures:  # a calibration is the same for all photos
             by_kind.setdefault(kind, {})["" if "error_px" in figures else photo, index] = figures
     lines = []
-    for kind, found in by_kind.items():
-        mncs, cpu_s = (
-            [float(one[name] or 0) for one in found.values()] for name in ("mnc", "cpu_s")
-        )
+    for kind, estimates in by_kind.items():
+        mncs = [float(figures["mnc"] or 0) for figures in estimates.values()]
+        cpu_s = [float(figures["cpu_s"] or 0) for figures in estimates.values()]
         line = (
-            f"{len(found)} of mean MNC {mean(mncs):.3f}, {median(cpu_s):.1f} CPU-s each in the"
+            f"{len(estimates)} of mean MNC {mean(mncs):.3f}, {median(cpu_s):.1f} CPU-s each in the"
             " median"
         )
         if kind in ESTIMATORS:
             lines.append(f"\nPaths estimated from an open photo by {ESTIMATORS[kind]}: {line}.")
-        else:
-            errors_px = [float(one["error_px"] or 0) for one in found.values()]
-            right = sum(error_px <= _RIGHT_PX for error_px in errors_px)
-            lines.append(
-                f"\nCalibrations, {kind}: {line}; {right} within {_RIGHT_PX:g} px of the truth at"
-                f" equal times, error {median(errors_px):.2f} px in the median."
-            )
-    for name in dict.fromkeys(shot.design for shot in measured.shots):
-        if mncs := [
-            float(mnc)
-            for shot in measured.shots
-            if shot.design == name and (mnc := shot.figures.get(_MNC))
-        ]:
-            lines.append(
-                f"\nKernels found in the photos themselves, {markdown_text(name)}: {len(mncs)} of"
-                f" mean MNC {mean(mncs):.3f}."
-            )
+            continue
+        errors_px = [float(figures["error_px"] or 0) for figures in estimates.values()]
+        right = sum(error_px <= _RIGHT_PX for error_px in errors_px)
+        lines.append(
+            f"\nCalibrations, {kind}: {line}; {right} within {_RIGHT_PX:g} px of the truth at"
+            f" equal times, error {median(errors_px):.2f} px in the median."
+        )
+    kernel_mncs: dict[str, list[float]] = {}
+    for shot in measured.shots:
+        if mnc := shot.figures.get("kernel_mnc"):
+            kernel_mncs.setdefault(shot.design, []).append(float(mnc))
+    lines += [
+        f"\nKernels found in the photos themselves, {markdown_text(name)}: {len(mncs)} of"
+        f" mean MNC {mean(mncs):.3f}."
+        for name, mncs in kernel_mncs.items()
+    ]
     left_out = [name for name, design in DESIGNS.items() if design.only_named]
     if not {shot.design for shot in measured.shots} & set(left_out):
         lines.append(f"\nMeasured only where `--designs` names them: {', '.join(left_out)}.")
     return lines
 
 
-def _introduction(
-    measured: CodedTable, tables: Sequence[Table], command: str, warnings: Sequence[str]
-) -> str:
+def _introduction(measured: CodedTable, tables: Sequence[Table], made: Provenance) -> list[str]:
     protocol = measured.protocol
     photos = len({shot.photo for shot in measured.shots})
-    own = list(dict.fromkeys(shot.design for shot in measured.shots if shot.design not in DESIGNS))
-    counts = {name: harmed(measured, name) for name in ("both-ways", "one-way", *own)}
-    machines = "; ".join(
-        f"{m['processor']}, {m['cores']} cores, Python {m['python']}" for m in measured.machines
+    user_codes = dict.fromkeys(
+        shot.design for shot in measured.shots if shot.design not in DESIGNS
     )
-    head = [
+    counts = {name: harmed(measured, name) for name in ("both-ways", "one-way", *user_codes)}
+    machines = "; ".join(
+        f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}"
+        for machine in made.machines
+    )
+    lent = ""
+    if not protocol.photons:
+        lent = (
+            "Every photo has the light of the open shutter, as if coding cost none: snapshots and"
+            " strobes, which shut out the most, are shown apart."
+        )
+    return [
         "# The coded-exposure table",
         "",
         (
-            f"Made by {in_code_span(command)}, protocol {in_code_span(protocol.name)}, seed"
+            f"Made by {in_code_span(made.command)}, protocol {in_code_span(protocol.name)}, seed"
             f" {protocol.seed}, on {machines or 'no machine'}."
         ),
         (
@@ -185,28 +163,18 @@ def _introduction(
             " are as they are, and so are codes that were given. Restored by"
             f" `{protocol.restoration}`{_RESTORED_BY[protocol.restored_by]}"
         ),
-        (
-            ""
-            if protocol.photons
-            else (
-                "Every photo has the light of the open shutter, as if coding cost none: snapshots"
-                " and strobes, which shut out the most, are shown apart."
-            )
-        ),
+        lent,
         (
             f"{means_in_words(tables)} PSNR and SSIM up to shift, 32 px of border left out. A"
             " noise gain is infinite where the MTF has a zero on a line, as an open shutter's has"
             " on straight motion."
         ),
-        *(f"\n- {markdown_text(warning)}" for warning in warnings),
-        *_found(measured),
+        *warning_lines(made.warnings),
+        *_estimate_quality(measured),
         *(
             f"\n{markdown_text(name)}: noise gain in the worse direction above the open shutter's"
             f" in {bad} of {count} photos."
             for name, (bad, count) in counts.items()
             if count
         ),
-        "",
-        "",
     ]
-    return "\n".join(head)

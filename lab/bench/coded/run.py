@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cep.jobs.cells import Cell, Figure
-from cep.jobs.engine import Outcome, run_cells
+from cep.jobs.engine import Engine, Outcome
 from cep.jobs.fingerprint import source_version
 from cep.optics.code import ShutterCode
 from lab.bench.coded.calibrations import (
@@ -37,8 +37,6 @@ from motdiff.simulate import border_px
 from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
 from motdiff.weights import MOTDIFF_FILES
-
-Say = Callable[[float, str], None]
 
 _NAME = re.compile(r"[\w.+-]+")
 _STAGES = {  # of the progress
@@ -89,33 +87,25 @@ class CodedTable:
     estimates : mapping from (kind, photo, motion) to figures
         Of :func:`lab.bench.coded.stages.estimate_motion`, or of
         :mod:`lab.bench.coded.calibrations`.
-    failures : mapping from a cell's label to its reason
-    missing : int
-        Cells not reached, after Ctrl-C.
-    warnings : tuple of str
-    machines : list of mapping
+    outcome : Outcome
+        Of all stages.
     """
 
     protocol: CodedProtocol
     shots: tuple[Shot, ...]
     estimates: Estimates
-    failures: Mapping[str, str]
-    missing: int
-    warnings: tuple[str, ...]
-    machines: list[Mapping[str, Any]]
+    outcome: Outcome
 
 
 def measure_coded(
     protocol: CodedProtocol,
     photos: Mapping[str, Path],
     *,
-    cache: Path,
+    engine: Engine,
     designs: Sequence[str] = USUAL_DESIGNS,
     codes: Mapping[str, ShutterCode] | None = None,
     calibrated_on: Sequence[Path] = (),
-    workers: int = 1,
-    dask: str | None = None,
-    progress: Say = lambda _fraction, _note: None,
+    progress: Callable[[float, str], None] = lambda _fraction, _note: None,
 ) -> CodedTable:
     """Measure every design on every photo, motion and light level.
 
@@ -124,7 +114,7 @@ def measure_coded(
     protocol : CodedProtocol
     photos : mapping from a photo's name to its file
         Sharp; seeds of its crop and noise depend on the name.
-    cache : folder of finished cells
+    engine : Engine
     designs : sequence of names of :data:`lab.bench.coded.designs.DESIGNS`
     codes : mapping from a name to a code, optional
         Codes of the user's own, which follow the designs; :func:`check_names` says what names they
@@ -132,8 +122,6 @@ def measure_coded(
     calibrated_on : sequence of Path
         Photos whose most textured parts are shown by coded calibration photos: one for each motion
         in turn, for all sharp photos alike. The sharp ones themselves when empty.
-    workers, dask
-        As :func:`cep.jobs.engine.run_cells` takes them.
     progress : callable
 
     Raises
@@ -148,191 +136,100 @@ def measure_coded(
         raise ValueError(f"designs: must be among {', '.join(DESIGNS)}, got {unknown[0]!r}")
     if len(set(designs)) < len(designs):
         raise ValueError(f"designs: each must come once, got {', '.join(designs)}")
-    own = codes or {}
-    check_names(own)
-    stages = _Stages(cache, workers, dask, progress)
-    truths = drawn_motions(protocol)
-    motions = [paths_to([path], [1.0]) for path in truths]
-    cuts = {photo: _cut(protocol, photo) for photo in photos}
-    keys = [(photo, index) for photo in photos for index in range(len(truths))]
+    own_codes = codes or {}
+    check_names(own_codes)
+    stages = _Stages(engine, progress)
+    rows = (*designs, *own_codes)
+    exposed = _Exposed(protocol, photos)
+    estimates = _estimates(exposed, kinds_needed(protocol, rows), calibrated_on, stages)
+    bits = _chosen_codes(exposed, designs, estimates, stages)
+    bits |= {
+        (name, *place): code.bits for name, code in own_codes.items() for place in exposed.places
+    }
+    # in the table's order: design, light, photo, motion
+    keys = [(row, *place) for row in rows for place in exposed.places]
+    ordered = {key: bits[key] for key in keys if key in bits}
+    shots = _shots(exposed, ordered, estimates, stages)
+    return CodedTable(protocol, shots, estimates, stages.outcome)
 
-    rows = (*designs, *own)
-    kinds = kinds_needed(protocol, rows)
-    sets = _sets(protocol, kinds, stages)
-    scenes = tuple(calibrated_on) or tuple(photos.values())
-    versions = {kind: motion_version(kind) for kind in kinds}
-    cells = [
-        Cell(("motion", kind, photo, str(index)), work, arguments, version=versions[kind])
-        for kind in kinds
-        if kind not in CALIBRATIONS or kind in sets
-        for photo, index in keys
-        for work, arguments in [
-            _from_open_photo(protocol, kind, photo, photos[photo], index, motions[index])
-            if kind in ESTIMATORS
-            else _from_other_photos(
-                protocol, scenes[index % len(scenes)], sets.get(kind), index, motions[index]
-            )
+
+Place = tuple[str, int, float | None]
+"""Photo, motion and light level."""
+
+
+class _Exposed:
+    """Photos, motions and light levels of a protocol."""
+
+    def __init__(self, protocol: CodedProtocol, photos: Mapping[str, Path]) -> None:
+        self.protocol = protocol
+        self.photos = photos
+        self.truths = drawn_motions(protocol)
+        self.motions = [paths_to([path], [1.0]) for path in self.truths]
+        self.pairs = [(photo, index) for photo in photos for index in range(len(self.truths))]
+        self.places: list[Place] = [
+            (photo, index, level) for level in protocol.levels for photo, index in self.pairs
         ]
-    ]
-    found = stages.run("motion", cells)
-    estimates = {
-        (kind, photo, index): found.get(("motion", kind, photo, str(index)), {})
-        for kind in kinds
-        for photo, index in keys
-    }
 
-    versions = {design: code_version(design) for design in designs}
-    known = None
-    if any(DESIGNS[design].path == "class" for design in designs):
-        known = MotionPrior(others := class_motions(protocol), (1 / len(others),) * len(others))
-    priors = {
-        (design, photo, index): known
-        if DESIGNS[design].path == "class"
-        else motion_prior(design, truths[index], estimates, photo, index)
-        for design in designs
-        for photo, index in keys
-    }
-    cells = [
-        Cell(
-            ("code", design, photo, str(index), str(level)),
-            choose_code,
-            {
-                "prior": prior,
-                "design": design,
-                "chips": protocol.chips,
-                "open_range": protocol.open_range,
-                "objective": protocol.objective,
-                "camera": protocol.camera(
-                    _designed_for(design, protocol.objective, level)
-                ).to_dict(),
-                "steps": protocol.steps,
-                "seed": protocol.seed + (index if prior is not known else 0),
-            },
-            version=versions[design],
-        )
-        for (design, photo, index), prior in priors.items()
-        if prior is not None
-        for level in protocol.levels
-    ]
-    chosen = {name: str(figures["bits"]) for name, figures in stages.run("code", cells).items()}
-    chosen |= {
-        ("code", name, photo, str(index), str(level)): code.bits
-        for name, code in own.items()
-        for photo, index in keys
-        for level in protocol.levels
-    }
-
-    shots = [
-        (design, photo, index, level, bits)
-        for design in rows
-        for level in protocol.levels
-        for photo, index in keys
-        if (bits := chosen.get(("code", design, photo, str(index), str(level))))
-    ]
-    exposures = {
-        (design, photo, index, level): {
-            "photo": photos[photo],
-            "cut": cuts[photo],
-            "motion": motions[index],
-            "bits": bits,
-            "borders": protocol.borders,
-            "light_true": bool(protocol.photons),
-            "camera": protocol.camera(level).to_dict(),
-            "seed": _seed(protocol, photo, index),
+    def scene(self, photo: str, index: int) -> dict[str, Any]:
+        """Arguments that a cell has of a photo and motion."""
+        return {
+            "photo": self.photos[photo],
+            "cut": Cut(
+                scene_px(self.protocol),
+                _gamma(self.protocol),
+                (self.protocol.seed, 5, *photo.encode()),
+            ),
+            "motion": self.motions[index],
+            "borders": self.protocol.borders,
+            "seed": _seed(self.protocol, photo, index),
         }
-        for design, photo, index, level, bits in shots
-    }
-    kernels: Mapping[tuple[str, ...], Mapping[str, Figure]] = {}
-    if protocol.restored_by == "blind":
-        version = kernel_version()
-        cells = [
-            Cell(
-                ("kernel", design, photo, str(index), str(level)),
-                kernel_of,
-                arguments,
-                version=version,
-            )
-            for (design, photo, index, level), arguments in exposures.items()
-        ]
-        kernels = stages.run("kernel", cells)
-
-    version = photo_version(protocol.restoration)
-    cells = [
-        Cell(("photo", *name), photo_of, arguments | how, version=version)
-        for (design, photo, index, level), arguments in exposures.items()
-        for name in [(design, photo, str(index), str(level))]
-        if protocol.restored_by != "blind" or ("kernel", *name) in kernels
-        if (assumed := assumed_path(protocol, design, truths[index], estimates, photo, index))
-        != ""
-        for how in [
-            {
-                "assumed": assumed,
-                "kernel": kernels[("kernel", *name)]["psf"] if kernels else None,
-                "restoration": protocol.restoration,
-                "border_rounds": protocol.border_rounds,
-            }
-        ]
-    ]
-    taken = stages.run("photo", cells)
-    levels = {str(level): level for level in protocol.levels}
-    restored = tuple(
-        Shot(
-            design,
-            photo,
-            int(index),
-            levels[level],
-            {**figures, **of_kernel},
-            cell.arguments["bits"],
-            cell.arguments,
-        )
-        for cell in cells
-        for _, design, photo, index, level in [cell.name]
-        if (figures := taken.get(cell.name))
-        for found in [kernels.get(("kernel", *cell.name[1:]))]
-        for of_kernel in [{"kernel_mnc": found["mnc"]} if found else {}]
-    )
-    return CodedTable(
-        protocol,
-        restored,
-        estimates,
-        stages.failures,
-        stages.missing,
-        tuple(stages.warnings),
-        stages.machines,
-    )
 
 
-_Task = tuple[Callable[..., Mapping[str, Figure]], Mapping[str, Any]]
-
-
-def _from_open_photo(
-    protocol: CodedProtocol, kind: str, name: str, photo: Path, index: int, motion: str
-) -> _Task:
-    return motion_of, {
-        "photo": photo,
-        "cut": _cut(protocol, name),
-        "motion": motion,
-        "method": ESTIMATORS[kind],
-        "borders": protocol.borders,
-        "camera": protocol.calibration_camera.to_dict(),
-        "seed": _seed(protocol, name, index),
+def _estimates(
+    exposed: _Exposed, kinds: Sequence[str], calibrated_on: Sequence[Path], stages: _Stages
+) -> Estimates:
+    """Estimate or calibrate every motion in every way that is needed."""
+    sets = _sets(exposed.protocol, kinds, stages)
+    scenes = tuple(calibrated_on) or tuple(exposed.photos.values())
+    cells = []
+    for kind in kinds:
+        if kind in CALIBRATIONS and kind not in sets:
+            continue
+        version = motion_version(kind)
+        for photo, index in exposed.pairs:
+            name = ("motion", kind, photo, str(index))
+            if kind in ESTIMATORS:
+                camera = exposed.protocol.calibration_camera.to_dict()
+                arguments = exposed.scene(photo, index)
+                arguments |= {"method": ESTIMATORS[kind], "camera": camera}
+                cells.append(Cell(name, motion_of, arguments, version=version))
+            else:
+                scene = scenes[index % len(scenes)]
+                calibrate, of_motion = _calibration(exposed, scene, sets.get(kind), index)
+                cells.append(Cell(name, calibrate, of_motion, version=version))
+    figures = stages.run("motion", cells)
+    return {
+        (kind, photo, index): figures.get(("motion", kind, photo, str(index)), {})
+        for kind in kinds
+        for photo, index in exposed.pairs
     }
 
 
-def _from_other_photos(
-    protocol: CodedProtocol, scene: Path, codes: str | None, index: int, motion: str
-) -> _Task:
-    """Calibrate by other photos than an open one of the scene: the same work for every photo, done
-    once a motion.
+def _calibration(
+    exposed: _Exposed, scene: Path, codes: str | None, index: int
+) -> tuple[Callable[..., Mapping[str, Figure]], Mapping[str, Any]]:
+    """Calibrate by other photos than an open one of the scene: the same for every photo, run once
+    a motion.
     """
-    common = {
-        "motion": motion,
+    protocol = exposed.protocol
+    arguments = {
+        "motion": exposed.motions[index],
         "camera": protocol.calibration_camera.to_dict(),
         "seed": _seed(protocol, "calibration", index),
     }
     if codes is None:
-        return motion_from_light, common
-    return motion_from_codes, common | {
+        return motion_from_light, arguments
+    return motion_from_codes, arguments | {
         "photo": scene,
         "side_px": scene_px(protocol),
         "gamma": _gamma(protocol),
@@ -340,6 +237,103 @@ def _from_other_photos(
         "borders": protocol.borders,
         "light_true": bool(protocol.photons),
     }
+
+
+def _chosen_codes(
+    exposed: _Exposed, designs: Sequence[str], estimates: Estimates, stages: _Stages
+) -> dict[tuple[str, str, int, float | None], str]:
+    """Choose the code of every design at every place; one whose estimate failed has none."""
+    protocol = exposed.protocol
+    class_prior = None
+    if any(DESIGNS[design].path == "class" for design in designs):
+        motions = class_motions(protocol)
+        class_prior = MotionPrior(motions, (1 / len(motions),) * len(motions))
+    cells = []
+    rows: dict[tuple[str, ...], tuple[str, str, int, float | None]] = {}
+    for design in designs:
+        of_class = DESIGNS[design].path == "class"
+        version = code_version(design)
+        for photo, index in exposed.pairs:
+            prior = class_prior
+            if not of_class:
+                prior = motion_prior(design, exposed.truths[index], estimates, photo, index)
+            if prior is None:
+                continue
+            for level in protocol.levels:
+                light = _designed_for(design, protocol.objective, level)
+                name = ("code", design, photo, str(index), str(level))
+                rows[name] = (design, photo, index, level)
+                arguments = {
+                    "prior": prior,
+                    "design": design,
+                    "chips": protocol.chips,
+                    "open_range": protocol.open_range,
+                    "objective": protocol.objective,
+                    "camera": protocol.camera(light).to_dict(),
+                    "steps": protocol.steps,
+                    "seed": protocol.seed + (0 if of_class else index),
+                }
+                cells.append(Cell(name, choose_code, arguments, version=version))
+    return {
+        rows[name]: str(figures["bits"]) for name, figures in stages.run("code", cells).items()
+    }
+
+
+def _shots(
+    exposed: _Exposed,
+    bits: Mapping[tuple[str, str, int, float | None], str],
+    estimates: Estimates,
+    stages: _Stages,
+) -> tuple[Shot, ...]:
+    """Take and restore every photo."""
+    protocol = exposed.protocol
+    exposures = {}
+    for (design, photo, index, level), code in bits.items():
+        exposures[design, photo, index, level] = exposed.scene(photo, index) | {
+            "bits": code,
+            "light_true": bool(protocol.photons),
+            "camera": protocol.camera(level).to_dict(),
+        }
+    kernels: Mapping[tuple[str, ...], Mapping[str, Figure]] = {}
+    if protocol.restored_by == "blind":
+        version = kernel_version()
+        kernels = stages.run(
+            "kernel",
+            [
+                Cell(_cell_name("kernel", *row), kernel_of, arguments, version=version)
+                for row, arguments in exposures.items()
+            ],
+        )
+    version = photo_version(protocol.restoration)
+    cells = {}
+    for row, exposure in exposures.items():
+        design, photo, index, _ = row
+        kernel = kernels.get(_cell_name("kernel", *row))
+        assumed = assumed_path(protocol, design, exposed.truths[index], estimates, photo, index)
+        if assumed == "" or (protocol.restored_by == "blind" and kernel is None):
+            continue
+        arguments = exposure | {
+            "assumed": assumed,
+            "kernel": kernel and kernel["psf"],
+            "restoration": protocol.restoration,
+            "border_rounds": protocol.border_rounds,
+        }
+        cells[row] = Cell(_cell_name("photo", *row), photo_of, arguments, version=version)
+    photo_figures = stages.run("photo", list(cells.values()))
+    shots = []
+    for row, cell in cells.items():
+        if figures := photo_figures.get(cell.name):
+            kernel = kernels.get(_cell_name("kernel", *row))
+            kernel_mnc = {"kernel_mnc": kernel["mnc"]} if kernel else {}
+            arguments = dict(cell.arguments)
+            shots.append(Shot(*row, {**figures, **kernel_mnc}, arguments["bits"], arguments))
+    return tuple(shots)
+
+
+def _cell_name(
+    stage: str, design: str, photo: str, index: int, level: float | None
+) -> tuple[str, ...]:
+    return (stage, design, photo, str(index), str(level))
 
 
 def _sets(protocol: CodedProtocol, kinds: Sequence[str], stages: _Stages) -> Mapping[str, str]:
@@ -359,38 +353,38 @@ def _sets(protocol: CodedProtocol, kinds: Sequence[str], stages: _Stages) -> Map
 
 
 class _Stages:
-    """Runs the stages one after the other and collects their failures and warnings."""
+    """Runs the stages one after the other and collects their outcomes."""
 
-    def __init__(self, cache: Path, workers: int, dask: str | None, progress: Say) -> None:
-        self._cache = cache
-        self._workers = workers
-        self._dask = dask
+    def __init__(self, engine: Engine, progress: Callable[[float, str], None]) -> None:
+        self._engine = engine
         self._progress = progress
-        self.failures: dict[str, str] = {}
-        self.missing = 0
-        self.warnings: list[str] = []
-        self.machines: list[Mapping[str, Any]] = []
+        self._outcomes: list[Outcome] = []
 
     def run(
         self, stage: str, cells: Sequence[Cell]
     ) -> dict[tuple[str, ...], Mapping[str, Figure]]:
-        if self.missing:
-            return {}  # interrupted before
+        """Return the figures of the cells that did not fail; none after Ctrl-C."""
+        if any(outcome.missing for outcome in self._outcomes):
+            return {}
         low, high = _STAGES[stage]
-        outcome: Outcome = run_cells(
+        outcome = self._engine.run(
             cells,
-            cache=self._cache,
-            workers=self._workers,
-            dask=self._dask,
             progress=lambda fraction, note: self._progress(
                 low + (high - low) * fraction, f"{stage}s: {note}"
             ),
         )
-        self.failures |= {"/".join(name): reason for name, reason in outcome.failures.items()}
-        self.missing += outcome.missing
-        self.warnings += [warning for warning in outcome.warnings if warning not in self.warnings]
-        self.machines += [machine for machine in outcome.machines if machine not in self.machines]
+        self._outcomes.append(outcome)
         return {name: figures for name, figures in outcome.figures.items() if figures}
+
+    @property
+    def outcome(self) -> Outcome:
+        """All stages as one run."""
+        outcomes = self._outcomes
+        return Outcome(
+            tuple(result for outcome in outcomes for result in outcome.results),
+            sum(outcome.missing for outcome in outcomes),
+            tuple(dict.fromkeys(line for outcome in outcomes for line in outcome.warnings)),
+        )
 
 
 def check_names(codes: Iterable[str]) -> None:
@@ -416,10 +410,6 @@ def scene_px(protocol: CodedProtocol) -> int:
     PSF's frame less 1.
     """
     return protocol.crop_px + border_px(protocol.borders)
-
-
-def _cut(protocol: CodedProtocol, photo: str) -> Cut:
-    return Cut(scene_px(protocol), _gamma(protocol), (protocol.seed, 5, *photo.encode()))
 
 
 def _gamma(protocol: CodedProtocol) -> Literal["srgb", "linear"]:

@@ -13,14 +13,14 @@ from cep.files.tables import csv_lines
 from cep.jobs.cells import Figure
 from lab.bench.coded.designs import design_of
 from lab.bench.coded.run import CodedTable, Shot
-from lab.bench.tables import Column, Table, differences, tabulate
+from lab.bench.table_io import number_text
+from lab.bench.tables import Column, Table, differences, tabulate, unranked
 
 Name = tuple[str, ...]
 _QUALITY = (
     Column("psnr_db", "PSNR, dB", better="high"),
     Column("ssim", "SSIM", better="high", digits=3),
 )
-_PLAIN = tuple(Column(column.figure, column.head, digits=column.digits) for column in _QUALITY)
 _GAIN = (  # infinite where an open shutter meets a straight motion
     Column("noise_gain_db", "noise gain, dB, median", middle="median"),
     Column("worse_noise_gain_db", "worse direction, dB, median", middle="median"),
@@ -38,34 +38,28 @@ def coded_tables(measured: CodedTable) -> list[Table]:
     tables = []
     for level in measured.protocol.levels:
         shots = [shot for shot in measured.shots if shot.photons == level]
-        designs = list(
-            dict.fromkeys(shot.design for shot in shots)
-        )  # after Ctrl-C not the same at every level
         if not shots:
             continue
+        designs = list(dict.fromkeys(shot.design for shot in shots))
         figures = _figures(shots)
         light = "" if level is None else f", {level:,.0f} photo-electrons"
         title = f"Coded exposure, {measured.protocol.name}{light}"
         apart = {design_of(name).label for name in designs if beyond_comparison(measured, name)}
-        rivals = {name: own for name, own in figures.items() if name[0] not in apart}
-        limits = {name: own for name, own in figures.items() if name[0] in apart}
+        rivals = {name: cell for name, cell in figures.items() if name[0] not in apart}
+        limits = {name: cell for name, cell in figures.items() if name[0] in apart}
         if rivals:
             tables.append(_table(title, rivals, _QUALITY, measured))
         if limits:
-            tables.append(_table(f"{title}: rows beyond comparison", limits, _PLAIN, measured))
-        for label in (
-            design_of(name).label
-            for name in designs
-            if design_of(name).compared and len(designs) > 1
-        ):
-            less = differences(figures, label)
-            tables.append(_table(f"{label} less each other row{light}", less, _PLAIN, measured))
-        gains = (*_GAIN, _ZEROS) if any(own["zero"] for own in figures.values()) else _GAIN
-        tables.append(
-            _table(
-                f"Noise gain of the codes along the true motion{light}", figures, gains, measured
-            )
-        )
+            head = f"{title}: rows beyond comparison"
+            tables.append(_table(head, limits, unranked(_QUALITY), measured))
+        for design in map(design_of, designs):
+            if design.compared and len(designs) > 1:
+                less = differences(figures, design.label)
+                head = f"{design.label} less each other row{light}"
+                tables.append(_table(head, less, unranked(_QUALITY), measured))
+        gains = (*_GAIN, _ZEROS) if any(cell["zero"] for cell in figures.values()) else _GAIN
+        head = f"Noise gain of the codes along the true motion{light}"
+        tables.append(_table(head, figures, gains, measured))
     return tables
 
 
@@ -105,14 +99,14 @@ def shots_csv(measured: CodedTable) -> str:
     names = ("psnr_db", "ssim", "noise_gain_db", "reversed_noise_gain_db", "min_mtf", "kernel_mnc")
     rows: list[tuple[object, ...]] = [("design", "photo", "motion", "photons", *names, "bits")]
     for shot in measured.shots:
-        numbers = (shot.figures.get(name) for name in names)
+        figures = (shot.figures.get(name) for name in names)
         rows.append(
             (
                 shot.design,
                 shot.photo,
                 shot.motion,
                 "" if shot.photons is None else f"{shot.photons:g}",
-                *("" if number is None else f"{float(number):.6g}" for number in numbers),
+                *(number_text(None if figure is None else float(figure)) for figure in figures),
                 shot.bits,
             )
         )

@@ -18,6 +18,7 @@ from skimage import data
 
 from cep.codes.published import DCE_CODE, published
 from cep.files.images import write_image
+from cep.jobs.engine import Engine, Outcome
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
@@ -42,7 +43,7 @@ from lab.bench.coded.protocol import (
     paths_from,
     paths_to,
 )
-from lab.bench.coded.report import OUTPUTS, write_coded_report
+from lab.bench.coded.report import coded_report
 from lab.bench.coded.run import (
     ESTIMATORS,
     CodedTable,
@@ -55,7 +56,9 @@ from lab.bench.coded.run import (
 from lab.bench.coded.stages import estimate_motion, photographed, pictures_of, take_photo
 from lab.bench.coded.tables import coded_tables, harmed, shots_csv
 from lab.bench.datasets import sharp_scene
+from lab.bench.harness import TABLE_ENDINGS
 from lab.bench.psf_text import psf_to_text
+from lab.bench.table_io import Provenance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.estimator import CodedEstimator
 from motdiff.estimators.coded.trail_estimator import TrailEstimator
@@ -65,6 +68,8 @@ from motdiff.psf_frame import PSF_PX, centroid_px, moved
 from motdiff.simulate import visible
 from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
+
+MADE = Provenance("again", 0, [], [])
 
 TINY = CodedProtocol(
     name="tiny",
@@ -636,8 +641,12 @@ def test_a_tiny_table_and_its_cells_found_again(tmp_path, monkeypatch):
     tiny = replace(TINY, chips=32, open_range=(13, 19))
     write_image(tmp_path / "camera.png", data.camera()[192:320, 192:320] / 255.0, gamma="linear")
     photos = {"camera": tmp_path / "camera.png"}
-    measured = measure_coded(tiny, photos, cache=tmp_path / "cells", designs=KNOWING)
-    assert (measured.failures, measured.missing, measured.warnings) == ({}, 0, ())
+    measured = measure_coded(tiny, photos, engine=Engine(tmp_path / "cells"), designs=KNOWING)
+    assert (measured.outcome.reasons, measured.outcome.missing, measured.outcome.warnings) == (
+        {},
+        0,
+        (),
+    )
     assert [(shot.design, shot.motion) for shot in measured.shots] == [
         (name, i) for name in KNOWING for i in range(2)
     ]
@@ -658,7 +667,7 @@ def test_a_tiny_table_and_its_cells_found_again(tmp_path, monkeypatch):
     )  # without light levels, light is no matter
     assert by_name["open", 0].arguments["seed"] != by_name["open", 1].arguments["seed"]
     monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
-    again = measure_coded(tiny, photos, cache=tmp_path / "cells", designs=KNOWING)
+    again = measure_coded(tiny, photos, engine=Engine(tmp_path / "cells"), designs=KNOWING)
     assert [(shot.bits, shot.figures) for shot in again.shots] == [
         (s.bits, s.figures) for s in measured.shots
     ]
@@ -669,8 +678,8 @@ def test_who_restores_by_what(tmp_path, photos, guesses):
         TINY, restored_by="estimate", motions=1, shakes="boracchi-foi", photons=(1e5,), steps=200
     )
     names = ("dnf", "snapshot", "parametric", "parametric-oracle", "oracle")
-    measured = measure_coded(hidden, photos, cache=tmp_path / "cells", designs=names)
-    assert measured.failures == {}
+    measured = measure_coded(hidden, photos, engine=Engine(tmp_path / "cells"), designs=names)
+    assert measured.outcome.reasons == {}
     assert set(measured.estimates) == {("ours", "blocks", 0), ("parametric", "blocks", 0)}
     assumed = {shot.design: shot.arguments["assumed"] for shot in measured.shots}
     assert assumed.pop("oracle") is None
@@ -693,10 +702,10 @@ def test_a_restoration_may_know_the_path_but_not_its_direction(tmp_path, photos,
     measured = measure_coded(
         hidden,
         photos,
-        cache=tmp_path / "cells",
+        engine=Engine(tmp_path / "cells"),
         designs=("open", "both-ways", "parametric-oracle", "oracle"),
     )
-    assert measured.failures == {}
+    assert measured.outcome.reasons == {}
     (truth,) = drawn_motions(hidden)
     oracles = [shot for shot in measured.shots if "oracle" in shot.design]
     assert [shot.arguments["assumed"] for shot in oracles] == [
@@ -718,7 +727,7 @@ def test_codes_are_searched_for_the_light_that_they_meet(tmp_path, photos):
         TINY, objective="mse", open_range=(1, 16), photons=(50.0, 1e6), read_noise_e=5.0, motions=1
     )
     measured = measure_coded(
-        lit, photos, cache=tmp_path / "cells", designs=("raskar-52", "dnf", "oracle")
+        lit, photos, engine=Engine(tmp_path / "cells"), designs=("raskar-52", "dnf", "oracle")
     )
     bits = {(shot.design, shot.photons): shot.bits for shot in measured.shots}
     assert bits["oracle", 50.0].count("1") > bits["oracle", 1e6].count("1")
@@ -739,7 +748,7 @@ def test_codes_are_searched_for_the_light_that_they_meet(tmp_path, photos):
 def test_a_code_of_ones_own_is_a_row_that_counts_anew_when_it_changes(
     tmp_path, photos, monkeypatch
 ):
-    options = {"cache": tmp_path / "cells", "designs": ("open",)}
+    options = {"engine": Engine(tmp_path / "cells"), "designs": ("open",)}
     tiny = replace(TINY, motions=1)
     measured = measure_coded(
         tiny,
@@ -775,7 +784,11 @@ def test_a_code_of_ones_own_is_a_row_that_counts_anew_when_it_changes(
 def test_a_code_of_ones_own_is_restored_along_our_estimate(tmp_path, photos, guesses):
     hidden = replace(TINY, restored_by="estimate", motions=1)
     (mine,) = measure_coded(
-        hidden, photos, cache=tmp_path / "cells", designs=(), codes={"mine": ShutterCode(LOPSIDED)}
+        hidden,
+        photos,
+        engine=Engine(tmp_path / "cells"),
+        designs=(),
+        codes={"mine": ShutterCode(LOPSIDED)},
     ).shots
     np.testing.assert_array_equal(paths_from(mine.arguments["assumed"])[0][0].xy, GUESS.xy)
 
@@ -797,8 +810,8 @@ def test_a_restoration_of_ones_own_restores_the_table(tmp_path, photos, own_rest
     own = coded_protocol(
         written(tmp_path / "mine.toml", restoration="own_halving:restored", motions=1)
     )
-    measured = measure_coded(own, photos, cache=tmp_path / "cells", designs=("open",))
-    assert measured.failures == {}
+    measured = measure_coded(own, photos, engine=Engine(tmp_path / "cells"), designs=("open",))
+    assert measured.outcome.reasons == {}
     taken = pictures_of(**measured.shots[0].arguments)
     np.testing.assert_allclose(taken.restored, np.clip(0.5 * taken.photo, 0, 1), atol=1e-9)
     # its module counts, also where nothing else differs
@@ -813,7 +826,7 @@ def test_only_estimates_that_are_needed_are_made(tmp_path, photos, guesses):
     measured = measure_coded(
         replace(TINY, motions=1, restored_by="estimate"),
         photos,
-        cache=tmp_path / "cells",
+        engine=Engine(tmp_path / "cells"),
         designs=["oracle"],
     )
     assert (guesses.photos, len(measured.shots)) == ([], 1)
@@ -828,10 +841,10 @@ def test_a_failed_estimate_leaves_its_photos_out(tmp_path, photos, guesses, rest
     measured = measure_coded(
         replace(TINY, restored_by=restored_by),
         photos,
-        cache=tmp_path / "cells",
+        engine=Engine(tmp_path / "cells"),
         designs=("open", "snapshot"),
     )
-    assert measured.failures == {"motion/ours/blocks/0": "photo: too dark"}
+    assert measured.outcome.reasons == {"motion/ours/blocks/0": "photo: too dark"}
     assert [shot.design for shot in measured.shots] == left
     snapshots = [shot for shot in measured.shots if shot.design == "snapshot"]
     assert [shot.motion for shot in snapshots] == [1]
@@ -839,28 +852,27 @@ def test_a_failed_estimate_leaves_its_photos_out(tmp_path, photos, guesses, rest
     mended = measure_coded(
         replace(TINY, restored_by=restored_by),
         photos,
-        cache=tmp_path / "cells",
+        engine=Engine(tmp_path / "cells"),
         designs=("open", "snapshot"),
     )
-    assert (mended.failures, len(mended.shots), len(guesses.photos)) == ({}, 4, 3)
+    assert (mended.outcome.reasons, len(mended.shots), len(guesses.photos)) == ({}, 4, 3)
 
 
 def test_stopped_it_tells_and_goes_on_later(tmp_path, photos, guesses):
     guesses.stops = 2
     cache = tmp_path / "cells"
-    stopped = measure_coded(TINY, photos, cache=cache, designs=("open", "snapshot"))
-    assert (stopped.missing, stopped.shots) == (1, ())
+    stopped = measure_coded(TINY, photos, engine=Engine(cache), designs=("open", "snapshot"))
+    assert (stopped.outcome.missing, stopped.shots) == (1, ())
     uncoded = photographed(**shown(drawn_motions(TINY)[0], bits="1", side=96)).photo
     np.testing.assert_allclose(
         guesses.photos[0], uncoded, atol=0.002
     )  # no light levels: no noise here either
     assert coded_tables(stopped) == []
-    files = write_coded_report(
-        tmp_path / "out", [], stopped, command="again", warnings=["stopped"]
-    )
-    assert set(files) == set(OUTPUTS) - {"cep.png", "cep.pdf", "cep.svg"}
-    whole = measure_coded(TINY, photos, cache=cache, designs=("open", "snapshot"))
-    assert (whole.missing, len(whole.shots), len(guesses.photos)) == (0, 4, 3)
+    report = coded_report(stopped, MADE)
+    assert report.figure is None
+    assert list(report.texts) == [*TABLE_ENDINGS, "-photos.csv"]
+    whole = measure_coded(TINY, photos, engine=Engine(cache), designs=("open", "snapshot"))
+    assert (whole.outcome.missing, len(whole.shots), len(guesses.photos)) == (0, 4, 3)
 
 
 @pytest.mark.parametrize(
@@ -872,7 +884,7 @@ def test_stopped_it_tells_and_goes_on_later(tmp_path, photos, guesses):
 )
 def test_designs_are_refused_before_any_work(tmp_path, photos, names, message):
     with pytest.raises(ValueError, match=message):
-        measure_coded(TINY, photos, cache=tmp_path / "cells", designs=names)
+        measure_coded(TINY, photos, engine=Engine(tmp_path / "cells"), designs=names)
     assert not (tmp_path / "cells").exists()
 
 
@@ -913,7 +925,7 @@ def shot(design, photo, motion, psnr_db, gains=(10.0, 10.0), photons=None):
 
 
 def table_of(shots, **changes):
-    return CodedTable(replace(TINY, **changes), tuple(shots), {}, {}, 0, (), [])
+    return CodedTable(replace(TINY, **changes), tuple(shots), {}, Outcome((), 0, ()))
 
 
 def test_harm_is_counted_in_the_worse_direction():
@@ -1049,14 +1061,12 @@ def test_every_photo_is_in_the_csv():
 
 def test_the_picture_needs_no_level_that_was_not_reached(tmp_path, photos):
     dim = replace(TINY, photons=(300.0, 1e4), motions=1)
-    measured = measure_coded(dim, photos, cache=tmp_path / "cells", designs=("open",))
+    measured = measure_coded(dim, photos, engine=Engine(tmp_path / "cells"), designs=("open",))
     reached = replace(measured, shots=tuple(one for one in measured.shots if one.photons == 300.0))
     assert len(reached.shots) == 1
-    files = write_coded_report(
-        tmp_path / "out", coded_tables(reached), reached, command="again", warnings=[]
-    )
-    assert set(files) == set(OUTPUTS)
-    assert "in neither direction" not in files["cep.md"].read_text()
+    report = coded_report(reached, MADE)
+    assert report.figure is not None
+    assert "in neither direction" not in report.texts[".md"]
 
 
 # -- one code for a class -------------------------------------------------------------------------
@@ -1088,8 +1098,8 @@ def test_all_photos_have_the_same_class_code():
 def test_a_class_code_is_searched_once(tmp_path, photos, monkeypatch):
     kept = class_motions(TINY)[:2]
     monkeypatch.setattr("lab.bench.coded.run.class_motions", lambda _protocol: kept)
-    measured = measure_coded(TINY, photos, cache=tmp_path / "cells", designs=["class"])
-    assert not measured.failures
+    measured = measure_coded(TINY, photos, engine=Engine(tmp_path / "cells"), designs=["class"])
+    assert not measured.outcome.reasons
     assert len({shot.bits for shot in measured.shots}) == 1
 
 
@@ -1183,9 +1193,12 @@ def test_calibrated_by_an_estimator_that_knows_the_path_a_row_is_the_true_paths(
     """Motions are calibrated once for all photos, and the code along the path found is that along
     the true one."""
     measured = measure_coded(
-        CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("oracle", "calibrated-4")
+        CALIBRATED,
+        two_photos,
+        engine=Engine(tmp_path / "cells"),
+        designs=("oracle", "calibrated-4"),
     )
-    assert measured.failures == {}
+    assert measured.outcome.reasons == {}
     assert knowing.made == [codes_of_set("open+gray3", 16)] * 2
     rows = {
         name: [shot for shot in measured.shots if shot.design == name]
@@ -1200,10 +1213,8 @@ def test_calibrated_by_an_estimator_that_knows_the_path_a_row_is_the_true_paths(
     assert less.rows[DESIGNS["oracle"].label][0].summary.mean == 0
     assert quality.head[-2:] == ("n", "motions")
     assert quality.lines()[0][-2:] == ("4", "2")
-    files = write_coded_report(
-        tmp_path / "out", coded_tables(measured), measured, command="again", warnings=[]
-    )
-    assert "open + three: 2 of mean MNC 1.000" in files["cep.md"].read_text()
+    report = coded_report(measured, MADE)
+    assert "open + three: 2 of mean MNC 1.000" in report.texts[".md"]
 
 
 def test_a_stopped_calibration_is_made_again_and_the_finished_one_kept(
@@ -1211,15 +1222,15 @@ def test_a_stopped_calibration_is_made_again_and_the_finished_one_kept(
 ):
     knowing.stops = 2
     stopped = measure_coded(
-        CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("calibrated-4",)
+        CALIBRATED, two_photos, engine=Engine(tmp_path / "cells"), designs=("calibrated-4",)
     )
-    assert (stopped.missing > 0, stopped.shots) == (True, ())
+    assert (stopped.outcome.missing > 0, stopped.shots) == (True, ())
     knowing.made.pop()
     knowing.stops = 0
     whole = measure_coded(
-        CALIBRATED, two_photos, cache=tmp_path / "cells", designs=("calibrated-4",)
+        CALIBRATED, two_photos, engine=Engine(tmp_path / "cells"), designs=("calibrated-4",)
     )
-    assert (whole.missing, len(whole.shots), len(knowing.made)) == (0, 4, 2)
+    assert (whole.outcome.missing, len(whole.shots), len(knowing.made)) == (0, 4, 2)
 
 
 def test_calibrated_rows_are_measured_where_they_are_named():
@@ -1292,7 +1303,7 @@ def test_kernels_are_searched_in_the_photos_that_are_restored(tmp_path, two_phot
     photos = {"a": two_photos["a"]}
     own = {"mine": ShutterCode("1100101000110101")}
     measured = measure_coded(
-        blind, photos, cache=tmp_path / "cells", designs=("open", "oracle"), codes=own
+        blind, photos, engine=Engine(tmp_path / "cells"), designs=("open", "oracle"), codes=own
     )
     assert [shot.design for shot in measured.shots] == ["open", "oracle", "mine"]
     for shot, searched in zip(measured.shots, Finder.photos, strict=True):

@@ -10,7 +10,7 @@ from cep.files.images import read_image, write_image
 from cep.optics.code import ShutterCode
 from cep.report.demo import DEMO_FILES
 from lab.bench.datasets import bundled_photos, crop, layout_of, photo_folder, pick
-from lab.bench.table_io import made_json
+from lab.bench.table_io import Provenance, made_json
 from motdiff.files.trajectories import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory
 
@@ -52,9 +52,7 @@ def test_pictures_of_benchmarks_are_no_photos(tmp_path):
         photo(tmp_path / name) for name in ("cep.png", "shots/a.png", "shots/b.png", "shots/c.png")
     ]
     photo(tmp_path / "bench" / "cep.png")
-    (tmp_path / "bench" / "cep.json").write_text(
-        made_json({}, command="", seed=0, machines=[], warnings=[])
-    )
+    (tmp_path / "bench" / "cep.json").write_text(made_json({}, Provenance("", 0, [], [])))
     # what others keep beside photos under the same name
     (tmp_path / "shots" / "a.json").write_text('{"schema": "annotations/1"}')
     (tmp_path / "shots" / "b.json").write_bytes(b"\xff")
@@ -177,7 +175,7 @@ def one_of_two_was_blurred(folder):
 
 
 def a_photo_named_as_a_table(folder):
-    (folder / "cep.json").write_text(made_json({}, command="", seed=0, machines=[], warnings=[]))
+    (folder / "cep.json").write_text(made_json({}, Provenance("", 0, [], [])))
     return ["cep.jpg"]
 
 

@@ -15,6 +15,7 @@ from cep.jobs.machine import machine
 from lab.bench.statistics import mean_interval, summarized
 from lab.bench.table_io import (
     TABLES_SCHEMA,
+    Provenance,
     tables_csv,
     tables_json,
     tables_latex,
@@ -206,13 +207,8 @@ def test_csv_has_every_number():
 
 def test_json_says_how_it_was_made():
     table = made(measured(plain=gain(0), ours=gain(1, seed=2)))
-    text = tables_json(
-        [table],
-        command="python -m lab bench cep --quick",
-        seed=3,
-        machines=[machine()],
-        warnings=["one"],
-    )
+    about = Provenance("python -m lab bench cep --quick", 3, [machine()], ["one"])
+    text = tables_json([table], about)
     document = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     assert (document["schema"], document["seed"], document["warnings"]) == (
         TABLES_SCHEMA,

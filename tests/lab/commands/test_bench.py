@@ -9,8 +9,9 @@ import pytest
 from cep.commands.console import FAILURE, INTERRUPTED
 from cep.jobs.engine import Engine
 from lab.bench import all_jobs
-from lab.bench.codes_job import codes_job
-from lab.bench.index_page import INDEX
+from lab.bench.all_jobs import INDEX
+from lab.bench.codes import codes_job
+from lab.bench.harness import Request
 
 NAMES = {"first": "bdinr-8", "second": "barker-13"}
 ALL = ("bench", "--quick", "--workers", "1", "-o", "out")
@@ -24,9 +25,14 @@ def untouchable(*_arguments, **_options):
 def tables(workplace, monkeypatch):
     """Two small tables in the place of the seven."""
 
-    def few(output, engine, *, data, gyro, search_s, quick, force):
+    def few(request, *, gyro, search_s):
         return {
-            name: codes_job(output / name, engine, names=[code], time_s=0.1, seed=0, force=force)
+            name: codes_job(
+                Request(request.output / name, request.engine, force=request.force),
+                names=[code],
+                time_s=0.1,
+                seed=0,
+            )
             for name, code in NAMES.items()
         }
 
@@ -109,12 +115,10 @@ def test_a_cost_is_never_measured_on_a_cluster(monkeypatch):
         monkeypatch.setattr(
             all_jobs,
             name,
-            lambda folder, engine, **_options: engines.update({folder.name: engine}),
+            lambda request, **_options: engines.update({request.output.name: request.engine}),
         )
     given = Engine(Path("cells"), 2, "tcp://127.0.0.1:9")
-    all_jobs.all_jobs(
-        Path("out"), given, data=None, gyro=None, search_s=30.0, quick=True, force=False
-    )
+    all_jobs.all_jobs(Request(Path("out"), given, quick=True), gyro=None, search_s=30.0)
     assert engines.pop("speed") == Engine(Path("cells"), 1, None)
     assert engines == dict.fromkeys(
         ["codes", "blind-paper", "blind-ours", "cep-paper", "cep-ours"], given
@@ -154,14 +158,12 @@ def test_what_exists_is_refused_before_any_work(lab, tables, monkeypatch):
 
 def test_the_tables_are_the_papers():
     engine = Engine(Path("cells"), 2, None)
-    jobs = all_jobs.all_jobs(
-        Path("out"), engine, data=None, gyro=None, search_s=30.0, quick=True, force=False
-    )
+    jobs = all_jobs.all_jobs(Request(Path("out"), engine, quick=True), gyro=None, search_s=30.0)
     assert list(jobs) == ["codes", "speed", "blind-paper", "blind-ours", "cep-paper", "cep-ours"]
     assert {name: job.about["folder"] for name, job in jobs.items()} == {
         name: Path("out", name) for name in jobs
     }
-    assert all_jobs._files().keys() == jobs.keys()
+    assert all_jobs._FILES.keys() == jobs.keys()
     assert {
         name: job.about["protocol"].name for name, job in jobs.items() if name.startswith("blind")
     } == {

@@ -4,6 +4,7 @@ where they stopped, and refusals."""
 import csv
 import errno
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -245,16 +246,11 @@ def test_what_keeps_figures_from_a_claim_is_told_of_costs_and_of_real_photos(lab
 
 
 def test_all_tables_in_one_folder_tell_it_too(lab, studio, guesses, monkeypatch):
-    def few(output, engine, *, data, gyro, search_s, quick, force):
-        given = {
-            "data": data,
-            "protocol": "tiny.toml",
-            "methods": ["pmp", "parametric"],
-            "gyro": gyro,
-        }
+    def few(request, *, gyro, search_s):
+        options = {"protocol": "tiny.toml", "methods": ["pmp", "parametric"], "gyro": gyro}
         return {
-            name: make(output / name, engine, **given, quick=quick, force=force)
-            for name, make in (("blind", blind_job), ("speed", speed_job))
+            name: plan(replace(request, output=request.output / name), **options)
+            for name, plan in (("blind", blind_job), ("speed", speed_job))
         }
 
     monkeypatch.setattr("lab.bench.all_jobs._jobs", few)
