@@ -196,6 +196,8 @@ def calibrate(options: CalibrateOptions) -> None:
         check_method(method, {**given, "codes": sources or None})
         if options.gyro_unit not in (None, "rad", "deg"):
             raise ValueError(f"--gyro-unit: must be rad or deg, got {options.gyro_unit!r}")
+        if options.gyro_unit is not None and method != "gyro":
+            raise ValueError(f"--gyro-unit: not valid with --method {method}")
         codes = load_codes(sources) if sources else None
         parse_gamma(options.gamma)
         folder = options.output or images[0].with_name(f"{images[0].stem}_motion")
@@ -255,7 +257,7 @@ def _refuse_workers(options: CalibrateOptions) -> None:
 
 def _with_file(error: str, images: Sequence[Path]) -> str:
     """Name the file of a photo in an error about it; an error about an option stays as it is."""
-    if error.partition(": ")[0] in (*_OPTIONS, "method", "code"):
+    if error.partition(": ")[0] in (*_OPTIONS, "method", "code", "rate_unit"):
         return error
     if len(images) > 1:
         return photo_named(error, images)

@@ -126,7 +126,9 @@ def optimize(options: OptimizeOptions) -> None:
     Example: cep optimize --linear 52 --open 26 --objective min-mtf:0.15,noise:1
     """
     with progress("counting codes" if options.method == "exact" else "searching") as tick:
+        from cep.search.optimize import Search, checked_motion
         from cep.search.optimize import optimize as search_code
+        from cep.search.problem import SearchProblem
         from motdiff.files.outputs import claim
         from motdiff.files.trajectories import stated_uncertainty_px
 
@@ -134,6 +136,15 @@ def optimize(options: OptimizeOptions) -> None:
         stored = options.load_motion()
         error_px = None if file is None else stated_uncertainty_px(stored, file)
         problem = options.searched(stored)
+        # wrong options are named before outputs in the way
+        Search(
+            method=options.method,  # type: ignore[arg-type]  # checked there
+            steps=options.steps,
+            time_s=options.time_s,
+            seed=options.seed,
+        )
+        if isinstance(problem, SearchProblem):
+            checked_motion(problem, stored.trajectory)
         outputs = claim(
             [options.output], force=options.force, inputs=[] if file is None else [file]
         )

@@ -350,12 +350,7 @@ def optimize(
         on_best(best)
         tell(_SEARCH_SHARE * share, f"{best.open_chips} open")
 
-    if not problem.scenarios:
-        raise ValueError("scenarios: need a motion to compare and certify codes along")
-    motion = along or problem.scenarios[0].trajectory
-    check_frame(motion)
-    check_resolved(motion, problem.chips)
-    check_light(problem)
+    motion = checked_motion(problem, along)
     designed = as_designed(motion, problem.direction)
     # a figure that fails does so before the search
     own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))
@@ -386,6 +381,30 @@ def optimize(
     return Optimum(
         problem, how, found, comparison, judged, path, certificate, *bounded, chip_count=chosen
     )
+
+
+def checked_motion(problem: SearchProblem, along: Trajectory | None = None) -> Trajectory:
+    """Return the path that a code is certified along.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    along : Trajectory, optional
+        The first scenario's path when omitted.
+
+    Raises
+    ------
+    ValueError
+        If the problem has no motion, its path cannot be measured or is too short for so many
+        chips, or even the shortest opening saturates at its light.
+    """
+    if not problem.scenarios:
+        raise ValueError("scenarios: need a motion to compare and certify codes along")
+    motion = along or problem.scenarios[0].trajectory
+    check_frame(motion)
+    check_resolved(motion, problem.chips)
+    check_light(problem)
+    return motion
 
 
 def searched_problem(problem: SearchProblem) -> SearchProblem:

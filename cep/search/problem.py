@@ -200,7 +200,7 @@ class SearchProblem:
             fields["chip_ns"] = chip_time_ns(exposure_s, chips, profile)
         chip_ns = fields.get("chip_ns", cls.chip_ns)
         runs = fields.get("runs", RunLimits())
-        response = None
+        response = fields.pop("response", None)
         if profile is None:
             camera = fields.get("camera", Camera())
             fields["runs"] = within_camera(camera, chips=chips, chip_ns=chip_ns, runs=runs)

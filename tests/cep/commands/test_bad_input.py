@@ -577,9 +577,6 @@ def test_other_wrong_options(refused, arguments):
         ["audit", "PIPE.json"],
         ["mtf", "--trajectory", "PIPE.json"],
         ["hw", "verify", "1011", "--vcd", "PIPE.vcd"],
-        ["bench", "cep", "--protocol", "PIPE.toml", "-o", "bench"],
-        ["bench", "blind", "--protocol", "PIPE.toml", "-o", "bench"],
-        ["bench", "blind", "--protocol", "ours", "--gyro", "PIPE.txt", "-o", "bench"],
     ],
     ids=" ".join,
 )

@@ -33,14 +33,12 @@ COMMANDS = (
     "calibration-set",
     "advise",
     "optimize",
-    "pareto",
     "audit",
     "mtf",
     "simulate",
     "deblur",
     "export",
     "upload",
-    "cite",
     "studio",
     "demo",
 )
@@ -51,10 +49,7 @@ SHUTTER = tuple(
 names."""
 CAMERAS = ("camera list",)
 """Read a profile, and write no file."""
-BENCHES = ("bench blind", "bench cep", "bench speed")
-"""Their seed is part of the protocol's file: a table is made again from its protocol and photos
-alone."""
-GROUPED = (*CAMERAS, "camera estimate", *SHUTTER, *BENCHES, "bench codes")
+GROUPED = (*CAMERAS, "camera estimate", *SHUTTER)
 METRICS = {"min_mtf", "min_chip", "noise_gain_db", "mse_db", "flatness_var", "dnf_db"}
 
 
@@ -118,7 +113,7 @@ def completions(*words):
 
 def test_the_shell_completes_commands_and_options():
     assert completions("cep", "opt") == ["optimize"]
-    assert completions("cep", "bench", "bl") == ["blind"]
+    assert completions("cep", "camera", "es") == ["estimate"]
     assert completions("cep", "optimize", "--dir") == ["--direction"]
 
 
@@ -138,7 +133,7 @@ def test_every_command_without_files_has_help_with_an_example(cep, command):
 
 @pytest.mark.parametrize(
     "command",
-    [*(name for name in COMMANDS if name != "upload"), "camera estimate", *BENCHES, "bench codes"],
+    [*(name for name in COMMANDS if name != "upload"), "camera estimate"],
 )
 def test_every_command_has_help_with_an_example_and_the_common_options(cep, command):
     cep(*command.split(), "--help")
@@ -149,8 +144,8 @@ def test_every_command_has_help_with_an_example_and_the_common_options(cep, comm
     )  # the studio writes a folder only when asked to
     for text in ("--json", "--force", output, "Example: cep " + command):
         assert text in page
-    draws_nothing = ("camera estimate", "cite", "export", "studio")
-    assert ("--seed" in cep.out) == (command not in (*BENCHES, *draws_nothing))
+    draws_nothing = ("camera estimate", "export", "studio")
+    assert ("--seed" in cep.out) == (command not in draws_nothing)
 
 
 def test_commands_are_those_of_the_design():

@@ -12,7 +12,6 @@ import typer
 from cep.commands import camera, controller
 from cep.commands.commands import in_options
 from cep.commands.main import app
-from lab.commands import bench
 
 GYRO = [
     "--method",
@@ -40,11 +39,6 @@ FINE = {
     "camera estimate": ["sharp.png", "blurred.png"],
     "studio": ["--no-browser"],
     "demo": [],
-    "bench": [],
-    "bench blind": [],
-    "bench cep": [],
-    "bench speed": [],
-    "bench codes": [],
 }
 """Commands that do not talk with a device, with arguments that they take."""
 
@@ -52,10 +46,9 @@ FINE = {
 def functions():
     """Each command's name and function."""
     named = {info.name: info.callback for info in app.registered_commands}
-    named |= {f"bench {info.name}": info.callback for info in bench.bench.registered_commands}
     named |= {f"camera {info.name}": info.callback for info in camera.camera.registered_commands}
     named |= {f"hw {info.name}": info.callback for info in controller.hw.registered_commands}
-    return {**named, "bench": bench.everything}
+    return named
 
 
 def declared(function):
@@ -175,10 +168,6 @@ def test_an_exposure_is_the_same_text_in_every_command(refused, command):
         ("calibrate", ["--method", "pmp"], "--exposure: not valid with --method pmp"),
         ("calibrate", ["--method", "reference"], "--sharp: needed with --method reference"),
         ("calibrate", ["--start", "9"], "--start"),
-        ("bench codes", ["no-such-code"], "NAME"),
-        ("bench blind", ["--methods", "x"], "--methods"),
-        ("bench blind", ["--protocol", "x"], "--protocol"),
-        ("bench cep", ["--designs", "x"], "--designs"),
     ],
 )
 def test_a_bad_value_is_refused_by_the_options_name(refused, command, given, option):

@@ -54,12 +54,6 @@ FOLDERS = {
         "blurred/psf.mat",
     ),
     "demo": (("demo", "-o", "OUT"), DEMO_FILES[-1]),
-    "bench": (("bench", "--quick", "-o", "OUT"), "README.md"),
-    "bench, its last table": (("bench", "--quick", "-o", "OUT"), "cep-ours/cep.csv"),
-    "bench blind": (("bench", "blind", "--quick", "-o", "OUT"), "blind.csv"),
-    "bench speed": (("bench", "speed", "--quick", "-o", "OUT"), "speed.csv"),
-    "bench cep": (("bench", "cep", "--quick", "-o", "OUT"), "cep.csv"),
-    "bench codes": (("bench", "codes", "raskar-52", "-o", "OUT"), "codes.csv"),
 }
 """Commands that write a folder, which is made when it is missing, and a file in it."""
 
@@ -70,8 +64,6 @@ WORK = (
     "cep.proofs.audit.certify",
     "cep.plots.mtf_curves.mtf_curve",
     "cep.restoration.restore.restore",
-    "cep.jobs.engine.run_cells",
-    "lab.bench.coded.job.measure_coded",
     "hw.drivers.cxp.open_link",
     "cep.shutter.playback.read_capture",
     "hw.emulation.uno.EmulatedUno",
@@ -82,8 +74,6 @@ WORK = (
 
 
 BINDING = (
-    "lab.bench.blind.run.",
-    "lab.bench.codes.",
     "cep.calibration.calibrate_folder.",
     "cep.search.optimize.",
 )

@@ -67,9 +67,6 @@ print(json.dumps({"code": code, "shown": shown, "last": Terminal.text}))
         ),
         (("demo", "--photo", "small.png"), "starting"),
         (("optimize", "--linear", "12", "--chips", "12", "--open", "13"), "searching"),
-        (("bench", "--data", "nowhere", "-o", "out"), "planning"),
-        (("bench", "blind", "--data", "nowhere"), "measuring"),
-        (("bench", "codes", "nobody"), "measuring"),
     ],
 )
 def test_something_is_shown_before_anything_slow_is_loaded(workplace, arguments, words):
@@ -116,7 +113,7 @@ def told(monkeypatch):
         bars.append([])
         yield lambda share, _what="", /: bars[-1].append(share)
 
-    for name in ("calibrate", "optimize", "demo", "bench", "jobs"):
+    for name in ("calibrate", "optimize", "demo"):
         monkeypatch.setattr(f"cep.commands.{name}.progress", progress)
     return bars
 

@@ -1,26 +1,85 @@
-"""``python -m lab frames``: its table and its files."""
+"""``python -m lab frames``: a file for each exposure, a table, and refusals."""
 
 from pathlib import Path
 
+import numpy as np
 import pytest
-from cep_tables import read_tables
+
+from cep.files.files import read_code
+from cep.optics.code import ShutterCode
+from cep.search.annealing.joint import joint_figures
+from cep.search.problem import SearchProblem
+from motdiff.trajectory import Trajectory
 
 
-def test_the_comparison_is_written_as_latex(lab, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    found = lab.succeeds(
-        "frames", "--linear", "12", "--chips", "12", "--steps", "2000", "--table", "compared.tex"
+def test_the_command_writes_a_file_for_each_frame(cep, lab, workplace):
+    options = (
+        "--chips",
+        "16",
+        "--open",
+        "8",
+        "--objective",
+        "noise",
+        "--steps",
+        "8000",
+        "-o",
+        "both.json",
     )
-    ((caption, _, head, rows),) = read_tables(Path("compared.tex").read_text(encoding="utf-8"))
-    assert caption.startswith("on this motion")
-    assert head[:2] == ["frames", "open"]
-    assert [row[1] for row in rows[:2]] == [str(count) for count in found["open"]]
-    assert float(rows[2][2]) == pytest.approx(found["min_chip"], rel=1e-3)
+    found = lab.succeeds("frames", "--linear", "16", "--frames", "2", *options)
+    assert found["files"] == ["both_1.json", "both_2.json"]
+    assert not Path("both.json").exists()
+    for number, (file, bits) in enumerate(zip(found["files"], found["bits"], strict=True), 1):
+        stored = read_code(file)
+        assert stored.code.bits == bits
+        assert bits.count("1") == 8
+        assert (stored.problem["frame"], stored.problem["frames"]) == (number, 2)
+        assert stored.problem["joint"]["noise_gain_db"] == found["noise_gain_db"]
+        cep.succeeds("audit", file)
+    problem = SearchProblem.along(Trajectory.straight(16.0), chips=16, objective="noise")
+    figures = joint_figures(problem, [ShutterCode(bits) for bits in found["bits"]])
+    assert found["noise_gain_db"] == pytest.approx(figures.noise_gain_db)
+    assert found["min_mtf"] == pytest.approx(figures.minimum)
+    assert found["noise_gain_db"] < found["single"]["noise_gain_db"]
+    alone = problem.measure(ShutterCode(found["single"]["bits"]))
+    assert found["single"]["noise_gain_db"] == pytest.approx(
+        alone.noise_gain_db - 10 * np.log10(2)
+    )
 
 
-def test_a_file_in_the_way_is_refused(lab, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("pair_2.json").write_text("mine")
-    line = lab.refuses("frames", "--linear", "12", "--chips", "12", "-o", "pair.json")
-    assert "pair_2.json: exists already, use --force" in line
-    assert Path("pair_2.json").read_text() == "mine"
+def test_the_command_shows_a_table(lab, workplace):
+    assert (
+        lab(
+            "frames",
+            "--linear",
+            "12",
+            "-n",
+            "12",
+            "--frames",
+            "3",
+            "--steps",
+            "4000",
+            "-o",
+            "x.json",
+        ).code
+        == 0
+    )
+    for words in ("x_1", "x_3", "together", "best single code, 3 times", "min |P|, chips"):
+        assert words in lab.out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--frames", "0"), "--frames"),
+        (("--frames", "two"), "--frames"),
+        (("--frames", "1"), "--frames"),
+        (("--frames", "2", "-o", "there.json"), "there_2.json: exists already"),
+        (("--frames", "2", "--time", "-1"), "--time"),
+    ],
+)
+def test_bad_options_are_one_line(lab, workplace, options, message):
+    Path("there_2.json").write_text("{}")
+    assert message in lab.refuses(
+        "frames", "--linear", "12", "--chips", "12", "-o", "never.json", *options
+    )
+    assert not list(Path().glob("never*"))
