@@ -39,6 +39,7 @@ class ProblemFields(TypedDict, total=False):
     runs: RunLimits
     camera: Camera
     chip_ns: int
+    response: ShutterResponse | None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -198,7 +198,7 @@ def test_files_of_any_name_are_read_and_written(cep, tmp_path, monkeypatch, stem
 
 @pytest.mark.parametrize("encoding", ["latin-1", "ascii", "cp850", "cp932", "utf-8"])
 @pytest.mark.parametrize(
-    "arguments", ["camera list", "cite --help", "camera list --json", "--help"]
+    "arguments", ["camera list", "optimize --help", "camera list --json", "--help"]
 )
 def test_an_output_that_is_not_utf_8(encoding, arguments):
     run = [sys.executable, "-c", "from cep.commands.main import run; run()", *arguments.split()]
