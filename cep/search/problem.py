@@ -39,7 +39,6 @@ class ProblemFields(TypedDict, total=False):
     runs: RunLimits
     camera: Camera
     chip_ns: int
-    response: ShutterResponse | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,6 +149,7 @@ class SearchProblem:
         duty: tuple[float, float] | None = None,
         exposure_s: float | None = None,
         device: DeviceProfile | str | None = None,
+        response: ShutterResponse | None = None,
         **fields: Unpack[ProblemFields],
     ) -> SearchProblem:
         """Make the problem of motions, a camera or a device, an exposure and limits.
@@ -173,6 +173,8 @@ class SearchProblem:
             :func:`hw.device.load_profile`: its limits tighten ``runs`` and the open range, and the
             search counts its rise and fall. Without one the camera's own shutter plays them, and
             its shortest exposure is the shortest opening.
+        response : ShutterResponse, optional
+            Rise and fall of a shutter without a profile.
         **fields
             The other fields.
 
@@ -201,7 +203,6 @@ class SearchProblem:
             fields["chip_ns"] = chip_time_ns(exposure_s, chips, profile)
         chip_ns = fields.get("chip_ns", cls.chip_ns)
         runs = fields.get("runs", RunLimits())
-        response = fields.pop("response", None)
         if profile is None:
             camera = fields.get("camera", Camera())
             fields["runs"] = within_camera(camera, chips=chips, chip_ns=chip_ns, runs=runs)
@@ -215,6 +216,8 @@ class SearchProblem:
             )
             open_range = played.open_range
             fields["runs"] = played.runs
+            if response is not None:
+                raise ValueError("response and device: give one of them")
             response = played.response
         return cls(
             chips=chips,
