@@ -30,7 +30,7 @@ MOST = {
     "cep/proofs": 1,
     "cep/report": 10,
     "cep/restoration": 4,
-    "cep/search": 263,
+    "cep/search": 12,
     "cep/shutter": 1,
     "cep/studio": 12,
     "lab/bench": 98,

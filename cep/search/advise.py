@@ -53,7 +53,7 @@ class Verdict:
     code_name : str
         Name in the sentence of the code that a single exposure is compared with; empty where no
         code of the user's is.
-    own : Way or None
+    user_code : Way or None
         That code, where it is the user's; else the best one is compared with.
     path_error_px : float
         Rms error that the path was taken to have.
@@ -65,14 +65,14 @@ class Verdict:
     camera: Camera
     ways: tuple[Way, ...]
     code_name: str = "the best code found"
-    own: Way | None = None
+    user_code: Way | None = None
     path_error_px: float = 0.0
     frames: int = 1
 
     @property
     def possible(self) -> tuple[Way, ...]:
         """Ways that can be advised: they keep the limits and do not saturate."""
-        return tuple(way for way in self.ways if way.possible)
+        return tuple(exposure for exposure in self.ways if exposure.possible)
 
     @property
     def open_saturates(self) -> bool:
@@ -84,9 +84,9 @@ class Verdict:
         as well.
         """
         kinds = CODED if kind == "code" else (kind,)
-        found = [way for way in self.possible if way.kind in kinds]
+        candidates = [exposure for exposure in self.possible if exposure.kind in kinds]
         figure = attrgetter("equal_light_db" if equal_light else "psnr_db")
-        return max(found, key=figure, default=None)
+        return max(candidates, key=figure, default=None)
 
     @property
     def advised(self) -> Way:
@@ -103,7 +103,7 @@ class Verdict:
         """The way to take without the limits, where it is better by
         :data:`cep.search.expected.WORTH_DB`; else None.
         """
-        best = simplest([way for way in self.ways if not way.saturates])
+        best = simplest([exposure for exposure in self.ways if not exposure.saturates])
         return best if best.psnr_db > self.advised.psnr_db + WORTH_DB else None
 
     @property
@@ -114,9 +114,9 @@ class Verdict:
         """
         best = {kind: self.best(kind) for kind in KINDS}
         return {
-            kind: way.psnr_db - self.ways[0].psnr_db
-            for kind, way in best.items()
-            if way is not None
+            kind: exposure.psnr_db - self.ways[0].psnr_db
+            for kind, exposure in best.items()
+            if exposure is not None
         }
 
     @property
@@ -130,9 +130,9 @@ class Verdict:
             return {}
         best = {kind: self.best(kind, equal_light=True) for kind in KINDS}
         return {
-            kind: way.equal_light_db - self.ways[0].equal_light_db
-            for kind, way in best.items()
-            if way is not None
+            kind: exposure.equal_light_db - self.ways[0].equal_light_db
+            for kind, exposure in best.items()
+            if exposure is not None
         }
 
     @property
@@ -143,60 +143,61 @@ class Verdict:
         None where no code is possible, infinite where nothing else is.
         """
         code = self.best("code")
-        plain = [way.psnr_db for kind in PLAIN if (way := self.best(kind)) is not None]
+        plain = [exposure.psnr_db for kind in PLAIN if (exposure := self.best(kind)) is not None]
         return None if code is None else code.psnr_db - max(plain, default=-math.inf)
 
     @property
     def sentence(self) -> str:
         """What to do and what it gains, then under which conditions."""
-        way = self.advised
+        advised = self.advised
         snapshot = self.best("snapshot")
-        code = self.own or self.best("code")
+        code = self.user_code or self.best("code")
         gains = (
             []
             if self.open_saturates
-            else [_gain(way.psnr_db - self.ways[0].psnr_db, "the open shutter")]
+            else [_gain(advised.psnr_db - self.ways[0].psnr_db, "the open shutter")]
         )
-        if way.kind == "open":
-            said = (
+        if advised.kind == "open":
+            text = (
                 "Leave the shutter open: no shorter exposure and no code found gains"
                 f" {WORTH_DB:g} dB"
             )
-        elif way.kind == "snapshot":
-            said = f"Coding does not pay here: expose {_share(way.code)}"
+        elif advised.kind == "snapshot":
+            text = f"Coding does not pay here: expose {_share(advised.code)}"
             if code is not None and self.code_name:
-                gains.append(_gain(way.psnr_db - code.psnr_db, self.code_name))
-            said += _joined(", which ", gains)
-            said += "" if self.code_name else "; no code that was tried is better"
+                gains.append(_gain(advised.psnr_db - code.psnr_db, self.code_name))
+            text += _joined(", which ", gains)
+            text += "" if self.code_name else "; no code that was tried is better"
         else:
             do = (
                 "Code this exposure"
-                if way.kind == "code"
-                else f"Pulse the shutter evenly, {_pulses(way.code)}"
+                if advised.kind == "code"
+                else f"Pulse the shutter evenly, {_pulses(advised.code)}"
             )
-            if way.kind == "code" and self.own is not None and self.own is not way:
-                do += f" by {way.code.bits}"
+            beats_user_code = self.user_code is not None and self.user_code is not advised
+            if advised.kind == "code" and beats_user_code:
+                do += f" by {advised.code.bits}"
             if snapshot is not None:
                 gains.append(
                     _gain(
-                        way.psnr_db - snapshot.psnr_db,
+                        advised.psnr_db - snapshot.psnr_db,
                         f"the best single exposure, {_share(snapshot.code)}",
                     )
                 )
-            if self.own is not None and self.own is not way:
-                gains.append(_gain(way.psnr_db - self.own.psnr_db, self.code_name))
-            said = do + _joined(": that ", gains)
-        said += f". Gains are those expected of the restored photo, {self._conditions}."
+            if self.user_code is not None and self.user_code is not advised:
+                gains.append(_gain(advised.psnr_db - self.user_code.psnr_db, self.code_name))
+            text = do + _joined(": that ", gains)
+        text += f". Gains are those expected of the restored photo, {self._conditions}."
         if code is None:
-            said += " No code is possible."
+            text += " No code is possible."
         if self.open_saturates:
-            said += " The open shutter saturates at this light."
-        if (other := self.outside) is not None:
-            said += (
-                f" If the limits can be loosened, {_run(other)} gains"
-                f" {_amount(other.psnr_db - way.psnr_db)} more."
+            text += " The open shutter saturates at this light."
+        if (unlimited := self.outside) is not None:
+            text += (
+                f" If the limits can be loosened, {_run(unlimited)} gains"
+                f" {_amount(unlimited.psnr_db - advised.psnr_db)} more."
             )
-        return said
+        return text
 
     @property
     def _conditions(self) -> str:
@@ -214,14 +215,14 @@ class Verdict:
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON."""
-        best = {kind: way for kind in KINDS if (way := self.best(kind)) is not None}
+        best = {kind: exposure for kind in KINDS if (exposure := self.best(kind)) is not None}
         return {
             "choice": self.choice,
             "photons": self.camera.photons_full_scale,
             "open_saturates": self.open_saturates,
             "gains_db": self.gains_db,
             "equal_light_gains_db": self.equal_light_gains_db,
-            "ways": {kind: way.to_dict() for kind, way in best.items()},
+            "ways": {kind: exposure.to_dict() for kind, exposure in best.items()},
             "outside_limits": None if self.outside is None else self.outside.to_dict(),
         }
 
@@ -266,11 +267,11 @@ class Advice:
         Between the levels the gain is interpolated over the logarithm of the light; None where a
         range goes on beyond the levels.
         """
-        stated = [one.code_gain_db for one in self.levels]
-        gains = np.array([-np.inf if gain is None else gain for gain in stated]) - WORTH_DB
-        light = np.log10([one.camera.photons_full_scale for one in self.levels])
+        gains_db = [level.code_gain_db for level in self.levels]
+        gains = np.array([-np.inf if gain is None else gain for gain in gains_db]) - WORTH_DB
+        light = np.log10([level.camera.photons_full_scale for level in self.levels])
         ranges: list[tuple[float | None, float | None]] = []
-        begins: float | None = None
+        low_light: float | None = None
         inside = bool(gains[0] > 0)
         for i in range(1, len(gains)):
             if (gains[i] > 0) == inside:
@@ -280,12 +281,12 @@ class Advice:
                 if np.isfinite(gains[i - 1] - gains[i])
                 else 0.5
             )
-            at = float(10 ** (light[i - 1] + share * (light[i] - light[i - 1])))
+            light_at_zero = float(10 ** (light[i - 1] + share * (light[i] - light[i - 1])))
             if inside:
-                ranges.append((begins, at))
-            begins = at
+                ranges.append((low_light, light_at_zero))
+            low_light = light_at_zero
             inside = not inside
-        return (*ranges, (begins, None)) if inside else tuple(ranges)
+        return (*ranges, (low_light, None)) if inside else tuple(ranges)
 
     @property
     def sentence(self) -> str:
@@ -295,24 +296,28 @@ class Advice:
     @property
     def where(self) -> str:
         """At which light coding pays: one sentence."""
-        levels = [one.camera.photons_full_scale for one in self.levels]
-        if all(one.code_gain_db == math.inf for one in self.levels):
+        levels = [level.camera.photons_full_scale for level in self.levels]
+        if all(level.code_gain_db == math.inf for level in self.levels):
             return "Only codes keep these limits, at any light."
         if len(levels) == 1:
             return "No other light was tried."
         span = f"between {levels[0]:,.0f} and {levels[-1]:,.0f} photo-electrons at full scale"
         if not self.crossover:
             return f"With this camera and motion coding pays at no light {span}."
-        gains = {one.camera.photons_full_scale: one.code_gain_db or 0.0 for one in self.levels}
-        most = max(
-            (level for level in gains if math.isfinite(gains[level])), key=gains.__getitem__
+        gains = {
+            level.camera.photons_full_scale: level.code_gain_db or 0.0 for level in self.levels
+        }
+        best_level = max(
+            (light for light in gains if math.isfinite(gains[light])), key=gains.__getitem__
         )
         if self.crossover == ((None, None),):
             where = f"at any light {span}"
         else:
             ranges = " and ".join(_range(low, high) for low, high in self.crossover)
             where = f"{ranges} photo-electrons at full scale"
-        return f"Coding pays {where}, by {gains[most]:.2g} dB at most (at {most:,.0f})."
+        return (
+            f"Coding pays {where}, by {gains[best_level]:.2g} dB at most (at {best_level:,.0f})."
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep advise --json`` prints them."""
@@ -324,7 +329,7 @@ class Advice:
             "chips": self.problem.chips,
             "chip_ns": self.problem.chip_ns,
             "exposure_s": self.problem.chips * self.problem.chip_ns * 1e-9,
-            "levels": [one.to_dict() for one in self.levels],
+            "levels": [level.to_dict() for level in self.levels],
         }
 
     def __repr__(self) -> str:
@@ -359,15 +364,15 @@ def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 
     check_light(problem)
     _check_codes(problem, codes)  # before the work
     ordinary = WayFinder(problem).ordinary(problem.camera, every_length=path_error_px > 0)
-    ways = judged_ways(
+    exposures = judged_ways(
         problem, [problem.camera], [*ordinary, *codes], path_error_px=path_error_px
     )[0]
-    return verdict_of(problem, ways, codes, path_error_px=path_error_px)
+    return verdict_of(problem, exposures, codes, path_error_px=path_error_px)
 
 
 def verdict_of(
     problem: SearchProblem,
-    ways: tuple[Way, ...],
+    exposures: tuple[Way, ...],
     codes: Sequence[ShutterCode],
     *,
     path_error_px: float = 0.0,
@@ -375,14 +380,20 @@ def verdict_of(
     """Return the verdict of ways that were judged already, the codes among them; see
     :func:`verdict`.
     """
-    best_possible(ways)
-    judged = Verdict(problem.camera, ways, "", path_error_px=path_error_px)
+    best_possible(exposures)
+    unnamed = Verdict(problem.camera, exposures, "", path_error_px=path_error_px)
     bits = {code.bits for code in codes}
-    own = [way for way in judged.possible if way.kind in CODED and way.code.bits in bits]
-    if not own:
-        return judged
+    user_exposures = [
+        exposure
+        for exposure in unnamed.possible
+        if exposure.kind in CODED and exposure.code.bits in bits
+    ]
+    if not user_exposures:
+        return unnamed
     name = "this code" if len(codes) == 1 else "the best of these codes"
-    return replace(judged, code_name=name, own=max(own, key=attrgetter("psnr_db")))
+    return replace(
+        unnamed, code_name=name, user_code=max(user_exposures, key=attrgetter("psnr_db"))
+    )
 
 
 def advise(
@@ -444,28 +455,29 @@ def advise(
     for scenario in problem.scenarios:
         check_frame(scenario.trajectory)
         check_resolved(scenario.trajectory, problem.chips)
-    own = problem.camera.photons_full_scale
-    every = [problem.camera.at(level) for level in sorted({*map(float, levels), own})]
-    cameras = [one for one in every if can_record(replace(problem, camera=one))]
+    camera_light = problem.camera.photons_full_scale
+    lights = sorted({*map(float, levels), camera_light})
+    cameras = [problem.camera.at(light) for light in lights]
+    cameras = [camera for camera in cameras if can_record(replace(problem, camera=camera))]
     finder = WayFinder(problem)
     pool = list(codes)
     parts = len(cameras) + 1
-    for done, camera in enumerate(cameras):
-        progress(done / parts, f"{camera.photons_full_scale:,.0f} photo-electrons")
-        ordinary = finder.ordinary(camera, every_length=path_error_px > 0 and done == 0)
+    for index, camera in enumerate(cameras):
+        progress(index / parts, f"{camera.photons_full_scale:,.0f} photo-electrons")
+        ordinary = finder.ordinary(camera, every_length=path_error_px > 0 and index == 0)
         pool += [*ordinary, *finder.codes(camera, [*ordinary, *pool], seed=seed, threads=threads)]
     progress(len(cameras) / parts, "judging")
-    judged = judged_ways(problem, cameras, pool, path_error_px=path_error_px)
+    judged_exposures = judged_ways(problem, cameras, pool, path_error_px=path_error_px)
     verdicts = tuple(
-        Verdict(camera, ways, path_error_px=path_error_px)
-        for camera, ways in zip(cameras, judged, strict=True)
-        if any(way.possible for way in ways)
+        Verdict(camera, exposures, path_error_px=path_error_px)
+        for camera, exposures in zip(cameras, judged_exposures, strict=True)
+        if any(exposure.possible for exposure in exposures)
     )
-    here = next((one for one in verdicts if one.camera.photons_full_scale == own), None)
-    if here is None:
+    own_level = [level for level in verdicts if level.camera.photons_full_scale == camera_light]
+    if not own_level:
         raise ValueError(NONE_POSSIBLE)
     progress(1.0, "")
-    return Advice(problem, here, verdicts, path_error_px)
+    return Advice(problem, own_level[0], verdicts, path_error_px)
 
 
 def _check_codes(problem: SearchProblem, codes: Sequence[ShutterCode]) -> None:
@@ -474,12 +486,12 @@ def _check_codes(problem: SearchProblem, codes: Sequence[ShutterCode]) -> None:
         raise ValueError(f"codes: must have {problem.chips} chips")
 
 
-def _joined(begins: str, gains: Sequence[str]) -> str:
+def _joined(opening: str, gains: Sequence[str]) -> str:
     """Gains as one clause, empty without any; the verb stands once where it is the same."""
     if not gains:
         return ""
     verb = gains[0].split()[0] + " "
-    return begins + " and ".join([gains[0], *(gain.removeprefix(verb) for gain in gains[1:])])
+    return opening + " and ".join([gains[0], *(gain.removeprefix(verb) for gain in gains[1:])])
 
 
 def _gain(gain_db: float, over: str) -> str:
@@ -497,33 +509,33 @@ def _amount(gain_db: float) -> str:
     return f"{abs(gain_db):.1f} dB" if abs(gain_db) >= 0.95 else f"{abs(gain_db):.2f} dB"
 
 
-def _run(way: Way) -> str:
-    if way.kind == "open":
+def _run(exposure: Way) -> str:
+    if exposure.kind == "open":
         return "the open shutter"
-    if way.kind == "snapshot":
-        return f"a single exposure of {_share(way.code)}"
-    return "a code" if way.kind == "code" else _pulses(way.code)
+    if exposure.kind == "snapshot":
+        return f"a single exposure of {_share(exposure.code)}"
+    return "a code" if exposure.kind == "code" else _pulses(exposure.code)
 
 
 def _pulses(code: ShutterCode) -> str:
     """Even pulses in words."""
-    opened = code.bits.index("1")
-    closed = code.bits.index("0", opened)
-    period = code.bits.find("1", closed) - opened
-    return f"{code.pulses} pulses of {closed - opened} chips, one every {period} chips"
+    first_open = code.bits.index("1")
+    first_closed = code.bits.index("0", first_open)
+    period = code.bits.find("1", first_closed) - first_open
+    return f"{code.pulses} pulses of {first_closed - first_open} chips, one every {period} chips"
 
 
 def _share(code: ShutterCode) -> str:
     """Open part of the exposure in words, with its time."""
-    part = code.chips / code.open_chips
-    share = f"1/{float(f'{part:.2g}'):g}" if part >= 2 else f"{100 / part:.0f} %"
-    opened, whole = (count * code.chip_ns * 1e-9 for count in (code.open_chips, code.chips))
-    return f"{share} of the time ({duration(opened)} of {duration(whole)})"
+    ratio = code.chips / code.open_chips
+    share = f"1/{float(f'{ratio:.2g}'):g}" if ratio >= 2 else f"{100 / ratio:.0f} %"
+    open_s, exposure_s = (count * code.chip_ns * 1e-9 for count in (code.open_chips, code.chips))
+    return f"{share} of the time ({duration(open_s)} of {duration(exposure_s)})"
 
 
 def _range(low: float | None, high: float | None) -> str:
     """Range of light in words, its ends to two digits."""
-    ends = [None if end is None else f"{float(f'{end:.2g}'):,.0f}" for end in (low, high)]
+    limits = [None if end is None else f"{float(f'{end:.2g}'):,.0f}" for end in (low, high)]
     if low is None:
-        return f"up to {ends[1]}"
-    return f"from {ends[0]} on" if high is None else f"from {ends[0]} to {ends[1]}"
+        return f"up to {limits[1]}"
+    return f"from {limits[0]} on" if high is None else f"from {limits[0]} to {limits[1]}"

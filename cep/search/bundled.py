@@ -41,7 +41,7 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
     """
     if problem.scenarios or [name for name, _ in problem.objective_mix] != ["min-mtf"]:
         return None
-    began, (low, high) = time.monotonic(), problem.open_limits
+    started, (low, high) = time.monotonic(), problem.open_limits
     for entry in OPTIMA:
         covers = (
             problem.chips <= entry.chips and entry.fewest_open <= low and high <= entry.most_open
@@ -59,7 +59,7 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
             lower=minimum.lower,
             upper=minimum.upper,
         )
-        return ExactResult(code, minimum, log, time.monotonic() - began, True)
+        return ExactResult(code, minimum, log, time.monotonic() - started, True)
     return None
 
 

@@ -75,24 +75,24 @@ def choose_chips(
     ValueError
         If none is left: as for the first of them.
     """
-    ends = time.monotonic() + time_s
+    deadline = time.monotonic() + time_s
     reached: dict[int, Way] = {}
     refusal = ValueError("counts: needs at least one number of chips")
     early = ""
     count = 0
     try:
-        for done, count in enumerate(counts):
-            left_s = ends - time.monotonic()
+        for index, count in enumerate(counts):
+            left_s = deadline - time.monotonic()
             if reached and left_s <= 0:
                 early = "time"
                 break
-            progress(done / len(counts), f"{count} chips")
+            progress(index / len(counts), f"{count} chips")
             try:
                 problem = problem_of(count)
                 check_resolved(problem.scenarios[0].trajectory, count)
                 check_light(problem)
             except ValueError as error:
-                refusal = error if done == 0 else refusal
+                refusal = error if index == 0 else refusal
                 continue
             reached[count], stopped = _best_way(
                 problem, path_error_px, seed, max(left_s, 1e-3), threads
@@ -106,11 +106,13 @@ def choose_chips(
             return ChipCount(count, {}, None, early)
     if not reached:
         raise refusal
-    best_db = max(way.psnr_db for way in reached.values())
-    chosen = min(count for count, way in reached.items() if way.psnr_db > best_db - WORTH_DB)
+    best_db = max(exposure.psnr_db for exposure in reached.values())
+    chosen = min(
+        count for count, exposure in reached.items() if exposure.psnr_db > best_db - WORTH_DB
+    )
     gains = {
-        count: way.psnr_db - reached[chosen].psnr_db
-        for count, way in reached.items()
+        count: exposure.psnr_db - reached[chosen].psnr_db
+        for count, exposure in reached.items()
         if count != chosen
     }
     return ChipCount(chosen, gains, reached[chosen].code, early)
@@ -135,7 +137,7 @@ def suited_chips(
     ValueError
         As of :func:`choose_chips`.
     """
-    found = choose_chips(
+    choice = choose_chips(
         problem_of,
         counts,
         path_error_px=path_error_px,
@@ -143,10 +145,10 @@ def suited_chips(
         threads=threads,
         progress=progress,
     )
-    if found.early == "interrupted":
+    if choice.early == "interrupted":
         raise KeyboardInterrupt
     progress(1.0, "")
-    return found.chips, found.gains_db
+    return choice.chips, choice.gains_db
 
 
 def in_words_of_chips(gains_db: Mapping[int, float]) -> str:
@@ -158,9 +160,9 @@ def in_words_of_chips(gains_db: Mapping[int, float]) -> str:
     >>> in_words_of_chips({16: -0.52, 104: 0.04})
     '16 chips would lose 0.52 dB, 104 gain 0.04 dB'
     """
-    parts = [f"{'gain' if gain > 0 else 'lose'} {abs(gain):.2f} dB" for gain in gains_db.values()]
+    gains = [f"{'gain' if gain > 0 else 'lose'} {abs(gain):.2f} dB" for gain in gains_db.values()]
     names = [f"{count} chips would" if i == 0 else str(count) for i, count in enumerate(gains_db)]
-    return ", ".join(f"{name} {part}" for name, part in zip(names, parts, strict=True))
+    return ", ".join(f"{name} {gain}" for name, gain in zip(names, gains, strict=True))
 
 
 def _best_way(

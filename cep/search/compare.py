@@ -68,8 +68,13 @@ class Comparison(tuple[BaselineRow, ...]):
     __slots__ = ()
 
     def __repr__(self) -> str:
-        own = tuple(figure_head(*item) for row in self[:1] for item in row.figures.items())
-        cells = [("", "open", "min MTF", "noise gain, dB", "MSE, dB", *own), *map(_cells, self)]
+        figure_names = tuple(
+            figure_head(*item) for row in self[:1] for item in row.figures.items()
+        )
+        cells = [
+            ("", "open", "min MTF", "noise gain, dB", "MSE, dB", *figure_names),
+            *map(_cells, self),
+        ]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         return "\n".join(
             "  ".join(
@@ -122,7 +127,7 @@ def compare(
     >>> [row.name for row in rows][:4]
     ['this code', 'open shutter', 'best snapshot', 'best strobe']
     """
-    others = (
+    measured = (
         find_baselines(problem, rng=np.random.default_rng(seed))
         if baselines is None
         else baselines
@@ -137,13 +142,13 @@ def compare(
         BaselineRow("this code", code, problem.measure(code), problem.allows(code)),
         *(
             BaselineRow(
-                one.name,
-                ShutterCode(one.code.bits, code.chip_ns),
-                problem.measure(one.code, budget=0),
-                one.within_limits,
-                one.stopped_early,
+                baseline.name,
+                ShutterCode(baseline.code.bits, code.chip_ns),
+                problem.measure(baseline.code, budget=0),
+                baseline.within_limits,
+                baseline.stopped_early,
             )
-            for one in others
+            for baseline in measured
         ),
     )
     return Comparison(

@@ -120,14 +120,20 @@ class ExpectedPsnr:
         _check_moves(problem)
         self.problem = problem
         rng = np.random.default_rng(0) if rng is None else rng
-        self._ways = [
-            [_Way(problem, one, path_error_px, rng) for one in _thinned_ways(problem, scenario)]
+        self._motions = [
+            [
+                _DirectedMotion(problem, directed, path_error_px, rng)
+                for directed in _directed(problem, scenario)
+            ]
             for scenario in problem.scenarios
         ]
-        if sum(way.kept_bytes for ways in self._ways for way in ways) <= most_bytes:
-            for ways in self._ways:
-                for way in ways:
-                    way.keep()
+        if (
+            sum(motion.kept_bytes for directions in self._motions for motion in directions)
+            <= most_bytes
+        ):
+            for directions in self._motions:
+                for motion in directions:
+                    motion.keep()
 
     def psnr_db(self, codes: Sequence[ShutterCode], *, noise: ArrayLike) -> FloatArray:
         """Return the PSNR, dB, of the best linear restoration of the reference scene, (codes, L).
@@ -144,7 +150,11 @@ class ExpectedPsnr:
         chips = np.array([code.array for code in codes], dtype=np.float64)
         variances = np.atleast_2d(np.asarray(noise, dtype=np.float64)).T
         return _psnr_db(
-            self.problem, [[way.error(chips, variances) for way in ways] for ways in self._ways]
+            self.problem,
+            [
+                [motion.error(chips, variances) for motion in directions]
+                for directions in self._motions
+            ],
         )
 
 
@@ -199,7 +209,8 @@ def joint_psnr_db(
 
     _check_moves(problem)
     errors = [
-        [error(one) for one in _thinned_ways(problem, scenario)] for scenario in problem.scenarios
+        [error(directed) for directed in _directed(problem, scenario)]
+        for scenario in problem.scenarios
     ]
     return _psnr_db(problem, errors)
 
@@ -209,10 +220,13 @@ def _check_moves(problem: SearchProblem) -> None:
         raise ValueError("scenarios: need a motion to expect a restoration along")
 
 
-def _thinned_ways(problem: SearchProblem, scenario: Scenario) -> list[Scenario]:
+def _directed(problem: SearchProblem, scenario: Scenario) -> list[Scenario]:
     """Return the scenario in each direction that counts, its path thinned."""
-    ways = [scenario.path(reversed_path=turned) for turned in problem.directions(scenario)]
-    return [replace(scenario, trajectory=path.thinned(_TOLERANCE_PX)) for path in ways]
+    paths = [
+        scenario.path(reversed_path=reversed_path)
+        for reversed_path in problem.directions(scenario)
+    ]
+    return [replace(scenario, trajectory=path.thinned(_TOLERANCE_PX)) for path in paths]
 
 
 def _psnr_db(problem: SearchProblem, errors: Sequence[Sequence[FloatArray]]) -> FloatArray:
@@ -226,7 +240,7 @@ def _psnr_db(problem: SearchProblem, errors: Sequence[Sequence[FloatArray]]) -> 
     return -np.asarray(np.max(errors_db, axis=0), dtype=np.float64)
 
 
-class _Way:
+class _DirectedMotion:
     """Mean square error of codes along a path that is one of those near it, as far as is known."""
 
     def __init__(
@@ -239,16 +253,18 @@ class _Way:
         self._problem = problem
         self._scenario = scenario
         path = scenario.trajectory
-        self._near = [path] if path_error_px == 0 else list(_near(path, path_error_px, rng))
-        self._samples = _samples(path, exact=len(self._near) == 1)
-        self._kept: list[NDArray[np.complex64]] | None = None
+        self._paths = (
+            [path] if path_error_px == 0 else list(_perturbed_paths(path, path_error_px, rng))
+        )
+        self._samples = _samples(path, exact=len(self._paths) == 1)
+        self._otfs: list[NDArray[np.complex64]] | None = None
 
     @property
     def kept_bytes(self) -> int:
         """Memory of the OTFs if they are kept."""
         states = 1 if self._problem.response is None else 4
         return (
-            len(self._near)
+            len(self._paths)
             * self._problem.chips
             * states
             * self._samples.fx.size
@@ -257,7 +273,7 @@ class _Way:
 
     def keep(self) -> None:
         """Keep the OTFs of the chips along every path."""
-        self._kept = [rows.astype(np.complex64) for rows in self._all_rows()]
+        self._otfs = [rows.astype(np.complex64) for rows in self._all_rows()]
 
     def error(self, chips: FloatArray, variances: FloatArray) -> FloatArray:
         """Mean square error (R, L) of codes (R, n)."""
@@ -266,20 +282,22 @@ class _Way:
         path = self._scenario.trajectory
         mean = np.zeros((len(chips), samples.fx.size), dtype=complex)
         power = np.zeros((len(chips), samples.fx.size))
-        every: Iterable[NDArray[Any]] = self._kept or self._all_rows()
-        for one, rows in zip(self._near, every, strict=True):
+        otfs: Iterable[NDArray[Any]] = self._otfs or self._all_rows()
+        for path_drawn, rows in zip(self._paths, otfs, strict=True):
             otf = coded_sum(rows, chips)
-            if one is not path:
-                shift = chips @ (_at_chips(one, problem.chips) - _at_chips(path, problem.chips))
+            if path_drawn is not path:
+                shift = chips @ (
+                    _at_chips(path_drawn, problem.chips) - _at_chips(path, problem.chips)
+                )
                 shift /= chips.sum(axis=1, keepdims=True)
                 otf = otf * np.exp(
                     2j
                     * np.pi
                     * (np.outer(shift[:, 0], samples.fx) + np.outer(shift[:, 1], samples.fy))
                 )
-            mean += otf / len(self._near)
-            power += np.abs(otf) ** 2 / len(self._near)
-        unbiased = len(self._near) / max(len(self._near) - 1, 1)
+            mean += otf / len(self._paths)
+            power += np.abs(otf) ** 2 / len(self._paths)
+        unbiased = len(self._paths) / max(len(self._paths) - 1, 1)
         scatter = np.maximum(power - np.abs(mean) ** 2, 0.0) * unbiased
         inverse = inverse_scene(samples)  # 1 / S
         errors = []
@@ -295,8 +313,8 @@ class _Way:
         return np.stack(errors, axis=1)
 
     def _all_rows(self) -> Iterator[NDArray[np.complex128]]:
-        for one in self._near:
-            yield _rows(self._problem, replace(self._scenario, trajectory=one), self._samples)
+        for path in self._paths:
+            yield _rows(self._problem, replace(self._scenario, trajectory=path), self._samples)
 
 
 def _rows(
@@ -321,7 +339,9 @@ def _samples(path: Trajectory, *, exact: bool) -> BandSamples:
     return grid_samples(max(_INTERVALS, 2 * int(np.ceil(path.extent_px))))
 
 
-def _near(path: Trajectory, error_px: float, rng: np.random.Generator) -> Iterator[Trajectory]:
+def _perturbed_paths(
+    path: Trajectory, error_px: float, rng: np.random.Generator
+) -> Iterator[Trajectory]:
     for _ in range(_PAIRS):
         seed = int(rng.integers(2**32))
         for sign in (1.0, -1.0):

@@ -94,28 +94,28 @@ class FramesOptimum:
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``python -m lab frames --json`` prints them."""
-        found = self.found
+        outcome = self.found
         return {
             "verdict": self.verdict.sentence,
             "choice": self.verdict.choice,
             "gains_db": self.verdict.gains_db,
-            "bits": [code.bits for code in found.codes],
-            "frames": len(found.codes),
+            "bits": [code.bits for code in outcome.codes],
+            "frames": len(outcome.codes),
             "chips": self.problem.chips,
-            "open": [code.open_chips for code in found.codes],
+            "open": [code.open_chips for code in outcome.codes],
             "chip_ns": self.problem.chip_ns,
             **asdict(self.joint),
-            "objective": found.objective,
+            "objective": outcome.objective,
             "each": [metrics.to_dict() for metrics in self.metrics],
             "single": {
                 "bits": self.single.bits,
                 "open": self.single.open_chips,
                 **asdict(self.repeated),
             },
-            "seconds": found.seconds,
-            "steps": found.steps,
-            "stopped": found.stopped,
-            "interrupted": found.stopped == "interrupted",
+            "seconds": outcome.seconds,
+            "steps": outcome.steps,
+            "stopped": outcome.stopped,
+            "interrupted": outcome.stopped == "interrupted",
         }
 
     def stored(self, *, source: Mapping[str, object] | None = None) -> list[StoredCode]:
@@ -133,15 +133,17 @@ class FramesOptimum:
             "joint": asdict(self.joint),
         }
         return [
-            StoredCode(code, each, {**about, "frame": number})
-            for number, (code, each) in enumerate(zip(self.found.codes, figures, strict=True), 1)
+            StoredCode(code, code_figures, {**about, "frame": number})
+            for number, (code, code_figures) in enumerate(
+                zip(self.found.codes, figures, strict=True), 1
+            )
         ]
 
     def save(self, files: Sequence[Path], *, source: Mapping[str, object] | None = None) -> None:
         """Write :meth:`stored`, a file for each frame: all of them or none."""
-        with new_files(files) as made:
+        with new_files(files) as temporary:
             for file, stored in zip(files, self.stored(source=source), strict=True):
-                write_code(made[file], stored)
+                write_code(temporary[file], stored)
 
 
 def optimize_frames(
@@ -181,17 +183,17 @@ def optimize_frames(
     single, searched = _search(
         searched_problem(problem), how, frames, mean_length_px(problem), progress
     )
-    found = replace(
+    outcome = replace(
         searched, codes=tuple(replace(code, chip_ns=problem.chip_ns) for code in searched.codes)
     )
-    for code in found.codes:
+    for code in outcome.codes:
         if reason := unplayable(code.bits, problem.device, code.chip_ns):
             raise ValueError(reason)
-    about = _described(problem, how, found)
+    about = _described(problem, how, outcome)
     on_found(
         [
             StoredCode(code, problem={**about, "frame": number})
-            for number, code in enumerate(found.codes, 1)
+            for number, code in enumerate(outcome.codes, 1)
         ]
     )
     circle = replace(problem, scenarios=()) if problem.on_circle else None
@@ -207,20 +209,20 @@ def optimize_frames(
             joint.noise_gain_db if joint.noise_gain_db <= HOPELESS_DB else None,
         )
 
-    metrics = tuple(problem.measure(code) for code in found.codes)
-    joint = together(found.codes)
+    metrics = tuple(problem.measure(code) for code in outcome.codes)
+    joint = together(outcome.codes)
     repeated = together([single] * frames)
-    judged = frames_verdict(problem, found.codes)
+    judgement = frames_verdict(problem, outcome.codes)
     progress(1.0, "")
-    return FramesOptimum(problem, how, found, metrics, joint, single, repeated, judged)
+    return FramesOptimum(problem, how, outcome, metrics, joint, single, repeated, judgement)
 
 
-def _described(problem: SearchProblem, how: Search, found: FramesResult) -> dict[str, Any]:
+def _described(problem: SearchProblem, how: Search, outcome: FramesResult) -> dict[str, Any]:
     """Describe the search of all frames, as each one's code file does."""
     return {
-        **described_search(problem, how, found),
-        "frames": len(found.codes),
-        "bits_of_frames": [code.bits for code in found.codes],
+        **described_search(problem, how, outcome),
+        "frames": len(outcome.codes),
+        "bits_of_frames": [code.bits for code in outcome.codes],
     }
 
 
@@ -244,37 +246,41 @@ def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verd
     check_light(problem)
     frames = len(codes)
     camera = problem.camera
-    tried = WayFinder(problem).ordinary(camera, every_length=True)
+    ordinary = WayFinder(problem).ordinary(camera, every_length=True)
     alike = len({code.bits for code in codes}) == 1
     single = all(code.pulses == 1 for code in codes)
-    ways = judged_ways(
+    exposures = judged_ways(
         problem,
         [camera],
-        [*tried, *(codes[:1] if alike else ())],
+        [*ordinary, *(codes[:1] if alike else ())],
         path_error_px=0.0,
         frames=frames,
     )[0]
-    own = ways[-1]
+    searched = exposures[-1]
     if not alike:
         noise = [
             model(camera, codes, response=problem.response)
             for model in (light_noise, equal_light_noise)
         ]
         at_time, at_light = joint_psnr_db(problem, codes, noise=noise)
-        each = judged_ways(problem, [camera], codes, path_error_px=0.0)[0][1:]
-        own = Way(
+        frame_exposures = judged_ways(problem, [camera], codes, path_error_px=0.0)[0][1:]
+        searched = Way(
             "snapshot" if single else "code",
             codes[0],
             float(at_time),
             float(at_light),
-            all(way.within_limits for way in each),
-            any(way.saturates for way in each),
+            all(exposure.within_limits for exposure in frame_exposures),
+            any(exposure.saturates for exposure in frame_exposures),
         )
-        ways = (*ways, own)
-    best_possible(ways)
-    coded = own.possible and own.kind in CODED
+        exposures = (*exposures, searched)
+    best_possible(exposures)
+    coded = searched.possible and searched.kind in CODED
     return Verdict(
-        camera, ways, "these codes" if coded else "", own if coded else None, frames=frames
+        camera,
+        exposures,
+        "these codes" if coded else "",
+        searched if coded else None,
+        frames=frames,
     )
 
 
@@ -299,7 +305,7 @@ def _search(
         length_px=length_px,
         progress=lambda share, best: progress(share / 2, f"a single code, {best.open_chips} open"),
     )
-    found = anneal_frames(
+    outcome = anneal_frames(
         problem,
         frames,
         rng=np.random.default_rng([how.seed, 3]),
@@ -314,4 +320,6 @@ def _search(
         ),
     )
     worst: list[Stopped] = ["interrupted", "time", "steps", "complete"]
-    return single.code, replace(found, stopped=min(single.stopped, found.stopped, key=worst.index))
+    return single.code, replace(
+        outcome, stopped=min(single.stopped, outcome.stopped, key=worst.index)
+    )

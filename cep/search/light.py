@@ -64,10 +64,10 @@ def random_codes(objective: Objective, count: int, *, rng: np.random.Generator) 
     """
     if count < 1:
         raise ValueError(f"count: must be at least 1, got {count}")
-    drawn = objective.problem.random_codes(count, rng=rng)
-    costs = _costs(objective, drawn)
+    codes = objective.problem.random_codes(count, rng=rng)
+    costs = _costs(objective, codes)
     order = np.argsort(costs, kind="stable")
-    return RandomCodes(drawn[order], costs[order])
+    return RandomCodes(codes[order], costs[order])
 
 
 def best_snapshot(objective: Objective, *, within_limits: bool = False) -> ShutterCode | None:
@@ -108,17 +108,17 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
     best = (0, 0)
     lowest = np.inf
     while runs:
-        firsts, ends = np.array(runs).T
-        drawn = ((chip >= firsts[:, None]) & (chip < ends[:, None])).astype(np.int8)
-        costs = _costs(objective, drawn)
+        firsts, stops = np.array(runs).T
+        codes = ((chip >= firsts[:, None]) & (chip < stops[:, None])).astype(np.int8)
+        costs = _costs(objective, codes)
         if costs.min() >= lowest:
             break
         best = runs[int(costs.argmin())]
         lowest = float(costs.min())
-        near = [(best[0] + a, best[1] + b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
+        neighbours = [(best[0] + a, best[1] + b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
         runs = [
             (first, end)
-            for first, end in near
+            for first, end in neighbours
             if 0 <= first < end <= n and fits[end - first, first]
         ]
     return (
@@ -168,10 +168,12 @@ def _fitting_runs(limits: Limits) -> NDArray[np.bool_]:
         & (length >= max(limits.open_range[0], limits.runs.min_open, 1))
         & (length <= longest)
     )
-    closed, opened = (
+    forced_closed, forced_open = (
         np.concatenate([[0], np.cumsum(~limits.may_be(bit))]) for bit in (1, 0)
     )  # forced before a chip
-    fits &= (closed[end] == closed[first]) & (opened[end] - opened[first] == opened[-1])
+    fits &= (forced_closed[end] == forced_closed[first]) & (
+        forced_open[end] - forced_open[first] == forced_open[-1]
+    )
     return np.asarray(fits, dtype=np.bool_)
 
 
@@ -196,27 +198,29 @@ def _strobes_within(problem: SearchProblem) -> Codes:
     low, high = limits.open_range
     pairs = []
     for width in range(limits.runs.min_open, limits.longest + 1):
-        most = 1 + (n - width) // max(limits.runs.min_period, width + limits.runs.min_closed)
+        most_pulses = 1 + (n - width) // max(
+            limits.runs.min_period, width + limits.runs.min_closed
+        )
         first = max(2, -(-low // width))
-        last = min(most, high // width, limits.runs.max_pulses or most)
+        last = min(most_pulses, high // width, limits.runs.max_pulses or most_pulses)
         pairs += [(width, pulses) for pulses in range(first, last + 1)]
     codes = []
     for width, pulses in (pairs[index] for index in evenly_some(np.arange(len(pairs)), _PAIRS)):
-        least = max(limits.runs.min_period, width + limits.runs.min_closed)
+        shortest = max(limits.runs.min_period, width + limits.runs.min_closed)
         longest = (n - width) // (pulses - 1)
-        for period in evenly_some(np.arange(least, longest + 1), _PERIODS_WITHIN):
+        for period in evenly_some(np.arange(shortest, longest + 1), _PERIODS_WITHIN):
             later = n - ((pulses - 1) * period + width) if limits.runs.fixed is not None else 0
             code = np.zeros(n, dtype=np.int8)
             code[(np.arange(pulses)[:, None] * period + np.arange(width)).ravel()] = 1
             codes += [np.roll(code, first) for first in evenly_some(np.arange(later + 1), _FIRSTS)]
-    every = np.array(codes, dtype=np.int8).reshape(-1, n)
-    return every[problem.satisfied(every)]
+    strobes = np.array(codes, dtype=np.int8).reshape(-1, n)
+    return strobes[problem.satisfied(strobes)]
 
 
-def evenly_some(values: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+def evenly_some(values: NDArray[np.intp], count: int) -> NDArray[np.intp]:
     """Return all values, or ``most`` of them evenly spread."""
     return values[
-        np.unique(np.linspace(0, len(values) - 1, min(len(values), most)).round().astype(np.intp))
+        np.unique(np.linspace(0, len(values) - 1, min(len(values), count)).round().astype(np.intp))
     ]
 
 

@@ -29,9 +29,9 @@ class Step(NamedTuple):
 
     Attributes
     ----------
-    opened, closed : int
+    open_chips, closed_chips : int
         Chips that it opens, and then closes.
-    then : int
+    next_state : int
         State that it leads to: CLOSED, OPEN, or OVER, where all that follows is closed.
     pulses : int
         1 if it starts a pulse, else 0.
@@ -39,9 +39,9 @@ class Step(NamedTuple):
         Whether the forced chips and the code's length allow it at each chip.
     """
 
-    opened: int
-    closed: int
-    then: int
+    open_chips: int
+    closed_chips: int
+    next_state: int
     pulses: int
     fits: BoolArray
 
@@ -100,8 +100,8 @@ class RunLimits:
         """
         return replace(self, fixed=None) == RunLimits()
 
-    def tightened(self, other: RunLimits) -> RunLimits:
-        """Return the limits of codes that keep these and those of ``other``, whose mask counts
+    def tightened(self, limits: RunLimits) -> RunLimits:
+        """Return the limits of codes that keep these and those of ``limits``, whose mask counts
         where there is none.
 
         Examples
@@ -111,16 +111,16 @@ class RunLimits:
         5
         """
 
-        def smallest(*limits: int | None) -> int | None:
-            return min((limit for limit in limits if limit is not None), default=None)
+        def smallest(*values: int | None) -> int | None:
+            return min((limit for limit in values if limit is not None), default=None)
 
         return RunLimits(
-            min_open=max(self.min_open, other.min_open),
-            min_closed=max(self.min_closed, other.min_closed),
-            max_pulses=smallest(self.max_pulses, other.max_pulses),
-            max_open=smallest(self.max_open, other.max_open),
-            min_period=max(self.min_period, other.min_period),
-            fixed=self.fixed or other.fixed,
+            min_open=max(self.min_open, limits.min_open),
+            min_closed=max(self.min_closed, limits.min_closed),
+            max_pulses=smallest(self.max_pulses, limits.max_pulses),
+            max_open=smallest(self.max_open, limits.max_open),
+            min_period=max(self.min_period, limits.min_period),
+            fixed=self.fixed or limits.fixed,
         )
 
 
@@ -199,26 +199,26 @@ class Limits:
     def steps(self) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         """List the steps from CLOSED and those from OPEN."""
         gap = self.runs.min_closed
-        rest = self.rest()
+        may_stay_closed = self.rest()
 
-        def step(opened: int, closed: int, then: int, pulses: int = 0) -> Step:
-            fits = self.room(1, opened)
-            after = rest if then == OVER else self.room(0, closed)
-            fits[: after.size - opened] &= after[opened:]
-            return Step(opened, closed, then, pulses, fits)
+        def step(open_chips: int, closed_chips: int, next_state: int, pulses: int = 0) -> Step:
+            fits = self.room(1, open_chips)
+            after = may_stay_closed if next_state == OVER else self.room(0, closed_chips)
+            fits[: after.size - open_chips] &= after[open_chips:]
+            return Step(open_chips, closed_chips, next_state, pulses, fits)
 
         bounded = self.longest < self.chips
         # longer pulses may last and end as they like: nothing needs to remember when they began
         free = min(max(self.runs.min_open, self.runs.min_period - gap), self.chips + 1)
-        closed = [step(0, 1, CLOSED)]
+        from_closed = [step(0, 1, CLOSED)]
         if not bounded:
-            closed.append(step(free, 0, OPEN, 1))
+            from_closed.append(step(free, 0, OPEN, 1))
         for length in range(self.runs.min_open, self.longest + 1 if bounded else free):
-            closed += [
+            from_closed += [
                 step(length, max(gap, self.runs.min_period - length), CLOSED, 1),
                 step(length, 0, OVER, 1),
             ]
-        return tuple(closed), (step(1, 0, OPEN), step(0, gap, CLOSED), step(0, 0, OVER))
+        return tuple(from_closed), (step(1, 0, OPEN), step(0, gap, CLOSED), step(0, 0, OVER))
 
     def satisfied(self, codes: NDArray[np.integer] | BoolArray) -> BoolArray:
         """Which of (R, n) codes keep every limit, (R,) bool."""
@@ -231,20 +231,20 @@ class Limits:
         if runs.min_closed > 1:
             # before the first and after the last pulse the shutter is closed for longer than any
             # limit
-            closed = np.pad(
+            is_closed = np.pad(
                 ~is_open, ((0, 0), (runs.min_closed, runs.min_closed)), constant_values=True
             )
-            ok &= (_opening(closed, runs.min_closed) == closed).all(axis=1)
+            ok &= (_opening(is_closed, runs.min_closed) == is_closed).all(axis=1)
         if runs.max_open is not None and runs.max_open < self.chips:
             ok &= ~_opening(is_open, runs.max_open + 1).any(axis=1)
         if runs.max_pulses is not None:
             ok &= _starts(is_open).sum(axis=1) <= runs.max_pulses
         if runs.min_period > 1:
             period = min(runs.min_period, self.chips)
-            begun = np.pad(
+            pulses_begun = np.pad(
                 _starts(is_open).cumsum(axis=1), ((0, 0), (1, 0))
             )  # pulses before each chip
-            ok &= (begun[:, period:] - begun[:, :-period] <= 1).all(axis=1)
+            ok &= (pulses_begun[:, period:] - pulses_begun[:, :-period] <= 1).all(axis=1)
         if runs.fixed is not None:
             marks = np.frombuffer(runs.fixed.encode(), dtype=np.uint8)
             ok &= ((marks == ord("?")) | (is_open == (marks == ord("1")))).all(axis=1)
@@ -258,13 +258,13 @@ def _starts(is_open: BoolArray) -> BoolArray:
 
 def _opening(mask: BoolArray, length: int) -> BoolArray:
     """Keep what is covered by runs of at least ``length``."""
-    kept = np.zeros_like(mask)
+    covered = np.zeros_like(mask)
     if length > mask.shape[1]:
-        return kept
+        return covered
     full = np.lib.stride_tricks.sliding_window_view(mask, length, axis=1).all(axis=2)
     for shift in range(length):
-        kept[:, shift : shift + full.shape[1]] |= full
-    return kept
+        covered[:, shift : shift + full.shape[1]] |= full
+    return covered
 
 
 def fixed_mask(
@@ -295,19 +295,21 @@ def fixed_mask(
     >>> fixed_mask(8, first_open=True, forced_closed=[3, 4])
     '1??00???'
     """
-    opened = set(forced_open)
-    closed = set(forced_closed)
-    for name, indices in (("forced_open", opened), ("forced_closed", closed)):
+    open_indices = set(forced_open)
+    closed_indices = set(forced_closed)
+    for name, indices in (("forced_open", open_indices), ("forced_closed", closed_indices)):
         outside = sorted(index for index in indices if not 0 <= index < chips)
         if outside:
             raise ValueError(
                 f"{name}: chips of a code of {chips} are 0..{chips - 1}, got {outside[0]}"
             )
-    opened |= ({0} if first_open else set()) | ({chips - 1} if last_open else set())
-    both = sorted(opened & closed)
-    if both:
-        raise ValueError(f"forced_closed: chip {both[0]} is forced open as well")
-    return "".join("1" if i in opened else "0" if i in closed else "?" for i in range(chips))
+    open_indices |= ({0} if first_open else set()) | ({chips - 1} if last_open else set())
+    contradictory = sorted(open_indices & closed_indices)
+    if contradictory:
+        raise ValueError(f"forced_closed: chip {contradictory[0]} is forced open as well")
+    return "".join(
+        "1" if i in open_indices else "0" if i in closed_indices else "?" for i in range(chips)
+    )
 
 
 def checked_mask(fixed: str | None, chips: int) -> str | None:
@@ -362,8 +364,8 @@ def conflicting(limits: Limits) -> tuple[str, ...]:
     """
     if feasible(limits):
         return ()
-    kept = []
-    for name in ("open_range", *(one.name for one in fields(RunLimits))):
+    names = []
+    for name in ("open_range", *(run_limit.name for run_limit in fields(RunLimits))):
         if name == "open_range":
             without = replace(limits, open_range=(1, limits.chips))
         else:
@@ -373,10 +375,10 @@ def conflicting(limits: Limits) -> tuple[str, ...]:
         if without == limits:
             continue
         if feasible(without):
-            kept.append(name)
+            names.append(name)
         else:
             limits = without
-    return tuple(kept)
+    return tuple(names)
 
 
 def check_feasible(limits: Limits) -> None:
@@ -410,16 +412,16 @@ def check_feasible(limits: Limits) -> None:
 
 def _fewest_free_pulses(limits: Limits) -> NDArray[np.int64]:
     """Fewest pulses of a code with each number of open chips, (n + 1,), where none is forced."""
-    opened = np.arange(limits.chips + 1)
-    pulses = np.maximum(-(-opened // limits.longest), 1)
+    open_chips = np.arange(limits.chips + 1)
+    pulses = np.maximum(-(-open_chips // limits.longest), 1)
     # all but the last take a period at least, and within it may be open but for the gap
     full = min(limits.longest, limits.period - limits.runs.min_closed)
     span = (pulses - 1) * limits.period + np.maximum(
-        opened - (pulses - 1) * full, limits.runs.min_open
+        open_chips - (pulses - 1) * full, limits.runs.min_open
     )
     # more pulses would take longer, and more open chips
     return np.where(
-        (pulses * limits.runs.min_open <= opened) & (span <= limits.chips), pulses, _NEVER
+        (pulses * limits.runs.min_open <= open_chips) & (span <= limits.chips), pulses, _NEVER
     )
 
 
@@ -436,12 +438,13 @@ def _fewest_pulses(limits: Limits) -> NDArray[np.int64]:
     fewest[OVER, limits.rest(), 0] = 0
     for i in reversed(range(n + 1)):
         for state in (CLOSED, OPEN):
-            for opened, closed, then, pulses, fits in steps[state]:
+            for open_chips, closed_chips, next_state, pulses, fits in steps[state]:
                 if fits[i]:
-                    target = fewest[state, i, opened:]
+                    target = fewest[state, i, open_chips:]
                     np.minimum(
                         target,
-                        fewest[then, i + opened + closed, : n + 1 - opened] + pulses,
+                        fewest[next_state, i + open_chips + closed_chips, : n + 1 - open_chips]
+                        + pulses,
                         out=target,
                     )
     return np.asarray(np.minimum(fewest[CLOSED, 0], _NEVER), dtype=np.int64)
@@ -465,52 +468,56 @@ def nearest(limits: Limits, code: NDArray[np.integer] | BoolArray) -> NDArray[np
     n = limits.chips
     steps = limits.steps()
     high = limits.open_range[1]
-    most = limits.most_pulses or 0  # 0: nothing moves along the axis of pulses
-    if 3 * (n + 1) * (high + 1) * (most + 1) > _MOST_NUMBERS:
+    most_pulses = limits.most_pulses or 0  # 0: nothing moves along the axis of pulses
+    if 3 * (n + 1) * (high + 1) * (most_pulses + 1) > _MOST_NUMBERS:
         return None
     opened_before = np.concatenate([[0], np.cumsum(np.asarray(code) != 0)])
 
     def changes(i: int, step: Step) -> int:
-        middle = i + step.opened
-        end = n if step.then == OVER else i + step.opened + step.closed
+        middle = i + step.open_chips
+        end = n if step.next_state == OVER else i + step.open_chips + step.closed_chips
         already_open = opened_before[middle] - opened_before[i]
-        return int(step.opened - already_open + opened_before[end] - opened_before[middle])
+        return int(step.open_chips - already_open + opened_before[end] - opened_before[middle])
 
     cost = np.full(
-        (3, n + 1, high + 1, most + 1), _NEVER, dtype=np.int64
+        (3, n + 1, high + 1, most_pulses + 1), _NEVER, dtype=np.int64
     )  # state, position, open chips, pulses left
     cost[OVER, limits.rest(), 0] = 0  # what follows is counted by the step that leads there
     for i in reversed(range(n + 1)):
         for state in (CLOSED, OPEN):
             for step in steps[state]:
-                if step.fits[i] and step.opened <= high:
-                    starts = min(step.pulses, most)
-                    after = i + step.opened + step.closed
-                    target = cost[state, i, step.opened :, starts:]
-                    found = cost[
-                        step.then, after, : high + 1 - step.opened, : most + 1 - starts
+                if step.fits[i] and step.open_chips <= high:
+                    starts = min(step.pulses, most_pulses)
+                    after = i + step.open_chips + step.closed_chips
+                    target = cost[state, i, step.open_chips :, starts:]
+                    total_changes = cost[
+                        step.next_state,
+                        after,
+                        : high + 1 - step.open_chips,
+                        : most_pulses + 1 - starts,
                     ] + changes(i, step)
-                    np.minimum(target, found, out=target)
+                    np.minimum(target, total_changes, out=target)
     k = max(limits.open_range[0], 1)
-    k += int(cost[CLOSED, 0, k:, most].argmin())
+    k += int(cost[CLOSED, 0, k:, most_pulses].argmin())
     state = CLOSED
     i = 0
-    left = most
-    near = np.zeros(n, dtype=np.int8)
+    pulses_left = most_pulses
+    nearest_code = np.zeros(n, dtype=np.int8)
     while state != OVER:
         for step in steps[state]:
-            starts = min(step.pulses, most)
-            after = i + step.opened + step.closed
-            if not step.fits[i] or step.opened > k or starts > left:
+            starts = min(step.pulses, most_pulses)
+            after = i + step.open_chips + step.closed_chips
+            if not step.fits[i] or step.open_chips > k or starts > pulses_left:
                 continue
             if (
-                cost[step.then, after, k - step.opened, left - starts] + changes(i, step)
-                == cost[state, i, k, left]
+                cost[step.next_state, after, k - step.open_chips, pulses_left - starts]
+                + changes(i, step)
+                == cost[state, i, k, pulses_left]
             ):
-                near[i : i + step.opened] = 1
-                state = step.then
+                nearest_code[i : i + step.open_chips] = 1
+                state = step.next_state
                 i = after
-                k = k - step.opened
-                left = left - starts
+                k = k - step.open_chips
+                pulses_left = pulses_left - starts
                 break
-    return near
+    return nearest_code

@@ -84,8 +84,8 @@ class Objective:
         rows: NDArray[Any] = np.empty(0)
         for index, scenario in enumerate(problem.scenarios):
             samples = band_samples(scenario.trajectory, oversampling=oversampling, across=across)
-            for turned in problem.directions(scenario):
-                if turned and scenario.edges is None and not ramps:
+            for reversed_path in problem.directions(scenario):
+                if reversed_path and scenario.edges is None and not ramps:
                     rows = rows[
                         ::-1
                         # the forward ones, which come first: the chips are met in the opposite
@@ -98,22 +98,24 @@ class Objective:
                         samples.fx,
                         samples.fy,
                         response=problem.response,
-                        reversed_path=turned,
+                        reversed_path=reversed_path,
                     )
                 blocks.append(distinct_rows(rows, problem.response))
                 start = parts[-1].columns.stop if parts else 0
-                parts.append(Part(slice(start, start + samples.fx.size), samples, index, turned))
-        every = np.concatenate(blocks, axis=2)
+                parts.append(
+                    Part(slice(start, start + samples.fx.size), samples, index, reversed_path)
+                )
+        basis = np.concatenate(blocks, axis=2)
         self.rows: RealArray = np.ascontiguousarray(
-            np.stack([every.real, every.imag], axis=2).astype(dtype)
+            np.stack([basis.real, basis.imag], axis=2).astype(dtype)
         )
         self.parts = tuple(parts)
         self.shares_across: RealArray = _stacked(
-            [part.samples.radius2_weight for part in parts]
+            [motion.samples.radius2_weight for motion in parts]
         ).astype(dtype)
-        self.priors: RealArray = _stacked([inverse_scene(part.samples) for part in parts]).astype(
-            dtype
-        )
+        self.priors: RealArray = _stacked(
+            [inverse_scene(motion.samples) for motion in parts]
+        ).astype(dtype)
         self._set_noise()
         shares = np.array([s.weight for s in problem.scenarios] or [1.0])
         self.scenario_shares: NDArray[np.float64] = shares / shares.sum()
@@ -126,10 +128,10 @@ class Objective:
         """Judge by a problem of the same motions and shutter, with another objective, camera or
         limits.
         """
-        other = copy(self)
-        other.problem = problem
-        other._set_noise()
-        return other
+        objective = copy(self)
+        objective.problem = problem
+        objective._set_noise()
+        return objective
 
     def _set_noise(self) -> None:
         camera = self.problem.camera
@@ -157,12 +159,12 @@ class Objective:
         chips = self.problem.chips
         on = np.asarray(codes) != 0
         single = on[:, 0] + (on[:, 1:] & ~on[:, :-1]).sum(axis=1) == 1
-        opened = self.duty(codes) * chips
+        open_chips = self.duty(codes) * chips
         counts = np.arange(chips + 1)
         return np.where(
             single,
-            np.interp(opened, counts, self._noise_of_one),
-            np.interp(opened, counts, self.noise),
+            np.interp(open_chips, counts, self._noise_of_one),
+            np.interp(open_chips, counts, self.noise),
         )
 
     def cost(
@@ -174,10 +176,10 @@ class Objective:
         The variance (R,) of the noise is that of :attr:`noise` when omitted, as for codes of many
         openings.
         """
-        each = self._each(otf, duty, noise)
+        scenario_costs = self._each(otf, duty, noise)
         if self.problem.rule == "mean":
-            return np.asarray(self.scenario_shares @ each, dtype=np.float64)
-        return np.asarray(each.max(axis=0), dtype=np.float64)
+            return np.asarray(self.scenario_shares @ scenario_costs, dtype=np.float64)
+        return np.asarray(scenario_costs.max(axis=0), dtype=np.float64)
 
     def each_cost_of(self, codes: RealArray) -> NDArray[np.float64]:
         """Cost (scenarios, R), dB, of (R, n) codes on every scenario, in its worse direction."""
@@ -198,18 +200,18 @@ class Objective:
         chips = code.array[None]
         otf = self.otf(chips)
         if any(criterion.continuum for criterion, _ in self.problem.criteria):
-            for part in self.parts:
-                modulus = np.hypot(otf[0, 0, part.columns], otf[0, 1, part.columns])
+            for motion in self.parts:
+                modulus = np.hypot(otf[0, 0, motion.columns], otf[0, 1, motion.columns])
                 deepest = int(modulus.argmin())
-                way = (
-                    (self.problem.scenarios[part.scenario], part.reversed_path)
-                    if self.problem.scenarios
-                    else None
+                directed = None
+                if self.problem.scenarios:
+                    directed = (self.problem.scenarios[motion.scenario], motion.reversed_path)
+                minimum = max(
+                    continuum_minimum(self.problem, directed, code), 1e-3 * modulus[deepest]
                 )
-                found = max(continuum_minimum(self.problem, way, code), 1e-3 * modulus[deepest])
                 # the deepest sample stands for the continuum between it and its neighbours
-                otf[0, :, part.columns.start + deepest] *= min(
-                    found / max(modulus[deepest], 1e-300), 1.0
+                otf[0, :, motion.columns.start + deepest] *= min(
+                    minimum / max(modulus[deepest], 1e-300), 1.0
                 )
         return float(self.cost(otf, self.duty(chips), self.noise_of(chips))[0])
 
@@ -223,12 +225,12 @@ class Objective:
         squared = otf * otf
         power = np.maximum(squared[:, 0] + squared[:, 1], 1e-30)
         worst = np.full((self.scenario_shares.size, len(power)), -np.inf)
-        for part in self.parts:
+        for motion in self.parts:
             spectrum = Spectrum(
-                power[:, part.columns],
-                part.samples.weight.astype(power.dtype),
-                self.priors[part.columns],
-                self.shares_across[part.columns],
+                power[:, motion.columns],
+                motion.samples.weight.astype(power.dtype),
+                self.priors[motion.columns],
+                self.shares_across[motion.columns],
                 duty,
                 noise,
             )
@@ -236,7 +238,7 @@ class Objective:
                 weight * (10 * np.log10(criterion.figure(spectrum)))
                 for criterion, weight in self.problem.criteria
             )
-            worst[part.scenario] = np.maximum(worst[part.scenario], total)
+            worst[motion.scenario] = np.maximum(worst[motion.scenario], total)
         return worst
 
 
@@ -247,9 +249,9 @@ def sample_count(problem: SearchProblem, *, oversampling: int) -> int:
     if not problem.scenarios:
         return circle_samples(problem.chips, oversampling=oversampling).fx.size
     return sum(
-        len(problem.directions(one))
-        * band_samples(one.trajectory, oversampling=oversampling).fx.size
-        for one in problem.scenarios
+        len(problem.directions(scenario))
+        * band_samples(scenario.trajectory, oversampling=oversampling).fx.size
+        for scenario in problem.scenarios
     )
 
 
@@ -262,15 +264,15 @@ def _stacked(tables: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def continuum_minimum(
-    problem: SearchProblem, way: tuple[Scenario, bool] | None, code: ShutterCode
+    problem: SearchProblem, motion: tuple[Scenario, bool] | None, code: ShutterCode
 ) -> float:
     """Smallest |H| that was found over the continuum one way, as :meth:`SearchProblem.ways` names
     it.
 
     None is the unit circle.
     """
-    if way is None:
+    if motion is None:
         return min_chip(code) / code.chips
-    scenario, turned = way
-    path = scenario.path(reversed_path=turned)
+    scenario, reversed_path = motion
+    path = scenario.path(reversed_path=reversed_path)
     return mtf_minimum(path, code, budget=0, response=problem.response, edges=scenario.edges).upper

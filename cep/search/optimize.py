@@ -152,14 +152,16 @@ class Optimum:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What the user should know besides the figures, one sentence each."""
-        found = self.found
+        outcome = self.found
         moves = self.how.moves(searched_problem(self.problem))
         early = (row.name for row in self.comparison if row.stopped_early)
         count_ended = self.chip_count.early if self.chip_count else ""
         # with a time alone every run differs
-        repeats = found.stopped == "interrupted" or self.how.method == "exact" or moves is not None
+        repeats = (
+            outcome.stopped == "interrupted" or self.how.method == "exact" or moves is not None
+        )
         return (
-            *ended_early(self.how, found.stopped, moves),
+            *ended_early(self.how, outcome.stopped, moves),
             *(
                 f"the search of the {name} was stopped early, by the time or Ctrl-C: another run"
                 " may give another"
@@ -169,8 +171,8 @@ class Optimum:
             *(
                 "the code saturates at this light: search with fewer open chips, or give what can"
                 " be recorded"
-                for way in self.verdict.ways
-                if way.saturates and way.code.bits == self.code.bits
+                for exposure in self.verdict.ways
+                if exposure.saturates and exposure.code.bits == self.code.bits
             ),
             *([_FEWER.format("the time")] if count_ended == "time" else ()),
             *([_FEWER.format("Ctrl-C")] if count_ended == "interrupted" else ()),
@@ -179,7 +181,7 @@ class Optimum:
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep optimize --json`` prints them."""
         code = self.code
-        found = self.found
+        outcome = self.found
         return {
             "verdict": self.verdict.sentence,
             "choice": self.verdict.choice,
@@ -191,16 +193,16 @@ class Optimum:
             "chip_ns": code.chip_ns,
             "exposure_s": code.duration_ns * 1e-9,
             **self.comparison[0].to_dict(),
-            "objective": found.objective,
-            "proven": found.stopped == "proven",
-            "proof": (found.proof or {}).get("file"),
+            "objective": outcome.objective,
+            "proven": outcome.stopped == "proven",
+            "proof": (outcome.proof or {}).get("file"),
             "certificate": self.certificate.to_dict(),
             "bound": self.bound,
             "gap": self.gap,
-            "seconds": found.seconds,
-            "steps": found.steps,
-            "stopped": found.stopped,
-            "interrupted": found.stopped == "interrupted",
+            "seconds": outcome.seconds,
+            "steps": outcome.steps,
+            "stopped": outcome.stopped,
+            "interrupted": outcome.stopped == "interrupted",
             "baselines": {
                 row.name: (
                     {
@@ -324,7 +326,7 @@ def optimize(
     started = time.monotonic()
     chosen: ChipCount | None = None
     searched_s = time_s
-    done = 0.0
+    finished = 0.0
     if not isinstance(problem, SearchProblem):
         chosen = choose_chips(
             problem,
@@ -336,7 +338,7 @@ def optimize(
         )
         problem = problem(chosen.chips)
         start = [*start, *([] if chosen.code is None else [chosen.code])]
-        done = _CHOOSING
+        finished = _CHOOSING
         if time_s is not None:
             left_s = time_s - (time.monotonic() - started)
             searched_s = max(left_s, _LEAST_LEFT * time_s)
@@ -344,7 +346,7 @@ def optimize(
             searched_s = _NO_TIME_S
 
     def tell(share: float, note: str) -> None:
-        progress(done + (1 - done) * share, note)
+        progress(finished + (1 - finished) * share, note)
 
     def tell_best(share: float, best: ShutterCode) -> None:
         on_best(best)
@@ -354,10 +356,10 @@ def optimize(
     designed = as_designed(motion, problem.direction)
     # a figure that fails does so before the search
     own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))
-    asked = searched_problem(problem)
-    tell(0.0, f"{codes_to_count(asked):.2g} codes" if method == "exact" else "")
-    found = search(
-        asked,
+    searched = searched_problem(problem)
+    tell(0.0, f"{codes_to_count(searched):.2g} codes" if method == "exact" else "")
+    outcome = search(
+        searched,
         replace(how, time_s=searched_s),
         start=start,
         length_px=mean_length_px(problem),
@@ -365,21 +367,31 @@ def optimize(
         progress=tell_best,
     )
     if chosen is not None and chosen.early == "interrupted":
-        found = replace(found, stopped="interrupted")
-    code = replace(found.code, chip_ns=problem.chip_ns)
+        outcome = replace(outcome, stopped="interrupted")
+    code = replace(outcome.code, chip_ns=problem.chip_ns)
     if reason := unplayable(code.bits, problem.device, code.chip_ns):
         raise ValueError(reason)
-    about = described_search(problem, how, found)
-    on_found(StoredCode(code, problem={**about, "proof": found.proof}))
+    about = described_search(problem, how, outcome)
+    on_found(StoredCode(code, problem={**about, "proof": outcome.proof}))
     tell(_SEARCH_SHARE, "comparing with other codes")
-    comparison = compare(problem, code, baselines=found.baselines, figures=figures, along=motion)
-    judged = verdict(problem, code, path_error_px=path_error_px)
+    comparison = compare(problem, code, baselines=outcome.baselines, figures=figures, along=motion)
+    judgement = verdict(problem, code, path_error_px=path_error_px)
     path = None if problem.on_circle else designed
     certificate = certify(code, path)
-    bounded = _bounded(problem, found, comparison[0].metrics, straight=path is None, effort=effort)
+    bounded = _bounded(
+        problem, outcome, comparison[0].metrics, straight=path is None, effort=effort
+    )
     tell(1.0, "")
     return Optimum(
-        problem, how, found, comparison, judged, path, certificate, *bounded, chip_count=chosen
+        problem,
+        how,
+        outcome,
+        comparison,
+        judgement,
+        path,
+        certificate,
+        *bounded,
+        chip_count=chosen,
     )
 
 
@@ -504,7 +516,7 @@ def search(
 
 
 def described_search(
-    problem: SearchProblem, how: Search, found: Found | FramesResult
+    problem: SearchProblem, how: Search, outcome: Found | FramesResult
 ) -> dict[str, Any]:
     """Describe a problem, how it was searched and how that ended, as a code file does."""
     return {
@@ -518,8 +530,8 @@ def described_search(
         "device": None if problem.device is None else problem.device.to_dict(),
         "method": how.method,
         "seed": how.seed,
-        "steps": found.steps,
-        "stopped": found.stopped,
+        "steps": outcome.steps,
+        "stopped": outcome.stopped,
     }
 
 
@@ -550,7 +562,7 @@ def _rounded(problem: SearchProblem, seed: int) -> list[ShutterCode]:
 
 def _bounded(
     problem: SearchProblem,
-    found: Found,
+    outcome: Found,
     metrics: CodeMetrics,
     *,
     straight: bool,
@@ -561,8 +573,8 @@ def _bounded(
 
     if problem.objective not in ("min-mtf", "noise"):
         return "", None, None
-    if straight and found.proof is not None and found.stopped == "proven":
-        limit = found.proof["upper"]
+    if straight and outcome.proof is not None and outcome.stopped == "proven":
+        limit = outcome.proof["upper"]
         reached = metrics.min_chip
         return "min |P|, chips", limit, max(0.0, 1 - reached / limit) if limit > 0 else 0.0
     limits = bound(problem, effort=effort)

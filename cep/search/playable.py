@@ -51,15 +51,15 @@ def within_device(
     ValueError
         If the device can play no such code; the line says why.
     """
-    limits, most = limits_of_device(profile, chips=chips, chip_ns=chip_ns)
+    limits, most_open = limits_of_device(profile, chips=chips, chip_ns=chip_ns)
     low, high = open_range
-    if most < low:
+    if most_open < low:
         raise ValueError(
-            f"{profile.name}: at most {most} of {chips} chips may be open, at least {low} were"
-            " asked for"
+            f"{profile.name}: at most {most_open} of {chips} chips may be open, at least {low}"
+            " were asked for"
         )
     return Playable(
-        runs.tightened(limits), (low, min(high, most)), response_of_device(profile, chip_ns)
+        runs.tightened(limits), (low, min(high, most_open)), response_of_device(profile, chip_ns)
     )
 
 
@@ -137,7 +137,7 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tup
         # the device compares rounded quotients: so do these two, or a code at the very limit would
         # be refused
         most_open_chips = bisect_right(
-            range(1, chips + 1), profile.max_duty, key=lambda opened: opened / chips
+            range(1, chips + 1), profile.max_duty, key=lambda open_chips: open_chips / chips
         )
         if most_open_chips < min_open:
             raise ValueError(
@@ -210,20 +210,23 @@ def _check_chip(profile: DeviceProfile, chip_ns: int) -> None:
     would do.
     """
     tick = profile.tick_ns
-    least = -(-(profile.min_chip_ns or 1) // tick) * tick
-    most = None if profile.max_chip_ns is None else profile.max_chip_ns // tick * tick
-    if chip_ns % tick == 0 and least <= chip_ns <= (most or chip_ns):
+    shortest_ns = -(-(profile.min_chip_ns or 1) // tick) * tick
+    longest_ns = None if profile.max_chip_ns is None else profile.max_chip_ns // tick * tick
+    if chip_ns % tick == 0 and shortest_ns <= chip_ns <= (longest_ns or chip_ns):
         return
     below = chip_ns // tick * tick
-    near = sorted(
-        {min(max(time_ns, least), most or time_ns + least) for time_ns in (below, below + tick)}
+    nearest_ns = sorted(
+        {
+            min(max(time_ns, shortest_ns), longest_ns or time_ns + shortest_ns)
+            for time_ns in (below, below + tick)
+        }
     )
-    words = f"whole ticks of {tick} ns, from {least} ns" + (
-        "" if most is None else f" to {most} ns"
+    words = f"whole ticks of {tick} ns, from {shortest_ns} ns" + (
+        "" if longest_ns is None else f" to {longest_ns} ns"
     )
     raise ValueError(
         f"chip_ns: {profile.name} plays chips of {words}, got {chip_ns} ns; "
-        f"{' or '.join(str(time_ns) for time_ns in near)} ns would do"
+        f"{' or '.join(str(time_ns) for time_ns in nearest_ns)} ns would do"
     )
 
 

@@ -297,9 +297,9 @@ class SearchProblem:
     def ways(self) -> tuple[tuple[Scenario, bool], ...]:
         """Every scenario in every direction that counts, scenario by scenario."""
         return tuple(
-            (scenario, turned)
+            (scenario, reversed_path)
             for scenario in self.scenarios
-            for turned in self.directions(scenario)
+            for reversed_path in self.directions(scenario)
         )
 
     def satisfied(self, codes: NDArray[np.integer] | BoolArray) -> BoolArray:
@@ -325,20 +325,20 @@ class SearchProblem:
         """
         if code.chips != self.chips:
             raise ValueError(f"code: must have {self.chips} chips, got {code.chips}")
-        found = []
+        metrics = []
         played = ShutterCode(code.bits, self.chip_ns)
-        for scenario, turned in self.ways() or (
+        for scenario, reversed_path in self.ways() or (
             (Scenario(Trajectory.straight(float(self.chips))), False),
         ):
-            path = scenario.path(reversed_path=turned)
+            path = scenario.path(reversed_path=reversed_path)
             shutter = self.response
             edges = scenario.edges
-            found.append(
+            metrics.append(
                 measure(
                     path, played, camera=self.camera, budget=budget, response=shutter, edges=edges
                 )
             )
-        return worst_of(*found)
+        return worst_of(*metrics)
 
     def _check_feasible(self) -> None:
         low, high = self.open_range or (1, self.chips)
@@ -379,9 +379,9 @@ def open_range_of_duty(chips: int, low: float, high: float) -> tuple[int, int]:
     if not 0 <= low <= high <= 1:
         raise ValueError(f"duty: must be LOW:HIGH within 0..1, got {low:g}:{high:g}")
     fewest = max(1, int(np.ceil(low * chips - 1e-9)))
-    most = int(np.floor(high * chips + 1e-9))
-    if fewest > most:
+    largest = int(np.floor(high * chips + 1e-9))
+    if fewest > largest:
         raise ValueError(
             f"duty: no whole number of open chips out of {chips} lies within {low:g}:{high:g}"
         )
-    return fewest, most
+    return fewest, largest

@@ -148,12 +148,12 @@ def search_code(
             threads=threads,
             proven=optimum,
         )
-    began = time.monotonic()
+    started = time.monotonic()
     for_baselines, for_search = rng.spawn(2)
     judge = Objective(problem, oversampling=_FINE, dtype=np.float64)
-    known: list[Baseline] = []
+    rivals: list[Baseline] = []
     try:
-        for one in baselines(
+        for baseline in baselines(
             problem,
             rng=for_baselines,
             judge=judge,
@@ -161,20 +161,20 @@ def search_code(
             time_s=time_s,
             threads=threads,
         ):
-            known.append(one)
+            rivals.append(baseline)
     except KeyboardInterrupt:
         code = ShutterCode.from_array(problem.random_codes(1, rng=for_search)[0])
         cost = judge.exact_cost(code)
         moves = 0
         stopped: Stopped = "interrupted"
     else:
-        left_s = max(time_s - (time.monotonic() - began), _LEAST_SHARE * time_s)
+        left_s = max(time_s - (time.monotonic() - started), _LEAST_SHARE * time_s)
         searched = anneal(
             problem,
             rng=for_search,
             steps=steps,
             time_s=left_s,
-            start=[*_starts(problem, known), *proven_starts(problem), *start],
+            start=[*_starts(problem, rivals), *proven_starts(problem), *start],
             progress=progress,
             threads=threads,
             judge=judge,
@@ -183,8 +183,8 @@ def search_code(
         cost = searched.objective
         moves = searched.steps
         stopped = searched.stopped
-    code, cost = _best_of(code, cost, known)
-    return Found(code, cost, moves, time.monotonic() - began, stopped, tuple(known))
+    code, cost = _best_of(code, cost, rivals)
+    return Found(code, cost, moves, time.monotonic() - started, stopped, tuple(rivals))
 
 
 def prove_code(
@@ -217,15 +217,15 @@ def prove_code(
     if proven is None:
         proven = exact(problem, threads=threads, progress=progress)
     judge = Objective(problem, oversampling=_FINE, dtype=np.float64)
-    known: list[Baseline] = []
+    rivals: list[Baseline] = []
     with suppress(KeyboardInterrupt):
-        for one in baselines(
+        for baseline in baselines(
             problem, rng=rng, judge=judge, length_px=length_px, time_s=time_s, threads=threads
         ):
-            known.append(one)
+            rivals.append(baseline)
     code, cost = proven.code, judge.exact_cost(proven.code)
     if not proven.proven:
-        code, cost = _best_of(code, cost, known)
+        code, cost = _best_of(code, cost, rivals)
     counted = (
         codes_to_count(problem) if isinstance(proven.proof, ProofLog) else proven.proof.judged
     )
@@ -235,35 +235,37 @@ def prove_code(
         counted,
         proven.seconds,
         "proven" if proven.proven else "interrupted",
-        tuple(known),
+        tuple(rivals),
         proven.proof.to_dict(),
     )
 
 
-def _starts(problem: SearchProblem, known: Iterable[Baseline]) -> list[ShutterCode]:
+def _starts(problem: SearchProblem, rivals: Iterable[Baseline]) -> list[ShutterCode]:
     """Return the baselines within the limits, and of each other one the nearest code that keeps
     them.
     """
     codes = []
-    for one in known:
-        near = (
-            one.code.array != 0
-            if one.within_limits
-            else nearest(problem.limits, one.code.array != 0)
+    for baseline in rivals:
+        bits = (
+            baseline.code.array != 0
+            if baseline.within_limits
+            else nearest(problem.limits, baseline.code.array != 0)
         )
-        if near is not None:
-            codes.append(ShutterCode.from_array(near))
+        if bits is not None:
+            codes.append(ShutterCode.from_array(bits))
     return codes
 
 
 def _best_of(
-    code: ShutterCode, cost_db: float, known: Iterable[Baseline]
+    code: ShutterCode, cost_db: float, rivals: Iterable[Baseline]
 ) -> tuple[ShutterCode, float]:
     """Return the best, with its cost, of a code and the baselines within the limits; the code
     where none is better.
     """
     best = min(
-        (one for one in known if one.within_limits), key=lambda one: one.cost_db, default=None
+        (baseline for baseline in rivals if baseline.within_limits),
+        key=lambda baseline: baseline.cost_db,
+        default=None,
     )
     return (
         (code, cost_db) if best is None or best.cost_db >= cost_db else (best.code, best.cost_db)
@@ -310,15 +312,17 @@ def baselines(
     noise. The random code is the middle one of 15 by the objective.
     """
     judge = judge or Objective(problem, oversampling=_FINE, dtype=np.float64)
-    found = _used_instead(problem, rng=rng, length_px=length_px, time_s=time_s, threads=threads)
-    for name, code, stopped_early in found:
+    unjudged = _used_instead(problem, rng=rng, length_px=length_px, time_s=time_s, threads=threads)
+    for name, code, stopped_early in unjudged:
         yield Baseline(name, code, judge.exact_cost(code), problem.allows(code), stopped_early)
 
 
 def mean_length_px(problem: SearchProblem) -> float:
     """Mean length of the problem's paths, px; on the unit circle, a px for each chip."""
     return float(
-        np.mean([one.trajectory.length_px for one in problem.scenarios] or [problem.chips])
+        np.mean(
+            [scenario.trajectory.length_px for scenario in problem.scenarios] or [problem.chips]
+        )
     )
 
 
@@ -338,9 +342,9 @@ def _used_instead(
         if free is None:
             continue
         yield name, free, False
-        kept = None if problem.allows(free) else best(coarse, within_limits=True)
-        if kept is not None:
-            yield name + _WITHIN, kept, False
+        limited = None if problem.allows(free) else best(coarse, within_limits=True)
+        if limited is not None:
+            yield name + _WITHIN, limited, False
     for entry in for_chips(problem.chips):
         yield f"published: {entry.name}", entry.code, False
     length_only = dnf_search(

@@ -56,22 +56,24 @@ def _free_table(limits: Limits) -> FloatArray:
     n = limits.chips
     low = max(limits.open_range[0], 1)
     high = min(limits.open_range[1], limits.chips)
-    most = limits.most_pulses or limits.fitting_pulses
+    most_pulses = limits.most_pulses or limits.fitting_pulses
     k = np.arange(n + 1)[:, None]
-    p = np.arange(most + 1)[None]
+    p = np.arange(most_pulses + 1)[None]
     spare_open = k - p * limits.runs.min_open
     spare_closed = n - k - (p - 1) * limits.runs.min_closed
     possible = (k >= low) & (k <= high) & (p >= 1) & (spare_open >= 0) & (spare_closed >= 0)
     log_factorial = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, 2 * n + 2)))])
 
-    def ways(total: IntArray, parts: IntArray) -> FloatArray:
+    def log_compositions(total: IntArray, parts: IntArray) -> FloatArray:
         total = np.where(possible, total, 0)
         parts = np.where(possible, parts, 1)
         chosen = log_factorial[total + parts - 1] - log_factorial[total] - log_factorial[parts - 1]
         return np.asarray(chosen, dtype=np.float64)
 
     table = np.where(
-        possible, ways(spare_open, p + 0 * k) + ways(spare_closed, p + 1 + 0 * k), -np.inf
+        possible,
+        log_compositions(spare_open, p + 0 * k) + log_compositions(spare_closed, p + 1 + 0 * k),
+        -np.inf,
     )
     table.setflags(write=False)
     return table
@@ -80,32 +82,34 @@ def _free_table(limits: Limits) -> FloatArray:
 def _draw_free(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
     table = _free_table(limits)
     k, pulses = np.divmod(_pick(table.ravel(), count, rng), table.shape[1])
-    most = int(pulses.max(initial=1))
-    index = np.arange(most)
-    lengths = _compositions(k - pulses * limits.runs.min_open, pulses, most, rng)
+    most_pulses = int(pulses.max(initial=1))
+    index = np.arange(most_pulses)
+    lengths = _compositions(k - pulses * limits.runs.min_open, pulses, most_pulses, rng)
     lengths += limits.runs.min_open * (index < pulses[:, None])
     gaps = _compositions(
-        limits.chips - k - (pulses - 1) * limits.runs.min_closed, pulses + 1, most + 1, rng
+        limits.chips - k - (pulses - 1) * limits.runs.min_closed, pulses + 1, most_pulses + 1, rng
     )[:, :-1]
     gaps[:, 1:] += limits.runs.min_closed * (index[1:] < pulses[:, None])
-    ends = np.cumsum(gaps + lengths, axis=1)
-    return _filled(limits.chips, ends - lengths, ends, index < pulses[:, None])
+    stops = np.cumsum(gaps + lengths, axis=1)
+    return _filled(limits.chips, stops - lengths, stops, index < pulses[:, None])
 
 
 def _compositions(
-    total: IntArray, parts: IntArray, most: int, rng: np.random.Generator
+    total: IntArray, parts: IntArray, width: int, rng: np.random.Generator
 ) -> IntArray:
     """Split each of (R,) totals into (R,) parts, all splits equally likely: (R, most), zero after
     the last part.
     """
     slots = total + parts - 1
-    width = int(slots.max(initial=0))
-    keys = np.where(np.arange(width) < slots[:, None], rng.random((len(total), width)), 2.0)
+    most_slots = int(slots.max(initial=0))
+    keys = np.where(
+        np.arange(most_slots) < slots[:, None], rng.random((len(total), most_slots)), 2.0
+    )
     # the parts - 1 smallest keys say where the bars stand among the stars
-    bars = np.argsort(keys, axis=1)[:, : most - 1]
-    bars = np.pad(bars, ((0, 0), (0, most - 1 - bars.shape[1])))
+    bars = np.argsort(keys, axis=1)[:, : width - 1]
+    bars = np.pad(bars, ((0, 0), (0, width - 1 - bars.shape[1])))
     bars = np.sort(
-        np.where(np.arange(most - 1) < parts[:, None] - 1, bars, slots[:, None]), axis=1
+        np.where(np.arange(width - 1) < parts[:, None] - 1, bars, slots[:, None]), axis=1
     )
     before = np.full((len(total), 1), -1)
     parts_with_bars = np.diff(np.concatenate([before, bars, slots[:, None]], axis=1))
@@ -113,12 +117,12 @@ def _compositions(
 
 
 def _filled(
-    chips: int, starts: IntArray, ends: IntArray, used: NDArray[np.bool_]
+    chips: int, starts: IntArray, stops: IntArray, is_pulse: NDArray[np.bool_]
 ) -> NDArray[np.int8]:
     steps = np.zeros((len(starts), chips + 1), dtype=np.int8)
-    rows = np.nonzero(used)[0]
-    steps[rows, starts[used]] += 1
-    steps[rows, ends[used]] -= 1
+    rows = np.nonzero(is_pulse)[0]
+    steps[rows, starts[is_pulse]] += 1
+    steps[rows, stops[is_pulse]] -= 1
     return np.cumsum(steps, axis=1, dtype=np.int8)[:, :-1]
 
 
@@ -128,9 +132,9 @@ def _filled(
 class _StepTables(NamedTuple):
     """Steps from CLOSED and OPEN as :class:`cep.search.limits.Step` has them, (2, S)."""
 
-    opened: IntArray
-    closed: IntArray
-    then: IntArray
+    open_chips: IntArray
+    closed_chips: IntArray
+    next_state: IntArray
     pulses: IntArray
     fits: NDArray[np.bool_]  # (2, S, n + 1)
 
@@ -145,7 +149,7 @@ class _Walks:
     """
 
     limits: Limits
-    ways: FloatArray  # (3, n + 1, K, P)
+    log_counts: FloatArray  # (3, n + 1, K, P)
     steps: _StepTables
     # steps along the axis of open chips that one of them takes: 1, or 0 when they are free
     opens: int
@@ -158,44 +162,49 @@ class _Walks:
         all together.
         """
         low, high = self.limits.open_range if self.opens else (0, 0)
-        return self.ways[CLOSED, 0, low : high + 1, -1]
+        return self.log_counts[CLOSED, 0, low : high + 1, -1]
 
     def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
         n = self.limits.chips
         steps = self.steps
-        left = _pick(self.by_count, count, rng) + (self.limits.open_range[0] if self.opens else 0)
-        budget = np.full(count, self.ways.shape[3] - 1)
+        open_left = _pick(self.by_count, count, rng) + (
+            self.limits.open_range[0] if self.opens else 0
+        )
+        budget = np.full(count, self.log_counts.shape[3] - 1)
         place = np.zeros(count, dtype=np.intp)
         state = np.full(count, CLOSED, dtype=np.intp)
         edges = np.zeros((count, n + 1), dtype=np.int8)
         rows = np.arange(count)
         while rows.size:
-            here = place[rows]
-            now = state[rows]
-            opened = steps.opened[now].T  # (S, R)
-            then = steps.then[now].T
-            starts = steps.pulses[now].T
-            after = here + opened + steps.closed[now].T
-            k = left[rows] - self.opens * opened
+            position = place[rows]
+            from_state = state[rows]
+            open_chips = steps.open_chips[from_state].T  # (S, R)
+            next_state = steps.next_state[from_state].T
+            starts = steps.pulses[from_state].T
+            after = position + open_chips + steps.closed_chips[from_state].T
+            k = open_left[rows] - self.opens * open_chips
             p = budget[rows] - self.pulses * starts
-            possible = steps.fits[now, :, here].T & (k >= 0) & (p >= 0)
-            found = (
-                self.ways[then, np.minimum(after, n), k.clip(0), p.clip(0)] + self.tilt * starts
+            possible = steps.fits[from_state, :, position].T & (k >= 0) & (p >= 0)
+            log_count = (
+                self.log_counts[next_state, np.minimum(after, n), k.clip(0), p.clip(0)]
+                + self.tilt * starts
             )
-            weights = np.where(possible, found, -np.inf)
+            weights = np.where(possible, log_count, -np.inf)
             share = np.cumsum(np.exp(weights - weights.max(axis=0)), axis=0)
-            drawn = np.minimum(rng.random(rows.size) * share[-1], np.nextafter(share[-1], 0))
-            taken = (drawn >= share[:-1]).sum(axis=0), np.arange(rows.size)
-            edges[rows, here] += starts[taken].astype(np.int8)
-            pulse_ends = ((now == OPEN) | (starts[taken] == 1)) & (then[taken] != OPEN)
-            edges[rows, here + opened[taken]] -= pulse_ends.astype(np.int8)
-            place[rows], left[rows], budget[rows], state[rows] = (
-                after[taken],
-                k[taken],
-                p[taken],
-                then[taken],
+            threshold = np.minimum(rng.random(rows.size) * share[-1], np.nextafter(share[-1], 0))
+            chosen = (threshold >= share[:-1]).sum(axis=0), np.arange(rows.size)
+            edges[rows, position] += starts[chosen].astype(np.int8)
+            pulse_ends = ((from_state == OPEN) | (starts[chosen] == 1)) & (
+                next_state[chosen] != OPEN
             )
-            rows = rows[then[taken] != OVER]
+            edges[rows, position + open_chips[chosen]] -= pulse_ends.astype(np.int8)
+            place[rows], open_left[rows], budget[rows], state[rows] = (
+                after[chosen],
+                k[chosen],
+                p[chosen],
+                next_state[chosen],
+            )
+            rows = rows[next_state[chosen] != OVER]
         return np.cumsum(edges, axis=1, dtype=np.int8)[:, :-1]
 
 
@@ -203,17 +212,19 @@ class _Walks:
 def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
     n = limits.chips
     steps = limits.steps()
-    most = limits.most_pulses if counting_pulses else None
+    most_pulses = limits.most_pulses if counting_pulses else None
     opens = int(limits.counts_opens)
-    pulses = int(most is not None)
-    ways = np.full((3, n + 1, limits.open_range[1] * opens + 1, (most or 0) + 1), -np.inf)
-    ways[OVER, limits.rest(), 0] = 0.0
+    pulses = int(most_pulses is not None)
+    log_counts = np.full(
+        (3, n + 1, limits.open_range[1] * opens + 1, (most_pulses or 0) + 1), -np.inf
+    )
+    log_counts[OVER, limits.rest(), 0] = 0.0
     for i in reversed(range(n + 1)):
         for state in (CLOSED, OPEN):
-            for opened, closed, then, starts, fits in steps[state]:
+            for open_chips, closed_chips, next_state, starts, fits in steps[state]:
                 if fits[i]:
-                    onwards = ways[then, i + opened + closed] + tilt * starts
-                    _add(ways[state, i], onwards, opened * opens, pulses * starts)
+                    onwards = log_counts[next_state, i + open_chips + closed_chips] + tilt * starts
+                    _add(log_counts[state, i], onwards, open_chips * opens, pulses * starts)
     # the state with fewer steps is given some that never fit
     rows = list(
         zip(
@@ -224,17 +235,17 @@ def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
     columns = (
         [[step[field] for step in row] for row in rows] for field in range(len(Step._fields))
     )
-    return _Walks(limits, ways, _StepTables(*map(np.array, columns)), opens, pulses, tilt)
+    return _Walks(limits, log_counts, _StepTables(*map(np.array, columns)), opens, pulses, tilt)
 
 
-def _add(total: FloatArray, ways: FloatArray, opens: int, pulses: int) -> None:
+def _add(total: FloatArray, log_counts: FloatArray, opens: int, pulses: int) -> None:
     """Add ways that are ``opens`` open chips and ``pulses`` pulses short of ``total``, in
     logarithms, in place.
     """
     rows = max(len(total) - opens, 0)
     columns = total.shape[1] - pulses
     target = total[opens:, pulses:]
-    np.logaddexp(target, ways[:rows, :columns], out=target)
+    np.logaddexp(target, log_counts[:rows, :columns], out=target)
 
 
 def _size(limits: Limits) -> int:
@@ -248,11 +259,11 @@ def _draw_tilted(limits: Limits, count: int, rng: np.random.Generator) -> NDArra
     fewest pulses.
     """
     walks = _walks(limits, False, _tilt(limits))
-    kept = np.empty((0, limits.chips), dtype=np.int8)
-    while len(kept) < count:
+    accepted = np.empty((0, limits.chips), dtype=np.int8)
+    while len(accepted) < count:
         codes = walks.draw(2 * count, rng)
-        kept = np.concatenate([kept, codes[_few_pulses(limits, codes)]])
-    return kept[:count]
+        accepted = np.concatenate([accepted, codes[_few_pulses(limits, codes)]])
+    return accepted[:count]
 
 
 @lru_cache(maxsize=16)

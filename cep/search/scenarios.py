@@ -73,9 +73,11 @@ def alternatives(motion: StoredMotion) -> tuple[Scenario, ...]:
 
     Those without any probability are left out.
     """
-    everything = [(motion.weight, motion.trajectory), *motion.alternatives]
-    kept = tuple(Scenario(trajectory, weight) for weight, trajectory in everything if weight > 0)
-    return _counted(kept or (Scenario(motion.trajectory),))
+    weighted = [(motion.weight, motion.trajectory), *motion.alternatives]
+    scenarios = tuple(
+        Scenario(trajectory, weight) for weight, trajectory in weighted if weight > 0
+    )
+    return _counted(scenarios or (Scenario(motion.trajectory),))
 
 
 def class_scenarios(motions: Iterable[Trajectory]) -> tuple[Scenario, ...]:
@@ -97,15 +99,15 @@ def class_scenarios(motions: Iterable[Trajectory]) -> tuple[Scenario, ...]:
     >>> [one.weight for one in class_scenarios([bent, straight])]
     [0.5, 0.5, 1.0]
     """
-    made: list[Scenario] = []
+    scenarios: list[Scenario] = []
     for path in motions:
         if path.direction == "unknown" and uniform_length_px(path) is None:
-            made += [Scenario(path, 0.5), Scenario(path.reversed(), 0.5)]
+            scenarios += [Scenario(path, 0.5), Scenario(path.reversed(), 0.5)]
         else:
-            made.append(Scenario(path))
-    if not made:
+            scenarios.append(Scenario(path))
+    if not scenarios:
         raise ValueError("motions: a class needs at least one")
-    return _counted(tuple(made))
+    return _counted(tuple(scenarios))
 
 
 def speed_range(base: Base, low: float, high: float, count: int) -> tuple[Scenario, ...]:
@@ -126,7 +128,9 @@ def speed_range(base: Base, low: float, high: float, count: int) -> tuple[Scenar
     return _varied(
         base,
         count,
-        lambda one: [replace(one, trajectory=one.trajectory.scaled(f)) for f in factors],
+        lambda scenario: [
+            replace(scenario, trajectory=scenario.trajectory.scaled(f)) for f in factors
+        ],
     )
 
 
@@ -143,16 +147,18 @@ def drifted(base: Base, chips: int, amounts: float | Sequence[float]) -> tuple[S
     ValueError
         If an amount is outside -0.5..0.5, or scenarios are too many.
     """
-    each = [float(amount) for amount in np.atleast_1d(amounts)]
-    if not each or not all(-0.5 <= amount <= 0.5 for amount in each):
+    drifts = [float(amount) for amount in np.atleast_1d(amounts)]
+    if not drifts or not all(-0.5 <= amount <= 0.5 for amount in drifts):
         raise ValueError(
             "amounts: must lie within -0.5..0.5, got"
-            f" {', '.join(f'{a:g}' for a in each) or 'none'}"
+            f" {', '.join(f'{a:g}' for a in drifts) or 'none'}"
         )
     return _varied(
         base,
-        len(each),
-        lambda one: [_at(one, _edges(one, chips) * (1 + amount)) for amount in each],
+        len(drifts),
+        lambda scenario: [
+            _at(scenario, _edges(scenario, chips) * (1 + amount)) for amount in drifts
+        ],
     )
 
 
@@ -176,14 +182,16 @@ def jittered(
     if count < 1:
         raise ValueError(f"count: must be at least 1, got {count}")
 
-    def drawn(one: Scenario) -> list[Scenario]:
-        edges = _edges(one, chips)
+    def drawn(scenario: Scenario) -> list[Scenario]:
+        edges = _edges(scenario, chips)
         lengths = np.diff(edges)
         room = _FARTHEST_EDGE * np.minimum(
             np.append(lengths, lengths[-1]), np.insert(lengths, 0, lengths[0])
         )
         shifts = rng.normal(0.0, sigma_chips / chips, (count, chips + 1))
-        return [_at(one, moved) for moved in edges + np.clip(shifts, -room, room)]
+        return [
+            _at(scenario, shifted_edges) for shifted_edges in edges + np.clip(shifts, -room, room)
+        ]
 
     return _varied(base, count, drawn)
 
@@ -225,9 +233,9 @@ def coded_sum(rows: NDArray[Any], codes: NDArray[Any]) -> NDArray[Any]:
     else:
         # chips open one after the other from the first: the left neighbour stands, the right one
         # is closed yet
-        left = np.pad(on, ((0, 0), (1, 0)))[:, :-1]
-        total = (on * (1 - left)) @ flat[:, 0]
-        total += (on * left) @ flat[:, 2]
+        open_before = np.pad(on, ((0, 0), (1, 0)))[:, :-1]
+        total = (on * (1 - open_before)) @ flat[:, 0]
+        total += (on * open_before) @ flat[:, 2]
     return np.asarray(total.reshape(len(codes), *rows.shape[2:]))
 
 
@@ -238,10 +246,14 @@ def _varied(
         base = (Scenario(base),)
     elif isinstance(base, Scenario):
         base = (base,)
-    given = tuple(base)
-    if len(given) * count > MOST_SCENARIOS:
-        _refuse(len(given) * count)
-    return tuple(replace(made, weight=one.weight / count) for one in given for made in vary(one))
+    scenarios = tuple(base)
+    if len(scenarios) * count > MOST_SCENARIOS:
+        _refuse(len(scenarios) * count)
+    return tuple(
+        replace(variation, weight=scenario.weight / count)
+        for scenario in scenarios
+        for variation in vary(scenario)
+    )
 
 
 def _counted(scenarios: tuple[Scenario, ...]) -> tuple[Scenario, ...]:

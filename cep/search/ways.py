@@ -124,13 +124,17 @@ class WayFinder:
     """
 
     def __init__(self, problem: SearchProblem) -> None:
-        sought = replace(problem, objective="mse")
-        straight = all(straight_axis(one.trajectory) is not None for one in problem.scenarios)
-        long = straight and sample_count(sought, oversampling=_OVERSAMPLING) > _LONG_COLUMNS
+        mse_problem = replace(problem, objective="mse")
+        straight = all(
+            straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios
+        )
+        long = straight and sample_count(mse_problem, oversampling=_OVERSAMPLING) > _LONG_COLUMNS
         over, across = (_LONG_OVERSAMPLING, _LONG_ACROSS) if long else (_OVERSAMPLING, ACROSS)
-        self._fast = Objective(sought, oversampling=_OVERSAMPLING)
-        self._moved = Objective(sought, oversampling=over, across=across) if long else self._fast
-        self._judge = Objective(sought, oversampling=over, across=across, dtype=np.float64)
+        self._fast = Objective(mse_problem, oversampling=_OVERSAMPLING)
+        self._moved = (
+            Objective(mse_problem, oversampling=over, across=across) if long else self._fast
+        )
+        self._judge = Objective(mse_problem, oversampling=over, across=across, dtype=np.float64)
         self._swaps = (
             not long or problem.chips**2 // 4 * self._judge.shares_across.size <= _SWAPS_WORK
         )
@@ -145,30 +149,33 @@ class WayFinder:
         """
         problem = replace(self._fast.problem, camera=camera)
         unlimited = replace(problem, open_range=None, runs=RunLimits())
-        found = []
+        codes = []
         for best, single in ((best_snapshot, True), (best_strobe, False)):
-            for asked in (unlimited, problem):
-                kept = recordable(asked, single=single)
+            for candidate in (unlimited, problem):
+                unsaturated = recordable(candidate, single=single)
                 code = (
                     None
-                    if kept is None
-                    else best(self._fast.for_problem(kept), within_limits=kept is not unlimited)
+                    if unsaturated is None
+                    else best(
+                        self._fast.for_problem(unsaturated),
+                        within_limits=unsaturated is not unlimited,
+                    )
                 )
-                found += [] if code is None else [code]
+                codes += [] if code is None else [code]
                 if code is not None and problem.allows(code):
                     break
         n = problem.chips
         shortest = max(problem.open_limits[0], 1)
         lengths = np.arange(1, n) if every_length else np.unique([1, shortest])
-        every = n * (n - 1) // 2 <= _MOST_RUNS
-        for length in lengths if every else evenly_some(lengths, _LENGTHS):
+        judge_all = n * (n - 1) // 2 <= _MOST_RUNS
+        for length in lengths if judge_all else evenly_some(lengths, _LENGTHS):
             starts = np.arange(n - length + 1)
-            runs = starts if every and every_length else evenly_some(starts, _STARTS)
-            found += [
+            runs = starts if judge_all and every_length else evenly_some(starts, _STARTS)
+            codes += [
                 ShutterCode("0" * i + "1" * int(length) + "0" * (n - int(length) - i))
                 for i in map(int, runs)
             ]
-        return found
+        return codes
 
     def codes(
         self, camera: Camera, starts: Sequence[ShutterCode], *, seed: int, threads: int | None
@@ -181,10 +188,10 @@ class WayFinder:
         KeyboardInterrupt
             After Ctrl-C.
         """
-        found = self.search(camera, starts, seed=seed, threads=threads)
-        if found is not None and found.stopped == "interrupted":
+        outcome = self.search(camera, starts, seed=seed, threads=threads)
+        if outcome is not None and outcome.stopped == "interrupted":
             raise KeyboardInterrupt
-        return [] if found is None else [found.code]
+        return [] if outcome is None else [outcome.code]
 
     def search(
         self,
@@ -201,19 +208,22 @@ class WayFinder:
         A snapshot may have less noise from dark current. It is charged that of a code here, or the
         search would end on it. The time or Ctrl-C ends the search with the best code so far.
         """
-        kept = recordable(replace(self._judge.problem, camera=camera), single=False)
-        if kept is None:
+        unsaturated = recordable(replace(self._judge.problem, camera=camera), single=False)
+        if unsaturated is None:
             return None
-        sought = replace(kept, camera=camera.with_dark_noise(kept.chips * kept.chip_ns * 1e-9))
+        charged = replace(
+            unsaturated,
+            camera=camera.with_dark_noise(unsaturated.chips * unsaturated.chip_ns * 1e-9),
+        )
         return anneal(
-            sought,
+            charged,
             rng=np.random.default_rng([seed, 7]),
             steps=_MOVES,
             time_s=time_s,
-            start=[code for code in starts if sought.allows(code)],
+            start=[code for code in starts if charged.allows(code)],
             threads=threads,
-            judge=self._judge.for_problem(sought),
-            moved=self._moved.for_problem(sought),
+            judge=self._judge.for_problem(charged),
+            moved=self._moved.for_problem(charged),
             swaps=self._swaps,
         )
 
@@ -241,12 +251,12 @@ def recordable(problem: SearchProblem, *, single: bool) -> SearchProblem | None:
     collected = camera.photons_full_scale * counts / n + camera.dark_e(
         chip_s * (counts if single else n)
     )
-    most = int(np.count_nonzero(collected <= _full_e(camera)))
+    most_open = int(np.count_nonzero(collected <= _full_e(camera)))
     low, high = problem.open_range or (1, n)
-    if most >= high:
+    if most_open >= high:
         return problem
     try:
-        return replace(problem, open_range=(low, most))
+        return replace(problem, open_range=(low, most_open))
     except ValueError:  # the limits ask for more open chips
         return None
 
@@ -296,36 +306,36 @@ def judged_ways(
 
     One that is ``expected`` of this problem and error already need not be made.
     """
-    every = list(
+    distinct = list(
         {
             code.bits: ShutterCode(code.bits, problem.chip_ns)
             for code in [ShutterCode("1" * problem.chips), *codes]
         }.values()
     )
     noise = [
-        model(camera, every, response=problem.response) / frames
+        model(camera, distinct, response=problem.response) / frames
         for camera in cameras
         for model in (light_noise, equal_light_noise)
     ]
     expected = expected or ExpectedPsnr(problem, path_error_px=path_error_px)
-    psnr = expected.psnr_db(every, noise=noise).reshape(len(every), -1, 2)
-    allowed = [problem.allows(code) for code in every]
-    kinds = [_kind(code) for code in every]
-    judged = []
+    psnr = expected.psnr_db(distinct, noise=noise).reshape(len(distinct), -1, 2)
+    allowed = [problem.allows(code) for code in distinct]
+    kinds = [_kind(code) for code in distinct]
+    judgements = []
     for index, camera in enumerate(cameras):
-        full = collected_e(camera, every, response=problem.response) > _full_e(camera)
-        judged.append(
+        full = collected_e(camera, distinct, response=problem.response) > _full_e(camera)
+        judgements.append(
             tuple(
                 Way(kind, code, float(at_time), float(at_light), allows, bool(saturates))
                 for kind, code, (at_time, at_light), allows, saturates in zip(
-                    kinds, every, psnr[:, index], allowed, full, strict=True
+                    kinds, distinct, psnr[:, index], allowed, full, strict=True
                 )
             )
         )
-    return judged
+    return judgements
 
 
-def best_possible(ways: Sequence[Way]) -> Way:
+def best_possible(exposures: Sequence[Way]) -> Way:
     """Return the way of the highest expected PSNR that keeps the limits and does not saturate.
 
     Raises
@@ -333,20 +343,27 @@ def best_possible(ways: Sequence[Way]) -> Way:
     ValueError
         If there is none.
     """
-    best = max((way for way in ways if way.possible), key=lambda way: way.psnr_db, default=None)
+    best = max(
+        (exposure for exposure in exposures if exposure.possible),
+        key=lambda exposure: exposure.psnr_db,
+        default=None,
+    )
     if best is None:
         raise ValueError(NONE_POSSIBLE)
     return best
 
 
-def simplest(ways: Sequence[Way]) -> Way:
+def simplest(exposures: Sequence[Way]) -> Way:
     """Return the best way of the simplest kind that none beats by
     :data:`cep.search.expected.WORTH_DB`.
     """
-    highest = max(way.psnr_db for way in ways)
-    near = [way for way in ways if way.psnr_db > highest - WORTH_DB]
-    kind = min(KINDS.index(way.kind) for way in near)
-    return max((way for way in near if way.kind == KINDS[kind]), key=lambda way: way.psnr_db)
+    highest = max(exposure.psnr_db for exposure in exposures)
+    equal = [exposure for exposure in exposures if exposure.psnr_db > highest - WORTH_DB]
+    kind = min(KINDS.index(exposure.kind) for exposure in equal)
+    return max(
+        (exposure for exposure in equal if exposure.kind == KINDS[kind]),
+        key=lambda exposure: exposure.psnr_db,
+    )
 
 
 def _full_e(camera: Camera) -> float:
@@ -357,16 +374,16 @@ def _kind(code: ShutterCode) -> Choice:
     """Kind of a code by its openings: all, one, even ones, or others."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], code.array, [0]])))
     starts = edges[::2]
-    ends = edges[1::2]
+    stops = edges[1::2]
     if code.open_chips == code.chips:
         return "open"
     if len(starts) == 1:
         return "snapshot"
     if len(starts) == 2:
         return "code"  # any two equal openings would be even
-    even = len(np.unique(np.diff(starts))) == 1 and len(np.unique((ends - starts)[:-1])) == 1
+    even = len(np.unique(np.diff(starts))) == 1 and len(np.unique((stops - starts)[:-1])) == 1
     # the last pulse may be cut off by the end of the exposure
-    whole = ends[-1] - starts[-1] == ends[0] - starts[0] or (
-        ends[-1] == code.chips and ends[-1] - starts[-1] < ends[0] - starts[0]
+    last_is_alike = stops[-1] - starts[-1] == stops[0] - starts[0] or (
+        stops[-1] == code.chips and stops[-1] - starts[-1] < stops[0] - starts[0]
     )
-    return "strobe" if even and whole else "code"
+    return "strobe" if even and last_is_alike else "code"

@@ -78,7 +78,9 @@ def joint_figures(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Joint
     power = _power(fine, np.stack([code.array for code in codes])).sum(axis=0)
     power = np.where(power < _ZERO_POWER, 0.0, power)
     with np.errstate(divide="ignore"):
-        noise = max(float(part.samples.weight @ (1 / power[part.columns])) for part in fine.parts)
+        noise = max(
+            float(motion.samples.weight @ (1 / power[motion.columns])) for motion in fine.parts
+        )
     return JointFigures(float(np.sqrt(power.min())), float(10 * np.log10(noise)))
 
 

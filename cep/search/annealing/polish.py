@@ -85,7 +85,7 @@ def _climb(
         below = cost - 1e-9
         hopeful: NDArray[np.intp] = np.empty(0, np.intp)
         # a minimum over the continuum is never above the sampled one: only these can win
-        for found_yet in cheapest(fine, bits, codes, most=_HOPEFUL, below=below):
+        for found_yet in cheapest(fine, bits, codes, count=_HOPEFUL, below=below):
             hopeful = found_yet
             yield cost, code
         costs = [
@@ -141,14 +141,14 @@ def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) 
 
 
 def cheapest(
-    objective: Objective, code: Codes, codes: Codes, *, most: int, below: float
+    objective: Objective, code: Codes, codes: Codes, *, count: int, below: float
 ) -> Iterator[Indices]:
     """Find the cheapest of (R, n) codes near a code (n,), as far as they cost less than ``below``
     dB.
 
     Yields
     ------
-    (``most`` or fewer,) int
+    (``count`` or fewer,) int
         Indices of the cheapest so far, in their order; after the last codes, the answer.
     """
     judges = [(judge, judge.otf(code[None])[0]) for judge in _judges(objective)]
@@ -156,7 +156,7 @@ def cheapest(
     indices = np.empty(0, np.intp)
     costs = np.empty(0)
     for start in range(0, len(codes), step):
-        limit = below if indices.size < most else float(costs[-1])
+        limit = below if indices.size < count else float(costs[-1])
         candidates = np.arange(start, min(start + step, len(codes)))
         candidate_costs = np.empty(0)
         for judge, otf in judges:
@@ -168,7 +168,7 @@ def cheapest(
             candidate_costs = candidate_costs[candidate_costs < limit]
         indices = np.append(indices, candidates)
         costs = np.append(costs, candidate_costs)
-        order = np.argsort(costs, kind="stable")[:most]
+        order = np.argsort(costs, kind="stable")[:count]
         indices = indices[order]
         costs = costs[order]
         yield indices
@@ -181,14 +181,14 @@ def _judges(objective: Objective) -> list[Objective]:
     if any(name != "min-mtf" for name, _ in objective.problem.objective_mix):
         return [objective]
     columns_by_part = [
-        np.arange(part.columns.start, part.columns.stop, _SPARSE) for part in objective.parts
+        np.arange(motion.columns.start, motion.columns.stop, _SPARSE) for motion in objective.parts
     ]
     edges = np.cumsum([0, *(columns.size for columns in columns_by_part)]).tolist()
     few = copy(objective)
     few.rows = np.ascontiguousarray(objective.rows[..., np.concatenate(columns_by_part)])
     # a minimum takes nothing of a part but its columns
     few.parts = tuple(
-        replace(part, columns=slice(*bounds))
-        for part, bounds in zip(objective.parts, pairwise(edges), strict=True)
+        replace(motion, columns=slice(*bounds))
+        for motion, bounds in zip(objective.parts, pairwise(edges), strict=True)
     )
     return [few, objective]

@@ -359,15 +359,15 @@ def lay_out(objective: Objective) -> Tables:
     columns: list[NDArray[np.intp]] = []
     layout: list[tuple[int, int, int]] = []
     blocks = 0
-    for part in objective.parts:
-        heavy = np.flatnonzero(part.samples.weight > 0) + part.columns.start
+    for motion in objective.parts:
+        heavy = np.flatnonzero(motion.samples.weight > 0) + motion.columns.start
         size = -(-heavy.size // BLOCK)
         columns.append(np.concatenate([heavy, np.full(size * BLOCK - heavy.size, -1)]))
-        layout.append((blocks, blocks + size, part.scenario))
+        layout.append((blocks, blocks + size, motion.scenario))
         blocks += size
     places = np.concatenate(columns)
     filling = places < 0
-    weight = np.concatenate([part.samples.weight for part in objective.parts])[places]
+    weight = np.concatenate([motion.samples.weight for motion in objective.parts])[places]
     chips = problem.chips
     mix = problem.criteria
     samples = ~filling

@@ -41,23 +41,23 @@ _LIGHTS = 6  # numbers of open chips that are relaxed, the weakest first
 def tightened(
     parts: Sequence[MotionBasis],
     counts: Counts,
-    known: FloatArray,
+    earlier: FloatArray,
     quantity: Literal["min", "noise"],
     *,
     solvers: Sequence[Solver] | None = None,
 ) -> tuple[FloatArray, list[DualProof]]:
-    """Improve known bounds, (K,), one for each number of open chips, where the relaxation does.
+    """Improve earlier bounds, (K,), one for each number of open chips, where the relaxation does.
 
     The number of open chips with the weakest bound is relaxed, its multipliers are tried on all
     others, and so on until the weakest has been relaxed. Where no solver finds an optimum, the
-    known bounds stay.
+    earlier bounds stay.
 
     Parameters
     ----------
     parts : sequence of MotionBasis
         For "noise" the first counts, on the samples of its quadrature.
     counts : (K,) int
-    known : (K,) float
+    earlier : (K,) float
         Light-true |H|, or dB.
     quantity : {"min", "noise"}
     solvers : sequence of callables, optional
@@ -68,7 +68,7 @@ def tightened(
     proofs : list of DualProof
         Of the improved bounds.
     """
-    best = known.copy()
+    best = earlier.copy()
     proofs = dict[int, DualProof]()
     solved = set[int]()
     sign = 1.0 if quantity == "min" else -1.0

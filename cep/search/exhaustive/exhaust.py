@@ -42,13 +42,13 @@ class Part(NamedTuple):
         Open chips.
     sums : (R, 2 F) int32
         Real parts of their sum at each frequency, then the imaginary ones, in fixed-point units.
-    opened, pulses : (R,) int64
+    open_chips, pulses : (R,) int64
         Number of open chips and of open runs.
     """
 
     bits: Bits
     sums: Ints
-    opened: Counts
+    open_chips: Counts
     pulses: Counts
 
 
@@ -238,7 +238,7 @@ def scan(
     room = survivors.size - middle.bits.size * inner_bits.size
     unlimited = free_runs(limits)
     near_sums = middle.sums
-    near_opened = middle.opened
+    near_open_chips = middle.open_chips
     near_bits = middle.bits
     most_near = near_at.size - 2
     start = span[2]
@@ -247,7 +247,7 @@ def scan(
             if number > room or halt[0]:
                 span[0], span[2] = i, j
                 return number
-            open_chips = head.opened[i] + tail.opened[j]
+            open_chips = head.open_chips[i] + tail.open_chips[j]
             low = max(limits.fewest - open_chips - INNER, 0)
             high = min(limits.most - open_chips, most_near)
             # joined in the middle they may still be one pulse
@@ -257,7 +257,7 @@ def scan(
             for f in range(outer_sums.size):
                 outer_sums[f] = head.sums[i, f] + tail.sums[j, f]
             for k in range(near_at[low], near_at[high + 1]):
-                outside = open_chips + near_opened[k]
+                outside = open_chips + near_open_chips[k]
                 counts[0] += inner_count[outside]
                 for f in range(frequencies):
                     x = (outer_sums[f] + near_sums[k, f]) >> SHIFT

@@ -63,7 +63,7 @@ def test_cheapest_neighbours(name, objective):
     judge, code, codes = started(replace(PROBLEMS[name], objective=objective))
     costs = judge.cost_of(codes)
     for below in (np.inf, np.sort(costs)[2] + 1e-9, costs.min() - 1.0):
-        *_, found = cheapest(judge, code, codes, most=5, below=below)
+        *_, found = cheapest(judge, code, codes, count=5, below=below)
         expected = np.sort(costs[costs < below])[:5]
         assert np.allclose(costs[found], expected, rtol=0, atol=1e-9)
 
