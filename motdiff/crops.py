@@ -48,11 +48,9 @@ def luminance(photo: ArrayLike) -> FloatArray:
     if not np.isfinite(image).all():
         raise ValueError("photo: must be finite, found NaN or infinity")
     # a large photo comes in single precision, and is never held in double with all its colours
-    return (
-        np.asarray(image, dtype=np.float64)
-        if image.ndim == 2
-        else image.mean(axis=2, dtype=np.float64)
-    )
+    if image.ndim == 3:
+        return np.asarray(image.mean(axis=2, dtype=np.float64))
+    return np.asarray(image, dtype=np.float64)
 
 
 def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:
@@ -90,7 +88,9 @@ def exposure_gain(photo: ArrayLike) -> float:
     (9.5, 1.0)
     """
     gain = _FULL / max(float(np.max(photo, initial=0.0)), _DARKEST)
-    return gain if gain >= _LEAST_GAIN else 1.0
+    if gain < _LEAST_GAIN:
+        return 1.0
+    return gain
 
 
 def check_size(photo: ArrayLike, *, least_px: int) -> None:

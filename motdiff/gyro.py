@@ -123,13 +123,13 @@ def _camera_rates_rad_s(trace: GyroTrace, axes: str) -> FloatArray:
             f"axes: must be the directions of x, y and z such as {DEFAULT_AXES} or right,up,back,"
             f" of {', '.join(_DIRECTIONS)}; got {axes!r}"
         )
-    turned = np.array([_DIRECTIONS[name] for name in names], dtype=np.float64)
-    if round(float(np.linalg.det(turned))) != 1:
+    rotation = np.array([_DIRECTIONS[name] for name in names], dtype=np.float64)
+    if round(float(np.linalg.det(rotation))) != 1:
         raise ValueError(
             f"axes: must be at right angles and right-handed, as {DEFAULT_AXES} or right,up,back"
             f" are; got {axes!r}"
         )
-    return trace.rate_rad_s @ turned
+    return trace.rate_rad_s @ rotation
 
 
 def trajectory_from_gyro(
@@ -194,16 +194,16 @@ def _integrated(
     """Integrate to times (T,) s and angles (T, K) rad over the exposure, exact for rates linear
     between rows.
     """
-    ends = float(trace.t_s[0]), float(trace.t_s[-1])
+    span_s = float(trace.t_s[0]), float(trace.t_s[-1])
     t = trace.t_s - start_s  # a clock that counts from 1970 has no digits to spare
     slack = 8 * float(
-        np.spacing(max(abs(start_s), *map(abs, ends)))
+        np.spacing(max(abs(start_s), *map(abs, span_s)))
     )  # what rounding may cost at the ends
     if not (t[0] <= slack and exposure_s <= t[-1] + slack):
         raise ValueError(
             f"start_s: the exposure {start_s:.4f}..{start_s + exposure_s:.4f} s must lie within"
             " the trace,"
-            f" {math.ceil(1e4 * ends[0]) / 1e4:.4f}..{math.floor(1e4 * ends[1]) / 1e4:.4f} s"
+            f" {math.ceil(1e4 * span_s[0]) / 1e4:.4f}..{math.floor(1e4 * span_s[1]) / 1e4:.4f} s"
         )
     inner = t[(t > slack) & (t < exposure_s - slack)]
     knots = np.concatenate([[0.0], inner, [exposure_s]])

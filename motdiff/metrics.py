@@ -79,9 +79,9 @@ def mnc_matrix(psfs: Sequence[ArrayLike]) -> FloatArray:
     alike = np.eye(len(images))
     half = frame // 2
     fine = np.zeros((2 * frame, half + 1), dtype=np.complex128)  # twice the samples: half pixels
-    for i, one in enumerate(spectra):
+    for i, spectrum in enumerate(spectra):
         for j in range(i):
-            product = one * spectra[j].conj()
+            product = spectrum * spectra[j].conj()
             product[half] /= 2  # the Nyquist frequency is shared by both signs
             product[:, half] /= 2
             fine[: half + 1], fine[-half:] = product[: half + 1], product[half:]
@@ -102,9 +102,7 @@ def register_shift(psf_a: ArrayLike, psf_b: ArrayLike) -> tuple[float, float]:
 
 
 def laid_on(truth: ArrayLike, psf: ArrayLike) -> FloatArray:
-    """Move ``psf`` onto ``truth`` by whole pixels: a blind kernel may be shifted. Its frame grows
-    by as much.
-    """
+    """Move a ``psf``, blind and so shifted, onto ``truth`` by whole pixels; its frame grows."""
     right_px, down_px = (round(shift) for shift in register_shift(truth, psf))
     return moved(psf, down_px=down_px, right_px=right_px)
 
@@ -122,7 +120,7 @@ def path_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 200) -> flo
     p, q = (path.arc_resampled(samples) for path in (a, b))
     p = p - p.mean(axis=0)
     q = q - q.mean(axis=0)
-    return float(min(np.linalg.norm(p - other, axis=1).mean() for other in (q, q[::-1])))
+    return float(min(np.linalg.norm(p - points, axis=1).mean() for points in (q, q[::-1])))
 
 
 def timed_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 401) -> float:
@@ -248,9 +246,7 @@ def _evenly_spaced(name: str, path: ArrayLike, step_px: float) -> FloatArray:
 
 
 def _warped_mean(distance: FloatArray) -> float:
-    """Least sum over monotone matchings from corner to corner, over the number of matched
-    pairs.
-    """
+    """Least sum over monotone matchings from corner to corner, per matched pair."""
     best = np.empty_like(distance)
     best[0] = np.cumsum(distance[0])
     for i in range(1, len(distance)):
@@ -263,18 +259,20 @@ def _warped_mean(distance: FloatArray) -> float:
     j = distance.shape[1] - 1
     pairs = 1
     while i or j:
-        steps = [(i - 1, j - 1)] if i and j else []
-        steps += [(i - 1, j)] if i else []
-        steps += [(i, j - 1)] if j else []
+        steps = []
+        if i and j:
+            steps.append((i - 1, j - 1))
+        if i:
+            steps.append((i - 1, j))
+        if j:
+            steps.append((i, j - 1))
         i, j = min(steps, key=lambda step: best[step])
         pairs += 1
     return float(best[-1, -1] / pairs)
 
 
 def _correlation(psf_a: ArrayLike, psf_b: ArrayLike) -> FloatArray:
-    """Full normalised cross-correlation; index (h_b - 1, w_b - 1) is the zero shift of the frames'
-    corners.
-    """
+    """Full normalised cross-correlation; index (h_b - 1, w_b - 1) lays corner on corner."""
     a = _checked("psf_a", psf_a)
     b = _checked("psf_b", psf_b)
     shape = (a.shape[0] + b.shape[0] - 1, a.shape[1] + b.shape[1] - 1)
@@ -348,7 +346,9 @@ def _best_aligned(
         if lower:
             rows = (1 - lower) * rows + lower * padded[y + 1 : y + 1 + height]
         columns = rows[:, x : x + width]
-        return (1 - right) * columns + right * rows[:, x + 1 : x + 1 + width] if right else columns
+        if right:
+            columns = (1 - right) * columns + right * rows[:, x + 1 : x + 1 + width]
+        return columns
 
     reference = target[window]
     best = (0.0, 0.0)

@@ -236,11 +236,11 @@ def with_smooth_error(
     _positive("smooth_over", smooth_over)
     knots = np.linspace(0, 1, _ERROR_KNOTS)
     alike = np.exp(-0.5 * ((knots[:, None] - knots) / smooth_over) ** 2)
-    drawn = np.linalg.cholesky(alike + 1e-8 * np.eye(knots.size)) @ rng.standard_normal(
+    knot_errors = np.linalg.cholesky(alike + 1e-8 * np.eye(knots.size)) @ rng.standard_normal(
         (knots.size, 2)
     )
     t = np.union1d(trajectory.t, knots)
-    error = np.stack([np.interp(t, knots, axis) for axis in drawn.T], axis=1) * (
+    error = np.stack([np.interp(t, knots, axis) for axis in knot_errors.T], axis=1) * (
         sign * error_px / 2**0.5
     )
     return Trajectory.from_samples(trajectory.at(t) + error, t=t, direction=trajectory.direction)

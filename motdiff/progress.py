@@ -41,8 +41,10 @@ class Progress:
         """Tell that so much of the plan is done."""
         with self._lock:
             if cost > 0:
-                done = min(1.0, cost / self._left) if self._left > 0 else 1.0
-                self._share = min(_MOST, self._share + (1 - self._share) * done)
+                share = 1.0
+                if self._left > 0:
+                    share = min(1.0, cost / self._left)
+                self._share = min(_MOST, self._share + (1 - self._share) * share)
                 self._left = max(0.0, self._left - cost)
             self._tell(self._share)
 
@@ -50,12 +52,12 @@ class Progress:
         """Return what a piece of the plan, which costs so much, is to call with its own finished
         share, 0..1.
         """
-        spent = 0.0
+        reported = 0.0
 
         def tell(share: float) -> None:
-            nonlocal spent
-            more = cost * share - spent
-            spent = cost * share
+            nonlocal reported
+            more = cost * share - reported
+            reported = cost * share
             self.spend(more)
 
         return tell

@@ -175,14 +175,14 @@ def photograph(
     ValueError
         If an argument is malformed, or the PSF larger than the scene.
     """
-    psf = (
-        motion.psf(motion.frame_size() | 1)
-        if isinstance(motion, Trajectory)
-        else np.asarray(motion, np.float64)
-    )
+    if isinstance(motion, Trajectory):
+        motion = motion.psf(motion.frame_size() | 1)
+    psf = np.asarray(motion, np.float64)
     blurred = blur_valid(scene, psf) if _are_real(borders) else blur_symmetric(scene, psf)
     light = add_noise(blurred, rng, photons_full_scale=photons_full_scale, read_sigma=read_sigma)
-    return np.clip(light, 0, 1) if record is None else record(light)
+    if record is None:
+        return np.clip(light, 0, 1)
+    return record(light)
 
 
 def visible(scene: ArrayLike, psf_px: int, *, borders: str = "real") -> FloatArray:
@@ -190,14 +190,18 @@ def visible(scene: ArrayLike, psf_px: int, *, borders: str = "real") -> FloatArr
     pixel for pixel.
     """
     light = np.asarray(scene, dtype=np.float64)
-    return light[valid_window(light.shape, (psf_px, psf_px))] if _are_real(borders) else light
+    if _are_real(borders):
+        light = light[valid_window(light.shape, (psf_px, psf_px))]
+    return light
 
 
 def border_px(borders: str, psf_px: int = PSF_PX) -> int:
     """Pixels that a scene must have more than its photo, on both axes, for a PSF frame of
     ``psf_px``.
     """
-    return psf_px - 1 if _are_real(borders) else 0
+    if not _are_real(borders):
+        return 0  # mirrored: the photo is as large as the scene
+    return psf_px - 1
 
 
 def to_display(linear: ArrayLike, *, gamma: float | None = None) -> FloatArray:

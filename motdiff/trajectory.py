@@ -239,8 +239,8 @@ class Trajectory:
         if not (np.isfinite(tolerance_px) and tolerance_px > 0):
             raise ValueError(f"tolerance_px: must be a positive number, got {tolerance_px}")
         # centring the thinned path moves it by no more than it was moved on average
-        kept = thinned_knots(self.t, self.xy, 0.5 * tolerance_px)
-        return Trajectory.from_samples(self.xy[kept], t=self.t[kept], direction=self.direction)
+        knots = thinned_knots(self.t, self.xy, 0.5 * tolerance_px)
+        return Trajectory.from_samples(self.xy[knots], t=self.t[knots], direction=self.direction)
 
     def arc_resampled(self, samples: int) -> FloatArray:
         """Points (samples, 2) px evenly spaced along the path, whatever the dwell."""
@@ -272,8 +272,8 @@ class Trajectory:
         complex ndarray of the broadcast shape. No pixel grid is involved; multiply by
         :func:`bilinear_otf` or :func:`pixel_aperture_otf` for sampling.
         """
-        (whole,) = self.slice_otfs((0.0, 1.0), fx_cy_px, fy_cy_px)
-        return np.asarray(whole, dtype=np.complex128)
+        (otf,) = self.slice_otfs((0.0, 1.0), fx_cy_px, fy_cy_px)
+        return np.asarray(otf, dtype=np.complex128)
 
     def slice_otfs(
         self, edges: Sequence[float] | FloatArray, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike
@@ -314,8 +314,8 @@ class Trajectory:
         ValueError
             If the path does not fit the frame; the message says which size would.
         """
-        (whole,) = self.slice_psfs((0.0, 1.0), size)
-        return np.asarray(whole, dtype=np.float64)
+        (psf,) = self.slice_psfs((0.0, 1.0), size)
+        return np.asarray(psf, dtype=np.float64)
 
     def slice_psfs(self, edges: Sequence[float] | FloatArray, size: int = PSF_PX) -> FloatArray:
         """Light-true PSF of each time slice, (slices, size, size): each sums to its share of the
@@ -423,10 +423,12 @@ def slice_psfs(t: FloatArray, xy: FloatArray, edges: FloatArray, size: int) -> F
     cell = np.floor(at(mid)).astype(np.intp)
     psfs = np.zeros((len(edges) - 1) * size * size)
     for node in (-_GAUSS_NODE, _GAUSS_NODE):
-        part = at(mid + 0.5 * du * node) - cell
+        fraction = at(mid + 0.5 * du * node) - cell
         for dx in (0, 1):
             for dy in (0, 1):
-                weight = 0.5 * du * np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
+                weight = (
+                    0.5 * du * np.abs(1 - dx - fraction[:, 0]) * np.abs(1 - dy - fraction[:, 1])
+                )
                 column = cell[:, 0] + dx + size // 2
                 row = cell[:, 1] + dy + size // 2
                 psfs += np.bincount(
@@ -454,14 +456,14 @@ def thin_path(index: NDArray[np.intp]) -> NDArray[np.intp]:
     -------
     (M, 2) int, M <= N, with the same ends.
     """
-    moved = np.r_[True, np.any(np.diff(index, axis=0) != 0, axis=1)]
-    walk = index[moved]
-    kept = [walk[0]]
-    for here, after in itertools.pairwise(walk[1:]):
-        if np.abs(after - kept[-1]).max() > 1:  # otherwise its neighbours already touch: a corner
-            kept.append(here)
-    kept.append(walk[-1])
-    return np.array(kept)
+    is_new = np.r_[True, np.any(np.diff(index, axis=0) != 0, axis=1)]
+    walk = index[is_new]
+    line = [walk[0]]
+    for pixel, after in itertools.pairwise(walk[1:]):
+        if np.abs(after - line[-1]).max() > 1:  # otherwise its neighbours already touch: a corner
+            line.append(pixel)
+    line.append(walk[-1])
+    return np.array(line)
 
 
 def _grid_crossings(t: FloatArray, values: FloatArray) -> FloatArray:
@@ -499,7 +501,7 @@ def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray
     -------
     (K,) int, increasing, from 0 to T - 1
     """
-    kept = np.ones(t.size, dtype=bool)
+    is_knot = np.ones(t.size, dtype=bool)
     joined: NDArray[np.bool_] = np.ones(
         t.size - 1, dtype=bool
     )  # whether each block of intervals is straight
@@ -524,9 +526,9 @@ def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray
             distance2 += (column[: blocks * width].reshape(blocks, width)[candidates] - chord) ** 2
         fits = distance2.max(axis=1) <= tolerance_px**2
         straight[candidates] = fits
-        kept[first[fits] + width // 2] = False
+        is_knot[first[fits] + width // 2] = False
         joined = straight
-    return np.flatnonzero(kept)
+    return np.flatnonzero(is_knot)
 
 
 def check_length(trajectory: Trajectory) -> None:

@@ -47,8 +47,8 @@ def read_card(path: Path | str, schema: str) -> dict[str, Any]:
     """
     header = read_header(path)
     if schema not in header:
-        found = one_line(", ".join(sorted(header)) or "nothing")
-        raise ValueError(f"{path}: is no {schema} file, its header has {found}")
+        schemas = one_line(", ".join(sorted(header)) or "nothing")
+        raise ValueError(f"{path}: is no {schema} file, its header has {schemas}")
     try:
         card: dict[str, Any] = json.loads(header[schema])
     except (ValueError, RecursionError) as error:

@@ -42,17 +42,9 @@ MOST = {
     "lab/rivals": 10,
     "lab/studies": 175,
     "lab/trainings": 32,
-    "motdiff/estimators": 126,
-    "motdiff/gyro.py": 2,
-    "motdiff/metrics.py": 2,
-    "motdiff/motions.py": 1,
+    "motdiff/estimators": 18,
     "motdiff/network": 1,
-    "motdiff/progress.py": 3,
-    "motdiff/tracing": 16,
     "motdiff/training": 4,
-    "motdiff/trajectory.py": 8,
-    "motdiff/weights": 3,
-    "motdiff/weights_io.py": 1,
 }
 """The vague names that a room still has; one that is missing here has none."""
 

@@ -104,7 +104,7 @@ class PmpCorrected(PmpEstimator):
         kernels = self.kernels(crops)
         alike = mnc_matrix(kernels)
         order = np.argsort(-rank_kernels(crops, kernels).probabilities)
-        chosen = distinct(alike, order[:1], order[1:], most=_REFINED)
+        chosen = distinct(alike, order[:1], order[1:], count=_REFINED)
         sharpened = side_by_side(
             [partial(refined, crops, kernels[i], shared_sigma(crops)) for i in chosen]
         )
@@ -116,7 +116,7 @@ class PmpCorrected(PmpEstimator):
 
     def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:
         """Correct the kernels as ``motdiff`` does."""
-        return corrected_choice(self._correction, crops, found, most=_REFINED)
+        return corrected_choice(self._correction, crops, found, count=_REFINED)
 
 
 class Uncorrected(MotDiffEstimator):

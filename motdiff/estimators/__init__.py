@@ -1,3 +1,1 @@
-"""Estimators of the motion: one file each, all behind
-:class:`motdiff.estimators.base.Estimator`.
-"""
+"""Estimators of the motion, all behind :class:`motdiff.estimators.base.Estimator`."""

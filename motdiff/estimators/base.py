@@ -1,6 +1,4 @@
-"""Results of the estimators: the motion, the kernels of a blind search; and the protocol that
-estimators keep.
-"""
+"""Motion estimates, kernels of a blind search, and the protocol of estimators."""
 
 from __future__ import annotations
 
@@ -59,11 +57,11 @@ class MotionEstimate:
 
     @property
     def path_error_px(self) -> float | None:
-        """Expected error of the likeliest trajectory, px rms over time; None where the method does
-        not say.
-        """
-        stated = self.details.get("path_uncertainty_px")
-        return stated if isinstance(stated, float) and stated > 0 else None
+        """Expected error of the likeliest trajectory, px rms over time; None if not estimated."""
+        uncertainty_px = self.details.get("path_uncertainty_px")
+        if isinstance(uncertainty_px, float) and uncertainty_px > 0:
+            return uncertainty_px
+        return None
 
     def __post_init__(self) -> None:
         if not self.trajectories or len(self.trajectories) != len(self.weights):
@@ -110,9 +108,7 @@ class FoundKernels:
 
 @runtime_checkable
 class Estimator(Protocol):
-    """Anything that turns a blurred photo into a motion estimate; one of the user's own may return
-    a PSF instead.
-    """
+    """Turns a blurred photo into a motion estimate; a user's own may return a PSF instead."""
 
     def estimate(self, photo: NDArray[np.float64]) -> MotionEstimate:
         """Estimate the motion from ``photo``, (H, W) or (H, W, 3) float, linear light 0..1."""
@@ -133,15 +129,13 @@ def load_estimator(reference: str) -> Estimator:
     ValueError
         If there is no such object, or it is no estimator.
     """
-    found = load_object(reference)
+    loaded = load_object(reference)
     try:
-        made = (
-            found()
-            if callable(found) and (isinstance(found, type) or not isinstance(found, Estimator))
-            else found
-        )
+        # an estimator's class has its methods, too: only an instance is used as it is
+        if callable(loaded) and (isinstance(loaded, type) or not isinstance(loaded, Estimator)):
+            loaded = loaded()
     except TypeError as error:
         raise ValueError(f"{reference}: cannot be made without arguments ({error})") from None
-    if not isinstance(made, Estimator):
+    if not isinstance(loaded, Estimator):
         raise ValueError(f"{reference}: has no method estimate(photo)")
-    return made
+    return loaded

@@ -54,52 +54,54 @@ def doubted(
     edges = edge_widths(crops)
     expected_px = kernel_edge_widths(estimate.psf, edges.normals_rad)
     narrow = edges.widest_px <= _NARROW_PX and edges.share_of(expected_px) <= _NARROW_SHARE
-    spot_px = _SPOT_PX if estimate.confidence >= _LOST else _LOST_SPOT_PX
+    spot_px = _SPOT_PX
+    if estimate.confidence < _LOST:
+        spot_px = _LOST_SPOT_PX
     spot = bool(expected_px.max() <= spot_px)
     if (narrow and edges.bound_motion) or (spot and edges.widest_px <= _NARROW_PX):
         return _still(estimate, edges)
     clipped = float((crops >= CLIPPED_LEVEL).mean())
     doubts = []
-    most = 1.0
+    psf_limit = 1.0
     if uneven:
-        most = _DOUBTED
+        psf_limit = _DOUBTED
     if outgrown:
-        most = _DOUBTED
+        psf_limit = _DOUBTED
         doubts.append(
             f"the path found is as wide as the search reaches ({estimate.best.extent_px:.0f} px):"
             " the true one may be longer"
         )
     if narrow:
-        most = _CONTRADICTED
+        psf_limit = _CONTRADICTED
         doubts.append(
             f"the photo has edges {edges.sharpest_px:.1f} px wide, which a motion along the path"
             " found would have blurred to"
             f" {edges.sharpest_px / edges.share_of(expected_px):.1f} px"
         )
     if np.isnan(edges.widest_px):
-        most = _CONTRADICTED
+        psf_limit = _CONTRADICTED
         doubts.append("the photo has too few steep edges for its motion to show in them")
     if clipped > _CLIPPED:
-        most *= 1 - clipped
+        psf_limit *= 1 - clipped
         doubts.append(
             f"{100 * clipped:.0f} % of the pixels searched are clipped: their light is not known"
         )
     of_the_path = []
-    most_of_path = most
+    path_limit = psf_limit
     if spot or _is_round(estimate.psf):
-        most_of_path = min(most, _CONTRADICTED)
+        path_limit = min(psf_limit, _CONTRADICTED)
         of_the_path.append(
             "the blur found is a round spot, as of a lens out of focus: it shows no path of a"
             " motion"
         )
     limited = {
         name: min(float(value), limit)
-        for name, limit in (("psf_confidence", most), ("path_confidence", most_of_path))
+        for name, limit in (("psf_confidence", psf_limit), ("path_confidence", path_limit))
         if isinstance(value := estimate.details[name], float)
     }
     return replace(
         estimate,
-        confidence=min(estimate.confidence, most_of_path),
+        confidence=min(estimate.confidence, path_limit),
         warnings=(*estimate.warnings, *doubts, *of_the_path),
         psf_warnings=(*estimate.psf_warnings, *doubts),
         details={**estimate.details, **limited, **_edge_figures(edges)},
@@ -108,12 +110,11 @@ def doubted(
 
 def _still(estimate: MotionEstimate, edges: EdgeWidths) -> MotionEstimate:
     """Return the estimate of a photo without motion: a path of 0 px, whose PSF is a point."""
-    wide = (
-        f" (its sharpest edges are {edges.sharpest_px:.1f} px wide)" if edges.counts.any() else ""
-    )
-    sentence = f"This photo shows no motion blur{wide}"
+    sentence = "This photo shows no motion blur"
+    if edges.counts.any():
+        sentence += f" (its sharpest edges are {edges.sharpest_px:.1f} px wide)"
     path = Trajectory.from_samples([[0.0, 0.0], [0.0, 0.0]])
-    sure = {
+    confidences = {
         "psf_confidence": _STILL_CONFIDENCE,
         "path_confidence": _STILL_CONFIDENCE,
         "trajectory_psf_mnc": 1.0,
@@ -125,7 +126,7 @@ def _still(estimate: MotionEstimate, edges: EdgeWidths) -> MotionEstimate:
         psf=path.psf(PSF_PX),
         confidence=_STILL_CONFIDENCE,
         warnings=(sentence,),
-        details={**estimate.details, **sure, **_edge_figures(edges), "motion_blur": False},
+        details={**estimate.details, **confidences, **_edge_figures(edges), "motion_blur": False},
         psf_warnings=(sentence,),
     )
 

@@ -1,5 +1,4 @@
-"""Widths of a photo's steepest edges, and those that a blur kernel would leave: the evidence of a
-photo without motion.
+"""Widths of a photo's steepest edges, and of sharp edges blurred by a kernel.
 
 A step edge in the scene becomes, in the photo, the kernel's sum along that edge: no edge across a
 motion of 20 px can stay 1 px wide. So narrow edges in several directions bound any motion,
@@ -57,37 +56,39 @@ class EdgeWidths:
     @property
     def sharpest_px(self) -> float:
         """Width of the sharpest edges, the median of the directions that have any; NaN without."""
-        return float(np.median(self._known)) if self._known.size else float("nan")
+        if not self._measured_px.size:
+            return float("nan")
+        return float(np.median(self._measured_px))
 
     @property
     def widest_px(self) -> float:
         """Width of the sharpest edges in the direction where they are widest, which bounds any
         motion; NaN without.
         """
-        return float(self._known.max(initial=-np.inf)) if self._known.size else float("nan")
+        if not self._measured_px.size:
+            return float("nan")
+        return float(self._measured_px.max())
 
     @property
     def bound_motion(self) -> bool:
         """Whether the edges lie in two directions at least a quarter of a turn's half apart: no
         motion escapes both.
         """
-        seen = np.flatnonzero(np.isfinite(self.widths_px))
-        apart = np.abs(seen[:, None] - seen)
+        directions = np.flatnonzero(np.isfinite(self.widths_px))
+        apart = np.abs(directions[:, None] - directions)
         return bool((np.minimum(apart, DIRECTIONS - apart) >= DIRECTIONS // 4).any())
 
     def share_of(self, expected_px: FloatArray) -> float:
         """Geometric mean of these widths over ``expected_px`` (8,), those that a kernel leaves;
         NaN without edges.
         """
-        seen = np.isfinite(self.widths_px)
-        return (
-            float(np.exp(np.mean(np.log(self.widths_px[seen] / expected_px[seen]))))
-            if seen.any()
-            else float("nan")
-        )
+        is_measured = np.isfinite(self.widths_px)
+        if not is_measured.any():
+            return float("nan")
+        return float(np.exp(np.mean(np.log(self._measured_px / expected_px[is_measured]))))
 
     @property
-    def _known(self) -> FloatArray:
+    def _measured_px(self) -> FloatArray:
         return self.widths_px[np.isfinite(self.widths_px)]
 
 
@@ -103,21 +104,18 @@ def edge_widths(crops: Iterable[ArrayLike]) -> EdgeWidths:
     Marziliano, Dufaux, Winkler, Ebrahimi, "A no-reference perceptual blur metric", ICIP 2002:
     edges' widths as blur.
     """
-    found = [_edges(np.asarray(crop, dtype=np.float64)) for crop in crops]
-    normal = np.concatenate([one[0] for one in found])
-    width = np.concatenate([one[1] for one in found])
+    edges = [_edges(np.asarray(crop, dtype=np.float64)) for crop in crops]
+    normal = np.concatenate([normals for normals, _ in edges])
+    width = np.concatenate([widths for _, widths in edges])
     direction = _eighth(normal)
     counts = np.bincount(direction, minlength=DIRECTIONS)
-    widths = [
-        float(np.quantile(width[direction == d], _QUANTILE))
-        if counts[d] >= _LEAST_EDGES
-        else np.nan
-        for d in range(DIRECTIONS)
-    ]
+    widths = np.full(DIRECTIONS, np.nan)
+    for d in np.flatnonzero(counts >= _LEAST_EDGES):
+        widths[d] = np.quantile(width[direction == d], _QUANTILE)
     normals = (np.arange(DIRECTIONS) + 0.5) * np.pi / DIRECTIONS
-    seen = np.flatnonzero(counts)
-    normals[seen] = [normal[direction == d].mean() for d in seen]
-    return EdgeWidths(np.array(widths), counts, normals)
+    occupied = np.flatnonzero(counts)
+    normals[occupied] = [normal[direction == d].mean() for d in occupied]
+    return EdgeWidths(widths, counts, normals)
 
 
 def kernel_edge_widths(psf: ArrayLike, normals_rad: ArrayLike) -> FloatArray:

@@ -1,10 +1,9 @@
-"""Estimates from results of other kinds: a kernel, which is cleaned, centred and traced, or a
-path.
-"""
+"""Motion estimates from a kernel, which is cleaned, centred and traced, or from a path."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,13 +42,12 @@ def estimate_from_kernel(
     )
 
 
-def as_estimate(found: MotionEstimate | Trajectory | ArrayLike, method: str) -> MotionEstimate:
-    """Return the estimate that an estimator, perhaps of the user's own, gave: whole, as a
-    trajectory or as a PSF.
+def as_estimate(result: MotionEstimate | Trajectory | ArrayLike, method: str) -> MotionEstimate:
+    """Turn an estimator's result, an estimate, a trajectory or a PSF, into an estimate.
 
     Parameters
     ----------
-    found : MotionEstimate, Trajectory, or (k, k) array_like
+    result : MotionEstimate, Trajectory, or (k, k) array_like
         A trajectory or a PSF says nothing of its confidence, which is then 0.
     method : str
         Name of the estimator.
@@ -65,27 +63,25 @@ def as_estimate(found: MotionEstimate | Trajectory | ArrayLike, method: str) -> 
     >>> estimate.psf.shape, estimate.best.xy.shape[1], estimate.confidence
     ((64, 64), 2, 0.0)
     """
-    if isinstance(found, MotionEstimate):
-        return found
-    if isinstance(found, Trajectory):
+    if isinstance(result, MotionEstimate):
+        return result
+    if isinstance(result, Trajectory):
         return MotionEstimate(
-            method, (found,), (1.0,), found.psf(found.frame_size(PSF_PX)), confidence=0.0
+            method, (result,), (1.0,), result.psf(result.frame_size(PSF_PX)), confidence=0.0
         )
-    try:
-        psf = np.empty(0) if np.iscomplexobj(found) else np.asarray(found, dtype=np.float64)
-    except (TypeError, ValueError):
-        psf = np.empty(0)
+    psf = np.empty(0)
+    with suppress(TypeError, ValueError):
+        if not np.iscomplexobj(result):  # numpy would only warn, and drop the imaginary part
+            psf = np.asarray(result, dtype=np.float64)
     if psf.ndim != 2 or not np.isfinite(psf).all() or psf.min(initial=0) < 0 or not psf.any():
         raise ValueError(
             "estimate(photo) must return a PSF (k x k, non-negative, with some light), a"
-            f" Trajectory or a MotionEstimate, got {_kind(found)}"
+            f" Trajectory or a MotionEstimate, got {_kind(result)}"
         )
     return estimate_from_kernel(method, psf, {})
 
 
-def _kind(found: object) -> str:
-    return (
-        f"{found.dtype} of shape {found.shape}"
-        if isinstance(found, np.ndarray)
-        else type(found).__name__
-    )
+def _kind(result: object) -> str:
+    if isinstance(result, np.ndarray):
+        return f"{result.dtype} of shape {result.shape}"
+    return type(result).__name__

@@ -1,6 +1,4 @@
-"""Fusion of several photos of one motion: their joint kernel, and how far each photo agrees with
-it.
-"""
+"""Fusion of several photos of one motion: their joint kernel, and each photo's agreement."""
 
 from __future__ import annotations
 
@@ -28,20 +26,20 @@ class Fusion:
 
     Attributes
     ----------
-    found : FoundKernels
+    joint : FoundKernels
         The joint search, its best kernel chosen among that of the search and those of the photos;
         with warnings about photos that contradict it.
     crops : (C, H, W) float
-        Those of the photos that were kept.
-    kept, left_out : tuple of int
-        Indices of photos.
+        Those of ``photos``.
+    photos, left_out : tuple of int
+        Indices of the photos that share it, and of those that do not.
     repeatability : tuple of float
         MNC of each photo's own kernel with the shared one, of those left out as well.
     """
 
-    found: FoundKernels
+    joint: FoundKernels
     crops: FloatArray
-    kept: tuple[int, ...]
+    photos: tuple[int, ...]
     left_out: tuple[int, ...]
     repeatability: tuple[float, ...]
 
@@ -64,14 +62,14 @@ def cut_alike(crops: Sequence[FloatArray]) -> list[FloatArray]:
             )
     cut = []
     for crop in crops:
-        top, left = ((n - m) // 2 for n, m in zip(crop.shape[1:], shape, strict=True))
-        cut.append(crop[:, top : top + shape[0], left : left + shape[1]])
+        row, column = ((n - m) // 2 for n, m in zip(crop.shape[1:], shape, strict=True))
+        cut.append(crop[:, row : row + shape[0], column : column + shape[1]])
     return cut
 
 
 def fuse(
     crops: Sequence[FloatArray],
-    own: Sequence[FoundKernels],
+    singles: Sequence[FoundKernels],
     *,
     search: Callable[[FloatArray], FoundKernels],
     refine: Callable[[FloatArray, FloatArray], FloatArray],
@@ -92,49 +90,47 @@ def fuse(
     ----------
     crops : sequence of N (C, H, W) float
         Of each photo, of one size.
-    own : sequence of N FoundKernels
+    singles : sequence of N FoundKernels
         What a search found in each photo alone.
     search : callable
         From crops (C, H, W) to what is found in them together.
     refine : callable
         From crops (C, H, W) and a kernel to the kernel fitted to them once more.
     """
-    kernels = [found.kernels[found.best] for found in own]
-    judges = [Judge(one) for one in crops]
+    kernels = [single.kernels[single.best] for single in singles]
+    judges = [Judge(photo_crops) for photo_crops in crops]
 
-    def fused(kept: Sequence[int]) -> tuple[Fusion, dict[int, float]]:
-        """Fuse some of the photos; with how much better those of another motion are explained by
-        their own kernel.
-        """
-        together = np.concatenate([crops[i] for i in kept])
-        found = _chosen(
-            search(together),
-            [own[i] for i in kept],
-            [judges[i] for i in kept],
-            refine=partial(refine, together),
+    def fused(photos: Sequence[int]) -> tuple[Fusion, dict[int, float]]:
+        """Fuse some photos; the gain of its own kernel for each that shows another motion."""
+        joint_crops = np.concatenate([crops[i] for i in photos])
+        joint = _chosen(
+            search(joint_crops),
+            [singles[i] for i in photos],
+            [judges[i] for i in photos],
+            refine=partial(refine, joint_crops),
         )
-        shared = found.kernels[found.best]
+        shared = joint.kernels[joint.best]
         alike = tuple(mnc_subpixel(kernel, shared) for kernel in kernels)
-        left_out = tuple(i for i in range(len(crops)) if i not in kept)
-        gains = {i: _gain(judges[i], kernels[i], shared) for i in kept if alike[i] < GOOD_MNC}
-        others = {i: gain for i, gain in gains.items() if gain > _OTHER_MOTION}
-        return Fusion(found, together, tuple(kept), left_out, alike), others
+        left_out = tuple(i for i in range(len(crops)) if i not in photos)
+        gains = {i: _gain(judges[i], kernels[i], shared) for i in photos if alike[i] < GOOD_MNC}
+        dissenting = {i: gain for i, gain in gains.items() if gain > _OTHER_MOTION}
+        return Fusion(joint, joint_crops, tuple(photos), left_out, alike), dissenting
 
-    everything, suspects = fused(range(len(crops)))
-    result = everything
-    others = suspects
-    while others and 2 * (len(result.kept) - 1) > len(crops):
-        clearest = max(others, key=others.__getitem__)
-        result, others = fused([i for i in result.kept if i != clearest])
-    if others:  # no majority agrees
-        listed = " and ".join(f"{i + 1} (MNC {everything.repeatability[i]:.2f})" for i in suspects)
+    of_all, suspects = fused(range(len(crops)))
+    result = of_all
+    dissenting = suspects
+    while dissenting and 2 * (len(result.photos) - 1) > len(crops):
+        clearest = max(dissenting, key=dissenting.__getitem__)
+        result, dissenting = fused([i for i in result.photos if i != clearest])
+    if dissenting:  # no majority agrees
+        listed = " and ".join(f"{i + 1} (MNC {of_all.repeatability[i]:.2f})" for i in suspects)
         warning = (
             f"photo{'s' * (len(suspects) > 1)} {listed} may show another motion, but no majority"
             " agrees: kept"
         )
-        doubted = np.minimum(everything.found.probabilities, _DOUBTED)
+        doubted = np.minimum(of_all.joint.probabilities, _DOUBTED)
         return _warned(
-            replace(everything, found=replace(everything.found, probabilities=doubted)), [warning]
+            replace(of_all, joint=replace(of_all.joint, probabilities=doubted)), [warning]
         )
     return _warned(
         result,
@@ -148,24 +144,23 @@ def fuse(
 
 def _warned(fusion: Fusion, warnings: Sequence[str]) -> Fusion:
     return replace(
-        fusion, found=replace(fusion.found, warnings=(*fusion.found.warnings, *warnings))
+        fusion, joint=replace(fusion.joint, warnings=(*fusion.joint.warnings, *warnings))
     )
 
 
 def _chosen(
     joint: FoundKernels,
-    own: Sequence[FoundKernels],
+    singles: Sequence[FoundKernels],
     judges: Sequence[Judge],
     *,
     refine: Callable[[FloatArray], FloatArray],
 ) -> FoundKernels:
-    """Put the kernel of a photo, or its refinement, in place of the joint search's best where its
-    score is higher.
-    """
-    singles = [found.kernels[found.best] for found in own]
-    candidates = [joint.kernels[joint.best], *singles, *(refine(kernel) for kernel in singles)]
+    """Put a photo's kernel, or its refinement, for the joint search's best if it scores higher."""
+    single_kernels = [single.kernels[single.best] for single in singles]
+    refined = [refine(kernel) for kernel in single_kernels]
+    candidates = [joint.kernels[joint.best], *single_kernels, *refined]
     evidence = np.mean([judge.evidence(candidates) for judge in judges], axis=0)
-    agreement = mnc_matrix(candidates)[:, 1 : 1 + len(own)].mean(axis=1)
+    agreement = mnc_matrix(candidates)[:, 1 : 1 + len(singles)].mean(axis=1)
     best = int(np.argmax(kernel_score(evidence, agreement)))
     if best == 0:
         return replace(joint, details={**joint.details, "fused_by": "joint search"})
@@ -175,8 +170,11 @@ def _chosen(
     origins = list(joint.origins)
     if origins:
         origins[joint.best] = "kernel of one photo"
-    probabilities[joint.best] = max(joint.confidence, own[(best - 1) % len(own)].confidence)
-    chosen = "kernel of one photo" + (", refined on all" if best > len(own) else "")
+    source = singles[(best - 1) % len(singles)]  # after the joint one: singles, then refined
+    probabilities[joint.best] = max(joint.confidence, source.confidence)
+    chosen = "kernel of one photo"
+    if best > len(singles):
+        chosen += ", refined on all"
     details = {**joint.details, "fused_by": chosen}
     return replace(
         joint,
@@ -187,7 +185,7 @@ def _chosen(
     )
 
 
-def _gain(judge: Judge, own: FloatArray, shared: FloatArray) -> float:
+def _gain(judge: Judge, kernel: FloatArray, shared: FloatArray) -> float:
     """How much better a photo's own kernel explains it than the shared one."""
-    mine, common = kernel_score(judge.evidence([own, shared]))
-    return float(mine - common)
+    own_score, shared_score = kernel_score(judge.evidence([kernel, shared]))
+    return float(own_score - shared_score)

@@ -101,28 +101,28 @@ class Spectrum:
         fy = fft.fftfreq(height)[:, None]
         fx = np.abs(fft.rfftfreq(width))[None, :]
         radius2 = fx**2 + fy**2
-        self._used = (radius2 > _BAND_CY_PX[0] ** 2) & (radius2 < _BAND_CY_PX[1] ** 2)
+        self._in_band = (radius2 > _BAND_CY_PX[0] ** 2) & (radius2 < _BAND_CY_PX[1] ** 2)
         radius2[0, 0] = 1.0
         self._radius2 = radius2
         self._floor = max(sigma, _LEAST_SIGMA) ** 2
-        self._power = power[self._used].astype(np.float32)
-        self._log_median = float(np.median(np.log(power[self._used])))
-        log_radius = np.log(radius2)[self._used]
-        angle = np.arctan2(fy, fx)[self._used]
+        self._power = power[self._in_band].astype(np.float32)
+        self._log_median = float(np.median(np.log(power[self._in_band])))
+        log_radius = np.log(radius2)[self._in_band]
+        angle = np.arctan2(fy, fx)[self._in_band]
         smooth = np.stack(
             [np.ones_like(angle), log_radius, log_radius**2]
             + [wave(order * angle) for order in (2, 4) for wave in (np.cos, np.sin)],
             axis=1,
         )
         self._basis, _ = np.linalg.qr(smooth)
-        self._seen = self._ripples(power)
+        self._observed = self._ripples(power)
 
     def fit(self, kernel: FloatArray) -> float:
         """Correlation, -1..1, of the photo's log power spectrum with that of ``kernel``, (k, k),
         sum 1.
         """
         scene = np.abs(fft.rfft2(kernel, s=self._shape)) ** 2 / self._radius2
-        inside = scene[self._used]
+        inside = scene[self._in_band]
         start = np.exp(self._log_median - np.median(np.log(inside + 1e-12)))
         amplitudes = start * np.geomspace(0.03, 30, 9)
         misfits = []
@@ -131,18 +131,19 @@ class Spectrum:
             model = np.float32(amplitude) * single + np.float32(self._floor)
             misfits.append(float(np.mean(np.log(model) + self._power / model, dtype=np.float64)))
         expected = self._ripples(amplitudes[int(np.argmin(misfits))] * scene + self._floor)
-        seen = self._seen
-        return float(seen @ expected / np.sqrt((seen @ seen) * (expected @ expected) + 1e-12))
+        observed = self._observed
+        norms = (observed @ observed) * (expected @ expected)
+        return float(observed @ expected / np.sqrt(norms + 1e-12))
 
     def _ripples(self, power: FloatArray) -> FloatArray:
         # 3 x 3 means tame the exponential scatter of a periodogram
-        log_power = np.log(ndimage.uniform_filter(power, 3, mode=("wrap", "mirror")))[self._used]
+        smooth = ndimage.uniform_filter(power, 3, mode=("wrap", "mirror"))
+        log_power = np.log(smooth)[self._in_band]
         return np.asarray(log_power - self._basis @ (self._basis.T @ log_power), dtype=np.float64)
 
 
 class Phase:
-    """A photo prepared to distinguish kernels from their point reflections, which have the same
-    power.
+    """Tells kernels from their point reflections, which have the same power spectrum.
 
     Parameters
     ----------
@@ -155,13 +156,11 @@ class Phase:
         energy = float(np.mean(np.diff(photo, axis=0) ** 2) + np.mean(np.diff(photo, axis=1) ** 2))
         noise_to_scene = 40 * max(sigma, 2e-3) ** 2 / max(energy - 4 * sigma**2, 1e-6)
         self._margin = min(32, min(photo.shape) // 4)
-        padded = np.pad(
-            photo - photo.mean(), self._margin, mode="symmetric"
-        )  # a mean would hide faint contrast below
+        # in single precision below, a mean would hide faint contrast
+        padded = np.pad(photo - photo.mean(), self._margin, mode="symmetric")
         self._shape = padded.shape
-        self._spectrum = fft.rfft2(padded).astype(
-            np.complex64
-        )  # the evidence changes by 1e-7, in half the time
+        # half the time of double precision; the evidence changes by 1e-7
+        self._spectrum = fft.rfft2(padded).astype(np.complex64)
         radius2 = (
             fft.fftfreq(padded.shape[0])[:, None] ** 2
             + fft.rfftfreq(padded.shape[1])[None, :] ** 2
@@ -198,8 +197,7 @@ class Phase:
 
 
 class Judge:
-    """Crops of a photo, prepared to score kernels by spectrum and phase, which the search does not
-    use.
+    """Scores kernels on a photo's crops by spectrum and phase, which the search does not use.
 
     Parameters
     ----------
@@ -210,7 +208,9 @@ class Judge:
     """
 
     def __init__(self, photos: FloatArray, *, sigma: float | None = None) -> None:
-        self.sigma = shared_sigma(photos) if sigma is None else sigma
+        if sigma is None:
+            sigma = shared_sigma(photos)
+        self.sigma = sigma
         self._spectra = [Spectrum(photo, sigma=self.sigma) for photo in photos]
         self._phases = [Phase(photo, sigma=self.sigma) for photo in photos]
 
@@ -270,7 +270,9 @@ def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
     alike = mnc_matrix(kernels)
     np.fill_diagonal(alike, 0)
     top = max(min(_TOP, count - 1), 1)
-    agreement = np.sort(alike, axis=1)[:, -top:].mean(axis=1) if count > 1 else np.ones(1)
+    agreement = np.ones(1)  # a lone kernel agrees with itself
+    if count > 1:
+        agreement = np.sort(alike, axis=1)[:, -top:].mean(axis=1)
     probabilities = _probabilities(
         kernel_score(Judge(photos).evidence(kernels), agreement), _SEARCHED
     )
@@ -307,7 +309,7 @@ def candidate_probabilities(
 
 
 def distinct(
-    alike: FloatArray, first: Iterable[int], order: Iterable[int], *, most: int
+    alike: FloatArray, first: Iterable[int], order: Iterable[int], *, count: int
 ) -> list[int]:
     """Choose those of ``first``, then the first of ``order`` that are not the same kernel as one
     chosen before.
@@ -317,7 +319,7 @@ def distinct(
     alike : (K, K) float
         MNC of every pair.
     first, order : iterables of int
-    most : int
+    count : int
         How many to choose; those of ``first`` at least.
 
     Returns
@@ -326,7 +328,7 @@ def distinct(
     """
     chosen = list(first)
     for i in order:
-        if len(chosen) >= most:
+        if len(chosen) >= count:
             break
         if all(alike[i, j] < SAME_KERNEL_MNC for j in chosen):
             chosen.append(int(i))
@@ -342,7 +344,7 @@ _CLEARLY = 0.02  # docs/decisions/motion-estimation.md
 
 
 def uneven_blur_warning(
-    crops: FloatArray, own: Sequence[FloatArray], shared: FloatArray
+    crops: FloatArray, single_kernels: Sequence[FloatArray], shared: FloatArray
 ) -> str | None:
     """Return a warning when no kernel explains every crop as well as that crop's own, else None.
 
@@ -352,14 +354,16 @@ def uneven_blur_warning(
     Parameters
     ----------
     crops : (C, H, W) float, grey
-    own : sequence of C (k, k) float
+    single_kernels : sequence of C (k, k) float
         Kernel found in each crop alone.
     shared : (k, k) float, odd k, sum 1
         Kernel found in all of them together.
     """
-    kernels = [shared, *(_odd(kernel) for kernel in own)]
+    kernels = [shared, *(_odd(kernel) for kernel in single_kernels)]
     scores = np.stack([kernel_score(Judge(crop[None]).evidence(kernels)) for crop in crops])
-    alike = np.array([[mnc_subpixel(one, other) for other in kernels] for one in kernels[1:]])
+    alike = np.array(
+        [[mnc_subpixel(single, kernel) for kernel in kernels] for single in kernels[1:]]
+    )
     # (crops, kernels): how much better a crop's own kernel explains it than another one does
     missing = np.where(
         alike < SAME_KERNEL_MNC, np.diagonal(scores, offset=1)[:, None] - scores, 0.0
@@ -376,8 +380,6 @@ def uneven_blur_warning(
 
 
 def _odd(kernel: FloatArray) -> FloatArray:
-    """Cut an even frame, whose first row and column are beyond the reach of its centre, to an odd
-    one; sum 1.
-    """
+    """Cut the first row and column off an even frame, which have no mirror image; sum 1."""
     cut = in_frame(kernel, (len(kernel) - 1) | 1)
     return np.asarray(cut / max(float(cut.sum()), 1e-12), dtype=np.float64)

@@ -1,6 +1,4 @@
-"""Clipped lights taken out of a photo before its blur is searched: they outshine its edges, by an
-unknown amount.
-"""
+"""Removal of clipped lights, which outshine a photo's edges by an unknown amount."""
 
 from __future__ import annotations
 
@@ -36,33 +34,33 @@ def without_lights(photo: FloatArray, clipped: NDArray[np.bool_]) -> FloatArray:
     The membrane solves Laplace's equation for the values around it; at the photo's border its
     slope is 0.
     """
-    hidden = (
-        ndimage.binary_dilation(clipped, np.ones((3, 3)), iterations=_MARGIN_PX)
-        if clipped.any()
-        else clipped
-    )
+    hidden = clipped
+    if clipped.any():
+        hidden = ndimage.binary_dilation(clipped, np.ones((3, 3)), iterations=_MARGIN_PX)
     if not 0 < hidden.mean() <= _MOST_SPANNED:
         return photo
     rows, columns = np.nonzero(hidden)
     number = np.full(photo.shape, -1)
     number[rows, columns] = np.arange(rows.size)
+    # Laplace's equation: n_i u_i - sum of hidden neighbours u_j = sum of the visible neighbours
     neighbours = np.zeros(rows.size)
-    known = np.zeros(rows.size)
+    border_sum = np.zeros(rows.size)
     links = []
+    # beyond the photo's border a neighbour does not count, which makes the slope there 0
     for down, across in ((0, 1), (0, -1), (1, 0), (-1, 0)):
         y = rows + down
         x = columns + across
-        own = np.flatnonzero((y >= 0) & (y < photo.shape[0]) & (x >= 0) & (x < photo.shape[1]))
-        other = number[y[own], x[own]]
-        neighbours[own] += 1
-        given = own[other < 0]
-        known[given] += photo[y[given], x[given]]
-        links.append(np.stack([own[other >= 0], other[other >= 0]]))
+        inside = np.flatnonzero((y >= 0) & (y < photo.shape[0]) & (x >= 0) & (x < photo.shape[1]))
+        neighbour = number[y[inside], x[inside]]
+        neighbours[inside] += 1
+        on_border = inside[neighbour < 0]
+        border_sum[on_border] += photo[y[on_border], x[on_border]]
+        links.append(np.stack([inside[neighbour >= 0], neighbour[neighbour >= 0]]))
     first, second = np.concatenate(links, axis=1)
     linked = sparse.csr_matrix(
         (np.ones(first.size), (first, second)), shape=(rows.size, rows.size)
     )
     laplacian = sparse.diags(neighbours) - linked
     spanned = photo.copy()
-    spanned[rows, columns] = sparse.linalg.spsolve(laplacian.tocsc(), known)
+    spanned[rows, columns] = sparse.linalg.spsolve(laplacian.tocsc(), border_sum)
     return spanned

@@ -134,8 +134,8 @@ class Method(ABC):
 
         progress(loading_begins, "loading torch")
         import_module("torch")  # about half of the loading time, so that the bar moves in between
-        with_weights = bool(self.weight_files())
-        progress(torch_loaded, "loading the network" if with_weights else "loading the search")
+        kind = "network" if self.weight_files() else "search"
+        progress(torch_loaded, f"loading the {kind}")
         estimator = self.make(seed=seed, progress=search_progress)
         search_progress(0.0)
         return estimator
@@ -144,7 +144,9 @@ class Method(ABC):
 def command_options(method: type[Method]) -> dict[str, Option]:
     """Return the options of a method that the command line has, by the names of their fields."""
     return {
-        each.name: each.metadata["option"] for each in fields(method) if "option" in each.metadata
+        declared.name: declared.metadata["option"]
+        for declared in fields(method)
+        if "option" in declared.metadata
     }
 
 

@@ -1,6 +1,4 @@
-"""Blind estimation in a photo of any size: crops, kernel search and choice, at half size where
-that is better.
-"""
+"""Blind motion estimation at any photo size: crops, kernel search, and halving of the photo."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 _Photo = TypeVar("_Photo")
-_Made = TypeVar("_Made")
+_Result = TypeVar("_Result")
 
 _LEAST_HALVED_PX = 192
 _LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halved and tried again
@@ -95,20 +93,16 @@ class BlindEstimator(ABC):
         """Search the kernel that the crops (C, H, W), grey, linear light, share."""
 
     @abstractmethod
-    def single(self, crops: FloatArray, found: FoundKernels) -> list[FloatArray]:
+    def single(self, crops: FloatArray, candidates: FoundKernels) -> list[FloatArray]:
         """Search each crop alone, in the cheapest way, to test whether the blur is uniform."""
 
     def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:  # noqa: ARG002
-        """Fit a kernel (k, k), found in one photo, to the crops (C, H, W) of several; unchanged by
-        default.
-        """
+        """Fit one photo's kernel (k, k) to the crops (C, H, W) of several; here unchanged."""
         return kernel
 
-    def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:  # noqa: ARG002
-        """Improve the kernels found in the crops (C, H, W) at last, each in its place; unchanged
-        by default.
-        """
-        return found
+    def corrected(self, crops: FloatArray, candidates: FoundKernels) -> FoundKernels:  # noqa: ARG002
+        """Improve the final kernels of the crops (C, H, W), each in its place; here unchanged."""
+        return candidates
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Estimate the motion from a blurred ``photo``: :meth:`estimate_from` with one.
@@ -146,7 +140,7 @@ class BlindEstimator(ABC):
             smaller than another.
         """
         with one_thread_a_call():
-            whole = self._progress = Progress(self._tell)
+            progress = self._progress = Progress(self._tell)
             greys = _each(
                 photos, lambda photo: textured_luminance(photo, least_px=self.smallest_px)
             )
@@ -157,15 +151,15 @@ class BlindEstimator(ABC):
             clipped = [clipped_mask(photo) for photo in photos]
             levels: list[_Level] = []
             for factor in _FACTORS:
-                both = list(zip(greys, clipped, strict=True))
-                cut = _each(both, partial(_textured_crops, factor=factor, count=count))
+                images = list(zip(greys, clipped, strict=True))
+                cut = _each(images, partial(_textured_crops, factor=factor, count=count))
                 if len(cut) == 1:
                     searched = self._without_lights(cut[0], self.search(cut[0].crops))
                     level = _Level(factor, *searched, cut[0].crops)
                 else:
-                    level = self._fused(factor, cut, whole)
-                if levels and level.found.confidence < max(
-                    _LOST, levels[-1].found.confidence + _CLEARLY
+                    level = self._fused(factor, cut, progress)
+                if levels and level.candidates.confidence < max(
+                    _LOST, levels[-1].candidates.confidence + _CLEARLY
                 ):
                     break
                 levels.append(level)
@@ -174,77 +168,82 @@ class BlindEstimator(ABC):
                 ):
                     break
             best = levels[-1]
-            corrected = self.corrected(best.crops, best.found)
-            tested = replace(
-                best, found=replace(best.found, best=corrected.best)
-            )  # a correction spreads light
+            corrected = self.corrected(best.crops, best.candidates)
+            # a correction spreads light: extent and evenness are tested on the kernels as searched
+            tested = replace(best, candidates=replace(best.candidates, best=corrected.best))
             uneven = None
-            if len(best.crops) > (1 if best.fusion is None else len(best.fusion.kept)):
-                alone = self.single(best.crops, best.found)
+            photo_count = len(best.fusion.photos) if best.fusion else 1
+            if len(best.crops) > photo_count:  # unevenness shows only between crops of one photo
+                single_kernels = self.single(best.crops, best.candidates)
                 uneven = uneven_blur_warning(
-                    best.crops, alone, tested.found.kernels[corrected.best]
+                    best.crops, single_kernels, tested.candidates.kernels[corrected.best]
                 )
             outgrown = _outgrown(tested, self.largest_px)
-            estimate = _described(replace(best, found=corrected), self.method, uneven)
+            estimate = _described(replace(best, candidates=corrected), self.method, uneven)
             estimate = doubted(
                 estimate, levels[0].photographed, uneven=uneven is not None, outgrown=outgrown
             )
-            whole.finish()
+            progress.finish()
             return estimate
 
-    def _fused(self, factor: int, cuts: Sequence[_Cut], whole: Progress) -> _Level:
+    def _fused(self, factor: int, cuts: Sequence[_Cut], progress: Progress) -> _Level:
         """Search the crops of each of several photos, and those of all together."""
         photographed = cut_alike([cut.crops for cut in cuts])
         sizes = [crop.size for crop in (*(cut.crops for cut in cuts), *photographed)]
-        whole.expect(1.0)
+        progress.expect(1.0)
 
-        def piece(part: FloatArray) -> None:
-            self._progress = Progress(whole.piece(part.size / sum(sizes)))
+        def piece(stack: FloatArray) -> None:
+            self._progress = Progress(progress.piece(stack.size / sum(sizes)))
 
-        def together(part: FloatArray) -> FoundKernels:
-            piece(part)
-            found = self.search(part)
+        def search_jointly(stack: FloatArray) -> FoundKernels:
+            piece(stack)
+            candidates = self.search(stack)
             self._progress.finish()
-            return found
+            return candidates
 
-        alone = []
+        searches = []
         for cut in cuts:
             piece(cut.crops)
-            alone.append(self._without_lights(cut, self.search(cut.crops)))
+            searches.append(self._without_lights(cut, self.search(cut.crops)))
             self._progress.finish()
-        own = [found for _, found in alone]
+        singles = [candidates for _, candidates in searches]
         fusion = fuse(
-            cut_alike([crops for crops, _ in alone]), own, search=together, refine=self.refine
+            cut_alike([crops for crops, _ in searches]),
+            singles,
+            search=search_jointly,
+            refine=self.refine,
         )
-        kept = np.concatenate([photographed[i] for i in fusion.kept])
-        return _Level(factor, fusion.crops, fusion.found, kept, fusion, tuple(own))
+        lit_crops = np.concatenate([photographed[i] for i in fusion.photos])
+        return _Level(factor, fusion.crops, fusion.joint, lit_crops, fusion, tuple(singles))
 
-    def _without_lights(self, cut: _Cut, found: FoundKernels) -> tuple[FloatArray, FoundKernels]:
+    def _without_lights(
+        self, cut: _Cut, candidates: FoundKernels
+    ) -> tuple[FloatArray, FoundKernels]:
         """Search a lost blur again without clipped lights: the likelier one, after its crops."""
-        if found.confidence >= _LOST or not 0 < cut.clipped.mean() <= MOST_LIGHTS:
-            return cut.crops, found
+        if candidates.confidence >= _LOST or not 0 < cut.clipped.mean() <= MOST_LIGHTS:
+            return cut.crops, candidates
         crops = np.stack(
-            [without_lights(crop, one) for crop, one in zip(cut.crops, cut.clipped, strict=True)]
+            [without_lights(crop, mask) for crop, mask in zip(cut.crops, cut.clipped, strict=True)]
         )
         if np.array_equal(crops, cut.crops) or not np.ptp(crops, axis=(1, 2)).all():
-            return cut.crops, found
-        again = self.search(crops)
-        if again.confidence <= found.confidence:
-            return cut.crops, found
-        return crops, replace(again, details={**again.details, "lights_left_out": True})
+            return cut.crops, candidates
+        retried = self.search(crops)
+        if retried.confidence <= candidates.confidence:
+            return cut.crops, candidates
+        return crops, replace(retried, details={**retried.details, "lights_left_out": True})
 
 
-def _each(photos: Sequence[_Photo], make: Callable[[_Photo], _Made]) -> list[_Made]:
+def _each(photos: Sequence[_Photo], make: Callable[[_Photo], _Result]) -> list[_Result]:
     """Make something of each photo; of several, an error begins with the photo's number."""
-    made = []
+    results = []
     for number, photo in enumerate(photos, 1):
         try:
-            made.append(make(photo))
+            results.append(make(photo))
         except ValueError as error:
             if len(photos) == 1:
                 raise
             raise ValueError(f"photo {number}: {str(error).removeprefix('photo: ')}") from None
-    return made
+    return results
 
 
 @dataclass(frozen=True)
@@ -257,24 +256,20 @@ class _Cut:
 
 @dataclass(frozen=True)
 class _Level:
-    """Result at one scale of the photo: the crops as searched, and as photographed, with their
-    lights.
-    """
+    """Result at one scale: the crops as searched, and as photographed, lights included."""
 
     factor: int
     crops: FloatArray
-    found: FoundKernels
+    candidates: FoundKernels
     photographed: FloatArray
     fusion: Fusion | None = None
-    own: tuple[FoundKernels, ...] = ()
+    singles: tuple[FoundKernels, ...] = ()
 
 
 def _textured_crops(
     photo: tuple[FloatArray, NDArray[np.bool_]], *, factor: int, count: int
 ) -> _Cut:
-    """Crops, at most ``count``, of a photo (H, W) and its clipped pixels, made smaller by the
-    factor.
-    """
+    """At most ``count`` crops of a photo (H, W) and its clipped pixels, binned by ``factor``."""
     grey, clipped = photo
     if factor > 1:
         # pixels of which any part is clipped
@@ -298,21 +293,21 @@ def _textured_crops(
 def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:
     """Whether the blur is too large for the search, or the search failed in a large photo."""
     side_px = full_side_px // level.factor
-    lost = level.found.confidence < _LOST and side_px >= 2 * CROP_PX
+    lost = level.candidates.confidence < _LOST and side_px >= 2 * CROP_PX
     return (_outgrown(level, largest_px) and side_px >= _LEAST_HALVED_PX) or lost
 
 
 def _outgrown(level: _Level, largest_px: int) -> bool:
     """Whether the kernel found is about as large as the largest that is searched."""
-    y, x = np.nonzero(level.found.kernels[level.found.best])
+    y, x = np.nonzero(level.candidates.kernels[level.candidates.best])
     return bool(max(np.ptp(y), np.ptp(x)) + 1 > _LARGEST_EXTENT * largest_px)
 
 
 def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate:
-    kernels = level.found.kernels
-    found = level.found
-    chosen = [found.best]
-    for i in np.argsort(-found.probabilities):
+    kernels = level.candidates.kernels
+    candidates = level.candidates
+    chosen = [candidates.best]
+    for i in np.argsort(-candidates.probabilities):
         if len(chosen) < _MOST_MOTIONS and all(
             mnc_subpixel(kernels[i], kernels[j]) < _SAME_MOTION_MNC for j in chosen
         ):
@@ -320,20 +315,21 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
     trajectories = [simplest_trajectory(without_faint_parts(kernels[i])) for i in chosen]
     if level.factor > 1:
         trajectories = [trajectory.scaled(level.factor) for trajectory in trajectories]
-    weights = found.probabilities[chosen] / found.probabilities[chosen].sum()
-    psf = drawn = trajectories[0].psf(trajectories[0].frame_size(PSF_PX))
+    weights = candidates.probabilities[chosen] / candidates.probabilities[chosen].sum()
+    psf = path_psf = trajectories[0].psf(trajectories[0].frame_size(PSF_PX))
     if level.factor == 1:
-        psf = in_frame(kernels[found.best], max(PSF_PX, len(kernels[found.best]) + 1))
+        psf = in_frame(kernels[candidates.best], max(PSF_PX, len(kernels[candidates.best]) + 1))
         psf = psf / psf.sum()
-    of_the_psf = [*found.warnings, *([] if uneven is None else [uneven])]
+    of_the_psf = list(candidates.warnings)
+    if uneven is not None:
+        of_the_psf.append(uneven)
     warnings = list(of_the_psf)
-    confidence = found.confidence
+    confidence = candidates.confidence
     length_px = trajectories[0].length_px
     extent_px = trajectories[0].extent_px
     tangled = is_tangled(trajectories[0].scaled(1 / level.factor))  # strands as searched
-    if length_px > max(
-        _WEB_PX * level.factor, _WEB_TURNS * extent_px
-    ):  # the limit is in pixels of what was searched
+    # the limit is in pixels of what was searched
+    if length_px > max(_WEB_PX * level.factor, _WEB_TURNS * extent_px):
         confidence = min(confidence, _WEB_CONFIDENCE)
         warnings.append(
             f"the path found is {length_px:.0f} px long within {extent_px:.0f} px: more a web of"
@@ -357,6 +353,9 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
         )
         warnings.append(smaller)
         of_the_psf.append(smaller)
+    origin = {}
+    if candidates.origins:
+        origin["chosen"] = candidates.origins[candidates.best]
     return MotionEstimate(
         method=method,
         trajectories=tuple(trajectories),
@@ -367,10 +366,10 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
         details={
             "crops": len(level.crops),
             "scale": 1 / level.factor,
-            **found.details,
-            **({"chosen": found.origins[found.best]} if found.origins else {}),
-            "trajectory_psf_mnc": mnc_subpixel(psf, drawn),
-            "psf_confidence": found.confidence,
+            **candidates.details,
+            **origin,
+            "trajectory_psf_mnc": mnc_subpixel(psf, path_psf),
+            "psf_confidence": candidates.confidence,
             "path_confidence": confidence * _path_share(trajectories[0], tangled=tangled),
             **_repeatability(level),
         },
@@ -379,23 +378,21 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
 
 
 def _repeatability(level: _Level) -> dict[str, object]:
-    """Figures of how far each of several photos shows the motion that they share, all before their
-    correction.
-    """
+    """Agreement of each of several photos with their shared motion, before correction."""
     fusion = level.fusion
     if fusion is None:
         return {}
-    shared = fusion.found.kernels[fusion.found.best]
+    shared = fusion.joint.kernels[fusion.joint.best]
     path = simplest_trajectory(without_faint_parts(shared)).scaled(level.factor)
     apart: list[float | None] = []
-    for i, (found, alike) in enumerate(zip(level.own, fusion.repeatability, strict=True)):
-        agrees = alike >= GOOD_MNC and i in fusion.kept
-        own = (
-            simplest_trajectory(without_faint_parts(found.kernels[found.best])) if agrees else None
-        )
-        apart.append(None if own is None else path_distance_px(own.scaled(level.factor), path))
+    for i, (single, alike) in enumerate(zip(level.singles, fusion.repeatability, strict=True)):
+        if alike < GOOD_MNC or i not in fusion.photos:
+            apart.append(None)
+            continue
+        single_path = simplest_trajectory(without_faint_parts(single.kernels[single.best]))
+        apart.append(path_distance_px(single_path.scaled(level.factor), path))
     return {
-        "photos": len(level.own),
+        "photos": len(level.singles),
         "seen_in": sum(distance is not None for distance in apart),
         "repeatability": list(fusion.repeatability),
         "repeatability_px": apart,
@@ -407,7 +404,9 @@ def _path_share(path: Trajectory, *, tangled: bool) -> float:
     """Share of such paths that are right in length and order, where their kernels are good."""
     if tangled:
         return _TANGLED_RIGHT
-    return _BENT_RIGHT if path.length_px > _BENT_TURNS * path.extent_px else _ARC_RIGHT
+    if path.length_px > _BENT_TURNS * path.extent_px:
+        return _BENT_RIGHT
+    return _ARC_RIGHT
 
 
 def without_faint_parts(kernel: FloatArray) -> FloatArray:
@@ -423,9 +422,9 @@ def without_faint_parts(kernel: FloatArray) -> FloatArray:
     -------
     (k, k) float, sum 1
     """
-    kept = without_faint_light(kernel, below=_FAINT)
-    label, count = ndimage.label(kept, structure=np.ones((3, 3)))
-    light = ndimage.sum_labels(kept, label, np.arange(count + 1))
+    bright = without_faint_light(kernel, below=_FAINT)
+    label, count = ndimage.label(bright, structure=np.ones((3, 3)))
+    light = ndimage.sum_labels(bright, label, np.arange(count + 1))
     light[0] = 0
-    kept = np.where(light[label] >= min(light.max(), _SPECK_SHARE * kept.sum()), kept, 0.0)
-    return np.asarray(kept / kept.sum(), dtype=np.float64)
+    bright = np.where(light[label] >= min(light.max(), _SPECK_SHARE * bright.sum()), bright, 0.0)
+    return np.asarray(bright / bright.sum(), dtype=np.float64)

@@ -29,13 +29,13 @@ def blind_methods() -> tuple[str, ...]:
     return tuple(name for name, method in METHODS.items() if method.is_blind)
 
 
-def check_options(name: str, given: Iterable[str]) -> None:
+def check_options(name: str, option_names: Iterable[str]) -> None:
     """Check the name of a method and those of its options, before anything is read or loaded.
 
     Parameters
     ----------
     name : str
-    given : iterable of str
+    option_names : iterable of str
         Names of the options that have a value.
 
     Raises
@@ -47,9 +47,9 @@ def check_options(name: str, given: Iterable[str]) -> None:
         raise ValueError(
             f"method: must be one of {', '.join(METHODS)}, or module:name, got {name!r}"
         )
-    options = {each.name: each for each in fields(METHODS[name])}
-    values = set(given)
-    for missing in sorted(key for key, each in options.items() if is_needed(each)):
+    options = {declared.name: declared for declared in fields(METHODS[name])}
+    values = set(option_names)
+    for missing in sorted(key for key, declared in options.items() if is_needed(declared)):
         if missing not in values:
             raise ValueError(f"{missing}: needed with method={name!r}")
     for unknown in sorted(values - set(options)):

@@ -25,7 +25,7 @@ class Branch:
     ----------
     points : (n, 2) float, n >= 2
         Column and row along the line, pixels of the map, nodes included.
-    ends : (int, int)
+    node_pair : (int, int)
         Nodes at its first and last point.
     extra_px : float
         Path pixels beyond those of a single line of usual width: the mark of strands side by side.
@@ -36,7 +36,7 @@ class Branch:
     """
 
     points: FloatArray
-    ends: tuple[int, int]
+    node_pair: tuple[int, int]
     extra_px: float = 0.0
     optional: bool = False
     weight: float = 1.0
@@ -155,7 +155,9 @@ def _neighbours(skeleton: BoolArray, pixels: NDArray[np.intp]) -> list[list[int]
 
 
 def _degrees(nodes: FloatArray, branches: list[Branch]) -> NDArray[np.intp]:
-    return np.bincount([end for branch in branches for end in branch.ends], minlength=len(nodes))
+    return np.bincount(
+        [end for branch in branches for end in branch.node_pair], minlength=len(nodes)
+    )
 
 
 def _spurs(nodes: FloatArray, branches: list[Branch], spur_px: float) -> list[Branch]:
@@ -163,9 +165,9 @@ def _spurs(nodes: FloatArray, branches: list[Branch], spur_px: float) -> list[Br
     degree = _degrees(nodes, branches)
     shortest: dict[int, Branch] = {}
     for branch in branches:
-        if degree[branch.ends[1]] != 1:
-            branch = Branch(branch.points[::-1], branch.ends[::-1])
-        crossing, tip = branch.ends
+        if degree[branch.node_pair[1]] != 1:
+            branch = Branch(branch.points[::-1], branch.node_pair[::-1])
+        crossing, tip = branch.node_pair
         if degree[tip] != 1 or degree[crossing] < 3 or len(branch.points) - 1 >= spur_px:
             continue
         if crossing not in shortest or len(branch.points) < len(shortest[crossing].points):
@@ -184,7 +186,7 @@ def _split(skeleton: BoolArray) -> tuple[FloatArray, list[Branch]]:
         node_of.update(dict.fromkeys(members, len(nodes)))
         nodes.append(position[members].mean(axis=0))
 
-    crossing = [len(near) > 2 for near in neighbours]
+    crossing = [len(adjacent) > 2 for adjacent in neighbours]
     for start in range(len(pixels)):
         if start in node_of or len(neighbours[start]) == 2:
             continue
@@ -204,11 +206,11 @@ def _split(skeleton: BoolArray) -> tuple[FloatArray, list[Branch]]:
         while line[-1] not in node_of:
             visited.add(line[-1])
             a, b = neighbours[line[-1]]
-            line.append(b if a == line[-2] else a)
-        ends = node_of[line[0]], node_of[line[-1]]
-        inner = position[line[1:-1]] if len(line) > 2 else np.empty((0, 2))
-        points = np.concatenate([nodes[ends[0]][None], inner, nodes[ends[1]][None]])
-        branches.append(Branch(points, ends))
+            line.append(b if a == line[-2] else a)  # not back to where the line comes from
+        node_pair = node_of[line[0]], node_of[line[-1]]
+        inner = position[np.array(line[1:-1], dtype=np.intp)]
+        points = np.concatenate([nodes[node_pair[0]][None], inner, nodes[node_pair[1]][None]])
+        branches.append(Branch(points, node_pair))
 
     for start in list(node_of):
         for second in neighbours[start]:

@@ -200,8 +200,8 @@ def crossings(path: Trajectory) -> int:
         points[np.minimum(pieces + 1 + reach, len(points) - 1)]
         - points[np.maximum(pieces - reach, 0)]
     )
-    least = _LEAST_SINE * ((2 * reach + 1) * _STEP_PX) ** 2
-    steep = np.abs(_cross(chords[:, None], chords[None])) > least
+    least_cross = _LEAST_SINE * ((2 * reach + 1) * _STEP_PX) ** 2
+    steep = np.abs(_cross(chords[:, None], chords[None])) > least_cross
     return int(np.triu(parted & parted.T & steep, 2).sum())
 
 

@@ -1,6 +1,4 @@
-"""Quadratic paths (constant acceleration): the best fit to a trajectory, to its PSF, or to an
-estimated PSF.
-"""
+"""Quadratic paths (constant acceleration) fitted to a trajectory, its PSF or an estimated PSF."""
 
 from __future__ import annotations
 
@@ -78,22 +76,18 @@ def nearest_quadratic(truth: Trajectory) -> QuadraticPath:
     end = truth.t[1:] - 0.5
     a = np.zeros(2)
     b = np.zeros(2)
-    for share in (
-        0.5 - 0.5 / np.sqrt(3),
-        0.5 + 0.5 / np.sqrt(3),
-    ):  # Gauss: exact for pieces times t^2
+    # Gauss-Legendre nodes of a piece: exact for straight pieces times t^2, a cubic
+    for share in (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3)):
         tau = start + share * (end - start)
         xy = truth.xy[:-1] + share * np.diff(truth.xy, axis=0)
         a += 0.5 * (steps * tau) @ xy
         b += 0.5 * (steps * (tau**2 - 1 / 12)) @ xy
-    return QuadraticPath(
-        12 * a, 180 * b
-    )  # the two shapes are orthogonal, of mean square 1/12 and 1/180
+    # the two shapes are orthogonal, of mean square 1/12 and 1/180
+    return QuadraticPath(12 * a, 180 * b)
 
 
 def most_alike_quadratic(truth: Trajectory, *, size: int = PSF_PX) -> QuadraticPath:
-    """Quadratic path whose PSF is most alike to that of ``truth`` (sub-pixel MNC): the oracle of
-    the parametric class.
+    """Quadratic path whose PSF is most alike to that of ``truth``: the oracle of the class.
 
     Climbed from 13 starts twice each, on PSFs blurred less and less: a local optimum, but at least
     as good as :func:`nearest_quadratic`, which is a candidate. Of its two directions it has the
@@ -111,26 +105,29 @@ def most_alike_quadratic(truth: Trajectory, *, size: int = PSF_PX) -> QuadraticP
     psf = truth.psf(size)
 
     def alike(path: QuadraticPath) -> float:
-        drawn = path.trajectory()
-        return mnc_subpixel(drawn.psf(drawn.frame_size(size)), psf)
+        walked = path.trajectory()
+        return mnc_subpixel(walked.psf(walked.frame_size(size)), psf)
 
     best = nearest
     score = alike(nearest)
     for start, blurs_px in itertools.product(_starts(nearest, target), (_BLURS_PX, _BLURS_PX[1:])):
-        found = start
+        coefficients = start
         for blur_px in blurs_px:
-            found = _climbed(found, target, weight, variance_px2=_HAT_VARIANCE_PX2 + blur_px**2)[0]
-        path = QuadraticPath(found[:2], found[2:4])
+            coefficients = _climbed(
+                coefficients, target, weight, variance_px2=_HAT_VARIANCE_PX2 + blur_px**2
+            )[0]
+        path = QuadraticPath(coefficients[:2], coefficients[2:4])
         path_score = alike(path)
         if path_score > score + _NO_BETTER:
             best = path
             score = path_score
-    return best if best.a @ nearest.a >= 0 else best.reversed()
+    if best.a @ nearest.a < 0:  # a PSF has no direction, the truth has
+        return best.reversed()
+    return best
 
 
 def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
-    """Quadratic path whose PSF is most alike to ``psf``, one of the two that are each other's
-    reverse.
+    """Quadratic path, in either direction, whose PSF is most alike to ``psf``.
 
     Climbed from seven starts that have the PSF's second moments: straight, bent, sped up and bent
     back motions.
@@ -155,8 +152,8 @@ def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
         raise ValueError(
             f"psf: must be a non-negative (H, W) array with some light, got shape {light.shape}"
         )
-    kept = np.argsort(-light, axis=None)[: min(_MOST_POINTS, np.count_nonzero(light))]
-    rows, columns = np.unravel_index(kept, light.shape)
+    brightest = np.argsort(-light, axis=None)[: min(_MOST_POINTS, np.count_nonzero(light))]
+    rows, columns = np.unravel_index(brightest, light.shape)
     weight = light[rows, columns] / light[rows, columns].sum()
     target = np.stack([columns, rows], axis=-1).astype(np.float64)
     target -= weight @ target
@@ -171,7 +168,7 @@ def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
     starts += [(0.7 * straight, sign * 0.7 * back) for sign in (1, -1)]
     starts += [(np.sqrt(12) * width * across, sign * back) for sign in (1, -1)]
     coarse = max(1.0, 0.15 * float(length))
-    found = [
+    optima = [
         _climbed(
             np.concatenate([a, b, [0, 0]]),
             target,
@@ -182,16 +179,14 @@ def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
     ]
     finest = [
         _climbed(values, target, weight, variance_px2=2 * _HAT_VARIANCE_PX2)
-        for values, _ in sorted(found, key=lambda one: one[1])[:_CLIMBED_ON]
+        for values, _ in sorted(optima, key=lambda optimum: optimum[1])[:_CLIMBED_ON]
     ]
-    best = min(finest, key=lambda one: one[1])[0]
+    best = min(finest, key=lambda optimum: optimum[1])[0]
     return QuadraticPath(best[:2], best[2:4])
 
 
 def _points(coefficients: FloatArray, t: FloatArray) -> FloatArray:
-    """Points (N, 2), px, of the path with coefficients (4,), ``a`` before ``b``, at times t
-    (N,).
-    """
+    """Points (N, 2), px, of the path with coefficients (4,) ``a, b`` at times t (N,)."""
     tau = t - 0.5
     return np.asarray(
         np.outer(tau, coefficients[:2]) + np.outer(tau**2 - 1 / 12, coefficients[2:4]),
@@ -234,32 +229,29 @@ def _climbed(
         gradient = pull_itself / with_itself - pull / with_target  # of -log of the cosine
         return float(0.5 * np.log(with_itself) - np.log(with_target)), (shapes @ gradient).ravel()
 
-    found = optimize.minimize(loss, start, jac=True, method="L-BFGS-B")
-    return np.asarray(found.x, dtype=np.float64), float(found.fun)
+    optimum = optimize.minimize(loss, start, jac=True, method="L-BFGS-B")
+    return np.asarray(optimum.x, dtype=np.float64), float(optimum.fun)
 
 
 def _overlap(
-    points: FloatArray, others: FloatArray, weight: FloatArray, width: float
+    points: FloatArray, targets: FloatArray, weight: FloatArray, width: float
 ) -> tuple[float, FloatArray]:
-    """Weighted mean over pairs of exp(-distance^2 / width), with its gradient (N, 2) in the first
-    points.
-    """
+    """Weighted mean of exp(-distance^2 / width) over pairs; its gradient (N, 2) in ``points``."""
     distance2 = (
         np.square(points).sum(axis=1)[:, None]
-        + np.square(others).sum(axis=1)
-        - 2 * points @ others.T
+        + np.square(targets).sum(axis=1)
+        - 2 * points @ targets.T
     )
-    near = np.exp(distance2 / -width) * (weight / len(points))
-    pulled = near.sum(axis=1, keepdims=True) * points - near @ others
-    return float(near.sum()) + 1e-300, -2 / width * pulled
+    affinity = np.exp(distance2 / -width) * (weight / len(points))
+    pulled = affinity.sum(axis=1, keepdims=True) * points - affinity @ targets
+    return float(affinity.sum()) + 1e-300, -2 / width * pulled
 
 
 _EXPLAINED_MNC = 0.86  # docs/decisions/tracing.md
 
 
 def simplest_trajectory(psf: ArrayLike) -> Trajectory:
-    """Turn an estimated PSF into a trajectory: a quadratic path where that explains the PSF, else
-    a walk.
+    """Trace an estimated PSF: a quadratic path where one explains it, else a walk.
 
     A walk covers all that is drawn, so the blotches of a blind kernel make it several times too
     long and lose its order in time, which a shutter code depends on. A straight or evenly bent
@@ -272,7 +264,9 @@ def simplest_trajectory(psf: ArrayLike) -> Trajectory:
     """
     light = np.asarray(psf, dtype=np.float64)
     plain = quadratic_of_psf(light).trajectory()
-    drawn = plain.psf(plain.frame_size(PSF_PX))
+    plain_psf = plain.psf(plain.frame_size(PSF_PX))
     return (
-        plain if mnc_subpixel(drawn, light) >= _EXPLAINED_MNC else trace_psf_to_trajectory(light)
+        plain
+        if mnc_subpixel(plain_psf, light) >= _EXPLAINED_MNC
+        else trace_psf_to_trajectory(light)
     )

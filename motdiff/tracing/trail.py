@@ -69,7 +69,7 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
     if not graph.branches:
         return graph.nodes[:1]
     lines = [
-        _line(branch.points[::direction], branch.ends[::direction])
+        _line(branch.points[::direction], branch.node_pair[::direction])
         for branch in graph.branches
         for direction in (1, -1)
     ]
@@ -152,7 +152,7 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
     return np.concatenate([polyline[0], *(points[1:] for points in polyline[1:])])
 
 
-def _line(points: FloatArray, ends: tuple[int, ...]) -> _Line:
+def _line(points: FloatArray, node_pair: tuple[int, ...]) -> _Line:
     smooth = points.copy()
     if len(points) > 2:
         smooth[1:-1] = 0.25 * points[:-2] + 0.5 * points[1:-1] + 0.25 * points[2:]
@@ -168,7 +168,7 @@ def _line(points: FloatArray, ends: tuple[int, ...]) -> _Line:
     bends = np.diff(tangents, axis=0)
     cost = float(np.sum(_coupling(at[:, None] - at[None, :]) * (bends @ bends.T)))
     length = float(lengths.sum())
-    return _Line(ends[0], ends[1], length, tangents[0], tangents[-1], at, bends, cost)
+    return _Line(node_pair[0], node_pair[1], length, tangents[0], tangents[-1], at, bends, cost)
 
 
 def _coupling(distance_px: FloatArray) -> FloatArray:

@@ -80,10 +80,10 @@ def export_weights(
         If there is no checkpoint, float16 cannot hold its weights, or they draw no map that an
         offset could change.
     """
-    found = read_checkpoint(checkpoint)
-    if found is None:
+    trained = read_checkpoint(checkpoint)
+    if trained is None:
         raise ValueError(f"{checkpoint}: holds no checkpoint")
-    tensors = halved(found.under("ema."), source=checkpoint)
+    tensors = halved(trained.under("ema."), source=checkpoint)
     if offset and _OUTPUT_BIAS not in tensors:
         raise ValueError(f"offset: must be 0 for weights without a denoiser, got {offset:g}")
     if offset:
@@ -92,14 +92,14 @@ def export_weights(
         tensors[_OUTPUT_BIAS] = bias
     header = {
         "schema": _SCHEMA,
-        "config": json.dumps(_without_folders(found.config)),
-        "step": str(found.step),
-        "seconds": f"{found.seconds:.0f}",
+        "config": json.dumps(_without_folders(trained.config)),
+        "step": str(trained.step),
+        "seconds": f"{trained.seconds:.0f}",
         "offset": f"{offset:g}",
         "history": json.dumps(
             [
-                *_earlier(found.config),
-                _line(found.step, found.seconds, found.config, validation_mnc),
+                *_earlier(trained.config),
+                _line(trained.step, trained.seconds, trained.config, validation_mnc),
             ]
         ),
         "card": json.dumps(dict(card or {})),
@@ -196,11 +196,11 @@ def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
     ValueError
         If the file is not one of ours, or its condition network has other sizes.
     """
-    other = _loaded(path, "cpu")
-    mine = network.state_dict()
-    parts = other.state_dict()
+    source = _loaded(path, "cpu")
+    state = network.state_dict()
+    parts = source.state_dict()
     ours = network.config
-    theirs = replace(other.config, dropout=ours.dropout)  # dropout has no weights
+    theirs = replace(source.config, dropout=ours.dropout)  # dropout has no weights
     added: tuple[str, ...] = ()
     if theirs.backbone == "none" and network.physics is not None:
         theirs = replace(theirs, **{name: getattr(ours, name) for name in _PHOTO_FIELDS})
@@ -214,11 +214,13 @@ def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
         bias = parts[_OUTPUT_BIAS].clone()
         bias[0] += read_card(path)["run"]["offset"]  # the logits as they were trained
         parts = parts | {_OUTPUT_BIAS: bias}
-    expected = {name: t.shape for name, t in mine.items() if theirs == ours or _of_condition(name)}
+    expected = {
+        name: t.shape for name, t in state.items() if theirs == ours or _of_condition(name)
+    }
     expected = {name: shape for name, shape in expected.items() if not name.startswith(added)}
     if {name: tensor.shape for name, tensor in parts.items()} != expected:
         raise ValueError(f"{path}: its condition network has other sizes than the one to start")
-    network.load_state_dict(mine | parts)
+    network.load_state_dict(state | parts)
 
 
 def _of_condition(name: str) -> bool:

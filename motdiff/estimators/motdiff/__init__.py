@@ -66,4 +66,4 @@ class MotDiff(Method):
         """Weights of the network and of its correction."""
         from motdiff.weights import MOTDIFF_FILES
 
-        return MOTDIFF_FILES if self.weights is None else (self.weights, *MOTDIFF_FILES[1:])
+        return (self.weights or MOTDIFF_FILES[0], *MOTDIFF_FILES[1:])

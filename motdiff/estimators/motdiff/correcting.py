@@ -18,14 +18,18 @@ from motdiff.psf_frame import PSF_PX, in_frame
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 
-_PASSES = 2  # what the photo tells of a corrected kernel is more
+_PASSES = 2  # the maps of a corrected kernel hold more evidence than those of a searched one
 
 
 def corrected_choice(
-    network: CorrectionNetwork, crops: FloatArray, found: FoundKernels, *, most: int, skip: int = 0
+    network: CorrectionNetwork,
+    crops: FloatArray,
+    candidates: FoundKernels,
+    *,
+    count: int,
+    skip: int = 0,
 ) -> FoundKernels:
-    """Correct the best kernel and the likeliest different ones, and choose among these by the
-    photo alone.
+    """Correct the best kernel and the likeliest different ones; choose by the photo alone.
 
     Their probabilities, none above that of the best before, are handed out in the order of their
     scores. Kernels that are the same as one of these before the correction are superseded: their
@@ -36,9 +40,9 @@ def corrected_choice(
     network : CorrectionNetwork
         In eval mode, on the CPU.
     crops : (C, H, W) float, grey, linear light
-    found : FoundKernels
+    candidates : FoundKernels
         What was found in the crops.
-    most : int
+    count : int
         How many to correct.
     skip : int
         So many of the first kernels take no part. At least two others do, the best one among them.
@@ -49,31 +53,31 @@ def corrected_choice(
     px.
     """
     judge = Judge(crops)
-    kernels = list(found.kernels)
-    probabilities = found.probabilities.copy()
+    kernels = list(candidates.kernels)
+    probabilities = candidates.probabilities.copy()
     likely = [int(i) for i in np.argsort(-probabilities) if i >= skip]
     alike = mnc_matrix(kernels)
-    chosen = distinct(alike, [found.best], likely, most=most)
+    chosen = distinct(alike, [candidates.best], likely, count=count)
 
     def better(i: int) -> FloatArray:
-        others = [found.kernels[j] for j in likely if j != i][:2]
-        return corrected_kernel(network, crops, found.kernels[i], others, sigma=judge.sigma)
+        rivals = [candidates.kernels[j] for j in likely if j != i][:2]
+        return corrected_kernel(network, crops, candidates.kernels[i], rivals, sigma=judge.sigma)
 
-    made = side_by_side([partial(better, i) for i in chosen])
-    ranked = [chosen[n] for n in np.argsort(-kernel_score(judge.evidence(made)))]
-    handed_out = -np.sort(-np.minimum(probabilities[chosen], found.confidence))
+    corrected_kernels = side_by_side([partial(better, i) for i in chosen])
+    ranked = [chosen[n] for n in np.argsort(-kernel_score(judge.evidence(corrected_kernels)))]
+    handed_out = -np.sort(-np.minimum(probabilities[chosen], candidates.confidence))
     probabilities[(alike[:, chosen] >= SAME_KERNEL_MNC).any(axis=1)] = 0.0
     probabilities[ranked] = handed_out
-    for i, kernel in zip(chosen, made, strict=True):
+    for i, kernel in zip(chosen, corrected_kernels, strict=True):
         kernels[i] = kernel
-    return replace(found, kernels=tuple(kernels), probabilities=probabilities, best=ranked[0])
+    return replace(candidates, kernels=tuple(kernels), probabilities=probabilities, best=ranked[0])
 
 
 def corrected_kernel(
     network: CorrectionNetwork,
     crops: FloatArray,
     kernel: FloatArray,
-    others: Sequence[FloatArray],
+    rivals: Sequence[FloatArray],
     *,
     sigma: float,
 ) -> FloatArray:
@@ -85,7 +89,7 @@ def corrected_kernel(
         In eval mode, on the CPU.
     crops : (C, H, W) float, grey, linear light
     kernel : (k, k) float, sum 1
-    others : sequence of one or two (k', k') float, sum 1
+    rivals : sequence of one or two (k', k') float, sum 1
         Kernels that the photo might have instead; their frames may differ.
     sigma : float
         Standard deviation of the noise.
@@ -95,13 +99,17 @@ def corrected_kernel(
     (63, 63) float: non-negative, sum 1.
     """
     light = torch.from_numpy(crops.astype(np.float32))
-    framed = torch.from_numpy(np.stack([_framed(each) for each in (kernel, *others)]))
-    found = framed[:1]
-    instead = framed[[1, -1]][None]
+    framed = torch.from_numpy(
+        np.stack([_framed(framed_kernel) for framed_kernel in (kernel, *rivals)])
+    )
+    estimate = framed[:1]
+    framed_rivals = framed[[1, -1]][None]
     with torch.inference_mode():
         for _ in range(_PASSES):
-            found = corrected(network, correction_maps(light, found, instead, sigma=sigma))
-    odd = in_frame(found[0].double().numpy(), PSF_PX - 1)
+            estimate = corrected(
+                network, correction_maps(light, estimate, framed_rivals, sigma=sigma)
+            )
+    odd = in_frame(estimate[0].double().numpy(), PSF_PX - 1)
     return np.asarray(odd / odd.sum(), dtype=np.float64)
 
 

@@ -71,8 +71,8 @@ def draw_psfs(
         for s, seed in zip(turns, seeds, strict=True)
     ]
     psfs = side_by_side(jobs)
-    drawn = torch.stack([psfs[i % SYMMETRIES][i // SYMMETRIES] for i in range(count)])
-    return np.asarray(drawn.double().numpy(), dtype=np.float64)
+    draws = torch.stack([psfs[i % SYMMETRIES][i // SYMMETRIES] for i in range(count)])
+    return np.asarray(draws.double().numpy(), dtype=np.float64)
 
 
 def _drawn(
@@ -104,23 +104,19 @@ def _drawn(
 
 
 def quick_search(crops: FloatArray, *, sigma: float) -> FloatArray:
-    """Run the quick searches on crops (C, H, W) with noise ``sigma`` side by side, to kernels (Q,
-    64, 64), sum 1.
-    """
+    """Kernels (Q, 64, 64), sum 1, of quick searches on crops (C, H, W) with noise ``sigma``."""
     light = torch.from_numpy(crops.astype(np.float32))[None]
     jobs = [partial(quick_kernels, light, sigma=sigma, starts=(start,)) for start in QUICK_STARTS]
     return np.asarray(torch.cat(side_by_side(jobs), dim=1)[0].double().numpy(), dtype=np.float64)
 
 
 def _photo(crops: Tensor) -> Tensor:
-    """Display values (1, 3, 256, 256) of the best crop: its middle, or mirrored outwards where it
-    is smaller.
-    """
+    """Display values (1, 3, 256, 256) of the best crop's middle, mirrored outwards if smaller."""
     best = crops[:, :1]
     missing = [max(0, PHOTO_PX - n) for n in best.shape[-2:]]
-    while any(missing):
+    while any(missing):  # a reflection adds at most n - 1 pixels, so small crops need several
         pads = [min(m, n - 1) for m, n in zip(missing, best.shape[-2:], strict=True)]
         best = functional.pad(best, (0, pads[1], 0, pads[0]), mode="reflect")
         missing = [max(0, PHOTO_PX - n) for n in best.shape[-2:]]
-    top, left = ((n - PHOTO_PX) // 2 for n in best.shape[-2:])
-    return display_photo(best[..., top : top + PHOTO_PX, left : left + PHOTO_PX])
+    row, column = ((n - PHOTO_PX) // 2 for n in best.shape[-2:])
+    return display_photo(best[..., row : row + PHOTO_PX, column : column + PHOTO_PX])

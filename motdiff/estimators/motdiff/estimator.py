@@ -44,8 +44,8 @@ _CORRECT_COST = 0.6
 _TRACE_COST = 0.25
 # of the search's starts, those that stand for the shortened ones the network was trained with; the
 # first two agreeing, the larger one stands for the one not run as well
-_TOLD_OF_ALL = (2, 0, 1)
-_TOLD_OF_TWO = (1, 0, 1)
+_CONDITIONS_OF_ALL = (2, 0, 1)
+_CONDITIONS_OF_TWO = (1, 0, 1)
 
 
 class MotDiffEstimator(BlindEstimator):
@@ -112,14 +112,16 @@ class MotDiffEstimator(BlindEstimator):
 
     def search(self, crops: FloatArray) -> FoundKernels:
         """Sample, score and refine kernels of the crops (C, H, W)."""
-        after = (
-            _JUDGE_COST + _REFINE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0) + _TRACE_COST
-        )
-        after += _CORRECT_COST if self._refine else 0.0
+        after = _JUDGE_COST + _REFINE_COST
+        if len(crops) > 1:
+            after += _SINGLE_COST
+        after += _TRACE_COST
+        if self._refine:
+            after += _CORRECT_COST
         self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
         judge = Judge(crops, sigma=shared_sigma(crops))
         classical, conditions = self._classical(crops)
-        drawn = draw_psfs(
+        draws = draw_psfs(
             self._network,
             crops,
             conditions,
@@ -129,10 +131,10 @@ class MotDiffEstimator(BlindEstimator):
         )
         self._progress.spend(_DRAW_COST)
         kernels = _in_odd_frames(
-            np.concatenate([drawn, classical, drawn.mean(axis=0, keepdims=True)])
+            np.concatenate([draws, classical, draws.mean(axis=0, keepdims=True)])
         )
         mean = len(kernels) - 1
-        groups = {"samples": len(drawn), "classical": len(classical)}
+        groups = {"samples": len(draws), "classical": len(classical)}
         evidence = judge.evidence(kernels)
         alike = mnc_matrix(kernels)
         believed = candidate_probabilities(evidence, alike, **groups)
@@ -140,28 +142,27 @@ class MotDiffEstimator(BlindEstimator):
         best = int(np.argmax(believed))
         if self._refine:
             likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
-            chosen = distinct(alike, [likeliest, mean], np.argsort(-believed), most=_REFINED)
+            chosen = distinct(alike, [likeliest, mean], np.argsort(-believed), count=_REFINED)
             sharpened = side_by_side(
                 [partial(refined, crops, kernels[i], judge.sigma) for i in chosen]
             )
             kernels += sharpened
             evidence = np.vstack([evidence, judge.evidence(sharpened)])
             believed = candidate_probabilities(evidence, mnc_matrix(kernels), **groups)
-            best = (
-                mean + 1 + int(np.argmax(believed[mean + 1 :]))
-            )  # refined ones are better than what they come from
+            # only among the refined: each is better than the kernel it comes from
+            best = mean + 1 + int(np.argmax(believed[mean + 1 :]))
         self._progress.spend(_REFINE_COST)
-        origins = ["sample"] * len(drawn) + ["classical"] * len(classical) + ["mean of samples"]
+        origins = ["sample"] * len(draws) + ["classical"] * len(classical) + ["mean of samples"]
         if self._refine:
             origins += [origins[i] for i in chosen]
         details: dict[str, object] = {
             **groups,
             "steps": self._steps,
-            "sample_agreement": _agreement(drawn),
+            "sample_agreement": _agreement(draws),
         }
         return FoundKernels(tuple(kernels), believed, best, details, origins=tuple(origins))
 
-    def single(self, crops: FloatArray, found: FoundKernels) -> list[FloatArray]:  # noqa: ARG002, the base class's
+    def single(self, crops: FloatArray, candidates: FoundKernels) -> list[FloatArray]:  # noqa: ARG002, the base class's
         """Run one quick search on each crop alone."""
         cost = _SINGLE_COST / len(crops)
         return side_by_side(
@@ -173,23 +174,23 @@ class MotDiffEstimator(BlindEstimator):
         """Fit a kernel (k, k) to the crops (C, H, W) once more."""
         return refined(crops, kernel, shared_sigma(crops))
 
-    def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:
+    def corrected(self, crops: FloatArray, candidates: FoundKernels) -> FoundKernels:
         """Correct the best kernel and the likeliest different ones, and choose anew."""
         if self._correction is None:
-            return found
+            return candidates
+        # the first kernels are the draws themselves: they take no part
         better = corrected_choice(
-            self._correction, crops, found, most=_REFINED, skip=self._samples
-        )  # skip the draws
+            self._correction, crops, candidates, count=_REFINED, skip=self._samples
+        )
         self._progress.spend(_CORRECT_COST)
         return better
 
     def _classical(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Search classical kernels (Q, 64, 64), and select those that condition the network (3,
-        64, 64).
-        """
-        found = PmpEstimator().kernels(crops, progress=self._progress)
-        framed = np.stack([in_frame(kernel) for kernel in found])
-        return framed, framed[list(_TOLD_OF_ALL if len(found) > 2 else _TOLD_OF_TWO)]
+        """Classical kernels (Q, 64, 64), and those that condition the network (3, 64, 64)."""
+        kernels = PmpEstimator().kernels(crops, progress=self._progress)
+        framed = np.stack([in_frame(kernel) for kernel in kernels])
+        conditions = _CONDITIONS_OF_ALL if len(kernels) > 2 else _CONDITIONS_OF_TWO
+        return framed, framed[list(conditions)]
 
 
 def _in_odd_frames(psfs: FloatArray) -> list[FloatArray]:

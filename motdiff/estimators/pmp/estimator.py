@@ -135,9 +135,9 @@ class PmpEstimator(BlindEstimator):
                 kernels += side_by_side(jobs[2:])
         return kernels
 
-    def single(self, crops: FloatArray, found: FoundKernels) -> list[FloatArray]:
+    def single(self, crops: FloatArray, candidates: FoundKernels) -> list[FloatArray]:
         """Run the winning start on each crop alone."""
-        start = self._starts[found.best]
+        start = self._starts[candidates.best]
         cost = _SINGLE_COST / len(crops)
         return side_by_side(
             [

@@ -36,4 +36,6 @@ class Point(Method):
 
     def loading_shares(self) -> tuple[float, float, float] | None:
         """Shares of the estimate through codes, whose search takes long."""
-        return None if self.codes is None else (0.02, 0.05, 0.06)
+        if self.codes is None:
+            return None
+        return 0.02, 0.05, 0.06

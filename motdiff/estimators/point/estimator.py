@@ -53,13 +53,13 @@ class PointEstimator:
         Frame of the PSF: longer streaks are not considered.
     agreement : float
         Least MNC with the best streak for another one to count.
-    most : int
+    lights : int
         Lights averaged at most.
     """
 
     size: int = PSF_PX
     agreement: float = 0.9
-    most: int = 8
+    lights: int = 8
 
     def __post_init__(self) -> None:
         if self.size < 3:
@@ -76,19 +76,22 @@ class PointEstimator:
         light = crops.luminance(photo)
         streaks, too_long, cut_off = _streaks(light, crops.clipped_mask(photo), self.size)
         if not streaks:
-            why = f"; {too_long} longer than the {self.size} px frame" if too_long else ""
-            why += f"; {cut_off} cut off by the photo's border" if cut_off else ""
+            why = ""
+            if too_long:
+                why += f"; {too_long} longer than the {self.size} px frame"
+            if cut_off:
+                why += f"; {cut_off} cut off by the photo's border"
             raise ValueError(f"photo: shows no light streak above its background{why}")
         best = max(streaks, key=lambda s: (s.clipped_share <= _LOST_TO_CLIPPING, _snr(s)))
-        others = sorted((s for s in streaks if s is not best), key=_snr, reverse=True)
+        rivals = sorted((s for s in streaks if s is not best), key=_snr, reverse=True)
         # faint streaks add nothing to the average or to the test of uniform blur
         comparable = [
             s
-            for s in others
+            for s in rivals
             if _snr(s) > 0.2 * _snr(best) and s.clipped_share <= _LOST_TO_CLIPPING
         ]
         agreeing = [s for s in comparable if mnc_subpixel(best.psf, s.psf) >= self.agreement][
-            : self.most - 1
+            : self.lights - 1
         ]
         psf = in_frame(centred(_average([best, *agreeing])), self.size)
         psf = psf / psf.sum()
@@ -111,7 +114,7 @@ class PointEstimator:
             "box_row_col_height_width": list(best.box),
         }
         snr = _snr(best)
-        agreed = (1 + len(agreeing)) / (1 + min(len(comparable), self.most - 1))
+        agreed = (1 + len(agreeing)) / (1 + min(len(comparable), self.lights - 1))
         confidence = snr**2 / (1 + snr**2) * (1 - best.clipped_share) * agreed
         return MotionEstimate(
             "point",
@@ -145,13 +148,13 @@ def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_St
         _GAP_PX:-_GAP_PX, _GAP_PX:-_GAP_PX
     ]
     labels, _ = ndimage.label(joined | bright, structure=np.ones((3, 3)))
-    found: list[_Streak] = []
+    streaks: list[_Streak] = []
     too_long = cut_off = 0
     for index, window in enumerate(ndimage.find_objects(labels), 1):
-        own = labels[window] == index
-        values = np.where(own, above[window], 0)
+        is_streak = labels[window] == index
+        values = np.where(is_streak, above[window], 0)
         if values.max() < _FOUND_SIGMA * noise or values.sum() < _FOUND_SIGMA * noise * np.sqrt(
-            own.sum()
+            is_streak.sum()
         ):
             continue
         rows, columns = window
@@ -169,14 +172,14 @@ def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_St
         values = np.maximum(values, 0)
         frame = np.zeros((size, size))
         frame[: values.shape[0], : values.shape[1]] = values
-        share = float(clipped[window][own].sum()) / max(
+        share = float(clipped[window][is_streak].sum()) / max(
             1, int((values > 0.1 * values.max()).sum())
         )
         box = (rows.start, columns.start, values.shape[0], values.shape[1])
-        found.append(
+        streaks.append(
             _Streak(frame / values.sum(), float(values.sum()), noise, min(1.0, share), box)
         )
-    return found, too_long, cut_off
+    return streaks, too_long, cut_off
 
 
 def background_light(light: FloatArray, size: int) -> FloatArray:
@@ -201,9 +204,9 @@ def background_light(light: FloatArray, size: int) -> FloatArray:
 def _average(streaks: list[_Streak]) -> FloatArray:
     """Mean of the streaks, registered on the first, weighted by SNR squared."""
     first = streaks[0]
-    total = np.zeros_like(first.psf)
-    for streak in streaks:
+    total = _snr(first) ** 2 * np.maximum(first.psf, 0)
+    for streak in streaks[1:]:
         dx, dy = register_shift(first.psf, streak.psf)
-        moved = ndimage.shift(streak.psf, (dy, dx), order=3) if streak is not first else streak.psf
-        total += _snr(streak) ** 2 * np.maximum(moved, 0)
+        registered = ndimage.shift(streak.psf, (dy, dx), order=3)
+        total += _snr(streak) ** 2 * np.maximum(registered, 0)
     return np.asarray(total / total.sum(), dtype=np.float64)

@@ -85,7 +85,9 @@ class ReferenceEstimator:
         ValueError
             If a photo has no texture, or the two overlap too little for the PSF's frame.
         """
-        sharp, blurred = (_Photo.of(*named) for named in _clean_channels(self.sharp, photo))
+        sharp, blurred = (
+            _Photo.of(*named_photo) for named_photo in _clean_channels(self.sharp, photo)
+        )
         shift = coarse_shift(sharp.light, blurred.light, sigma_px=_HIGH_PASS_PX)
         places = self._places(sharp, blurred, shift)
         pairs = [self._pair(sharp, blurred, place, shift, None) for place in places]
@@ -94,11 +96,11 @@ class ReferenceEstimator:
         psf = psf_fit.fit_psf(pairs, self.size, sparse=sparse)
         for _ in range(2):  # the second time only where the first fit was cut by the frame
             offset = centroid_px(psf)
-            moved = (shift[0] + offset[0], shift[1] + offset[1])
-            places = self._places(sharp, blurred, moved)
-            pairs = [self._pair(sharp, blurred, place, moved, psf) for place in places]
+            refined_shift = (shift[0] + offset[0], shift[1] + offset[1])
+            places = self._places(sharp, blurred, refined_shift)
+            pairs = [self._pair(sharp, blurred, place, refined_shift, psf) for place in places]
             psf = psf_fit.fit_psf(pairs, self.size, sparse=sparse)
-            shift = moved
+            shift = refined_shift
             if math.hypot(*centroid_px(psf)) < 0.1:
                 break
         psf = _without_specks(psf)
@@ -107,19 +109,21 @@ class ReferenceEstimator:
             raise ValueError(
                 "photo: nothing of it follows from the sharp photo; is it the same scene?"
             )
-        alone = [
+        crop_psfs = [
             psf_fit.fit_psf([pair], self.size, sparse=sparse, start=psf, steps=3) for pair in pairs
         ]
         halves = [
             psf_fit.fit_psf(_half(pairs, side), self.size, sparse=sparse, start=psf, steps=3)
             for side in (0, 1)
         ]
-        agreement = mnc_subpixel(*halves) if all(half.any() for half in halves) else 0.0
+        agreement = 0.0
+        if all(half.any() for half in halves):
+            agreement = mnc_subpixel(*halves)
         return self._report(
             blurred,
             pairs,
             psf / gain,
-            [k for k in alone if k.any()],
+            [k for k in crop_psfs if k.any()],
             gain,
             noise,
             shift,
@@ -132,7 +136,7 @@ class ReferenceEstimator:
         blurred: _Photo,
         pairs: Sequence[psf_fit.PatchPair],
         psf: FloatArray,
-        alone: Sequence[FloatArray],
+        crop_psfs: Sequence[FloatArray],
         gain: float,
         noise: float,
         shift: tuple[float, float],
@@ -152,12 +156,8 @@ class ReferenceEstimator:
             )
         # single crops may disagree through noise alone
         by_noise = 1 / (1 + half_error * len(pairs) / 2)
-        differs = (
-            crops.blur_differs_warning(alone, limit=min(0.75, 0.85 * by_noise))
-            if len(alone) > 1
-            else None
-        )
-        if differs:
+        limit = min(0.75, 0.85 * by_noise)
+        if len(crop_psfs) > 1 and (differs := crops.blur_differs_warning(crop_psfs, limit=limit)):
             warnings.append(differs)
         rim = 1 - float(psf[2:-2, 2:-2].sum())
         if rim > 0.02:
@@ -178,7 +178,7 @@ class ReferenceEstimator:
             "shift_px": [float(shift[1]), float(shift[0])],
             "crops_row_col": [[place.row, place.column] for place in places],
             "crop_px": [places[0].height, places[0].width],
-            "uniformity": crops.uniformity(alone) if alone else 0.0,
+            "uniformity": crops.uniformity(crop_psfs) if crop_psfs else 0.0,
         }
         confidence = min(1.0, max(0.0, explained)) * expected_mnc
         return MotionEstimate(
@@ -216,9 +216,9 @@ class ReferenceEstimator:
             1.0,
             0.5 * sharp.light[beneath],
         )
-        found = crops.pick_crops(scene, size=self.crop_px, count=self.crop_count)
+        corners = crops.pick_crops(scene, size=self.crop_px, count=self.crop_count)
         height, width = (min(self.crop_px, n) for n in extent)
-        return [_Place(low[0] + r, low[1] + c, height, width) for r, c in found]
+        return [_Place(low[0] + r, low[1] + c, height, width) for r, c in corners]
 
     def _pair(
         self,
@@ -228,18 +228,18 @@ class ReferenceEstimator:
         shift: tuple[float, float],
         psf: FloatArray | None,
     ) -> psf_fit.PatchPair:
-        whole = [math.floor(d) for d in shift]
+        whole_px = [math.floor(d) for d in shift]
         margin = _SPLINE_MARGIN_PX
         first = [
             start - d - (self.size - 1 - self.size // 2) - margin
-            for start, d in zip((place.row, place.column), whole, strict=True)
+            for start, d in zip((place.row, place.column), whole_px, strict=True)
         ]
         lengths = [n + self.size - 1 + 2 * margin for n in (place.height, place.width)]
         cut = tuple(slice(f, f + n) for f, n in zip(first, lengths, strict=True))
-        part = [d - w for d, w in zip(shift, whole, strict=True)]
+        fraction_px = [d - w for d, w in zip(shift, whole_px, strict=True)]
         patch = sharp.detail[cut]
-        if max(part) > 1e-3:
-            patch = ndimage.shift(patch, part, order=5, mode="nearest")
+        if max(fraction_px) > 1e-3:
+            patch = ndimage.shift(patch, fraction_px, order=5, mode="nearest")
         inner = (slice(margin, -margin),) * 2
         window = (
             slice(place.row, place.row + place.height),
@@ -295,27 +295,24 @@ class _Photo:
 def _clean_channels(
     sharp: ArrayLike, photo: ArrayLike
 ) -> tuple[tuple[str, FloatArray], tuple[str, FloatArray]]:
-    """Leave out colour channels that are clipped more than others and not much richer in
-    texture.
-    """
+    """Leave out channels that are clipped more than others and not much richer in texture."""
     a = np.asarray(sharp, dtype=np.float64)
     b = np.asarray(photo, dtype=np.float64)
     if a.ndim == b.ndim == 3 and a.shape[2] == b.shape[2] and a.size and b.size:
         share = np.maximum(*((image >= crops.CLIPPED_LEVEL).mean(axis=(0, 1)) for image in (a, b)))
-        worth = np.abs(np.diff(b, axis=1)).mean(axis=(0, 1)) * np.maximum(
+        contrast = np.abs(np.diff(b, axis=1)).mean(axis=(0, 1)) * np.maximum(
             1 - share / _CHANNEL_CLIPPED, 0
         )
-        kept = worth >= 0.5 * worth.max()
-        a = a[..., kept]
-        b = b[..., kept]
+        is_clean = contrast >= 0.5 * contrast.max()
+        a = a[..., is_clean]
+        b = b[..., is_clean]
     return ("sharp", a), ("photo", b)
 
 
 def _noise_variance(light: FloatArray) -> float:
-    """Estimate white noise from the finest diagonal detail, of which a scene has little in most
-    places.
-    """
+    """Variance of white noise from the finest diagonal detail, which most of a scene lacks."""
     diagonal = 0.5 * (light[1:, 1:] - light[:-1, 1:] - light[1:, :-1] + light[:-1, :-1])
+    # 0.6745: median of |x| for a standard normal x; 0.5 above keeps the variance of white noise
     return float((np.median(np.abs(diagonal)) / 0.6745) ** 2)
 
 
@@ -324,9 +321,11 @@ def _explained_beyond_noise(
 ) -> float:
     pixels = max(1.0, sum(pair.pixels for pair in pairs))
     variance = sum(float((pair.weight * pair.blurred**2).sum()) for pair in pairs) / pixels
-    left = max(0.0, psf_fit.residual_variance(pairs, psf) - noise_variance)
+    unexplained = max(0.0, psf_fit.residual_variance(pairs, psf) - noise_variance)
     signal = variance - noise_variance
-    return float(1 - left / signal) if signal > 0.02 * variance else 0.0
+    if signal <= 0.02 * variance:  # all but noise: the ratio would mean nothing
+        return 0.0
+    return float(1 - unexplained / signal)
 
 
 def _without_specks(psf: FloatArray) -> FloatArray:
@@ -342,8 +341,8 @@ def _without_specks(psf: FloatArray) -> FloatArray:
 
 def _half(pairs: Sequence[psf_fit.PatchPair], side: int) -> list[psf_fit.PatchPair]:
     """Keep the left (0) or right (1) half of the pixels of every pair."""
-    kept = []
+    halves = []
     for pair in pairs:
         right = np.arange(pair.weight.shape[1]) >= pair.weight.shape[1] // 2
-        kept.append(replace(pair, weight=pair.weight * (right == bool(side))))
-    return kept
+        halves.append(replace(pair, weight=pair.weight * (right == bool(side))))
+    return halves

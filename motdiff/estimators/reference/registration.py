@@ -74,7 +74,6 @@ def _peak(sharp: FloatArray, blurred: FloatArray) -> tuple[float, float]:
     )
     product = fft.rfft2(blurred, size) * np.conj(fft.rfft2(sharp, size))
     peak = np.unravel_index(int(fft.irfft2(product, size).argmax()), size)
-    dy, dx = (
-        int(p) if p < b else int(p) - n for p, n, b in zip(peak, size, blurred.shape, strict=True)
-    )
-    return float(dy), float(dx)
+    # lags from the blurred photo's size on are negative ones, wrapped round
+    dy, dx = (float(p - n * (p >= b)) for p, n, b in zip(peak, size, blurred.shape, strict=True))
+    return dy, dx

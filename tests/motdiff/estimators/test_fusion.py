@@ -45,32 +45,32 @@ def fused(psfs, *, own=None, joint=ACROSS, refine=lambda _crops, kernel: kernel)
 
 def test_photos_of_one_motion_are_all_kept():
     result, search = fused([ACROSS] * 3)
-    assert (result.kept, result.left_out, search.seen) == ((0, 1, 2), (), [3])
+    assert (result.photos, result.left_out, search.seen) == ((0, 1, 2), (), [3])
     assert result.repeatability == pytest.approx((1, 1, 1))
     assert result.crops.shape == (3, 120, 120)
-    assert result.found.warnings == ()
+    assert result.joint.warnings == ()
 
 
 def test_the_minority_that_shows_another_motion_is_left_out_and_the_others_searched_again():
     result, search = fused([ACROSS, DOWN, ACROSS, ACROSS])
-    assert (result.kept, result.left_out, search.seen) == ((0, 2, 3), (1,), [4, 3])
-    assert result.repeatability[1] < 0.6 < min(result.repeatability[i] for i in result.kept)
-    assert result.found.warnings == (
+    assert (result.photos, result.left_out, search.seen) == ((0, 2, 3), (1,), [4, 3])
+    assert result.repeatability[1] < 0.6 < min(result.repeatability[i] for i in result.photos)
+    assert result.joint.warnings == (
         (
             f"photo 2 shows another motion (MNC {result.repeatability[1]:.2f} with the others):"
             " left out"
         ),
     )
-    assert result.found.confidence > 0.5
+    assert result.joint.confidence > 0.5
 
 
 @pytest.mark.parametrize("psfs", [[ACROSS, DOWN], [ACROSS, DOWN, ACROSS, DOWN]])
 def test_without_a_majority_none_is_left_out_and_the_estimate_is_doubted(psfs):
     result, _ = fused(psfs)
-    assert (len(result.kept), result.left_out) == (len(psfs), ())
-    (said,) = result.found.warnings
+    assert (len(result.photos), result.left_out) == (len(psfs), ())
+    (said,) = result.joint.warnings
     assert "may show another motion, but no majority agrees" in said
-    assert result.found.confidence <= 0.5
+    assert result.joint.confidence <= 0.5
 
 
 def test_a_photo_that_is_lost_alone_is_no_other_motion():
@@ -82,9 +82,9 @@ def test_a_photo_that_is_lost_alone_is_no_other_motion():
 
 def test_the_kernel_of_a_photo_takes_the_place_of_a_joint_search_that_is_lost():
     result, _ = fused([ACROSS] * 3, joint=DOWN)
-    assert mnc_subpixel(result.found.kernels[result.found.best], ACROSS) == pytest.approx(1)
-    assert (result.found.best, result.found.confidence) == (0, 0.9)
-    assert result.found.details["fused_by"] == "kernel of one photo"
+    assert mnc_subpixel(result.joint.kernels[result.joint.best], ACROSS) == pytest.approx(1)
+    assert (result.joint.best, result.joint.confidence) == (0, 0.9)
+    assert result.joint.details["fused_by"] == "kernel of one photo"
 
 
 def test_the_kernel_of_a_photo_is_also_tried_refined_on_all():
@@ -94,8 +94,8 @@ def test_the_kernel_of_a_photo_is_also_tried_refined_on_all():
         joint=DOWN,
         refine=lambda crops, _: ACROSS if len(crops) == 3 else 0,
     )
-    assert mnc_subpixel(result.found.kernels[0], ACROSS) == pytest.approx(1)
-    assert result.found.details["fused_by"] == "kernel of one photo, refined on all"
+    assert mnc_subpixel(result.joint.kernels[0], ACROSS) == pytest.approx(1)
+    assert result.joint.details["fused_by"] == "kernel of one photo, refined on all"
 
 
 def test_photos_are_cut_about_their_middles_to_one_size():

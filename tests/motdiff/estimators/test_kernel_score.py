@@ -146,10 +146,10 @@ def test_distinct_kernels_are_chosen_in_order():
     )
     alike = mnc_matrix([straight, longer, upright, straight, np.eye(63) / 63])
     order = np.array([3, 1, 2, 0, 4])
-    assert distinct(alike, [3], order, most=3) == [3, 2, 4]
-    assert distinct(alike, [3], order, most=2) == [3, 2]
-    assert distinct(alike, [4, 0], order, most=4) == [4, 0, 2]
-    assert distinct(alike, [0, 1], order, most=4) == [
+    assert distinct(alike, [3], order, count=3) == [3, 2, 4]
+    assert distinct(alike, [3], order, count=2) == [3, 2]
+    assert distinct(alike, [4, 0], order, count=4) == [4, 0, 2]
+    assert distinct(alike, [0, 1], order, count=4) == [
         0,
         1,
         2,

@@ -45,7 +45,7 @@ def test_several_lights_are_averaged_and_beat_the_best_alone() -> None:
     places = [(80, 90), (90, 300), (200, 100), (210, 300), (140, 200)]
     photo = photograph(night([(r, c, 3.0) for r, c in places]), psf, rng=rng, read_sigma=0.01)
     together = PointEstimator().estimate(photo)
-    alone = PointEstimator(most=1).estimate(photo)
+    alone = PointEstimator(lights=1).estimate(photo)
     assert together.details["streaks"] == 5
     assert together.details["averaged"] == 5
     assert alone.details["averaged"] == 1
