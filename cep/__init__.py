@@ -110,8 +110,8 @@ _MODULES = {
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
-        found = globals()[name] = getattr(import_module(_MODULES[name]), name)
-        return found
+        member = globals()[name] = getattr(import_module(_MODULES[name]), name)
+        return member
     if name == "__version__":  # importlib.metadata is a tenth of what `cep --help` may take
         from importlib.metadata import PackageNotFoundError, version
 

@@ -122,11 +122,11 @@ def _cache_folder() -> Path | None:
     """Return the folder that the user names for numba, the one of the sources, or a passing one;
     None without any.
     """
-    named = numba.config.CACHE_DIR
-    if named:
-        if _is_writable(Path(named)):
-            return Path(named)
-        return _passing_folder(named)
+    user_folder = numba.config.CACHE_DIR
+    if user_folder:
+        if _is_writable(Path(user_folder)):
+            return Path(user_folder)
+        return _passing_folder(user_folder)
     try:
         otherwise = (
             Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coded-exposure"
@@ -134,16 +134,16 @@ def _cache_folder() -> Path | None:
     except RuntimeError:  # this user has no home
         otherwise = None
     package = Path(__file__).parent
-    tried = " and ".join(map(str, filter(None, (package / "__pycache__", otherwise))))
-    return kept_folder(package, otherwise=otherwise) or _passing_folder(tried)
+    folders = " and ".join(map(str, filter(None, (package / "__pycache__", otherwise))))
+    return kept_folder(package, otherwise=otherwise) or _passing_folder(folders)
 
 
-def _passing_folder(tried: str) -> Path | None:
+def _passing_folder(folders: str) -> Path | None:
     """Make a folder that lasts as long as this process, for those that it starts too; None where
     none can be made.
     """
     warnings.warn(
-        f"compiled loops cannot be kept in {tried}, not writable by this user alone: they are"
+        f"compiled loops cannot be kept in {folders}, not writable by this user alone: they are"
         " compiled anew in every run; NUMBA_CACHE_DIR names a folder to keep them in",
         RuntimeWarning,
         stacklevel=2,

@@ -70,7 +70,7 @@ class Calibration(MotionEstimate):
     @classmethod
     def of(cls, estimate: MotionEstimate, photo: FloatArray) -> Calibration:
         """Join an estimate and the photo that it is shown with."""
-        values = {each.name: getattr(estimate, each.name) for each in fields(MotionEstimate)}
+        values = {key.name: getattr(estimate, key.name) for key in fields(MotionEstimate)}
         return cls(**values, photo=photo)
 
     def save(
@@ -110,18 +110,18 @@ class Calibration(MotionEstimate):
         if self.path_error_px is not None:  # cep advise and cep optimize choose exposures by it
             about["path_uncertainty_px"] = self.path_error_px
         stored = StoredMotion(self.best, self.weights[0], alternatives, about)
-        with new_folder(folder, CALIBRATION_FILES, force=force) as made:
-            write_motion(made / "trajectory.json", stored)
-            write_psf(made, self.psf)
+        with new_folder(folder, CALIBRATION_FILES, force=force) as staged:
+            write_motion(staged / "trajectory.json", stored)
+            write_psf(staged, self.psf)
             if self.best.frame_size() <= PSF_PX:
-                write_image(made / "map.png", self.best.hr_map(), gamma="linear")
-            save(trajectory_figure(self.photo, self.best), made / "preview.png")
+                write_image(staged / "map.png", self.best.hr_map(), gamma="linear")
+            save(trajectory_figure(self.photo, self.best), staged / "preview.png")
             # a photo through a code has a PSF of its own, which the path's is not
             if "order_confidence" not in self.details:
                 restored = sharpen(self.photo, self)
                 if not restored.kept:
-                    write_image(made / "sharpened.png", restored.image, bits=bits, gamma=gamma)
-            names = sorted(item.name for item in made.iterdir())
+                    write_image(staged / "sharpened.png", restored.image, bits=bits, gamma=gamma)
+            names = sorted(item.name for item in staged.iterdir())
         return {name: Path(folder) / name for name in names}
 
     def to_dict(
@@ -222,13 +222,13 @@ def estimate_motion(
     if codes is not None:
         check_times(codes)
         options["codes"] = tuple(code.bits for code in codes)
-    given = [name for name, value in options.items() if value is not None]
+    set_options = [name for name, value in options.items() if value is not None]
     if isinstance(method, str) and not is_reference(method):
         method = make_method(method, options)
-    elif given and isinstance(method, str):
-        raise ValueError(f"{given[0]}: not valid with method={method!r}")
-    elif given:
-        raise ValueError(f"{given[0]}: not valid with an estimator of your own")
+    elif set_options and isinstance(method, str):
+        raise ValueError(f"{set_options[0]}: not valid with method={method!r}")
+    elif set_options:
+        raise ValueError(f"{set_options[0]}: not valid with an estimator of your own")
 
     if isinstance(method, Method):
         _check_number(photos, method)
@@ -237,13 +237,13 @@ def estimate_motion(
         estimator = method.load(seed=seed, progress=progress)
         is_together = hasattr(estimator, "estimate_from")
     else:
-        for each in photos:
-            check_texture(each)
+        for array in photos:
+            check_texture(array)
         check_apart(photos)
         label = method if isinstance(method, str) else type(method).__name__
         estimator = load_estimator(method) if isinstance(method, str) else method
         is_together = len(photos) > 1
-    pixels = [_as_light(each) for each in photos]
+    pixels = [_as_light(array) for array in photos]
     if not is_together:
         return Calibration.of(as_estimate(estimator.estimate(pixels[0]), label), pixels[0])
     if not hasattr(estimator, "estimate_from"):
@@ -253,13 +253,13 @@ def estimate_motion(
     estimate: MotionEstimate = estimator.estimate_from(pixels)
     left_out = estimate.details.get("left_out", [])
     assert isinstance(left_out, list)
-    shown = next(each for i, each in enumerate(pixels, 1) if i not in left_out)
-    return Calibration.of(estimate, shown)
+    first_used = next(light for i, light in enumerate(pixels, 1) if i not in left_out)
+    return Calibration.of(estimate, first_used)
 
 
 def read_options(
     name: str,
-    given: Mapping[str, Any],
+    texts: Mapping[str, Any],
     *,
     gamma: str | float = "srgb",
     rate_unit: RateUnit | None = None,
@@ -270,13 +270,13 @@ def read_options(
     ----------
     name : str
         Of the method.
-    given : mapping from an option to its value
+    texts : mapping from an option to its value
         A photo and a gyroscope's recording as the path of a file; None where it is not given.
     gamma, rate_unit
         Of the files, as of :func:`cep.files.images.read_image` and
         :func:`motdiff.files.gyro_tables.read_gyro`.
     """
-    values = dict(given)
+    values = dict(texts)
     options = command_options(METHODS[name]) if name in METHODS else {}
     for key, option in options.items():
         if values.get(key) is None:
@@ -288,20 +288,20 @@ def read_options(
     return values
 
 
-def check_method(name: str, given: Mapping[str, Any]) -> None:
+def check_method(name: str, options_given: Mapping[str, Any]) -> None:
     """Check the name of a method, perhaps ``module:name``, and which options it has.
 
     Parameters
     ----------
     name : str
-    given : mapping from an option to its value, None where it is not given
+    options_given : mapping from an option to its value, None where it is not given
 
     Raises
     ------
     ValueError
         If the method is not known, or an option is missing or not one of its own.
     """
-    options = [key for key, value in given.items() if value is not None]
+    options = [key for key, value in options_given.items() if value is not None]
     if not is_reference(name):
         check_options(name, options)
     elif options:
@@ -313,7 +313,7 @@ def _photo_list(photo: ArrayLike | Sequence[ArrayLike]) -> list[ArrayLike]:
     if (
         isinstance(photo, list | tuple)
         and photo
-        and all(isinstance(each, np.ndarray) and each.ndim > 1 for each in photo)
+        and all(isinstance(item, np.ndarray) and item.ndim > 1 for item in photo)
     ):
         return [*photo]
     return [np.asarray(photo)]

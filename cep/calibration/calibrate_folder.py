@@ -67,7 +67,7 @@ class FolderResults:
         With a folder for each photo.
     summary : Path
         The table, CSV.
-    found : mapping from a photo's name to its figures, with ``warnings``
+    figures : mapping from a photo's name to its figures, with ``warnings``
         Without those that failed or were not reached.
     rows : sequence of mapping
         The table's: the name, the figures, ``warnings`` and ``failure``, a reason or empty.
@@ -78,7 +78,7 @@ class FolderResults:
 
     folder: Path
     summary: Path
-    found: Mapping[str, Mapping[str, Any]]
+    figures: Mapping[str, Mapping[str, Any]]
     rows: Sequence[Mapping[str, Any]]
     missing: int
     warnings: Sequence[str]
@@ -175,21 +175,21 @@ def calibrate_folder(
     ValueError
         If there are no photos, a file is in the way, or an option is not valid.
     """
-    given = {name: value for name, value in (options or {}).items() if value is not None}
+    set_options = {name: value for name, value in (options or {}).items() if value is not None}
     reason = METHODS[method].one_photo_as if method in METHODS else ""
     if reason:
         raise ValueError(f"method {method}: {reason}; give the photos of a folder one by one")
-    check_method(method, given)
+    check_method(method, set_options)
     parse_gamma(gamma)
-    sharp: Path | None = given.get("sharp")
+    sharp: Path | None = set_options.get("sharp")
     photos = photos_in(folder, but=sharp)
     sharps = {} if sharp is None else sharp_of(photos, sharp)
     if sharp is not None and not sharp.is_dir():
         # what is wrong with it is wrong with every photo
         read_image(sharp, gamma=gamma, variable="x")
     # "." has no name of its own
-    named = folder if folder.name not in ("", "..") else folder.resolve()
-    target = output or named.with_name(f"{named.name}_motion")
+    folder_named = folder if folder.name not in ("", "..") else folder.resolve()
+    target = output or folder_named.with_name(f"{folder_named.name}_motion")
     claim_folder(target, [_SUMMARY], force=force)
     for photo in photos:
         claim_folder(target / photo.stem, CALIBRATION_FILES, force=force)
@@ -200,8 +200,8 @@ def calibrate_folder(
     tasks = {}
     for label, photo in by_label.items():
         if label not in failures:
-            own = given | {"sharp": sharps[photo]} if sharps else given
-            tasks[label] = _Task(photo, method, own, gamma, seed)
+            photo_options = set_options | {"sharp": sharps[photo]} if sharps else set_options
+            tasks[label] = _Task(photo, method, photo_options, gamma, seed)
     run = _Run(target, tasks, failures, force=force, progress=progress)
     run.run(workers or _cores())
     if force:
@@ -247,9 +247,9 @@ class _Run:
                 for number, in_hand in enumerate(estimates, 1):
                     self._write(*in_hand)
                     left_s = (time.monotonic() - began_s) / number * (len(waiting) - number)
-                    done = count - len(waiting) + number
-                    note = f"{done} of {count} photos, about {_in_words(left_s)} left"
-                    self._progress(done / count, note)
+                    finished = count - len(waiting) + number
+                    note = f"{finished} of {count} photos, about {_in_words(left_s)} left"
+                    self._progress(finished / count, note)
         except KeyboardInterrupt:
             # an estimate that was being written is finished: it took longer than its writing does
             if in_hand is not None and in_hand[0] not in {*self._finished, *self.failures}:
@@ -326,8 +326,8 @@ class _Run:
         ]
         summary = self._folder / _SUMMARY
         self._folder.mkdir(parents=True, exist_ok=True)  # nothing is in it where all photos failed
-        with new_files([summary], force=self._force) as made:
-            write_text(made[summary], _csv(rows))
+        with new_files([summary], force=self._force) as staged:
+            write_text(staged[summary], _csv(rows))
         missing = sum(row["failure"] == NOT_REACHED for row in rows)
         lines = [
             f"{label}: {line}" for label, result in finished.items() for line in result["warnings"]
@@ -469,7 +469,7 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
         If there are none, or two would have the same name without its suffix.
     """
     root = Path(folder)
-    found = [
+    photos = [
         path
         for path in sorted(root.iterdir())
         if path.suffix.lower() in PHOTO_SUFFIXES
@@ -480,22 +480,22 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
         )  # a link that leads nowhere is told of, not passed over
         and not (but is not None and path.exists() and path.samefile(but))
     ]
-    if not found:
+    if not photos:
         raise ValueError(
             f"{root}: holds no photos (.png, .tif, .jpg, .webp or RAW files; subfolders are left"
             " alone)"
         )
     by_stem: dict[str, Path] = {}
-    for path in found:
-        other = by_stem.setdefault(
+    for path in photos:
+        namesake = by_stem.setdefault(
             path.stem.casefold(), path
         )  # some file systems do not tell A from a
-        if other is not path:
+        if namesake is not path:
             raise ValueError(
-                f"{root}: {other.name} and {path.name} would be written to one folder {path.stem};"
-                " rename one of them"
+                f"{root}: {namesake.name} and {path.name} would be written to one folder"
+                f" {path.stem}; rename one of them"
             )
-    return tuple(found)
+    return tuple(photos)
 
 
 def unreadable(photo: Path) -> str:

@@ -94,16 +94,16 @@ class CalibrationSet:
     @property
     def summary(self) -> str:
         """What to do, how often it was enough, and what the set resolves."""
-        found = self.separation
+        separation = self.separation
         count = len(self.codes)
         steps = ", ".join(
             f"P{i} {'with the shutter open' if name == 'open' else f'through {name}'}"
             for i, name in enumerate(self.sources, 1)
         )
         resolved = (
-            f"In {found.resolved} of {found.walks} simulated walks of {found.length_px:g} px each"
-            " other order in time that was tried, six at most, changes the photos by more than a"
-            " blind search errs."
+            f"In {separation.resolved} of {separation.walks} simulated walks of"
+            f" {separation.length_px:g} px each other order in time that was tried, six at most,"
+            " changes the photos by more than a blind search errs."
         )
         right = _RIGHT.get(count)
         measured = (
@@ -167,19 +167,22 @@ class CalibrationSet:
         list of Path
         """
         names = set_files(len(self.codes), file_format)
-        with new_folder(folder, names, force=force) as made:
-            write_text(made / SET_FILE, json_text({"schema": SET_SCHEMA, **self.to_dict(folder)}))
+        with new_folder(folder, names, force=force) as staged:
+            write_text(
+                staged / SET_FILE, json_text({"schema": SET_SCHEMA, **self.to_dict(folder)})
+            )
+            all_bits = [code.bits for code in self.codes]
             for i, code in enumerate(self.codes, 1):
                 device = None if self.device is None else self.device.to_dict()
                 about = {
-                    "calibration_set": [one.bits for one in self.codes],
+                    "calibration_set": all_bits,
                     "photo": i,
                     "device": device,
                 }
-                write_code(made / f"code_{i}.json", StoredCode(code, problem=about))
+                write_code(staged / f"code_{i}.json", StoredCode(code, problem=about))
                 program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
                 write_text(
-                    made / find_exporter(file_format).file_name(f"code_{i}"),
+                    staged / find_exporter(file_format).file_name(f"code_{i}"),
                     export_program(program, file_format, device=self.device),
                 )
         return [Path(folder) / name for name in names]

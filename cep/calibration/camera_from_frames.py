@@ -51,9 +51,9 @@ class CameraEstimate:
         """
         figure = path.with_suffix(".png") if figure is None else figure
         check_figure_name(figure)
-        with claim([path, figure], force=force).written() as made:
-            self.camera.to_file(made[path])
-            save(photon_transfer_figure(self.transfer), made[figure])
+        with claim([path, figure], force=force).written() as staged:
+            self.camera.to_file(staged[path])
+            save(photon_transfer_figure(self.transfer), staged[figure])
         return path, figure
 
 
@@ -124,7 +124,7 @@ def estimate_camera(
     pairs = []
     kinds = set()
     warnings = []
-    for done, (first, second) in enumerate(files):
+    for level, (first, second) in enumerate(files):
         frames = _read_frame(first), _read_frame(second)
         warnings += [line for frame in frames for line in frame.warnings]
         kinds |= {(frame.file_bits, frame.raw) for frame in frames}
@@ -134,7 +134,7 @@ def estimate_camera(
                 " differ"
             )
         pairs.append(_pair(first, second, frames, response))
-        progress((done + 1) / len(files))
+        progress((level + 1) / len(files))
     file_bits, raw = kinds.pop()
     if raw is not None:
         codes = CodeRange(bits or raw[1].bit_length(), top_dn=float(raw[1]))
@@ -142,7 +142,7 @@ def estimate_camera(
     else:
         codes = find_code_range(pairs, file_bits=file_bits, bits=bits)
     try:
-        found = photon_transfer(
+        transfer = photon_transfer(
             pairs[:levels],
             codes=codes,
             dark=pairs[-1] if dark else None,
@@ -156,8 +156,8 @@ def estimate_camera(
         f"photon-transfer curve of {levels} pair{'s' if levels > 1 else ''} of flat frames and"
         f" {black}"
     )
-    camera = found.camera(name=name, source=source)
-    return CameraEstimate(camera, replace(found, warnings=(*warnings, *found.warnings)))
+    camera = transfer.camera(name=name, source=source)
+    return CameraEstimate(camera, replace(transfer, warnings=(*warnings, *transfer.warnings)))
 
 
 def _pair(first: Path, second: Path, frames: tuple[_Frame, _Frame], response: str) -> FramePair:
@@ -192,10 +192,10 @@ def _read_frame(path: Path) -> _Frame:
 
 def _with_files(line: str, files: Sequence[tuple[Path, Path]]) -> str:
     """Put the files' names for "pair 2:" or "dark:" into an error."""
-    where, colon, rest = line.partition(": ")
+    where, colon, fault = line.partition(": ")
     if where == "dark":
-        return f"{files[-1][0]} and {files[-1][1]}{colon}{rest}"
+        return f"{files[-1][0]} and {files[-1][1]}{colon}{fault}"
     if where.startswith("pair ") and where[5:].isdigit():
         first, second = files[int(where[5:]) - 1]
-        return f"{first} and {second}{colon}{rest}"
+        return f"{first} and {second}{colon}{fault}"
     return line

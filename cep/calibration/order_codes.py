@@ -61,37 +61,37 @@ def search_order_codes(
     ValueError
         If every code within the limits is its own mirror image.
     """
-    whole = np.ones(limits.chips, dtype=np.int8)
-    given = [whole] if photos > 1 and limits.satisfied(whole[None])[0] else []
+    open_shutter = np.ones(limits.chips, dtype=np.int8)
+    open_codes = [open_shutter] if photos > 1 and limits.satisfied(open_shutter[None])[0] else []
     search = _Search(limits, measure)
-    candidates = _known(limits)
+    candidates = _published_codes(limits)
     searched = (
-        not given or photos > 2
+        not open_codes or photos > 2
     )  # one code beside the open shutter, if searched, fits the few walks of the design
     if searched or all(map(_is_own_mirror, candidates)):
-        candidates += _drawn(limits, rng)
+        candidates += _random_codes(limits, rng)
     for i, code in enumerate(candidates):
         search.separation(code)
         progress(0.6 * i / len(candidates))
     chosen: list[Code] = []
-    while len(given) + len(chosen) < photos:
-        rest = [*given, *chosen]
-        chosen.append(search.best(candidates, rest))
-    for done in range(_SWEEPS if searched else 0):
-        before = search.score([*given, *chosen])
+    while len(open_codes) + len(chosen) < photos:
+        companions = [*open_codes, *chosen]
+        chosen.append(search.best(candidates, companions))
+    for sweep in range(_SWEEPS if searched else 0):
+        before = search.score([*open_codes, *chosen])
         for i in range(len(chosen)):
-            rest = [*given, *chosen[:i], *chosen[i + 1 :]]
-            chosen[i] = search.best([chosen[i], *candidates], rest)
-            chosen[i] = search.best([chosen[i], *search.neighbours(chosen[i])], rest)
-        progress(0.6 + 0.4 * (done + 1) / _SWEEPS)
-        if search.score([*given, *chosen]) <= before:
+            companions = [*open_codes, *chosen[:i], *chosen[i + 1 :]]
+            chosen[i] = search.best([chosen[i], *candidates], companions)
+            chosen[i] = search.best([chosen[i], *search.neighbours(chosen[i])], companions)
+        progress(0.6 + 0.4 * (sweep + 1) / _SWEEPS)
+        if search.score([*open_codes, *chosen]) <= before:
             break
     if all(map(_is_own_mirror, chosen)):
         raise ValueError(
             f"chips: every code of {limits.chips} chips within the limits is its own mirror image,"
             " which tells no direction; more or shorter chips would do"
         )
-    return (*given, *chosen)
+    return (*open_codes, *chosen)
 
 
 class _Search:
@@ -118,31 +118,33 @@ class _Search:
             excess += chips
         # the worst order of each walk, but the mean over walks: a worst tenth fits the few walks
         # of the design
-        least = self._measure.of_each_motion(
+        separations = self._measure.of_each_motion(
             np.sum([self.separation(code) for code in codes], axis=0)
         )
-        confused = np.exp(-least / BLIND_ERROR)
+        confused = np.exp(-separations / BLIND_ERROR)
         return -excess, -float(confused.mean())
 
-    def best(self, codes: Sequence[Code], rest: Sequence[Code]) -> Code:
+    def best(self, codes: Sequence[Code], companions: Sequence[Code]) -> Code:
         """Return the code, the first of several, that makes the best set with the rest."""
-        return max(codes, key=lambda code: self.score([*rest, code]))
+        return max(codes, key=lambda code: self.score([*companions, code]))
 
     def neighbours(self, code: Code) -> list[Code]:
         """Codes within the limits that have one edge moved by up to two chips, or all of them by
         up to three.
         """
-        made = [np.roll(code, by) for by in (-3, -1, 1, 3)]
+        neighbours = [np.roll(code, by) for by in (-3, -1, 1, 3)]
         for edge in np.flatnonzero(np.diff(code)) + 1:
             for by in (-2, -1, 1, 2):
                 first, end = sorted((edge, min(max(edge + by, 0), len(code))))
-                moved = code.copy()
-                moved[first:end] = code[edge] if by < 0 else code[edge - 1]
-                made.append(moved)
+                neighbour = code.copy()
+                neighbour[first:end] = code[edge] if by < 0 else code[edge - 1]
+                neighbours.append(neighbour)
         return [
-            one
-            for one, kept in zip(made, self._limits.satisfied(np.stack(made)), strict=True)
-            if kept
+            neighbour
+            for neighbour, is_allowed in zip(
+                neighbours, self._limits.satisfied(np.stack(neighbours)), strict=True
+            )
+            if is_allowed
         ]
 
 
@@ -166,32 +168,32 @@ def longest_unseen(codes: ArrayLike) -> int:
     >>> longest_unseen([[1, 0, 0, 0], [0, 0, 0, 1]])
     2
     """
-    seen = ShutterCode(np.any(np.asarray(codes), axis=0))
-    return max((length for is_open, length in seen.runs if not is_open), default=0)
+    union = ShutterCode(np.any(np.asarray(codes), axis=0))
+    return max((length for is_open, length in union.runs if not is_open), default=0)
 
 
-def _known(limits: Limits) -> list[Code]:
+def _published_codes(limits: Limits) -> list[Code]:
     """Known codes and their complements, brought within the limits."""
     chips = limits.chips
     texts = (*_DE_BRUIJN, published("raskar-52").code.bits)
-    known = [plane for planes in _GRAY_PLANES for plane in gray_planes(planes, chips)]
-    known += [_stretched(np.array(list(text), dtype=np.int8), chips) for text in texts]
+    codes = [plane for planes in _GRAY_PLANES for plane in gray_planes(planes, chips)]
+    codes += [_stretched(np.array(list(text), dtype=np.int8), chips) for text in texts]
     ramp = (
         np.diff(np.floor(0.5 * chips * np.linspace(0, 1, chips + 1) ** 2 + 0.5)) > 0
     )  # open ever more often
-    known.append(ramp.astype(np.int8))
-    near = (nearest(limits, code) for plain in known for code in (plain, 1 - plain))
-    return _without_repeats([code for code in near if code is not None])
+    codes.append(ramp.astype(np.int8))
+    allowed = (nearest(limits, code) for plain in codes for code in (plain, 1 - plain))
+    return _without_repeats([code for code in allowed if code is not None])
 
 
-def _drawn(limits: Limits, rng: np.random.Generator) -> list[Code]:
+def _random_codes(limits: Limits, rng: np.random.Generator) -> list[Code]:
     """Random codes of few openings."""
-    found: list[Code] = []
+    codes: list[Code] = []
     for pulses in range(1, _MOST_PULSES + 1):
         few = replace(limits, runs=limits.runs.tightened(RunLimits(max_pulses=pulses)))
         if feasible(few):
-            found += list(draw(few, _DRAWN, rng=rng))
-    return _without_repeats(found)
+            codes += list(draw(few, _DRAWN, rng=rng))
+    return _without_repeats(codes)
 
 
 def _without_repeats(codes: Sequence[Code]) -> list[Code]:

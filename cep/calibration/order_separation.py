@@ -56,8 +56,8 @@ class OrderSeparation:
     def __init__(self, motions: Sequence[FloatArray], *, chips: int) -> None:
         down, right = np.mgrid[-_STEPS : _STEPS + 1, : _STEPS + 1]
         # PSFs are real: half of the frequencies hold all
-        kept = (np.hypot(down, right) <= _STEPS) & ((right > 0) | (down >= 0))
-        self._at = np.stack([down[kept], right[kept]], axis=1)
+        half_disc = (np.hypot(down, right) <= _STEPS) & ((right > 0) | (down >= 0))
+        self._at = np.stack([down[half_disc], right[half_disc]], axis=1)
         self._weights = np.where(self._at.any(axis=1), 2.0, 1.0).astype(np.float32)
         fy, fx = (self._at * (BAND_CY_PX / _STEPS)).T
         edges = np.linspace(0, 1, chips + 1)
@@ -99,9 +99,9 @@ class OrderSeparation:
 
     def of_each_motion(self, separations: FloatArray) -> FloatArray:
         """Smallest separation of each motion (M,), from those of all altered orders (P,)."""
-        least = np.full(len(self._true), np.inf)
-        np.minimum.at(least, self._of_motion, separations)
-        return least
+        smallest = np.full(len(self._true), np.inf)
+        np.minimum.at(smallest, self._of_motion, separations)
+        return smallest
 
     def conditioning(self, codes: ArrayLike) -> FloatArray:
         """Smallest rms MTF of codes (I, n) within the band along each motion (M,), each code's 1
@@ -122,16 +122,16 @@ class OrderSeparation:
         grid = np.zeros((len(cross), _SHIFTS, _SHIFTS), dtype=np.complex64)
         down, right = self._at.T
         grid[:, down % _SHIFTS, right] = cross
-        tried = fft.ifft2(grid, norm="forward").real.reshape(len(cross), -1)
-        best = tried.argmax(axis=1)
-        largest = tried.max(axis=1).astype(np.float64)
+        correlations = fft.ifft2(grid, norm="forward").real.reshape(len(cross), -1)
+        best = correlations.argmax(axis=1)
+        largest = correlations.max(axis=1).astype(np.float64)
         shift = np.stack(np.divmod(best, _SHIFTS), axis=1) * (2 * np.pi / _SHIFTS)
         at = self._at.astype(np.float32)
         products = (at[:, :, None] * at[:, None]).reshape(len(at), 4)
         for _ in range(_NEWTON_STEPS):
-            moved = cross * np.exp(1j * (shift @ at.T).astype(np.float32))
-            curvature = (moved.real @ products).reshape(-1, 2, 2) + 1e-6 * np.eye(2)
-            shift = shift - np.linalg.solve(curvature, (moved.imag @ at)[..., None])[..., 0]
+            shifted = cross * np.exp(1j * (shift @ at.T).astype(np.float32))
+            curvature = (shifted.real @ products).reshape(-1, 2, 2) + 1e-6 * np.eye(2)
+            shift = shift - np.linalg.solve(curvature, (shifted.imag @ at)[..., None])[..., 0]
             reached = (cross * np.exp(1j * (shift @ at.T).astype(np.float32))).real.sum(axis=1)
             largest = np.maximum(largest, reached)
         return np.asarray(largest, dtype=np.float64)
@@ -159,10 +159,10 @@ def ordered_walks(
 
     walks = []
     for _ in range(count):
-        found = orders(boracchi_foi(rng, max_length_px=length_px), knots=_KNOTS, most=64)
-        apart = found[2:] - found[0]
+        walk = orders(boracchi_foi(rng, max_length_px=length_px), knots=_KNOTS, most=64)
+        apart = walk[2:] - walk[0]
         apart = apart - apart.mean(axis=1, keepdims=True)
         altered = 2 + np.flatnonzero(np.sqrt((apart**2).sum(axis=2).mean(axis=1)) >= _ALIKE_PX)
         chosen = rng.permutation(altered)[: _MOST_ALTERED - 1]
-        walks.append(found[[0, 1, *chosen]])
+        walks.append(walk[[0, 1, *chosen]])
     return walks

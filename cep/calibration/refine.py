@@ -204,7 +204,9 @@ def _best_by_test(
     def log_odds(path: Trajectory, baseline: Trajectory) -> float:
         total = 0.0
         for photo, code in zip(photos, codes, strict=True):
-            psfs = [coded_psf(each, code, each.frame_size(PSF_PX)) for each in (path, baseline)]
+            psfs = [
+                coded_psf(motion, code, motion.frame_size(PSF_PX)) for motion in (path, baseline)
+            ]
             test = compare_psfs(photo, *psfs)
             sign = {"forward": 1.0, "reverse": -1.0}.get(test.direction, 0.0)
             total += sign * float(np.log(test.confidence / (1 - test.confidence)))

@@ -39,7 +39,7 @@ class AdviseOptions(CommonOptions, CameraOptions, MotionOptions):
     """Options of ``cep advise``."""
 
     chips: Annotated[
-        int | None, chips_option(least=2, help="Number of chips; as many as pay when omitted.")
+        int | None, chips_option(fewest=2, help="Number of chips; as many as pay when omitted.")
     ] = None
     exposure: Exposure = None
     code: Annotated[
@@ -95,11 +95,11 @@ class AdviseOptions(CommonOptions, CameraOptions, MotionOptions):
         from cep.codes.sources import stated_chip_ns
         from cep.files.formatting import duration
 
-        stated = (
+        file_times_ns = (
             stated_chip_ns(source, code)
             for source, code in zip(self.code or (), codes, strict=True)
         )
-        times_ns = sorted({time_ns for time_ns in stated if time_ns is not None})
+        times_ns = sorted({time_ns for time_ns in file_times_ns if time_ns is not None})
         if len(times_ns) > 1:
             raise ValueError(
                 "--code: the files state chips of"
@@ -210,26 +210,31 @@ def advise(options: AdviseOptions) -> None:
             seed=options.seed,
             progress=part(tick, 0.4, 1.0),
         )
-    judged = [way for code in codes for way in advice.here.ways if way.code.bits == code.bits]
+    candidates = [
+        candidate
+        for code in codes
+        for candidate in advice.here.ways
+        if candidate.code.bits == code.bits
+    ]
     warnings = []
     if options.exposure is None and chip_ns is None:
         warnings.append("the exposure is taken as 50 ms; --exposure says how long it is")
 
-    def draw(made: Mapping[Path, Path]) -> None:
+    def draw(staged: Mapping[Path, Path]) -> None:
         if output is not None:
-            save(advice_figure(advice), made[output])
+            save(advice_figure(advice), staged[output])
 
     finish(
         {
             **advice.to_dict(),
-            "codes": [way.to_dict() for way in judged],
+            "codes": [candidate.to_dict() for candidate in candidates],
             "other_chips_db": gains,
             "plot": output,
             "seed": options.seed,
             "warnings": warnings,
         },
         as_json=options.as_json,
-        show=lambda console: _show(console, advice, judged, gains, output),
+        show=lambda console: _show(console, advice, candidates, gains, output),
         outputs=outputs,
         save=draw,
         tables=options.tables,
@@ -240,41 +245,50 @@ def advise(options: AdviseOptions) -> None:
 def _show(
     console: Console,
     advice: Advice,
-    own: Sequence[Way],
+    own_codes: Sequence[Way],
     other_chips_db: Mapping[int, float],
     plot: Path | None,
 ) -> None:
     from cep.files.formatting import duration
     from cep.search.chip_count import in_words_of_chips
 
-    here = advice.here
+    at_camera = advice.here
     problem = advice.problem
-    console.print(here.sentence)
+    console.print(at_camera.sentence)
     console.print(advice.where)
-    best = {way.label: way for kind in here.gains_db if (way := here.best(kind)) is not None}
-    shown = {**best, **{f"your {way.label}, {way.code.bits}": way for way in own}}
-    opened = here.ways[0]
+    best = {
+        candidate.label: candidate
+        for kind in at_camera.gains_db
+        if (candidate := at_camera.best(kind)) is not None
+    }
+    own_by_label = {
+        f"your {candidate.label}, {candidate.code.bits}": candidate for candidate in own_codes
+    }
+    open_shutter = at_camera.ways[0]
+    open_light_db = open_shutter.equal_light_db
     rows = [
         (
             name,
-            way.code.open_chips,
-            f"{way.psnr_db - opened.psnr_db:+.2f}",
-            None if here.open_saturates else f"{way.equal_light_db - opened.equal_light_db:+.2f}",
+            candidate.code.open_chips,
+            f"{candidate.psnr_db - open_shutter.psnr_db:+.2f}",
+            None
+            if at_camera.open_saturates
+            else f"{candidate.equal_light_db - open_light_db:+.2f}",
         )
-        for name, way in {opened.label: opened, **shown}.items()
+        for name, candidate in {open_shutter.label: open_shutter, **best, **own_by_label}.items()
     ]
     columns = ("", f"open, of {problem.chips}", "gain, dB", "at equal light, dB")
     console.print(table("over the open shutter, worse direction where unknown", columns, rows))
     levels = [
         (
-            f"{one.camera.photons_full_scale:,.0f}",
+            f"{level.camera.photons_full_scale:,.0f}",
             *(
-                f"{gain:+.2f}" if (gain := one.gains_db.get(kind)) is not None else None
+                f"{gain:+.2f}" if (gain := level.gains_db.get(kind)) is not None else None
                 for kind in ("snapshot", "code")
             ),
-            one.choice,
+            level.choice,
         )
-        for one in advice.levels
+        for level in advice.levels
     ]
     console.print(
         table(
@@ -283,12 +297,11 @@ def _show(
             levels,
         )
     )
-    others = in_words_of_chips(other_chips_db)
-    chip, whole = (
+    gains_note = in_words_of_chips(other_chips_db)
+    chip, exposure = (
         duration(time_ns * 1e-9) for time_ns in (problem.chip_ns, problem.chips * problem.chip_ns)
     )
-    console.print(
-        f"{problem.chips} chips of {chip}, {whole} in all{f'; {others}' if others else ''}"
-    )
+    chips = f"{problem.chips} chips of {chip}, {exposure} in all"
+    console.print(f"{chips}; {gains_note}" if gains_note else chips)
     if plot is not None:
         console.print(f"{plot}: gains over the light")

@@ -163,10 +163,10 @@ def calibrate(options: CalibrateOptions) -> None:
     better.json
     """
     images = options.images
-    given = options.method_options()
-    sources: list[str] = given.pop("codes") or []
+    method_options = options.method_options()
+    sources: list[str] = method_options.pop("codes") or []
     if options.trajectory is not None:
-        _refine(options, options.trajectory, given, sources)
+        _refine(options, options.trajectory, method_options, sources)
         return
     method = options.method or ("coded" if sources else "motdiff")
     folders = [image for image in images if image.is_dir()]
@@ -177,7 +177,7 @@ def calibrate(options: CalibrateOptions) -> None:
             "IMAGE: several are photos of one motion; give the photos, or one folder alone"
         )
     if folders:
-        _calibrate_folder(options, method, given)
+        _calibrate_folder(options, method, method_options)
         return
     _refuse_workers(options)
     with progress(f"estimating the motion ({method})") as tick:
@@ -193,7 +193,7 @@ def calibrate(options: CalibrateOptions) -> None:
         from motdiff.files.outputs import claim_folder, summary_on_failure
         from motdiff.files.trajectories import trajectory_text
 
-        check_method(method, {**given, "codes": sources or None})
+        check_method(method, {**method_options, "codes": sources or None})
         if options.gyro_unit not in (None, "rad", "deg"):
             raise ValueError(f"--gyro-unit: must be rad or deg, got {options.gyro_unit!r}")
         if options.gyro_unit is not None and method != "gyro":
@@ -204,14 +204,14 @@ def calibrate(options: CalibrateOptions) -> None:
         claim_folder(folder, CALIBRATION_FILES, force=options.force)
         photos = [read_photo(image, gamma=options.gamma) for image in images]
         values = read_options(
-            method, given, gamma=options.gamma, rate_unit=cast(Any, options.gyro_unit)
+            method, method_options, gamma=options.gamma, rate_unit=cast(Any, options.gyro_unit)
         )
         started = time.perf_counter()
         is_blind = method in blind_methods()
-        begins, ends = _BLIND_ESTIMATE if is_blind else _OTHER_ESTIMATE
+        start_share, end_share = _BLIND_ESTIMATE if is_blind else _OTHER_ESTIMATE
         if is_blind and len(images) > 1:
-            ends = _SEVERAL_END
-        tick(begins, "estimating")
+            end_share = _SEVERAL_END
+        tick(start_share, "estimating")
         pixels = [photo.pixels for photo in photos]
         try:
             calibration = estimate_motion(
@@ -219,13 +219,13 @@ def calibrate(options: CalibrateOptions) -> None:
                 method=method,
                 codes=codes,
                 seed=options.seed,
-                progress=part(tick, begins, ends),
+                progress=part(tick, start_share, end_share),
                 **values,
             )
         except ValueError as error:
             raise ValueError(_with_file(str(error), images)) from None
         seconds = time.perf_counter() - started
-        tick(ends, "writing")
+        tick(end_share, "writing")
         source: dict[str, object] = {"image": str(images[0]), "seed": options.seed}
         if codes is not None or len(images) > 1:
             source["images"] = [str(image) for image in images]
@@ -244,9 +244,9 @@ def calibrate(options: CalibrateOptions) -> None:
     warnings += [in_options(line, options.context) for line in calibration.warnings]
     result = calibration.to_dict(files, seconds=seconds, warnings=warnings)
     lines = _summary(calibration, folder, seconds=seconds, is_coded=codes is not None)
-    if given.get("gyro") is not None:
+    if method_options.get("gyro") is not None:
         columns = calibration.details["columns"]
-        lines.append(f"{given['gyro']}: {columns}; axes: {calibration.details['axes']}")
+        lines.append(f"{method_options['gyro']}: {columns}; axes: {calibration.details['axes']}")
     finish(result, as_json=options.as_json, show=lambda console: console.print(*lines, sep="\n"))
 
 
@@ -294,8 +294,10 @@ def _repeatability(length_px: float, details: Mapping[str, Any]) -> list[str]:
     agreeing = details["seen_in"]
     photos = details["photos"]
     if agreeing < 2:
-        alone = f"no two of {photos} photos alone show it alike"
-        return [f"One motion of {length_px:.0f} px; {alone}: whether it repeats is not known."]
+        lone_photos = f"no two of {photos} photos alone show it alike"
+        return [
+            f"One motion of {length_px:.0f} px; {lone_photos}: whether it repeats is not known."
+        ]
     squares = sum(distance**2 for distance in details["repeatability_px"] if distance is not None)
     # less one, as one of the paths may be the one that they are compared with
     apart_px = (squares / (agreeing - 1)) ** 0.5
@@ -316,7 +318,9 @@ _COLUMNS = {
 """Heads of the table of a folder."""
 
 
-def _calibrate_folder(options: CalibrateOptions, method: str, given: Mapping[str, Any]) -> None:
+def _calibrate_folder(
+    options: CalibrateOptions, method: str, method_options: Mapping[str, Any]
+) -> None:
     with progress(f"estimating the motion ({method})") as tick:
         from cep.calibration.calibrate_folder import calibrate_folder
 
@@ -324,7 +328,7 @@ def _calibrate_folder(options: CalibrateOptions, method: str, given: Mapping[str
             options.images[0],
             options.output,
             method=method,
-            options=given,
+            options=method_options,
             gamma=options.gamma,
             seed=options.seed,
             workers=options.workers,
@@ -336,7 +340,7 @@ def _calibrate_folder(options: CalibrateOptions, method: str, given: Mapping[str
             "folder": results.folder,
             "summary": results.summary,
             "method": method,
-            "photos": results.found,
+            "photos": results.figures,
             "seed": options.seed,
         },
         _COLUMNS,
@@ -348,13 +352,16 @@ def _calibrate_folder(options: CalibrateOptions, method: str, given: Mapping[str
 
 
 def _refine(
-    options: CalibrateOptions, trajectory: Path, given: Mapping[str, Any], sources: list[str]
+    options: CalibrateOptions,
+    trajectory: Path,
+    method_options: Mapping[str, Any],
+    sources: list[str],
 ) -> None:
     """Improve a calibrated path by photos of its motion through codes."""
     images = options.images
     if not sources:
         raise ValueError("--code: needed, once for each photo")
-    unused = {"method": options.method, **given}
+    unused = {"method": options.method, **method_options}
     for name in [name for name, value in unused.items() if value is not None]:
         raise ValueError(f"{name}: not valid with --trajectory")
     _refuse_workers(options)
@@ -402,8 +409,8 @@ def _refine(
             "codes": [code.bits for code in codes],
             "path_uncertainty_px": refinement.uncertainty_px,
         }
-        with outputs.written(summary=trajectory_text(refinement.trajectory)) as made:
-            write_motion(made[target], StoredMotion(refinement.trajectory, source=source))
+        with outputs.written(summary=trajectory_text(refinement.trajectory)) as staged:
+            write_motion(staged[target], StoredMotion(refinement.trajectory, source=source))
         tick(1.0)
     motion = refinement.trajectory
     warnings = [line for photo in photos for line in photo.warnings]
@@ -440,12 +447,12 @@ def _outcome(refinement: Refinement, *, given_direction: str) -> str:
         if refinement.trajectory.direction != given_direction:
             order = ", in the order in time that they show"
         return f"the given path is kept, as the photos show no better one{order}"
-    moved = f"refined by {refinement.moved_px:.2g} px rms"
+    change = f"refined by {refinement.moved_px:.2g} px rms"
     if refinement.confidence is not None:
         return (
-            f"{moved}; it explains the photos better with probability {refinement.confidence:.2f}"
+            f"{change}; it explains the photos better with probability {refinement.confidence:.2f}"
         )
     return (
-        f"{moved}; the photos' misfit fell from {refinement.given_misfit:.2f} to"
+        f"{change}; the photos' misfit fell from {refinement.given_misfit:.2f} to"
         f" {refinement.misfit:.2f} times the noise"
     )

@@ -29,7 +29,7 @@ class CalibrationSetOptions(CommonOptions):
             "--photos", metavar="N", min=1, max=8, help="Photos to be taken of the motion."
         ),
     ] = 4
-    chips: Annotated[int, chips_option(least=4)] = 52
+    chips: Annotated[int, chips_option(fewest=4)] = 52
     chip_ns: ChipTime = 1_000_000
     device: Device = None
     file_format: Annotated[
@@ -95,7 +95,7 @@ def calibration_set(options: CalibrationSetOptions) -> None:
         as_json=options.as_json,
         show=lambda console: _show(console, calibration, output),
         outputs=outputs,
-        save=lambda _made: calibration.save(
+        save=lambda _staged: calibration.save(
             output, file_format=options.file_format, force=options.force
         ),
         tables=options.tables,

@@ -246,5 +246,5 @@ def estimate(options: EstimateOptions) -> None:
         outputs=outputs,
         tables=options.table,
         summary=transfer.summary,
-        save=lambda made: measured.save(made[output], made[picture]),
+        save=lambda staged: measured.save(staged[output], staged[picture]),
     )

@@ -139,11 +139,11 @@ def audit(options: AuditOptions) -> None:
             problem = SearchProblem.along(
                 motion, chips=stored.code.chips, chip_ns=stored.code.chip_ns, camera=camera
             )
-            judged = verdict(problem, stored.code, path_error_px=path_error_px)
+            judgement = verdict(problem, stored.code, path_error_px=path_error_px)
             advice = {
-                "verdict": judged.sentence,
-                "choice": judged.choice,
-                "gains_db": judged.gains_db,
+                "verdict": judgement.sentence,
+                "choice": judgement.choice,
+                "gains_db": judgement.gains_db,
             }
     verified = None
     if stored.certificate:

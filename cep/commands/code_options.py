@@ -35,9 +35,9 @@ def _limit(name: str, help: str) -> Any:
     return _option(_LIMITS, name, "N", help, min=1)
 
 
-def chips_option(*, least: int, help: str = "Number of chips.") -> Any:
+def chips_option(*, fewest: int, help: str = "Number of chips.") -> Any:
     """Make the option ``--chips`` of a command."""
-    return typer.Option("--chips", "-n", metavar="N", min=least, help=help, rich_help_panel=_CODE)
+    return typer.Option("--chips", "-n", metavar="N", min=fewest, help=help, rich_help_panel=_CODE)
 
 
 def exposure_seconds(text: str | None) -> float | None:
@@ -92,7 +92,7 @@ ObjectiveMix = Annotated[
         _OBJECTIVE,
         "--objective",
         "NAME",
-        f"{'; '.join(f'{name} ({one.help})' for name, one in OBJECTIVES.items())}; or a mix as"
+        f"{'; '.join(f'{name} ({term.help})' for name, term in OBJECTIVES.items())}; or a mix as"
         " min-mtf:0.15,noise:1. mse when omitted; min-mtf with --method exact along a uniform"
         " straight motion.",
     ),
@@ -123,7 +123,7 @@ class CodeOptions(CameraOptions):
     """Number of chips, light, exposure and limits of the codes that are searched."""
 
     chips: Annotated[
-        int | None, chips_option(least=1, help="Number of chips; 52 when omitted.")
+        int | None, chips_option(fewest=1, help="Number of chips; 52 when omitted.")
     ] = None
     open_chips: OpenChips = None
     exposure: Exposure = None
@@ -229,14 +229,14 @@ def open_range(text: str | None, chips: int) -> tuple[int, int]:
     low, _, high = text.partition(":")
     try:
         fewest = int(low)
-        most = int(high or low)
+        largest = int(high or low)
     except ValueError:
         raise ValueError(
             f"--open: must be K or LOW:HIGH in whole chips, or in shares as 0.4:0.6, got {text!r}"
         ) from None
-    if not 1 <= fewest <= most <= chips:
+    if not 1 <= fewest <= largest <= chips:
         raise ValueError(f"--open: must lie within 1..{chips}, got {text}")
-    return fewest, most
+    return fewest, largest
 
 
 def objective_mix(text: str) -> Mix:

@@ -69,11 +69,11 @@ def in_options(message: str, context: Any) -> str:
         option = _spelling(match[1], context)
         return f"{option} {match[2] or match[3]}" if option else match[0]
 
-    names, colon, rest = message.partition(": ")
+    names, colon, fault = message.partition(": ")
     options = names if _FILE.search(names) else _NAMED.sub(spelt, names)
     if not colon or options == names:
         return message
-    return f"{options}: {_WITHIN.sub(spelt, _ASSIGNED.sub(given, rest))}"
+    return f"{options}: {_WITHIN.sub(spelt, _ASSIGNED.sub(given, fault))}"
 
 
 class _Page:
@@ -89,7 +89,7 @@ class _Page:
         for param in params:
             if getattr(param, "is_flag", False) and param.metavar is None:
                 param.metavar = ""  # typer calls it <bool>
-            if "--help" in param.opts and any(_panel(other) == COMMON for other in params):
+            if "--help" in param.opts and any(_panel(option) == COMMON for option in params):
                 param.rich_help_panel = COMMON
         return sorted(params, key=lambda param: _panel(param) == COMMON)
 
@@ -146,27 +146,27 @@ def _panel(param: Any) -> str | None:
 
 
 def _translated(error: ValueError, context: Any) -> ValueError:
-    made = ValueError(in_options(str(error), context))
+    translated = ValueError(in_options(str(error), context))
     for note in getattr(error, "__notes__", ()):
-        made.add_note(note)
-    return made
+        translated.add_note(note)
+    return translated
 
 
 def _spelling(name: str, context: Any) -> str | None:
     """Spell the option or argument that sets a parameter; None where none does."""
-    wanted = [_bare(option) for option in _SET_BY.get(name, (name,))]
-    found: list[tuple[bool, int, str]] = []
+    setters = [_bare(option) for option in _SET_BY.get(name, (name,))]
+    spellings: list[tuple[bool, int, str]] = []
     for param in context.command.params:
         longest = max(param.opts, key=len)
-        for known in (_bare(param.name), _bare(longest.lstrip("-").replace("-", "_"))):
-            if known in wanted:
+        for spelling in (_bare(param.name), _bare(longest.lstrip("-").replace("-", "_"))):
+            if spelling in setters:
                 argument = param.param_type_name == "argument"
                 text = (param.metavar or param.name.upper()).strip("[].") if argument else longest
                 source = context.get_parameter_source(param.name)
-                found.append(
-                    (source is None or source.name != "COMMANDLINE", wanted.index(known), text)
+                spellings.append(
+                    (source is None or source.name != "COMMANDLINE", setters.index(spelling), text)
                 )
-    return min(found)[2] if found else None
+    return min(spellings)[2] if spellings else None
 
 
 def _bare(name: str) -> str:
@@ -178,8 +178,14 @@ def _bare(name: str) -> str:
 def _pages(text: str) -> tuple[str, tuple[str, ...]]:
     """Split a docstring into what stands before the options, unwrapped, and the examples."""
     paragraphs = [_unwrapped(paragraph) for paragraph in text.split("\n\n") if paragraph.strip()]
-    examples = tuple(one.removeprefix(_EXAMPLE) for one in paragraphs if one.startswith(_EXAMPLE))
-    return "\n\n".join(one for one in paragraphs if not one.startswith(_EXAMPLE)), examples
+    examples = tuple(
+        paragraph.removeprefix(_EXAMPLE)
+        for paragraph in paragraphs
+        if paragraph.startswith(_EXAMPLE)
+    )
+    return "\n\n".join(
+        paragraph for paragraph in paragraphs if not paragraph.startswith(_EXAMPLE)
+    ), examples
 
 
 def _folded(command: str, width: int) -> list[str]:

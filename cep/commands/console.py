@@ -43,7 +43,7 @@ def finish(
     as_json: bool,
     show: Callable[[Console], None],
     outputs: Outputs | None = None,
-    save: Callable[[Mapping[Path, Path]], object] = lambda _made: None,
+    save: Callable[[Mapping[Path, Path]], object] = lambda _staged: None,
     tables: Path | None = None,
     summary: str = "",
 ) -> None:
@@ -66,12 +66,12 @@ def finish(
         The result in one line, which the error says where the outputs cannot be written.
     """
     if outputs is not None:
-        with outputs.written(summary=summary) as made:
+        with outputs.written(summary=summary) as staged:
             if tables is not None:
                 from cep.files.tables import write_sheets
 
-                write_sheets(_sheets(show), made[tables])
-            save(made)
+                write_sheets(_sheets(show), staged[tables])
+            save(staged)
     if as_json:
         from motdiff.files.json_files import json_text
 
@@ -116,18 +116,18 @@ def _sheets(show: Callable[[Console], None]) -> list[Sheet]:
 
     from cep.files.tables import Sheet
 
-    found: list[Sheet] = []
+    sheets: list[Sheet] = []
 
     class Collector(Console):
         def print(self, *objects: Any, **_: Any) -> None:
-            found.extend(
-                Sheet(one.title, one.columns, one.rows)
-                for one in objects
-                if isinstance(one, Table)
+            sheets.extend(
+                Sheet(item.title, item.columns, item.rows)
+                for item in objects
+                if isinstance(item, Table)
             )
 
     show(Collector(file=StringIO()))
-    return found
+    return sheets
 
 
 def warn(message: str) -> None:
@@ -221,13 +221,13 @@ def progress(task: str) -> Iterator[Tick]:
         yield tick
 
 
-def part(tick: Tick, begins: float, ends: float) -> Tick:
+def part(tick: Tick, start_share: float, end_share: float) -> Tick:
     """Return the tick of a part of the work, which begins and ends at these fractions of the
     whole.
     """
 
     def tell(fraction: float, note: str = "", /) -> None:
-        tick((1 - fraction) * begins + fraction * ends, note)
+        tick((1 - fraction) * start_share + fraction * end_share, note)
 
     return tell
 
@@ -244,14 +244,14 @@ class Table:
         Heads; the first column has the rows' names, which are always there and whole.
     rows : sequence of sequences
         As of :class:`cep.files.tables.Sheet`; None is shown as a dash.
-    kept : int
+    last_columns : int
         Columns at the end that are left out last.
     """
 
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
-    kept: int = 0
+    last_columns: int = 0
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Any]:
         """Render what fits."""
@@ -262,33 +262,33 @@ class Table:
         from motdiff.files.inputs import printable
 
         texts = [[_shown_text(value) for value in row] for row in self.rows]
-        shown, widths = self._fitted(texts, options.max_width)
-        made = RichTable(
+        columns, widths = self._fitted(texts, options.max_width)
+        grid = RichTable(
             title=Text(printable(self.title)),
             title_justify="left",
             title_style="bold",
             box=SIMPLE_HEAD,
             pad_edge=False,
         )
-        for index, width in zip(shown, widths, strict=True):
+        for index, width in zip(columns, widths, strict=True):
             justify: Any = "left" if index == 0 or _longest(texts, index) > _WIDE else "right"
-            made.add_column(
+            grid.add_column(
                 Text(printable(self.columns[index])), justify=justify, width=width, overflow="fold"
             )
         for row in texts:
-            made.add_row(*(row[index] for index in shown))
-        yield made
+            grid.add_row(*(row[index] for index in columns))
+        yield grid
         left_out = [
             printable(self.columns[index])
             for index in range(len(self.columns))
-            if index not in shown
+            if index not in columns
         ]
         if left_out:
-            told = (
+            note = (
                 f"left out, as {options.max_width} columns are too narrow: {'; '.join(left_out)}"
                 " (all are in --json)"
             )
-            yield Text(told)
+            yield Text(note)
 
     def _fitted(
         self, texts: Sequence[Sequence[Text]], available: int
@@ -296,38 +296,38 @@ class Table:
         """Choose the columns shown and their widths."""
         cells = [_longest(texts, index) for index in range(len(self.columns))]
         natural = [max(cell, len(head)) for cell, head in zip(cells, self.columns, strict=True)]
-        least = [
+        narrowest = [
             (
-                min(whole, _WIDE)
+                min(width, _WIDE)
                 if index == 0 or cell > _WIDE
                 else max(cell, *map(len, head.split() or [""]))
             )
-            for index, (whole, cell, head) in enumerate(
+            for index, (width, cell, head) in enumerate(
                 zip(natural, cells, self.columns, strict=True)
             )
         ]
-        shown = list(range(len(self.columns)))
+        columns = list(range(len(self.columns)))
         while (
-            len(shown) > 1
-            and sum(least[index] for index in shown) + _rules(len(shown)) > available
+            len(columns) > 1
+            and sum(narrowest[index] for index in columns) + _rules(len(columns)) > available
         ):
-            shown.pop(-1 - self.kept if len(shown) > 1 + self.kept else -1)
-        widths = [least[index] for index in shown]
-        spare = available - _rules(len(shown)) - sum(widths)
-        for place, index in enumerate(shown):  # names first
+            columns.pop(-1 - self.last_columns if len(columns) > 1 + self.last_columns else -1)
+        widths = [narrowest[index] for index in columns]
+        spare = available - _rules(len(columns)) - sum(widths)
+        for place, index in enumerate(columns):  # names first
             more = min(max(spare, 0), natural[index] - widths[place])
             widths[place] += more
             spare -= more
-        return shown, widths
+        return columns, widths
 
 
 def table(
-    title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, kept: int = 0
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, last_columns: int = 0
 ) -> Table:
     """Make a table: the first column is text, the others figures or texts; None is printed as a
     dash.
     """
-    return Table(title, columns, rows, kept)
+    return Table(title, columns, rows, last_columns)
 
 
 def photo_named(line: str, images: Sequence[Path]) -> str:
@@ -339,8 +339,8 @@ def photo_named(line: str, images: Sequence[Path]) -> str:
     >>> photo_named("photo 2: is too small", [Path("one.png"), Path("two.png")])
     'two.png: is too small'
     """
-    found = re.match(r"photo(?: (\d+))?: ", line)
-    return line if found is None else f"{images[int(found[1] or 1) - 1]}: {line[found.end() :]}"
+    prefix = re.match(r"photo(?: (\d+))?: ", line)
+    return line if prefix is None else f"{images[int(prefix[1] or 1) - 1]}: {line[prefix.end() :]}"
 
 
 def _shown_text(value: object) -> Text:

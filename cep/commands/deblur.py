@@ -89,19 +89,21 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
         """
         method = "wiener" if self.method == "auto" else self.method
         find_method(method)
-        if sum(given is not None for given in (self.trajectory, self.linear, self.psf)) > 1:
+        if sum(source is not None for source in (self.trajectory, self.linear, self.psf)) > 1:
             raise ValueError(
                 "--trajectory FILE, --linear PX and --psf FILE: give one of them at most"
             )
         if self.psf is not None and self.code is not None:
             raise ValueError("--code: not valid with --psf, whose file already holds the code")
-        *others, last = (each.name for each in METHODS.values() if each.uses_camera)
-        if method not in (*others, last):
+        *names, last = (
+            restoration.name for restoration in METHODS.values() if restoration.uses_camera
+        )
+        if method not in (*names, last):
             for name in ("camera", "photons", "read_noise"):
                 if getattr(self, name) is not None:
                     raise ValueError(
                         f"--{name.replace('_', '-')}: not valid with --method {method};"
-                        f" {', '.join(others)} and {last} use the camera"
+                        f" {', '.join(names)} and {last} use the camera"
                     )
 
 
@@ -147,16 +149,16 @@ def deblur(options: DeblurOptions) -> None:
         from cep.restoration.restore import restore
 
         options.check()
-        known: dict[str, Any] = {}
+        inputs: dict[str, Any] = {}
         warnings: list[str] = []
         if options.has_camera:
-            known["camera"] = options.load_camera()
+            inputs["camera"] = options.load_camera()
         if options.trajectory is not None or options.linear is not None:
-            known["trajectory"] = options.load_motion().trajectory
+            inputs["trajectory"] = options.load_motion().trajectory
             if code is not None:
-                check_resolved(known["trajectory"], code.chips)
+                check_resolved(inputs["trajectory"], code.chips)
         if options.psf is not None:
-            known["psf"], doubts = load_psf(options.psf)
+            inputs["psf"], doubts = load_psf(options.psf)
             warnings += doubts
         photo = read_photo(options.image, gamma=options.gamma)
         try:
@@ -173,7 +175,7 @@ def deblur(options: DeblurOptions) -> None:
             method=options.method,
             seed=options.seed,
             progress=part(tick, 0.05, 0.98),
-            **known,
+            **inputs,
         )
         with outputs.written() as folder:
             restored.save(folder[target], bits=photo.bits, gamma=options.gamma)

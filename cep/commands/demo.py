@@ -118,7 +118,7 @@ def demo(options: DemoOptions) -> None:
         console.print(chain.advice.here.sentence)
         for shot in chain.shots:
             console.print(
-                f"{shot.kind:9} {shot.way.code.duty:5.0%} of the light, restored to"
+                f"{shot.kind:9} {shot.exposure.code.duty:5.0%} of the light, restored to"
                 f" {shot.psnr_db:.2f} dB"
             )
         console.print(f"The report is {figures['report']} ({result['seconds']:.0f} s)")

@@ -84,8 +84,8 @@ def emulate(options: EmulateOptions) -> None:
     finally:
         uno.stop()
     if vcd is not None:
-        with Outputs((vcd,), options.force).written() as made:
-            uno.write_vcd(made[vcd])
+        with Outputs((vcd,), options.force).written() as staged:
+            uno.write_vcd(staged[vcd])
     edges = uno.edges()
     result = {
         "board": board,
@@ -110,7 +110,7 @@ def _run(uno: EmulatedUno, seconds: float | None) -> None:
     signals: list[int] = []
     # The ordinary end must not come as an exception: it could break off a word with the emulator.
     handlers = {
-        number: signal.signal(number, lambda sent, _: signals.append(sent))
+        number: signal.signal(number, lambda signum, _: signals.append(signum))
         for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:

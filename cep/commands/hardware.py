@@ -72,7 +72,7 @@ def export(options: ExportOptions) -> None:
         as_json=options.as_json,
         show=lambda console: console.print(line),
         outputs=outputs,
-        save=lambda made: write_text(made[target], text),
+        save=lambda staged: write_text(staged[target], text),
     )
 
 

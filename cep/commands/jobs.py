@@ -47,7 +47,7 @@ def only_of_folders(where: str, workers: int | None, dask: str | None, cache: Pa
 def finish_folder(
     result: Mapping[str, object],
     columns: Mapping[str, str],
-    found: FolderResults,
+    results: FolderResults,
     *,
     title: str,
     noun: str,
@@ -64,7 +64,7 @@ def finish_folder(
         added.
     columns : mapping from a row's key to the head that people read
         The first is the name; a figure that no row has is left out.
-    found : FolderResults
+    results : FolderResults
     title, noun : str
         Of the table, and what its rows are, in the plural.
     as_json : bool
@@ -77,31 +77,34 @@ def finish_folder(
         1 where a row failed, 130 after Ctrl-C.
     """
     name, *figures = columns
-    rows = found.rows
-    missing = found.missing
+    rows = results.rows
+    missing = results.missing
     failures = {
         str(row[name]): str(row["failure"])
         for row in rows
         if row.get("failure") not in (None, "", NOT_REACHED)
     }
-    told = [*found.warnings, *(f"{failed}: {reason}" for failed, reason in failures.items())]
+    warnings = [*results.warnings, *(f"{failed}: {reason}" for failed, reason in failures.items())]
     if missing:
-        told.append(
+        warnings.append(
             f"stopped early: {missing} {noun} are left out; the same command with --force goes on"
         )
 
     def show(console: Console) -> None:
-        shown = [key for key in figures if any(row.get(key) is not None for row in rows)]
-        lines = [(str(row[name]), *(row.get(key) for key in shown), _state(row)) for row in rows]
+        filled = [key for key in figures if any(row.get(key) is not None for row in rows)]
+        lines = [(str(row[name]), *(row.get(key) for key in filled), _state(row)) for row in rows]
         console.print(
             table(
-                title, (columns[name], *(columns[key] for key in shown), "warnings"), lines, kept=1
+                title,
+                (columns[name], *(columns[key] for key in filled), "warnings"),
+                lines,
+                last_columns=1,
             )
         )
         console.print(str(result["summary"]))
 
     finish(
-        {**result, "failures": failures, "missing": missing, "warnings": told},
+        {**result, "failures": failures, "missing": missing, "warnings": warnings},
         as_json=as_json,
         show=show,
         outputs=outputs,

@@ -93,8 +93,8 @@ app = typer.Typer(
 )
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(is_asked: bool) -> None:
+    if is_asked:
         from cep import __version__
 
         typer.echo(__version__)
@@ -140,16 +140,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         The command line without the program's name; that of this process when omitted.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
-    for name in (given[0], " ".join(given[:2])):
+    words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    for name in (words[0], " ".join(words[:2])):
         if name in _MOVED:
             complain(f"{name} {_MOVED[name]}")
             return BAD_INPUT
-    for option in (word.partition("=")[0] for word in given[1:]):
-        if moved := _MOVED_OPTIONS.get(given[0], {}).get(option):
-            complain(f"{option} {moved}")
+    for option in (word.partition("=")[0] for word in words[1:]):
+        if successor := _MOVED_OPTIONS.get(words[0], {}).get(option):
+            complain(f"{option} {successor}")
             return BAD_INPUT
-    return run_app(app, given, name="cep")
+    return run_app(app, words, name="cep")
 
 
 def run_app(app: typer.Typer, arguments: Sequence[str], *, name: str) -> int:
@@ -179,7 +179,7 @@ def run_app(app: typer.Typer, arguments: Sequence[str], *, name: str) -> int:
     return outcome if isinstance(outcome, int) else 0
 
 
-def _show_warning(message: Warning | str, *_rest: object, **_options: object) -> None:
+def _show_warning(message: Warning | str, *_location: object, **_options: object) -> None:
     """Print a warning of a library as every other, one line without the place in the sources."""
     warn(str(message))
 

@@ -40,7 +40,7 @@ class OptimizeOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
     chips: Annotated[
         int | None,
         chips_option(
-            least=1,
+            fewest=1,
             help="Number of chips; when omitted as many as pay where mse is searched, else 52.",
         ),
     ] = None
@@ -175,7 +175,7 @@ def optimize(options: OptimizeOptions) -> None:
         as_json=options.as_json,
         show=lambda console: _show(console, best, options.output),
         outputs=outputs,
-        save=lambda made: best.save(made[options.output], source=source),
+        save=lambda staged: best.save(staged[options.output], source=source),
         summary=best.code.bits,
     )
 
@@ -186,16 +186,16 @@ def _show(console: Console, best: Optimum, file: Path) -> None:
     from cep.search.chip_count import in_words_of_chips
 
     code = best.code
-    found = best.found
+    search = best.found
     straight = best.along is None
     console.print(best.verdict.sentence)
     console.print(f"{file}: {code.bits}")
-    chip, whole = (duration(time_ns * 1e-9) for time_ns in (code.chip_ns, code.duration_ns))
+    chip, exposure = (duration(time_ns * 1e-9) for time_ns in (code.chip_ns, code.duration_ns))
     light = (
-        f"{code.open_chips} of {code.chips} chips open, {openings(code)}; {chip} a chip, {whole}"
-        " in all"
+        f"{code.open_chips} of {code.chips} chips open, {openings(code)}; {chip} a chip,"
+        f" {exposure} in all"
     )
-    console.print(f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}")
+    console.print(f"{light}; {search.seconds:.1f} s, {ending(search.stopped, search.steps)}")
     if best.chip_count is not None and best.chip_count.gains_db:
         console.print(in_words_of_chips(best.chip_count.gains_db))
     lowest_head = "min |P|, chips" if straight else "min MTF"
@@ -214,10 +214,10 @@ def _show(console: Console, best: Optimum, file: Path) -> None:
         f"certified: min {'|P|' if straight else '|H|'} lies within "
         f"{best.certificate.lower:.6g}..{best.certificate.upper:.6g} ({best.certificate.method})"
     )
-    if found.stopped == "proven" and found.proof is not None:
-        proof = f" ({found.proof['file']})" if "file" in found.proof else ""
+    if search.stopped == "proven" and search.proof is not None:
+        proof = f" ({search.proof['file']})" if "file" in search.proof else ""
         console.print(
-            f"proven{proof}: no code within the limits is better on {found.proof['domain']}"
+            f"proven{proof}: no code within the limits is better on {search.proof['domain']}"
         )
     elif best.bound is not None:
         console.print(

@@ -37,9 +37,9 @@ def saved_on_interrupt(outputs: Outputs) -> Iterator[Callable[[Mapping[Path, Sto
     except KeyboardInterrupt:
         if codes:
             summary = in_bits(stored.code for stored in codes.values())
-            with replace(outputs, paths=tuple(codes)).written(summary=summary) as made:
+            with replace(outputs, paths=tuple(codes)).written(summary=summary) as staged:
                 for path, stored in codes.items():
-                    write_code(made[path], stored)
+                    write_code(staged[path], stored)
         raise
     except Exception as error:
         if codes:

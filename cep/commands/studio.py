@@ -83,11 +83,11 @@ def studio(options: StudioOptions) -> None:
         ) from None
     from cep.studio.server import serve
 
-    opened = None
+    state = None
     if options.file is not None:
         from cep.studio.documents import stored_state
 
-        opened = stored_state(options.file)
+        state = stored_state(options.file)
 
     def ready(address: str) -> None:
         if options.as_json:
@@ -112,7 +112,7 @@ def studio(options: StudioOptions) -> None:
 
     serve(
         port=options.port,
-        opened=opened,
+        first_state=state,
         on_ready=ready,
         browse=None if options.no_browser else browse,
     )

@@ -153,7 +153,7 @@ def _verify_recording(options: VerifyOptions, capture: Path) -> None:
         show=lambda console: console.print(table(f"{capture}, {playback.signal}", heads, rows)),
         outputs=Outputs(tuple(tables), force),
         tables=options.table,
-        save=lambda _made: (
+        save=lambda _staged: (
             output and playback.save(output, motion=motion, device=device, force=force)
         ),
     )

@@ -145,9 +145,9 @@ def _along(axis: FloatArray, extent_px: float, oversampling: int, across: int) -
     high = np.full(s.size, np.inf)
     for along, sideways in zip(axis, (-axis[1], axis[0]), strict=True):
         if abs(sideways) > 1e-12:
-            ends = np.stack([(-0.5 - s * along) / sideways, (0.5 - s * along) / sideways])
-            low = np.maximum(low, ends.min(axis=0))
-            high = np.minimum(high, ends.max(axis=0))
+            crossings = np.stack([(-0.5 - s * along) / sideways, (0.5 - s * along) / sideways])
+            low = np.maximum(low, crossings.min(axis=0))
+            high = np.minimum(high, crossings.max(axis=0))
     weight = np.maximum(high - low, 0.0)
     weight[[0, -1]] *= 0.5
     # across the line a scene's 1 / (s^2 + q^2) peaks at q = 0: evenly spaced in asinh(q / width)

@@ -115,8 +115,8 @@ class Camera:
         ):
             object.__setattr__(self, name, _number(name, getattr(self, name)))
         for name in ("full_well_e", "gain_e_per_dn"):
-            if (given := getattr(self, name)) is not None:
-                object.__setattr__(self, name, value := _number(name, given))
+            if (electrons := getattr(self, name)) is not None:
+                object.__setattr__(self, name, value := _number(name, electrons))
                 if not (math.isfinite(value) and value > 0):
                     raise ValueError(
                         f"{name}: must be above 0 electrons, got {value}; leave it out where not"
@@ -295,8 +295,10 @@ class Camera:
         """Fields as a JSON document with its schema; of a profile's fields those that are
         stated.
         """
-        stated = {key: value for key, value in asdict(self).items() if key not in _STATED or value}
-        return {"schema": SCHEMA, **stated}
+        entries = {
+            key: value for key, value in asdict(self).items() if key not in _STATED or value
+        }
+        return {"schema": SCHEMA, **entries}
 
     @classmethod
     def load(cls, name_or_file: str | Path) -> Camera:
@@ -319,8 +321,10 @@ class Camera:
         if name_or_file in names:
             with resources.as_file(_profiles() / f"{name_or_file}.toml") as path:
                 return cls.from_file(path)
-        near = get_close_matches(name_or_file.lower(), names, n=3, cutoff=0.5)
-        right = f"did you mean {' or '.join(near)}?" if near else f"known are {', '.join(names)}."
+        alike = get_close_matches(name_or_file.lower(), names, n=3, cutoff=0.5)
+        right = (
+            f"did you mean {' or '.join(alike)}?" if alike else f"known are {', '.join(names)}."
+        )
         raise ValueError(
             f"camera: {one_line(name_or_file)!r} is not known; {right} Or name a .json or .toml"
             " file"
@@ -337,8 +341,8 @@ class Camera:
             If the schema or a field is not known, or a value is out of range.
         """
         values = {key: value for key, value in document.items() if key != "schema"}
-        if (found := document.get("schema", SCHEMA)) != SCHEMA:
-            raise ValueError(f'wanted schema "{SCHEMA}", found {found!r}')
+        if (schema := document.get("schema", SCHEMA)) != SCHEMA:
+            raise ValueError(f'wanted schema "{SCHEMA}", found {schema!r}')
         if (wrong := fault(dict(document), load_schema("cep.files", "camera"))) is not None:
             raise ValueError(wrong)
         if isinstance(bits := values.get("bits"), float):

@@ -69,8 +69,8 @@ class ShutterCode:
         if "1" not in text:
             what = "all chips are closed" if text else "the code is empty"
             raise ValueError(f"bits: {what}; at least one chip must be open")
-        whole = isinstance(chip_ns, int | np.integer) and not isinstance(chip_ns, bool)
-        if not (whole and 0 < chip_ns < 2**63):
+        is_integer = isinstance(chip_ns, int | np.integer) and not isinstance(chip_ns, bool)
+        if not (is_integer and 0 < chip_ns < 2**63):
             raise ValueError(
                 f"chip_ns: must be a whole number of nanoseconds within 1..2^63-1, got {chip_ns!r}"
             )

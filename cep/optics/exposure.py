@@ -55,13 +55,13 @@ class OpenPath:
         delta_px = np.pi * (self.b - self.a).T
         step = max(1, _CHUNK // self.dt.size)
         for lo in range(0, len(f), step):
-            part = f[lo : lo + step]
-            half = part @ delta_px
+            f_chunk = f[lo : lo + step]
+            half = f_chunk @ delta_px
             # numpy's sinc patches 0 with a copy; a tiny offset costs no accuracy and saves a third
             # of the time
             half += 1e-20
             gain = np.sin(half) / half
-            phase = part @ phase_px
+            phase = f_chunk @ phase_px
             out[lo : lo + step] = (gain * np.cos(phase)) @ self.dt + 1j * (
                 (gain * np.sin(phase)) @ self.dt
             )
@@ -97,12 +97,12 @@ def open_path(
     """
     if edges is None and response is None:
         pieces = trajectory.segments(np.linspace(0, 1, code.chips + 1))
-        seen = code.array[pieces.slice_index] > 0
-        return OpenPath(pieces.dt[seen], pieces.a[seen], pieces.b[seen])
+        is_open = code.array[pieces.slice_index] > 0
+        return OpenPath(pieces.dt[is_open], pieces.a[is_open], pieces.b[is_open])
     played = timeline(trajectory, checked_edges(edges, code.chips), response, code=code)
     transmission = played.transmission(code)
-    seen = transmission > 0
-    return OpenPath((played.dt * transmission)[seen], played.a[seen], played.b[seen])
+    is_open = transmission > 0
+    return OpenPath((played.dt * transmission)[is_open], played.a[is_open], played.b[is_open])
 
 
 def chip_basis(
@@ -161,7 +161,7 @@ def chip_parts(
     basis = sums[0, :-1]
     opening = sums[1, :-1]
     closing = sums[2, 1:]
-    return tuple(part.reshape(chips, *fx.shape) for part in (basis, opening, closing))  # type: ignore[return-value]
+    return tuple(term.reshape(chips, *fx.shape) for term in (basis, opening, closing))  # type: ignore[return-value]
 
 
 def chip_rows(

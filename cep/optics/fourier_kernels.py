@@ -39,12 +39,12 @@ def chip_sums(
     (W, chips, F) complex ndarray
     """
     delta = b - a
-    again = np.zeros(len(a), dtype=np.bool_)
+    same_step = np.zeros(len(a), dtype=np.bool_)
     # a chain of rotations ends with its chip: it would gather rounding errors
-    again[1:] = (np.abs(np.diff(delta, axis=0)) < _SAME_PX).all(axis=1) & (np.diff(chip) == 0)
+    same_step[1:] = (np.abs(np.diff(delta, axis=0)) < _SAME_PX).all(axis=1) & (np.diff(chip) == 0)
     out = np.zeros((f.shape[1], chips, len(weights)), dtype=np.complex128)
     _accumulate(
-        np.pi * f.T.copy(), a + b, delta, again, np.ascontiguousarray(weights.T), chip, out
+        np.pi * f.T.copy(), a + b, delta, same_step, np.ascontiguousarray(weights.T), chip, out
     )
     return out.transpose(2, 1, 0)
 
@@ -52,9 +52,9 @@ def chip_sums(
 @compiled
 def _accumulate(
     f: FloatArray,
-    ends: FloatArray,
+    end_sums: FloatArray,
     delta: FloatArray,
-    again: NDArray[np.bool_],
+    same_step: NDArray[np.bool_],
     weights: FloatArray,
     chip: NDArray[np.intp],
     out: NDArray[np.complex128],
@@ -65,12 +65,12 @@ def _accumulate(
         wave = complex(1.0, 0.0)
         turn = complex(1.0, 0.0)
         gain = 1.0
-        for s in range(ends.shape[0]):
-            if again[s]:
+        for s in range(end_sums.shape[0]):
+            if same_step[s]:
                 wave *= turn
             else:
                 half = x * delta[s, 0] + y * delta[s, 1]
-                phase = x * ends[s, 0] + y * ends[s, 1]
+                phase = x * end_sums[s, 0] + y * end_sums[s, 1]
                 sine = np.sin(half)
                 cosine = np.cos(half)
                 gain = sine / half if abs(half) > 1e-9 else 1.0

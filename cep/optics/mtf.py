@@ -61,8 +61,8 @@ def scene_strength() -> float:
     # the inner integral of 1 / (f^2 + f0^2) has a closed form; u = asinh(fx / f0) makes the outer
     # one smooth
     u = np.linspace(0, np.arcsinh(0.5 / _LOWEST_CY_PX), 2001)
-    rest = np.sqrt((_LOWEST_CY_PX * np.sinh(u)) ** 2 + _LOWEST_CY_PX**2)
-    return SCENE_STD**2 / float(4 * np.trapezoid(np.arctan(0.5 / rest), u))
+    radius = np.sqrt((_LOWEST_CY_PX * np.sinh(u)) ** 2 + _LOWEST_CY_PX**2)
+    return SCENE_STD**2 / float(4 * np.trapezoid(np.arctan(0.5 / radius), u))
 
 
 def inverse_scene(samples: BandSamples) -> FloatArray:

@@ -41,11 +41,12 @@ def check_frame(trajectory: Trajectory) -> None:
             f"trajectory: the path needs a PSF of {frame} px around its zero, at most"
             f" {LARGEST_FRAME_PX} can be handled"
         )
-    most = min(MOST_SAMPLES, _MOST_WORK // frame**2)
-    if trajectory.t.size > most:
+    max_samples = min(MOST_SAMPLES, _MOST_WORK // frame**2)
+    if trajectory.t.size > max_samples:
         raise ValueError(
-            f"trajectory: the path has {trajectory.t.size} samples, at most {most} of such a path"
-            " can be measured; give fewer, the noise between them is not the camera's motion"
+            f"trajectory: the path has {trajectory.t.size} samples, at most {max_samples} of such"
+            " a path can be measured; give fewer, the noise between them is not the"
+            " camera's motion"
         )
 
 
@@ -63,9 +64,9 @@ def check_resolved(trajectory: Trajectory, chips: int) -> None:
             f"trajectory: the path stays in place, a code of {chips} chips needs a motion of at"
             f" least {chips * FINEST_CHIP_PX:g} px ({FINEST_CHIP_PX} px each)"
         )
-    most = max(1, int(trajectory.length_px / FINEST_CHIP_PX))
-    if chips > most:
+    resolved = max(1, int(trajectory.length_px / FINEST_CHIP_PX))
+    if chips > resolved:
         raise ValueError(
             f"chips: {chips} chips are too many for a path of {trajectory.length_px:.1f} px, "
-            f"at most {most} can be resolved ({FINEST_CHIP_PX} px each)"
+            f"at most {resolved} can be resolved ({FINEST_CHIP_PX} px each)"
         )

@@ -83,8 +83,8 @@ class FramePair:
         second order in the difference.
         """
         scale = self._scale(black)
-        found = float(scale @ self.covariance @ scale) / 2
-        return found if found > _ROUNDING * self.covariance.trace() else 0.0
+        variance = float(scale @ self.covariance @ scale) / 2
+        return variance if variance > _ROUNDING * self.covariance.trace() else 0.0
 
     def banding(self, black: float) -> float:
         """Part of the variance that rows or columns of differing light make up; 0 where it is not
@@ -124,13 +124,13 @@ class FramePair:
         ValueError
             If the shapes differ.
         """
-        one = np.asarray(first)
-        two = np.asarray(second)
-        if one.shape != two.shape:
-            raise ValueError(f"differ in size, {_size(one)} and {_size(two)} px")
+        dn_a = np.asarray(first)
+        dn_b = np.asarray(second)
+        if dn_a.shape != dn_b.shape:
+            raise ValueError(f"differ in size, {_size(dn_a)} and {_size(dn_b)} px")
         light = np.arange(65536.0) if codes is None else np.asarray(codes, dtype=np.float64)
-        a = light[one]
-        b = light[two]
+        a = light[dn_a]
+        b = light[dn_b]
         means = np.array([a.mean(), b.mean()])
         da = a.ravel() - means[0]
         db = b.ravel() - means[1]
@@ -142,9 +142,9 @@ class FramePair:
                 if a.ndim == 2
                 else ()
             ),
-            histogram=np.bincount(one.ravel(), minlength=65536)
-            + np.bincount(two.ravel(), minlength=65536),
-            pixels=one.size,
+            histogram=np.bincount(dn_a.ravel(), minlength=65536)
+            + np.bincount(dn_b.ravel(), minlength=65536),
+            pixels=dn_a.size,
         )
 
     def quantile(self, share: float) -> int:
@@ -316,9 +316,9 @@ def find_code_range(
         raise ValueError(
             f"bits: must lie within 1..{file_bits} for files of {file_bits} bits, got {bits}"
         )
-    held = np.flatnonzero(np.sum([pair.histogram for pair in pairs], axis=0))
-    largest = int(held[-1])
-    gap = int(np.diff(held).min()) if held.size > 1 else 1
+    values_dn = np.flatnonzero(np.sum([pair.histogram for pair in pairs], axis=0))
+    largest = int(values_dn[-1])
+    gap = int(np.diff(values_dn).min()) if values_dn.size > 1 else 1
     assumed = ""
     if bits is None:
         bits = file_bits - round(math.log2(gap))
@@ -332,7 +332,7 @@ def find_code_range(
     if largest < 2**bits:
         return CodeRange(bits, assumed=assumed)
     shift = 2 ** (file_bits - bits)
-    shifted = not (held % shift).any()
+    shifted = not (values_dn % shift).any()
     return CodeRange(bits, float(shift) if shifted else (2**file_bits - 1) / (2**bits - 1))
 
 
@@ -440,8 +440,8 @@ def photon_transfer(
         order, saturated, variance, slope * signal + floor, codes, black, gain, response
     )
     uses: list[Literal["fitted", "above the fit", "saturated"]] = [
-        "saturated" if full else "fitted" if used else "above the fit"
-        for full, used in zip(saturated, fitted, strict=True)
+        "saturated" if full else "fitted" if is_fitted else "above the fit"
+        for full, is_fitted in zip(saturated, fitted, strict=True)
     ]
     return PhotonTransfer(
         gain_e_per_dn=gain,

@@ -53,14 +53,14 @@ class ShutterResponse:
                 raise ValueError(f"{field.name}: must be a time of at least 0 ns, got {value}")
         if self.chip_ns == 0:
             raise ValueError("chip_ns: must be above 0 ns, got 0")
-        for names, least in (
+        for names, transition_ns in (
             ("on_delay_ns + rise_ns", self.opening_ns),
             ("on_bias_ns + fall_ns", self.closing_ns),
         ):
-            if least > self.chip_ns:
+            if transition_ns > self.chip_ns:
                 raise ValueError(
-                    f"{names}: {least:g} ns is longer than a chip of {self.chip_ns:g} ns; "
-                    f"chips of at least {least:g} ns would do"
+                    f"{names}: {transition_ns:g} ns is longer than a chip of {self.chip_ns:g} ns; "
+                    f"chips of at least {transition_ns:g} ns would do"
                 )
         if self.on_delay_ns == self.chip_ns:
             raise ValueError(

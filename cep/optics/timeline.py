@@ -49,12 +49,12 @@ class Timeline:
     def transmission(self, code: ShutterCode) -> FloatArray:
         """Transmission (S,) of the shutter under a code, closed before and after it."""
         chips = np.concatenate([[0.0], code.array, [0.0]])
-        before = chips[self.chip]
-        now = chips[self.chip + 1]
+        previous = chips[self.chip]
+        current = chips[self.chip + 1]
         return np.where(
-            now > 0,
-            np.where(before > 0, 1.0, self.opening),
-            np.where(before > 0, self.closing, 0.0),
+            current > 0,
+            np.where(previous > 0, 1.0, self.opening),
+            np.where(previous > 0, self.closing, 0.0),
         )
 
     def frame_size(self) -> int:

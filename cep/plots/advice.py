@@ -24,10 +24,14 @@ def advice_figure(advice: Advice) -> Figure:
     """
     figure = new_figure(7.2, 4.6)
     axes = figure.subplots()
-    light = [one.camera.photons_full_scale for one in advice.levels]
+    light = [level.camera.photons_full_scale for level in advice.levels]
     axes.axhline(0.0, color="black", linewidth=1.0)
     full = next(
-        (level for level, one in zip(light, advice.levels, strict=True) if one.open_saturates),
+        (
+            photons
+            for photons, level in zip(light, advice.levels, strict=True)
+            if level.open_saturates
+        ),
         None,
     )
     saturates = "" if full is None else f"; at {full:,.0f} and more it saturates"
@@ -41,8 +45,8 @@ def advice_figure(advice: Advice) -> Figure:
         va="top",
     )
     for (kind, name), colour, line in zip(_NAMES.items(), COLOURS, LINES, strict=False):
-        gains = [(one.camera.photons_full_scale, one.gains_db) for one in advice.levels]
-        points = [(level, gain[kind]) for level, gain in gains if kind in gain]
+        gains = [(level.camera.photons_full_scale, level.gains_db) for level in advice.levels]
+        points = [(photons, gain[kind]) for photons, gain in gains if kind in gain]
         if points:
             axes.plot(
                 *zip(*points, strict=True),

@@ -19,18 +19,20 @@ _MARKS: dict[str, dict[str, Any]] = {
 }
 
 
-def photon_transfer_figure(found: PhotonTransfer) -> Figure:
+def photon_transfer_figure(transfer: PhotonTransfer) -> Figure:
     """Draw variance against mean, both axes logarithmic, with the fit, its two terms and the
     saturation.
 
     Parameters
     ----------
-    found : PhotonTransfer
+    transfer : PhotonTransfer
     """
     figure = new_figure(7.2, 5.4)
     axes = figure.subplots()
     for use, style in _MARKS.items():
-        points = [point for point in found.points if point.use == use and point.variance_dn2 > 0]
+        points = [
+            point for point in transfer.points if point.use == use and point.variance_dn2 > 0
+        ]
         if points:
             axes.plot(
                 [point.signal_dn for point in points],
@@ -40,13 +42,13 @@ def photon_transfer_figure(found: PhotonTransfer) -> Figure:
                 label=f"flat pairs, {use}",
                 **style,
             )
-    slope = 1 / found.gain_e_per_dn
-    floor = (found.read_noise_e / found.gain_e_per_dn) ** 2
-    brightest = found.points[-1].signal_dn
+    slope = 1 / transfer.gain_e_per_dn
+    floor = (transfer.read_noise_e / transfer.gain_e_per_dn) ** 2
+    brightest = transfer.points[-1].signal_dn
     signal = np.geomspace(
-        min(found.points[0].signal_dn, max(floor / slope, 0.1)) / 4, 1.4 * brightest, 200
+        min(transfer.points[0].signal_dn, max(floor / slope, 0.1)) / 4, 1.4 * brightest, 200
     )
-    fit = f"fit: {found.gain_e_per_dn:.3g} e⁻/DN"
+    fit = f"fit: {transfer.gain_e_per_dn:.3g} e⁻/DN"
     axes.plot(signal, slope * signal + floor, color="black", linewidth=1.2, label=fit)
     axes.plot(
         signal, slope * signal, color="0.5", linewidth=1, linestyle="--", label="photon noise"
@@ -56,12 +58,12 @@ def photon_transfer_figure(found: PhotonTransfer) -> Figure:
         color="0.5",
         linewidth=1,
         linestyle=":",
-        label=f"read noise: {found.read_noise_e:.3g} e⁻",
+        label=f"read noise: {transfer.read_noise_e:.3g} e⁻",
     )
-    if found.dark_variance_dn2 is not None and found.dark_variance_dn2 > 0:
+    if transfer.dark_variance_dn2 is not None and transfer.dark_variance_dn2 > 0:
         axes.plot(
             [0.0],
-            [found.dark_variance_dn2],
+            [transfer.dark_variance_dn2],
             transform=axes.get_yaxis_transform(),
             marker=">",
             clip_on=False,
@@ -70,21 +72,21 @@ def photon_transfer_figure(found: PhotonTransfer) -> Figure:
             zorder=4,
             label="dark pair",
         )
-    if found.full_well_e is not None:
-        what = "pixel full" if found.full_well_is == "pixel" else "code range ends"
+    if transfer.full_well_e is not None:
+        what = "pixel full" if transfer.full_well_is == "pixel" else "code range ends"
         axes.axvline(
-            found.full_well_e * slope,
+            transfer.full_well_e * slope,
             color=COLOURS[1],
             linewidth=1,
             linestyle="-.",
-            label=f"{what}: {found.full_well_e:.0f} e⁻",
+            label=f"{what}: {transfer.full_well_e:.0f} e⁻",
         )
-    seen = [point.variance_dn2 for point in found.points if point.use != "saturated"]
+    variances = [point.variance_dn2 for point in transfer.points if point.use != "saturated"]
     axes.set(
         xscale="log",
         yscale="log",
         xlim=(signal[0], signal[-1]),
-        ylim=(min(floor, *seen) / 3, 3 * max(*seen, slope * brightest)),
+        ylim=(min(floor, *variances) / 3, 3 * max(*variances, slope * brightest)),
         xlabel="mean above black, code values",
         ylabel="variance over time, code values²",
         title="Photon-transfer curve",

@@ -141,7 +141,7 @@ def mtf_figure(
     for index, (name, code) in enumerate(codes.items()):
         axes = figure.add_subplot(layout[1 + index // columns, index % columns])
         level_db = 20 * np.log10(np.maximum(_mtf_map(trajectory, code, grid), 1e-6))
-        drawn = axes.imshow(
+        heatmap = axes.imshow(
             level_db,
             cmap="cividis",
             vmin=_FLOOR_DB,
@@ -159,7 +159,7 @@ def mtf_figure(
         if index % columns == 0:
             axes.set_ylabel("y, cycles/px")
         maps.append(axes)
-    figure.colorbar(drawn, ax=maps, label="MTF, dB", shrink=0.9, pad=0.02, extend="min")
+    figure.colorbar(heatmap, ax=maps, label="MTF, dB", shrink=0.9, pad=0.02, extend="min")
     return figure
 
 

@@ -29,28 +29,28 @@ def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = 
     trajectory : Trajectory
     title : str
     """
-    shown = thumbnail(photo, 1600)
+    small = thumbnail(photo, 1600)
     figure = new_figure(10.0, 4.6)
-    left, right = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
-    show_photo(left, shown)
-    left.set_title(plot_text(title) or "Photo and its motion (same scale)")
-    scale = shown.shape[1] / np.asarray(photo).shape[1]
-    centre = 0.5 * np.array([shown.shape[1] - 1, shown.shape[0] - 1])
+    photo_axes, path_axes = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
+    show_photo(photo_axes, small)
+    photo_axes.set_title(plot_text(title) or "Photo and its motion (same scale)")
+    scale = small.shape[1] / np.asarray(photo).shape[1]
+    centre = 0.5 * np.array([small.shape[1] - 1, small.shape[0] - 1])
     on_photo = trajectory.xy * scale + centre
-    left.plot(*on_photo.T, color="white", linewidth=4.0, solid_capstyle="round")
-    left.add_collection(_coloured_by_time(on_photo, trajectory.t, width=2.2))
+    photo_axes.plot(*on_photo.T, color="white", linewidth=4.0, solid_capstyle="round")
+    photo_axes.add_collection(_coloured_by_time(on_photo, trajectory.t, width=2.2))
 
-    known = trajectory.direction == "known"
-    right.plot(*trajectory.xy.T, color="0.85", linewidth=6.0, solid_capstyle="round", zorder=1)
-    bar = right.add_collection(_coloured_by_time(trajectory.xy, trajectory.t, width=3.0))
+    is_directed = trajectory.direction == "known"
+    path_axes.plot(*trajectory.xy.T, color="0.85", linewidth=6.0, solid_capstyle="round", zorder=1)
+    bar = path_axes.add_collection(_coloured_by_time(trajectory.xy, trajectory.t, width=3.0))
     even = trajectory.at(np.linspace(0, 1, 21))
-    right.scatter(*even.T, s=14, color="white", edgecolor="black", linewidth=0.7, zorder=3)
+    path_axes.scatter(*even.T, s=14, color="white", edgecolor="black", linewidth=0.7, zorder=3)
     # the second end is drawn smaller, over the first: of a closed path both show
-    names = ("start", "end") if known else ("one end", "other end")
+    names = ("start", "end") if is_directed else ("one end", "other end")
     for name, point, colour, marker, size in zip(
         names, trajectory.xy[[0, -1]], (COLOURS[2], COLOURS[1]), "os", (150, 52), strict=True
     ):
-        right.scatter(
+        path_axes.scatter(
             *point,
             s=size,
             marker=marker,
@@ -62,25 +62,25 @@ def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = 
         )
     # names above the axes: beside their ends they would lie over each other, or over a tangled
     # path
-    right.legend(
+    path_axes.legend(
         loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, handletextpad=0.2
     )
     half = 0.62 * max(trajectory.extent_px, 4.0)
     middle = 0.5 * (trajectory.xy.min(axis=0) + trajectory.xy.max(axis=0))
-    right.set(
+    path_axes.set(
         xlim=(middle[0] - half, middle[0] + half),
         ylim=(middle[1] + half, middle[1] - half),  # y runs down, as in the photo
         xlabel="x, px",
         ylabel="y (down), px",
         aspect="equal",
     )
-    right.set_title(
+    path_axes.set_title(
         f"Path: {trajectory.length_px:.1f} px long, {trajectory.extent_px:.1f} px wide", pad=26
     )
-    right.grid(color="0.92")
-    right.set_axisbelow(True)
-    note = "time, fraction of the exposure" + ("" if known else " (or reversed)")
-    figure.colorbar(bar, ax=right, label=note, shrink=0.85, pad=0.02)
+    path_axes.grid(color="0.92")
+    path_axes.set_axisbelow(True)
+    note = "time, fraction of the exposure" + ("" if is_directed else " (or reversed)")
+    figure.colorbar(bar, ax=path_axes, label=note, shrink=0.85, pad=0.02)
     return figure
 
 
@@ -105,7 +105,7 @@ def psf_figure(psfs: Mapping[str, ArrayLike]) -> Figure:
             kernel.shape[0] - half - 0.5,
             -half - 0.5,
         )
-        drawn = axes.imshow(kernel, cmap="magma", extent=edges, interpolation="nearest")
+        heatmap = axes.imshow(kernel, cmap="magma", extent=edges, interpolation="nearest")
         axes.plot(0, 0, "+", color="white", markersize=7, markeredgewidth=0.8)
         axes.set(
             title=plot_text(title),
@@ -115,7 +115,7 @@ def psf_figure(psfs: Mapping[str, ArrayLike]) -> Figure:
             ylim=(reach, -reach),
         )
         axes.set_facecolor("black")
-        figure.colorbar(drawn, ax=axes, shrink=0.95, label="share of the light")
+        figure.colorbar(heatmap, ax=axes, shrink=0.95, label="share of the light")
     return figure
 
 
@@ -139,5 +139,5 @@ def _coloured_by_time(points: FloatArray, t: FloatArray, *, width: float) -> Any
 def _reach(psf: ArrayLike) -> int:
     """Largest displacement, px along either axis, that holds a visible share of the light."""
     kernel = np.asarray(psf, dtype=np.float64)
-    lit = np.argwhere(kernel > 0.01 * kernel.max())
-    return int(np.abs(lit - np.array(kernel.shape) // 2).max())
+    bright = np.argwhere(kernel > 0.01 * kernel.max())
+    return int(np.abs(bright - np.array(kernel.shape) // 2).max())

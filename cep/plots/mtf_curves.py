@@ -110,13 +110,13 @@ def compare_mtfs(
     shutters: dict[str, ShutterCode | None] = {OPEN: None, **codes}
     played = {name: shutter or ShutterCode("1") for name, shutter in shutters.items()}
     # first: one that fails does so before the work
-    own = {name: own_figures(figures or {}, trajectory, code) for name, code in played.items()}
+    own_of = {name: own_figures(figures or {}, trajectory, code) for name, code in played.items()}
     rows = {
         name: MtfRow(
             shutter,
             *mtf_curve(trajectory, shutter),
             measure_worst(trajectory, played[name]),
-            own[name],
+            own_of[name],
         )
         for name, shutter in shutters.items()
     }

@@ -42,8 +42,8 @@ def before_after(
         else np.asarray(detail_of, dtype=np.float64)
     )
     row, column = _busiest(_centred(chooser, height, width), side)
-    each = 4.0
-    figure = new_figure(each * len(pictures), each * (height / width + 1.0) + 0.4)
+    width_in = 4.0
+    figure = new_figure(width_in * len(pictures), width_in * (height / width + 1.0) + 0.4)
     grid = figure.subplots(2, len(pictures), squeeze=False, height_ratios=(height / width, 1.0))
     for (title, image), top, bottom in zip(pictures.items(), grid[0], grid[1], strict=True):
         cut = _centred(image, height, width)
@@ -75,7 +75,7 @@ def _busiest(image: FloatArray, side: int) -> tuple[int, int]:
     restoration's borders.
     """
     grey = luminance(image)
-    energy = sum(np.abs(part) for part in np.gradient(grey))
+    energy = sum(np.abs(gradient) for gradient in np.gradient(grey))
     totals = np.pad(np.cumsum(np.cumsum(energy, axis=0), axis=1), ((1, 0), (1, 0)))
     margin = min(32, (min(grey.shape) - side) // 2)
     step = max(1, side // 4)
@@ -86,11 +86,11 @@ def _busiest(image: FloatArray, side: int) -> tuple[int, int]:
     ]
 
     def structure(corner: tuple[int, int]) -> float:
-        top, left = corner
+        top, west = corner
         bottom = top + side
-        right = left + side
+        east = west + side
         return float(
-            totals[bottom, right] - totals[top, right] - totals[bottom, left] + totals[top, left]
+            totals[bottom, east] - totals[top, east] - totals[bottom, west] + totals[top, west]
         )
 
     return max(corners, key=structure)

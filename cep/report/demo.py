@@ -152,6 +152,6 @@ def _from_open_photo(chain: Chain) -> dict[str, object] | None:
     return {
         "length_px": chain.motion.from_open.best.length_px,
         "confidence": chain.motion.from_open.confidence,
-        "bits": chain.shot_from_open.way.code.bits,
+        "bits": chain.shot_from_open.exposure.code.bits,
         "psnr_db": chain.shot_from_open.psnr_db,
     }

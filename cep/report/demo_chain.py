@@ -47,7 +47,7 @@ class Shot:
     Attributes
     ----------
     kind : {"open", "snapshot", "coded"}
-    way : Way
+    exposure : Way
         How it was exposed.
     photo, restored : float ndarrays, linear light
         The restoration is at the brightness of the open exposure.
@@ -56,7 +56,7 @@ class Shot:
     """
 
     kind: str
-    way: Way
+    exposure: Way
     photo: FloatArray
     restored: FloatArray
     psnr_db: float
@@ -119,7 +119,7 @@ class Chain:
     @property
     def code(self) -> cep.ShutterCode | None:
         """The code, where one is advised."""
-        return self.advised_shot.way.code if self.coded else None
+        return self.advised_shot.exposure.code if self.coded else None
 
     @property
     def advised_shot(self) -> Shot:
@@ -224,22 +224,22 @@ def run_chain(
     tell(_ADVICE_SHARE, "exposing")
     exposures = _Exposures(scene, estimate, camera, seed)
     best_code = advice.here.advised if advice.choice in CODED else advice.here.best("code")
-    ways = {
+    candidates = {
         "open": advice.here.ways[0],
         "snapshot": advice.here.best("snapshot"),
         "coded": best_code,
     }
-    possible = {kind: way for kind, way in ways.items() if way is not None}
+    possible = {kind: exposure for kind, exposure in candidates.items() if exposure is not None}
     photos = exposures.photos(possible)
     tell(_PHOTOS_SHARE, "restoring")
     shots = exposures.restored(possible, photos, estimate.best)
     shot_from_open = None
     if motion.from_open is not None:
-        here = cep.advise(
+        from_open = cep.advise(
             problem_along(motion.from_open, problem.chips), levels=(), seed=seed
         ).here
-        kind = "coded" if here.choice in CODED else here.choice
-        possible = {"open": here.ways[0], kind: here.advised}
+        kind = "coded" if from_open.choice in CODED else from_open.choice
+        possible = {"open": from_open.ways[0], kind: from_open.advised}
         photos = exposures.photos(possible)
         shot_from_open = exposures.restored(possible, photos, motion.from_open.best)[-1]
     tell(1.0, "done")
@@ -271,31 +271,31 @@ class _Exposures:
             self._sharp, self._motion = scene.sharp, scene.motion
         else:  # of a user's photo neither is known: its restoration and the estimate stand in
             height, width = (min(side, _LARGEST_SCENE_PX) for side in scene.photo.shape[:2])
-            top = (scene.photo.shape[0] - height) // 2
-            left = (scene.photo.shape[1] - width) // 2
-            crop = scene.photo[top : top + height, left : left + width]
+            row = (scene.photo.shape[0] - height) // 2
+            column = (scene.photo.shape[1] - width) // 2
+            crop = scene.photo[row : row + height, column : column + width]
             self._sharp = np.clip(cep.restore(crop, estimate.psf, method="tv").image, 0, 1)
             self._motion = estimate.best
         self._frame = self._motion.frame_size() | 1
         self.reference = visible(self._sharp, self._frame)
 
-    def photos(self, ways: Mapping[str, Way]) -> dict[str, FloatArray]:
+    def photos(self, exposures: Mapping[str, Way]) -> dict[str, FloatArray]:
         """Take a photo each way; the one with the open shutter is the scene's where it has one."""
         photos = {
             kind: cep.capture(
                 self._sharp,
-                cep.coded_psf(self._motion, way.code, self._frame),
-                camera=self._camera_of(way),
+                cep.coded_psf(self._motion, exposure.code, self._frame),
+                camera=self._camera_of(exposure),
                 rng=self._rng,
             )
-            for kind, way in ways.items()
+            for kind, exposure in exposures.items()
         }
         if self._open_photo is not None:
             photos["open"] = self._open_photo
         return photos
 
     def restored(
-        self, ways: Mapping[str, Way], photos: Mapping[str, FloatArray], path: cep.Trajectory
+        self, exposures: Mapping[str, Way], photos: Mapping[str, FloatArray], path: cep.Trajectory
     ) -> tuple[Shot, ...]:
         """Restore every photo in the same way, and compare all on the same part of the picture."""
 
@@ -303,14 +303,14 @@ class _Exposures:
             return cep.restore(
                 photos[kind],
                 trajectory=along,
-                code=None if kind == "open" else ways[kind].code,
+                code=None if kind == "open" else exposures[kind].code,
                 method=_RESTORATION,
-                camera=self._camera_of(ways[kind]),
+                camera=self._camera_of(exposures[kind]),
             )
 
         open_image = restore("open", path).image
         restorations: dict[str, Restoration] = {}
-        for kind in ways:
+        for kind in exposures:
             if kind == "snapshot" and path.direction == "unknown":
                 # either direction restores it as well, but one of them shifted: the open photo
                 # shows which
@@ -329,18 +329,18 @@ class _Exposures:
         return tuple(
             Shot(
                 kind,
-                way,
+                exposure,
                 photos[kind],
                 restorations[kind].image,
                 psnr_up_to_shift(
                     _grey(restorations[kind].image), reference, max_shift_px=3.0, crop_px=border
                 ),
             )
-            for kind, way in ways.items()
+            for kind, exposure in exposures.items()
         )
 
-    def _camera_of(self, way: Way) -> cep.Camera:
-        return self._camera.with_dark_noise(way.code.integration_ns * 1e-9)
+    def _camera_of(self, exposure: Way) -> cep.Camera:
+        return self._camera.with_dark_noise(exposure.code.integration_ns * 1e-9)
 
 
 def _grey(image: FloatArray) -> FloatArray:

@@ -79,14 +79,14 @@ def pictures(chain: Chain) -> dict[str, bytes]:
     photos = {"blurred": chain.shots[0].photo, **restored, "at rest": chain.reference}
     figures = {
         "advice": advice_figure(chain.advice),
-        "mtf": mtf_figure(path, {_NAMES[shot.kind]: shot.way.code for shot in shots}),
+        "mtf": mtf_figure(path, {_NAMES[shot.kind]: shot.exposure.code for shot in shots}),
         "photos": before_after(photos),
         "path": trajectory_figure(chain.scene.photo, path),
         "psfs": psf_figure(psfs),
     }
     if chain.coded:
         figures["code_strip"] = code_strips(
-            {_NAMES[shot.kind]: shot.way.code for shot in shots if shot.kind != "open"}
+            {_NAMES[shot.kind]: shot.exposure.code for shot in shots if shot.kind != "open"}
         )
     images = {
         "blurred": chain.shots[0].photo,
@@ -190,8 +190,8 @@ def _photos(chain: Chain) -> Table:
         rows.append(
             (
                 name,
-                _open_time(shot.way.code),
-                f"{shot.way.psnr_db - opened_db:+.2f}",
+                _open_time(shot.exposure.code),
+                f"{shot.exposure.psnr_db - opened_db:+.2f}",
                 f"{simulated[shot.kind]:+.2f}",
                 f"{shot.psnr_db:.2f}",
             )

@@ -46,12 +46,12 @@ class FieldError(ValueError):
         """Return the error of a field that an error of the library names in its first words."""
         if isinstance(error, cls):
             return error
-        head, colon, rest = str(error).partition(": ")
+        head, colon, fault = str(error).partition(": ")
         first = head.split(" ")[0].rstrip(",")
         if first in LIMITS:
             return cls(first, str(error))
         if first in _FIELD_OF:
-            return cls(_FIELD_OF[first], rest if colon and " " not in head else str(error))
+            return cls(_FIELD_OF[first], fault if colon and " " not in head else str(error))
         return cls(fallback, str(error))
 
 
@@ -88,9 +88,9 @@ def read_bits(bits: object, field: str) -> str:
     return bits
 
 
-def is_text(value: object, most: int) -> TypeGuard[str]:
+def is_text(value: object, longest: int) -> TypeGuard[str]:
     """Whether a value is a short text without line feeds and other control characters."""
-    return isinstance(value, str) and len(value) <= most and value.isprintable()
+    return isinstance(value, str) and len(value) <= longest and value.isprintable()
 
 
 def is_number(value: object) -> TypeGuard[int | float]:

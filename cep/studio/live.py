@@ -164,10 +164,10 @@ class LiveBench:
                     self.problem.camera, every_length=path_error_px > 0
                 )
                 self._ways = path_error_px, self._judged(codes, path_error_px)
-            ways = self._ways[1]
-            if not any(way.code.bits == code.bits for way in ways):
-                ways = (*ways, self._judged([code], path_error_px)[-1])
-        return verdict_of(self.problem, ways, [code], path_error_px=path_error_px)
+            candidates = self._ways[1]
+            if not any(candidate.code.bits == code.bits for candidate in candidates):
+                candidates = (*candidates, self._judged([code], path_error_px)[-1])
+        return verdict_of(self.problem, candidates, [code], path_error_px=path_error_px)
 
     def psnr_db(self, codes: Sequence[ShutterCode], *, path_error_px: float = 0.0) -> list[float]:
         """Return the expected PSNR of photos restored along a path that is known to such an

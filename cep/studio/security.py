@@ -76,21 +76,21 @@ class Keys:
         In the address that is printed; it is exchanged for the cookie, once.
     session : str
         Value of the cookie.
-    spent : bool
+    is_used : bool
         Whether the token has been exchanged.
     """
 
     port: int
     token: str = field(default_factory=_secret)
     session: str = field(default_factory=_secret)
-    spent: bool = field(default=False, init=False)
+    is_used: bool = field(default=False, init=False)
     _page: Path | None = field(default=None, init=False)
 
     def spend(self, token: str) -> bool:
         """Return whether this is the token, for the first time."""
-        if self.spent or not hmac.compare_digest(token.encode(), self.token.encode()):
+        if self.is_used or not hmac.compare_digest(token.encode(), self.token.encode()):
             return False
-        self.spent = True
+        self.is_used = True
         if self._page is not None:
             self._page.unlink(missing_ok=True)
         return True
@@ -197,7 +197,7 @@ class Gate:
         if foreign:
             return PlainTextResponse("403: requests come from the studio's own page alone", 403)
         if not self._knows(headers):
-            return PlainTextResponse(f"403: {_SPENT if tokens and keys.spent else _NO_KEY}", 403)
+            return PlainTextResponse(f"403: {_SPENT if tokens and keys.is_used else _NO_KEY}", 403)
         if not writes and (
             "transfer-encoding" in headers or headers.get("content-length", "0") != "0"
         ):

@@ -87,7 +87,7 @@ class _Studio:
     async def photos(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
         scene = self._scene(document.get("scene"))
         setting = _setting(document)
-        codes = read_codes(document.get("codes"), "scene", most=_MOST_PHOTOS)
+        codes = read_codes(document.get("codes"), "scene", limit=_MOST_PHOTOS)
         if any(len(bits) != setting.chips for bits in codes.values()):
             raise FieldError(
                 "scene",
@@ -149,13 +149,13 @@ class _Studio:
         return scene if scene.is_file() else None
 
 
-def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlette:
+def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Starlette:
     """Make the application, with the gate in front of it.
 
     Parameters
     ----------
     keys : Keys
-    opened : mapping, optional
+    first_state : mapping, optional
         State that a page without one in its address begins with.
     """
     studio = _Studio()
@@ -210,12 +210,12 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
         return JSONResponse(await studio.quickly(start_view))
 
     async def opened_state(_: Request) -> Response:
-        return JSONResponse({} if opened is None else {"state": opened})
+        return JSONResponse({} if first_state is None else {"state": first_state})
 
     async def ports(_: Request) -> Response:
         ports_found = await studio.quickly(catalogue.ports)
         return JSONResponse(
-            {"ports": [{"name": one.name, "about": one.about} for one in ports_found]}
+            {"ports": [{"name": port.name, "about": port.about} for port in ports_found]}
         )
 
     async def events(request: Request) -> Response:
@@ -271,7 +271,7 @@ def make_app(keys: Keys, *, opened: Mapping[str, Any] | None = None) -> Starlett
 def serve(
     *,
     port: int = 0,
-    opened: Mapping[str, Any] | None = None,
+    first_state: Mapping[str, Any] | None = None,
     on_ready: Callable[[str], None] = lambda _address: None,
     browse: Callable[[str], object] | None = None,
 ) -> None:
@@ -281,7 +281,7 @@ def serve(
     ----------
     port : int
         0 takes a free one.
-    opened : mapping, optional
+    first_state : mapping, optional
         As of :func:`make_app`.
     on_ready : callable
         Called with the address to open, key included, when it is bound.
@@ -315,7 +315,7 @@ def serve(
 
     bound = bound_socket(port)
     keys = Keys(bound.getsockname()[1])
-    app = make_app(keys, opened=opened)
+    app = make_app(keys, first_state=first_state)
     config = uvicorn.Config(
         app,
         log_level="error",

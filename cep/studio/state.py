@@ -312,17 +312,17 @@ def read_search(document: Mapping[str, Any]) -> tuple[int | None, int]:
     return steps, read_whole(document, "seed", 0, _MOST_SEED, "as a seed") or 0
 
 
-def read_codes(codes: object, field: str, *, most: int = _MOST_PINS) -> Mapping[str, str]:
+def read_codes(codes: object, field: str, *, limit: int = _MOST_PINS) -> Mapping[str, str]:
     """Read codes by their names.
 
     Raises
     ------
     FieldError
-        Beside the field, if there is none, there are more than ``most``, or a name or a code is
+        Beside the field, if there is none, there are more than ``limit``, or a name or a code is
         malformed.
     """
-    if not isinstance(codes, dict) or not 1 <= len(codes) <= most:
-        raise FieldError(field, f"needs 1 to {most} codes by their names")
+    if not isinstance(codes, dict) or not 1 <= len(codes) <= limit:
+        raise FieldError(field, f"needs 1 to {limit} codes by their names")
     if not all(is_text(name, _MOST_NAME) for name in codes):
         raise FieldError(field, f"a code has a name of up to {_MOST_NAME} printable characters")
     return {name: read_bits(bits, field) for name, bits in codes.items()}
@@ -368,7 +368,7 @@ def saved_setting(state: Mapping[str, Any]) -> Setting:
     return read_setting({**_FIRST_PAGE, **state})
 
 
-def path_fields(trajectory: cep.Trajectory, *, most: int = 160) -> dict[str, Any]:
+def path_fields(trajectory: cep.Trajectory, *, max_samples: int = 160) -> dict[str, Any]:
     """Return a motion as the page keeps it in its address: thinned to at most so many samples,
     times in 16 bits.
 
@@ -376,7 +376,7 @@ def path_fields(trajectory: cep.Trajectory, *, most: int = 160) -> dict[str, Any
     """
     path = trajectory
     tolerance_px = 0.005
-    while path.t.size > most:
+    while path.t.size > max_samples:
         path = trajectory.thinned(tolerance_px)
         tolerance_px = 1.4 * tolerance_px
     order = np.arange(path.t.size)

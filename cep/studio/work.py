@@ -180,9 +180,9 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
 def _middle(image: np.ndarray[Any, Any], side_px: int) -> np.ndarray[Any, Any]:
     """Copy the middle of an image, at most so many pixels a side."""
     rows, columns = (min(length, side_px) for length in image.shape[:2])
-    top = (image.shape[0] - rows) // 2
-    left = (image.shape[1] - columns) // 2
-    return image[top : top + rows, left : left + columns].copy()
+    row = (image.shape[0] - rows) // 2
+    column = (image.shape[1] - columns) // 2
+    return image[row : row + rows, column : column + columns].copy()
 
 
 def _search(order: Order, tell: Tell) -> Mapping[str, Any]:

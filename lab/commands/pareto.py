@@ -35,7 +35,7 @@ class ParetoOptions(CommonOptions, CodeOptions, MotionOptions):
     """Options of ``python -m lab pareto``."""
 
     chips: Annotated[
-        int | None, chips_option(least=2, help="Number of chips; 52 when omitted.")
+        int | None, chips_option(fewest=2, help="Number of chips; 52 when omitted.")
     ] = None
     time_s: Annotated[
         float | None,

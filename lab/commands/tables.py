@@ -130,7 +130,7 @@ def show_tables(console: Console, tables: Sequence[Table | TextTable]) -> None:
             (label, *map(_shown, sheet.columns, entries), *sheet.sizes(label))
             for label, entries in sheet.rows.items()
         ]
-        console.print(table(sheet.title, sheet.head, lines, kept=1))
+        console.print(table(sheet.title, sheet.head, lines, last_columns=1))
 
 
 def _shown(column: Column, entry: Entry) -> str | Bold | None:

@@ -475,8 +475,8 @@ def test_from_python_it_gives_what_the_command_prints(cep, shots, guesses):
     assert (told[0], told[-1][0]) == ((0.0, "0 of 3 photos"), 1.0)
     printed = cep.succeeds(*REFERENCE, "--force")  # found on disk
     assert guesses.calls == 3
-    assert list(made.found) == list(printed["photos"]) == [row["photo"] for row in made.rows]
-    assert [one["length_px"] for one in made.found.values()] == [
+    assert list(made.figures) == list(printed["photos"]) == [row["photo"] for row in made.rows]
+    assert [one["length_px"] for one in made.figures.values()] == [
         one["length_px"] for one in printed["photos"].values()
     ]
     assert made.warnings == printed["warnings"]

@@ -60,7 +60,7 @@ NAMES = st.lists(
 def test_names_are_whole_whatever_the_figures_take(names, columns, digits, width, kept):
     figures = ["1" * digits] * columns
     heads = ["", *(f"{'X' * (1 + index)} Y" for index in range(columns))]
-    made = table("", heads, [(name, *figures) for name in names], kept=kept)
+    made = table("", heads, [(name, *figures) for name in names], last_columns=kept)
     text = rendered(made, width)
     page, _, note = text.partition("left out")
     assert re.sub(r"[^a-h]", "", page) == "".join(names).replace(

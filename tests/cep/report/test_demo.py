@@ -42,7 +42,7 @@ def test_the_bundled_scene_repeats_and_moves():
 
 def test_where_coding_pays_the_photos_show_it(coded):
     assert coded.choice == "code"
-    assert coded.code == coded.advised_shot.way.code
+    assert coded.code == coded.advised_shot.exposure.code
     assert coded.shots[0].kind == "open"
     gains = coded.gains_db()
     assert gains["coded"] > max(gains["open"], gains.get("snapshot", 0.0))
@@ -70,7 +70,7 @@ def test_the_error_of_the_calibration_counts(calibrated, coded, tmp_path):
 
 def test_restoring_helps(either):
     for shot in either.shots:
-        error = shot.photo.mean(axis=2) / shot.way.code.duty - either.reference.mean(axis=2)
+        error = shot.photo.mean(axis=2) / shot.exposure.code.duty - either.reference.mean(axis=2)
         assert shot.psnr_db > -10 * np.log10(np.mean(error[30:-30, 30:-30] ** 2))
 
 
@@ -86,7 +86,9 @@ def test_no_code_outside_the_devices_limits(plain):
         exposure_s=0.05,
     )
     assert chain.problem.limits_runs
-    assert all(chain.problem.allows(shot.way.code) for shot in chain.shots if shot.kind != "open")
+    assert all(
+        chain.problem.allows(shot.exposure.code) for shot in chain.shots if shot.kind != "open"
+    )
     assert "mechanical-fast" in html(chain)
 
 
