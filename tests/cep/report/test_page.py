@@ -61,7 +61,7 @@ def test_the_page_recommends_no_code_where_none_is_advised(plain):
     page = Page(html(plain))
     assert plain.advice.here.sentence.startswith("Coding does not pay here")
     assert plain.advice.here.sentence in page.text
-    assert plain.shot("coded").way.code.bits not in page.text
+    assert plain.shot("coded").exposure.code.bits not in page.text
     assert not re.search(
         r"cep (optimize|upload|export)|refined\.json|Code this exposure|Pulse the shutter",
         page.text,
