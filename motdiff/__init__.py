@@ -1,3 +1,1 @@
-"""Motion of the camera: trajectories, their PSFs and OTFs, simulation, and estimation from blurred
-photographs.
-"""
+"""Camera motion: trajectories, PSFs, OTFs, simulation, and estimation from blurred photos."""

@@ -1,6 +1,4 @@
-"""Selection of textured, unsaturated crops of a large photo, and a test of uniform blur across
-them.
-"""
+"""Textured, unsaturated crops of a large photo, and a test of uniform blur across them."""
 
 from __future__ import annotations
 
@@ -94,8 +92,7 @@ def exposure_gain(photo: ArrayLike) -> float:
 
 
 def check_size(photo: ArrayLike, *, least_px: int) -> None:
-    """Refuse a photo (H, W) or (H, W, C) in which motion cannot be searched, however much it
-    shows.
+    """Refuse a photo (H, W) or (H, W, C) that is too small for a search of its motion.
 
     Raises
     ------
@@ -192,9 +189,7 @@ def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list
 
 
 def best_windows(grey: FloatArray, *, count: int) -> list[tuple[slice, slice]]:
-    """Parts of a photo (H, W) in which its blur is searched: the whole of it, or
-    :func:`pick_crops` of it.
-    """
+    """Windows of a photo (H, W) to search its blur in: all of it, or :func:`pick_crops`."""
     if max(grey.shape) <= _WHOLE * CROP_PX:
         return [(slice(0, grey.shape[0]), slice(0, grey.shape[1]))]
     size = min(CROP_PX, *grey.shape)
@@ -203,15 +198,12 @@ def best_windows(grey: FloatArray, *, count: int) -> list[tuple[slice, slice]]:
 
 
 def best_crops(grey: FloatArray, *, count: int) -> FloatArray:
-    """Crops (C, h, w) of a photo (H, W) in which its blur is searched, see
-    :func:`best_windows`.
-    """
+    """Crops (C, h, w) of a photo (H, W) at its :func:`best_windows`."""
     return np.stack([grey[window] for window in best_windows(grey, count=count)])
 
 
 def uniformity(psfs: Sequence[ArrayLike]) -> float:
-    """Mean mutual sub-pixel MNC of PSFs from several places of a photo: 1 = the same blur; 1 for a
-    single one.
+    """Mean mutual sub-pixel MNC of PSFs from several places of a photo; 1 for a single one.
 
     Parameters
     ----------

@@ -112,6 +112,7 @@ def image_rates_rad_s(trace: GyroTrace, *, axes: str = DEFAULT_AXES) -> FloatArr
         If ``axes`` does not name the directions of three right-handed axes.
     """
     about = _camera_rates_rad_s(trace, axes)
+    # turned right about its down axis, the camera sees the image move left; up, it moves down
     return np.stack([-about[:, 1], about[:, 0]], axis=1)
 
 
@@ -172,8 +173,7 @@ def trajectory_from_gyro(
 def roll_rad(
     trace: GyroTrace, *, start_s: float, exposure_s: float, axes: str = DEFAULT_AXES
 ) -> float:
-    """Largest change of the roll angle, rad, during the exposure, which
-    :func:`trajectory_from_gyro` leaves out.
+    """Largest change of roll, rad, in the exposure: :func:`trajectory_from_gyro` leaves it out.
 
     A pixel r px from the photo's centre moves by up to ``r * roll`` px in addition to the
     trajectory.
@@ -191,20 +191,18 @@ def roll_rad(
 def _integrated(
     trace: GyroTrace, rates: FloatArray, start_s: float, exposure_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Integrate to times (T,) s and angles (T, K) rad over the exposure, exact for rates linear
-    between rows.
-    """
+    """Integrate to times (T,) s and angles (T, K) rad; exact for rates linear between rows."""
     span_s = float(trace.t_s[0]), float(trace.t_s[-1])
     t = trace.t_s - start_s  # a clock that counts from 1970 has no digits to spare
-    slack = 8 * float(
-        np.spacing(max(abs(start_s), *map(abs, span_s)))
-    )  # what rounding may cost at the ends
+    # what rounding may cost at the ends
+    slack = 8 * float(np.spacing(max(abs(start_s), *map(abs, span_s))))
     if not (t[0] <= slack and exposure_s <= t[-1] + slack):
         raise ValueError(
             f"start_s: the exposure {start_s:.4f}..{start_s + exposure_s:.4f} s must lie within"
             " the trace,"
             f" {math.ceil(1e4 * span_s[0]) / 1e4:.4f}..{math.floor(1e4 * span_s[1]) / 1e4:.4f} s"
         )
+    # readings within the rounding of an end would make pieces of no duration
     inner = t[(t > slack) & (t < exposure_s - slack)]
     knots = np.concatenate([[0.0], inner, [exposure_s]])
     fine = np.arange((knots.size - 1) * _SUBSTEPS + 1) / _SUBSTEPS

@@ -1,6 +1,4 @@
-"""Metrics of an estimate against the truth: MNC of PSFs, path distance, PSNR and SSIM up to
-shift.
-"""
+"""Metrics of an estimate: MNC of PSFs, distance of paths, PSNR and SSIM up to shift."""
 
 from __future__ import annotations
 
@@ -41,8 +39,7 @@ def mnc(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
 
 
 def mnc_subpixel(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
-    """MNC over shifts to 0.05 px: the cross-correlation is interpolated band-limited around its
-    integer maximum.
+    """MNC over shifts to 0.05 px, by band-limited interpolation around the integer maximum.
 
     Integer shifts punish a perfect PSF that sits half a pixel off (0.80 on Levin's); this does
     not.
@@ -55,8 +52,7 @@ def mnc_subpixel(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
 
 
 def mnc_matrix(psfs: Sequence[ArrayLike]) -> FloatArray:
-    """MNC of every pair of PSFs over whole and half pixels: quicker than :func:`mnc_subpixel`, and
-    within 0.03 of it.
+    """MNC of every pair of PSFs at half pixels: a quick :func:`mnc_subpixel`, within 0.03 of it.
 
     Parameters
     ----------
@@ -74,6 +70,7 @@ def mnc_matrix(psfs: Sequence[ArrayLike]) -> FloatArray:
     images = [_checked(f"psfs[{i}]", psf) for i, psf in enumerate(psfs)]
     if not images:
         raise ValueError("psfs: needs at least one")
+    # zero padding to twice the largest side: no lag wraps round
     frame = fft.next_fast_len(2 * max(max(image.shape) for image in images), real=True) // 2 * 2
     spectra = [fft.rfft2(image / np.linalg.norm(image), (frame, frame)) for image in images]
     alike = np.eye(len(images))
@@ -85,6 +82,7 @@ def mnc_matrix(psfs: Sequence[ArrayLike]) -> FloatArray:
             product[half] /= 2  # the Nyquist frequency is shared by both signs
             product[:, half] /= 2
             fine[: half + 1], fine[-half:] = product[: half + 1], product[half:]
+            # 4: the inverse transform divides by four times as many samples
             alike[i, j] = alike[j, i] = 4 * float(fft.irfft2(fine, (2 * frame, 2 * frame)).max())
     return np.clip(alike, 0, 1)
 
@@ -108,8 +106,7 @@ def laid_on(truth: ArrayLike, psf: ArrayLike) -> FloatArray:
 
 
 def path_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 200) -> float:
-    """Mean distance, px, of two paths at equal arc length, after centring, for the better of the
-    two directions.
+    """Mean distance, px, of two centred paths at equal arc length, in the better direction.
 
     Parameters
     ----------
@@ -124,8 +121,7 @@ def path_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 200) -> flo
 
 
 def timed_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 401) -> float:
-    """Rms distance, px, of two paths at equal times, after the best shift: order and direction
-    count.
+    """Rms distance, px, of two paths at equal times after the best shift; direction counts.
 
     Examples
     --------
@@ -140,8 +136,7 @@ def timed_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 401) -> fl
 
 
 def ordered_distance_px(a: ArrayLike, b: ArrayLike, *, step_px: float = 0.25) -> float:
-    """Mean distance, px, of two drawn paths under their best monotone matching, for the better of
-    the two directions.
+    """Mean distance, px, of two paths under their best monotone matching, better direction.
 
     Dynamic time warping over points evenly spaced along both paths: small errors of arc length do
     not add up, as they do in :func:`path_distance_px`, but a loop run the wrong way round counts
@@ -175,8 +170,7 @@ def psnr_up_to_shift(
     step_px: float = 0.25,
     crop_px: int = 15,
 ) -> float:
-    """PSNR, dB, of ``restored`` against ``sharp`` (peak 1), best over translations, borders
-    cropped.
+    """PSNR, dB, of ``restored`` against ``sharp`` (peak 1), best over shifts, borders cropped.
 
     Parameters
     ----------
@@ -197,9 +191,7 @@ def ssim_up_to_shift(
     step_px: float = 0.25,
     crop_px: int = 15,
 ) -> float:
-    """SSIM at the translation with the best PSNR, borders cropped; arguments as
-    :func:`psnr_up_to_shift`.
-    """
+    """SSIM at the shift of best PSNR, borders cropped; arguments as :func:`psnr_up_to_shift`."""
     return _ssim(*_best_aligned(restored, sharp, max_shift_px, step_px, crop_px))
 
 
@@ -218,6 +210,7 @@ def psnr_ssim_up_to_shift(
 
 def psnr(image: FloatArray, target: FloatArray) -> float:
     """PSNR, dB, peak 1, of an image as it lies; at most 200 dB."""
+    # the floor of 1e-20 keeps equal images at 200 dB
     return float(-10 * np.log10(max(float(np.mean((image - target) ** 2)), 1e-20)))
 
 
@@ -253,6 +246,7 @@ def _warped_mean(distance: FloatArray) -> float:
         entered = np.minimum(
             best[i - 1], np.r_[np.inf, best[i - 1, :-1]]
         )  # from above, straight or diagonally
+        # best[j] = d[j] + min(entered[j], best[j - 1]), unrolled along the row by prefix sums
         run = np.cumsum(distance[i])
         best[i] = run + np.minimum.accumulate(entered - run + distance[i])
     i = distance.shape[0] - 1
@@ -291,9 +285,7 @@ def _checked(name: str, psf: ArrayLike) -> FloatArray:
 
 
 def _subpixel_peak(correlation: FloatArray) -> tuple[float, tuple[float, float]]:
-    """Maximum of the band-limited interpolation within 1 px of the integer maximum, and its (row,
-    column).
-    """
+    """Band-limited maximum within 1 px of the integer maximum, and its (row, column)."""
     padded = np.pad(correlation, 1)  # a peak at the frame's edge must not wrap into the other side
     row0, column0 = (int(i) for i in np.unravel_index(int(padded.argmax()), padded.shape))
     offsets = np.arange(-1, 1 + _SUBPIXEL_STEP_PX / 2, _SUBPIXEL_STEP_PX)
@@ -306,9 +298,7 @@ def _subpixel_peak(correlation: FloatArray) -> tuple[float, tuple[float, float]]
 
 
 def _interpolator(size: int, positions: FloatArray) -> NDArray[np.complex128]:
-    """Inverse DFT rows at real positions; the Nyquist term is split so that real signals stay
-    real.
-    """
+    """Inverse DFT rows at real positions; a split Nyquist term keeps real signals real."""
     frequency = np.fft.fftfreq(size)
     matrix = np.exp(2j * np.pi * positions[:, None] * frequency[None, :])
     if size % 2 == 0:

@@ -1,6 +1,4 @@
-"""Random camera motions for simulation: Boracchi-Foi, uniform straight, accelerated, and real gyro
-windows.
-"""
+"""Random camera motions: Boracchi-Foi, straight, accelerated, and windows of gyro traces."""
 
 from __future__ import annotations
 
@@ -30,8 +28,7 @@ def boracchi_foi(
     big_shake_strength: float = 2.0,
     big_shake_spread_rad: float = 0.5,
 ) -> Trajectory:
-    """Draw a random walk of constant speed with inertia and sudden reversals, as DeblurGAN's
-    training data.
+    """Draw DeblurGAN's random walk: constant speed, inertia and sudden reversals.
 
     Arc length is exactly ``max_length_px``; the path is centred on its time-mean (the original is
     not centred).
@@ -87,7 +84,7 @@ def boracchi_foi(
     path = [position]
     for i, shake in enumerate(shakes):
         velocity += shake - pull * position + (kicks[i] * velocity if i in kicks else 0)
-        velocity /= abs(velocity)
+        velocity /= abs(velocity)  # constant speed: the arc length stays exact
         position += velocity
         path.append(position)
     points = np.array(path) * (max_length_px / steps)
@@ -116,8 +113,7 @@ def quadratic(
     max_bend: float = 1.0,
     samples: int = 200,
 ) -> Trajectory:
-    """Draw a motion of constant acceleration: a piece of a parabola, run at the parabola's own
-    pace.
+    """Draw a motion of constant acceleration: a piece of a parabola at its own pace.
 
     Parameters
     ----------
@@ -158,8 +154,7 @@ def random_gyro_motion(
     min_extent_rad: float = 2e-4,
     rotate: bool = True,
 ) -> Trajectory:
-    """Draw a real hand shake: a random window of ``trace``, with the focal length that gives it
-    ``extent_px``.
+    """Draw a hand shake: a random window of ``trace``, its focal length for ``extent_px``.
 
     Parameters
     ----------
@@ -236,10 +231,12 @@ def with_smooth_error(
     _positive("smooth_over", smooth_over)
     knots = np.linspace(0, 1, _ERROR_KNOTS)
     alike = np.exp(-0.5 * ((knots[:, None] - knots) / smooth_over) ** 2)
+    # 1e-8: a smooth covariance is singular to within rounding, and Cholesky needs it definite
     knot_errors = np.linalg.cholesky(alike + 1e-8 * np.eye(knots.size)) @ rng.standard_normal(
         (knots.size, 2)
     )
     t = np.union1d(trajectory.t, knots)
+    # error_px is an rms length, so each axis has 1 / sqrt(2) of it
     error = np.stack([np.interp(t, knots, axis) for axis in knot_errors.T], axis=1) * (
         sign * error_px / 2**0.5
     )

@@ -12,8 +12,7 @@ _GRACE_S = 3.0  # to put a shutter's controller to rest
 
 
 def end_with_parent(parent: int) -> None:
-    """Interrupt this process when its parent is gone, and end it a few seconds later: a killed
-    parent cannot do it.
+    """Interrupt this process, and end it seconds later, once its parent is gone.
 
     The system gives a process whose parent ended another one. On Windows it does not, and nothing
     is noticed there.

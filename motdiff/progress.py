@@ -9,8 +9,7 @@ _MOST = 0.999  # before the work is finished, however wrong its plan was
 
 
 class Progress:
-    """Tells the finished share of a work whose parts cost differently, and whose plan may change
-    on the way.
+    """Finished share of a work whose parts cost differently, and whose plan may change.
 
     The share moves through what is left of it as the work moves through what is left of the plan:
     a longer plan slows it down, a shorter one speeds it up. Several threads may work.
@@ -49,9 +48,7 @@ class Progress:
             self._tell(self._share)
 
     def piece(self, cost: float) -> Callable[[float], None]:
-        """Return what a piece of the plan, which costs so much, is to call with its own finished
-        share, 0..1.
-        """
+        """Return the callback of a piece of the plan, which takes the piece's own share, 0..1."""
         reported = 0.0
 
         def tell(share: float) -> None:

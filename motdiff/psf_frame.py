@@ -1,5 +1,4 @@
-"""The frame of PSFs and HR maps: its size, where zero displacement lies, and how a kernel is
-brought to it.
+"""The frame of PSFs and HR maps: its size, its zero displacement, and how kernels get there.
 
 Zero displacement of a PSF lies at index ``size // 2`` of each axis, in odd and even frames alike.
 An HR map covers the same field more finely: displacement d px lies at index ``MAP_CENTRE +
@@ -26,8 +25,7 @@ it."""
 
 
 def margins(side: int, size: int = PSF_PX) -> tuple[int, int]:
-    """Pixels to add before and after a kernel of ``side`` px in a frame of ``size``; negative
-    where it is cut.
+    """Pixels before and after a kernel of ``side`` px in a frame of ``size``; negative if cut.
 
     Examples
     --------
@@ -39,9 +37,7 @@ def margins(side: int, size: int = PSF_PX) -> tuple[int, int]:
 
 
 def in_frame(kernels: ArrayLike, size: int = PSF_PX) -> FloatArray:
-    """Bring kernels (..., H, W) to a frame (..., size, size), padded with 0 or cut; zero
-    displacement stays so.
-    """
+    """Pad or cut kernels (..., H, W) to (..., size, size); zero displacement stays in place."""
     light = np.asarray(kernels, dtype=np.float64)
     edges = [margins(side, size) for side in light.shape[-2:]]
     rows, columns = (slice(max(-low, 0), min(high, 0) or None) for low, high in edges)
@@ -50,17 +46,13 @@ def in_frame(kernels: ArrayLike, size: int = PSF_PX) -> FloatArray:
 
 
 def moved(psf: ArrayLike, *, down_px: int, right_px: int) -> FloatArray:
-    """Move a PSF (H, W) by whole pixels, in a frame larger on every side by as much: nothing
-    leaves it.
-    """
+    """Move a PSF (H, W) by whole pixels, its frame enlarged by as much on every side."""
     grown = np.pad(np.asarray(psf, dtype=np.float64), max(abs(down_px), abs(right_px)))
     return np.roll(grown, (down_px, right_px), axis=(0, 1))
 
 
 def centroid_px(psf: ArrayLike) -> tuple[float, float]:
-    """Centre of mass of a PSF (H, W) from zero displacement, (down, right), px; (0, 0) of an empty
-    one.
-    """
+    """Centre of mass (down, right), px, of a PSF (H, W) from zero displacement; 0 if empty."""
     light = np.asarray(psf, dtype=np.float64)
     total = float(light.sum())
     if total <= 0:
@@ -70,16 +62,12 @@ def centroid_px(psf: ArrayLike) -> tuple[float, float]:
 
 
 def centred(psf: ArrayLike) -> FloatArray:
-    """Move the centroid of a PSF to zero displacement, by the nearest whole pixels as in
-    :func:`moved`.
-    """
+    """Move a PSF's centroid to zero displacement, to whole pixels as in :func:`moved`."""
     down_px, right_px = (-round(offset) for offset in centroid_px(psf))
     return moved(psf, down_px=down_px, right_px=right_px)
 
 
 def without_faint_light(kernels: ArrayLike, *, below: float) -> FloatArray:
-    """Kernels (..., H, W) with 0 wherever they lie below the share ``below`` of their peak; not
-    normalised again.
-    """
+    """Set kernels (..., H, W) to 0 below the share ``below`` of their peak; not renormalised."""
     light = np.asarray(kernels, dtype=np.float64)
     return np.where(light < below * light.max(axis=(-2, -1), keepdims=True), 0.0, light)

@@ -1,6 +1,4 @@
-"""Simulated photographs: blur with real or mirrored borders, photon and read noise, display
-gamma.
-"""
+"""Simulated photos: blur with real or mirrored borders, noise, display gamma."""
 
 from __future__ import annotations
 
@@ -78,8 +76,7 @@ def blur_valid(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
 
 
 def blur_symmetric(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
-    """Blur at full size, the scene mirrored beyond the borders (edge pixel repeated), as the
-    MoTDiff paper's data.
+    """Blur at full size, the scene mirrored beyond its borders, as the MoTDiff paper's data.
 
     Parameters
     ----------
@@ -148,8 +145,7 @@ def photograph(
     read_sigma: float = 0.01,
     record: Callable[[FloatArray], FloatArray] | None = None,
 ) -> FloatArray:
-    """Simulate the blurred photo of a scene; only training has its own, batched simulation in
-    torch.
+    """Simulate the blurred photo of a scene; training has its own batched simulation in torch.
 
     Parameters
     ----------
@@ -176,6 +172,7 @@ def photograph(
         If an argument is malformed, or the PSF larger than the scene.
     """
     if isinstance(motion, Trajectory):
+        # odd: as many rows of the scene are cut off before the photo as after it
         motion = motion.psf(motion.frame_size() | 1)
     psf = np.asarray(motion, np.float64)
     blurred = blur_valid(scene, psf) if _are_real(borders) else blur_symmetric(scene, psf)
@@ -186,9 +183,7 @@ def photograph(
 
 
 def visible(scene: ArrayLike, psf_px: int, *, borders: str = "real") -> FloatArray:
-    """Part of ``scene`` (H, W[, C]) that a photo of it through a PSF frame of ``psf_px`` shows,
-    pixel for pixel.
-    """
+    """Part of ``scene`` (H, W[, C]) that a photo through a PSF frame of ``psf_px`` shows."""
     light = np.asarray(scene, dtype=np.float64)
     if _are_real(borders):
         light = light[valid_window(light.shape, (psf_px, psf_px))]
@@ -196,9 +191,7 @@ def visible(scene: ArrayLike, psf_px: int, *, borders: str = "real") -> FloatArr
 
 
 def border_px(borders: str, psf_px: int = PSF_PX) -> int:
-    """Pixels that a scene must have more than its photo, on both axes, for a PSF frame of
-    ``psf_px``.
-    """
+    """Pixels, per axis, of a scene beyond its photo through a PSF frame of ``psf_px``."""
     if not _are_real(borders):
         return 0  # mirrored: the photo is as large as the scene
     return psf_px - 1

@@ -22,8 +22,7 @@ _WITHIN = ContextVar("_WITHIN", default=False)
 
 @contextmanager
 def one_thread_a_call() -> Iterator[None]:
-    """Keep each call of torch, and of the BLAS under numpy and scipy, to one thread while the
-    context lasts.
+    """Limit each call of torch, and of numpy's and scipy's BLAS, to one thread in a context.
 
     Threads on small arrays mostly wait, and on a busy machine they wait for a core each time: a
     photo that took 2.5 s with one thread took 14 s and 24 CPU-s with four on four busy cores.
@@ -106,8 +105,7 @@ def one_thread() -> Iterator[None]:
 def side_by_side(
     jobs: Sequence[Callable[[], _Result]], *, tell: Callable[[int], None] = lambda _finished: None
 ) -> list[_Result]:
-    """Run every job without gradients, as many at a time as there are cores, and give their
-    results in order.
+    """Run jobs without gradients, as many at a time as there are cores; results in order.
 
     One at a time within :func:`one_thread`, and fewer where the environment says so: a process
     that shares the machine with others of its kind, as a benchmark's workers do, is started with

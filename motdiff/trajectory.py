@@ -156,8 +156,7 @@ class Trajectory:
     def straight(
         cls, length_px: float, *, angle_rad: float = 0.0, direction: Direction = "unknown"
     ) -> Trajectory:
-        """Make a uniform straight motion of ``length_px``; the angle turns from +x (right) towards
-        +y (down).
+        """Make a uniform straight motion; the angle turns from +x (right) towards +y (down).
 
         Examples
         --------
@@ -202,9 +201,7 @@ class Trajectory:
         )
 
     def reversed(self) -> Trajectory:
-        """Return the same path run backwards in time: the uncoded OTF stays, a coded one
-        changes.
-        """
+        """Return the path backwards in time: the uncoded OTF stays, a coded one changes."""
         return replace(self, t=1.0 - self.t[::-1], xy=self.xy[::-1])
 
     def mirrored(self) -> Trajectory:
@@ -212,9 +209,7 @@ class Trajectory:
         return replace(self, xy=-self.xy)
 
     def scaled(self, factor: float) -> Trajectory:
-        """Return the path enlarged by ``factor`` (photos resized by ``factor`` have this
-        motion).
-        """
+        """Return the path enlarged by ``factor``, as that of a photo resized by it."""
         if not (np.isfinite(factor) and factor > 0):
             raise ValueError(f"factor must be a positive number, got {factor}")
         return replace(self, xy=self.xy * factor)
@@ -225,8 +220,7 @@ class Trajectory:
         return Trajectory.from_samples(self.at(t), t=t, direction=self.direction)
 
     def thinned(self, tolerance_px: float = 1e-4) -> Trajectory:
-        """Return the path with fewer samples, nowhere and at no time more than ``tolerance_px``
-        from this one.
+        """Return the path with fewer samples, always within ``tolerance_px`` of this one.
 
         Its OTF differs by at most ``2 pi |f| tolerance_px``. Made for paths of a million samples,
         in about a second.
@@ -249,9 +243,7 @@ class Trajectory:
         return np.stack([np.interp(s, arc, self.x), np.interp(s, arc, self.y)], axis=-1)
 
     def segments(self, edges: Sequence[float] | FloatArray = (0.0, 1.0)) -> Segments:
-        """Cut the path into straight pieces at its samples and at the slice ``edges`` (0 = first,
-        1 = last).
-        """
+        """Cut the path into straight pieces at its samples and at slice ``edges`` within 0..1."""
         cuts = _checked_edges(edges)
         u = np.union1d(self.t[(self.t > cuts[0]) & (self.t < cuts[-1])], cuts)
         points = self.at(u)
@@ -278,8 +270,7 @@ class Trajectory:
     def slice_otfs(
         self, edges: Sequence[float] | FloatArray, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike
     ) -> ComplexArray:
-        """Exact OTF of each time slice, (slices, ...): they sum to the part of the exposure that
-        the edges span.
+        """Exact OTF of each time slice, (slices, ...): they sum to that of the span of the edges.
 
         Parameters
         ----------
@@ -299,6 +290,7 @@ class Trajectory:
         starts = np.flatnonzero(np.diff(pieces.slice_index, prepend=-1))
         for lo in range(0, fx.size, step):
             f = np.stack([flat_x[lo : lo + step], flat_y[lo : lo + step]])
+            # straight piece: integral of exp(-2 pi i f . p) = dt sinc(f . (b - a)) exp(at middle)
             terms = pieces.dt[:, None] * np.sinc(delta @ f) * np.exp(-2j * np.pi * (middle @ f))
             out[:, lo : lo + step] = np.add.reduceat(terms, starts, axis=0)
         shaped: ComplexArray = out.reshape(-1, *fx.shape)
@@ -318,9 +310,7 @@ class Trajectory:
         return np.asarray(psf, dtype=np.float64)
 
     def slice_psfs(self, edges: Sequence[float] | FloatArray, size: int = PSF_PX) -> FloatArray:
-        """Light-true PSF of each time slice, (slices, size, size): each sums to its share of the
-        exposure.
-        """
+        """PSF of each time slice, (slices, size, size), summing to its share of the exposure."""
         needed = self.frame_size()
         if size < needed:
             raise ValueError(
@@ -359,9 +349,7 @@ class Trajectory:
 
 
 def bilinear_otf(fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> FloatArray:
-    """OTF of bilinear splatting onto the pixel grid, ``sinc(fx)^2 sinc(fy)^2`` (frequencies in
-    cycles/px).
-    """
+    """OTF of bilinear splatting, ``sinc(fx)^2 sinc(fy)^2``, frequencies in cycles/px."""
     return pixel_aperture_otf(fx_cy_px, fy_cy_px) ** 2
 
 
@@ -422,6 +410,7 @@ def slice_psfs(t: FloatArray, xy: FloatArray, edges: FloatArray, size: int) -> F
     slice_index = slice_of(mid, edges)
     cell = np.floor(at(mid)).astype(np.intp)
     psfs = np.zeros((len(edges) - 1) * size * size)
+    # within a pixel cell and a straight piece, the hat's two factors are linear in time
     for node in (-_GAUSS_NODE, _GAUSS_NODE):
         fraction = at(mid + 0.5 * du * node) - cell
         for dx in (0, 1):
@@ -438,9 +427,7 @@ def slice_psfs(t: FloatArray, xy: FloatArray, edges: FloatArray, size: int) -> F
 
 
 def slice_of(t: FloatArray, edges: FloatArray) -> NDArray[np.intp]:
-    """Index of the time slice that each time (N,) belongs to; a time on the last edge belongs to
-    the last slice.
-    """
+    """Index of the time slice of each time (N,); the last edge belongs to the last slice."""
     return np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(edges) - 2)
 
 
@@ -467,15 +454,14 @@ def thin_path(index: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _grid_crossings(t: FloatArray, values: FloatArray) -> FloatArray:
-    """Find the times at which a coordinate passes an integer; pixel centres bound the bilinear
-    cells.
-    """
+    """Find times at which a coordinate is an integer: pixel centres bound bilinear cells."""
     low = np.minimum(values[:-1], values[1:])
     high = np.maximum(values[:-1], values[1:])
     first = np.ceil(low)
     count = np.maximum(np.floor(high) - first + 1, 0).astype(np.intp)
     count[values[:-1] == values[1:]] = 0
     segment = np.repeat(np.arange(count.size), count)
+    # running number of each crossing within its segment, from 0
     nth = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     rise = values[segment + 1] - values[segment]
     fraction = (first[segment] + nth - values[segment]) / rise
@@ -532,8 +518,7 @@ def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray
 
 
 def check_length(trajectory: Trajectory) -> None:
-    """Refuse a path of more than :data:`LONGEST_PX`, before work that grows with its length or its
-    square.
+    """Refuse a path of more than :data:`LONGEST_PX`, before work that grows with its length.
 
     Raises
     ------

@@ -88,8 +88,7 @@ def write_with_card(
     card: Mapping[str, Any],
     source: Path | str,
 ) -> int:
-    """Write a network's state as float16, with a JSON card under the name of its schema; returns
-    the bytes.
+    """Write a network's state as float16 with a JSON card under its schema; returns the bytes.
 
     Parameters
     ----------
@@ -121,8 +120,7 @@ def read_tensors(path: Path | str, *, device: str = "cpu") -> dict[str, Tensor]:
 
 
 def filled(network: _Network, path: Path | str, *, schema: str) -> _Network:
-    """Put the tensors of a weights file of a schema into a network on the CPU: eval mode, no
-    gradients, channels last.
+    """Fill a network on the CPU from a weights file: eval mode, no gradients, channels last.
 
     Raises
     ------

@@ -17,8 +17,7 @@ _MOST_CROPS = 3
 
 
 def conditioning_maps(photo: ArrayLike) -> Tensor:
-    """Physics maps (1, 8, 64, 64) of a photo, see
-    :func:`motdiff.network.physics_maps.physics_maps`.
+    """Compute a photo's :func:`motdiff.network.physics_maps.physics_maps`, (1, 8, 64, 64).
 
     Parameters
     ----------

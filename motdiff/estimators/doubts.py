@@ -1,5 +1,4 @@
-"""Doubts about the motion found in a photo, from the photo's edges, lights and texture: first of
-all, that it has none.
+"""Doubts about the motion found in a photo, from the photo's edges, lights and texture.
 
 Edges narrower than the path found could leave them contradict it. Where they are narrow in every
 direction, or the kernel found is no wider than a lens's spot, the photo shows no motion.
@@ -37,8 +36,7 @@ _CONTRADICTED = 0.25
 def doubted(
     estimate: MotionEstimate, crops: FloatArray, *, uneven: bool, outgrown: bool
 ) -> MotionEstimate:
-    """Test an estimate on the crops it was found in: it becomes that of a photo without motion, or
-    has its doubts.
+    """Test an estimate on its crops: add its doubts, or find that the photo shows no motion.
 
     Parameters
     ----------

@@ -62,26 +62,20 @@ class EdgeWidths:
 
     @property
     def widest_px(self) -> float:
-        """Width of the sharpest edges in the direction where they are widest, which bounds any
-        motion; NaN without.
-        """
+        """Width in the direction of the widest sharp edges, which bounds motion; NaN without."""
         if not self._measured_px.size:
             return float("nan")
         return float(self._measured_px.max())
 
     @property
     def bound_motion(self) -> bool:
-        """Whether the edges lie in two directions at least a quarter of a turn's half apart: no
-        motion escapes both.
-        """
+        """Whether edges lie in two directions 45 degrees or more apart: no motion escapes both."""
         directions = np.flatnonzero(np.isfinite(self.widths_px))
         apart = np.abs(directions[:, None] - directions)
         return bool((np.minimum(apart, DIRECTIONS - apart) >= DIRECTIONS // 4).any())
 
     def share_of(self, expected_px: FloatArray) -> float:
-        """Geometric mean of these widths over ``expected_px`` (8,), those that a kernel leaves;
-        NaN without edges.
-        """
+        """Geometric mean of the widths over a kernel's ``expected_px`` (8,); NaN without edges."""
         is_measured = np.isfinite(self.widths_px)
         if not is_measured.any():
             return float("nan")
@@ -119,8 +113,7 @@ def edge_widths(crops: Iterable[ArrayLike]) -> EdgeWidths:
 
 
 def kernel_edge_widths(psf: ArrayLike, normals_rad: ArrayLike) -> FloatArray:
-    """Widths (N,), px, of sharp edges blurred by a PSF, measured as :func:`edge_widths` measures a
-    photo's.
+    """Widths (N,), px, of sharp edges blurred by a PSF, measured as by :func:`edge_widths`.
 
     Parameters
     ----------

@@ -119,6 +119,7 @@ def fuse(
     of_all, suspects = fused(range(len(crops)))
     result = of_all
     dissenting = suspects
+    # one at a time: without the clearest, the shared kernel may come to suit the others
     while dissenting and 2 * (len(result.photos) - 1) > len(crops):
         clearest = max(dissenting, key=dissenting.__getitem__)
         result, dissenting = fused([i for i in result.photos if i != clearest])
@@ -159,6 +160,7 @@ def _chosen(
     single_kernels = [single.kernels[single.best] for single in singles]
     refined = [refine(kernel) for kernel in single_kernels]
     candidates = [joint.kernels[joint.best], *single_kernels, *refined]
+    # the mean over photos: each counts alike, however many crops it has
     evidence = np.mean([judge.evidence(candidates) for judge in judges], axis=0)
     agreement = mnc_matrix(candidates)[:, 1 : 1 + len(singles)].mean(axis=1)
     best = int(np.argmax(kernel_score(evidence, agreement)))

@@ -53,8 +53,7 @@ class Ranking:
 
 
 def noise_sigma(photo: FloatArray) -> float:
-    """Estimate the standard deviation of white noise in a photo (H, W) from its mixed second
-    differences.
+    """Estimate the sigma of white noise in a photo (H, W) from mixed second differences.
 
     References
     ----------
@@ -63,13 +62,12 @@ def noise_sigma(photo: FloatArray) -> float:
     """
     second = photo[:, :-2] - 2 * photo[:, 1:-1] + photo[:, 2:]
     mixed = second[:-2] - 2 * second[1:-1] + second[2:]
+    # 0.6745: median of |x| for a standard normal x; 6: norm of the mask (1, -2, 1) x (1, -2, 1)
     return float(np.median(np.abs(mixed)) / 0.6745 / 6)
 
 
 def shared_sigma(crops: FloatArray) -> float:
-    """Estimate the standard deviation of the noise that crops (C, H, W) share: the median of
-    :func:`noise_sigma`.
-    """
+    """Noise that crops (C, H, W) share: the median of their :func:`noise_sigma`."""
     return float(np.median([noise_sigma(crop) for crop in crops]))
 
 
@@ -102,7 +100,7 @@ class Spectrum:
         fx = np.abs(fft.rfftfreq(width))[None, :]
         radius2 = fx**2 + fy**2
         self._in_band = (radius2 > _BAND_CY_PX[0] ** 2) & (radius2 < _BAND_CY_PX[1] ** 2)
-        radius2[0, 0] = 1.0
+        radius2[0, 0] = 1.0  # outside the band: only kept from dividing by 0
         self._radius2 = radius2
         self._floor = max(sigma, _LEAST_SIGMA) ** 2
         self._power = power[self._in_band].astype(np.float32)
@@ -118,9 +116,7 @@ class Spectrum:
         self._observed = self._ripples(power)
 
     def fit(self, kernel: FloatArray) -> float:
-        """Correlation, -1..1, of the photo's log power spectrum with that of ``kernel``, (k, k),
-        sum 1.
-        """
+        """Correlation, -1..1, of the log power spectra of photo and ``kernel`` (k, k), sum 1."""
         scene = np.abs(fft.rfft2(kernel, s=self._shape)) ** 2 / self._radius2
         inside = scene[self._in_band]
         start = np.exp(self._log_median - np.median(np.log(inside + 1e-12)))
@@ -154,6 +150,7 @@ class Phase:
 
     def __init__(self, photo: FloatArray, *, sigma: float) -> None:
         energy = float(np.mean(np.diff(photo, axis=0) ** 2) + np.mean(np.diff(photo, axis=1) ** 2))
+        # white noise adds 2 sigma^2 to the mean square difference along each axis
         noise_to_scene = 40 * max(sigma, 2e-3) ** 2 / max(energy - 4 * sigma**2, 1e-6)
         self._margin = min(32, min(photo.shape) // 4)
         # in single precision below, a mean would hide faint contrast
@@ -168,8 +165,7 @@ class Phase:
         self._penalty = (noise_to_scene * radius2 + 1e-12).astype(np.float32)
 
     def evidence(self, kernel: FloatArray) -> float:
-        """Log ratio of gradient sparsity after restoring with the reflected kernel, and with the
-        kernel itself.
+        """Log ratio of gradient sparsity, restored with the reflected kernel over the kernel.
 
         Positive when the phase of ``kernel``, (k, k) of odd k, is right: the reflected one rings.
         """
@@ -245,8 +241,7 @@ _DRAWN = (12.5, -8.5)
 
 
 def kernel_score(evidence: FloatArray, agreement: FloatArray | float = 0.0) -> FloatArray:
-    """Quality (K,) of kernels from their :meth:`Judge.evidence` (K, 3) and their agreement (K,)
-    with other candidates.
+    """Quality (K,) from :meth:`Judge.evidence` (K, 3) and agreement (K,) with other candidates.
 
     Agreement is a mean MNC; omit it to compare by the photo alone.
     """
@@ -256,8 +251,7 @@ def kernel_score(evidence: FloatArray, agreement: FloatArray | float = 0.0) -> F
 
 
 def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
-    """Choose among kernels that classical searches have found; each agrees by its mean MNC with
-    the three most alike.
+    """Choose among searched kernels; each agrees by its mean MNC with the three most alike.
 
     Parameters
     ----------
@@ -283,8 +277,7 @@ def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
 def candidate_probabilities(
     evidence: FloatArray, alike: FloatArray, *, samples: int, classical: int
 ) -> FloatArray:
-    """Probability (K,) of each of K kernels to be good: first the drawn ones, then the classical
-    ones, then others.
+    """Probability (K,) of each kernel to be good: drawn ones first, then classical, then others.
 
     A kernel agrees by its mean MNC with the drawn ones and that with the classical ones, half
     each, without itself.
@@ -311,8 +304,7 @@ def candidate_probabilities(
 def distinct(
     alike: FloatArray, first: Iterable[int], order: Iterable[int], *, count: int
 ) -> list[int]:
-    """Choose those of ``first``, then the first of ``order`` that are not the same kernel as one
-    chosen before.
+    """Choose ``first``, then those of ``order`` that repeat no kernel chosen before.
 
     Parameters
     ----------

@@ -16,8 +16,7 @@ _MOST_SPANNED = 0.5  # of a photo: of more, too little is left to search in
 
 
 def without_lights(photo: FloatArray, clipped: NDArray[np.bool_]) -> FloatArray:
-    """Span the clipped pixels of a photo, and 8 px around them, by a membrane: hardly any
-    gradients, so no evidence.
+    """Span clipped pixels, and 8 px around, by a membrane: no gradients, so no evidence.
 
     Parameters
     ----------

@@ -56,8 +56,7 @@ _TANGLED_RIGHT = 0.1
 
 
 class BlindEstimator(ABC):
-    """Estimator from the blurred photo alone: its subclasses search the kernel of crops, at one
-    scale.
+    """Blind estimator: its subclasses search the kernel of a photo's crops, at one scale.
 
     Where the blur is lost in a photo with clipped lights, it is searched again without them. Where
     it outgrows the search, or is lost in a large photo, the photo is halved and tried again.
@@ -144,6 +143,7 @@ class BlindEstimator(ABC):
             greys = _each(
                 photos, lambda photo: textured_luminance(photo, least_px=self.smallest_px)
             )
+            # thresholds on light and noise then mean the same in a dim photo
             greys = [
                 exposure_gain(photo) * grey for photo, grey in zip(photos, greys, strict=True)
             ]
@@ -312,6 +312,7 @@ def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate
             mnc_subpixel(kernels[i], kernels[j]) < _SAME_MOTION_MNC for j in chosen
         ):
             chosen.append(int(i))
+    # a kernel's noise would lengthen its path
     trajectories = [simplest_trajectory(without_faint_parts(kernels[i])) for i in chosen]
     if level.factor > 1:
         trajectories = [trajectory.scaled(level.factor) for trajectory in trajectories]
@@ -410,8 +411,7 @@ def _path_share(path: Trajectory, *, tangled: bool) -> float:
 
 
 def without_faint_parts(kernel: FloatArray) -> FloatArray:
-    """Drop values below 5 % of the peak, and specks: noise there adds side branches that lengthen
-    the path.
+    """Drop values below 5 % of the peak, and specks, which add side branches to the path.
 
     Parameters
     ----------
@@ -425,6 +425,6 @@ def without_faint_parts(kernel: FloatArray) -> FloatArray:
     bright = without_faint_light(kernel, below=_FAINT)
     label, count = ndimage.label(bright, structure=np.ones((3, 3)))
     light = ndimage.sum_labels(bright, label, np.arange(count + 1))
-    light[0] = 0
+    light[0] = 0  # the background's label
     bright = np.where(light[label] >= min(light.max(), _SPECK_SHARE * bright.sum()), bright, 0.0)
     return np.asarray(bright / bright.sum(), dtype=np.float64)

@@ -28,8 +28,7 @@ _MOST_POINTS = 500  # a path has fewer; of noise all over the frame the brightes
 
 @dataclass(frozen=True)
 class QuadraticPath:
-    """Motion ``p(t) = a (t - 1/2) + b ((t - 1/2)^2 - 1/12)`` for t in 0..1, with its time-mean at
-    (0, 0).
+    """Motion ``a (t - 1/2) + b ((t - 1/2)^2 - 1/12)``, t in 0..1; its time-mean is (0, 0).
 
     Parameters
     ----------
@@ -61,8 +60,7 @@ class QuadraticPath:
 
 
 def nearest_quadratic(truth: Trajectory) -> QuadraticPath:
-    """Quadratic path with the least mean square distance to ``truth`` at equal times; a closed
-    form.
+    """Quadratic path of least mean square distance to ``truth`` at equal times, in closed form.
 
     For coded exposure, where the timing of the motion matters. Its reverse is the nearest of the
     reverse.
@@ -210,8 +208,7 @@ def _starts(nearest: QuadraticPath, target: FloatArray) -> list[FloatArray]:
 def _climbed(
     start: FloatArray, target: FloatArray, weight: FloatArray, *, variance_px2: float
 ) -> tuple[FloatArray, float]:
-    """Coefficients and shift (6,) of a local optimum of the correlation with the target's points
-    (M, 2), and its loss.
+    """Coefficients and shift (6,) of a local optimum of the correlation with (M, 2), and its loss.
 
     The points' weights (M,) sum to 1.
     """

@@ -83,6 +83,7 @@ def export_weights(
     trained = read_checkpoint(checkpoint)
     if trained is None:
         raise ValueError(f"{checkpoint}: holds no checkpoint")
+    # ema: exponential moving averages of the weights over the steps
     tensors = halved(trained.under("ema."), source=checkpoint)
     if offset and _OUTPUT_BIAS not in tensors:
         raise ValueError(f"offset: must be 0 for weights without a denoiser, got {offset:g}")
@@ -110,9 +111,7 @@ def export_weights(
 
 
 def _earlier(config: Mapping[str, Any]) -> list[dict[str, float | None]]:
-    """History of the weights that a run started from; none where it started from random ones, or
-    they are gone.
-    """
+    """History of the weights that a run started from; empty without such a file."""
     start = str(config.get("optimiser", {}).get("start", ""))
     if not start or not Path(start).is_file():
         return []
@@ -173,9 +172,7 @@ def load_network(
 
 
 def load_path_network(path: Path | str, *, device: str | torch.device = "cpu") -> PathNetwork:
-    """Build the network of quadratic paths that a weights file belongs to; otherwise as
-    :func:`load_network`.
-    """
+    """Build a weights file's network of quadratic paths; otherwise as :func:`load_network`."""
     network = _loaded(path, device)
     if not isinstance(network, PathNetwork):
         raise ValueError(
@@ -185,8 +182,7 @@ def load_path_network(path: Path | str, *, device: str | torch.device = "cpu") -
 
 
 def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
-    """Copy a weights file into ``network``: all of it where both are the same network, else its
-    condition network.
+    """Copy a weights file into ``network``: all if they are the same, else its condition network.
 
     A photo encoder or a global view that the file lacks makes no other network: it keeps its
     values, which are silent.
@@ -247,8 +243,7 @@ def _loaded(path: Path | str, device: str | torch.device) -> MotDiffNetwork | Pa
 
 
 def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
-    """Read the header of a weights file: ``config``, ``card``, and ``run`` (steps, seconds,
-    offset, history).
+    """Read a weights file's header: ``config``, ``card``, ``run`` (steps, time, offset, history).
 
     The history has a line for each run that led to the weights, from the first: ``samples``,
     ``hours`` and ``validation_mnc``. It is empty in files of before.
@@ -280,9 +275,7 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
 
 
 def _in_order(data: bytes, header: Mapping[str, str]) -> bytes:
-    """Put the header's entries in their order, which safetensors shuffles: the same run gives the
-    same bytes.
-    """
+    """Sort the header's entries, which safetensors shuffles: one run gives the same bytes."""
     start = 8 + int.from_bytes(data[:8], "little")
     text = json.dumps(
         json.loads(data[8:start]) | {"__metadata__": header}, separators=(",", ":")

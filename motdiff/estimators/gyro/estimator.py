@@ -82,7 +82,7 @@ class GyroEstimator:
         readings = int(inside.sum())
         step_s = 1 / self.trace.sample_rate_hz
         warnings = [*self.trace.warnings]
-        if self.axes is None:
+        if self.axes is None:  # a wrong guess shows nowhere else: the path looks just as likely
             warnings.append(
                 f"axes: taken as {axes} (x, y, z as seen from behind the camera); other axes, as"
                 " right,up,back of an upright phone, give a mirrored or turned path"
@@ -103,6 +103,7 @@ class GyroEstimator:
                 f"The path needs a PSF frame of {frame} px, more than the {self.size} px asked"
                 " for; if that is too long, the rates may be in deg/s."
             )
+        # the motion by roll at a corner, which one path for the whole photo cannot hold
         lost = roll * corner_px / max(trajectory.extent_px + roll * corner_px, 1e-9)
         sampled = max(0.0, 1 - step_s / self.exposure_s) if readings else 0.0
         details: dict[str, object] = {

@@ -60,6 +60,7 @@ def corrected_choice(
     chosen = distinct(alike, [candidates.best], likely, count=count)
 
     def better(i: int) -> FloatArray:
+        # the network was made for two other kernels beside the one that it corrects
         rivals = [candidates.kernels[j] for j in likely if j != i][:2]
         return corrected_kernel(network, crops, candidates.kernels[i], rivals, sigma=judge.sigma)
 
@@ -103,7 +104,7 @@ def corrected_kernel(
         np.stack([_framed(framed_kernel) for framed_kernel in (kernel, *rivals)])
     )
     estimate = framed[:1]
-    framed_rivals = framed[[1, -1]][None]
+    framed_rivals = framed[[1, -1]][None]  # a single one counts twice
     with torch.inference_mode():
         for _ in range(_PASSES):
             estimate = corrected(

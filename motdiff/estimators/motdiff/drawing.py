@@ -1,6 +1,4 @@
-"""Sampling of PSFs by the network from crops of a photo, over the eight symmetries of the
-square.
-"""
+"""Sampling of PSFs by the network from a photo's crops, in eight symmetries of the square."""
 
 from __future__ import annotations
 
@@ -55,6 +53,7 @@ def draw_psfs(
         physics = physics_maps(light, torch.from_numpy(classical.astype(np.float32))[None])
     photo = None if network.photo is None else _photo(light)
     turns = range(min(SYMMETRIES, count))
+    # a generator for each symmetry: the draws do not depend on the order of the threads
     seeds = torch.randint(2**62, (len(turns),), generator=generator).tolist()
     jobs = [
         partial(

@@ -1,6 +1,4 @@
-"""MoTDiff estimator: samples of the network, kernel scores, refinement, and a calibrated
-confidence.
-"""
+"""MoTDiff estimator: drawn PSFs, kernel scores, refinement and a calibrated confidence."""
 
 from __future__ import annotations
 

@@ -82,6 +82,7 @@ class PointEstimator:
             if cut_off:
                 why += f"; {cut_off} cut off by the photo's border"
             raise ValueError(f"photo: shows no light streak above its background{why}")
+        # a clipped streak, however bright, has lost its dwell
         best = max(streaks, key=lambda s: (s.clipped_share <= _LOST_TO_CLIPPING, _snr(s)))
         rivals = sorted((s for s in streaks if s is not best), key=_snr, reverse=True)
         # faint streaks add nothing to the average or to the test of uniform blur
@@ -139,9 +140,10 @@ def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_St
     """Streaks found, and how many were too long for the frame or cut off by the border."""
     background = background_light(light, size)
     above = light - background
+    # 1.4826: sigma over the median of |x|, which the few bright pixels hardly move
     noise = float(1.4826 * np.median(np.abs(above - np.median(above))))
     noise = max(noise, 1e-6)
-    # a small mean finds the faint, fast parts of a streak
+    # a 3 x 3 mean, of a third of the noise, finds the faint, fast parts of a streak
     smooth = ndimage.uniform_filter(above, 3)
     bright = smooth > _KEPT_SIGMA * noise / 3 + 1e-4
     joined = ndimage.binary_closing(np.pad(bright, _GAP_PX), iterations=_GAP_PX)[
@@ -169,7 +171,7 @@ def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_St
         if max(values.shape) > size:
             too_long += 1
             continue
-        values = np.maximum(values, 0)
+        values = np.maximum(values, 0)  # noise below the background is no dwell
         frame = np.zeros((size, size))
         frame[: values.shape[0], : values.shape[1]] = values
         share = float(clipped[window][is_streak].sum()) / max(
@@ -183,9 +185,7 @@ def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_St
 
 
 def background_light(light: FloatArray, size: int) -> FloatArray:
-    """Estimate the light behind the streaks: medians of blocks a few times the frame, joined
-    smoothly.
-    """
+    """Light behind the streaks: medians of blocks a few frames wide, joined smoothly."""
     block = 2 * size
     rows, columns = (np.array_split(np.arange(n), max(1, n // block)) for n in light.shape)
     medians = np.array(
@@ -204,6 +204,7 @@ def background_light(light: FloatArray, size: int) -> FloatArray:
 def _average(streaks: list[_Streak]) -> FloatArray:
     """Mean of the streaks, registered on the first, weighted by SNR squared."""
     first = streaks[0]
+    # PSFs of sum 1 have a noise variance of about 1 / SNR^2: the least-noise weights
     total = _snr(first) ** 2 * np.maximum(first.psf, 0)
     for streak in streaks[1:]:
         dx, dy = register_shift(first.psf, streak.psf)

@@ -92,7 +92,7 @@ class ReferenceEstimator:
         places = self._places(sharp, blurred, shift)
         pairs = [self._pair(sharp, blurred, place, shift, None) for place in places]
         noise = psf_fit.residual_variance(pairs, psf_fit.fit_psf(pairs, self.size, steps=4))
-        sparse = noise * self.size**2
+        sparse = noise * self.size**2  # 1 / size^2 is the mean of a PSF of sum 1
         psf = psf_fit.fit_psf(pairs, self.size, sparse=sparse)
         for _ in range(2):  # the second time only where the first fit was cut by the frame
             offset = centroid_px(psf)
@@ -147,6 +147,7 @@ class ReferenceEstimator:
         # of two fits to half of the pixels: the error energy of one, from which that of others
         # follows
         half_error = 1 / max(agreement, 1e-3) - 1
+        # MNC at error energy e: of two fits 1 / (1 + e), of a fit and the truth 1 / sqrt(1 + e)
         expected_mnc = 1 / math.sqrt(1 + half_error / 2)
         warnings = []
         if explained < _LOST:
@@ -228,6 +229,7 @@ class ReferenceEstimator:
         shift: tuple[float, float],
         psf: FloatArray | None,
     ) -> psf_fit.PatchPair:
+        # indices move by whole pixels; only the rest, 0..1, is interpolated
         whole_px = [math.floor(d) for d in shift]
         margin = _SPLINE_MARGIN_PX
         first = [

@@ -104,6 +104,7 @@ def fit_psf(
     operators = [_Operator(pair, size) for pair in pairs]
     frame = (2 * size, 2 * size)
     lags = sum(operator.toeplitz_lags() for operator in operators)
+    # the Toeplitz matrix of lags -(S - 1)..S - 1, within a circulant one that FFTs apply
     embedded = np.zeros(frame)
     embedded[: 2 * size - 1, : 2 * size - 1] = lags
     embedded = np.roll(embedded, (1 - size, 1 - size), axis=(0, 1))
@@ -157,8 +158,7 @@ def explained_share(pairs: Sequence[PatchPair], psf: FloatArray) -> float:
 
 
 def _constrained_step(start: FloatArray, gradient: FloatArray, model: FloatArray) -> FloatArray:
-    """Minimise ``gradient . (k - start) + (k - start) H (k - start) / 2`` over k >= 0 in its
-    frame.
+    """Minimise ``g . (k - start) + (k - start) H (k - start) / 2`` over k >= 0 in its frame.
 
     ``model`` is the spectrum of H on a frame of twice the size. ADMM splits the quadratic, solved
     exactly there, from the constraint; unlike projected gradients it converges although scenes
@@ -170,6 +170,7 @@ def _constrained_step(start: FloatArray, gradient: FloatArray, model: FloatArray
     wide_gradient = np.zeros(frame)
     wide_start[:size, :size], wide_gradient[:size, :size] = start, gradient
     constant = model * fft.rfft2(wide_start) - fft.rfft2(wide_gradient)
+    # a geometric mean: the model's eigenvalues span decades
     rho = _RHO * float(np.exp(np.log(np.maximum(model, 1e-9 * model.max())).mean()))
     projected = wide_start
     dual = np.zeros(frame)

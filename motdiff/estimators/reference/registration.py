@@ -68,6 +68,7 @@ def _binned(image: FloatArray, factor: int) -> FloatArray:
 
 
 def _peak(sharp: FloatArray, blurred: FloatArray) -> tuple[float, float]:
+    # padded to both sizes together, so that no lag wraps onto another
     size = tuple(
         fft.next_fast_len(a + b, real=True)
         for a, b in zip(sharp.shape, blurred.shape, strict=True)
