@@ -144,7 +144,9 @@ class Verdict:
         """
         code = self.best("code")
         plain = [exposure.psnr_db for kind in PLAIN if (exposure := self.best(kind)) is not None]
-        return None if code is None else code.psnr_db - max(plain, default=-math.inf)
+        if code is None:
+            return None
+        return code.psnr_db - max(plain, default=-math.inf)
 
     @property
     def sentence(self) -> str:
@@ -152,11 +154,9 @@ class Verdict:
         advised = self.advised
         snapshot = self.best("snapshot")
         code = self.user_code or self.best("code")
-        gains = (
-            []
-            if self.open_saturates
-            else [_gain(advised.psnr_db - self.ways[0].psnr_db, "the open shutter")]
-        )
+        gains = []
+        if not self.open_saturates:
+            gains.append(_gain(advised.psnr_db - self.ways[0].psnr_db, "the open shutter"))
         if advised.kind == "open":
             text = (
                 "Leave the shutter open: no shorter exposure and no code found gains"
@@ -167,13 +167,12 @@ class Verdict:
             if code is not None and self.code_name:
                 gains.append(_gain(advised.psnr_db - code.psnr_db, self.code_name))
             text += _joined(", which ", gains)
-            text += "" if self.code_name else "; no code that was tried is better"
+            if not self.code_name:
+                text += "; no code that was tried is better"
         else:
-            do = (
-                "Code this exposure"
-                if advised.kind == "code"
-                else f"Pulse the shutter evenly, {_pulses(advised.code)}"
-            )
+            do = "Code this exposure"
+            if advised.kind == "strobe":
+                do = f"Pulse the shutter evenly, {_pulses(advised.code)}"
             beats_user_code = self.user_code is not None and self.user_code is not advised
             if advised.kind == "code" and beats_user_code:
                 do += f" by {advised.code.bits}"
@@ -276,17 +275,17 @@ class Advice:
         for i in range(1, len(gains)):
             if (gains[i] > 0) == inside:
                 continue
-            share = (
-                gains[i - 1] / (gains[i - 1] - gains[i])
-                if np.isfinite(gains[i - 1] - gains[i])
-                else 0.5
-            )
+            share = 0.5  # where no code is possible at one of the levels: the middle
+            if np.isfinite(gains[i - 1] - gains[i]):
+                share = gains[i - 1] / (gains[i - 1] - gains[i])
             light_at_zero = float(10 ** (light[i - 1] + share * (light[i] - light[i - 1])))
             if inside:
                 ranges.append((low_light, light_at_zero))
             low_light = light_at_zero
             inside = not inside
-        return (*ranges, (low_light, None)) if inside else tuple(ranges)
+        if inside:
+            ranges.append((low_light, None))
+        return tuple(ranges)
 
     @property
     def sentence(self) -> str:
@@ -498,15 +497,14 @@ def _gain(gain_db: float, over: str) -> str:
     """Say what is gained over another exposure, or lost to it."""
     if abs(gain_db) < WORTH_DB:
         return f"restores as well as {over}"
-    return (
-        f"gains {_amount(gain_db)} over {over}"
-        if gain_db > 0
-        else f"loses {_amount(gain_db)} to {over}"
-    )
+    if gain_db > 0:
+        return f"gains {_amount(gain_db)} over {over}"
+    return f"loses {_amount(gain_db)} to {over}"
 
 
 def _amount(gain_db: float) -> str:
-    return f"{abs(gain_db):.1f} dB" if abs(gain_db) >= 0.95 else f"{abs(gain_db):.2f} dB"
+    decimals = 1 if abs(gain_db) >= 0.95 else 2  # two digits that count
+    return f"{abs(gain_db):.{decimals}f} dB"
 
 
 def _run(exposure: Way) -> str:
@@ -514,7 +512,9 @@ def _run(exposure: Way) -> str:
         return "the open shutter"
     if exposure.kind == "snapshot":
         return f"a single exposure of {_share(exposure.code)}"
-    return "a code" if exposure.kind == "code" else _pulses(exposure.code)
+    if exposure.kind == "code":
+        return "a code"
+    return _pulses(exposure.code)
 
 
 def _pulses(code: ShutterCode) -> str:
@@ -535,7 +535,9 @@ def _share(code: ShutterCode) -> str:
 
 def _range(low: float | None, high: float | None) -> str:
     """Range of light in words, its ends to two digits."""
-    limits = [None if end is None else f"{float(f'{end:.2g}'):,.0f}" for end in (low, high)]
+    numbers = [f"{float(f'{end:.2g}'):,.0f}" for end in (low, high) if end is not None]
     if low is None:
-        return f"up to {limits[1]}"
-    return f"from {limits[0]} on" if high is None else f"from {limits[0]} to {limits[1]}"
+        return f"up to {numbers[0]}"
+    if high is None:
+        return f"from {numbers[0]} on"
+    return f"from {numbers[0]} to {numbers[1]}"

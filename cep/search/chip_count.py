@@ -92,7 +92,8 @@ def choose_chips(
                 check_resolved(problem.scenarios[0].trajectory, count)
                 check_light(problem)
             except ValueError as error:
-                refusal = error if index == 0 else refusal
+                if index == 0:
+                    refusal = error
                 continue
             reached[count], stopped = _best_way(
                 problem, path_error_px, seed, max(left_s, 1e-3), threads
@@ -173,9 +174,10 @@ def _best_way(
     camera = problem.camera
     ordinary = finder.ordinary(camera, every_length=path_error_px > 0)
     searched = finder.search(camera, ordinary, seed=seed, time_s=time_s, threads=threads)
-    codes, stopped = (
-        (ordinary, "") if searched is None else ([*ordinary, searched.code], searched.stopped)
-    )
-    return best_possible(
-        judged_ways(problem, [camera], codes, path_error_px=path_error_px)[0]
-    ), stopped
+    codes = ordinary
+    stopped = ""
+    if searched is not None:
+        codes = [*ordinary, searched.code]
+        stopped = searched.stopped
+    exposures = judged_ways(problem, [camera], codes, path_error_px=path_error_px)[0]
+    return best_possible(exposures), stopped

@@ -127,16 +127,11 @@ def compare(
     >>> [row.name for row in rows][:4]
     ['this code', 'open shutter', 'best snapshot', 'best strobe']
     """
-    measured = (
-        find_baselines(problem, rng=np.random.default_rng(seed))
-        if baselines is None
-        else baselines
-    )
-    first = (
-        problem.scenarios[0].trajectory
-        if problem.scenarios
-        else Trajectory.straight(float(problem.chips))
-    )
+    if baselines is None:
+        baselines = find_baselines(problem, rng=np.random.default_rng(seed))
+    first = Trajectory.straight(float(problem.chips))
+    if problem.scenarios:
+        first = problem.scenarios[0].trajectory
     path = as_designed(along or first, problem.direction)
     rows = (
         BaselineRow("this code", code, problem.measure(code), problem.allows(code)),
@@ -148,7 +143,7 @@ def compare(
                 baseline.within_limits,
                 baseline.stopped_early,
             )
-            for baseline in measured
+            for baseline in baselines
         ),
     )
     return Comparison(

@@ -119,7 +119,7 @@ class ExpectedPsnr:
             raise ValueError(f"path_error_px: must be 0 px or more, got {path_error_px:g}")
         _check_moves(problem)
         self.problem = problem
-        rng = np.random.default_rng(0) if rng is None else rng
+        rng = rng or np.random.default_rng(0)
         self._motions = [
             [
                 _DirectedMotion(problem, directed, path_error_px, rng)
@@ -253,9 +253,9 @@ class _DirectedMotion:
         self._problem = problem
         self._scenario = scenario
         path = scenario.trajectory
-        self._paths = (
-            [path] if path_error_px == 0 else list(_perturbed_paths(path, path_error_px, rng))
-        )
+        self._paths = [path]
+        if path_error_px > 0:
+            self._paths = list(_perturbed_paths(path, path_error_px, rng))
         self._samples = _samples(path, exact=len(self._paths) == 1)
         self._otfs: list[NDArray[np.complex64]] | None = None
 

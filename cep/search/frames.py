@@ -196,18 +196,17 @@ def optimize_frames(
             for number, code in enumerate(outcome.codes, 1)
         ]
     )
-    circle = replace(problem, scenarios=()) if problem.on_circle else None
 
     def together(codes: Sequence[ShutterCode]) -> Together:
-        on_circle = (
-            None if circle is None else problem.chips * joint_figures(circle, codes).minimum
-        )
         joint = joint_figures(problem, codes)
-        return Together(
-            joint.minimum,
-            on_circle,
-            joint.noise_gain_db if joint.noise_gain_db <= HOPELESS_DB else None,
-        )
+        min_chip = None
+        noise_gain_db = None
+        if problem.on_circle:
+            circle = replace(problem, scenarios=())
+            min_chip = problem.chips * joint_figures(circle, codes).minimum
+        if joint.noise_gain_db <= HOPELESS_DB:
+            noise_gain_db = joint.noise_gain_db
+        return Together(joint.minimum, min_chip, noise_gain_db)
 
     metrics = tuple(problem.measure(code) for code in outcome.codes)
     joint = together(outcome.codes)
@@ -274,14 +273,9 @@ def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verd
         )
         exposures = (*exposures, searched)
     best_possible(exposures)
-    coded = searched.possible and searched.kind in CODED
-    return Verdict(
-        camera,
-        exposures,
-        "these codes" if coded else "",
-        searched if coded else None,
-        frames=frames,
-    )
+    if searched.possible and searched.kind in CODED:
+        return Verdict(camera, exposures, "these codes", searched, frames=frames)
+    return Verdict(camera, exposures, "", frames=frames)
 
 
 def _search(
@@ -305,15 +299,15 @@ def _search(
         length_px=length_px,
         progress=lambda share, best: progress(share / 2, f"a single code, {best.open_chips} open"),
     )
+    left_s = max(time_s / 2, time_s - single.seconds)
+    if single.stopped == "interrupted":
+        left_s = 1e-9  # Ctrl-C ends both searches; a time limit only the one
     outcome = anneal_frames(
         problem,
         frames,
         rng=np.random.default_rng([how.seed, 3]),
         steps=moves,
-        # Ctrl-C ends both searches; a time limit only the one
-        time_s=1e-9
-        if single.stopped == "interrupted"
-        else max(time_s / 2, time_s - single.seconds),
+        time_s=left_s,
         start=[[single.code] * frames],
         progress=lambda share, best: progress(
             (1 + share) / 2, f"{'+'.join(str(code.open_chips) for code in best)} open"

@@ -89,11 +89,8 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
         None where no single run keeps the limits.
     """
     n = objective.problem.chips
-    fits = (
-        _fitting_runs(objective.problem.limits)
-        if within_limits
-        else _fitting_runs(Limits(n, (1, n)))
-    )
+    limits = objective.problem.limits if within_limits else Limits(n, (1, n))
+    fits = _fitting_runs(limits)
     lengths = np.flatnonzero(fits.any(axis=1))
     most_lengths = _LENGTHS
     most_starts = _STARTS
@@ -121,11 +118,9 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
             for first, end in neighbours
             if 0 <= first < end <= n and fits[end - first, first]
         ]
-    return (
-        ShutterCode("0" * best[0] + "1" * (best[1] - best[0]) + "0" * (n - best[1]))
-        if best[1]
-        else None
-    )
+    if not best[1]:
+        return None
+    return ShutterCode("0" * best[0] + "1" * (best[1] - best[0]) + "0" * (n - best[1]))
 
 
 def best_strobe(objective: Objective, *, within_limits: bool = False) -> ShutterCode | None:
@@ -150,11 +145,9 @@ def best_strobe(objective: Objective, *, within_limits: bool = False) -> Shutter
     """
     problem = objective.problem
     codes = _strobes_within(problem) if within_limits else _strobes(problem.chips)
-    return (
-        ShutterCode.from_array(codes[int(_costs(objective, codes).argmin())])
-        if len(codes)
-        else None
-    )
+    if not len(codes):
+        return None
+    return ShutterCode.from_array(codes[int(_costs(objective, codes).argmin())])
 
 
 def _fitting_runs(limits: Limits) -> NDArray[np.bool_]:
@@ -209,7 +202,9 @@ def _strobes_within(problem: SearchProblem) -> Codes:
         shortest = max(limits.runs.min_period, width + limits.runs.min_closed)
         longest = (n - width) // (pulses - 1)
         for period in evenly_some(np.arange(shortest, longest + 1), _PERIODS_WITHIN):
-            later = n - ((pulses - 1) * period + width) if limits.runs.fixed is not None else 0
+            later = 0
+            if limits.runs.fixed is not None:  # no strobe from the first chip may keep the mask
+                later = n - ((pulses - 1) * period + width)
             code = np.zeros(n, dtype=np.int8)
             code[(np.arange(pulses)[:, None] * period + np.arange(width)).ravel()] = 1
             codes += [np.roll(code, first) for first in evenly_some(np.arange(later + 1), _FIRSTS)]

@@ -149,11 +149,9 @@ class Limits:
     def longest(self) -> int:
         """Longest open run that any code within the light can have."""
         light = min(self.open_range[1], self.chips)
-        return (
-            self.chips
-            if self.runs.max_open is None or self.runs.max_open >= light
-            else self.runs.max_open
-        )
+        if self.runs.max_open is None or self.runs.max_open >= light:
+            return self.chips
+        return self.runs.max_open
 
     @property
     def period(self) -> int:
@@ -173,11 +171,9 @@ class Limits:
     @property
     def most_pulses(self) -> int | None:
         """Most pulses, or None when so many never fit anyway."""
-        return (
-            None
-            if self.runs.max_pulses is None or self.runs.max_pulses >= self.fitting_pulses
-            else self.runs.max_pulses
-        )
+        if self.runs.max_pulses is None or self.runs.max_pulses >= self.fitting_pulses:
+            return None
+        return self.runs.max_pulses
 
     def may_be(self, bit: int) -> BoolArray:
         """Which chips (n,) the mask lets be open (1) or closed (0)."""
@@ -303,13 +299,15 @@ def fixed_mask(
             raise ValueError(
                 f"{name}: chips of a code of {chips} are 0..{chips - 1}, got {outside[0]}"
             )
-    open_indices |= ({0} if first_open else set()) | ({chips - 1} if last_open else set())
+    if first_open:
+        open_indices.add(0)
+    if last_open:
+        open_indices.add(chips - 1)
     contradictory = sorted(open_indices & closed_indices)
     if contradictory:
         raise ValueError(f"forced_closed: chip {contradictory[0]} is forced open as well")
-    return "".join(
-        "1" if i in open_indices else "0" if i in closed_indices else "?" for i in range(chips)
-    )
+    marks = dict.fromkeys(closed_indices, "0") | dict.fromkeys(open_indices, "1")
+    return "".join(marks.get(i, "?") for i in range(chips))
 
 
 def checked_mask(fixed: str | None, chips: int) -> str | None:
@@ -352,10 +350,8 @@ def feasible(limits: Limits) -> bool:
         fewest = _fewest_pulses(
             Limits(limits.chips, (1, limits.chips), replace(limits.runs, max_pulses=None))
         )
-    return bool(
-        fewest[low : high + 1].min()
-        <= (limits.chips if limits.runs.max_pulses is None else limits.runs.max_pulses)
-    )
+    most_pulses = limits.runs.max_pulses or limits.chips
+    return bool(fewest[low : high + 1].min() <= most_pulses)
 
 
 def conflicting(limits: Limits) -> tuple[str, ...]:
@@ -397,17 +393,13 @@ def check_feasible(limits: Limits) -> None:
         "open_range": "{}..{}".format(*limits.open_range),
         "fixed": f"({marks.count('1')} forced open, {marks.count('0')} forced closed)",
     }
-    words = [
-        f"{name} {values[name] if name in values else getattr(limits.runs, name)}"
-        for name in names
-    ]
+    words = [f"{name} {values.get(name) or getattr(limits.runs, name)}" for name in names]
     code = f"no code of {limits.chips} chips keeps"
     if len(words) == 1:
         raise ValueError(f"{words[0]}: {code} it")
     listed = f"{', '.join(words[:-1])} and {words[-1]}"
-    raise ValueError(
-        f"{listed} conflict: {code} {'both' if len(words) == 2 else f'all {len(words)}'}"
-    )
+    number = "both" if len(words) == 2 else f"all {len(words)}"
+    raise ValueError(f"{listed} conflict: {code} {number}")
 
 
 def _fewest_free_pulses(limits: Limits) -> NDArray[np.int64]:
@@ -475,7 +467,9 @@ def nearest(limits: Limits, code: NDArray[np.integer] | BoolArray) -> NDArray[np
 
     def changes(i: int, step: Step) -> int:
         middle = i + step.open_chips
-        end = n if step.next_state == OVER else i + step.open_chips + step.closed_chips
+        end = i + step.open_chips + step.closed_chips
+        if step.next_state == OVER:
+            end = n
         already_open = opened_before[middle] - opened_before[i]
         return int(step.open_chips - already_open + opened_before[end] - opened_before[middle])
 

@@ -148,9 +148,8 @@ class Objective:
     def duty(self, codes: RealArray) -> NDArray[np.float64]:
         """(R,) open fraction of the exposure, with the shutter's ramps where there are any."""
         response = self.problem.response
-        return np.asarray(
-            codes.mean(axis=1) if response is None else response.open_time(codes), dtype=np.float64
-        )
+        share = codes.mean(axis=1) if response is None else response.open_time(codes)
+        return np.asarray(share, dtype=np.float64)
 
     def noise_of(self, codes: RealArray) -> NDArray[np.float64]:
         """(R,) variance of the noise through (R, n) codes; that of a single opening has its own

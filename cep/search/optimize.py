@@ -337,7 +337,8 @@ def optimize(
             progress=lambda share, note: progress(_CHOOSING * share, note),
         )
         problem = problem(chosen.chips)
-        start = [*start, *([] if chosen.code is None else [chosen.code])]
+        if chosen.code is not None:
+            start = [*start, chosen.code]
         finished = _CHOOSING
         if time_s is not None:
             left_s = time_s - (time.monotonic() - started)
@@ -423,11 +424,9 @@ def searched_problem(problem: SearchProblem) -> SearchProblem:
     """Return what is searched for a problem: the unit circle where only the code's polynomial
     matters.
     """
-    return (
-        replace(problem, scenarios=())
-        if problem.on_circle and problem.objective == "min-mtf"
-        else problem
-    )
+    if problem.on_circle and problem.objective == "min-mtf":
+        return replace(problem, scenarios=())
+    return problem
 
 
 def ended_early(how: Search, stopped: str, moves: int | None) -> list[str]:
@@ -575,18 +574,18 @@ def _bounded(
         return "", None, None
     if straight and outcome.proof is not None and outcome.stopped == "proven":
         limit = outcome.proof["upper"]
-        reached = metrics.min_chip
-        return "min |P|, chips", limit, max(0.0, 1 - reached / limit) if limit > 0 else 0.0
+        return "min |P|, chips", limit, max(0.0, _gap(metrics.min_chip, limit))
     limits = bound(problem, effort=effort)
     if problem.objective == "noise":
         return "noise gain, dB", limits.noise, metrics.noise_gain_db - limits.noise
-    limit, reached = (
-        (limits.min_chip, metrics.min_chip) if straight else (limits.min_mtf, metrics.min_mtf)
-    )
+    if straight:
+        return "min |P|, chips", limits.min_chip, _gap(metrics.min_chip, limits.min_chip)
+    return "min MTF", limits.min_mtf, _gap(metrics.min_mtf, limits.min_mtf)
+
+
+def _gap(reached: float | None, limit: float) -> float:
+    """Return how far a minimum is below its limit, relative to that."""
     assert reached is not None  # along a uniform straight motion |P| is measured
-    # with so many open chips every code may have a zero: then the limit is 0, and reached
-    return (
-        "min |P|, chips" if straight else "min MTF",
-        limit,
-        1 - reached / limit if limit > 0 else 0.0,
-    )
+    if limit > 0:
+        return 1 - reached / limit
+    return 0.0  # with so many open chips every code may have a zero

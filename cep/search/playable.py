@@ -232,5 +232,9 @@ def _check_chip(profile: DeviceProfile, chip_ns: int) -> None:
 
 def unplayable(bits: str, profile: DeviceProfile | None, chip_ns: int) -> str:
     """Say why the device cannot play a code; empty where it can, or none was named."""
-    problems = profile.check(Program.from_bits(bits, chip_ns=chip_ns)) if profile else ()
-    return f"no code was found that the device can play: {'; '.join(problems)}" if problems else ""
+    if profile is None:
+        return ""
+    problems = profile.check(Program.from_bits(bits, chip_ns=chip_ns))
+    if not problems:
+        return ""
+    return f"no code was found that the device can play: {'; '.join(problems)}"

@@ -243,9 +243,9 @@ class SearchProblem:
     @property
     def objective_mix(self) -> tuple[tuple[str, float], ...]:
         """Objectives with their weights."""
-        return (
-            ((self.objective, 1.0),) if isinstance(self.objective, str) else tuple(self.objective)
-        )
+        if isinstance(self.objective, str):
+            return ((self.objective, 1.0),)
+        return tuple(self.objective)
 
     @property
     def criteria(self) -> tuple[tuple[Criterion, float], ...]:
@@ -292,7 +292,9 @@ class SearchProblem:
 
     def directions(self, scenario: Scenario) -> tuple[bool, ...]:
         """Directions of a scenario that count: whether each is the reversed one."""
-        return (False, True) if self.both_directions(scenario.trajectory) else (False,)
+        if self.both_directions(scenario.trajectory):
+            return (False, True)
+        return (False,)
 
     def ways(self) -> tuple[tuple[Scenario, bool], ...]:
         """Every scenario in every direction that counts, scenario by scenario."""
@@ -364,7 +366,9 @@ class SearchProblem:
 def _scenario(motion: Trajectory | MotionEstimate | Scenario) -> Scenario:
     if isinstance(motion, Scenario):
         return motion
-    return Scenario(motion if isinstance(motion, Trajectory) else motion.best)
+    if isinstance(motion, MotionEstimate):
+        motion = motion.best
+    return Scenario(motion)
 
 
 def open_range_of_duty(chips: int, low: float, high: float) -> tuple[int, int]:

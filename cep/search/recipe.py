@@ -246,11 +246,10 @@ def _starts(problem: SearchProblem, rivals: Iterable[Baseline]) -> list[ShutterC
     """
     codes = []
     for baseline in rivals:
-        bits = (
-            baseline.code.array != 0
-            if baseline.within_limits
-            else nearest(problem.limits, baseline.code.array != 0)
-        )
+        if baseline.within_limits:
+            codes.append(ShutterCode.from_array(baseline.code.array != 0))
+            continue
+        bits = nearest(problem.limits, baseline.code.array != 0)
         if bits is not None:
             codes.append(ShutterCode.from_array(bits))
     return codes
@@ -267,9 +266,9 @@ def _best_of(
         key=lambda baseline: baseline.cost_db,
         default=None,
     )
-    return (
-        (code, cost_db) if best is None or best.cost_db >= cost_db else (best.code, best.cost_db)
-    )
+    if best is None or best.cost_db >= cost_db:
+        return code, cost_db
+    return best.code, best.cost_db
 
 
 def baselines(
@@ -342,7 +341,9 @@ def _used_instead(
         if free is None:
             continue
         yield name, free, False
-        limited = None if problem.allows(free) else best(coarse, within_limits=True)
+        if problem.allows(free):
+            continue
+        limited = best(coarse, within_limits=True)
         if limited is not None:
             yield name + _WITHIN, limited, False
     for entry in for_chips(problem.chips):

@@ -60,7 +60,9 @@ class Scenario:
         """Return the motion, or the same run backwards in time; the chips are played in their
         order either way.
         """
-        return self.trajectory.reversed() if reversed_path else self.trajectory
+        if reversed_path:
+            return self.trajectory.reversed()
+        return self.trajectory
 
 
 Base = Trajectory | Scenario | Iterable[Scenario]
@@ -221,7 +223,9 @@ def distinct_rows(rows: NDArray[Any], response: ShutterResponse | None) -> NDArr
     V is 4 where the shutter's response makes neighbours matter (2 left + right, 1 for open), else
     1.
     """
-    return rows[:, 0, :1] if response is None else rows.reshape(len(rows), 4, *rows.shape[3:])
+    if response is None:
+        return rows[:, 0, :1]
+    return rows.reshape(len(rows), 4, *rows.shape[3:])
 
 
 def coded_sum(rows: NDArray[Any], codes: NDArray[Any]) -> NDArray[Any]:

@@ -131,9 +131,9 @@ class WayFinder:
         long = straight and sample_count(mse_problem, oversampling=_OVERSAMPLING) > _LONG_COLUMNS
         over, across = (_LONG_OVERSAMPLING, _LONG_ACROSS) if long else (_OVERSAMPLING, ACROSS)
         self._fast = Objective(mse_problem, oversampling=_OVERSAMPLING)
-        self._moved = (
-            Objective(mse_problem, oversampling=over, across=across) if long else self._fast
-        )
+        self._moved = self._fast
+        if long:
+            self._moved = Objective(mse_problem, oversampling=over, across=across)
         self._judge = Objective(mse_problem, oversampling=over, across=across, dtype=np.float64)
         self._swaps = (
             not long or problem.chips**2 // 4 * self._judge.shares_across.size <= _SWAPS_WORK
@@ -153,16 +153,16 @@ class WayFinder:
         for best, single in ((best_snapshot, True), (best_strobe, False)):
             for candidate in (unlimited, problem):
                 unsaturated = recordable(candidate, single=single)
-                code = (
-                    None
-                    if unsaturated is None
-                    else best(
-                        self._fast.for_problem(unsaturated),
-                        within_limits=unsaturated is not unlimited,
-                    )
+                if unsaturated is None:
+                    continue
+                code = best(
+                    self._fast.for_problem(unsaturated),
+                    within_limits=unsaturated is not unlimited,
                 )
-                codes += [] if code is None else [code]
-                if code is not None and problem.allows(code):
+                if code is None:
+                    continue
+                codes.append(code)
+                if problem.allows(code):
                     break
         n = problem.chips
         shortest = max(problem.open_limits[0], 1)
@@ -189,9 +189,11 @@ class WayFinder:
             After Ctrl-C.
         """
         outcome = self.search(camera, starts, seed=seed, threads=threads)
-        if outcome is not None and outcome.stopped == "interrupted":
+        if outcome is None:
+            return []
+        if outcome.stopped == "interrupted":
             raise KeyboardInterrupt
-        return [] if outcome is None else [outcome.code]
+        return [outcome.code]
 
     def search(
         self,
@@ -386,4 +388,6 @@ def _kind(code: ShutterCode) -> Choice:
     last_is_alike = stops[-1] - starts[-1] == stops[0] - starts[0] or (
         stops[-1] == code.chips and stops[-1] - starts[-1] < stops[0] - starts[0]
     )
-    return "strobe" if even and last_is_alike else "code"
+    if even and last_is_alike:
+        return "strobe"
+    return "code"

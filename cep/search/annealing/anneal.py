@@ -168,7 +168,10 @@ def anneal(
     sweeping = swept(problem)
     if sweeping:
         judge = judge or Objective(problem, oversampling=_JUDGED_OVERSAMPLING, dtype=np.float64)
-    elites = _Elites(judge if judge is not None and sweeping else coarse)
+    elites = _Elites(coarse)
+    if sweeping and judge is not None:
+        # what is best on the coarse samples need not be so between them
+        elites = _Elites(judge)
     seeds = np.array([*starts, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
     elites.offer(seeds[problem.satisfied(seeds)])
     free = problem.free_chips
@@ -189,9 +192,8 @@ def anneal(
                 threads,
                 sweep_tables(coarse, judge) if sweeping and judge else None,
             )
-            budget.start_s = (
-                time.monotonic()
-            )  # the samples of a class of motions may take longer than the whole limit
+            # the samples of a class of motions may take longer than the whole limit
+            budget.start_s = time.monotonic()
             round_number = 0
             longest = _LONGEST_SWEPT if sweeping else _LONGEST
             while budget.remains():
@@ -224,9 +226,8 @@ def standard_moves(problem: SearchProblem) -> int:
     if swept(problem):
         return _SWEPT_MOVES
     columns = sample_count(problem, oversampling=_SEARCH_OVERSAMPLING)
-    if (
-        problem.rule == "mean"
-    ):  # every move is judged on every motion, and a class of them leaves few valleys
+    if problem.rule == "mean":
+        # every move is judged on every motion, and a class of them leaves few valleys
         return int(np.clip(_STANDARD_WORK // columns, _LEAST_OF_MEAN, 2**25))
     largest = max(criterion.most_moves for criterion, _ in problem.criteria)
     return int(np.clip(_STANDARD_WORK // columns, 2**20, largest))
@@ -256,7 +257,9 @@ def _crews(
     times as fast.
     """
     parts = [coarse.instead(name) for name, _ in problem.objective_mix]
-    objectives = [coarse] if len(parts) == 1 else [*parts, coarse]
+    objectives = [coarse]
+    if len(parts) > 1:
+        objectives = [*parts, coarse]
     return [
         Crew(objective.problem, lay_out(objective), free, threads=threads, sweeping=sweeping)
         for objective in objectives
@@ -277,13 +280,14 @@ def _plans(
         straight = all(
             straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios
         )
-        walks = _WALKS_STRAIGHT if straight and problem.chips <= _SHORT else _WALKS_OTHERS
+        walks = _WALKS_OTHERS
+        if straight and problem.chips <= _SHORT:
+            walks = _WALKS_STRAIGHT
     cooled = CHAINS - walks
     codes = problem.random_codes(cooled, rng=rng).astype(np.int8)
     best = elites.ranked()
-    leaders = min(
-        len(best), cooled // 2
-    )  # the others from anywhere: starts may all lie in one valley
+    # the others from anywhere: starts may all lie in one valley
+    leaders = min(len(best), cooled // 2)
     codes[:leaders] = best[:leaders]
     seeds = [int(seed) for seed in rng.integers(1, 2**62, CHAINS)]
     heats = [hot if first or index >= leaders else REHEATED * hot for index in range(cooled)]
@@ -313,13 +317,10 @@ class Budget:
 
     def share(self) -> float:
         """Fraction used, 0..1."""
-        return min(
-            1.0,
-            max(
-                self.elapsed() / self.time_s,
-                0.0 if self.steps is None else self.moves / self.steps,
-            ),
-        )
+        share = self.elapsed() / self.time_s
+        if self.steps is not None:
+            share = max(share, self.moves / self.steps)
+        return min(1.0, share)
 
     def elapsed(self) -> float:
         """Seconds since it began."""
@@ -344,7 +345,9 @@ class Budget:
 
     def stopped(self) -> Stopped:
         """Return the exhausted limit: the moves, where they and the time ran out together."""
-        return "steps" if self.steps is not None and self.moves >= self.steps else "time"
+        if self.steps is not None and self.moves >= self.steps:
+            return "steps"
+        return "time"
 
     def polished(
         self,
@@ -380,7 +383,8 @@ class Budget:
             for piece in pieces:
                 tell(piece, False)
                 if self.elapsed() > ends_s:
-                    stopped = "time" if stopped == "steps" else stopped
+                    if stopped == "steps":
+                        stopped = "time"
                     break
             tell(piece, True)
         except KeyboardInterrupt:

@@ -179,7 +179,9 @@ class Crew:
         if isinstance(plan, Sweeps):
             assert self._sweeping is not None
             return sweeps(self._problem, self._sweeping, plan)
-        return self._cooling(plan) if isinstance(plan, Cooling) else self._walks(plan)
+        if isinstance(plan, Cooling):
+            return self._cooling(plan)
+        return self._walks(plan)
 
     def _cooling(self, plan: Cooling) -> Iterator[tuple[int, Codes]]:
         """Yield the moves made and the best codes after every slice."""
@@ -219,7 +221,9 @@ class Crew:
                 )
                 step = step + _WALK_SLICE
                 moves = moves + step_moves
-                since = 0 if chain.cost[1] < before else since + _WALK_SLICE
+                since += _WALK_SLICE
+                if chain.cost[1] < before:
+                    since = 0
                 ranked = sorted(
                     [*finished, (float(chain.cost[1]), found_by(chain))],
                     key=lambda entry: entry[0],

@@ -145,9 +145,8 @@ def anneal_frames(
             stopped = budget.stopped()
     except KeyboardInterrupt:
         stopped = "interrupted"
-    ranked = np.concatenate(
-        [elites.ranked(frames), seeds]
-    )  # no start may beat what is returned on the fine grid
+    # no start may beat what is returned on the fine grid
+    ranked = np.concatenate([elites.ranked(frames), seeds])
 
     def report(piece: tuple[NDArray[np.int8], float], over: bool) -> None:
         if progress is not None:
@@ -240,15 +239,18 @@ def _round(
     whatever ends them.
     """
     best = elites.ranked(joint.frames)
-    leaders = min(len(best), CHAINS // 2 if round_number else CHAINS)
+    # first round: every code known starts a chain; later half of them start anywhere
+    leaders = min(len(best), CHAINS)
+    if round_number:
+        leaders = min(leaders, CHAINS // 2)
     random = joint.problem.random_codes(CHAINS * joint.frames, rng=rng).astype(np.int8)
     codes = [*best[:leaders], *random.reshape(CHAINS, joint.frames, -1)[leaders:]]
     runs = [joint.chain(start, int(rng.integers(1, 2**62))) for start in codes]
     # a move in one frame changes a sum of so many less, and colder still found better codes
     hot = hottest_db(joint.problem) / joint.frames**2
-    heats = [
-        hot * (REHEATED if round_number and index < leaders else 1.0) for index in range(CHAINS)
-    ]
+    heats = [hot] * CHAINS
+    if round_number:
+        heats[:leaders] = [REHEATED * hot] * leaders
     moves = budget.chain(round_number)
     try:
         for first in range(0, moves, _SLICE):

@@ -143,8 +143,9 @@ def _climb(fine: Objective, codes: Codes, cost: float) -> Iterator[tuple[float, 
                 fine, frame_power + power, (fine.duty(batch) + duty) / frames
             )
             yield cost, codes
-        best = int(costs.argmin()) if costs.size else 0
-        if costs.size and costs[best] < cost - 1e-9:
+        # a hair of gain does not count: rounding could exchange two equal codes without end
+        if costs.size and costs.min() < cost - 1e-9:
+            best = int(costs.argmin())
             cost, codes[frame], stuck = float(costs[best]), candidates[best], 0
         else:
             frame = (frame + 1) % frames

@@ -96,7 +96,8 @@ def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") 
         if "min-mtf" in objectives and parts and problem.chips <= _MOST_CHIPS:
             mtf, won = tightened(parts, counts, mtf, "min")
             proofs += won
-            mtf_name = "sdp" if _decides(won, counts[mtf.argmax()]) else mtf_name
+            if _decides(won, counts[mtf.argmax()]):
+                mtf_name = "sdp"
     noise_name = "light"
     noise = -20 * np.log10(light)
     worst: MotionBasis | None = None
@@ -109,7 +110,8 @@ def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") 
     if "noise" in objectives and worst is not None and problem.chips <= _MOST_CHIPS:
         noise, won = tightened([worst], counts, noise, "noise")
         proofs += won
-        noise_name = "sdp" if _decides(won, counts[noise.argmin()]) else noise_name
+        if _decides(won, counts[noise.argmin()]):
+            noise_name = "sdp"
     names = {"min_mtf": mtf_name, "min_chip": chip_name, "noise": noise_name}
     return Bound(float(mtf.max()), float(chip.max()), float(noise.min()), names, tuple(proofs))
 
@@ -136,11 +138,11 @@ def _best(limits: dict[str, FloatArray], *, upper: bool = True) -> tuple[str, Fl
     """Best bound for each number of open chips, and the name of the one that decides where it is
     weakest.
     """
-    values = np.stack(list(limits.values()))
-    best = values.min(axis=0) if upper else values.max(axis=0)
-    weakest = int(best.argmax() if upper else best.argmin())
-    column = values[:, weakest]
-    return list(limits)[int(column.argmin() if upper else column.argmax())], best
+    sign = 1.0 if upper else -1.0  # lower bounds are upper ones of the negated figure
+    values = sign * np.stack(list(limits.values()))
+    best = values.min(axis=0)
+    weakest = int(best.argmax())
+    return list(limits)[int(values[:, weakest].argmin())], sign * best
 
 
 def _decides(proofs: list[DualProof], open_chips: np.intp) -> bool:
@@ -187,11 +189,10 @@ def _played(problem: SearchProblem) -> list[tuple[Trajectory, bool, FloatArray |
         edges = scenario.edges
         if edges is None:
             motions.append((motion, reversible, None))
-        else:  # the reversed path's chips are not the forward ones in another order
-            motions += [
-                (path, False, edges)
-                for path in ([motion, motion.reversed()] if reversible else [motion])
-            ]
+            continue
+        motions.append((motion, False, edges))
+        if reversible:  # the reversed path's chips are not the forward ones in another order
+            motions.append((motion.reversed(), False, edges))
     return motions
 
 

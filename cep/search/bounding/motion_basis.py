@@ -72,7 +72,10 @@ class MotionBasis:
     def gram(self, weights: FloatArray) -> FloatArray:
         """``sum_f a_f G_f``, the mean of both directions where both count."""
         matrix = gram(self.basis, weights)
-        return 0.5 * (matrix + matrix[::-1, ::-1]) if self.both else matrix
+        if self.both:
+            # along the reversed path the chips' rows come in the opposite order
+            return 0.5 * (matrix + matrix[::-1, ::-1])
+        return matrix
 
     @cached_property
     def power(self) -> tuple[FloatArray, FloatArray]:

@@ -71,7 +71,11 @@ def tightened(
     best = earlier.copy()
     proofs = dict[int, DualProof]()
     solved = set[int]()
-    sign = 1.0 if quantity == "min" else -1.0
+    sign = 1.0
+    relaxed_proof = _minimum
+    if quantity == "noise":  # a lower bound, in dB
+        sign = -1.0
+        relaxed_proof = _mean
     settled = -np.inf
     for _ in range(_LIGHTS):
         index = int((sign * best).argmax())
@@ -81,7 +85,7 @@ def tightened(
             break
         solved.add(index)
         try:
-            proof, matrix, reached = (_minimum if quantity == "min" else _mean)(parts, k, solvers)
+            proof, matrix, reached = relaxed_proof(parts, k, solvers)
         except ValueError:  # no solver found an optimum
             break
         for row, count in enumerate(counts):
@@ -94,9 +98,8 @@ def tightened(
             if sign * value < sign * best[row]:
                 best[row] = value
                 proofs[row] = replace(proof, open_chips=int(count), bound=float(value))
-        settled = max(
-            settled, sign * best[index] + (0.01 * best[index] if quantity == "min" else 0.05)
-        )
+        margin = 0.01 * best[index] if quantity == "min" else 0.05
+        settled = max(settled, sign * best[index] + margin)
     return best, [proofs[row] for row in sorted(proofs)]
 
 
@@ -129,7 +132,9 @@ def relaxed(
                 raise
             break
         value = relaxation.weights.sum()
-        before = 0.0 if best is None else best[0].weights.sum()
+        before = 0.0
+        if best is not None:
+            before = best[0].weights.sum()
         if value > before:
             best = relaxation, chosen
         if value < before * (1 + _SETTLED):
@@ -206,8 +211,10 @@ def _mean(
         ratio = np.interp(radius[0], radius[1][active], ratio)
     elif motion_basis.motion is None:
         ratio = circle_average(ratio, chips)
-    full = np.zeros_like(samples.weight)
-    full[active if coarse is motion_basis else slice(None)] = ratio
+    full = ratio
+    if coarse is motion_basis:
+        full = np.zeros_like(samples.weight)
+        full[active] = ratio
     weights = samples.weight * full**2
     proof = DualProof(
         quantity="noise",

@@ -165,22 +165,33 @@ def newton_solver(
         return np.asarray(np.eye(chips) - gram - 0.5 * (v[:, None] + v) + open_chips * np.diag(v))
 
     def goal(a: FloatArray) -> float:
-        return float(a.sum() if shares is None else np.sqrt(shares * a).sum())
+        if shares is None:
+            return float(a.sum())
+        return float(np.sqrt(shares * a).sum())
 
     def merit(a: FloatArray, v: FloatArray, heat: float) -> float:
         try:
             factor = np.linalg.cholesky(slack(a, v))
         except np.linalg.LinAlgError:
             return -np.inf
-        wall = 0.0 if shares is not None else float(np.log(a).sum())
+        wall = 0.0
+        if shares is None:  # the other goal's root, infinitely steep at 0, keeps a above 0
+            wall = float(np.log(a).sum())
         return goal(a) / heat + 2 * float(np.log(np.diag(factor)).sum()) + wall
 
-    # for 1/x the best weights are w / x^2: start from x of a random code
-    a = np.ones(m) if shares is None else shares / _random_power(columns, open_chips) ** 2
+    a = np.ones(m)
+    gap = _GAP
+    cooling = _COOLING
+    walls = chips + m
+    if shares is not None:
+        # for 1/x the best weights are w / x^2: start from x of a random code
+        a = shares / _random_power(columns, open_chips) ** 2
+        gap = _GAP_OF_MEAN
+        cooling = _COOLING_OF_MEAN
+        walls = chips
+    # half of what the semidefinite limit allows: well inside
     a *= 0.5 / float(np.linalg.eigvalsh((flat * np.repeat(a, rank)) @ flat.T)[-1])
     v = np.zeros(chips)
-    gap, cooling = (_GAP, _COOLING) if shares is None else (_GAP_OF_MEAN, _COOLING_OF_MEAN)
-    walls = chips + (m if shares is None else 0)
     heat = goal(a) / walls
     status = "stalled"
     for _ in range(_MOST_STEPS):

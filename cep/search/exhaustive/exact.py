@@ -141,7 +141,9 @@ class _Proof:
         self.tables: Tables | None = None
         self.lock = Lock()
         n = problem.chips
-        sizes = {m: 2 ** max(m - 2, 0) for m in range(1, n + 1)} if self.free else {n: 2**n - 1}
+        sizes = {n: 2**n - 1}
+        if self.free:  # of each length those with both ends open
+            sizes = {m: 2 ** max(m - 2, 0) for m in range(1, n + 1)}
         self.logs = {length: LengthLog(length, codes) for length, codes in sizes.items()}
         if resume is not None:
             if (resume.chips, resume.limits, resume.domain) != (n, self._limits(), self._domain()):
@@ -170,17 +172,20 @@ class _Proof:
         if self.free:
             # at the start; of two mirror images the one that opens more and earlier
             core = name.strip("0")
-            name = (max(core, core[::-1]) if self.problem.mirrors else core).ljust(bits.size, "0")
-        value = min(sampled, min_chip(ShutterCode(name))) if self.circle else sampled
+            if self.problem.mirrors:
+                core = max(core, core[::-1])
+            name = core.ljust(bits.size, "0")
+        value = sampled
+        if self.circle:  # the minimum may lie between the samples
+            value = min(sampled, min_chip(ShutterCode(name)))
         self.ceiling = max(self.ceiling, value)
         tie = _TIE * max(value, 1e-3)
         if value > self.value + tie or (
             value > self.value - tie and _rank(name) > _rank(self.best)
         ):
             if value > self.value + tie:
-                self.limit = max(
-                    self.limit, chip_minimum(ShutterCode(name)).lower if self.circle else value
-                )
+                limit = chip_minimum(ShutterCode(name)).lower if self.circle else value
+                self.limit = max(self.limit, limit)
             self.best = name
             self.value = max(value, self.value)
 
@@ -294,11 +299,11 @@ class _Proof:
             minimum = replace(worst, lower=min(minimum.lower for minimum in minima))
         complete = all(entry.complete for entry in self.logs.values())
         # mean |P|^2 is the number of open chips; |H| is nowhere above the duty
-        parseval = (
-            np.sqrt(problem.open_limits[1])
-            if self.circle
-            else problem.open_limits[1] / problem.chips
-        )
+        ceiling = float(problem.open_limits[1] / problem.chips)
+        if self.circle:
+            ceiling = float(np.sqrt(problem.open_limits[1]))
+        if complete:
+            ceiling = self.ceiling
         log = ProofLog(
             problem.chips,
             self._limits(),
@@ -307,7 +312,7 @@ class _Proof:
             MARGIN,
             self.best,
             minimum.lower if self.circle else self.value,
-            self.ceiling if complete else float(parseval),
+            ceiling,
             self.ceiling,
             {name: version(name) for name in ("numpy", "numba")},
         )
@@ -318,7 +323,9 @@ class _Proof:
         return {"fewest_open": low, "most_open": high} | asdict(self.problem.runs)
 
     def _domain(self) -> str:
-        return "the unit circle" if self.circle else f"{self.basis.shape[1]} band samples"
+        if self.circle:
+            return "the unit circle"
+        return f"{self.basis.shape[1]} band samples"
 
 
 def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
