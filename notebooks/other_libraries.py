@@ -39,11 +39,11 @@ from scipy.signal import fftconvolve
 from skimage import data, restoration
 
 import cep
-from cep.jobs.engine import Engine
 from lab.bench.coded.protocol import coded_protocol
 from lab.bench.coded.run import measure_coded
 from lab.bench.datasets import bundled_photos, labels_of, pick
 from lab.bench.statistics import crossed_interval
+from lab.jobs.engine import Engine
 
 path = cep.Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])
 code = cep.load_code("barker-13")

@@ -44,7 +44,6 @@ from IPython.display import Markdown, display
 from matplotlib import pyplot as plt
 
 import cep
-from cep.jobs.engine import Engine
 from lab.bench.coded.picture import coded_figure
 from lab.bench.coded.protocol import coded_protocol, drawn_motions
 from lab.bench.coded.run import measure_coded
@@ -52,6 +51,7 @@ from lab.bench.coded.tables import coded_tables
 from lab.bench.datasets import bundled_photos, labels_of, pick
 from lab.bench.statistics import crossed_interval
 from lab.bench.table_io import tables_markdown
+from lab.jobs.engine import Engine
 
 protocol = coded_protocol("paper", ["photos=5", "motions=5", "steps=100000"])
 files = pick(bundled_photos(), protocol.photos, least_px=protocol.crop_px)

@@ -21,7 +21,12 @@ VAGUE = frozenset(WORDS.split())
 MOST = {
     "cep/calibration": 1,
     "cep/files": 3,
+<<<<<<< HEAD
     "cep/jobs": 33,
+=======
+    "cep/optics": 22,
+    "cep/plots": 15,
+>>>>>>> e63f5a9 (The engine of the tables lives in the laboratory)
     "cep/proofs": 1,
     "cep/restoration": 4,
     "cep/search": 12,
@@ -32,8 +37,9 @@ MOST = {
     "lab/commands": 12,
     "lab/evaluation": 10,
     "lab/fronts": 30,
+    "lab/jobs": 27,
     "lab/rivals": 10,
-    "lab/studies": 175,
+    "lab/studies": 178,
     "lab/trainings": 32,
     "motdiff/estimators": 18,
     "motdiff/network": 1,

@@ -37,13 +37,6 @@ class FolderResults(Protocol):
         """Warnings about all of them."""
 
 
-def only_of_folders(where: str, workers: int | None, dask: str | None, cache: Path | None) -> None:
-    """Refuse the engine's options where there is one thing to do."""
-    for name, value in (("--workers", workers), ("--dask", dask), ("--cache", cache)):
-        if value is not None:
-            raise ValueError(f"{name}: is for a folder ({where}), here is a single one")
-
-
 def finish_folder(
     result: Mapping[str, object],
     columns: Mapping[str, str],
@@ -150,26 +143,5 @@ Workers = Annotated[
         min=1,
         rich_help_panel=MANY,
         help="Processes of one thread; as many as cores when omitted.",
-    ),
-]
-Dask = Annotated[
-    str | None,
-    typer.Option(
-        "--dask",
-        metavar="ADDRESS",
-        rich_help_panel=MANY,
-        help=(
-            "Scheduler of a Dask cluster to run on, as tcp://host:8786; photos must lie at the"
-            " same paths there."
-        ),
-    ),
-]
-Cache = Annotated[
-    Path | None,
-    typer.Option(
-        "--cache",
-        metavar="FOLDER",
-        rich_help_panel=MANY,
-        help="Folder of finished cells, found again; cells in the output when omitted.",
     ),
 ]

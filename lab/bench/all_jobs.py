@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from cep.files.foreign_text import in_code_span, markdown_text
-from cep.jobs.engine import Engine
 from lab.bench.blind.job import BLIND_FILES, SPEED_FILES, blind_job, speed_job
 from lab.bench.coded.job import cep_job
 from lab.bench.coded.report import OUTPUTS
 from lab.bench.codes import CODE_FILES, codes_job
 from lab.bench.harness import Job, Report, Request
 from lab.bench.table_io import machines_markdown
+from lab.jobs.engine import Engine
 from motdiff.files.outputs import write_text
 
 INDEX = "README.md"

@@ -14,9 +14,6 @@ import numpy as np
 from cep.codes import published as registry
 from cep.files.foreign_text import in_code_span
 from cep.files.tables import Sheet, csv_lines, latex, markdown_table
-from cep.jobs.cells import Cell, Figure
-from cep.jobs.engine import Outcome
-from cep.jobs.fingerprint import source_version
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import chip_noise_db
 from cep.proofs.certify.minimum import min_chip
@@ -34,6 +31,9 @@ from lab.bench.harness import (
 from lab.bench.table_io import Provenance, machines_markdown, made_json
 from lab.bench.tables import TextTable
 from lab.bench.user_codes import load_user_codes, user_code_options
+from lab.jobs.cells import Cell, Figure
+from lab.jobs.engine import Outcome
+from lab.jobs.fingerprint import source_version
 
 CODE_FILES = tuple(f"codes{ending}" for ending in TABLE_ENDINGS)
 CODE_HEAD = (

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cep.files.foreign_text import markdown_text
-from cep.jobs.engine import Engine, Outcome
 from lab.bench.table_io import (
     FIGURE_SUFFIXES,
     Provenance,
@@ -19,6 +18,7 @@ from lab.bench.table_io import (
     write_figure,
 )
 from lab.bench.tables import Table, TextTable
+from lab.jobs.engine import Engine, Outcome
 from motdiff.files.outputs import claim_folder, new_folder
 
 if TYPE_CHECKING:

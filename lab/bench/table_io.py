@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cep.files.tables import Sheet, csv_lines, latex, markdown
-from cep.jobs.cache import ENGINE
 from cep.plots.canvas import undated
 from lab.bench.tables import Table
+from lab.jobs.cache import ENGINE
 from motdiff.files.json_files import json_text
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class Provenance:
         Command that makes them again.
     seed : int
     machines : sequence of mapping
-        As of :attr:`cep.jobs.engine.Outcome.machines`, with the versions used there.
+        As of :attr:`lab.jobs.engine.Outcome.machines`, with the versions used there.
     warnings : sequence of str
     """
 

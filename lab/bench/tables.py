@@ -12,12 +12,12 @@ from typing import Literal
 import numpy as np
 
 from cep.files.tables import Bold
-from cep.jobs.cells import Figure
 from lab.bench.statistics import Interval, Summary, crossed_interval, mean_interval, summarized
+from lab.jobs.cells import Figure
 
 Name = tuple[str, ...]
 Figures = Mapping[Name, Mapping[str, Figure]]
-"""Figures by name of the cell, as of :attr:`cep.jobs.engine.Outcome.figures`."""
+"""Figures by name of the cell, as of :attr:`lab.jobs.engine.Outcome.figures`."""
 
 
 @dataclass(frozen=True)

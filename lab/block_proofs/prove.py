@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from cep.jobs.cells import Finished, worked
-from cep.jobs.engine import run_tasks
-from cep.jobs.executors import Task
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import Minimum, chip_minimum
 from cep.search.problem import SearchProblem
 from cep.search.recipe import search_code
 from lab.block_proofs.blocks import BlockPlan, certified, core, judge_block, plan_blocks
 from lab.block_proofs.proof_file import ProofFile
+from lab.jobs.cells import Finished, worked
+from lab.jobs.engine import run_tasks
+from lab.jobs.executors import Task
 
 Progress = Callable[[float, ShutterCode], None]
 

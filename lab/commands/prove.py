@@ -11,8 +11,8 @@ import typer
 
 from cep.commands.code_options import OpenChips, open_range
 from cep.commands.console import INTERRUPTED, finish, progress
-from cep.commands.jobs import Dask
 from cep.commands.options import CommonOptions, command, output_option
+from lab.commands.tables import Dask
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.commands.console import finish, progress, table
-from cep.commands.jobs import Cache, Dask, Workers, end
+from cep.commands.jobs import MANY, Workers, end
 from cep.commands.options import Force, Json, output_option
 
 if TYPE_CHECKING:
@@ -19,6 +19,29 @@ if TYPE_CHECKING:
     from cep.files.tables import Bold
     from lab.bench.harness import Job, Report, Request
     from lab.bench.tables import Column, Entry, Table, TextTable
+
+
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        "--dask",
+        metavar="ADDRESS",
+        rich_help_panel=MANY,
+        help=(
+            "Scheduler of a Dask cluster to run on, as tcp://host:8786; photos must lie at the"
+            " same paths there."
+        ),
+    ),
+]
+Cache = Annotated[
+    Path | None,
+    typer.Option(
+        "--cache",
+        metavar="FOLDER",
+        rich_help_panel=MANY,
+        help="Folder of finished cells, found again; cells in the output when omitted.",
+    ),
+]
 
 
 Folder = Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")]
@@ -42,8 +65,8 @@ class TableOptions:
         dask: str | None = None,
     ) -> Request:
         """Return the request that the options make."""
-        from cep.jobs.engine import Engine
         from lab.bench.harness import Request
+        from lab.jobs.engine import Engine
 
         engine = Engine.of(self.output, cache=self.cache, workers=workers, dask=dask)
         return Request(self.output, engine, data=data, quick=quick, force=self.force)

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
-from cep.jobs.fingerprint import all_sources
 from emulators.tools import give_up
+from lab.jobs.fingerprint import all_sources
 
 ROOT = Path(__file__).parents[2]
 
@@ -96,7 +96,7 @@ def cluster_in(folder, monkeypatch):
     the end."""
     require_dask()
     monkeypatch.setattr(
-        "cep.jobs.executors._WORKERS_S", 60.0
+        "lab.jobs.executors._WORKERS_S", 60.0
     )  # a busy machine is slow to start one
     all_sources.cache_clear()  # they may have been edited since the last test
     made = Cluster(folder)

@@ -11,8 +11,8 @@ pytestmark = pytest.mark.skipif(
 
 CELLS = """
 import bench_work, numpy as np
-from cep.jobs.cells import Cell
-from cep.jobs.engine import run_cells
+from lab.jobs.cells import Cell
+from lab.jobs.engine import run_cells
 cells = [
     Cell(
         (str(n),),

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from cep.jobs.engine import Outcome
 from lab.bench.blind.methods import UNUSUAL, label_of, select_methods
 from lab.bench.blind.protocol import Protocol
 from lab.bench.blind.report import CELLS, blind_report, blind_tables, speed_tables
@@ -14,6 +13,7 @@ from lab.bench.blind.run import Plan, blind_plan, one_cell_each
 from lab.bench.blind.work import CEILINGS
 from lab.bench.harness import Job, Progress, Report, Request, file_names, outcome_warnings
 from lab.bench.table_io import Provenance
+from lab.jobs.engine import Outcome
 from motdiff.files.gyro_tables import read_gyro
 
 BLIND_FILES = file_names("blind", CELLS)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from cep.jobs.fingerprint import source_version
 from lab.bench.blind.work import CEILINGS, FLOORS
 from lab.evaluation.methods import METHODS, named_estimators, split_weights
+from lab.jobs.fingerprint import source_version
 from lab.weights import PATH_WEIGHTS, PSF_WEIGHTS
 from motdiff.files.plugins import is_reference
 from motdiff.weights import DEFAULT_WEIGHTS

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cep.files.foreign_text import plot_text
-from cep.jobs.cells import Cell, Result
 from cep.plots.canvas import PRINTED_IN, in_lines, least_pt, new_figure, show_inset, show_photo
 from lab.bench.blind.cases import RealPhoto, make_case, real_pair
 from lab.bench.blind.work import measure_levin, measure_simulated
 from lab.bench.psf_text import psf_from_text
 from lab.evaluation.measure import restored
 from lab.evaluation.sets import levin_photo
+from lab.jobs.cells import Cell, Result
 from motdiff.crops import luminance
 from motdiff.metrics import laid_on
 from motdiff.psf_frame import in_frame

@@ -9,8 +9,6 @@ import numpy as np
 
 from cep.files.foreign_text import in_code_span, markdown_text
 from cep.files.tables import csv_lines
-from cep.jobs.cells import Figure
-from cep.jobs.engine import Outcome
 from lab.bench.blind.methods import OURS
 from lab.bench.blind.picture import blind_figure, shown
 from lab.bench.blind.run import Plan
@@ -19,6 +17,8 @@ from lab.bench.harness import Report, report_of_means, warning_lines
 from lab.bench.table_io import Provenance, means_in_words, number_text
 from lab.bench.tables import Column, Table, differences, tabulate, unranked
 from lab.evaluation.measure import RESTORATION
+from lab.jobs.cells import Figure
+from lab.jobs.engine import Outcome
 
 CELLS = "-cells.csv"
 """Ending of the name of the file of single figures."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cep.jobs.cells import Cell
 from lab.bench.blind.cases import RealPhoto, check_real, real_photos, shot_of
 from lab.bench.blind.methods import budget_warning, label_of, version_of
 from lab.bench.blind.protocol import Protocol, drawn_shakes, paired_shakes
@@ -22,6 +21,7 @@ from lab.bench.datasets import (
     pick,
 )
 from lab.evaluation.floors import mean_psf
+from lab.jobs.cells import Cell
 from motdiff.gyro import GyroTrace
 from motdiff.trajectory import Trajectory
 

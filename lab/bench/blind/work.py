@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.jobs.cells import Figure
 from lab.bench.blind.cases import RealPhoto, Shot, make_case, real_pair
 from lab.bench.psf_text import psf_from_text, psf_to_text
 from lab.evaluation.floors import floors, path_kernel, quadratic_kernel
@@ -27,6 +26,7 @@ from lab.evaluation.measure import (
 )
 from lab.evaluation.methods import named_estimators
 from lab.evaluation.sets import Case, levin_photo
+from lab.jobs.cells import Figure
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.metrics import psnr_ssim_up_to_shift

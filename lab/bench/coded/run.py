@@ -10,9 +10,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cep.jobs.cells import Cell, Figure
-from cep.jobs.engine import Engine, Outcome
-from cep.jobs.fingerprint import source_version
 from cep.optics.code import ShutterCode
 from lab.bench.coded.calibrations import (
     CALIBRATIONS,
@@ -31,6 +28,9 @@ from lab.bench.coded.protocol import (
 )
 from lab.bench.coded.stages import choose_code, kernel_of, motion_of, photo_of
 from lab.bench.datasets import Cut
+from lab.jobs.cells import Cell, Figure
+from lab.jobs.engine import Engine, Outcome
+from lab.jobs.fingerprint import source_version
 from lab.weights import PATH_WEIGHTS
 from motdiff.files.plugins import is_reference
 from motdiff.simulate import border_px
@@ -129,7 +129,7 @@ def measure_coded(
     ValueError
         If a design is unknown or comes twice, or a code has the name of a design.
     OSError, RuntimeError
-        As :func:`cep.jobs.engine.run_cells`.
+        As :func:`lab.jobs.engine.run_cells`.
     """
     unknown = [name for name in designs if name not in DESIGNS]
     if unknown:

@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cep.files.tables import csv_lines
-from cep.jobs.cells import Figure
 from lab.bench.coded.designs import design_of
 from lab.bench.coded.run import CodedTable, Shot
 from lab.bench.table_io import number_text
 from lab.bench.tables import Column, Table, differences, tabulate, unranked
+from lab.jobs.cells import Figure
 
 Name = tuple[str, ...]
 _QUALITY = (

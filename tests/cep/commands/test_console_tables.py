@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from cep.calibration.calibrate_folder import FolderResults
 from cep.commands.console import Table, finish, table
 from cep.commands.jobs import finish_folder
 from cep.files.tables import Bold
-from cep.jobs.folders import FolderResults
 from lab.bench.blind.report import blind_tables
 from lab.bench.codes import CODE_HEAD
 from lab.commands.tables import show_tables

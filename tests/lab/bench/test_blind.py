@@ -8,8 +8,6 @@ import pytest
 from scipy.io import savemat
 
 from cep.files.images import read_image, write_image
-from cep.jobs import fingerprint
-from cep.jobs.fingerprint import source_version
 from lab.bench.blind import report
 from lab.bench.blind.cases import make_case, real_pair, real_photos, shot_of
 from lab.bench.blind.methods import (
@@ -35,6 +33,8 @@ from lab.bench.blind.work import (
     measure_simulated,
 )
 from lab.bench.psf_text import psf_from_text, psf_to_text
+from lab.jobs import fingerprint
+from lab.jobs.fingerprint import source_version
 from lab.weights import PATH_WEIGHTS, PSF_WEIGHTS
 from motdiff.crops import luminance
 from motdiff.metrics import mnc

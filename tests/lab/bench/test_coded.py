@@ -18,7 +18,6 @@ from skimage import data
 
 from cep.codes.published import DCE_CODE, published
 from cep.files.images import write_image
-from cep.jobs.engine import Engine, Outcome
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
@@ -59,6 +58,7 @@ from lab.bench.datasets import sharp_scene
 from lab.bench.harness import TABLE_ENDINGS
 from lab.bench.psf_text import psf_to_text
 from lab.bench.table_io import Provenance
+from lab.jobs.engine import Engine, Outcome
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.estimator import CodedEstimator
 from motdiff.estimators.coded.trail_estimator import TrailEstimator
@@ -666,7 +666,7 @@ def test_a_tiny_table_and_its_cells_found_again(tmp_path, monkeypatch):
         shot.arguments["light_true"] for shot in measured.shots
     )  # without light levels, light is no matter
     assert by_name["open", 0].arguments["seed"] != by_name["open", 1].arguments["seed"]
-    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
+    monkeypatch.setattr("lab.jobs.engine.worked", untouchable)
     again = measure_coded(tiny, photos, engine=Engine(tmp_path / "cells"), designs=KNOWING)
     assert [(shot.bits, shot.figures) for shot in again.shots] == [
         (s.bits, s.figures) for s in measured.shots
@@ -769,7 +769,7 @@ def test_a_code_of_ones_own_is_a_row_that_counts_anew_when_it_changes(
         tiny, photos, codes={"mine": ShutterCode(LOPSIDED[::-1])}, **options
     ).shots[1]
     assert (other.bits, other.figures != mine.figures) == (LOPSIDED[::-1], True)
-    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
+    monkeypatch.setattr("lab.jobs.engine.worked", untouchable)
     assert (
         measure_coded(tiny, photos, codes={"mine": ShutterCode(LOPSIDED)}, **options)
         .shots[1]

@@ -11,7 +11,6 @@ import pytest
 from rich.console import Console
 
 from cep.commands.console import table as rich_table
-from cep.jobs.machine import machine
 from lab.bench.statistics import mean_interval, summarized
 from lab.bench.table_io import (
     TABLES_SCHEMA,
@@ -23,6 +22,7 @@ from lab.bench.table_io import (
 )
 from lab.bench.tables import Column, differences, tabulate
 from lab.commands.tables import show_tables
+from lab.jobs.machine import machine
 
 PSNR = Column("psnr_db", "PSNR, dB", better="high")
 PHOTOS = 10

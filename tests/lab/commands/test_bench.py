@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from cep.commands.console import FAILURE, INTERRUPTED
-from cep.jobs.engine import Engine
 from lab.bench import all_jobs
 from lab.bench.all_jobs import INDEX
 from lab.bench.codes import codes_job
 from lab.bench.harness import Request
+from lab.jobs.engine import Engine
 
 NAMES = {"first": "bdinr-8", "second": "barker-13"}
 ALL = ("bench", "--quick", "--workers", "1", "-o", "out")
@@ -69,7 +69,7 @@ def test_all_tables_in_one_folder_and_found_again(lab, tables, workplace, monkey
     assert str(workplace) not in text
 
     assert "exists already" in lab.refuses(*ALL)
-    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
+    monkeypatch.setattr("lab.jobs.engine.worked", untouchable)
     assert lab.succeeds(*ALL, "--force")["tables"] == found["tables"]
 
 
@@ -149,7 +149,7 @@ def test_options_alone_run_and_no_arguments_help(lab, tables):
 
 
 def test_what_exists_is_refused_before_any_work(lab, tables, monkeypatch):
-    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
+    monkeypatch.setattr("lab.jobs.engine.worked", untouchable)
     Path("out/second").mkdir(parents=True)
     Path("out/second/codes.csv").write_text("mine")
     assert "codes.csv: exists already" in lab.refuses(*ALL)
@@ -185,7 +185,7 @@ def test_the_tables_are_the_papers():
     ],
 )
 def test_bad_folders_are_refused_before_any_work(lab, workplace, monkeypatch, made, message):
-    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
+    monkeypatch.setattr("lab.jobs.engine.worked", untouchable)
     made(Path("data"))
     line = lab.refuses("bench", "--quick", "--data", "data", "-o", "out")
     assert message in line

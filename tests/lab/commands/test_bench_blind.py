@@ -319,7 +319,7 @@ def test_a_method_that_never_answers_is_told_with_its_reason(lab, studio, guesse
 
 
 def test_a_full_disk_keeps_the_finished_cells(lab, studio, guesses, monkeypatch):
-    from cep.jobs import cache
+    from lab.jobs import cache
 
     real = cache.write_text
     written = []
@@ -330,7 +330,7 @@ def test_a_full_disk_keeps_the_finished_cells(lab, studio, guesses, monkeypatch)
         written.append(path)
         real(path, text)
 
-    monkeypatch.setattr("cep.jobs.cache.write_text", full)
+    monkeypatch.setattr("lab.jobs.cache.write_text", full)
     lab(*BLIND, "-o", "out", "--cache", "cells")
     assert lab.code == 1
     assert "No space left on device" in lab.err

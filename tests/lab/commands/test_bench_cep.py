@@ -129,7 +129,7 @@ def test_from_photos_to_every_output_and_found_again(lab, studio, monkeypatch):
     assert min(height, width) > 300
 
     assert "exists already" in lab.refuses(*CEP, "-o", "out")
-    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
+    monkeypatch.setattr("lab.jobs.engine.worked", untouchable)
     assert lab.succeeds(*CEP, "-o", "out", "--force")["tables"] == found["tables"]
 
 
@@ -293,6 +293,6 @@ def notes():
 def test_refusals(lab, studio, monkeypatch, options, prepared, message):
     if prepared is not None:
         prepared()
-    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
+    monkeypatch.setattr("lab.jobs.engine.worked", untouchable)
     assert message in lab.refuses(*CEP, "-o", "out", *options)
     assert not Path("out/cep.md").exists()

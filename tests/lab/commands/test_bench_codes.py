@@ -50,7 +50,7 @@ def test_codes_are_compared_at_equal_light_and_found_again(lab, workplace, monke
         ]
 
     assert "exists already" in lab.refuses(*command)
-    monkeypatch.setattr("cep.jobs.engine.worked", untouchable)
+    monkeypatch.setattr("lab.jobs.engine.worked", untouchable)
     assert lab.succeeds(*command, "--force")["tables"] == found["tables"]
     # what one code gives does not depend on which others are asked for
     alone = lab.succeeds(

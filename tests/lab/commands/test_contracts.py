@@ -32,7 +32,7 @@ def idle(workplace, monkeypatch):
         raise AssertionError("the work has begun")
 
     importlib.import_module("lab.bench.blind.run")
-    for name in ("cep.jobs.engine.run_cells", "lab.bench.coded.job.measure_coded"):
+    for name in ("lab.jobs.engine.run_cells", "lab.bench.coded.job.measure_coded"):
         module, _, attribute = name.rpartition(".")
         if hasattr(importlib.import_module(module), attribute):
             monkeypatch.setattr(name, work)

@@ -19,9 +19,9 @@ from joblib import Parallel, delayed, parallel_config
 from joblib._dask import DaskDistributedBackend
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from cep.jobs.cells import Figure, Finished, worked
-from cep.jobs.fingerprint import all_sources
-from cep.jobs.machine import machine
+from lab.jobs.cells import Figure, Finished, worked
+from lab.jobs.fingerprint import all_sources
+from lab.jobs.machine import machine
 from motdiff.processes import end_with_parent
 
 _Call = tuple[Callable[..., Mapping[str, Figure]], Mapping[str, Any]]

@@ -17,9 +17,9 @@ import pytest
 from children import child
 
 from cep.commands.console import FAILURE, explain
-from cep.jobs.cells import Cell
-from cep.jobs.engine import run_cells
-from cep.jobs.executors import in_processes
+from lab.jobs.cells import Cell
+from lab.jobs.engine import run_cells
+from lab.jobs.executors import in_processes
 
 ROOT = Path(__file__).parents[3]
 
@@ -157,7 +157,7 @@ def test_a_key_press_stops_processes_quietly(cache, log):
     """A terminal sends Ctrl-C to the workers too: no traceback of theirs may appear."""
     code = (
         f"import sys; sys.path[:0] = {[str(ROOT / 'tests'), str(ROOT)]!r}\nimport bench_work,"
-        " numpy as np; from cep.jobs.cells import Cell; from cep.jobs.engine import"
+        " numpy as np; from lab.jobs.cells import Cell; from lab.jobs.engine import"
         " run_cells\npixels = np.ones((2, 2))\ncells = [Cell((str(n),), bench_work.total,"
         f" {{'pixels': n * pixels, 'log': {str(log)!r}, 'slow_s': 0.3}}) for n in"
         f" range(200)]\noutcome = run_cells(cells, cache={str(cache)!r},"
@@ -215,7 +215,7 @@ def test_a_process_that_is_started_anew_is_no_news(monkeypatch):
         )
         yield from ((key, bench_work.square) for key in list(tasks))
 
-    monkeypatch.setattr("cep.jobs.executors._spread", renewed)
+    monkeypatch.setattr("lab.jobs.executors._spread", renewed)
     before = list(warnings.filters)
     tasks = dict.fromkeys("ab", (bench_work.square, {}))
     assert [key for key, _ in in_processes(tasks, 2)] == ["a", "b"]
@@ -359,8 +359,8 @@ def test_one_that_kills_its_process_fails_alone(cache):
 
 def test_machines_of_cached_cells_are_told(cache, log):
     """Speed must not be told as this machine's where another one measured it."""
-    from cep.jobs.cache import Cache
-    from cep.jobs.cells import Finished, fingerprints
+    from lab.jobs.cache import Cache
+    from lab.jobs.cells import Finished, fingerprints
 
     cells = squares([1, 2, 3], log)
     elsewhere = {"processor": "another"}

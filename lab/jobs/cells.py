@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from cep.jobs.machine import machine
+from lab.jobs.machine import machine
 
 Figure = float | int | str | None
 """What a benchmark measures; None where it could not."""
@@ -95,7 +95,7 @@ class Finished:
     seconds : float
         Wall time.
     machine : mapping
-        Where it ran, as of :func:`cep.jobs.machine.machine`.
+        Where it ran, as of :func:`lab.jobs.machine.machine`.
     """
 
     figures: Mapping[str, Figure]

@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from cep.jobs.cells import Cell, Figure, Finished
+from lab.jobs.cells import Cell, Figure, Finished
 from motdiff.files.json_files import json_text
 from motdiff.files.outputs import write_text
 

@@ -6,7 +6,7 @@ import platform
 from importlib.metadata import version
 from pathlib import Path
 
-from cep.jobs.machine import machine
+from lab.jobs.machine import machine
 
 
 def test_a_figure_can_be_judged():

@@ -16,9 +16,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cep.jobs.cells import Cell, fingerprints, pinned, worked
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
+from lab.jobs.cells import Cell, fingerprints, pinned, worked
 from motdiff.trajectory import Trajectory
 
 plain_data = st.recursive(
@@ -141,7 +141,7 @@ def test_the_same_content_has_the_same_fingerprint():
 
 def test_fingerprints_are_those_of_another_process():
     code = (
-        "import numpy as np, bench_work; from cep.jobs.cells import Cell,"
+        "import numpy as np, bench_work; from lab.jobs.cells import Cell,"
         " fingerprints;print(*fingerprints([Cell(('x',), bench_work.square, {'value': {'b': (1.5,"
         " 'x'), 'a': np.arange(3)}})]))"
     )

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from cep.jobs.cache import Cache
-from cep.jobs.cells import Cell, Figure, Finished, Result, fingerprints, pinned, worked
-from cep.jobs.executors import Tasks, in_processes, on_cluster
-from cep.jobs.machine import machine
+from lab.jobs.cache import Cache
+from lab.jobs.cells import Cell, Figure, Finished, Result, fingerprints, pinned, worked
+from lab.jobs.executors import Tasks, in_processes, on_cluster
+from lab.jobs.machine import machine
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ import pytest
 from emulators.cluster import ROOT, cluster_in, killing_one, require_dask
 
 from cep.commands.console import BAD_INPUT, explain
-from cep.jobs.cells import Cell
-from cep.jobs.engine import run_cells
+from lab.jobs.cells import Cell
+from lab.jobs.engine import run_cells
 
 COUNT = 12
 
@@ -153,7 +153,7 @@ def test_a_dead_address_is_one_line(tmp_path, address, capfd):
 
 
 def test_a_scheduler_without_workers(cluster, tmp_path, monkeypatch):
-    monkeypatch.setattr("cep.jobs.executors._WORKERS_S", 0.3)
+    monkeypatch.setattr("lab.jobs.executors._WORKERS_S", 0.3)
     with pytest.raises(
         ValueError, match=f"dask: the scheduler at {cluster.address} has no workers"
     ):
@@ -173,7 +173,7 @@ def test_workers_without_the_program_are_told(cluster, tmp_path):
 
 
 def copied(folder):
-    for package in ("cep", "motdiff", "hw"):
+    for package in ("cep", "motdiff", "hw", "lab"):
         shutil.copytree(
             ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__")
         )
@@ -196,7 +196,7 @@ def a_module_less(root):
 
 def as_before_workers_were_asked(root):
     for name in ("fingerprint", "executors"):
-        path = root / f"cep/jobs/{name}.py"
+        path = root / f"lab/jobs/{name}.py"
         path.write_text(
             path.read_text(encoding="utf-8").replace("all_sources", "_nothing"), encoding="utf-8"
         )
