@@ -21,12 +21,6 @@ VAGUE = frozenset(WORDS.split())
 MOST = {
     "cep/calibration": 1,
     "cep/files": 3,
-<<<<<<< HEAD
-    "cep/jobs": 33,
-=======
-    "cep/optics": 22,
-    "cep/plots": 15,
->>>>>>> e63f5a9 (The engine of the tables lives in the laboratory)
     "cep/proofs": 1,
     "cep/restoration": 4,
     "cep/search": 12,
