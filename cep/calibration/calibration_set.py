@@ -105,12 +105,10 @@ class CalibrationSet:
             f" {separation.length_px:g} px each other order in time that was tried, six at most,"
             " changes the photos by more than a blind search errs."
         )
-        right = _RIGHT.get(count)
-        measured = (
-            ""
-            if right is None
-            else f" So many photos told the order of {right[0]} of {right[1]} simulated walks."
-        )
+        measured = ""
+        if count in _RIGHT:
+            right, walks = _RIGHT[count]
+            measured = f" So many photos told the order of {right} of {walks} simulated walks."
         return (
             f"Take {count} {'photo' if count == 1 else 'photos'} of the motion, {steps}.{measured}"
             f" {resolved}"

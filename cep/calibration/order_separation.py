@@ -128,6 +128,8 @@ class OrderSeparation:
         shift = np.stack(np.divmod(best, _SHIFTS), axis=1) * (2 * np.pi / _SHIFTS)
         at = self._at.astype(np.float32)
         products = (at[:, :, None] * at[:, None]).reshape(len(at), 4)
+        # Newton on c(s) = Re sum_f X(f) exp(i f.s): the slope is -sum f Im(.), the curvature
+        # -sum f f^T Re(.); the 1e-6 keeps it invertible where a cross-spectrum is empty
         for _ in range(_NEWTON_STEPS):
             shifted = cross * np.exp(1j * (shift @ at.T).astype(np.float32))
             curvature = (shifted.real @ products).reshape(-1, 2, 2) + 1e-6 * np.eye(2)

@@ -296,6 +296,7 @@ class Table:
         """Choose the columns shown and their widths."""
         cells = [_longest(texts, index) for index in range(len(self.columns))]
         natural = [max(cell, len(head)) for cell, head in zip(cells, self.columns, strict=True)]
+        # a text may wrap to _WIDE characters; a figure broken over two lines would misread
         narrowest = [
             (
                 min(width, _WIDE)
@@ -340,7 +341,9 @@ def photo_named(line: str, images: Sequence[Path]) -> str:
     'two.png: is too small'
     """
     prefix = re.match(r"photo(?: (\d+))?: ", line)
-    return line if prefix is None else f"{images[int(prefix[1] or 1) - 1]}: {line[prefix.end() :]}"
+    if prefix is None:
+        return line
+    return f"{images[int(prefix[1] or 1) - 1]}: {line[prefix.end() :]}"
 
 
 def _shown_text(value: object) -> Text:

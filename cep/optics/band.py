@@ -126,11 +126,9 @@ def uniform_length_px(trajectory: Trajectory) -> float | None:
         return None
     along = trajectory.xy @ axis
     uniform = along[0] + (along[-1] - along[0]) * trajectory.t
-    return (
-        trajectory.length_px
-        if np.abs(along - uniform).max() <= _STRAIGHT * trajectory.extent_px
-        else None
-    )
+    if np.abs(along - uniform).max() > _STRAIGHT * trajectory.extent_px:
+        return None
+    return trajectory.length_px
 
 
 def _along(axis: FloatArray, extent_px: float, oversampling: int, across: int) -> BandSamples:

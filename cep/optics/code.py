@@ -143,11 +143,9 @@ def _text(chips: ArrayLike) -> str:
     except (TypeError, ValueError):  # rows of unequal length
         values = np.empty((0, 0))
     if values.ndim != 1 or values.dtype.kind not in "biuf":
-        kind = (
-            type(chips).__name__
-            if values.ndim == 0 or values.dtype.kind not in "biuf"
-            else "rows of them"
-        )
+        kind = "rows of them"
+        if values.ndim == 0 or values.dtype.kind not in "biuf":
+            kind = type(chips).__name__
         raise ValueError(
             f"bits: must be a string or a one-dimensional array of 0 and 1, got {kind}"
         )

@@ -83,6 +83,7 @@ class FramePair:
         second order in the difference.
         """
         scale = self._scale(black)
+        # the difference of two independent frames has twice the variance of one
         variance = float(scale @ self.covariance @ scale) / 2
         return variance if variance > _ROUNDING * self.covariance.trace() else 0.0
 
@@ -97,6 +98,7 @@ class FramePair:
             count = means.shape[1]
             share = float((scale @ means).var(ddof=1)) / max(2 * variance, 1e-300)
             chance = count / self.pixels  # of white noise
+            # sqrt(2 / K) is the relative standard error of a variance of K means: five of them
             if share > chance * (1 + 5 * math.sqrt(2 / count)):
                 parts.append(share - chance)
         return max(parts)
@@ -134,14 +136,13 @@ class FramePair:
         means = np.array([a.mean(), b.mean()])
         da = a.ravel() - means[0]
         db = b.ravel() - means[1]
+        lines: tuple[FloatArray, ...] = ()
+        if a.ndim == 2:
+            lines = tuple(np.stack([a.mean(axis=axis), b.mean(axis=axis)]) for axis in (1, 0))
         return cls(
             means=means,
             covariance=np.array([[da @ da, da @ db], [da @ db, db @ db]]) / max(da.size - 1, 1),
-            lines=(
-                tuple(np.stack([a.mean(axis=axis), b.mean(axis=axis)]) for axis in (1, 0))
-                if a.ndim == 2
-                else ()
-            ),
+            lines=lines,
             histogram=np.bincount(dn_a.ravel(), minlength=65536)
             + np.bincount(dn_b.ravel(), minlength=65536),
             pixels=dn_a.size,
@@ -237,11 +238,9 @@ class PhotonTransfer:
         """What was found, in one sentence."""
         well = "the full well was not reached"
         if self.full_well_e is not None:
-            end = (
-                "the pixel is full"
-                if self.full_well_is == "pixel"
-                else f"the {self.codes.bits}-bit range ends"
-            )
+            end = f"the {self.codes.bits}-bit range ends"
+            if self.full_well_is == "pixel":
+                end = "the pixel is full"
             well = f"{end} at {_round(self.full_well_e, 4):.0f} e-"
         return (
             f"{self.gain_e_per_dn:.3g} e- per code value, read noise {self.read_noise_e:.3g} e-,"
@@ -419,6 +418,7 @@ def photon_transfer(
         x = np.append(x, 0.0)
         y = np.append(y, dark_variance)
         n = np.append(n, dark.pixels)
+    # variance = signal / gain + read noise^2, both in code values: the light's noise is Poisson
     slope, floor, slope_error, floor_error, bent = _line(x, y, n)
     gain = 1 / slope
     if floor < -4 * floor_error:

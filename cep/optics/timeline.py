@@ -145,16 +145,17 @@ def timeline(
     chips = len(edges) - 1
     shutter = response or ShutterResponse(chip_ns=1.0)
     check_lengths(edges, shutter)
-    bits = None if code is None else np.concatenate([[0.0], code.array, [0.0]])
-    opens, closes = (
-        (np.ones(chips + 1, dtype=bool),) * 2
-        if bits is None
-        else (np.diff(bits) > 0, np.diff(bits) < 0)
-    )
+    # without a code every edge is cut for both ramps: it may open or close at each
+    opens = closes = np.ones(chips + 1, dtype=bool)
+    if code is not None:
+        steps = np.diff(np.concatenate([[0.0], code.array, [0.0]]))
+        opens = steps > 0
+        closes = steps < 0
     ramps = [
         (edges[opens, None] + shutter.opening_cuts / chips).ravel(),
         (edges[closes, None] + shutter.closing_cuts / chips).ravel(),
     ]
+    # between cuts the transmission is constant, so each piece keeps its closed-form transform
     cuts = np.unique(np.concatenate([edges, *ramps]))
     cuts = cuts[cuts <= (edges[-1] + shutter.closing_cuts / chips).max()]
     t, xy = extended(trajectory)

@@ -36,11 +36,9 @@ def before_after(
     }
     height, width = (min(image.shape[axis] for image in pictures.values()) for axis in (0, 1))
     side = min(zoom_px, height, width)
-    chooser = (
-        list(pictures.values())[-1]
-        if detail_of is None
-        else np.asarray(detail_of, dtype=np.float64)
-    )
+    chooser = list(pictures.values())[-1]
+    if detail_of is not None:
+        chooser = np.asarray(detail_of, dtype=np.float64)
     row, column = _busiest(_centred(chooser, height, width), side)
     width_in = 4.0
     figure = new_figure(width_in * len(pictures), width_in * (height / width + 1.0) + 0.4)

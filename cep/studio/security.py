@@ -182,11 +182,9 @@ class Gate:
         }:
             return PlainTextResponse("403: requests come from the studio's own page alone", 403)
         foreign = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
-        tokens = (
-            parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
-            if scope["path"] == "/"
-            else []
-        )
+        tokens: list[str] = []
+        if scope["path"] == "/":
+            tokens = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
         if (
             len(tokens) == 1
             and scope["method"] == "GET"
