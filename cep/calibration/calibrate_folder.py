@@ -475,9 +475,8 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
         if path.suffix.lower() in PHOTO_SUFFIXES
         and not path.name.startswith(".")
         and not (path.name.endswith("_psf.png") and path.with_suffix(".npy").is_file())
-        and (
-            path.is_file() or not path.exists()
-        )  # a link that leads nowhere is told of, not passed over
+        # a link that leads nowhere is reported as a failure, not passed over
+        and (path.is_file() or not path.exists())
         and not (but is not None and path.exists() and path.samefile(but))
     ]
     if not photos:
@@ -487,9 +486,8 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
         )
     by_stem: dict[str, Path] = {}
     for path in photos:
-        namesake = by_stem.setdefault(
-            path.stem.casefold(), path
-        )  # some file systems do not tell A from a
+        # some file systems do not tell A from a
+        namesake = by_stem.setdefault(path.stem.casefold(), path)
         if namesake is not path:
             raise ValueError(
                 f"{root}: {namesake.name} and {path.name} would be written to one folder"

@@ -65,9 +65,8 @@ def search_order_codes(
     open_codes = [open_shutter] if photos > 1 and limits.satisfied(open_shutter[None])[0] else []
     search = _Search(limits, measure)
     candidates = _published_codes(limits)
-    searched = (
-        not open_codes or photos > 2
-    )  # one code beside the open shutter, if searched, fits the few walks of the design
+    # one code beside the open shutter, if searched, fits the few walks of the design
+    searched = not open_codes or photos > 2
     if searched or all(map(_is_own_mirror, candidates)):
         candidates += _random_codes(limits, rng)
     for i, code in enumerate(candidates):
@@ -178,9 +177,8 @@ def _published_codes(limits: Limits) -> list[Code]:
     texts = (*_DE_BRUIJN, published("raskar-52").code.bits)
     codes = [plane for planes in _GRAY_PLANES for plane in gray_planes(planes, chips)]
     codes += [_stretched(np.array(list(text), dtype=np.int8), chips) for text in texts]
-    ramp = (
-        np.diff(np.floor(0.5 * chips * np.linspace(0, 1, chips + 1) ** 2 + 0.5)) > 0
-    )  # open ever more often
+    # open ever more often
+    ramp = np.diff(np.floor(0.5 * chips * np.linspace(0, 1, chips + 1) ** 2 + 0.5)) > 0
     codes.append(ramp.astype(np.int8))
     allowed = (nearest(limits, code) for plain in codes for code in (plain, 1 - plain))
     return _without_repeats([code for code in allowed if code is not None])

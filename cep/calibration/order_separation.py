@@ -92,6 +92,7 @@ class OrderSeparation:
         true = otf[self._true[self._of_motion]]
         altered = otf[self._altered]
         energy = self._power(true) + self._power(altered)
+        # min over shifts s of |A - B exp(-i f.s)|^2 = |A|^2 + |B|^2 - 2 max Re sum A B* exp(i f.s)
         alike = self._correlation(self._weights * true * altered.conj())
         return np.asarray(
             np.maximum(energy - 2 * alike, 0) / self._energy[self._of_motion], dtype=np.float64

@@ -152,9 +152,8 @@ def explain(error: BaseException) -> int:
     if format_message is not None:
         complain(f"{format_message()} (see {_command_path(error)} --help)")
         return BAD_INPUT
-    notes = "".join(
-        f"; {note}" for note in getattr(error, "__notes__", ())
-    )  # a shutter that may be open, for one
+    # a shutter that may be open, for one
+    notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
     if isinstance(error, OSError):
         import errno
 

@@ -205,9 +205,8 @@ class Camera:
                 f"photons: must lie within 1..1e7 photo-electrons at full scale, got {level:g}"
             )
         black = self.black_level
-        if (
-            self.gain_e_per_dn is not None
-        ):  # the pedestal is so many code values, and those are electrons
+        # the pedestal is so many code values, and those are electrons
+        if self.gain_e_per_dn is not None:
             black = min(black * self.photons_full_scale / level, 1.0)
         camera = replace(self, photons_full_scale=level, black_level=black)
         if exposure_s is None:
@@ -284,9 +283,8 @@ class Camera:
         bounded = np.clip(np.asarray(light, dtype=np.float64), -self.black_level, 1.0)
         if self.response == "linear":
             codes = np.rint(bounded * steps) / steps
-            return np.asarray(
-                np.minimum(codes, 1.0), dtype=np.float64
-            )  # the last step may end above 1
+            # the last step may end above 1
+            return np.asarray(np.minimum(codes, 1.0), dtype=np.float64)
         return to_linear(np.rint(to_display(bounded) * steps) / steps)
 
     # -- files ------------------------------------------------------------------------------------

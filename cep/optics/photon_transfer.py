@@ -544,9 +544,8 @@ def _line(
         )
     basis = np.stack([x, np.ones_like(x)], axis=1)
     error = _scatter(y, n)
-    for _ in range(
-        4
-    ):  # errors by the fit: those by the measured variances would favour the low ones
+    # errors by the fit: those by the measured variances would favour the low ones
+    for _ in range(4):
         weights = 1 / error**2
         covariance = np.linalg.inv(basis.T @ (weights[:, None] * basis))
         slope, floor = (float(value) for value in covariance @ (basis.T @ (weights * y)))

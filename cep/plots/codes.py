@@ -133,9 +133,8 @@ def mtf_figure(
     )
     plain_ticks(curves.yaxis)
     curves.grid(color="0.9", which="both", linewidth=0.6)
-    curves.legend(
-        loc="upper right", ncols=min(3, len(codes)), framealpha=0.9
-    )  # the lower limit cuts deep dips
+    # the lower limit cuts deep dips
+    curves.legend(loc="upper right", ncols=min(3, len(codes)), framealpha=0.9)
 
     maps = []
     for index, (name, code) in enumerate(codes.items()):

@@ -262,9 +262,8 @@ class LiveScene:
         """
         visible = [_middle(span, side_px) for span in valid_window(self.shape, psf.shape)]
         kernel = fft.rfft2(psf.astype(np.float32), self.shape)
-        blurred = fft.irfft2(
-            self._spectrum * kernel, self.shape
-        )  # lies half a frame further; its wrap is not seen
+        # lies half a frame further; its wrap is not seen
+        blurred = fft.irfft2(self._spectrum * kernel, self.shape)
         below, right = (
             slice(span.start + n // 2, span.stop + n // 2)
             for span, n in zip(visible, psf.shape, strict=True)

@@ -163,9 +163,8 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         studio.jobs.warm()
-        with threadpool_limits(
-            limits=1, user_api="blas"
-        ):  # small products: more threads only wait for each other
+        # small products: more threads only wait for each other
+        with threadpool_limits(limits=1, user_api="blas"):
             yield
         studio.close()
 

@@ -168,9 +168,8 @@ class Setting:
         """Return the page's code, or another one, at the page's chip time."""
         chip_ns = self.problem(limited=False).chip_ns
         if self.profile is not None:
-            with suppress(
-                FieldError
-            ):  # a device that cannot play such codes: they last as they would without it
+            # a device that cannot play such codes: they last as they would without it
+            with suppress(FieldError):
                 chip_ns = self.problem().chip_ns
         return cep.ShutterCode(self.bits if bits is None else bits, chip_ns)
 

@@ -248,9 +248,8 @@ class Views:
 
     def _scene(self, file: Path) -> LiveScene:
         with self._keeping:
-            written_ns = (
-                file.stat().st_mtime_ns
-            )  # another search of the same photo writes it again
+            # another search of the same photo writes it again
+            written_ns = file.stat().st_mtime_ns
             if self._own is None or self._own[:2] != (file, written_ns):
                 self._own = file, written_ns, LiveScene(np.load(file, allow_pickle=False))
             return self._own[2]
@@ -274,9 +273,8 @@ class Views:
         except ValueError as wrong:
             raise FieldError.of(wrong, fallback="motion") from None
         with self._keeping:
-            bench = self._benches.setdefault(
-                setting.key, bench
-            )  # another request may have made it meanwhile
+            # another request may have made it meanwhile
+            bench = self._benches.setdefault(setting.key, bench)
             while len(self._benches) > _BENCHES:
                 self._benches.popitem(last=False)
         return bench, error
