@@ -104,7 +104,9 @@ class Verdict:
         :data:`cep.search.expected.WORTH_DB`; else None.
         """
         best = simplest([exposure for exposure in self.ways if not exposure.saturates])
-        return best if best.psnr_db > self.advised.psnr_db + WORTH_DB else None
+        if best.psnr_db > self.advised.psnr_db + WORTH_DB:
+            return best
+        return None
 
     @property
     def gains_db(self) -> dict[Choice, float]:
@@ -381,6 +383,7 @@ def verdict_of(
     """
     best_possible(exposures)
     unnamed = Verdict(problem.camera, exposures, "", path_error_px=path_error_px)
+    # by their bits: the codes judged carry the problem's chip time, the given ones may not
     bits = {code.bits for code in codes}
     user_exposures = [
         exposure
@@ -389,7 +392,9 @@ def verdict_of(
     ]
     if not user_exposures:
         return unnamed
-    name = "this code" if len(codes) == 1 else "the best of these codes"
+    name = "the best of these codes"
+    if len(codes) == 1:
+        name = "this code"
     return replace(
         unnamed, code_name=name, user_code=max(user_exposures, key=attrgetter("psnr_db"))
     )
@@ -489,6 +494,7 @@ def _joined(opening: str, gains: Sequence[str]) -> str:
     """Gains as one clause, empty without any; the verb stands once where it is the same."""
     if not gains:
         return ""
+    # "gains 2 dB over A and 1 dB over B"
     verb = gains[0].split()[0] + " "
     return opening + " and ".join([gains[0], *(gain.removeprefix(verb) for gain in gains[1:])])
 

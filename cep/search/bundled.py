@@ -46,7 +46,9 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
         covers = (
             problem.chips <= entry.chips and entry.fewest_open <= low and high <= entry.most_open
         )
-        code = _within_limits(problem, entry) if covers else None
+        if not covers:
+            continue
+        code = _within_limits(problem, entry)
         if code is None:
             continue
         minimum = chip_minimum(code)

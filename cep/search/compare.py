@@ -59,7 +59,9 @@ class BaselineRow:
     @property
     def label(self) -> str:
         """The name, and whether the code breaks the limits, for tables."""
-        return self.name if self.within_limits else f"{self.name} (outside the limits)"
+        if self.within_limits:
+            return self.name
+        return f"{self.name} (outside the limits)"
 
 
 class Comparison(tuple[BaselineRow, ...]):

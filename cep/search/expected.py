@@ -38,9 +38,10 @@ def open_share(
     any.
     """
     chips = np.array([code.array for code in codes])
-    return np.asarray(
-        chips.mean(axis=1) if response is None else response.open_time(chips), dtype=np.float64
-    )
+    share = chips.mean(axis=1)
+    if response is not None:
+        share = response.open_time(chips)
+    return np.asarray(share, dtype=np.float64)
 
 
 def light_noise(
@@ -297,6 +298,7 @@ class _DirectedMotion:
                 )
             mean += otf / len(self._paths)
             power += np.abs(otf) ** 2 / len(self._paths)
+        # the mean is of the same draws: Bessel's correction; the difference may round below 0
         unbiased = len(self._paths) / max(len(self._paths) - 1, 1)
         scatter = np.maximum(power - np.abs(mean) ** 2, 0.0) * unbiased
         inverse = inverse_scene(samples)  # 1 / S

@@ -313,6 +313,7 @@ def _search(
             (1 + share) / 2, f"{'+'.join(str(code.open_chips) for code in best)} open"
         ),
     )
+    # of both searches, the end that left the most undone
     worst: list[Stopped] = ["interrupted", "time", "steps", "complete"]
     return single.code, replace(
         outcome, stopped=min(single.stopped, outcome.stopped, key=worst.index)

@@ -329,7 +329,9 @@ def checked_mask(fixed: str | None, chips: int) -> str | None:
         raise ValueError(
             f"fixed: must have one character for each of {chips} chips, got {len(fixed)}"
         )
-    return None if set(fixed) == {"?"} else fixed
+    if set(fixed) == {"?"}:
+        return None
+    return fixed
 
 
 _NEVER = 1 << 30  # pulses, or changes, of a code that does not exist
@@ -360,6 +362,7 @@ def conflicting(limits: Limits) -> tuple[str, ...]:
     """
     if feasible(limits):
         return ()
+    # deletion filter: a limit without which codes exist belongs to the set, others are dropped
     names = []
     for name in ("open_range", *(run_limit.name for run_limit in fields(RunLimits))):
         if name == "open_range":
@@ -503,6 +506,7 @@ def nearest(limits: Limits, code: NDArray[np.integer] | BoolArray) -> NDArray[np
             after = i + step.open_chips + step.closed_chips
             if not step.fits[i] or step.open_chips > k or starts > pulses_left:
                 continue
+            # costs are whole numbers: equality finds the step that the minimum came from
             if (
                 cost[step.next_state, after, k - step.open_chips, pulses_left - starts]
                 + changes(i, step)

@@ -222,6 +222,7 @@ class Objective:
                 duty * self.problem.chips, np.arange(self.problem.chips + 1), self.noise
             )
         squared = otf * otf
+        # at a true zero 1 / |H|^2 must stay finite, in float32 as well
         power = np.maximum(squared[:, 0] + squared[:, 1], 1e-30)
         worst = np.full((self.scenario_shares.size, len(power)), -np.inf)
         for motion in self.parts:

@@ -89,7 +89,9 @@ class Search:
         """Limit of an annealing, seconds; infinite where only its moves are given."""
         if self.time_s is not None:
             return self.time_s
-        return STANDARD_TIME_S if self.steps is None else math.inf
+        if self.steps is None:
+            return STANDARD_TIME_S
+        return math.inf
 
     def moves(self, problem: SearchProblem) -> int | None:
         """Say how many moves an annealing makes; None where the time alone ends it."""

@@ -110,7 +110,10 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tup
             f"{profile.name}: plays at most {profile.max_chips} chips, {chips} were asked for"
         )
     bias_ns = profile.on_bias_ns
-    least_open_ns = max(profile.min_on_ns or 0, profile.tick_ns if bias_ns else 0) + bias_ns
+    least_open_ns = profile.min_on_ns or 0
+    if bias_ns:
+        # commands are shortened by the bias, and the device counts them in whole ticks
+        least_open_ns = max(least_open_ns, profile.tick_ns) + bias_ns
     least_closed_ns = max(profile.min_off_ns or 0, profile.dead_time_ns)
     min_open = max(1, -(-least_open_ns // chip_ns))
     max_open = None
@@ -186,7 +189,9 @@ def response_of_device(profile: DeviceProfile, chip_ns: int) -> ShutterResponse 
             f"chips must last at least as long, got {chip_ns} ns"
         )
     response = ShutterResponse(chip_ns=chip_ns, rise_ns=profile.rise_ns, fall_ns=profile.fall_ns)
-    return None if response.instant else response
+    if response.instant:
+        return None
+    return response
 
 
 def chip_time_ns(exposure_s: float, chips: int, profile: DeviceProfile | None = None) -> int:
@@ -211,7 +216,11 @@ def _check_chip(profile: DeviceProfile, chip_ns: int) -> None:
     """
     tick = profile.tick_ns
     shortest_ns = -(-(profile.min_chip_ns or 1) // tick) * tick
-    longest_ns = None if profile.max_chip_ns is None else profile.max_chip_ns // tick * tick
+    longest_ns = None
+    words = f"whole ticks of {tick} ns, from {shortest_ns} ns"
+    if profile.max_chip_ns is not None:
+        longest_ns = profile.max_chip_ns // tick * tick
+        words += f" to {longest_ns} ns"
     if chip_ns % tick == 0 and shortest_ns <= chip_ns <= (longest_ns or chip_ns):
         return
     below = chip_ns // tick * tick
@@ -220,9 +229,6 @@ def _check_chip(profile: DeviceProfile, chip_ns: int) -> None:
             min(max(time_ns, shortest_ns), longest_ns or time_ns + shortest_ns)
             for time_ns in (below, below + tick)
         }
-    )
-    words = f"whole ticks of {tick} ns, from {shortest_ns} ns" + (
-        "" if longest_ns is None else f" to {longest_ns} ns"
     )
     raise ValueError(
         f"chip_ns: {profile.name} plays chips of {words}, got {chip_ns} ns; "

@@ -343,6 +343,7 @@ class SearchProblem:
         return worst_of(*metrics)
 
     def _check_feasible(self) -> None:
+        # plain conflicts first: their messages are plainer than a smallest set of limits
         low, high = self.open_range or (1, self.chips)
         shortest = self.runs.min_open
         if shortest > self.chips:
@@ -382,6 +383,7 @@ def open_range_of_duty(chips: int, low: float, high: float) -> tuple[int, int]:
     """
     if not 0 <= low <= high <= 1:
         raise ValueError(f"duty: must be LOW:HIGH within 0..1, got {low:g}:{high:g}")
+    # a product such as 0.07 * 100 = 7.000000000000001 must still count as whole
     fewest = max(1, int(np.ceil(low * chips - 1e-9)))
     largest = int(np.floor(high * chips + 1e-9))
     if fewest > largest:

@@ -149,6 +149,7 @@ def search_code(
             proven=optimum,
         )
     started = time.monotonic()
+    # the search's draws must not depend on how many the baselines take
     for_baselines, for_search = rng.spawn(2)
     judge = Objective(problem, oversampling=_FINE, dtype=np.float64)
     rivals: list[Baseline] = []
@@ -226,9 +227,10 @@ def prove_code(
     code, cost = proven.code, judge.exact_cost(proven.code)
     if not proven.proven:
         code, cost = _best_of(code, cost, rivals)
-    counted = (
-        codes_to_count(problem) if isinstance(proven.proof, ProofLog) else proven.proof.judged
-    )
+    if isinstance(proven.proof, ProofLog):
+        counted = codes_to_count(problem)
+    else:
+        counted = proven.proof.judged
     return Found(
         code,
         cost,
@@ -346,10 +348,12 @@ def _used_instead(
         limited = best(coarse, within_limits=True)
         if limited is not None:
             yield name + _WITHIN, limited, False
+    if length_px is None:
+        length_px = mean_length_px(problem)
     for entry in for_chips(problem.chips):
         yield f"published: {entry.name}", entry.code, False
     length_only = dnf_search(
-        mean_length_px(problem) if length_px is None else length_px,
+        length_px,
         problem.chips,
         rng=rng,
         steps=_LENGTH_ONLY_MOVES,

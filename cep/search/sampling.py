@@ -65,6 +65,7 @@ def _free_table(limits: Limits) -> FloatArray:
     log_factorial = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, 2 * n + 2)))])
 
     def log_compositions(total: IntArray, parts: IntArray) -> FloatArray:
+        # stars and bars: C(total + parts - 1, parts - 1) ways
         total = np.where(possible, total, 0)
         parts = np.where(possible, parts, 1)
         chosen = log_factorial[total + parts - 1] - log_factorial[total] - log_factorial[parts - 1]
@@ -189,8 +190,10 @@ class _Walks:
                 self.log_counts[next_state, np.minimum(after, n), k.clip(0), p.clip(0)]
                 + self.tilt * starts
             )
+            # the counts themselves may overflow: weights relative to the largest
             weights = np.where(possible, log_count, -np.inf)
             share = np.cumsum(np.exp(weights - weights.max(axis=0)), axis=0)
+            # a product rounded up to the total would pick the last step, possible or not
             threshold = np.minimum(rng.random(rows.size) * share[-1], np.nextafter(share[-1], 0))
             chosen = (threshold >= share[:-1]).sum(axis=0), np.arange(rows.size)
             edges[rows, position] += starts[chosen].astype(np.int8)
@@ -212,7 +215,9 @@ class _Walks:
 def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
     n = limits.chips
     steps = limits.steps()
-    most_pulses = limits.most_pulses if counting_pulses else None
+    most_pulses = None
+    if counting_pulses:
+        most_pulses = limits.most_pulses
     opens = int(limits.counts_opens)
     pulses = int(most_pulses is not None)
     log_counts = np.full(

@@ -187,6 +187,7 @@ def jittered(
     def drawn(scenario: Scenario) -> list[Scenario]:
         edges = _edges(scenario, chips)
         lengths = np.diff(edges)
+        # the first and the last edge have a chip on one side only
         room = _FARTHEST_EDGE * np.minimum(
             np.append(lengths, lengths[-1]), np.insert(lengths, 0, lengths[0])
         )

@@ -99,7 +99,9 @@ class Way:
             )
             if applies
         ]
-        return f"{name} ({', '.join(notes)})" if notes else name
+        if not notes:
+            return name
+        return f"{name} ({', '.join(notes)})"
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON."""
@@ -129,7 +131,11 @@ class WayFinder:
             straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios
         )
         long = straight and sample_count(mse_problem, oversampling=_OVERSAMPLING) > _LONG_COLUMNS
-        over, across = (_LONG_OVERSAMPLING, _LONG_ACROSS) if long else (_OVERSAMPLING, ACROSS)
+        over = _OVERSAMPLING
+        across = ACROSS
+        if long:
+            over = _LONG_OVERSAMPLING
+            across = _LONG_ACROSS
         self._fast = Objective(mse_problem, oversampling=_OVERSAMPLING)
         self._moved = self._fast
         if long:
@@ -308,6 +314,7 @@ def judged_ways(
 
     One that is ``expected`` of this problem and error already need not be made.
     """
+    # several searches may find the same code
     distinct = list(
         {
             code.bits: ShutterCode(code.bits, problem.chip_ns)

@@ -156,7 +156,9 @@ def cheapest(
     indices = np.empty(0, np.intp)
     costs = np.empty(0)
     for start in range(0, len(codes), step):
-        limit = below if indices.size < count else float(costs[-1])
+        limit = below
+        if indices.size >= count:
+            limit = float(costs[-1])
         candidates = np.arange(start, min(start + step, len(codes)))
         candidate_costs = np.empty(0)
         for judge, otf in judges:

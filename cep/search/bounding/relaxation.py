@@ -523,10 +523,7 @@ def _basis_again(
         return np.asarray(
             np.exp(-2j * np.pi * np.outer(np.arange(chips), frequencies[:, 0])) / chips
         )
-    single = [
-        ShutterCode("".join("1" if i == chip else "0" for i in range(chips)))
-        for chip in range(chips)
-    ]
+    single = [ShutterCode("0" * chip + "1" + "0" * (chips - chip - 1)) for chip in range(chips)]
     return np.stack(
         [
             coded_otf(motion, code, frequencies[:, 0], frequencies[:, 1], edges=edges)

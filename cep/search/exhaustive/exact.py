@@ -164,7 +164,7 @@ class _Proof:
             sampled = np.abs(dot(bits, self.basis)).min(axis=1)
             for index in np.argsort(-sampled, kind="stable"):
                 if sampled[index] < self.limit * (1 - MARGIN):
-                    break
+                    break  # all that follow are lower still
                 self._consider(bits[index], float(sampled[index]))
 
     def _consider(self, bits: NDArray[np.int8], sampled: float) -> None:
@@ -345,7 +345,7 @@ def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
 
 
 def _name(bits: NDArray[np.int8]) -> str:
-    return "".join("1" if bit else "0" for bit in bits)
+    return "".join(str(int(bit)) for bit in bits)
 
 
 def _packed(bits: str) -> Codes:
