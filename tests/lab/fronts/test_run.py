@@ -30,7 +30,7 @@ def test_moves_that_the_time_ended_are_told():
     found = pareto(SearchProblem(chips=13, open_range=(6, 10)), steps=10**12, time_s=0.01)
     assert found.front.stopped == "time"
     assert found.warnings[0].startswith(
-        "time_s ended the search before its 1,000,000,000,000 moves: "
+        "the limit of 0.01 s ended the search before its 1,000,000,000,000 moves: "
     )
 
 
