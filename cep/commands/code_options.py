@@ -67,14 +67,14 @@ OpenChips = Annotated[
     str | None,
     typer.Option(
         "--open",
-        "--duty",
         metavar="K|LOW:HIGH",
         rich_help_panel=_CODE,
-        help=(
-            "Open chips, or with a decimal point their share of all, as 26, 20:30 or 0.4:0.6; any"
-            " number when omitted."
-        ),
+        help="Open chips, as 26 or 20:30; any number when omitted.",
     ),
+]
+Duty = Annotated[
+    str | None,
+    _option(_CODE, "--duty", "LOW:HIGH", "Instead of --open: open fraction of the time, 0..1."),
 ]
 ChipTime = Annotated[int, _option(_CODE, "--chip-ns", "NS", "Chip time, ns.", min=1)]
 Exposure = Annotated[
@@ -126,6 +126,7 @@ class CodeOptions(CameraOptions):
         int | None, chips_option(fewest=1, help="Number of chips; 52 when omitted.")
     ] = None
     open_chips: OpenChips = None
+    duty: Duty = None
     exposure: Exposure = None
     direction: Direction = "auto"
     device: Device = None
@@ -164,7 +165,7 @@ class CodeOptions(CameraOptions):
         return SearchProblem.along(
             *motions,
             chips=chips,
-            open_range=open_range(self.open_chips, chips),
+            open_range=open_range(self.open_chips, chips, duty=self.duty),
             exposure_s=exposure_s if stated_s is None else stated_s,
             device=self.device,
             objective=objective,
@@ -207,8 +208,8 @@ class SearchOptions:
     output: Annotated[Path, output_option("File to write.")] = Path("code.json")
 
 
-def open_range(text: str | None, chips: int) -> tuple[int, int]:
-    """Read ``--open``: fewest and most open chips.
+def open_range(text: str | None, chips: int, *, duty: str | None = None) -> tuple[int, int]:
+    """Read ``--open`` or ``--duty``: fewest and most open chips.
 
     Raises
     ------
@@ -217,23 +218,23 @@ def open_range(text: str | None, chips: int) -> tuple[int, int]:
 
     Examples
     --------
-    >>> open_range("3", 8), open_range("2:4", 8), open_range("0.25:0.5", 8)
+    >>> open_range("3", 8), open_range("2:4", 8), open_range(None, 8, duty="0.25:0.5")
     ((3, 3), (2, 4), (2, 4))
     """
-    if text is None:
-        return 1, chips
-    if "." in text:
+    if duty is not None:
         from cep.search.problem import open_range_of_duty
 
-        return open_range_of_duty(chips, *low_and_high("--open", text, "0.4:0.6"))
+        if text is not None:
+            raise ValueError("--open and --duty: give one of them")
+        return open_range_of_duty(chips, *low_and_high("--duty", duty, "0.4:0.6"))
+    if text is None:
+        return 1, chips
     low, _, high = text.partition(":")
     try:
         fewest = int(low)
         largest = int(high or low)
     except ValueError:
-        raise ValueError(
-            f"--open: must be K or LOW:HIGH in whole chips, or in shares as 0.4:0.6, got {text!r}"
-        ) from None
+        raise ValueError(f"--open: must be K or LOW:HIGH in whole chips, got {text!r}") from None
     if not 1 <= fewest <= largest <= chips:
         raise ValueError(f"--open: must lie within 1..{chips}, got {text}")
     return fewest, largest

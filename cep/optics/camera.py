@@ -89,7 +89,7 @@ class Camera:
     [0.0, 0.6666666666666666, 1.0]
     >>> dim = Camera.load("sony-imx250").at(500, exposure_s=0.01)
     >>> dim.photons_full_scale, round(dim.read_noise_e, 2), round(dim.code_steps)
-    (500.0, 2.39, 189)
+    (500.0, 2.4, 189)
     """
 
     photons_full_scale: float = 10_000.0

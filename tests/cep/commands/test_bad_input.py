@@ -440,7 +440,6 @@ def test_existing_outputs_are_kept(refused, cep, workplace, command):
         ("deblur", ["--gamma", "7"], "gamma"),
         ("deblur", ["--code", "10201"], "only 0 and 1"),
         ("export", ["--chip-ns", "1", "--device", "nothing"], "nothing"),
-        ("upload", ["--driver", "none"], "--driver"),
         ("demo", ["--photons", "-5"], "photons"),
         ("demo", ["--gamma", "7"], "gamma"),
     ],

@@ -138,8 +138,8 @@ def test_an_exposure_is_the_same_text_in_every_command(refused, command):
             for value in ("0", "9:3", "1:13", "x", "nan", "")
         ),
         *(
-            ("optimize", ["--duty", value], "--open")
-            for value in ("2.0:3.0", "nan:nan", "0.9:0.1", "x", "0.301:0.302")
+            ("optimize", ["--duty", value], "--duty")
+            for value in ("2:3", "nan:nan", "0.9:0.1", "x", "0.301:0.302")
         ),
         *(("optimize", ["--speed", value], "--speed") for value in ("0:1", "nan", "2:1", "x")),
         *(

@@ -171,17 +171,8 @@ def test_the_share_of_a_calibration_rises_to_one(cep, workplace, told, quick_bli
     [
         ("--linear", "12", "--chips", "12", "--steps", "3000"),
         ("--linear", "12", "--chips", "12", "--method", "exact"),
-        ("--linear", "12", "--chips", "12", "--frames", "2", "--steps", "3000"),
-        (
-            "--linear",
-            "12",
-            "--chips",
-            "3",
-            "--fixed",
-            "101",
-            "--steps",
-            "3000",
-        ),  # no other code: nothing to search
+        # no other code: nothing to search
+        ("--linear", "12", "--chips", "3", "--open", "3", "--steps", "3000"),
     ],
 )
 def test_the_share_of_a_search_rises_to_one(cep, workplace, told, options):

@@ -120,7 +120,7 @@ def test_repeatable(lab, workplace):
         ("--open", ("--open", "5:2")),
         ("--open", ("--open", "some")),
         ("--open", ("--open", "3:99")),
-        ("--open", ("--duty", "0.9:0.2")),
+        ("duty", ("--duty", "0.9:0.2")),
         ("--direction", ("--direction", "left")),
         ("--trajectory", ("--linear", "20", "--trajectory", "trajectory.json")),
         ("--linear", ("--linear", "-3")),
