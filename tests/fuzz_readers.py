@@ -442,10 +442,10 @@ READERS = {
     "camera.json": Reader(".json", _camera_json_seeds, _camera, text=True),
     "camera.toml": Reader(".toml", _camera_toml_seeds, _camera, text=True),
     "coded protocol": Reader(
-        ".toml", _file("cep", "bench", "coded", "paper.toml"), _coded_protocol, text=True
+        ".toml", _file("lab", "bench", "coded", "paper.toml"), _coded_protocol, text=True
     ),
     "blind protocol": Reader(
-        ".toml", _file("cep", "bench", "blind", "ours.toml"), _blind_protocol, text=True
+        ".toml", _file("lab", "bench", "blind", "ours.toml"), _blind_protocol, text=True
     ),
     "training config": Reader(
         ".toml", _file("motdiff", "configs", "gpu.toml"), _training_config, text=True

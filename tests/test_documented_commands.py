@@ -10,7 +10,6 @@ RUN_ELSEWHERE = {"docs/hardware.md"}
 """tests/cep/commands/test_hardware_transcript.py runs it."""
 
 GONE = {
-    "docs/decisions/network.md: cep calibrate --quick": "the record names what was removed",
     "motdiff/weights/README.md: python -m motdiff eval": (
         "its figures were measured by the former command"
     ),
