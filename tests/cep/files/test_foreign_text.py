@@ -11,6 +11,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+from hostile_names import HOSTILE
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -31,33 +32,6 @@ from cep.plots import psf_figure, save
 from cep.plots.codes import code_strips
 from motdiff.files.inputs import printable
 from motdiff.files.json_files import json_text
-
-HOSTILE = (
-    "[/bold][red]x",
-    "[/]",
-    ":smile:",
-    "\x1b[2J\x1b]0;owned\x07",
-    "\x9b31m",
-    "a\nb\r\nc",
-    "\u202egnp.exe",
-    "$x^2$",
-    "a$b",
-    r"$\frac{$",
-    "=1+1",
-    "@SUM(A1)",
-    "+1+cmd|' /C calc'!A0",
-    "-1+1",
-    "\t=1",
-    "<script>alert(1)</script>",
-    "a|b",
-    "![x](http://y)",
-    r"\input{/etc/passwd}",
-    "100 % & #1 _ ^ ~",
-    "`rm`",
-    "_hidden",
-    "\udcff.png",
-    "写真",
-)
 
 
 @pytest.fixture

@@ -285,7 +285,8 @@ def test_a_command_leaves_all_its_files_or_none(cep, ready, monkeypatch, name):
     with full_disk(monkeypatch) as written, failing_rename(monkeypatch) as renamed:
         cep.succeeds(*arguments)
     outputs = sorted(item for folder in ("out", "figures") for item in Path(folder).iterdir())
-    assert outputs
+    # a search writes its code alone, every other command several files
+    assert len(outputs) > (0 if name == "optimize" else 1)
     faults = [(full_disk, {"writes": number}) for number in range(len(written))]
     faults += [(failing_rename, {"number": number}) for number in range(len(renamed))]
     failed = 0

@@ -1,0 +1,28 @@
+"""Names that an output may obey instead of showing them: markup, formulas, control bytes."""
+
+HOSTILE = (
+    "[/bold][red]x",
+    "[/]",
+    ":smile:",
+    "\x1b[2J\x1b]0;owned\x07",
+    "\x9b31m",
+    "a\nb\r\nc",
+    "\u202egnp.exe",
+    "$x^2$",
+    "a$b",
+    r"$\frac{$",
+    "=1+1",
+    "@SUM(A1)",
+    "+1+cmd|' /C calc'!A0",
+    "-1+1",
+    "\t=1",
+    "<script>alert(1)</script>",
+    "a|b",
+    "![x](http://y)",
+    r"\input{/etc/passwd}",
+    "100 % & #1 _ ^ ~",
+    "`rm`",
+    "_hidden",
+    "\udcff.png",
+    "写真",
+)
