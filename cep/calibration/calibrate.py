@@ -22,7 +22,7 @@ from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.from_kernel import as_estimate
 from motdiff.estimators.method import Method, command_options
 from motdiff.estimators.registry import METHODS, blind_methods, check_options, make_method
-from motdiff.files.gyro_tables import RateUnit, read_gyro
+from motdiff.files.gyro_tables import read_gyro
 from motdiff.files.outputs import new_folder
 from motdiff.files.plugins import is_reference
 from motdiff.files.trajectories import StoredMotion, write_motion
@@ -262,7 +262,6 @@ def read_options(
     texts: Mapping[str, Any],
     *,
     gamma: str | float = "srgb",
-    rate_unit: RateUnit | None = None,
 ) -> dict[str, Any]:
     """Return the values of a method's options, after the files that they name are read.
 
@@ -272,11 +271,11 @@ def read_options(
         Of the method.
     texts : mapping from an option to its value
         A photo and a gyroscope's recording as the path of a file; None where it is not given.
-    gamma, rate_unit
-        Of the files, as of :func:`cep.files.images.read_image` and
-        :func:`motdiff.files.gyro_tables.read_gyro`.
+    gamma
+        Of a photo, as of :func:`cep.files.images.read_image`.
     """
     values = dict(texts)
+    rate_unit = values.pop("rate_unit", None)  # of the file, not of what is read from it
     options = command_options(METHODS[name]) if name in METHODS else {}
     for key, option in options.items():
         if values.get(key) is None:
@@ -304,6 +303,10 @@ def check_method(name: str, options_given: Mapping[str, Any]) -> None:
     options = [key for key, value in options_given.items() if value is not None]
     if not is_reference(name):
         check_options(name, options)
+        for key, option in command_options(METHODS[name]).items():
+            value = options_given.get(key)
+            if option.choices and value not in (None, *option.choices):
+                raise ValueError(f"{key}: must be {' or '.join(option.choices)}, got {value!r}")
     elif options:
         raise ValueError(f"{min(options)}: not valid with method={name!r}")
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, make_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -91,15 +91,6 @@ class CalibrateOptions(CommonOptions):
             metavar="FILE",
             help="A calibration, trajectory.json, to be improved by photos of its motion, each"
             " through a known --code.",
-        ),
-    ] = None
-    gyro_unit: Annotated[
-        str | None,
-        typer.Option(
-            "--gyro-unit",
-            metavar="UNIT",
-            help="rad or deg, of the rates; as the header says when omitted, else rad.",
-            rich_help_panel="With --method gyro",
         ),
     ] = None
     gamma: Gamma = "srgb"
@@ -194,18 +185,12 @@ def calibrate(options: CalibrateOptions) -> None:
         from motdiff.files.trajectories import trajectory_text
 
         check_method(method, {**method_options, "codes": sources or None})
-        if options.gyro_unit not in (None, "rad", "deg"):
-            raise ValueError(f"--gyro-unit: must be rad or deg, got {options.gyro_unit!r}")
-        if options.gyro_unit is not None and method != "gyro":
-            raise ValueError(f"--gyro-unit: not valid with --method {method}")
         codes = load_codes(sources) if sources else None
         parse_gamma(options.gamma)
         folder = options.output or images[0].with_name(f"{images[0].stem}_motion")
         claim_folder(folder, CALIBRATION_FILES, force=options.force)
         photos = [read_photo(image, gamma=options.gamma) for image in images]
-        values = read_options(
-            method, method_options, gamma=options.gamma, rate_unit=cast(Any, options.gyro_unit)
-        )
+        values = read_options(method, method_options, gamma=options.gamma)
         started = time.perf_counter()
         is_blind = method in blind_methods()
         start_share, end_share = _BLIND_ESTIMATE if is_blind else _OTHER_ESTIMATE
@@ -257,7 +242,7 @@ def _refuse_workers(options: CalibrateOptions) -> None:
 
 def _with_file(error: str, images: Sequence[Path]) -> str:
     """Name the file of a photo in an error about it; an error about an option stays as it is."""
-    if error.partition(": ")[0] in (*_OPTIONS, "method", "code", "rate_unit"):
+    if error.partition(": ")[0] in (*_OPTIONS, "method", "code"):
         return error
     if len(images) > 1:
         return photo_named(error, images)

@@ -27,7 +27,6 @@ _SET_BY = {
     "name": ("names",),
     "open_range": ("open", "duty"),
     "photons_full_scale": ("photons",),
-    "rate_unit": ("gyro_unit",),
     "response": ("device",),
     "scenarios": ("speed", "trajectory", "linear"),
     "trajectory": ("trajectory", "linear"),

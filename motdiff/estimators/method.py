@@ -31,6 +31,8 @@ class Option:
     metavar : str
     shown_default : str
         The default in words; empty where the help says it.
+    choices : tuple of str
+        The values that there are; empty where any is taken.
     """
 
     kind: Kind
@@ -38,6 +40,7 @@ class Option:
     flag: str
     metavar: str
     shown_default: str = ""
+    choices: tuple[str, ...] = ()
 
 
 def option(
@@ -48,9 +51,10 @@ def option(
     metavar: str,
     default: Any = MISSING,
     shown_default: str = "",
+    choices: tuple[str, ...] = (),
 ) -> Any:
     """Make the field of an option; one without a default is needed."""
-    declared = Option(kind, help, flag, metavar, shown_default)
+    declared = Option(kind, help, flag, metavar, shown_default, choices)
     return field(default=default, metadata={"option": declared})
 
 

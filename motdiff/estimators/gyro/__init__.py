@@ -26,6 +26,14 @@ class Gyro(Method):
     gyro: GyroTrace = option(
         "gyro", "Table of time and three rates (rad/s); needed.", flag="--gyro", metavar="FILE"
     )
+    rate_unit: str | None = option(
+        "text",
+        "rad or deg, of the rates; as the header says when omitted, else rad.",
+        flag="--gyro-unit",
+        metavar="UNIT",
+        default=None,
+        choices=("rad", "deg"),
+    )
     focal_px: float = option("number", "Focal length, px; needed.", flag="--focal", metavar="PX")
     start_s: float = option(
         "number",
@@ -56,6 +64,8 @@ class Gyro(Method):
     ) -> GyroEstimator:
         """Make the estimator, which draws nothing at random."""
         del seed, progress
+        if self.rate_unit is not None:
+            raise ValueError("rate_unit: is for a file; a recording that was read is in rad/s")
         from motdiff.estimators.gyro.estimator import GyroEstimator
 
         return GyroEstimator(

@@ -182,3 +182,15 @@ def test_the_exposure_is_read_as_everywhere(cep, scene, text):
     assert line.startswith(
         "cep: --exposure: must be a time above 0 as 1/30, 0.02, 20ms or 500us, got 'a while'"
     )
+
+
+def test_the_unit_of_rates_is_refused_wherever_no_recording_is_read(cep, workplace):
+    Path("shots").mkdir()
+    Path("shots/blurred.png").write_bytes(Path("blurred.png").read_bytes())
+    for arguments in (
+        ("blurred.png",),
+        ("shots",),
+        ("blurred.png", "--code", "1101", "--trajectory", "trajectory.json"),
+    ):
+        line = cep.refuses("calibrate", *arguments, "--gyro-unit", "deg")
+        assert line.startswith("cep: --gyro-unit: not valid with --")
