@@ -21,7 +21,6 @@ _SET_BY = {
     "bits": ("bits", "code", "codes"),
     "chip_ns": ("chip_ns", "exposure"),
     "chips": ("chips", "code", "codes"),
-    "duty": ("duty", "open"),
     "length_px": ("linear",),
     "method": ("method", "methods"),
     "name": ("names",),

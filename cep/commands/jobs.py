@@ -5,8 +5,7 @@ ends.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,26 +14,7 @@ from cep.commands.console import FAILURE, INTERRUPTED, finish, table
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from motdiff.files.outputs import Outputs
-
-NOT_REACHED = "left out"
-"""The ``failure`` of a row that Ctrl-C left out."""
-
-
-class FolderResults(Protocol):
-    """What a command did for everything in a folder."""
-
-    @property
-    def rows(self) -> Sequence[Mapping[str, Any]]:
-        """A row for each thing, with its figures, ``warnings`` and ``failure``."""
-
-    @property
-    def missing(self) -> int:
-        """How many were not reached, after Ctrl-C."""
-
-    @property
-    def warnings(self) -> Sequence[str]:
-        """Warnings about all of them."""
+    from cep.calibration.calibrate_folder import FolderResults
 
 
 def finish_folder(
@@ -45,8 +25,6 @@ def finish_folder(
     title: str,
     noun: str,
     as_json: bool,
-    outputs: Outputs | None = None,
-    tables: Path | None = None,
 ) -> None:
     """Print the table of a folder and end the command.
 
@@ -61,14 +39,14 @@ def finish_folder(
     title, noun : str
         Of the table, and what its rows are, in the plural.
     as_json : bool
-    outputs, tables : optional
-        As of :func:`cep.commands.console.finish`.
 
     Raises
     ------
     typer.Exit
         1 where a row failed, 130 after Ctrl-C.
     """
+    from cep.calibration.calibrate_folder import NOT_REACHED
+
     name, *figures = columns
     rows = results.rows
     missing = results.missing
@@ -100,8 +78,6 @@ def finish_folder(
         {**result, "failures": failures, "missing": missing, "warnings": warnings},
         as_json=as_json,
         show=show,
-        outputs=outputs,
-        tables=tables,
     )
     end(missing=missing, failed=len(failures))
 
@@ -122,9 +98,9 @@ def end(*, missing: int, failed: int) -> None:
 
 
 def _state(row: Mapping[str, object]) -> str:
-    """Say in a word how a row came out; the reasons and the warnings themselves are told on
-    stderr.
-    """
+    """Return the state of a row in a word; reasons and warnings are printed on stderr."""
+    from cep.calibration.calibrate_folder import NOT_REACHED
+
     failure = row.get("failure")
     warnings = row.get("warnings")
     if failure:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -137,12 +137,13 @@ def optimize(options: OptimizeOptions) -> None:
         error_px = None if file is None else stated_uncertainty_px(stored, file)
         problem = options.searched(stored)
         # wrong options are named before outputs in the way
-        Search(
-            method=options.method,  # type: ignore[arg-type]  # checked there
-            steps=options.steps,
-            time_s=options.time_s,
-            seed=options.seed,
-        )
+        how: dict[str, Any] = {
+            "method": options.method,
+            "steps": options.steps,
+            "time_s": options.time_s,
+            "seed": options.seed,
+        }
+        Search(**how)
         if isinstance(problem, SearchProblem):
             checked_motion(problem, stored.trajectory)
         outputs = claim(
@@ -151,10 +152,7 @@ def optimize(options: OptimizeOptions) -> None:
         with saved_on_interrupt(outputs) as keep:
             best = search_code(
                 problem,
-                method=options.method,  # type: ignore[arg-type]  # checked there
-                steps=options.steps,
-                time_s=options.time_s,
-                seed=options.seed,
+                **how,
                 along=stored.trajectory,
                 path_error_px=error_px or 0.0,
                 progress=tick,

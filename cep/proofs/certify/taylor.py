@@ -233,8 +233,7 @@ def _jets(
             series = 1.0 - q / 56 * series
             series = 1.0 - q / 30 * series
             series = 1.0 - q / 12 * series
-            series = 1.0 - q / 2 * series
-            cosine = series
+            cosine = 1.0 - q / 2 * series
             re = 1.0 - 2.0 * sine * sine
             im = -2.0 * sine * cosine
             x = np.pi * (fx * dx[s] + fy * dy[s])
