@@ -19,7 +19,6 @@ from cep.commands.options import (
     MotionOptions,
     TableFile,
     command,
-    load_camera,
     output_option,
     table_files,
 )
@@ -181,9 +180,7 @@ def _camera(options: AuditOptions, stored: StoredCode) -> Camera:
         raise ValueError(
             f"{options.code}: problem.camera: {error}; --camera names another"
         ) from None
-    return load_camera(
-        None, photons=options.photons, read_noise=options.read_noise, standard=camera
-    )
+    return options.load_camera(camera)
 
 
 def _warnings(

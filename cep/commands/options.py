@@ -189,7 +189,20 @@ class MotionOptions:
         ValueError
             If both or none is named, or the file or length is not valid.
         """
-        return load_motion(self.trajectory, self.linear)
+        from motdiff.files.trajectories import StoredMotion, read_motion
+        from motdiff.trajectory import LONGEST_PX, Trajectory
+
+        if (self.trajectory is None) == (self.linear is None):
+            raise ValueError("--trajectory FILE or --linear PX: exactly one of them is needed")
+        if self.trajectory is not None:
+            return read_motion(self.trajectory)
+        assert self.linear is not None
+        if not 0 < self.linear <= LONGEST_PX:
+            raise ValueError(
+                f"--linear: must be a length above 0 and up to {LONGEST_PX:g} px,"
+                f" got {self.linear:g}"
+            )
+        return StoredMotion(Trajectory.straight(self.linear), source={"method": "linear"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,15 +218,27 @@ class CameraOptions:
         """Whether any of the three is given."""
         return (self.camera, self.photons, self.read_noise) != (None, None, None)
 
-    def load_camera(self) -> Camera:
-        """Return the camera; the standard one where none is named.
+    def load_camera(self, standard: Camera | None = None) -> Camera:
+        """Return the camera; where none is named ``standard``, by default that of ``Camera()``.
 
         Raises
         ------
         ValueError
             If the camera is not known, or a figure is not valid.
         """
-        return load_camera(self.camera, photons=self.photons, read_noise=self.read_noise)
+        from dataclasses import replace
+
+        from cep.optics.camera import Camera
+
+        if self.camera is not None:
+            camera = Camera.load(self.camera)
+        else:
+            camera = standard or Camera()
+        if self.photons is not None:
+            camera = camera.at(self.photons)
+        if self.read_noise is not None:
+            camera = replace(camera, read_noise_e=self.read_noise)
+        return camera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,43 +273,6 @@ def table_files(table: Path | None) -> list[Path]:
     except ValueError as error:
         raise ValueError(f"--table: {error}") from None
     return [table]
-
-
-def load_motion(trajectory: Path | None, linear: float | None) -> StoredMotion:
-    """Return the motion that ``--trajectory`` or ``--linear`` names, exactly one of them."""
-    from motdiff.files.trajectories import StoredMotion, read_motion
-    from motdiff.trajectory import LONGEST_PX, Trajectory
-
-    if (trajectory is None) == (linear is None):
-        raise ValueError("--trajectory FILE or --linear PX: exactly one of them is needed")
-    if trajectory is not None:
-        return read_motion(trajectory)
-    assert linear is not None
-    if not 0 < linear <= LONGEST_PX:
-        raise ValueError(
-            f"--linear: must be a length above 0 and up to {LONGEST_PX:g} px, got {linear:g}"
-        )
-    return StoredMotion(Trajectory.straight(linear), source={"method": "linear"})
-
-
-def load_camera(
-    name: str | None,
-    *,
-    photons: float | None,
-    read_noise: float | None,
-    standard: Camera | None = None,
-) -> Camera:
-    """Return the camera of ``--camera``, changed by ``--photons`` and ``--read-noise``; the
-    standard one without.
-    """
-    from dataclasses import replace
-
-    from cep.optics.camera import Camera
-
-    camera = standard or Camera() if name is None else Camera.load(name)
-    if photons is not None:
-        camera = camera.at(photons)
-    return camera if read_noise is None else replace(camera, read_noise_e=read_noise)
 
 
 def code_figures(code: ShutterCode) -> dict[str, object]:
