@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from cep.optics.code import ShutterCode
 from motdiff.types import FloatArray
 
-_LEAST_CONFIDENCE = 0.5  # more likely good than lost
+LEAST_CONFIDENCE = 0.5  # more likely good than lost
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,10 @@ def find_psf(
     """
     from motdiff.estimators.pmp.estimator import PmpEstimator
 
-    duty = 1.0 if code is None else code.duty
+    duty = (code or ShutterCode("1")).duty
     estimate = PmpEstimator(progress=progress).estimate(photo)
     warnings = list(estimate.psf_warnings)
-    if estimate.confidence < _LEAST_CONFIDENCE:
+    if estimate.confidence < LEAST_CONFIDENCE:
         warnings.insert(
             0,
             f"the PSF is probably lost (confidence {estimate.confidence:.2f}), and the restored"

@@ -13,7 +13,7 @@ from motdiff.psf_frame import in_frame
 from motdiff.types import ComplexArray, FloatArray
 
 Border = Literal["real", "periodic"]
-_SMALLEST_POWER = 1e-12  # |H|^2 of a dead frequency, for the preconditioner's division
+SMALLEST_POWER = 1e-12  # of |H|^2 in a divisor: frequencies that the blur removes stay finite
 
 
 class Blur:
@@ -127,7 +127,7 @@ class Blur:
             return extended
         H = self.H
         penalty = noise_to_scene * power_law(self.grid_shape)
-        preconditioner = 1 / np.maximum(np.abs(H) ** 2 + penalty, _SMALLEST_POWER)
+        preconditioner = 1 / np.maximum(np.abs(H) ** 2 + penalty, SMALLEST_POWER)
         # inner products of real images from half their spectra: each column but that of f = 0,
         # and of the Nyquist frequency where there is one, stands for two
         weight = np.full(H.shape[1], 2.0)
@@ -146,11 +146,11 @@ class Blur:
         direction = preconditioner * residual
         energy = dot(residual, direction)
         for _ in range(rounds):
-            if energy <= 0:
+            if energy <= 0:  # the residual is gone
                 break
             product = normal_equations(direction)
             curvature = dot(direction, product)
-            if curvature <= 0:
+            if curvature <= 0:  # rounding, as A^T A + penalty is positive
                 break
             X = X + (energy / curvature) * direction
             residual = residual - (energy / curvature) * product
@@ -159,6 +159,7 @@ class Blur:
             energy = dot(residual, preconditioned)
             direction = preconditioned + (energy / previous) * direction
         extended = self.image(H * X)
+        # the measured pixels stay: only the surroundings are the model's
         extended[: self.photo_shape[0], : self.photo_shape[1]] = photo
         return extended
 
@@ -224,15 +225,20 @@ def trimmed_psf(psf: ArrayLike) -> FloatArray:
     return in_frame(kernel, 2 * reach + 1)
 
 
+def frequencies(shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+    """Frequencies fy (H, 1) and fx (1, W // 2 + 1) of the ``rfft2`` grid of ``shape``, cy/px."""
+    fy: FloatArray = np.fft.fftfreq(shape[0])[:, None].astype(np.float64)
+    fx: FloatArray = np.fft.rfftfreq(shape[1])[None, :].astype(np.float64)
+    return fy, fx
+
+
 def gradient_power(shape: tuple[int, int]) -> FloatArray:
     """``|Dx|^2 + |Dy|^2`` of periodic forward differences on the ``rfft2`` grid of ``shape``."""
-    fy = np.fft.fftfreq(shape[0])[:, None]
-    fx = np.fft.rfftfreq(shape[1])[None, :]
+    fy, fx = frequencies(shape)
     return np.asarray(4 * np.sin(np.pi * fy) ** 2 + 4 * np.sin(np.pi * fx) ** 2, dtype=np.float64)
 
 
 def power_law(shape: tuple[int, int]) -> FloatArray:
     """Squared frequency f^2, (cy/px)^2, on the ``rfft2`` grid: a 1/f^2 scene's inverse power."""
-    fy = np.fft.fftfreq(shape[0])[:, None]
-    fx = np.fft.rfftfreq(shape[1])[None, :]
+    fy, fx = frequencies(shape)
     return np.asarray(fy**2 + fx**2, dtype=np.float64)

@@ -19,15 +19,16 @@ from cep.restoration.blur import (
     gradient_power,
     trimmed_psf,
 )
-from cep.restoration.tv import divergence, shrink_gradients
-from motdiff.crops import CLIPPED_LEVEL, clipped_mask
+from cep.restoration.tv import divergence, forward_differences
+from motdiff.crops import CLIPPED_LEVEL
 from motdiff.threads import side_by_side
 from motdiff.types import BoolArray, FloatArray
 
 # memory for a large photo; a tile is cut to the neighbourhood of its clipped pixels
 _TILE_PX = 512
-_ROUNDS = 40
-_TV_WEIGHT = 1e-3  # docs/decisions/restoration.md
+_ROUNDS = 40  # docs/decisions/restoration.md
+_TV_WEIGHT = 1e-3  # as the default of :func:`cep.restoration.tv.tv`
+# of ADMM, for A x, D x and x >= 0: they set how quickly it converges, not what to
 _BLUR_PENALTY = 0.03
 _GRADIENT_PENALTY = 1e-2
 _LIGHT_PENALTY = 3e-3
@@ -67,11 +68,8 @@ def fill_clipped(
     """
     channels = channels_first(photo)
     kernel = trimmed_psf(psf)
-    masks = [
-        clipped_mask(channel) if clipped is None else np.asarray(clipped, dtype=bool)
-        for channel in channels
-    ]
-    if not any(mask.any() for mask in masks):
+    masks = clipped_channels(channels, clipped)
+    if not masks.any():
         return np.asarray(photo)
     kernel = kernel / kernel.sum()
     # the pixels whose light comes from where a clipped pixel's does
@@ -91,6 +89,13 @@ def fill_clipped(
         place = (number, *tile)
         filled[place] = np.where(masks[number][tile], light[inner], filled[place])
     return channels_last(filled)
+
+
+def clipped_channels(channels: FloatArray, clipped: ArrayLike | None) -> BoolArray:
+    """Clipped pixels of channels (C, H, W): ``clipped`` (H, W) in each, or each one's own."""
+    if clipped is None:
+        return channels >= CLIPPED_LEVEL
+    return np.broadcast_to(np.asarray(clipped, dtype=bool), channels.shape)
 
 
 def lights_cut(restored: ArrayLike, clipped: ArrayLike, psf: ArrayLike) -> FloatArray:
@@ -141,11 +146,12 @@ def _blurred_light(photo: FloatArray, clipped: BoolArray, kernel: FloatArray) ->
         + _GRADIENT_PENALTY * gradient_power(shape)
         + _LIGHT_PENALTY
     )
-    across, down = shrink_gradients(start, 0.0)
+    across, down = forward_differences(start)
     blurred = start
     light = np.maximum(start, 0)
     # scaled multipliers of the blurred scene, its gradients and its sign
     of_blur, of_across, of_down, of_light = np.zeros((4, *shape))
+    limit = _TV_WEIGHT / _GRADIENT_PENALTY
     for _ in range(_ROUNDS):
         plain = _GRADIENT_PENALTY * divergence(
             across - of_across, down - of_down
@@ -160,10 +166,10 @@ def _blurred_light(photo: FloatArray, clipped: BoolArray, kernel: FloatArray) ->
         blurred = np.where(measured, fitted, target)
         blurred = np.where(limited, np.maximum(target, CLIPPED_LEVEL), blurred)
         of_blur = target - blurred
-        steps = shrink_gradients(scene, 0.0)
-        target_across = steps[0] + of_across
-        target_down = steps[1] + of_down
-        limit = _TV_WEIGHT / _GRADIENT_PENALTY
+        steps_across, steps_down = forward_differences(scene)
+        target_across = steps_across + of_across
+        target_down = steps_down + of_down
+        # the part of a gradient that soft thresholding takes away is the multiplier's next value
         of_across = np.clip(target_across, -limit, limit)
         of_down = np.clip(target_down, -limit, limit)
         across = target_across - of_across

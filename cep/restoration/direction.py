@@ -1,11 +1,11 @@
-"""Test of the order in time of a motion in a coded photo: the code makes the PSFs of its orders
-differ.
+"""Test of the order in time of a motion in a coded photo.
 
 A path may have been run forward, in reverse, or, where it meets itself, with some of its loops the
-other way round. Two clues are weighed. Frequencies that the code passes along one order and stops
-along another show in the photo's power spectrum (its likelihood under each PSF). And a wrong PSF
-leaves ringing, so the restored scene has more and weaker gradients: the ratio of their L1 to their
-L2 norm, which a straight path's equal MTFs do not hide.
+other way round. Through a code the PSFs of these orders differ. Two clues are weighed. Frequencies
+that the code passes along one order and stops along another show in the photo's power spectrum
+(its likelihood under each PSF). And a wrong PSF leaves ringing, so the restored scene has more and
+weaker gradients: the ratio of their L1 to their L2 norm, which a straight path's equal MTFs do not
+hide.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.blur import Blur, channels_first
 from cep.restoration.noise import fit_spectrum
+from cep.restoration.tv import gradient_sparsity
 from cep.restoration.wiener import wiener
 from motdiff.estimators.coded.starts import orders
 from motdiff.metrics import mnc_subpixel
@@ -28,17 +29,20 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
+Direction = Literal["forward", "reverse", "reordered", "undecidable"]
+
+_DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse", "reordered")
 _LARGEST_CROP_PX = 512
 _ONE_PSF_MNC = 0.9995  # both PSFs are computed, not estimated: small differences count
-_FEATURELESS = 1e-6
+_FEATURELESS = 1e-6  # range of a photo that holds rounding errors alone
 # log odds = sum of weight * tanh(clue / scale), a logistic fit on 340 simulated photos;
 # saturating, since an unusual scene can make either clue large and wrong
 # (lab/studies/direction.py)
 _WEIGHTS = (1.25, 3.0)
 _SCALES = (0.003, 0.01)
-_SAME_RESTORATION_MNC = 0.97
+_SAME_RESTORATION_MNC = 0.97  # PSFs that nearer restore a photo alike
 _ORDER_KNOTS = 201
-_MOST_ORDERS = 24
+_MOST_ORDERS = 24  # each costs a fit of the spectrum and a restoration
 # log odds against an order with loops reversed, for lack of which rough paths lose: docs/decisions
 _REORDERED = 2.0
 _SMOOTHER = 4.0  # the sparsity clue is clearest with more regularisation than restores best
@@ -68,7 +72,7 @@ class DirectionResult:
         The path in the chosen order; None where PSFs were compared.
     """
 
-    direction: Literal["forward", "reverse", "reordered", "undecidable"]
+    direction: Direction
     confidence: float
     likelihoods: tuple[float, ...]
     residuals: tuple[float, ...]
@@ -76,7 +80,7 @@ class DirectionResult:
     trajectory: Trajectory | None = None
 
 
-def detect_direction(  # a test of directions, not a test
+def detect_direction(
     photo: ArrayLike,
     trajectory: Trajectory,
     code: ShutterCode,
@@ -147,9 +151,7 @@ def orders_in_time(trajectory: Trajectory) -> list[Trajectory]:
 
 
 def _compared(photo: ArrayLike, psfs: Sequence[FloatArray]) -> tuple[DirectionResult, int]:
-    """Return the result and the index of the chosen PSF; those that an earlier one equals are left
-    out of account.
-    """
+    """Return the result and the index of the chosen PSF; repeated PSFs are not tested."""
     image = _middle(channels_first(photo).mean(axis=0))
     blurs = [Blur(psf, image.shape, "periodic") for psf in psfs]
     kernels = [blur.psf for blur in blurs]
@@ -157,7 +159,9 @@ def _compared(photo: ArrayLike, psfs: Sequence[FloatArray]) -> tuple[DirectionRe
     noise = min(spectrum.noise for spectrum in spectra)
     reach = min(max(blur.reach_px for blur in blurs), min(image.shape) // 4)
     ringing = [
-        _gradient_spread(wiener(image, kernel, noise_variance=_SMOOTHER * noise), reach)
+        gradient_sparsity(
+            _without_border(wiener(image, kernel, noise_variance=_SMOOTHER * noise), reach)
+        )
         for kernel in kernels
     ]
     likelihoods = tuple(spectrum.cost for spectrum in spectra)
@@ -172,18 +176,15 @@ def _compared(photo: ArrayLike, psfs: Sequence[FloatArray]) -> tuple[DirectionRe
     best = int(odds.sum(axis=1).argmin())
     if (odds == 1).all():
         return undecidable, 0
-    same = [
-        mnc_subpixel(kernels[tested[best]], kernels[i]) > _SAME_RESTORATION_MNC for i in tested
-    ]
-    same[best] = True
-    confidence = (
-        float(odds[best, same].sum() / odds[best].sum())
-        if len(tested) > 2
-        else float(1 / odds[best].sum())
-    )
     chosen = tested[best]
-    direction: Literal["forward", "reverse", "reordered"]
-    direction = "forward" if chosen == 0 else "reverse" if chosen == 1 else "reordered"
+    # of two, the question is which, however alike; of many, those that restore alike count as one
+    same = [
+        i == chosen
+        or (len(tested) > 2 and mnc_subpixel(kernels[chosen], kernels[i]) > _SAME_RESTORATION_MNC)
+        for i in tested
+    ]
+    confidence = float(odds[best, same].sum() / odds[best].sum())
+    direction = _DIRECTIONS[min(chosen, 2)]
     return DirectionResult(direction, confidence, likelihoods, residuals, psfs[chosen]), chosen
 
 
@@ -217,8 +218,5 @@ def _middle(image: FloatArray) -> FloatArray:
     return np.ascontiguousarray(image[top : top + height, left : left + width])
 
 
-def _gradient_spread(image: FloatArray, border_px: int) -> float:
-    inside = image[border_px : image.shape[0] - border_px, border_px : image.shape[1] - border_px]
-    gradients = np.concatenate([np.diff(inside, axis=0).ravel(), np.diff(inside, axis=1).ravel()])
-    rms = float(np.sqrt(np.mean(gradients**2)))
-    return float(np.mean(np.abs(gradients))) / rms if rms > 0 else 0.0
+def _without_border(image: FloatArray, border_px: int) -> FloatArray:
+    return image[border_px : image.shape[0] - border_px, border_px : image.shape[1] - border_px]

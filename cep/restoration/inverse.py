@@ -33,8 +33,7 @@ def inverse_filter(
     Returns
     -------
     float ndarray like ``photo``
-        At the scale of the full open exposure. Within the PSF's reach of a real border it is a
-        guess.
+        At the scale of the full open exposure; a guess within the PSF's reach of a real border.
 
     Raises
     ------
@@ -49,8 +48,8 @@ def inverse_filter(
     smallest = floor * blur.psf.sum()
     # conj(H) / (|H| max(|H|, floor)) keeps the phase of H where its modulus is raised
     divisor = modulus * np.maximum(modulus, smallest)
-    dead = divisor <= np.finfo(float).tiny
-    gain = np.where(dead, 0.0, np.conj(blur.H) / np.where(dead, 1.0, divisor))
+    alive = divisor > np.finfo(float).tiny  # exact zeros of H: nothing can be restored there
+    gain = np.divide(np.conj(blur.H), divisor, out=np.zeros_like(blur.H), where=alive)
     restored = np.empty_like(channels)
     for channel, out in zip(channels, restored, strict=True):
         extended = blur.extend(channel, noise_to_scene=smallest**2, rounds=border_rounds)

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.restoration.blur import Blur, Border, channels_last, gradient_power, normalised
-from cep.restoration.tv import divergence, tv
+from cep.restoration.tv import check_weight, divergence, forward_differences, tv
 from motdiff.types import FloatArray
 
-_LARGEST_BETA = 1e5
+_LARGEST_BETA = 1e5  # of Xu et al.
 
 
 def l0(
@@ -40,8 +40,7 @@ def l0(
     Returns
     -------
     float ndarray like ``photo``
-        At the scale of the full open exposure. Within the PSF's reach of a real border it is a
-        guess.
+        At the scale of the full open exposure; a guess within the PSF's reach of a real border.
 
     Raises
     ------
@@ -52,8 +51,7 @@ def l0(
     ----------
     Xu, Zheng, Jia, "Unnatural L0 sparse representation for natural image deblurring", CVPR 2013.
     """
-    if not (np.isfinite(weight) and weight > 0):
-        raise ValueError(f"weight: must be above 0, got {weight}")
+    check_weight(weight)
     channels, kernel, _ = normalised(photo, psf)
     blur = Blur(kernel, channels.shape[1:], border)
     power = np.abs(blur.H) ** 2
@@ -64,8 +62,7 @@ def l0(
     data = np.conj(blur.H) * blur.spectrum(image)
     beta = 2 * weight
     while beta < _LARGEST_BETA:
-        across = np.roll(image, -1, axis=-1) - image
-        down = np.roll(image, -1, axis=-2) - image
+        across, down = forward_differences(image)
         flat = (across**2 + down**2).sum(axis=0) < weight / beta
         across[:, flat] = 0
         down[:, flat] = 0
@@ -111,6 +108,7 @@ def tv_less_ringing(
     difference = smooth - l0(
         photo, psf, weight=weight_l0, border=border, border_rounds=border_rounds
     )
+    # smooth but for edges: texture that only TV restores stays in the result
     ringing = cv2.bilateralFilter(
         difference.astype(np.float32), d=19, sigmaColor=0.1, sigmaSpace=3.0
     )

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, optimize
 
-from cep.restoration.blur import Blur, power_law
+from cep.optics.camera import Camera
+from cep.restoration.blur import Blur, frequencies, power_law
 from motdiff.types import FloatArray
 
 # far below one 16-bit step (2e-11): keeps logarithms finite on noise-free photos
@@ -31,6 +32,14 @@ class Spectrum:
     scene: float
     noise: float
     cost: float
+
+
+def check_noise(camera: Camera | None, noise_variance: float | None) -> None:
+    """Refuse a noise variance beside a camera, which has its own, and a negative one."""
+    if camera is not None and noise_variance is not None:
+        raise ValueError("noise_variance: give either a camera or the variance, not both")
+    if noise_variance is not None and not noise_variance >= 0:
+        raise ValueError(f"noise_variance: must be 0 or more, got {noise_variance}")
 
 
 def fit_spectrum(
@@ -64,10 +73,13 @@ def fit_spectrum(
         # a flat photo: rounding is all there is, and without a floor under the noise a filter
         # would amplify that
         return Spectrum(_SMALLEST_VARIANCE, max(noise_variance or 0.0, _SMALLEST_VARIANCE), 0.0)
-    terms = _smooth_terms(log_f, angle) if shaped else np.ones((1, density.size))
+    terms = np.ones((1, density.size))
+    if shaped:
+        terms = _smooth_terms(log_f, angle)
     law = power * np.exp(-2 * log_f)
 
     def cost(parameters: FloatArray) -> tuple[float, FloatArray]:
+        # beyond exp(60) a step of the line search would overflow
         scene = np.exp(np.clip(parameters[: len(terms)] @ terms, -60, 60)) * law
         noise = noise_variance
         if noise is None:
@@ -85,6 +97,7 @@ def fit_spectrum(
         np.median(density / np.maximum(law, 1e-300)) / np.log(2) + _SMALLEST_VARIANCE
     )
     if noise_variance is None:
+        # where the scene is weakest noise is left
         start[-1] = np.log(np.quantile(density, 0.05) + _SMALLEST_VARIANCE)
     fit = optimize.minimize(cost, start, jac=True, method="L-BFGS-B")
     noise = noise_variance
@@ -101,8 +114,8 @@ def _periodogram(
     mean = float((image * window).sum() / window.sum())
     density = np.abs(fft.rfft2((image - mean) * window)) ** 2 / (window**2).sum()
     f2 = power_law(image.shape)
-    fy = np.fft.fftfreq(image.shape[0])[:, None]
-    fx = np.fft.rfftfreq(image.shape[1])[None, :]
+    fy, fx = frequencies(image.shape)
+    # the main lobe of the Hann window around f = 0 reaches 2 bins
     usable = f2 > (3 / min(image.shape)) ** 2
     return (
         density[usable],

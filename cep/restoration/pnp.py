@@ -8,15 +8,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.optics.camera import Camera
-from cep.restoration.blur import Blur, Border, channels_last, normalised, power_law
-from cep.restoration.noise import fit_spectrum
+from cep.restoration.blur import (
+    SMALLEST_POWER,
+    Blur,
+    Border,
+    channels_last,
+    normalised,
+    power_law,
+)
+from cep.restoration.noise import check_noise, fit_spectrum
 from motdiff.types import FloatArray
 
 Denoiser = Callable[[FloatArray, float], FloatArray]
 _STEPS = 8
-_FIRST_SIGMA = 0.1
+_FIRST_SIGMA = 0.1  # first level of the denoiser, of full scale: docs/decisions/restoration.md
 _PRIOR = 0.4  # weight of the prior; at the paper's 0.23 noise comes through more often
-_SMALLEST_POWER = 1e-12
 _SMALLEST_VARIANCE = 1e-10  # keeps the levels apart from 0 on noise-free photos
 
 
@@ -56,8 +62,7 @@ def pnp(
     Returns
     -------
     float ndarray like ``photo``
-        At the scale of the full open exposure. Within the PSF's reach of a real border it is a
-        guess.
+        At the scale of the full open exposure; a guess within the PSF's reach of a real border.
 
     Raises
     ------
@@ -75,9 +80,8 @@ def pnp(
     GlobalSIP 2013. Zhang, Li, Zuo, Zhang, Van Gool, Timofte, "Plug-and-play image restoration with
     deep denoiser prior", TPAMI 2022: the splitting and its levels.
     """
-    if camera is not None and noise_variance is not None:
-        raise ValueError("noise_variance: give either a camera or the variance, not both")
-    if noise_variance is not None and not (np.isfinite(noise_variance) and noise_variance >= 0):
+    check_noise(camera, noise_variance)
+    if noise_variance == np.inf:  # the Wiener filter takes it for a photo without signal
         raise ValueError(f"noise_variance: must be 0 or more, got {noise_variance}")
     channels, kernel, duty = normalised(photo, psf)
     blur = Blur(kernel, channels.shape[1:], border)
@@ -106,12 +110,12 @@ def _split(photo: FloatArray, blur: Blur, N: float, ratio: float, denoise: Denoi
     power = np.abs(blur.H) ** 2
     data = np.conj(blur.H) * blur.spectrum(photo)
     # the first step has no z yet: the scene's spectrum stands in
-    X = data / np.maximum(power + ratio * power_law(blur.grid_shape), _SMALLEST_POWER)
+    X = data / np.maximum(power + ratio * power_law(blur.grid_shape), SMALLEST_POWER)
     noise_sigma = float(np.sqrt(N))
     first, *later = np.geomspace(max(_FIRST_SIGMA, noise_sigma), noise_sigma, _STEPS)
     z = denoise(blur.image(X), float(first))
     for sigma in later:
         a = _PRIOR * N / sigma**2
-        X = (data + a * blur.spectrum(z)) / np.maximum(power + a, _SMALLEST_POWER)
+        X = (data + a * blur.spectrum(z)) / np.maximum(power + a, SMALLEST_POWER)
         z = denoise(blur.image(X), float(sigma))
     return z

@@ -18,14 +18,13 @@ from cep.restoration.clipping import fill_clipped
 from cep.restoration.direction import DirectionResult, detect_direction
 from cep.restoration.registry import find_method, is_registered
 from cep.restoration.result import Restoration, misfit
-from cep.restoration.sharpen import sharpen
+from cep.restoration.sharpen import FEW_CLIPPED, sharpen
 from motdiff.crops import clipped_mask
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 _FULL_LIGHT = 1.001  # 1, but for rounding
-_FEW_CLIPPED = 1e-3  # specks of noise, up to here
 _SEARCH_SHARE = 0.9  # of the time of a blind restoration
 _ESTIMATE_SHARE = 0.75  # of the time where the motion is estimated by the network
 
@@ -98,6 +97,7 @@ def restore(
         raise ValueError("code: not valid with a PSF, which holds its code already")
     started = time.perf_counter()
     channels = channels_first(photo)
+    searched = 0.0
     psf_source = "given"
     direction: str | None = None
     psf_confidence: float | None = None
@@ -122,12 +122,13 @@ def restore(
             code,
             progress=lambda share: progress(_SEARCH_SHARE * share, "searching the PSF"),
         )
+        searched = _SEARCH_SHARE
         psf_source = "photo"
         psf = blind.psf
         psf_confidence = blind.confidence
         notes += blind.warnings
     assert psf is not None
-    progress(0.0 if psf_confidence is None else _SEARCH_SHARE, "restoring")
+    progress(searched, "restoring")
     kernel = trimmed_psf(psf)
     if trajectory is None:
         _check_reach("psf", len(kernel), channels)
@@ -138,19 +139,20 @@ def restore(
             )
     reach = len(kernel) // 2
     clipped = float(clipped_mask(photo).mean())
-    fills = is_registered(apply)  # a user-defined function gets the photo as it is
-    if clipped > _FEW_CLIPPED:
-        meaning = "expect ringing around them"
-        if fills:
-            meaning = "their light was inferred from the other pixels"
+    meaning = "expect ringing around them"
+    light: ArrayLike = photo
+    if is_registered(apply):  # a user-defined function gets the photo as it is
+        meaning = "their light was inferred from the other pixels"
+        light = fill_clipped(photo, psf)
+    if clipped > FEW_CLIPPED:
         notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: {meaning}")
+    # borders that are a guess then take half of the shorter side
     if 4 * reach > min(channels.shape[1:]):
         notes.append(
             f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x"
             f" {channels.shape[1]} px"
         )
-    restored = apply(fill_clipped(photo, psf) if fills else photo, psf, **options)
-    image = _checked_image(restored, np.shape(photo), label)
+    image = _checked_image(apply(light, psf, **options), np.shape(photo), label)
     progress(1.0, "restoring")
     return Restoration(
         image=image,

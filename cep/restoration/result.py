@@ -11,12 +11,12 @@ from scipy import signal
 
 from cep.files.images import encode_image, write_image
 from cep.restoration.blur import channels_first, trimmed_psf
+from cep.restoration.clipping import clipped_channels
 from cep.restoration.direction import DirectionResult
-from motdiff.crops import CLIPPED_LEVEL
 from motdiff.types import FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Restoration:
     """A restored photo.
 
@@ -53,23 +53,21 @@ class Restoration:
     """
 
     image: FloatArray
-    method: str | None
+    method: str | None = None
     psf: FloatArray
-    psf_source: str | None
-    psf_confidence: float | None
-    direction: str | None
-    direction_test: DirectionResult | None
-    residual: float
-    unreliable_px: int
+    psf_source: str | None = None
+    psf_confidence: float | None = None
+    direction: str | None = None
+    direction_test: DirectionResult | None = None
+    residual: float = 0.0
+    unreliable_px: int = 0
     saturated_fraction: float
     warnings: tuple[str, ...]
     seconds: float = 0.0
     summary: str = ""
 
     def save(self, path: Path | str, *, bits: int = 8, gamma: str | float = "srgb") -> None:
-        """Write the restored photo; parameters and errors are those of
-        :func:`cep.files.images.write_image`.
-        """
+        """Write the restored photo, as :func:`cep.files.images.write_image` does."""
         write_image(path, self.image, bits=bits, gamma=gamma)
 
     @property
@@ -80,17 +78,22 @@ class Restoration:
     def to_dict(self) -> dict[str, object]:
         """Describe the restoration as the JSON of ``cep deblur`` has it."""
         test = self.direction_test
-        direction = self.direction
-        if direction is None:
-            direction = "given by the PSF" if self.psf_source == "given" else "unknown"
+        psf_source = self.psf_source
+        direction = self.direction or "unknown"
+        if psf_source == "given":
+            psf_source = "file"
+            direction = self.direction or "given by the PSF"
+        head: dict[str, object] = {}
+        if self.summary:
+            head = {"summary": self.summary, "kept": self.kept}
         return {
-            **({"summary": self.summary, "kept": self.kept} if self.summary else {}),
+            **head,
             "method": self.method,
-            "psf_source": "file" if self.psf_source == "given" else self.psf_source,
+            "psf_source": psf_source,
             "psf_confidence": self.psf_confidence,
             "direction": direction,
-            "direction_confidence": None if test is None else test.confidence,
-            "direction_likelihoods": None if test is None else test.likelihoods,
+            "direction_confidence": test and test.confidence,
+            "direction_likelihoods": test and test.likelihoods,
             "residual": self.residual,
             "unreliable_px": self.unreliable_px,
             "seconds": self.seconds,
@@ -124,11 +127,9 @@ def misfit(
         slice(reach, channels.shape[1] - reach),
         slice(reach, channels.shape[2] - reach),
     )
-    usable = channels < CLIPPED_LEVEL
-    if clipped is not None:
-        usable = np.broadcast_to(~np.asarray(clipped), channels.shape)
+    usable = ~clipped_channels(channels, clipped)
     reblurred = np.stack([signal.fftconvolve(channel, kernel, mode="valid") for channel in latent])
-    squares = (reblurred - channels[window]) ** 2
-    if not usable[window].all():
-        squares = squares[usable[window]]
-    return float(np.sqrt(np.mean(squares))) if squares.size else float("nan")
+    squares = ((reblurred - channels[window]) ** 2)[usable[window]]
+    if not squares.size:
+        return float("nan")
+    return float(np.sqrt(np.mean(squares)))

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from cep.restoration.blur import Blur, Border, channels_last, gradient_power, normalised
 from motdiff.types import FloatArray
 
-_SMALLEST_BETA = 1e-3
+_SMALLEST_BETA = 1e-3  # where the schedule of Wen et al. ends
 
 
 def tv(
@@ -38,8 +38,7 @@ def tv(
     Returns
     -------
     float ndarray like ``photo``
-        At the scale of the full open exposure. Within the PSF's reach of a real border it is a
-        guess.
+        At the scale of the full open exposure; a guess within the PSF's reach of a real border.
 
     Raises
     ------
@@ -53,8 +52,7 @@ def tv(
     local minimal intensity prior and an improved algorithm for blind image deblurring", IEEE TCSVT
     2021.
     """
-    if not (np.isfinite(weight) and weight > 0):
-        raise ValueError(f"weight: must be above 0, got {weight}")
+    check_weight(weight)
     channels, kernel, _ = normalised(photo, psf)
     blur = Blur(kernel, channels.shape[1:], border)
     power = np.abs(blur.H) ** 2
@@ -75,10 +73,20 @@ def tv(
     return channels_last(restored)
 
 
+def check_weight(weight: float) -> None:
+    """Refuse a prior without a positive weight: the splitting divides by it."""
+    if not (np.isfinite(weight) and weight > 0):
+        raise ValueError(f"weight: must be above 0, got {weight}")
+
+
+def forward_differences(image: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Periodic forward differences of (..., H, W), across and down."""
+    return np.roll(image, -1, axis=-1) - image, np.roll(image, -1, axis=-2) - image
+
+
 def shrink_gradients(image: FloatArray, threshold: float) -> tuple[FloatArray, FloatArray]:
-    """Periodic forward differences of (..., H, W), across and down, shrunk towards 0."""
-    across = np.roll(image, -1, axis=-1) - image
-    down = np.roll(image, -1, axis=-2) - image
+    """Forward differences, shrunk towards 0 by soft thresholding: the W of :func:`tv`."""
+    across, down = forward_differences(image)
     for difference in (across, down):
         difference -= np.clip(difference, -threshold, threshold)
     return across, down
@@ -89,3 +97,19 @@ def divergence(across: FloatArray, down: FloatArray) -> FloatArray:
     return np.asarray(
         np.roll(across, 1, axis=-1) - across + np.roll(down, 1, axis=-2) - down, dtype=np.float64
     )
+
+
+def gradient_sparsity(image: FloatArray) -> float:
+    """L1 over L2 norm of the gradients, per root of their number; 0 of a flat image.
+
+    Sharp edges lower it and ringing raises it.
+
+    References
+    ----------
+    Krishnan, Tay, Fergus, "Blind deconvolution using a normalized sparsity measure", CVPR 2011.
+    """
+    gradients = np.concatenate([np.diff(image, axis=axis).ravel() for axis in (0, 1)])
+    rms = float(np.sqrt(np.mean(gradients**2)))
+    if rms == 0:
+        return 0.0
+    return float(np.mean(np.abs(gradients))) / rms

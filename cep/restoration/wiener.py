@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from cep.optics.camera import Camera
 from cep.restoration.blur import Blur, Border, channels_first, channels_last, power_law
-from cep.restoration.noise import fit_spectrum
+from cep.restoration.noise import check_noise, fit_spectrum
 from motdiff.types import ComplexArray, FloatArray
 
 
@@ -55,10 +55,7 @@ def wiener(
     ----------
     Field, "Relations between the statistics of natural images", JOSA A 1987: the 1/f^2 spectrum.
     """
-    if camera is not None and noise_variance is not None:
-        raise ValueError("noise_variance: give either a camera or the variance, not both")
-    if noise_variance is not None and not noise_variance >= 0:
-        raise ValueError(f"noise_variance: must be 0 or more, got {noise_variance}")
+    check_noise(camera, noise_variance)
     if scene_strength is not None and not (np.isfinite(scene_strength) and scene_strength > 0):
         raise ValueError(f"scene_strength: must be above 0, got {scene_strength}")
     channels = channels_first(photo)
@@ -82,6 +79,7 @@ def _noise_to_scene(
         return 0.0
     if N is not None and (A is not None or not np.isfinite(N)):
         return N / (A or 1.0)
+    # Hann windowed, the periodogram needs no real border
     spectrum = fit_spectrum(channel, Blur(psf, channel.shape, "periodic"), noise_variance=N)
     return spectrum.noise / (A or spectrum.scene)
 
@@ -91,8 +89,7 @@ def _wiener_gain(blur: Blur, ratio: float) -> ComplexArray:
     # nothing is added at f = 0, also where the ratio is infinite: the mean light stays exact
     penalty = np.multiply(ratio, f2, out=np.zeros_like(f2), where=f2 > 0)
     divisor = np.abs(blur.H) ** 2 + penalty
-    dead = divisor <= np.finfo(float).tiny  # frequencies without signal are left out
-    return np.asarray(
-        np.conj(blur.H) * np.where(dead, 0.0, 1 / np.where(dead, 1.0, divisor)),
-        dtype=np.complex128,
-    )
+    # frequencies without signal are left out
+    alive = divisor > np.finfo(float).tiny
+    inverse = np.divide(1.0, divisor, out=np.zeros_like(divisor), where=alive)
+    return np.asarray(np.conj(blur.H) * inverse, dtype=np.complex128)

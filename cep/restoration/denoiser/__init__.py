@@ -1,3 +1,1 @@
-"""Denoiser of the plug-and-play restoration; white Gaussian noise of a known level (see
-README.md).
-"""
+"""Denoiser of the plug-and-play restoration, for white Gaussian noise of a known level."""

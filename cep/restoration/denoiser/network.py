@@ -1,6 +1,4 @@
-"""Denoising network: a small residual U-Net on half the resolution, with the noise level as input,
-without biases.
-"""
+"""Denoising network: a small bias-free U-Net, with the noise level as its second input."""
 
 from __future__ import annotations
 

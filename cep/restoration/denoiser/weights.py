@@ -45,8 +45,7 @@ def read_card(path: Path | str = SHIPPED) -> dict[str, Any]:
 
 
 def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], FloatArray]:
-    """Return a weights file's denoiser: a function of an (H, W) image in linear light and its
-    noise's sigma.
+    """Return a file's denoiser: a function of an (H, W) image and the sigma of its noise.
 
     Levels above the trained ones are equivalent to a darker photo, see :class:`DenoisingNetwork`.
 
@@ -59,9 +58,9 @@ def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], F
 
     def denoised(image: FloatArray, sigma: float) -> FloatArray:
         with torch.inference_mode():
-            found = network(
+            output = network(
                 torch.from_numpy(image[None, None]).float(), torch.tensor([float(sigma)])
             )
-        return np.asarray(found[0, 0].numpy(), dtype=np.float64)
+        return np.asarray(output[0, 0].numpy(), dtype=np.float64)
 
     return denoised

@@ -4,8 +4,8 @@ for a large one."""
 import numpy as np
 import pytest
 
-from cep.restoration import choice
-from cep.restoration.choice import choose_psf, is_possible_light, restore_chosen
+from cep.restoration import sharpen as sharpen_module
+from cep.restoration.sharpen import choose_psf, is_possible_light, restore_chosen
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.simulate import photograph, visible
 from motdiff.trajectory import Trajectory
@@ -70,7 +70,7 @@ def test_strong_noise_is_not_sharpened():
 
 
 def test_a_large_photo_is_restored_by_the_fast_method(monkeypatch):
-    monkeypatch.setattr(choice, "LARGE_PX", 200 * 200)
+    monkeypatch.setattr(sharpen_module, "LARGE_PX", 200 * 200)
     photo, sharp = taken(np.stack([SCENE] * 3, axis=2))
     image, method = restore_chosen(photo, RIGHT)
     assert method == "wiener"
