@@ -1,5 +1,4 @@
-"""Process of its own in which SciPy reads a .mat file: see :mod:`motdiff.files.mat_files`, which
-starts it as a script.
+"""Process in which SciPy reads a .mat file: the script of :mod:`motdiff.files.mat_files`.
 
     python -P _mat_reader.py FILE MIB SECONDS NAME...
 
@@ -23,14 +22,15 @@ def _limit(most_mib: int, most_s: int) -> None:
         import resource
     except ImportError:  # Windows: the other process still waits only so long
         return
+    # RLIMIT_AS counts the address space that Python and SciPy have taken already
+    process_bytes = 2**30
     statm = Path("/proc/self/statm")
-    process_bytes = (
-        int(statm.read_text().split()[0]) * resource.getpagesize() if statm.exists() else 2**30
-    )
+    if statm.exists():
+        process_bytes = int(statm.read_text().split()[0]) * resource.getpagesize()
     for kind, limit in (
         (resource.RLIMIT_AS, process_bytes + most_mib * 2**20),
         (resource.RLIMIT_CPU, most_s),
-        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_CORE, 0),  # a crash shall not leave a gigabyte behind
     ):
         soft, hard = resource.getrlimit(kind)
         bounds = [bound for bound in (limit, soft, hard) if bound != resource.RLIM_INFINITY]
@@ -41,9 +41,7 @@ def _limit(most_mib: int, most_s: int) -> None:
 
 
 def _read(path: str, names: list[str]) -> tuple[dict[str, Any], list[str]]:
-    """Arrays of those names; and, where there are none, the names of the file's other
-    variables.
-    """
+    """Return the arrays of those names, or where there are none, the names of the others."""
     from numpy import asarray
     from scipy.io import loadmat, whosmat
 
@@ -51,8 +49,10 @@ def _read(path: str, names: list[str]) -> tuple[dict[str, Any], list[str]]:
     with Path(path).open("rb") as stream:
         variables = loadmat(stream, variable_names=names)
         arrays = {name: asarray(variables[name]) for name in names if name in variables}
-        stream.seek(0)
-        variable_names = [] if arrays else [str(name) for name, *_ in whosmat(stream)]
+        variable_names = []
+        if not arrays:
+            stream.seek(0)
+            variable_names = [str(name) for name, *_ in whosmat(stream)]
     for name, array in arrays.items():
         if array.dtype.hasobject or array.dtype.fields is not None:
             raise ValueError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from motdiff.files.inputs import one_line
 from motdiff.files.photo_files import is_animated, orientation
-from motdiff.files.tiff_files import TIFF, channels, photo_page, refusal, tiff_orientation
+from motdiff.files.tiff_files import (
+    TIFF,
+    channels,
+    full_scale,
+    photo_page,
+    refusal,
+    tiff_orientation,
+)
 
 Samples = NDArray[Any]
 
@@ -22,8 +29,7 @@ _TURN = threading.Lock()  # there is one standard error for all threads
 
 
 def decode(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
-    """Decode an image of :func:`motdiff.files.photo_files.photo_bytes`, upright as the camera was
-    held.
+    """Decode an image, read by ``photo_files.photo_bytes``, upright as the camera was held.
 
     Of a TIFF file with several pages the largest is decoded, the first of equals; previews and
     masks do not count.
@@ -61,7 +67,9 @@ def _turned(samples: Samples, orientation: int) -> Samples:
         samples = samples.swapaxes(0, 1)
     if orientation in (2, 3, 6, 7):
         samples = samples[:, ::-1]
-    return samples[::-1] if orientation in (3, 4, 7, 8) else samples
+    if orientation in (3, 4, 7, 8):
+        samples = samples[::-1]
+    return samples
 
 
 def _damaged(name: object) -> ValueError:
@@ -72,8 +80,11 @@ def _damaged(name: object) -> ValueError:
 
 
 def _decoded_by_opencv(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
-    with decoder_output() as printed:
-        samples = _opencv_samples(data)
+    import cv2
+
+    samples: Samples | None = None
+    with decoder_output() as printed, suppress(cv2.error):
+        samples = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if samples is None:
         raise _damaged(name)
     warnings = tuple(
@@ -83,30 +94,16 @@ def _decoded_by_opencv(data: bytes, name: object) -> tuple[Samples, tuple[str, .
     )
     if samples.ndim == 2:
         return samples, warnings
-    colours = samples[:, :, :3][:, :, ::-1]
-    extra = samples[:, :, 3:]
-    return (colours if colours.shape[2] == 3 else colours[:, :, 0]), warnings + _dropped(
-        extra, name
-    )
-
-
-def _opencv_samples(data: bytes) -> Samples | None:
-    """Return samples as OpenCV has them, blue green red, not turned upright; None if they cannot
-    be decoded.
-    """
-    import cv2
-
-    try:
-        samples = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        return None
-    return None if samples is None else np.asarray(samples)
+    colours = samples[:, :, :3][:, :, ::-1]  # OpenCV has blue first
+    if colours.shape[2] != 3:
+        colours = colours[:, :, 0]
+    return colours, warnings + _dropped(samples[:, :, 3:], name)
 
 
 def _dropped(extra: Samples, name: object, *, alpha: bool = True) -> tuple[str, ...]:
     """Warnings of channels (H, W, C) beside the colours, which are left out."""
-    full = 1 if extra.dtype.kind == "f" else np.iinfo(extra.dtype).max
-    if not extra.size or (alpha and extra.min() >= full):
+    # an alpha channel that is opaque everywhere says nothing
+    if not extra.size or (alpha and extra.min() >= full_scale(extra.dtype)):
         return ()
     if alpha:
         return (f"{name}: the transparency (alpha channel) was dropped",)
@@ -130,10 +127,8 @@ def _decoded_tiff(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
     if pages > 1:
         which = "the first" if number == 1 else f"the largest, number {number},"
         warnings += (
-            (
-                f"{name}: holds {pages} pages, {which} was read; save the others as files of"
-                " their own"
-            ),
+            f"{name}: holds {pages} pages, {which} was read; save the others as files of their"
+            " own",
         )
     return _turned(colours, tiff_orientation(page)), warnings
 
@@ -143,8 +138,7 @@ def _decoded_tiff(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
 
 @contextmanager
 def decoder_output() -> Iterator[list[str]]:
-    """Capture standard error of C libraries: OpenCV and LibRaw do not pass on the messages of
-    their decoders.
+    """Capture standard error of C libraries, to which OpenCV's and LibRaw's decoders write.
 
     Yields
     ------
@@ -158,6 +152,7 @@ def decoder_output() -> Iterator[list[str]]:
             yield lines
             return
         reading, writing = os.pipe()
+        # a full pipe drops what is printed; blocking, it would stop the decoder for ever
         for end in (reading, writing):
             os.set_blocking(end, False)
         os.dup2(writing, _STDERR)

@@ -20,6 +20,7 @@ RateUnit = Literal["rad", "deg"]
 
 _SECONDS: dict[str, float] = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 _RADIANS: dict[str, float] = {"rad": 1.0, "deg": math.pi / 180}
+# spellings that recorders use, in names such as t_ns or "time [s]"
 _TIME_UNITS: dict[TimeUnit, str] = {
     "ns": "ns|nsec|nanos|nanoseconds?",
     "us": "us|µs|μs|usec|micros|microseconds?",
@@ -44,7 +45,7 @@ _SENSOR_COLUMN = re.compile("(.*_)?(sensors?|kind|stream|topic|type)(_(id|name|t
 _FEWEST_NUMBERS = 3  # in a row; a line above the table has fewer
 _LONGEST_HEAD = 1000  # lines above the table
 _LEAST_US = 100.0  # step at 10 kHz
-_MOST_LABELS = 32
+_MOST_LABELS = 32  # of sensors: a column with more different cells holds measurements
 _MOST_REPEATS = 0.05  # of the rows: more are two sensors in one table
 _FEWEST_ROWS = 8  # with fewer a rate that only rises is no surprise
 
@@ -54,9 +55,7 @@ _Row = tuple[int, list[str]]
 
 @dataclass(frozen=True)
 class _Columns:
-    """Columns of the time and of the rates about x, y and z, their names, and their units where
-    the header has them.
-    """
+    """Columns of the time and of the rates about x, y and z."""
 
     index: tuple[int, int, int, int]
     names: tuple[str, ...]
@@ -68,16 +67,16 @@ class _Columns:
 def read_gyro(
     path: Path | str, *, time_unit: TimeUnit | None = None, rate_unit: RateUnit | None = None
 ) -> GyroTrace:
-    """Read a recording: a timestamp and three angular rates per row, comma, semicolon, tab or
-    space separated.
+    """Read a recording: a timestamp and three angular rates per row.
 
-    With a header, columns are found by name in any order (``t_ns``, ``time [s]``, ``timestamp``,
-    ...; ``wx``, ``gyro_y (deg/s)``, ``gyro_rad[2]``, ``z``, ...). Lines above it are passed over,
-    and so are lines that start with ``#``, unless one of them is the header. Without a header the
-    first column is the time, or in a table of four columns the only one that rises as a clock
-    does; the rates follow in the order x, y, z. Of a table of several sensors, with a column such
-    as ``sensor``, the gyroscope's rows are read. A row that repeats the time of the row before is
-    left out. Between semicolons or tabs a decimal comma is read as a point.
+    Commas, semicolons, tabs or spaces separate the columns. With a header, columns are found by
+    name in any order (``t_ns``, ``time [s]``, ``timestamp``, ...; ``wx``, ``gyro_y (deg/s)``,
+    ``gyro_rad[2]``, ``z``, ...). Lines above it are passed over, and so are lines that start with
+    ``#``, unless one of them is the header. Without a header the first column is the time, or in a
+    table of four columns the only one that rises as a clock does; the rates follow in the order x,
+    y, z. Of a table of several sensors, with a column such as ``sensor``, the gyroscope's rows are
+    read. A row that repeats the time of the row before is left out. Between semicolons or tabs a
+    decimal comma is read as a point.
 
     What was read, and what was taken for granted, is in ``columns`` and ``warnings`` of the trace.
     The directions of x, y and z are no part of a table: see
@@ -129,6 +128,7 @@ def read_gyro(
             f"{path}: no rows; wanted a timestamp and three angular rates (rad/s) in each"
         )
     header = _header(lines)
+    names: list[str] = []
     if header is None:
         rows = _rows_without_header(table, path)
         width = len(rows[0][1])
@@ -140,38 +140,32 @@ def read_gyro(
         if rows and len(rows[0][1]) == width and not any(map(_is_number, rows[0][1])):
             columns = _with_units(names, rows.pop(0), path)
     _check_widths(rows, width, path)
-    rows, sensor = _gyroscope_rows(rows, () if header is None else names, columns, path)
+    rows, sensor = _gyroscope_rows(rows, names, columns, path)
     values, repeats = _numbers(rows, columns, path)
     if len(values) < 2:
         raise ValueError(f"{path}: needs at least 2 rows of numbers, got {len(values)}")
     stated_time = time_unit or columns.time_unit
     stated_rate = rate_unit or columns.rate_unit
     seconds = stated_time or _guessed_unit(values[:, 0], path)
-    assumed = [columns.assumed] if columns.assumed and not sensor else []
-    assumed += [] if stated_time else [f"times in {seconds}, by their spacing"]
-    assumed += [] if stated_rate else ["rates in rad/s"]
-    warnings = (
-        [f"{path}: not stated in the file, and taken for granted: {'; '.join(assumed)}"]
-        if assumed
-        else []
-    )
+    angle = stated_rate or "rad"
+    assumptions = {
+        columns.assumed: bool(columns.assumed) and not sensor,
+        f"times in {seconds}, by their spacing": not stated_time,
+        "rates in rad/s": not stated_rate,
+    }
+    warnings = []
+    if assumed := "; ".join(text for text, is_assumed in assumptions.items() if is_assumed):
+        warnings.append(f"{path}: not stated in the file, and taken for granted: {assumed}")
     if repeats:
-        more = f", and so are {len(repeats) - 1} others" if len(repeats) > 1 else ""
+        more = f", and so are {len(repeats) - 1} others" * (len(repeats) > 1)
         warnings.append(
             f"{path}: line {repeats[0]} repeats the time of the row before and is left out{more}"
         )
     time, *rates = (one_line(columns.names[index]) for index in columns.index)
-    read = (
-        f"time: {time}, in {seconds}; rates: {', '.join(rates)}, in"
-        f" {stated_rate or 'rad'}/s{sensor}"
-    )
+    read = f"time: {time}, in {seconds}; rates: {', '.join(rates)}, in {angle}/s{sensor}"
+    t_s = values[:, 0] * _SECONDS[seconds]
     try:
-        return GyroTrace(
-            values[:, 0] * _SECONDS[seconds],
-            values[:, 1:] * _RADIANS[stated_rate or "rad"],
-            read,
-            tuple(warnings),
-        )
+        return GyroTrace(t_s, values[:, 1:] * _RADIANS[angle], read, tuple(warnings))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -180,9 +174,7 @@ def read_gyro(
 
 
 def _header(lines: list[tuple[int, str]]) -> tuple[int, list[str], _Columns] | None:
-    """Find the line that names the columns, above the first row of numbers: its number, the names,
-    the columns.
-    """
+    """Find the line of names above the first row of numbers: its number, names and columns."""
     for number, line in lines[:_LONGEST_HEAD]:
         cells = _fields(line)
         if line[0] != "#" and _is_row(cells):
@@ -198,7 +190,7 @@ def _with_units(names: Sequence[str], row: _Row, path: Path | str) -> _Columns:
     """Find the columns of a header whose units stand in the line below it."""
     number, units = row
     columns = _columns(
-        [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
+        [f"{name} [{unit}]".removesuffix(" []") for name, unit in zip(names, units, strict=True)]
     )
     if columns is None:
         raise ValueError(
@@ -209,17 +201,14 @@ def _with_units(names: Sequence[str], row: _Row, path: Path | str) -> _Columns:
 
 
 def _rows_without_header(table: list[_Row], path: Path | str) -> list[_Row]:
-    """Return the rows from the first one of numbers on; a line above it that looks like a header
-    is refused.
-    """
+    """Return the rows from the first one of numbers on; refuse what looks like a header above."""
     first = next((i for i, (_, cells) in enumerate(table) if _is_row(cells)), None)
-    width = 0 if first is None else len(table[first][1])
-    above = (
-        table[:1]
-        if first is None
-        else [row for row in table[:first] if len(row[1]) == width or len(row[1]) > 3][-1:]
-    )
-    for number, cells in above:
+    # the line that a message names: the first without any row of numbers, else the last above them
+    suspects = table[:1]
+    if first is not None:
+        width = len(table[first][1])
+        suspects = [row for row in table[:first] if len(row[1]) == width or len(row[1]) > 3][-1:]
+    for number, cells in suspects:
         if sum(map(_is_number, cells)) >= _FEWEST_NUMBERS:
             raise ValueError(
                 f"{path}: line {number} begins with {one_line(cells[0])!r}, which is not a number,"
@@ -235,9 +224,7 @@ def _rows_without_header(table: list[_Row], path: Path | str) -> list[_Row]:
 
 
 def _ordered(rows: list[_Row], path: Path | str, time_unit: TimeUnit | None) -> _Columns:
-    """Find the time among columns without names: the first one, or the only one that rises as a
-    clock does.
-    """
+    """Find the time among columns without names: the first, or the only one like a clock."""
     width = len(rows[0][1])
     if width < 4:
         raise ValueError(
@@ -248,13 +235,14 @@ def _ordered(rows: list[_Row], path: Path | str, time_unit: TimeUnit | None) -> 
         for place in range(width)
         if (step := _clock_step(rows, place, time_unit)) is not None
     }
-    counters = [
-        place for place, step in clocks.items() if step >= _LEAST_US
-    ]  # no rate changes by so much
-    likely = (counters or list(clocks)) if len(rows) >= _FEWEST_ROWS else [*clocks][:1]
+    # no rate changes by so much from row to row
+    counters = [place for place, step in clocks.items() if step >= _LEAST_US]
+    likely = counters or list(clocks)
+    if len(rows) < _FEWEST_ROWS:
+        likely = [*clocks][:1]
     if not likely:
         _check_first_rises(rows, path)
-    time = likely[0] if likely else 0
+    time = next(iter(likely), 0)
     if len(likely) > 1 and not (counters and time == 0):
         which = " and ".join(str(place + 1) for place in likely)
         raise ValueError(
@@ -266,8 +254,7 @@ def _ordered(rows: list[_Row], path: Path | str, time_unit: TimeUnit | None) -> 
             f"{path}: column {time + 1} of {width} rises as a time does; a header such as"
             " t_s,wx,wy,wz must name them"
         )
-    rates = [place for place in range(width) if place != time][:3]
-    x, y, z = rates
+    x, y, z = [place for place in range(width) if place != time][:3]
     names = tuple(f"column {place + 1}" for place in range(width))
     assumed = (
         f"{names[time]} is the time, columns {x + 1}, {y + 1}, {z + 1} the rates about x, y, z"
@@ -276,9 +263,7 @@ def _ordered(rows: list[_Row], path: Path | str, time_unit: TimeUnit | None) -> 
 
 
 def _check_first_rises(rows: list[_Row], path: Path | str) -> None:
-    """Refuse a table whose first column is no time while another rises, in a unit that its steps
-    do not tell.
-    """
+    """Refuse a table where another column than the first rises, in a unit that is not known."""
     rising = [
         place for place in range(len(rows[0][1])) if _clock_step(rows, place, "ms") is not None
     ]
@@ -290,9 +275,7 @@ def _check_first_rises(rows: list[_Row], path: Path | str) -> None:
 
 
 def _clock_step(rows: list[_Row], place: int, time_unit: TimeUnit | None) -> float | None:
-    """Median step of a column that rises, but for a few repeats, at the rate of a gyroscope; None
-    of others.
-    """
+    """Median step of a column that rises, but for few repeats, at a gyroscope's rate; or None."""
     try:
         with np.errstate(invalid="ignore"):  # infinite less infinite
             steps = np.diff([_number(cells[place]) for _, cells in rows])
@@ -301,13 +284,13 @@ def _clock_step(rows: list[_Row], place: int, time_unit: TimeUnit | None) -> flo
     if not steps.size or not (steps >= 0).all() or (steps == 0).mean() > _MOST_REPEATS:
         return None
     step = float(np.median(steps))
-    return step if time_unit or _unit_of_step(step) else None
+    if not (time_unit or _unit_of_step(step)):
+        return None
+    return step
 
 
 def _columns(header: Sequence[str]) -> _Columns | None:
-    """Find the time and the first three rates of one kind, named before bare x, y, z; None where
-    some are missing.
-    """
+    """Find the time and three rates of one kind, named ones before bare x, y, z; or None."""
     times = [(index, unit) for index, unit in enumerate(map(_as_time, header)) if unit is not None]
     kinds: dict[str, dict[str, tuple[int, RateUnit | None]]] = {}
     for index, name in enumerate(header):
@@ -319,7 +302,8 @@ def _columns(header: Sequence[str]) -> _Columns | None:
         if times and len(axes) == 3 and len(units) < 2:
             x, y, z = (axes[axis][0] for axis in "xyz")
             time, time_unit = times[0]
-            assumed = "" if kind else f"{header[x]}, {header[y]}, {header[z]} are a gyroscope's"
+            # bare x, y, z may be an accelerometer's
+            assumed = f"{header[x]}, {header[y]}, {header[z]} are a gyroscope's" * (not kind)
             return _Columns(
                 (time, x, y, z), tuple(header), time_unit or None, next(iter(units), None), assumed
             )
@@ -327,21 +311,19 @@ def _columns(header: Sequence[str]) -> _Columns | None:
 
 
 def _as_time(name: str) -> TimeUnit | Literal[""] | None:
-    """Return the unit of a column of times (``t_ns``, ``time [s]``), empty if unnamed; None for
-    other columns.
-    """
+    """Return the unit of a column of times, as ``t_ns``, empty if unnamed; None for others."""
     plain = _plain(name)
     units = "|".join(f"(?P<{unit}>{spelled})" for unit, spelled in _TIME_UNITS.items())
     if plain in _NAMED_TIMES:
         return _NAMED_TIMES[plain]
-    match = re.fullmatch(f"({_TIME})(_({units}))?", plain)
-    return None if match is None else next((unit for unit in _TIME_UNITS if match[unit]), "")
+    if match := re.fullmatch(f"({_TIME})(_({units}))?", plain):
+        return next((unit for unit in _TIME_UNITS if match[unit]), "")
+    return None
 
 
 def _as_rate(name: str) -> tuple[str, str, RateUnit | None] | None:
-    """Recognise a column of rates by kind, axis and unit, as ``wx``, ``gyro_y [rad/s]``,
-    ``gyro_rad[2]``.
-    """
+    """Recognise a column of rates, as ``wx`` or ``gyro_y [rad/s]``: its kind, axis and unit."""
+    # numbered components of a vector: gyro_rad[2] becomes gyro_z_rad
     name = re.sub(
         r"^(.+?)(_rad|_deg)?\[([012])\]$", lambda m: f"{m[1]}_{'xyz'[int(m[3])]}{m[2] or ''}", name
     )
@@ -360,11 +342,10 @@ def _plain(name: str) -> str:
 
 def _missing(header: Sequence[str]) -> list[str]:
     axes = {rate[1] for name in header if (rate := _as_rate(name))}
-    times = (
-        [] if any(_as_time(name) is not None for name in header) else ["timestamp (t_ns or t_s)"]
-    )
-    rates = [f"w{axis} (rad/s)" for axis in "xyz" if axis not in axes]
-    return times + rates or ["wx, wy, wz of one name and unit"]
+    missing = [f"w{axis} (rad/s)" for axis in "xyz" if axis not in axes]
+    if all(_as_time(name) is None for name in header):
+        missing.insert(0, "timestamp (t_ns or t_s)")
+    return missing or ["wx, wy, wz of one name and unit"]
 
 
 # -- rows -----------------------------------------------------------------------------------------
@@ -372,14 +353,15 @@ def _missing(header: Sequence[str]) -> list[str]:
 
 def _names(line: str) -> list[str]:
     """Split a header; a unit in brackets belongs to the name before it."""
-    return _fields(re.sub(r"\s+(?=[\[(])", "", line) if not re.search("[,;\t]", line) else line)
+    if not re.search("[,;\t]", line):
+        line = re.sub(r"\s+(?=[\[(])", "", line)
+    return _fields(line)
 
 
 def _fields(line: str) -> list[str]:
-    """Split a row; between commas, semicolons and tabs names may hold spaces, and empty cells are
-    seen.
-    """
+    """Split a row at semicolons, tabs or commas, else at spaces."""
     line = line.strip()
+    # semicolons first: beside them a comma is a decimal point
     separator = next((mark for mark in ";\t," if mark in line), None)
     if separator is None:
         return line.split()
@@ -389,16 +371,16 @@ def _fields(line: str) -> list[str]:
     return [cell.replace("\0", separator).strip().strip('"') for cell in cells]
 
 
+def _number(text: str) -> float:
+    return float(text.replace(",", "."))
+
+
 def _is_number(text: str) -> bool:
     try:
-        float(text.replace(",", "."))
+        _number(text)
     except ValueError:
         return False
     return True
-
-
-def _number(text: str) -> float:
-    return float(text.replace(",", "."))
 
 
 def _is_row(cells: list[str]) -> bool:
@@ -406,9 +388,7 @@ def _is_row(cells: list[str]) -> bool:
 
 
 def _check_widths(rows: list[_Row], width: int, path: Path | str) -> None:
-    """Refuse rows with more or fewer cells than there are columns; empty ones at the end do no
-    harm.
-    """
+    """Refuse rows with more or fewer cells than there are columns, but for empty last ones."""
     for number, cells in rows:
         if len(cells) < width or any(cells[width:]):
             raise ValueError(
@@ -420,15 +400,7 @@ def _check_widths(rows: list[_Row], width: int, path: Path | str) -> None:
 def _gyroscope_rows(
     rows: list[_Row], names: Sequence[str], columns: _Columns, path: Path | str
 ) -> tuple[list[_Row], str]:
-    """Return the gyroscope's rows of a table of several sensors, and which they are; all rows of
-    other tables.
-
-    Raises
-    ------
-    ValueError
-        If a column holds the names or numbers of sensors, and none or several of them are a
-        gyroscope.
-    """
+    """Return the gyroscope's rows of a table of several sensors, with their label; else all."""
     for place in sorted(set(range(len(names))) - set(columns.index)):
         labels = {cells[place] for _, cells in rows}
         texts = {label for label in labels if not _is_number(label)}
@@ -439,9 +411,8 @@ def _gyroscope_rows(
             gyroscopes = {label for label in gyroscopes if "uncal" not in label.lower()}
         if len(gyroscopes) == 1:
             (label,) = gyroscopes
-            return [row for row in rows if row[1][place] == label], one_line(
-                f"; {names[place]}: {label}"
-            )
+            sensor = one_line(f"; {names[place]}: {label}")
+            return [row for row in rows if row[1][place] == label], sensor
         is_sensor_column = _SENSOR_COLUMN.fullmatch(_plain(names[place])) and len(labels) > 1
         if gyroscopes or is_sensor_column or any(_OTHER_SENSOR.search(label) for label in texts):
             listed = one_line(", ".join(sorted(labels)))
@@ -455,9 +426,7 @@ def _gyroscope_rows(
 def _numbers(
     rows: list[_Row], columns: _Columns, path: Path | str
 ) -> tuple[FloatArray, list[int]]:
-    """Return times and rates (N, 4), and the numbers of the lines left out because they repeat a
-    time.
-    """
+    """Return times and rates (N, 4), and the numbers of the lines that repeat a time."""
     values: list[list[float]] = []
     repeats: list[int] = []
     for number, cells in rows:
@@ -489,14 +458,14 @@ def _numbers(
 
 
 def _unit_of_step(step: float) -> TimeUnit | None:
-    """Return the unit of times with this median step, where only one of ns, us and s gives 10 Hz
-    .. 10 kHz.
-    """
+    """Return which of ns, us and s gives times of this median step 10 Hz to 10 kHz, or None."""
     if 1e5 <= step <= 1e8:
         return "ns"
     if _LEAST_US <= step < 1e5:
         return "us"
-    return "s" if 1e-4 <= step <= 0.1 else None
+    if 1e-4 <= step <= 0.1:
+        return "s"
+    return None
 
 
 def _guessed_unit(times: FloatArray, path: Path | str) -> TimeUnit:

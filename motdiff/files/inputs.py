@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import stat
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,8 +17,8 @@ TOML_BYTES = 2**20
 TEXT_BYTES = 32 * 2**20
 """Largest table that is read."""
 
-_LONGEST = 300
-_DEEPEST = 64  # of lists and objects within each other
+_LONGEST = 300  # characters of a message
+_DEEPEST = 64  # of lists and objects within each other: later work would run out of stack
 _Document = TypeVar("_Document")
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -29,18 +30,9 @@ _KINDS = (
 
 
 def regular_file(path: Path | str) -> Path:
-    """Check that an input is a regular file: reading a pipe may block for ever, reading a device
-    may never end.
+    """Check that an input is a regular file, as every reader of a user's file does first.
 
-    Every reader of a file that a user names begins with this.
-
-    Parameters
-    ----------
-    path : path of the file
-
-    Returns
-    -------
-    Path
+    Reading a pipe may block for ever, reading a device may never end.
 
     Raises
     ------
@@ -71,14 +63,12 @@ def read_text(path: Path | str) -> str:
     data = _content(path, most_bytes=TEXT_BYTES)
     try:
         text = data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-    except UnicodeDecodeError as error:
+        if "\0" in text:
+            raise ValueError("it has zeros, as UTF-16 has")
+    except ValueError as error:  # of which decoding errors are a kind
         raise ValueError(
             f"{path}: not a text file in UTF-8, save it as UTF-8 ({one_line(error)})"
         ) from None
-    if "\0" in text:
-        raise ValueError(
-            f"{path}: not a text file in UTF-8, save it as UTF-8 (it has zeros, as UTF-16 has)"
-        )
     return text
 
 
@@ -93,29 +83,27 @@ def read_json(path: Path | str) -> Any:
     OSError
         If it cannot be read.
     """
-    data = _content(path, most_bytes=JSON_BYTES)
-    try:
-        return _shallow(json.loads(data.decode("utf-8-sig")))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: not a JSON file ({_reason(error)})") from None
+    return _parsed(path, json.loads, "JSON", most_bytes=JSON_BYTES)
 
 
 def read_toml(path: Path | str) -> dict[str, Any]:
-    """Read a TOML file.
+    """Read a TOML file of at most :data:`TOML_BYTES`; raises as :func:`read_json`."""
+    return _parsed(path, tomllib.loads, "TOML", most_bytes=TOML_BYTES)
 
-    Raises
-    ------
-    ValueError
-        If it is no regular file, larger than :data:`TOML_BYTES`, or not TOML, holds a number of
-        thousands of digits, or is nested too deeply.
-    OSError
-        If it cannot be read.
-    """
-    data = _content(path, most_bytes=TOML_BYTES)
+
+def _parsed(
+    path: Path | str, parse: Callable[[str], _Document], kind: str, *, most_bytes: int
+) -> _Document:
+    data = _content(path, most_bytes=most_bytes)
     try:
-        return _shallow(tomllib.loads(data.decode("utf-8-sig")))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path}: not a TOML file ({_reason(error)})") from None
+        return _shallow(parse(data.decode("utf-8-sig")))
+    except RecursionError:
+        reason = "it is nested too deeply"
+    except (json.JSONDecodeError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        reason = one_line(error)
+    except ValueError:  # all else that Python refuses here
+        reason = "a number in it has thousands of digits"
+    raise ValueError(f"{path}: not a {kind} file ({reason})")
 
 
 def _content(path: Path | str, *, most_bytes: int) -> bytes:
@@ -130,9 +118,7 @@ def _content(path: Path | str, *, most_bytes: int) -> bytes:
 
 
 def _shallow(document: _Document) -> _Document:
-    """Return a document whose lists and objects are not nested too deeply: later work on it would
-    run out of stack.
-    """
+    """Return a document; RecursionError if its lists and objects are nested too deeply."""
     level: list[Any] = [document]
     for _ in range(_DEEPEST):
         inner = (
@@ -146,36 +132,24 @@ def _shallow(document: _Document) -> _Document:
     raise RecursionError
 
 
-def _reason(error: ValueError | RecursionError) -> str:
-    """Say in plain words why a parser refuses a file."""
-    if isinstance(error, RecursionError):
-        return "it is nested too deeply"
-    if isinstance(error, json.JSONDecodeError | tomllib.TOMLDecodeError | UnicodeDecodeError):
-        return one_line(error)
-    return "a number in it has thousands of digits"  # all else that Python refuses here
-
-
 def one_line(text: object) -> str:
-    r"""Shorten a message to one printable line: a damaged file may put a megabyte, or a terminal's
-    commands, into it.
+    r"""Shorten a text or an exception's message to one printable line.
 
-    Parameters
-    ----------
-    text : object, as an exception
+    A damaged file may put a megabyte, or a terminal's commands, into it.
 
     Examples
     --------
     >>> one_line("line one\nline two \x1b[2J")
     'line one line two \\x1b[2J'
     """
-    words = " ".join(str(text)[: 4 * _LONGEST].split())
-    line = printable(words)
-    return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 3]}..."
+    line = printable(" ".join(str(text)[: 4 * _LONGEST].split()))
+    if len(line) > _LONGEST:
+        return f"{line[: _LONGEST - 3]}..."
+    return line
 
 
 def printable(text: str) -> str:
-    r"""Write what cannot be seen as its escape: control characters, marks that change the
-    direction, lone surrogates.
+    r"""Write invisible characters as escapes: controls, marks of direction, lone surrogates.
 
     Examples
     --------

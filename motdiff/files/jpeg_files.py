@@ -10,14 +10,14 @@ JPEG = b"\xff\xd8\xff"
 
 # SOF0 to SOF15 without DHT, JPG and DAC (ITU-T T.81, table B.1)
 _FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
+_SCAN = 0xDA  # SOS
 
 
 def jpeg_complete(data: bytes) -> bool:
-    """Look for the end marker behind the first scan's header: a thumbnail's own end does not
-    count.
-    """
-    scan = next((end for marker, _, end in jpeg_segments(data) if marker == 0xDA), None)
-    return scan is not None and data.find(b"\xff\xd9", scan) >= 0
+    """Whether the end marker is there, behind the first scan's header."""
+    # before it there may be the end of a thumbnail
+    scans = (end for marker, _, end in jpeg_segments(data) if marker == _SCAN)
+    return data.find(b"\xff\xd9", next(scans, len(data))) >= 0
 
 
 def jpeg_size(data: bytes) -> tuple[int, int]:
@@ -36,8 +36,9 @@ def jpeg_size(data: bytes) -> tuple[int, int]:
 
 
 def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield marker, start and end of each segment's body (its length included) up to the first
-    scan's header.
+    """Yield marker, start and end of each segment up to the first scan's header.
+
+    A segment starts with its length. Behind the header comes entropy-coded data without lengths.
     """
     at = 2
     while at + 4 <= len(data) and data[at] == 0xFF:
@@ -47,6 +48,6 @@ def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
             continue
         end = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
         yield marker, at + 2, end
-        if marker == 0xDA:
+        if marker == _SCAN:
             return
         at = end

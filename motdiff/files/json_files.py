@@ -1,4 +1,4 @@
-"""JSON files: strict text of what is written, and the JSON Schemas by which readers refuse a file.
+"""JSON files: strict text of what is written, and JSON Schemas of what is read.
 
 The schemas are those that are published, of JSON Schema 2020-12. Of its keywords the ones in
 :data:`KEYWORDS` are used.
@@ -46,6 +46,15 @@ them."""
 
 _END = re.compile(r"\$$")  # in Python also before a last line feed, unlike in JSON Schema
 
+_PYTHON_TYPES: dict[str, type | tuple[type, ...]] = {
+    "object": dict,
+    "array": list,
+    "string": str,
+    "number": (int, float),
+    "integer": (int, float),  # 2.0 is an integer to JSON
+    "boolean": bool,
+    "null": type(None),
+}
 _NAMES = {
     "object": "an object",
     "array": "a list",
@@ -58,8 +67,9 @@ _NAMES = {
 
 
 def plain(value: object) -> Any:
-    """Turn arrays, dataclasses, paths and NumPy numbers into types of JSON; NaN and infinities
-    become null.
+    """Turn arrays, dataclasses, paths and numbers into types of JSON; NaN becomes null.
+
+    Infinities become null as well.
 
     Examples
     --------
@@ -74,9 +84,9 @@ def plain(value: object) -> Any:
         return plain(value.tolist())
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, str | int | bool):
+    if isinstance(value, float) and not math.isfinite(value):
+        return None  # JSON has no such numbers
+    if value is None or isinstance(value, str | int | float):
         return value
     return str(value)
 
@@ -85,13 +95,8 @@ def json_text(value: object, *, ascii_only: bool = False) -> str:
     r"""Format ``value`` as strict JSON with a closing newline.
 
     Bytes of a file's name that are no UTF-8 are lone surrogates in Python; JSON has them as
-    escapes, ``\udcff``.
-
-    Parameters
-    ----------
-    value : object
-    ascii_only : bool
-        Whether all other characters are escapes too, for an output that is not UTF-8.
+    escapes, ``\udcff``. With ``ascii_only``, for an output that is not UTF-8, it has all others
+    but ASCII as escapes too.
     """
     text = json.dumps(plain(value), indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n"
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
@@ -109,11 +114,12 @@ def stated_schema(path: Path | str) -> str | None:
         If the file cannot be read.
     """
     try:
-        document = read_json(path)
-    except ValueError:
+        schema = read_json(path)["schema"]
+    except (ValueError, LookupError, TypeError):
         return None
-    schema = document.get("schema") if isinstance(document, dict) else None
-    return schema if isinstance(schema, str) else None
+    if isinstance(schema, str):
+        return schema
+    return None
 
 
 def read_versioned(path: Path | str, schema: str) -> dict[str, Any]:
@@ -127,10 +133,12 @@ def read_versioned(path: Path | str, schema: str) -> dict[str, Any]:
         If the file cannot be read.
     """
     document = read_json(path)
-    version = document.get("schema") if isinstance(document, dict) else type(document).__name__
-    if not isinstance(document, dict) or version != schema:
-        raise ValueError(f'{path}: wanted schema "{schema}", found {one_line(repr(version))}')
-    return document
+    version: object = type(document).__name__
+    if isinstance(document, dict):
+        version = document.get("schema")
+        if version == schema:
+            return document
+    raise ValueError(f'{path}: wanted schema "{schema}", found {one_line(repr(version))}')
 
 
 @cache
@@ -159,12 +167,7 @@ def fault(value: object, schema: Mapping[str, Any], *, where: str = "") -> str |
         As read from JSON.
     schema : mapping
     where : str
-        Name of the value.
-
-    Returns
-    -------
-    str or None
-        One line, as ``weight: must be a number within 0..1, got 3``.
+        Name of the value, with which the line begins.
 
     Examples
     --------
@@ -172,11 +175,8 @@ def fault(value: object, schema: Mapping[str, Any], *, where: str = "") -> str |
     >>> fault({"bits": 17}, {"properties": {"bits": bits}})
     'bits: must be a whole number within 1..16, got 17'
     """
-    if "anyOf" in schema and all(
-        fault(value, choice, where=where) is not None for choice in schema["anyOf"]
-    ):
-        return _refusal(value, schema, where)
-    if not _holds(value, schema):
+    choices = schema.get("anyOf")
+    if not _holds(value, schema) or (choices and all(fault(value, choice) for choice in choices)):
         return _refusal(value, schema, where)
     if isinstance(value, dict):
         return _object_fault(value, schema, where)
@@ -186,60 +186,46 @@ def fault(value: object, schema: Mapping[str, Any], *, where: str = "") -> str |
 
 
 def _object_fault(value: Mapping[str, Any], schema: Mapping[str, Any], where: str) -> str | None:
-    inside = f"{where}." if where else ""
+    inside = where and f"{where}."
     for name in schema.get("required", ()):
         if name not in value:
             return f'field "{inside}{name}" is missing'
     fields: Mapping[str, Any] = schema.get("properties", {})
-    extra = schema.get("additionalProperties", True)
+    others = schema.get("additionalProperties", {})  # a schema without keywords holds for all
     for name, item in value.items():
-        if name in fields:
-            wrong = fault(item, fields[name], where=f"{inside}{name}")
-        elif extra is False:
+        if name not in fields and others is False:
             return (
                 f"unknown field {one_line(repr(inside + name))}; there are"
                 f" {', '.join(sorted(fields))}"
             )
-        else:
-            wrong = (
-                None if extra is True else fault(item, extra, where=f"{inside}{one_line(name)}")
-            )
+        wrong = fault(item, fields.get(name, others), where=inside + one_line(name))
         if wrong is not None:
             return wrong
     return None
 
 
 def _list_fault(value: list[Any], schema: Mapping[str, Any], where: str) -> str | None:
-    items = schema.get("items")
-    if items is None:
-        return None
-    if items.get("type") in ("number", "integer"):  # may be a hundred thousand of them
-        wrong_at = next(
-            (index for index, item in enumerate(value) if not _holds(item, items)), None
-        )
-        return (
-            None if wrong_at is None else _refusal(value[wrong_at], items, f"{where}[{wrong_at}]")
-        )
-    faults = (fault(item, items, where=f"{where}[{index}]") for index, item in enumerate(value))
-    return next((wrong for wrong in faults if wrong is not None), None)
+    items: Mapping[str, Any] = schema.get("items", {})
+    numbers = items.get("type") in ("number", "integer")
+    for index, item in enumerate(value):
+        if numbers and _holds(item, items):  # a quick check: there may be a hundred thousand
+            continue
+        if wrong := fault(item, items, where=f"{where}[{index}]"):
+            return wrong
+    return None
 
 
 def _holds(value: object, schema: Mapping[str, Any]) -> bool:
     """Whether a value itself is as the schema says, whatever is inside."""
-    types = schema.get("type", ())
-    if types and not any(
-        _is(value, kind) for kind in ([types] if isinstance(types, str) else types)
-    ):
+    types = _types(schema)
+    if types and not any(_is(value, kind) for kind in types):
         return False
     if "const" in schema and not _same(value, schema["const"]):
         return False
     if "enum" in schema and not any(_same(value, choice) for choice in schema["enum"]):
         return False
     if isinstance(value, str):
-        return (
-            "pattern" not in schema
-            or re.search(_END.sub(r"\\Z", schema["pattern"]), value) is not None
-        )
+        return re.search(_END.sub(r"\\Z", schema.get("pattern", "")), value) is not None
     if isinstance(value, list):
         return len(value) >= int(schema.get("minItems", 0))
     if isinstance(value, int | float) and not isinstance(value, bool):
@@ -251,21 +237,20 @@ def _holds(value: object, schema: Mapping[str, Any]) -> bool:
     return True
 
 
+def _types(schema: Mapping[str, Any]) -> list[str]:
+    """Types of which a value must have one; empty where any is valid."""
+    types = schema.get("type", [])
+    return [types] if isinstance(types, str) else types
+
+
 def _is(value: object, kind: str) -> bool:
-    if kind in ("number", "integer"):
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            return False
-        if isinstance(value, int):
-            return True
+    if not isinstance(value, _PYTHON_TYPES[kind]):
+        return False
+    if isinstance(value, bool):  # an int to Python
+        return kind == "boolean"
+    if isinstance(value, float):
         return math.isfinite(value) and (kind == "number" or value.is_integer())
-    kinds: dict[str, type | tuple[type, ...]] = {
-        "object": dict,
-        "array": list,
-        "string": str,
-        "boolean": bool,
-        "null": type(None),
-    }
-    return isinstance(value, kinds[kind])
+    return True
 
 
 def _same(value: object, constant: object) -> bool:
@@ -295,8 +280,7 @@ def _wanted(value: object, schema: Mapping[str, Any]) -> str:
         return json.dumps(schema["const"])
     if "enum" in schema:
         return " or ".join(json.dumps(choice) for choice in schema["enum"])
-    types = schema.get("type", [])
-    names = [_NAMES[kind] for kind in ([types] if isinstance(types, str) else types)]
+    names = [_NAMES[kind] for kind in _types(schema)]
     if isinstance(value, float) and not math.isfinite(value):
         names = [name.replace("a number", "a finite number") for name in names]
     if "minItems" in schema:

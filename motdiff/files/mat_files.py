@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from motdiff.files.inputs import one_line, regular_file
 
-_MOST_MIB = 1024
+_MOST_MIB = 1024  # beyond what Python and SciPy take; a file of an image has some
 _MOST_CPU_S = 15
 _MOST_S = 120  # on the clock: a busy machine may need seconds to load SciPy
 _SCRIPT = Path(__file__).with_name("_mat_reader.py")
@@ -27,8 +27,9 @@ def read_mat(path: Path | str, names: Sequence[str]) -> dict[str, NDArray[Any]]:
 
     Parameters
     ----------
-    path : path of the file
-    names : names of variables; others in the file are passed over
+    path : path
+    names : sequence of str
+        Others in the file are passed over.
 
     Returns
     -------
@@ -86,13 +87,11 @@ def levin_psf(kernel: NDArray[Any]) -> NDArray[Any]:
 
 
 def _answer(source: Path, names: Sequence[str]) -> bytes:
-    limits = (str(_MOST_MIB), str(_MOST_CPU_S))
     # -P: the script's own folder, this package, must not hide modules of the same names
-    python = [sys.executable, "-P", "-W", "ignore"]
-    command = [*python, str(_SCRIPT), str(source.absolute()), *limits, *names]
+    python = [sys.executable, "-P", "-W", "ignore", str(_SCRIPT)]
     try:
         run = subprocess.run(
-            command,
+            [*python, str(source.absolute()), str(_MOST_MIB), str(_MOST_CPU_S), *names],
             stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=_MOST_S,

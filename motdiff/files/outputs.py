@@ -14,20 +14,16 @@ from pathlib import Path
 
 @contextmanager
 def new_files(paths: Iterable[Path | str], *, force: bool = True) -> Iterator[dict[Path, Path]]:
-    """Yield a temporary name for each file; on success all files appear together, otherwise none
-    does.
+    """Yield a temporary name for each file; on success all appear together, otherwise none does.
 
     Temporary names end in the file names. A symbolic link stays: the file it leads to is replaced.
 
     Parameters
     ----------
-    paths : files to write, in folders that exist
+    paths : iterable of paths
+        In folders that exist.
     force : bool
-        Whether earlier ones are replaced.
-
-    Yields
-    ------
-    dict from each path to its temporary name
+        Whether earlier files are replaced.
 
     Raises
     ------
@@ -47,10 +43,10 @@ def new_files(paths: Iterable[Path | str], *, force: bool = True) -> Iterator[di
             place: stack.enter_context(_hidden_folder(real[place].parent, place)) / place.name
             for place in places
         }
-        with naming(
-            {temporaries[place]: place for place in places},
-            places[0] if len(places) == 1 else None,
-        ):
+        nameless = None  # of several files an error without a name may be any one's
+        if len(places) == 1:
+            (nameless,) = places
+        with naming({temporaries[place]: place for place in places}, nameless):
             yield temporaries
             _replace_all({real[place]: temporaries[place] for place in places}, force=force)
 
@@ -69,9 +65,7 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write ``text`` as UTF-8 through :func:`new_file`; bytes of names that are no UTF-8 are
-    written as escapes.
-    """
+    """Write ``text`` as UTF-8 through :func:`new_file`; bytes that are none become escapes."""
     with new_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="")
 
@@ -93,13 +87,11 @@ def check_file(path: Path | str) -> None:
     folder = _behind_links(place).parent
     if not folder.exists():
         raise ValueError(f"{place}: there is no folder {folder}")
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise ValueError(f"{place}: the folder {folder} cannot be written to")
+    _check_writable(folder, place)
 
 
 def check_folder(path: Path | str) -> None:
-    """Check, before any work is done, that files can be written into a folder, or that it can be
-    made.
+    """Check, before any work is done, that a folder can be written to, or made.
 
     Raises
     ------
@@ -110,9 +102,12 @@ def check_folder(path: Path | str) -> None:
     place = Path(path)
     if place.exists() and not place.is_dir():
         raise ValueError(f"{place}: is a file, a folder name is needed")
-    nearest = _nearest_folder(place)
-    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
-        raise ValueError(f"{place}: the folder {nearest} cannot be written to")
+    _check_writable(_nearest_folder(place), place)
+
+
+def _check_writable(folder: Path, output: Path) -> None:
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise ValueError(f"{output}: the folder {folder} cannot be written to")
 
 
 # -- outputs of commands -------------------------------------------------------------------------
@@ -137,9 +132,7 @@ class Outputs:
     inputs: tuple[Path | str, ...] = ()
 
     def check(self) -> None:
-        """Check, before any work is done, that the files may be written; raises as :func:`claim`
-        does.
-        """
+        """Check, before any work is done, that the files may be written; see :func:`claim`."""
         sources = [path for path in map(Path, self.inputs) if path.is_file()]
         claimed: set[Path] = set()
         for path in self.paths:
@@ -156,18 +149,14 @@ class Outputs:
 
     @contextmanager
     def written(self, *, summary: str = "") -> Iterator[dict[Path, Path]]:
-        """Yield a temporary name for each file, as :func:`new_files`; where that fails, the error
-        says the summary.
-        """
+        """Yield a temporary name for each file, as :func:`new_files`; errors say the summary."""
         with summary_on_failure(summary), new_files(self.paths, force=self.force) as temporaries:
             yield temporaries
 
 
 @contextmanager
 def summary_on_failure(summary: str) -> Iterator[None]:
-    """Add a result's summary to the error of writing it, as of a full disk: the result must not be
-    lost.
-    """
+    """Add a result's summary to the error of writing it: a full disk must not lose the result."""
     try:
         yield
     except (OSError, ValueError) as error:
@@ -183,10 +172,12 @@ def claim(
 
     Parameters
     ----------
-    paths : files about to be written
+    paths : iterable of paths
+        Files about to be written.
     force : bool
         Whether existing files may be replaced.
-    inputs : files that are read, which are never replaced; folders are ignored
+    inputs : iterable of paths
+        Files that are read, which are never replaced; folders are ignored.
 
     Raises
     ------
@@ -201,15 +192,7 @@ def claim(
 
 
 def claim_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -> None:
-    """Check, before any work is done, that files may be written into a folder, which is made when
-    missing.
-
-    Parameters
-    ----------
-    path : folder
-    names : files that will be written
-    force : bool
-        Whether existing ones may be replaced.
+    """Check, before any work is done, that a :func:`new_folder` may be written.
 
     Raises
     ------
@@ -230,8 +213,10 @@ def new_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -
 
     Parameters
     ----------
-    path : folder, made when missing
-    names : files that will be written
+    path : path
+        The folder, made when missing.
+    names : iterable of str
+        Files that will be written.
     force : bool
         Whether existing ones may be replaced.
 
@@ -278,16 +263,17 @@ def new_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -
 def _replace_all(
     new: Mapping[Path, Path], *, remove: Iterable[Path] = (), force: bool = True
 ) -> None:
-    """Rename files to their places and remove others; when a step fails, the earlier files are
-    restored.
+    """Rename files to their places, and remove others: all, or when a step fails, none.
 
     All files are on the disk before the first is renamed: a full one is noticed while nothing has
     changed.
 
     Parameters
     ----------
-    new : mapping from a place to the file that goes there, on the same file system
-    remove : files that go, where they exist
+    new : mapping
+        From a place to the file that goes there, on the same file system.
+    remove : iterable of paths
+        Files that go, where they exist.
     force : bool
         Whether files at the places are replaced.
 
@@ -312,9 +298,11 @@ def _replace_all(
     restored = True
     try:
         for place in (*new, *removed):
-            if os.path.lexists(place) and place.parent not in asides:
-                asides[place.parent] = _hidden(place.parent, place)
-            earlier[place] = asides[place.parent] / place.name if os.path.lexists(place) else None
+            earlier[place] = None
+            if os.path.lexists(place):
+                if place.parent not in asides:
+                    asides[place.parent] = _hidden(place.parent, place)
+                earlier[place] = asides[place.parent] / place.name
         for place, temporary in new.items():
             if force and (backup := earlier[place]):
                 _keep(place, backup)
@@ -387,9 +375,7 @@ def _restore(place: Path, backup: Path | None, temporary: Path | None) -> None:
 
 @contextmanager
 def _hidden_folder(folder: Path, output: Path | str) -> Iterator[Path]:
-    """Make a temporary folder within ``folder`` and remove it in the end; an OSError of making it
-    names ``output``.
-    """
+    """Make a temporary folder within ``folder``, an error of which names ``output``; remove it."""
     temporary = _hidden(folder, output)
     try:
         yield temporary
@@ -410,8 +396,10 @@ def naming(outputs: Mapping[Path, Path], nameless: Path | None) -> Iterator[None
 
     Parameters
     ----------
-    outputs : mapping from a temporary file or folder to the output it stands for
-    nameless : the name of errors that have none; such errors stay as they are when None
+    outputs : mapping
+        From a temporary file or folder to the output it stands for.
+    nameless : path or None
+        Name of errors that have none; such errors stay as they are when None.
     """
     try:
         yield
@@ -421,7 +409,7 @@ def naming(outputs: Mapping[Path, Path], nameless: Path | None) -> Iterator[None
             path = Path(error.filename).absolute()
             parts = {temporary.absolute(): output for temporary, output in outputs.items()}
             inside = next((folder for folder in (path, *path.parents) if folder in parts), None)
-            name = None if inside is None else parts[inside] / path.relative_to(inside)
+            name = inside and parts[inside] / path.relative_to(inside)
         if name is None:
             raise
         # errno is missing where a library counted the bytes written itself
@@ -433,7 +421,9 @@ def naming(outputs: Mapping[Path, Path], nameless: Path | None) -> Iterator[None
 
 def _behind_links(path: Path) -> Path:
     """Return the file that a symbolic link leads to, anything else as it is."""
-    return Path(os.path.realpath(path)) if path.is_symlink() else path
+    if path.is_symlink():
+        return Path(os.path.realpath(path))
+    return path
 
 
 def _nearest_folder(folder: Path) -> Path:

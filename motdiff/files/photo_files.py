@@ -29,11 +29,8 @@ def photo_bytes(path: Path | str) -> bytes:
 
     Parameters
     ----------
-    path : path of a PNG, JPEG, TIFF or WebP file, whatever its name
-
-    Returns
-    -------
-    bytes, never empty
+    path : path
+        A PNG, JPEG, TIFF or WebP file, whatever its name.
 
     Raises
     ------
@@ -133,10 +130,7 @@ def _webp_complete(data: bytes) -> bool:
 def orientation(data: bytes) -> int:
     """How a PNG, JPEG or WebP image is turned upright by its EXIF data.
 
-    Returns
-    -------
-    int
-        1 to 8 as in EXIF 2.32, section 4.6.4; 1, as it is, where there are no such data.
+    1 to 8 as in EXIF 2.32, section 4.6.4; 1, as it is, where there are no such data.
     """
     exif = next(_exif(data), b"")
     return exif_orientation(exif.removeprefix(_EXIF))
@@ -193,10 +187,10 @@ def _webp_size(data: bytes) -> tuple[int, int]:
     kind = data[12:16]
     if kind == b"VP8 ":
         width, height = struct.unpack_from("<2H", data, 26)
-        return width & 0x3FFF, height & 0x3FFF
+        return width & 0x3FFF, height & 0x3FFF  # the upper two bits are a scale for display
     if kind == b"VP8L":
         (bits,) = struct.unpack_from("<I", data, 21)
-        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1  # 14 bits each, less 1
     if kind == b"VP8X" and len(data) >= 30:
         return int.from_bytes(data[24:27], "little") + 1, int.from_bytes(data[27:30], "little") + 1
     raise ValueError("no such chunk")

@@ -11,31 +11,20 @@ from motdiff.files.inputs import one_line
 
 
 def is_reference(text: str) -> bool:
-    """Whether a text has the form ``module:name``, as ``mymodule:MyEstimator`` or
-    ``package.module:name``.
-    """
-    module, colon, name = text.partition(":")
-    return (
-        bool(colon)
-        and name.isidentifier()
-        and all(name_part.isidentifier() for name_part in module.split("."))
-    )
+    """Whether a text has the form ``module:name``, as ``package.module:MyEstimator``."""
+    module, _, name = text.partition(":")
+    return all(part.isidentifier() for part in (name, *module.split(".")))
 
 
 def load_object(reference: str) -> Any:
-    """Import an object by its reference; modules in the current folder are found too, from then
-    on.
+    """Import an object by its reference, ``module:name``.
 
-    Parameters
-    ----------
-    reference : str
-        ``module:name``.
+    Modules in the current folder are found too, from then on.
 
     Raises
     ------
     ValueError
-        If the text is no reference, the module cannot be imported, or has no such object; the line
-        says which.
+        If the text is no reference, the module cannot be imported, or has no such object.
 
     Examples
     --------

@@ -32,9 +32,10 @@ _PALETTE = 3
 _MASK = 4
 _YCBCR = 6
 _COLOURS = {5: "CMYK", 8: "CIELab", 32803: "a colour filter mosaic", 34892: "linear RAW"}
+_FLOAT = 3
 _SAMPLES = {
     2: "integers with a sign",
-    3: "floating point",
+    _FLOAT: "floating point",
     5: "complex numbers",
     6: "complex numbers",
 }
@@ -46,9 +47,7 @@ _ALPHA = (1, 2)  # extra samples: associated, unassociated
 
 
 class _Directories(BytesIO):
-    """A file of which a limited number of bytes is read: its directories may name the same bytes
-    many times.
-    """
+    """A file of which a limited number of bytes is read; directories may name some many times."""
 
     limit: float = _MOST_DIRECTORY_BYTES
 
@@ -118,19 +117,19 @@ def _is_photo(page: TiffPage) -> bool:
 
 
 def tiff_orientation(page: TiffPage) -> int:
-    """How a page is turned upright, 1 to 8 (TIFF 6.0, section 8); 1, as it is, where nothing valid
-    is said.
-    """
+    """How a page is turned upright, 1 to 8 (TIFF 6.0, section 8); 1 without valid tag."""
     orientation = page.tags.valueof(274)
-    return int(orientation) if orientation in range(1, 9) else 1
+    if orientation not in range(1, 9):
+        return 1
+    return int(orientation)
 
 
 def exif_orientation(exif: bytes) -> int:
-    """Orientation in EXIF data, a TIFF file without an image; 1, as it is, where there is none or
-    they are damaged.
-    """
+    """Orientation in EXIF data, a TIFF file without an image; 1 where they are none or damaged."""
+    if not exif:  # most photos that are no TIFF files: tifffile need not be loaded
+        return 1
     try:
-        return tiff_orientation(_opened(_Directories(exif)).pages.first) if exif else 1
+        return tiff_orientation(_opened(_Directories(exif)).pages.first)
     except Exception:  # of many kinds
         return 1
 
@@ -138,7 +137,9 @@ def exif_orientation(exif: bytes) -> int:
 def _photometric(page: TiffPage) -> int:
     if 262 in page.tags:
         return int(page.photometric)
-    return _RGB if page.samplesperpixel >= 3 else _BLACK_IS_ZERO
+    if page.samplesperpixel >= 3:
+        return _RGB
+    return _BLACK_IS_ZERO
 
 
 def refusal(page: TiffPage) -> str:
@@ -170,7 +171,9 @@ def refusal(page: TiffPage) -> str:
         return f"has {samples} channels for red, green and blue, save it as RGB or grey"
     if isinstance(bits, tuple):
         return "its channels differ in kind, save it with 8 or 16 bits in each"
-    if not (bits in (16, 32, 64) if kind == 3 else kind not in _SAMPLES and 1 <= bits <= 16):
+    is_integer = kind not in _SAMPLES and 1 <= bits <= 16
+    is_float = kind == _FLOAT and bits in (16, 32, 64)
+    if not (is_integer or is_float):
         return (
             f"has {bits}-bit {_SAMPLES.get(kind, 'integers')}, save it as 8 or 16 bit, or as"
             " floating point of 32"
@@ -184,13 +187,12 @@ def refusal(page: TiffPage) -> str:
 
 
 def channels(page: TiffPage) -> tuple[Samples, Samples]:
-    """Read the samples of a page that is not refused: (H, W) or (H, W, 3), 0 is black, and what is
-    beside them.
+    """Read the samples of a page that is not refused: its colours, and what is beside them.
 
     Returns
     -------
     colours : (H, W) or (H, W, 3) array of uint8, uint16 or floating point
-        Grey, or red green blue; not turned upright.
+        Grey, or red green blue; 0 is black; not turned upright.
     extra : (H, W, C) array
 
     Raises
@@ -202,23 +204,23 @@ def channels(page: TiffPage) -> tuple[Samples, Samples]:
     photometric = _photometric(page)
     bits = page.bitspersample
     # planes, rows, columns, channels that are stored together
-    samples = page.asarray(squeeze=False)[:, 0]
-    samples = samples[0] if len(samples) == 1 else np.moveaxis(samples[:, :, :, 0], 0, 2)
+    planes = page.asarray(squeeze=False)[:, 0]
+    samples = planes[0]
+    if len(planes) > 1:
+        samples = np.moveaxis(planes[:, :, :, 0], 0, 2)
     if photometric == _PALETTE:
         palette = (np.asarray(page.colormap) >> 8).astype(np.uint8).T
         return palette[samples[:, :, 0].astype(np.uint16)], samples[:, :, 1:]
     if bits % 8:
-        full = 255 if bits < 8 else 65535
-        largest = 2**bits - 1
+        # codes of 1 to 15 bits, stretched to the full scale of the integers that hold them
         unsigned = np.dtype(f"u{samples.itemsize}")
-        samples = ((np.arange(2**bits) * full + largest // 2) // largest).astype(unsigned)[
-            samples.view(unsigned)
-        ]
+        largest = 2**bits - 1
+        codes = (np.arange(2**bits) * full_scale(unsigned) + largest // 2) // largest
+        samples = codes.astype(unsigned)[samples.view(unsigned)]
     if photometric == _WHITE_IS_ZERO:
-        samples = (1 if samples.dtype.kind == "f" else np.iinfo(samples.dtype).max) - samples
-    if photometric == _YCBCR and (
-        page.compression != _JPEG or page.planarconfig == 2
-    ):  # else it is RGB already
+        samples = full_scale(samples.dtype) - samples
+    # JPEG's decoder gives RGB, unless its planes are apart
+    if photometric == _YCBCR and (page.compression != _JPEG or page.planarconfig == 2):
         import cv2
 
         return cv2.cvtColor(samples[:, :, [0, 2, 1]], cv2.COLOR_YCrCb2RGB), samples[:, :, 3:]
@@ -227,10 +229,15 @@ def channels(page: TiffPage) -> tuple[Samples, Samples]:
     return samples[:, :, 0], samples[:, :, 1:]
 
 
+def full_scale(dtype: np.dtype[Any]) -> int:
+    """Value of white: the largest integer, or 1 of floating point."""
+    if dtype.kind == "f":
+        return 1
+    return int(np.iinfo(dtype).max)
+
+
 def _check_segments(page: TiffPage) -> None:
-    """Check strips or tiles: those that are missing would be black, and those of a small file may
-    be gigabytes.
-    """
+    """Check strips or tiles: missing ones would be black, those of a small file gigabytes."""
     file = page.parent.filehandle
     number = math.prod(page.chunked)
     px = math.prod(page.chunks)
@@ -246,7 +253,9 @@ def _check_segments(page: TiffPage) -> None:
         or page.jpegheader
     ):
         raise ValueError("strips or tiles are larger than the image")
-    for offset, length in segments if page.compression == _JPEG else ():
+    if page.compression != _JPEG:
+        return
+    for offset, length in segments:
         file.seek(offset)
         jpeg = file.read(length)
         if not jpeg_complete(jpeg) or math.prod(jpeg_size(jpeg)) > 2 * px + _LEAST_PX:
