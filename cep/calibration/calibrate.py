@@ -217,11 +217,11 @@ def estimate_motion(
     (16, 17, 'unknown')
     """
     photos = _photo_list(photo)
-    if method is None:
-        method = "motdiff" if codes is None else "coded"
     if codes is not None:
         check_times(codes)
         options["codes"] = tuple(code.bits for code in codes)
+        method = method or "coded"
+    method = method or "motdiff"
     set_options = [name for name, value in options.items() if value is not None]
     if isinstance(method, str) and not is_reference(method):
         method = make_method(method, options)
@@ -240,9 +240,13 @@ def estimate_motion(
         for array in photos:
             check_texture(array)
         check_apart(photos)
-        label = method if isinstance(method, str) else type(method).__name__
-        estimator = load_estimator(method) if isinstance(method, str) else method
-        is_together = len(photos) > 1
+        if isinstance(method, str):
+            label = method
+            estimator = load_estimator(method)
+        else:
+            label = type(method).__name__
+            estimator = method
+        is_together = len(photos) > 1  # a user's estimator may take one photo alone
     pixels = [_as_light(array) for array in photos]
     if not is_together:
         return Calibration.of(as_estimate(estimator.estimate(pixels[0]), label), pixels[0])
@@ -253,6 +257,7 @@ def estimate_motion(
     estimate: MotionEstimate = estimator.estimate_from(pixels)
     left_out = estimate.details.get("left_out", [])
     assert isinstance(left_out, list)
+    # a photo that shows another motion is no picture of this one
     first_used = next(light for i, light in enumerate(pixels, 1) if i not in left_out)
     return Calibration.of(estimate, first_used)
 
@@ -276,8 +281,9 @@ def read_options(
     """
     values = dict(texts)
     rate_unit = values.pop("rate_unit", None)  # of the file, not of what is read from it
-    options = command_options(METHODS[name]) if name in METHODS else {}
-    for key, option in options.items():
+    if name not in METHODS:
+        return values
+    for key, option in command_options(METHODS[name]).items():
         if values.get(key) is None:
             continue
         if option.kind == "photo":
@@ -348,8 +354,7 @@ def _check_all(photos: Sequence[ArrayLike], method: Method) -> None:
 
 
 def check_apart(photos: Sequence[ArrayLike]) -> None:
-    """Refuse a photo given twice: its noise would count as agreement, and no two codes take the
-    same photo.
+    """Refuse a photo given twice: its noise would count as agreement.
 
     Raises
     ------
@@ -380,7 +385,9 @@ def check_times(codes: Sequence[ShutterCode]) -> None:
 def _as_light(photo: ArrayLike) -> FloatArray:
     """Return the photo as floating point: large ones come in single precision, and stay so."""
     pixels = np.asarray(photo)
-    return pixels if pixels.dtype in (np.float32, np.float64) else pixels.astype(np.float64)
+    if pixels.dtype == np.float32:
+        return pixels
+    return pixels.astype(np.float64, copy=False)
 
 
 def check_photo(photo: ArrayLike, method: str) -> None:
@@ -410,12 +417,14 @@ def check_photos(photos: Sequence[ArrayLike], method: str) -> None:
         Beginning with ``photo:``, where there are several with ``photo 2:``, what is wrong with
         it.
     """
-    for i, photo in enumerate(photos, 1):
+    names = ["photo"]
+    if len(photos) > 1:
+        names = [f"photo {i}" for i in range(1, len(photos) + 1)]
+    for name, photo in zip(names, photos, strict=True):
         try:
             check_photo(photo, method)
         except ValueError as error:
-            which = f"photo {i}: " if len(photos) > 1 else "photo: "
-            raise ValueError(which + str(error).removeprefix("photo: ")) from None
+            raise ValueError(f"{name}: {str(error).removeprefix('photo: ')}") from None
 
 
 def check_texture(photo: ArrayLike) -> None:
@@ -427,7 +436,7 @@ def check_texture(photo: ArrayLike) -> None:
         If the photo's values span less than two steps of 8 bit.
     """
     pixels = np.asarray(photo)
-    darkest = float(pixels.min())
+    darkest = float(pixels.min())  # not the mean: a lone light on a dark ground has texture
     brightest = float(pixels.max())
     if brightest - darkest >= _LEAST_CONTRAST:
         return

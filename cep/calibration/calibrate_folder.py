@@ -8,15 +8,15 @@ import os
 import signal
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from contextlib import closing, nullcontext
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, delayed, parallel_config
+from joblib import Parallel, cpu_count, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from cep.calibration.calibrate import (
@@ -26,7 +26,8 @@ from cep.calibration.calibrate import (
     estimate_motion,
     read_options,
 )
-from cep.files.images import PHOTO_SUFFIXES, parse_gamma, read_image, read_photo
+from cep.calibration.folder_photos import photos_in, printable_name, sharp_of, unreadable
+from cep.files.images import parse_gamma, read_image, read_photo
 from cep.files.tables import csv_lines
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.registry import METHODS, blind_methods
@@ -98,20 +99,14 @@ class _Task:
         """Fingerprint of all that makes the estimate: files by their content."""
         from cep import __version__
 
-        options = {
-            name: _content(value) if isinstance(value, Path) else value
-            for name, value in self.options.items()
-        }
-        made_of = [
-            __version__,
-            _content(self.photo),
-            self.method,
-            _code_of(self.method),
-            options,
-            self.gamma,
-            self.seed,
-        ]
-        return hashlib.sha256(json.dumps(made_of).encode()).hexdigest()
+        options = dict(self.options)
+        for name, value in options.items():
+            if isinstance(value, Path):
+                options[name] = _content(value)
+        code = _code_of(self.method)
+        photo = _content(self.photo)
+        parts = [__version__, photo, self.method, code, options, self.gamma, self.seed]
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -175,38 +170,42 @@ def calibrate_folder(
     ValueError
         If there are no photos, a file is in the way, or an option is not valid.
     """
+    # left-out options are no part of a photo's fingerprint
     set_options = {name: value for name, value in (options or {}).items() if value is not None}
-    reason = METHODS[method].one_photo_as if method in METHODS else ""
-    if reason:
+    if method in METHODS and (reason := METHODS[method].one_photo_as):
         raise ValueError(f"method {method}: {reason}; give the photos of a folder one by one")
     check_method(method, set_options)
     parse_gamma(gamma)
     sharp: Path | None = set_options.get("sharp")
     photos = photos_in(folder, but=sharp)
-    sharps = {} if sharp is None else sharp_of(photos, sharp)
-    if sharp is not None and not sharp.is_dir():
-        # what is wrong with it is wrong with every photo
-        read_image(sharp, gamma=gamma, variable="x")
-    # "." has no name of its own
-    folder_named = folder if folder.name not in ("", "..") else folder.resolve()
-    target = output or folder_named.with_name(f"{folder_named.name}_motion")
-    claim_folder(target, [_SUMMARY], force=force)
+    sharps: dict[Path, Path] = {}
+    if sharp is not None:
+        sharps = sharp_of(photos, sharp)
+        if not sharp.is_dir():
+            # what is wrong with it is wrong with every photo
+            read_image(sharp, gamma=gamma, variable="x")
+    if output is None:
+        if folder.name in ("", ".."):  # "." has no name of its own
+            folder = folder.resolve()
+        output = folder.with_name(f"{folder.name}_motion")
+    claim_folder(output, [_SUMMARY], force=force)
     for photo in photos:
-        claim_folder(target / photo.stem, CALIBRATION_FILES, force=force)
-    by_label = {_label(photo): photo for photo in photos}
+        claim_folder(output / photo.stem, CALIBRATION_FILES, force=force)
+    by_label = {printable_name(photo): photo for photo in photos}
     failures = {
         label: reason for label, photo in by_label.items() if (reason := unreadable(photo))
     }
     tasks = {}
     for label, photo in by_label.items():
         if label not in failures:
-            photo_options = set_options | {"sharp": sharps[photo]} if sharps else set_options
-            tasks[label] = _Task(photo, method, photo_options, gamma, seed)
-    run = _Run(target, tasks, failures, force=force, progress=progress)
-    run.run(workers or _cores())
+            if sharps:
+                set_options = set_options | {"sharp": sharps[photo]}
+            tasks[label] = _Task(photo, method, set_options, gamma, seed)
+    run = _Run(output, tasks, failures, force=force, progress=progress)
+    run.run(workers or cpu_count())
     if force:
         for label in run.failures:
-            _discard(target / by_label[label].stem)
+            _discard(output / by_label[label].stem)
     return run.results(list(by_label))
 
 
@@ -233,20 +232,20 @@ class _Run:
     def run(self, workers: int) -> None:
         """Take over what is finished, estimate and write the rest; Ctrl-C ends it early."""
         count = len(self._tasks)
-        self._finished = self._found_finished()
+        self._finished = self._read_finished()
         waiting = {
             label: task for label, task in self._tasks.items() if label not in self._finished
         }
         self._progress(0.0, f"0 of {count} photos")
         if self._finished:
             self._progress(len(self._finished) / count, f"{len(self._finished)} of {count} photos")
-        began_s = time.monotonic()
+        started = time.monotonic()
         in_hand: tuple[str, _Estimated] | None = None
         try:
             with closing(_estimates(waiting, workers)) as estimates:
                 for number, in_hand in enumerate(estimates, 1):
                     self._write(*in_hand)
-                    left_s = (time.monotonic() - began_s) / number * (len(waiting) - number)
+                    left_s = (time.monotonic() - started) / number * (len(waiting) - number)
                     finished = count - len(waiting) + number
                     note = f"{finished} of {count} photos, about {_in_words(left_s)} left"
                     self._progress(finished / count, note)
@@ -256,7 +255,7 @@ class _Run:
                 self._write(*in_hand)
             return
 
-    def _found_finished(self) -> dict[str, Mapping[str, Any]]:
+    def _read_finished(self) -> dict[str, Mapping[str, Any]]:
         """Read the results of photos that an earlier run finished in the same way."""
         try:
             lines = (self._folder / _FINISHED).read_text(encoding="utf-8").splitlines()
@@ -309,6 +308,7 @@ class _Run:
             "files": {name: _content(path) for name, path in files.items()},
             "result": plain(result),
         }
+        # after the photo's files: a record stands for files that are whole
         with (self._folder / _FINISHED).open("a", encoding="utf-8") as table:
             table.write(json.dumps(record) + "\n")
         self._finished[label] = result
@@ -316,12 +316,9 @@ class _Run:
     def results(self, labels: Sequence[str]) -> FolderResults:
         """Write the table of all photos, and return what was found."""
         finished = {label: self._finished[label] for label in labels if label in self._finished}
+        outcomes = dict.fromkeys(labels, NOT_REACHED) | dict.fromkeys(finished, "") | self.failures
         rows = [
-            {
-                "photo": label,
-                **finished.get(label, {}),
-                "failure": self.failures.get(label, "" if label in finished else NOT_REACHED),
-            }
+            {"photo": label, **finished.get(label, {}), "failure": outcomes[label]}
             for label in labels
         ]
         summary = self._folder / _SUMMARY
@@ -339,7 +336,7 @@ def _estimates(
     tasks: Mapping[str, _Task], workers: int
 ) -> Generator[tuple[str, _Estimated], None, None]:
     """Yield the estimates as they are made, in this process or in others of one thread each."""
-    if workers == 1 or len(tasks) < 2:
+    if workers == 1 or len(tasks) < 2:  # processes would cost the seconds of loading torch
         for label, task in tasks.items():
             yield label, _estimated(task)
         return
@@ -371,6 +368,7 @@ def _in_processes(
         # loky restarts processes whose memory has grown, as PyTorch's does, and warns of it;
         # joblib warns of the photos that Ctrl-C leaves out
         warnings.simplefilter("ignore", UserWarning)
+        # one photo a batch: each is written as soon as its motion is found
         run = Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=2 * workers)
         stream = run(delayed(_in_folder)(Path.cwd(), label, task) for label, task in tasks.items())
         try:
@@ -392,17 +390,21 @@ def _in_folder(folder: Path, label: str, task: _Task) -> tuple[str, _Estimated]:
 
 def _estimated(task: _Task) -> _Estimated:
     """Estimate the motion in a photo; an exception becomes the reason of a failure."""
+    # as many as there are workers run at once, and sums must not depend on how many do
+    threads: AbstractContextManager[None] = nullcontext()
+    if task.method in blind_methods():
+        threads = one_thread()
     try:
         photo = read_photo(task.photo, gamma=task.gamma)
         values = read_options(task.method, task.options, gamma=task.gamma)
-        began_s = time.perf_counter()
-        # as many as there are workers run at once, and sums must not depend on how many do
-        with one_thread() if task.method in blind_methods() else nullcontext():
+        started = time.perf_counter()
+        with threads:
             estimate = estimate_motion(photo.pixels, method=task.method, seed=task.seed, **values)
-        seconds = time.perf_counter() - began_s
+        seconds = time.perf_counter() - started
     except Exception as error:  # whatever a photo or a user-defined estimator raises
-        is_plain = isinstance(error, ValueError | RuntimeError) and bool(str(error))
-        text = str(error) if is_plain else f"{type(error).__name__}: {error}".removesuffix(": ")
+        text = str(error)
+        if not text or not isinstance(error, ValueError | RuntimeError):
+            text = f"{type(error).__name__}: {error}".removesuffix(": ")
         return _Estimated(None, failure=" ".join(text.removeprefix(f"{task.photo}: ").split()))
     notes = [line.removeprefix(f"{task.photo}: ") for line in photo.warnings]
     return _Estimated(estimate, (*notes, *estimate.warnings), seconds)
@@ -418,14 +420,9 @@ def _code_of(method: str) -> str:
     if not is_reference(method):
         return ""
     spec = find_spec(method.partition(":")[0])
-    return _content(Path(spec.origin)) if spec is not None and spec.origin is not None else ""
-
-
-def _cores() -> int:
-    """Count the cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    if spec is None or spec.origin is None:
+        return ""
+    return _content(Path(spec.origin))
 
 
 def _in_words(left_s: float) -> str:
@@ -445,96 +442,7 @@ def _discard(folder: Path) -> None:
     """Remove the files of a calibration, and the folder where nothing else is in it."""
     if not folder.is_dir():
         return
-    for name in CALIBRATION_FILES:
+    for name in CALIBRATION_FILES:  # what else lies there is the user's
         (folder / name).unlink(missing_ok=True)
     if not any(folder.iterdir()):
         folder.rmdir()
-
-
-def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...]:
-    """List the photos of a folder, sorted; no hidden files, no subfolders, and no pictures of
-    PSFs.
-
-    A ``NAME_psf.png`` beside ``NAME_psf.npy`` is what ``cep simulate`` writes beside a photo.
-
-    Parameters
-    ----------
-    folder : Path
-    but : Path, optional
-        A photo that is left out.
-
-    Raises
-    ------
-    ValueError
-        If there are none, or two would have the same name without its suffix.
-    """
-    root = Path(folder)
-    photos = [
-        path
-        for path in sorted(root.iterdir())
-        if path.suffix.lower() in PHOTO_SUFFIXES
-        and not path.name.startswith(".")
-        and not (path.name.endswith("_psf.png") and path.with_suffix(".npy").is_file())
-        # a link that leads nowhere is reported as a failure, not passed over
-        and (path.is_file() or not path.exists())
-        and not (but is not None and path.exists() and path.samefile(but))
-    ]
-    if not photos:
-        raise ValueError(
-            f"{root}: holds no photos (.png, .tif, .jpg, .webp or RAW files; subfolders are left"
-            " alone)"
-        )
-    by_stem: dict[str, Path] = {}
-    for path in photos:
-        # some file systems do not tell A from a
-        namesake = by_stem.setdefault(path.stem.casefold(), path)
-        if namesake is not path:
-            raise ValueError(
-                f"{root}: {namesake.name} and {path.name} would be written to one folder"
-                f" {path.stem}; rename one of them"
-            )
-    return tuple(photos)
-
-
-def unreadable(photo: Path) -> str:
-    """Say why a photo cannot even be opened, or its name not be written; empty where both can."""
-    try:
-        photo.name.encode("utf-8")  # Python keeps other bytes as lone surrogates
-    except UnicodeEncodeError:
-        return "the name is no UTF-8, rename it"
-    try:
-        photo.open("rb").close()
-    except OSError as error:
-        return error.strerror or str(error)
-    return ""
-
-
-def sharp_of(photos: Iterable[Path], sharp: Path | str) -> dict[Path, Path]:
-    """Find the sharp photo of each blurred one: the same for all, or of the same name in a folder.
-
-    Parameters
-    ----------
-    photos : iterable of Path
-    sharp : Path
-        A photo, or a folder with a photo for each.
-
-    Raises
-    ------
-    ValueError
-        If the folder lacks one; the line names it.
-    """
-    root = Path(sharp)
-    if not root.is_dir():
-        return dict.fromkeys(photos, root)
-    by_stem = {path.stem: path for path in photos_in(root)}
-    pairs = {}
-    for photo in photos:
-        if photo.stem not in by_stem:
-            raise ValueError(f"{root}: holds no sharp photo named {photo.stem}, for {photo}")
-        pairs[photo] = by_stem[photo.stem]
-    return pairs
-
-
-def _label(photo: Path) -> str:
-    """Return the photo's name as it can be printed, whatever bytes it has."""
-    return photo.name.encode("utf-8", "backslashreplace").decode()

@@ -1,6 +1,4 @@
-"""Codes with which to photograph one motion several times, so that its order in time can be
-told.
-"""
+"""Codes for several photos of one motion, which show its order in time."""
 
 from __future__ import annotations
 
@@ -27,13 +25,12 @@ from motdiff.files.outputs import new_folder, write_text
 SET_FILE = "set.json"
 SET_SCHEMA = "cep.calibration-set/1"
 
-_LENGTH_PX = 60.0
+_LENGTH_PX = 60.0  # walks that long have 8 orders in the median: enough for a set to fail on
 _DESIGN_WALKS = 64
-_TEST_WALKS = 64
-_LEAST_CHIPS = 4  # the walks' slices take 0.6 MB a chip
-_MOST_CHIPS = 512
+_TEST_WALKS = 64  # others than those of the design, which its codes fit too well
+_LEAST_CHIPS = 4
+_MOST_CHIPS = 512  # the walks' slices take 0.6 MB a chip
 _MOST_PHOTOS = 8
-
 
 _RIGHT = {1: (3, 39), 2: (22, 51), 3: (8, 12), 4: (36, 39)}
 """By number of photos: simulated walks of 60 px whose path was found within 1 px, in order, and
@@ -115,9 +112,7 @@ class CalibrationSet:
         )
 
     def command(self, folder: Path | str) -> str:
-        """Return the command that finds the motion from the photos P1, P2, ..., with the set in
-        ``folder``.
-        """
+        """Return the command that finds the motion from photos P1, P2, ... and the set."""
         photos = " ".join(f"P{i}" for i in range(1, len(self.codes) + 1))
         codes = " ".join(
             f"--code {name if name == 'open' else quote(str(Path(folder) / name))}"
@@ -142,15 +137,14 @@ class CalibrationSet:
             "command": self.command(folder),
             "chips": self.codes[0].chips,
             "chip_ns": self.codes[0].chip_ns,
-            "device": None if self.device is None else self.device.name,
+            "device": self.device and self.device.name,
             "separation": self.separation,
         }
 
     def save(
         self, folder: Path | str, *, file_format: str = "csv", force: bool = False
     ) -> list[Path]:
-        """Write ``set.json``, and each code as a ``code.json`` and as a timed program; all files
-        or none.
+        """Write ``set.json``, and each code as ``code.json`` and as a timed program, or nothing.
 
         Parameters
         ----------
@@ -169,14 +163,10 @@ class CalibrationSet:
             write_text(
                 staged / SET_FILE, json_text({"schema": SET_SCHEMA, **self.to_dict(folder)})
             )
+            device = self.device and self.device.to_dict()
             all_bits = [code.bits for code in self.codes]
             for i, code in enumerate(self.codes, 1):
-                device = None if self.device is None else self.device.to_dict()
-                about = {
-                    "calibration_set": all_bits,
-                    "photo": i,
-                    "device": device,
-                }
+                about = {"calibration_set": all_bits, "photo": i, "device": device}
                 write_code(staged / f"code_{i}.json", StoredCode(code, problem=about))
                 program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
                 write_text(
@@ -205,8 +195,7 @@ def calibration_set(
     rng: np.random.Generator,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> CalibrationSet:
-    """Design the codes of photos of one motion, for
-    :class:`motdiff.estimators.coded.estimator.CodedEstimator`.
+    """Design the codes of photos of one motion, for the "coded" method of calibration.
 
     Parameters
     ----------
@@ -229,19 +218,20 @@ def calibration_set(
 
     Examples
     --------
-    >>> found = calibration_set(2, chips=8, device="flc", rng=np.random.default_rng(0))
-    >>> len(found.codes), found.codes[0].chips
+    >>> codes = calibration_set(2, chips=8, device="flc", rng=np.random.default_rng(0)).codes
+    >>> len(codes), codes[0].chips
     (2, 8)
     """
     if not 1 <= photos <= _MOST_PHOTOS:
         raise ValueError(f"photos: must be 1 to {_MOST_PHOTOS}, got {photos}")
     if not _LEAST_CHIPS <= chips <= _MOST_CHIPS:
         raise ValueError(f"chips: must be {_LEAST_CHIPS} to {_MOST_CHIPS}, got {chips}")
-    profile = load_profile(device) if isinstance(device, str) else device
+    if isinstance(device, str):
+        device = load_profile(device)
     limits = Limits(chips, (1, chips))
-    if profile is not None:
+    if device is not None:
         playable = within_device(
-            profile, chips=chips, chip_ns=chip_ns, open_range=(1, chips), runs=RunLimits()
+            device, chips=chips, chip_ns=chip_ns, open_range=(1, chips), runs=RunLimits()
         )
         limits = Limits(chips, playable.open_range, playable.runs)
     check_feasible(limits)
@@ -268,7 +258,8 @@ def calibration_set(
             resolved=int((test.of_each_motion(separations) > BLIND_ERROR).sum()),
             median=float(np.median(separations)),
             worst_tenth=float(np.quantile(separations, 0.1)),
+            # a tenth of the walks is worse: the least of 64 would be an accident
             conditioning=float(np.quantile(test.conditioning(np.stack(codes)), 0.1)),
         ),
-        profile,
+        device,
     )

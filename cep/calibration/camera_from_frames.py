@@ -1,6 +1,4 @@
-"""A camera's figures from frames that it took: gain, read noise and full well by the
-photon-transfer method.
-"""
+"""A camera's gain, read noise and full well, from pairs of frames, by photon transfer."""
 
 from __future__ import annotations
 
@@ -46,10 +44,8 @@ class CameraEstimate:
     def save(
         self, path: Path, figure: Path | None = None, *, force: bool = False
     ) -> tuple[Path, Path]:
-        """Write the camera's file and the curve as a figure, beside it as .png when omitted;
-        returns both paths.
-        """
-        figure = path.with_suffix(".png") if figure is None else figure
+        """Write the camera's file and the curve's figure, ``path`` as .png when omitted."""
+        figure = figure or path.with_suffix(".png")
         check_figure_name(figure)
         with claim([path, figure], force=force).written() as staged:
             self.camera.to_file(staged[path])
@@ -119,7 +115,8 @@ def estimate_camera(
     if len(dark) not in (0, 2):
         raise ValueError(f"dark: must be two frames, got {len(dark)}")
     levels = len(flats) // 2
-    files = [*zip(flats[::2], flats[1::2], strict=True), *([(dark[0], dark[1])] if dark else [])]
+    names = [*flats, *dark]
+    files = list(zip(names[::2], names[1::2], strict=True))
     response: Literal["linear", "srgb"] = "srgb" if gamma == "srgb" else "linear"
     pairs = []
     kinds = set()
@@ -138,14 +135,15 @@ def estimate_camera(
     file_bits, raw = kinds.pop()
     if raw is not None:
         codes = CodeRange(bits or raw[1].bit_length(), top_dn=float(raw[1]))
-        black_dn = raw[0] if black_dn is None else black_dn
+        if black_dn is None:
+            black_dn = raw[0]
     else:
         codes = find_code_range(pairs, file_bits=file_bits, bits=bits)
     try:
         transfer = photon_transfer(
             pairs[:levels],
             codes=codes,
-            dark=pairs[-1] if dark else None,
+            dark=next(iter(pairs[levels:]), None),
             black_dn=black_dn,
             response=response,
         )
@@ -164,6 +162,7 @@ def _pair(first: Path, second: Path, frames: tuple[_Frame, _Frame], response: st
     table = None
     if response == "srgb":
         full = 2 ** frames[0].file_bits - 1
+        # as 16-bit numbers index it, whatever the file's depth
         table = to_linear(np.arange(65536) / full) * full
     try:
         return FramePair.of(frames[0].codes, frames[1].codes, codes=table)
@@ -177,7 +176,7 @@ def _read_frame(path: Path) -> _Frame:
     if suffix in _LOSSY:
         raise ValueError(f"{path}: its noise was compressed away; give PNG, TIFF or RAW files")
     if suffix in RAW_SUFFIXES:
-        mosaic = read_mosaic(path)
+        mosaic = read_mosaic(path)  # one filter, one position: no pixel is interpolated
         return _Frame(mosaic.green, 16, (mosaic.black_dn, mosaic.white_dn))
     codes, warnings = read_codes(path, min_side_px=_FRAME_SIDE_PX)
     if codes.ndim == 3:
@@ -186,7 +185,7 @@ def _read_frame(path: Path) -> _Frame:
                 f"{path}: is a colour picture, whose pixels are interpolated; give grey or RAW"
                 " files"
             )
-        codes = codes[:, :, 0]
+        codes = codes[:, :, 0]  # grey that was saved with three equal channels
     return _Frame(codes.astype(np.uint16), 8 * codes.dtype.itemsize, warnings=warnings)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,11 @@ Code = NDArray[np.int8]
 
 _DRAWN = 16  # codes drawn for each limit on the openings, and the largest of these limits
 _MOST_PULSES = 8
-_SWEEPS = 6
+_SWEEPS = 6  # at most; it ends when a sweep gains nothing
 _UNSEEN_PARTS = 8  # the motion may be unseen for one of so many parts of the exposure
-_GRAY_PLANES = (1, 2, 3, 4)
+_GRAY_PLANES = (1, 2, 3, 4)  # 2 to 16 bins of time
+# de Bruijn sequences of order 3, 4 and 5: each window of so many chips occurs once, so a piece of
+# the code shows when it was played
 _DE_BRUIJN = ("00010111", "0000100110101111", "00000100011001010011101011011111")
 
 
@@ -34,12 +37,12 @@ def search_order_codes(
     rng: np.random.Generator,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Code, ...]:
-    """Search codes whose photos confuse orders of the fewest motions: the best of many codes, then
-    edge by edge.
+    """Search codes whose photos confuse orders of the fewest motions.
 
-    Two photos or more begin with the open shutter where the limits allow it: it fixes the path, of
-    which only the order is left to tell. At no time are all shutters closed for more than an
-    eighth of the exposure, if it can be avoided.
+    The best of many codes are taken, and then changed edge by edge. Two photos or more begin with
+    the open shutter where the limits allow it: it fixes the path, of which only the order is left
+    to tell. At no time are all shutters closed for more than an eighth of the exposure, if it can
+    be avoided.
 
     Parameters
     ----------
@@ -62,7 +65,9 @@ def search_order_codes(
         If every code within the limits is its own mirror image.
     """
     open_shutter = np.ones(limits.chips, dtype=np.int8)
-    open_codes = [open_shutter] if photos > 1 and limits.satisfied(open_shutter[None])[0] else []
+    open_codes: list[Code] = []
+    if photos > 1 and limits.satisfied(open_shutter[None])[0]:
+        open_codes = [open_shutter]
     search = _Search(limits, measure)
     candidates = _published_codes(limits)
     # one code beside the open shutter, if searched, fits the few walks of the design
@@ -76,7 +81,7 @@ def search_order_codes(
     while len(open_codes) + len(chosen) < photos:
         companions = [*open_codes, *chosen]
         chosen.append(search.best(candidates, companions))
-    for sweep in range(_SWEEPS if searched else 0):
+    for sweep in range(searched * _SWEEPS):
         before = search.score([*open_codes, *chosen])
         for i in range(len(chosen)):
             companions = [*open_codes, *chosen[:i], *chosen[i + 1 :]]
@@ -108,9 +113,7 @@ class _Search:
         return self._separations[key]
 
     def score(self, codes: Sequence[Code]) -> tuple[int, float]:
-        """Score of a set, higher is better: no direction lost, nothing unseen for too long, few
-        walks confused.
-        """
+        """Score of a set, higher is better: first what it loses for all walks, then for some."""
         chips = self._limits.chips
         excess = max(0, longest_unseen(np.stack(codes)) - max(1, chips // _UNSEEN_PARTS))
         if all(map(_is_own_mirror, codes)):
@@ -128,23 +131,16 @@ class _Search:
         return max(codes, key=lambda code: self.score([*companions, code]))
 
     def neighbours(self, code: Code) -> list[Code]:
-        """Codes within the limits that have one edge moved by up to two chips, or all of them by
-        up to three.
-        """
+        """Codes within the limits with one edge moved by up to 2 chips, or all by up to 3."""
         neighbours = [np.roll(code, by) for by in (-3, -1, 1, 3)]
         for edge in np.flatnonzero(np.diff(code)) + 1:
             for by in (-2, -1, 1, 2):
                 first, end = sorted((edge, min(max(edge + by, 0), len(code))))
                 neighbour = code.copy()
-                neighbour[first:end] = code[edge] if by < 0 else code[edge - 1]
+                # the run after the edge grows where it moves back, else the one before it
+                neighbour[first:end] = code[edge - (by > 0)]
                 neighbours.append(neighbour)
-        return [
-            neighbour
-            for neighbour, is_allowed in zip(
-                neighbours, self._limits.satisfied(np.stack(neighbours)), strict=True
-            )
-            if is_allowed
-        ]
+        return list(compress(neighbours, self._limits.satisfied(np.stack(neighbours))))
 
 
 def gray_planes(planes: int, chips: int) -> Code:

@@ -1,6 +1,4 @@
-"""Separation of orders: how much the PSFs of coded photos change where a motion has another order
-in time.
-"""
+"""Separation of orders: how much another order in time changes the PSFs of coded photos."""
 
 from __future__ import annotations
 
@@ -17,8 +15,7 @@ ComplexArray = NDArray[np.complex64]
 IntArray = NDArray[np.intp]
 
 BAND_CY_PX = 0.1
-"""Frequencies up to this one are compared, cycles/px: a blind search finds kernels to about 1
-px."""
+"""Highest frequency compared, cycles/px: a blind search finds kernels to about 1 px."""
 
 BLIND_ERROR = 0.02
 """Squared error of a blind search's kernel over the kernel's, in the band:
@@ -27,7 +24,7 @@ docs/decisions/motion-estimation.md."""
 # frequencies up to the band's end, 1 / 120 cycles/px apart: orders of a path may lie 120 px apart
 _STEPS = 12
 _SHIFTS = 32  # of one PSF against another along each axis, before the best of them is refined
-_NEWTON_STEPS = 2
+_NEWTON_STEPS = 2  # the grid of shifts lies within the peak: two steps reach its top
 _KNOTS = 53
 _MOST_ALTERED = 6
 _ALIKE_PX = 2.0  # orders nearer than this to the true one, rms, do no harm
@@ -58,6 +55,7 @@ class OrderSeparation:
         # PSFs are real: half of the frequencies hold all
         half_disc = (np.hypot(down, right) <= _STEPS) & ((right > 0) | (down >= 0))
         self._at = np.stack([down[half_disc], right[half_disc]], axis=1)
+        # f and -f are one in half a disc, and f = 0 is its own mirror
         self._weights = np.where(self._at.any(axis=1), 2.0, 1.0).astype(np.float32)
         fy, fx = (self._at * (BAND_CY_PX / _STEPS)).T
         edges = np.linspace(0, 1, chips + 1)
@@ -105,9 +103,7 @@ class OrderSeparation:
         return smallest
 
     def conditioning(self, codes: ArrayLike) -> FloatArray:
-        """Smallest rms MTF of codes (I, n) within the band along each motion (M,), each code's 1
-        at zero frequency.
-        """
+        """Smallest rms MTF of codes (I, n) within the band along each motion (M,); 1 at DC."""
         chips = np.asarray(codes, dtype=np.float32)
         shares = chips / chips.mean(axis=1, keepdims=True)
         power = sum(

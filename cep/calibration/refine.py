@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 USUAL_UNCERTAINTY_PX = 1.0
 """Error of a calibration, rms over time, where none is stated."""
-_FITTED = 0.9  # of the time
+_FITTED = 0.9  # share of the time
 _SURE = 0.8  # of the test on the photo, which errs below it: docs/decisions/motion-estimation.md
-_SAME_PX = 1.0
+_SAME_PX = 1.0  # paths that are nearer, rms over time, are one
 
 
 @dataclass(frozen=True)
@@ -125,11 +125,14 @@ def refine_motion(
     check_photos(photos, "coded")
     check_apart(photos)
     progress(0.01, "loading torch")
+    # explicitly, so that its seconds are under that note
     import_module("torch")
     from motdiff.estimators.coded.candidates import UNEXPLAINED
     from motdiff.estimators.coded.refine import NOISE_GAIN, PathRefiner
 
-    paths = [trajectory] if trajectory.direction == "known" else orders_in_time(trajectory)
+    paths = [trajectory]
+    if trajectory.direction == "unknown":
+        paths = orders_in_time(trajectory)
     refiner = PathRefiner(
         [code.bits for code in codes],
         deviation_px=uncertainty_px,
@@ -139,22 +142,27 @@ def refine_motion(
     refined = refiner.refine(paths, photos)
     progress(_FITTED, "comparing the paths")
     best = refined[0]
-    confidence = None
+    chosen = trajectory
+    confidence = given_misfit = misfit = None
     is_unexplained = bool(best.misfit > UNEXPLAINED)  # NaN where only kernels are compared
     if best.values:
-        is_better = (
-            not is_unexplained and (best.given_misfit - best.misfit) * best.values > NOISE_GAIN
-        )
+        chosen = best.given
+        given_misfit = misfit = best.given_misfit
+        gain = (best.given_misfit - best.misfit) * best.values
+        is_better = not is_unexplained and gain > NOISE_GAIN
     else:
         likeliest = _likeliest_order(photos, codes, trajectory)
         best, confidence = _best_by_test(photos, codes, likeliest, refined)
         is_better = confidence > _SURE
+    outcome: Literal["refined", "given"] = "given"
+    moved_px = 0.0
     if is_better:
+        outcome = "refined"
         chosen = best.trajectory
-    elif best.values:
-        chosen = best.given
-    else:
-        chosen = trajectory
+        moved_px = timed_distance_px(best.trajectory, best.given)
+        uncertainty_px = min(best.deviation_px, uncertainty_px)
+        if best.values:
+            misfit = best.misfit
     warnings = []
     if is_unexplained:
         chosen = trajectory
@@ -168,12 +176,12 @@ def refine_motion(
     progress(1.0, "comparing the paths")
     return Refinement(
         trajectory=chosen,
-        kept="refined" if is_better else "given",
+        kept=outcome,
         confidence=confidence,
-        uncertainty_px=min(best.deviation_px, uncertainty_px) if is_better else uncertainty_px,
-        moved_px=timed_distance_px(best.trajectory, best.given) if is_better else 0.0,
-        given_misfit=best.given_misfit if best.values else None,
-        misfit=(best.misfit if is_better else best.given_misfit) if best.values else None,
+        uncertainty_px=uncertainty_px,
+        moved_px=moved_px,
+        given_misfit=given_misfit,
+        misfit=misfit,
         warnings=tuple(warnings),
         seconds=time.perf_counter() - started,
     )
@@ -185,6 +193,7 @@ def _likeliest_order(
     """Return the order in time in the first photo whose code tells both directions apart."""
     if trajectory.direction == "known":
         return trajectory
+    # a code that is its own mirror image gives both directions one PSF
     i = next(i for i, code in enumerate(codes) if code.bits != code.bits[::-1])
     likeliest = detect_direction(photos[i], trajectory, codes[i]).trajectory
     assert likeliest is not None
@@ -197,9 +206,7 @@ def _best_by_test(
     baseline: Trajectory,
     refined: Sequence[RefinedPath],
 ) -> tuple[RefinedPath, float]:
-    """Return the refined path that the photos prefer, and the probability that it is better than
-    the baseline.
-    """
+    """Return the refined path that the photos prefer, and the probability that it is better."""
 
     def log_odds(path: Trajectory, baseline: Trajectory) -> float:
         total = 0.0
@@ -208,6 +215,7 @@ def _best_by_test(
                 coded_psf(motion, code, motion.frame_size(PSF_PX)) for motion in (path, baseline)
             ]
             test = compare_psfs(photo, *psfs)
+            # the test names the likelier PSF; undecidable, it says nothing either way
             sign = {"forward": 1.0, "reverse": -1.0}.get(test.direction, 0.0)
             total += sign * float(np.log(test.confidence / (1 - test.confidence)))
         return total
