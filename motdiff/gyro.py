@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from motdiff.path_psfs import interpolated
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
@@ -207,6 +208,6 @@ def _integrated(
     knots = np.concatenate([[0.0], inner, [exposure_s]])
     fine = np.arange((knots.size - 1) * _SUBSTEPS + 1) / _SUBSTEPS
     times = np.interp(fine, np.arange(knots.size), knots)
-    at = np.stack([np.interp(times, t, column) for column in rates.T], axis=1)
+    at = interpolated(times, t, rates)
     steps = 0.5 * (at[1:] + at[:-1]) * np.diff(times)[:, None]
     return times, np.concatenate([np.zeros((1, rates.shape[1])), np.cumsum(steps, axis=0)])

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from motdiff.path_psfs import interpolated
 from motdiff.psf_frame import moved
-from motdiff.trajectory import Trajectory
+from motdiff.trajectory import Trajectory, arc_lengths
 from motdiff.types import FloatArray
 
 SAME_KERNEL_MNC = 0.95
@@ -233,9 +234,9 @@ def _evenly_spaced(name: str, path: ArrayLike, step_px: float) -> FloatArray:
         raise ValueError(
             f"{name}: must be finite (N, 2) points with N >= 1, got shape {points.shape}"
         )
-    arc = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
+    arc = arc_lengths(points)
     where = np.linspace(0, arc[-1], max(2, int(np.ceil(arc[-1] / step_px)) + 1))
-    return np.stack([np.interp(where, arc, points[:, axis]) for axis in (0, 1)], axis=-1)
+    return interpolated(where, arc, points)
 
 
 def _warped_mean(distance: FloatArray) -> float:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from motdiff.gyro import GyroTrace, trajectory_from_gyro
+from motdiff.path_psfs import interpolated
 from motdiff.trajectory import Trajectory
 
 DEBLURGAN_EXPL = (0.01, 0.009, 0.008, 0.007, 0.005, 0.003)
@@ -237,9 +238,7 @@ def with_smooth_error(
     )
     t = np.union1d(trajectory.t, knots)
     # error_px is an rms length, so each axis has 1 / sqrt(2) of it
-    error = np.stack([np.interp(t, knots, axis) for axis in knot_errors.T], axis=1) * (
-        sign * error_px / 2**0.5
-    )
+    error = interpolated(t, knots, knot_errors) * (sign * error_px / 2**0.5)
     return Trajectory.from_samples(trajectory.at(t) + error, t=t, direction=trajectory.direction)
 
 

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from motdiff.path_psfs import interpolated, slice_of, slice_psfs
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX, PSF_PX
 from motdiff.types import ComplexArray, FloatArray
 
@@ -186,7 +187,7 @@ class Trajectory:
     @property
     def arc_px(self) -> FloatArray:
         """(T,) arc length from the start up to each sample, px."""
-        return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.xy, axis=0), axis=1))])
+        return arc_lengths(self.xy)
 
     @property
     def extent_px(self) -> float:
@@ -195,10 +196,7 @@ class Trajectory:
 
     def at(self, t: ArrayLike) -> FloatArray:
         """Displacement (..., 2) px at times ``t`` (...) as a fraction of the exposure."""
-        times = np.asarray(t, dtype=np.float64)
-        return np.stack(
-            [np.interp(times, self.t, self.x), np.interp(times, self.t, self.y)], axis=-1
-        )
+        return interpolated(np.asarray(t, dtype=np.float64), self.t, self.xy)
 
     def reversed(self) -> Trajectory:
         """Return the path backwards in time: the uncoded OTF stays, a coded one changes."""
@@ -239,8 +237,7 @@ class Trajectory:
     def arc_resampled(self, samples: int) -> FloatArray:
         """Points (samples, 2) px evenly spaced along the path, whatever the dwell."""
         arc = self.arc_px
-        s = np.linspace(0, arc[-1], samples)
-        return np.stack([np.interp(s, arc, self.x), np.interp(s, arc, self.y)], axis=-1)
+        return interpolated(np.linspace(0, arc[-1], samples), arc, self.xy)
 
     def segments(self, edges: Sequence[float] | FloatArray = (0.0, 1.0)) -> Segments:
         """Cut the path into straight pieces at its samples and at slice ``edges`` within 0..1."""
@@ -348,6 +345,11 @@ class Trajectory:
         return hr
 
 
+def arc_lengths(points: FloatArray) -> FloatArray:
+    """Length (N,), px, of a path of points (N, 2) up to each of them."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
 def bilinear_otf(fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> FloatArray:
     """OTF of bilinear splatting, ``sinc(fx)^2 sinc(fy)^2``, frequencies in cycles/px."""
     return pixel_aperture_otf(fx_cy_px, fy_cy_px) ** 2
@@ -377,60 +379,6 @@ def _checked_edges(edges: Sequence[float] | FloatArray) -> FloatArray:
     return cuts
 
 
-_GAUSS_NODE = 1.0 / np.sqrt(3.0)  # two-point Gauss-Legendre: exact for the quadratic weights below
-
-
-def slice_psfs(t: FloatArray, xy: FloatArray, edges: FloatArray, size: int) -> FloatArray:
-    """Integrate the path, seen through the bilinear hat of each pixel, over each time slice.
-
-    Inside one cell of the pixel grid and one straight piece the hat is a quadratic in time, so
-    cutting at every grid line makes two Gauss nodes exact.
-
-    Parameters
-    ----------
-    t : (T,) float, 0..1 increasing
-    xy : (T, 2) float, px; must fit the frame
-    edges : (slices + 1,) float, increasing within 0..1
-    size : int
-        Frame side, px; zero displacement at index ``size // 2``.
-
-    Returns
-    -------
-    (slices, size, size) float; each slice sums to its duration.
-    """
-    crossings = [_grid_crossings(t, xy[:, axis]) for axis in (0, 1)]
-    u = np.union1d(np.concatenate([t, *crossings]), edges)
-    u = u[(u >= edges[0]) & (u <= edges[-1])]
-    du = np.diff(u)
-    mid = 0.5 * (u[1:] + u[:-1])
-
-    def at(times: FloatArray) -> FloatArray:
-        return np.stack([np.interp(times, t, xy[:, axis]) for axis in (0, 1)], axis=-1)
-
-    slice_index = slice_of(mid, edges)
-    cell = np.floor(at(mid)).astype(np.intp)
-    psfs = np.zeros((len(edges) - 1) * size * size)
-    # within a pixel cell and a straight piece, the hat's two factors are linear in time
-    for node in (-_GAUSS_NODE, _GAUSS_NODE):
-        fraction = at(mid + 0.5 * du * node) - cell
-        for dx in (0, 1):
-            for dy in (0, 1):
-                weight = (
-                    0.5 * du * np.abs(1 - dx - fraction[:, 0]) * np.abs(1 - dy - fraction[:, 1])
-                )
-                column = cell[:, 0] + dx + size // 2
-                row = cell[:, 1] + dy + size // 2
-                psfs += np.bincount(
-                    (slice_index * size + row) * size + column, weight, minlength=psfs.size
-                )
-    return psfs.reshape(-1, size, size)
-
-
-def slice_of(t: FloatArray, edges: FloatArray) -> NDArray[np.intp]:
-    """Index of the time slice of each time (N,); the last edge belongs to the last slice."""
-    return np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(edges) - 2)
-
-
 def thin_path(index: NDArray[np.intp]) -> NDArray[np.intp]:
     """Thin a walk of touching pixels to an 8-connected line without corner steps.
 
@@ -451,21 +399,6 @@ def thin_path(index: NDArray[np.intp]) -> NDArray[np.intp]:
             line.append(pixel)
     line.append(walk[-1])
     return np.array(line)
-
-
-def _grid_crossings(t: FloatArray, values: FloatArray) -> FloatArray:
-    """Find times at which a coordinate is an integer: pixel centres bound bilinear cells."""
-    low = np.minimum(values[:-1], values[1:])
-    high = np.maximum(values[:-1], values[1:])
-    first = np.ceil(low)
-    count = np.maximum(np.floor(high) - first + 1, 0).astype(np.intp)
-    count[values[:-1] == values[1:]] = 0
-    segment = np.repeat(np.arange(count.size), count)
-    # running number of each crossing within its segment, from 0
-    nth = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    rise = values[segment + 1] - values[segment]
-    fraction = (first[segment] + nth - values[segment]) / rise
-    return np.asarray(t[segment] + fraction * (t[segment + 1] - t[segment]), dtype=np.float64)
 
 
 def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray[np.intp]:

@@ -61,7 +61,6 @@ def halved(state: Mapping[str, Tensor], *, source: Path | str) -> dict[str, Tens
 
     Parameters
     ----------
-    state : mapping of tensors
     source : path
         Name in error messages.
 
@@ -92,10 +91,7 @@ def write_with_card(
 
     Parameters
     ----------
-    state : mapping of tensors
     target : .safetensors file to write
-    schema : str
-    card : mapping
     source : path
         Name in error messages.
 

@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.optics.timeline import checked_edges, timeline
+from motdiff.path_psfs import slice_psfs
 from motdiff.psf_frame import PSF_PX
-from motdiff.trajectory import Trajectory, slice_psfs
+from motdiff.trajectory import Trajectory
 from motdiff.types import ComplexArray, FloatArray
 
 _CHUNK = 2**18  # complex numbers at once while summing pieces: stays in the cache

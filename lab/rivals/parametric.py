@@ -6,8 +6,8 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
+from lab.rivals.conditioning import conditioning_maps
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.conditioning import conditioning_maps
 from motdiff.psf_frame import PSF_PX
 from motdiff.tracing.quadratic import QuadraticPath
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
+from lab.rivals.conditioning import conditioning_maps
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.conditioning import conditioning_maps
 from motdiff.estimators.from_kernel import estimate_from_kernel
 
 

@@ -310,7 +310,6 @@ def distinct(
     ----------
     alike : (K, K) float
         MNC of every pair.
-    first, order : iterables of int
     count : int
         How many to choose; those of ``first`` at least.
 

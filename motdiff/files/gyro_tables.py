@@ -84,7 +84,6 @@ def read_gyro(
 
     Parameters
     ----------
-    path : path of the file
     time_unit : {"ns", "us", "ms", "s"}, optional
         Unit of the timestamps. When omitted, the header decides (``t_ns``, ``time[s]``), and
         without one the spacing does, where only one of ns, us and s gives a sample rate within 10

@@ -165,7 +165,6 @@ def fault(value: object, schema: Mapping[str, Any], *, where: str = "") -> str |
     ----------
     value : object
         As read from JSON.
-    schema : mapping
     where : str
         Name of the value, with which the line begins.
 

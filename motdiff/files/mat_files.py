@@ -27,7 +27,6 @@ def read_mat(path: Path | str, names: Sequence[str]) -> dict[str, NDArray[Any]]:
 
     Parameters
     ----------
-    path : path
     names : sequence of str
         Others in the file are passed over.
 

@@ -93,7 +93,6 @@ def stated_uncertainty_px(motion: StoredMotion, path: Path | str) -> float | Non
 
     Parameters
     ----------
-    motion : StoredMotion
     path : path
         Its file, for the error.
 

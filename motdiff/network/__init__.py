@@ -4,7 +4,7 @@ Two baselines use the same condition: a denoiser of PSFs, and one quadratic path
 """
 
 from motdiff.network.config import NetworkConfig
-from motdiff.network.model import MotDiffNetwork
+from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.network.parametric import PathNetwork
 
 __all__ = ["MotDiffNetwork", "NetworkConfig", "PathNetwork", "build_network"]

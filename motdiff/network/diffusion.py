@@ -119,7 +119,6 @@ def q_sample(schedule: Schedule, x0: Tensor, t: Tensor, eps: Tensor) -> Tensor:
 
     Parameters
     ----------
-    schedule : Schedule
     x0 : (B, ...) float tensor
         Clean signal, -1..1 (`to_signal`).
     t : (B,) int64 tensor
@@ -177,7 +176,6 @@ def samples(
         clean signal (B, ...).
     shape : sequence of int
         (B, ...), the batch to draw.
-    schedule : Schedule
     steps : int
         1..T network calls, at trailing timesteps (`Schedule.timesteps`).
     generator : torch.Generator

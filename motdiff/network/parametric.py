@@ -59,10 +59,6 @@ class PathNetwork(ConditionNetwork):
     config : NetworkConfig
         Sizes; kept as `config`. Its target is "path".
 
-    Attributes
-    ----------
-    head : PathHead
-
     References
     ----------
     Zhang, Wang, Maybank, Tao, "Exposure trajectory recovery from motion blur", TPAMI 2022

@@ -86,7 +86,6 @@ def quick_kernels(
         As for :func:`physics_maps`.
     sigma : float
         Standard deviation of the noise.
-    starts : tuple of QuickStart
     iterations : int
         Alternations of photo and kernel at each scale.
     fine_weights : tuple of float

@@ -7,8 +7,9 @@ from numpy.typing import ArrayLike
 from scipy import linalg, optimize
 
 from motdiff.metrics import register_shift
+from motdiff.path_psfs import interpolated, slice_psfs
 from motdiff.psf_frame import in_frame
-from motdiff.trajectory import Trajectory, slice_psfs
+from motdiff.trajectory import Trajectory, arc_lengths
 from motdiff.types import FloatArray
 
 _SPACING_PX = 0.5
@@ -106,21 +107,17 @@ def _nodes(path_px: ArrayLike, extend_px: float) -> FloatArray:
     if len(path) < 2 or steps.sum() < _SHORTEST_PX:
         half = np.array([0.5 * _SHORTEST_PX, 0.0])
         path = np.array([path[0] - half, path[0] + half])
-    arc = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
+    arc = arc_lengths(path)
     if extend_px > 0:
         # the direction at an end, from the last pixel or so
-        before = path[0] - _at(arc, path, min(1.0, arc[-1]))
-        after = path[-1] - _at(arc, path, max(arc[-1] - 1.0, 0.0))
+        before = path[0] - interpolated(min(1.0, arc[-1]), arc, path)
+        after = path[-1] - interpolated(max(arc[-1] - 1.0, 0.0), arc, path)
         first = path[0] + extend_px * before / np.linalg.norm(before)
         last = path[-1] + extend_px * after / np.linalg.norm(after)
         path = np.concatenate([first[None], path, last[None]])
-        arc = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
+        arc = arc_lengths(path)
     count = int(np.ceil(arc[-1] / _SPACING_PX)) + 1
-    return _at(arc, path, np.linspace(0, arc[-1], max(count, 2)))
-
-
-def _at(arc: FloatArray, path: FloatArray, s: float | FloatArray) -> FloatArray:
-    return np.stack([np.interp(s, arc, path[:, axis]) for axis in (0, 1)], axis=-1)
+    return interpolated(np.linspace(0, arc[-1], max(count, 2)), arc, path)
 
 
 def _trajectory(nodes: FloatArray, dwell: FloatArray) -> Trajectory:

@@ -64,10 +64,6 @@ def nearest_quadratic(truth: Trajectory) -> QuadraticPath:
 
     For coded exposure, where the timing of the motion matters. Its reverse is the nearest of the
     reverse.
-
-    Parameters
-    ----------
-    truth : Trajectory
     """
     steps = np.diff(truth.t)
     start = truth.t[:-1] - 0.5
@@ -93,7 +89,6 @@ def most_alike_quadratic(truth: Trajectory, *, size: int = PSF_PX) -> QuadraticP
 
     Parameters
     ----------
-    truth : Trajectory
     size : int, px
         Side of the PSFs that are compared; it must hold the motion.
     """

@@ -51,18 +51,11 @@ class DataConfig:
             raise ValueError(
                 "data.prepared_validation: prepared samples need both folders, or neither"
             )
-        if self.held_out < 2:
-            raise ValueError(f"data.held_out: must be at least 2, got {self.held_out}")
-        if self.validation < 1:
-            raise ValueError(f"data.validation: must be at least 1, got {self.validation}")
-        if self.motions < 1 and not self.prepared:
-            raise ValueError(
-                f"data.motions: must be at least 1 without prepared samples, got {self.motions}"
-            )
-        if not 0 <= self.physics_dropout < 1:
-            raise ValueError(
-                f"data.physics_dropout: must be at least 0 and below 1, got {self.physics_dropout}"
-            )
+        _check(self, "data", self.held_out >= 2, "held_out", "at least 2")
+        _check(self, "data", self.validation >= 1, "validation", "at least 1")
+        enough = self.motions >= 1 or bool(self.prepared)
+        _check(self, "data", enough, "motions", "at least 1 without prepared samples")
+        _check_share(self, "data", "physics_dropout")
 
 
 @dataclass(frozen=True)
@@ -90,13 +83,11 @@ class LossConfig:
     dwell: float = 0.2
 
     def __post_init__(self) -> None:
-        if self.kind not in ("structure", "denoising"):
-            raise ValueError(f'loss.kind: must be "structure" or "denoising", got {self.kind!r}')
-        if not 0 <= self.stpd < 1:
-            raise ValueError(f"loss.stpd: must be at least 0 and below 1, got {self.stpd}")
+        is_known = self.kind in ("structure", "denoising")
+        _check(self, "loss", is_known, "kind", '"structure" or "denoising"')
+        _check_share(self, "loss", "stpd")
         for name in ("path_weight", "iou", "dwell"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"loss.{name}: must be at least 0, got {getattr(self, name)}")
+            _check(self, "loss", getattr(self, name) >= 0, name, "at least 0")
 
 
 @dataclass(frozen=True)
@@ -147,32 +138,22 @@ class OptimiserConfig:
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch"):
-            if getattr(self, name) < 1:
-                raise ValueError(
-                    f"optimiser.{name}: must be at least 1, got {getattr(self, name)}"
-                )
+            _check(self, "optimiser", getattr(self, name) >= 1, name, "at least 1")
         for name in ("rate", "clip"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"optimiser.{name}: must be above 0, got {getattr(self, name)}")
+            _check(self, "optimiser", getattr(self, name) > 0, name, "above 0")
         for name in ("last_rate", "warm_up"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(
-                    f"optimiser.{name}: must be at least 0, got {getattr(self, name)}"
-                )
+            _check(self, "optimiser", getattr(self, name) >= 0, name, "at least 0")
+        # what torch and numpy both take
         if not 0 <= self.seed < 2**32:
             raise ValueError(f"optimiser.seed: must lie within 0..2^32 - 1, got {self.seed}")
-        if self.precision not in ("fp32", "bf16"):
-            raise ValueError(
-                f'optimiser.precision: must be "fp32" or "bf16", got {self.precision!r}'
-            )
-        if self.only not in ("", "photo"):
-            raise ValueError(f'optimiser.only: must be "photo", or "" for all, got {self.only!r}')
+        is_known = self.precision in ("fp32", "bf16")
+        _check(self, "optimiser", is_known, "precision", '"fp32" or "bf16"')
+        _check(self, "optimiser", self.only in ("", "photo"), "only", '"photo", or "" for all')
         if self.only and not self.start:
             raise ValueError("optimiser.only: needs weights to start from, optimiser.start")
         if not 8 <= self.window <= PSF_PX:
             raise ValueError(f"optimiser.window: must lie within 8..{PSF_PX}, got {self.window}")
-        if not 0 <= self.ema < 1:
-            raise ValueError(f"optimiser.ema: must be at least 0 and below 1, got {self.ema}")
+        _check_share(self, "optimiser", "ema")
 
 
 @dataclass(frozen=True)
@@ -210,6 +191,16 @@ _SECTIONS: dict[str, Any] = {
     "loss": LossConfig,
     "optimiser": OptimiserConfig,
 }
+
+
+def _check(config: object, section: str, holds: bool, name: str, rule: str) -> None:
+    if not holds:
+        raise ValueError(f"{section}.{name}: must be {rule}, got {getattr(config, name)!r}")
+
+
+def _check_share(config: object, section: str, name: str) -> None:
+    share = 0 <= getattr(config, name) < 1
+    _check(config, section, share, name, "at least 0 and below 1")
 
 
 def read_config(path: Path | str) -> TrainingConfig:

@@ -20,7 +20,7 @@ from motdiff.training.motion_bank import MotionBank
 from motdiff.training.samples import Samples, simulate
 from motdiff.training.simulation import Photography
 
-_SPECTRAL_BATCH = 64
+_SPECTRAL_BATCH = 64  # bounds the memory of the spectra
 _MOTIONS = 1  # one seed for both would give each motion the same scene every time
 _PHOTOS = 2
 
@@ -58,7 +58,7 @@ class Batch:
 
     def _each(self, change: Callable[[Tensor], Tensor]) -> Batch:
         photo, physics = (
-            None if maps is None else change(maps) for maps in (self.photo, self.physics)
+            maps if maps is None else change(maps) for maps in (self.photo, self.physics)
         )
         return Batch(photo, physics, change(self.x0), change(self.dwell))
 
@@ -76,13 +76,10 @@ class LiveSource:
 
     Parameters
     ----------
-    bank : MotionBank
     scenes : sequence of (3, H, W) uint8 tensors
         Sharp photos, on the bank's device.
-    photography : Photography
     photo, physics : bool
         Inputs of the network.
-    seed : int
     """
 
     def __init__(
@@ -117,8 +114,11 @@ class LiveSource:
             seed=seed,
         )
         grey = samples.photos.mean(dim=1, keepdim=True)
-        physics = physics_maps(grey, samples.kernels) if self._physics else None
-        photo = display_photo(grey) if self._photo else None
+        photo = physics = None
+        if self._physics:
+            physics = physics_maps(grey, samples.kernels)
+        if self._photo:
+            photo = display_photo(grey)
         return Batch(photo, physics, samples.x0, samples.dwell)
 
 
@@ -131,7 +131,6 @@ class PreparedSource:
         From :func:`motdiff.training.prepared.read_shards`.
     photo, physics : bool
         Inputs of the network.
-    seed : int
     symmetries : bool
         Whether to turn and mirror.
     """
@@ -199,7 +198,9 @@ def _light(stored: Tensor) -> Tensor:
 def _joined(batches: Sequence[Batch]) -> Batch:
     def joined(chunks: Iterable[Tensor | None]) -> Tensor | None:
         tensors = [maps for maps in chunks if maps is not None]
-        return torch.cat(tensors) if tensors else None
+        if not tensors:
+            return None
+        return torch.cat(tensors)
 
     return Batch(
         joined(batch.photo for batch in batches),

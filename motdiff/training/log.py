@@ -13,7 +13,7 @@ from motdiff.training.loop import Losses
 
 _MEASURES = ("loss", "path", "dwell", "gradient", "samples_per_s", "validation_mnc")
 _FIELDS = ("step", "samples", *_MEASURES)
-_EVERY_STEPS = 50
+_EVERY_STEPS = 50  # a row of each update would make files of megabytes
 
 
 class RunLog:
@@ -35,12 +35,14 @@ class RunLog:
         self._enabled = enabled
         self._start: tuple[int, float] | None = None  # step and seconds of this piece's first
         self._last_mnc = math.nan
-        self._live = sys.stderr.isatty()
+        self._live = sys.stderr.isatty()  # there the line of progress is written over
+        self._clear = "\r\x1b[K" * self._live
+        self._end = "\n" * (not self._live)
 
     def say(self, text: str) -> None:
         """Print a line."""
         if self._enabled:
-            print(f"{_cleared(self._live)}{text}", file=sys.stderr, flush=True)  # noqa: T201
+            print(f"{self._clear}{text}", file=sys.stderr, flush=True)  # noqa: T201
 
     def step(self, step: int, losses: Losses, *, batch: int, seconds: float) -> None:
         """Note an update; every 50 are one row of the file.
@@ -49,7 +51,6 @@ class RunLog:
         ----------
         step : int
             Updates done.
-        losses : Losses
         batch : int
             Samples per update.
         seconds : float
@@ -63,7 +64,9 @@ class RunLog:
             return
         steps = step - self._start[0]
         elapsed_s = seconds - self._start[1]
-        rate = steps * batch / elapsed_s if elapsed_s > 0 else math.nan
+        rate = math.nan  # at once after the first update
+        if elapsed_s > 0:
+            rate = steps * batch / elapsed_s
         values = [losses.smoothed, losses.path, losses.dwell, losses.gradient, rate, math.nan]
         self._row([step, step * batch, *values])
         remaining_min = (self._steps - step) * batch / rate / 60
@@ -71,12 +74,7 @@ class RunLog:
             f"step {step}/{self._steps}  loss {losses.smoothed:.4f}  MNC {self._last_mnc:.3f} "
             f" {rate:.1f} samples/s  {seconds / 60:.0f} min done, {remaining_min:.0f} left"
         )
-        print(  # noqa: T201
-            f"{_cleared(self._live)}{text}",
-            end="" if self._live else "\n",
-            file=sys.stderr,
-            flush=True,
-        )
+        print(f"{self._clear}{text}", end=self._end, file=sys.stderr, flush=True)  # noqa: T201
 
     def resume(self, step: int, *, between: bool) -> bool:
         """Delete the rows of later steps; returns whether there is a validation of ``step``.
@@ -130,7 +128,7 @@ class RunLog:
             writer = csv.writer(file)
             if new:
                 writer.writerow(_FIELDS)
-            writer.writerow("" if math.isnan(v) else _text(v) for v in values)
+            writer.writerow(map(_text, values))
 
     def _plot(self) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -154,7 +152,7 @@ def read_log(path: Path | str) -> list[dict[str, float]]:
     """Rows of a ``log.csv``; missing values are NaN."""
     with Path(path).open(newline="", encoding="utf-8") as file:
         return [
-            {name: float(row[name]) if row[name] else math.nan for name in _FIELDS}
+            {name: float(row[name] or math.nan) for name in _FIELDS}
             for row in csv.DictReader(file)
         ]
 
@@ -164,7 +162,7 @@ def last_validation(path: Path | str) -> float | None:
     if not Path(path).is_file():
         return None
     _, scores = _curve(read_log(path), "validation_mnc")
-    return scores[-1] if scores else None
+    return next(reversed(scores), None)
 
 
 def _curve(rows: list[dict[str, float]], name: str) -> tuple[list[float], list[float]]:
@@ -174,8 +172,6 @@ def _curve(rows: list[dict[str, float]], name: str) -> tuple[list[float], list[f
 
 
 def _text(value: float) -> str:
+    if math.isnan(value):
+        return ""
     return str(value) if isinstance(value, int) else f"{value:.6g}"
-
-
-def _cleared(live: bool) -> str:
-    return "\r\x1b[K" if live else ""

@@ -59,11 +59,6 @@ class Losses:
 class Trainer:
     """A run: weights, their average, Adam's moments and the step.
 
-    Parameters
-    ----------
-    config : TrainingConfig
-    device : str or torch.device
-
     Attributes
     ----------
     network : MotDiffNetwork or PathNetwork
@@ -136,7 +131,8 @@ class Trainer:
         self.network.train()
         for module in self._frozen:
             module.eval()  # its running means stay as well
-        with torch.random.fork_rng(devices=[self.device] if self.device.type == "cuda" else []):
+        forked = [self.device] * (self.device.type == "cuda")
+        with torch.random.fork_rng(devices=forked):
             torch.manual_seed(seed_of(optimiser.seed, self.step, self._rank, _DROPOUT))
             generator = torch.Generator(self.device)
             generator.manual_seed(seed_of(optimiser.seed, self.step, self._rank, _NOISE))
@@ -155,7 +151,10 @@ class Trainer:
             raise FloatingPointError(
                 f"the loss became {loss} at step {self.step}; lower optimiser.rate"
             )
-        self.loss = loss if math.isnan(self.loss) else _SMOOTH * self.loss + (1 - _SMOOTH) * loss
+        if math.isnan(self.loss):  # the first
+            self.loss = loss
+        else:
+            self.loss = _SMOOTH * self.loss + (1 - _SMOOTH) * loss
         self.seconds += time.monotonic() - start_s
         return Losses(
             loss, float(path.detach()), float(dwell.detach()), float(gradient), self.loss
@@ -209,13 +208,15 @@ class Trainer:
     def _losses(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         target = self.config.network.target
         blank = self.config.data.physics_dropout
-        if target == "path":
+        if target == "psf":
+            batch = psf_batch(batch)
+        elif target == "path":
             physics = _blanked(batch.physics, blank, generator)
             loss = path_loss(self._model(batch.photo, physics).float(), batch.dwell)
             return loss, torch.zeros_like(loss)
         return loss_of(
             self._model,
-            psf_batch(batch) if target == "psf" else batch,
+            batch,
             self.config.loss,
             schedule=self.schedule,
             generator=generator,
@@ -268,9 +269,6 @@ def loss_of(
     ----------
     model : callable
         ``model(x_t, t, photo, physics)`` to logits, a :class:`MotDiffNetwork`.
-    batch : Batch
-    loss : LossConfig
-    schedule : Schedule
     generator : torch.Generator
         On the batch's device.
     physics_dropout : float

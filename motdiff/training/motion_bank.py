@@ -141,8 +141,6 @@ def draw_motion(
 
     Parameters
     ----------
-    mix : MotionMix
-    rng : numpy.random.Generator
     trace : GyroTrace, optional
         The recording, where the mix has gyro-driven motion.
 
@@ -211,9 +209,6 @@ def build_bank(
 
     Parameters
     ----------
-    mix : MotionMix
-    count : int
-    seed, first : int
     workers : int
         Processes; about 6 ms of one core per motion.
     """

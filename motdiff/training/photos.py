@@ -32,7 +32,6 @@ def load_photos(
     most_px : int, px
         Photos with a longer short side are shrunk to it: the detail of a full-size photo is softer
         than a kernel.
-    device : str
 
     Returns
     -------
@@ -61,7 +60,6 @@ def pack_photos(
 
     Parameters
     ----------
-    source : folder
     target : .zip file to write
     most_px : int, px
         Photos with a longer short side are shrunk to it.
@@ -163,7 +161,9 @@ def crops(
         column = int(right * (photo.shape[2] - size + 1))
         crop = photo[:, row : row + size, column : column + size]
         crop = torch.rot90(crop, symmetry % 4, (1, 2))
-        crops.append(crop.flip(2) if symmetry >= 4 else crop)
+        if symmetry >= 4:
+            crop = crop.flip(2)
+        crops.append(crop)
     return torch.stack(crops).float() / 255
 
 
@@ -185,7 +185,9 @@ def _images(source: Path) -> Iterator[tuple[str, NDArray[np.uint8]]]:
 
 
 def _decoded(data: bytes, name: object) -> NDArray[np.uint8]:
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    image = None
+    if data:  # OpenCV asserts on none
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         raise ValueError(f"{name}: cannot be read as a photo")
     return np.asarray(image[..., ::-1], dtype=np.uint8)

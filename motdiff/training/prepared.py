@@ -46,7 +46,6 @@ def prepare(
         As for :func:`motdiff.training.samples.simulate`.
     shards : range
         Numbers of the files; several processes can share the work by strides.
-    seed : int
     on_shard : callable, optional
         Called with the number of every finished shard.
     """
@@ -82,10 +81,8 @@ def simulated_shard(
 
     Parameters
     ----------
-    shard, count : int
     scenes, mix, photography, physics
         As for :func:`motdiff.training.samples.simulate`.
-    seed : int
     """
     bank = build_bank(mix, count=count, seed=seed, first=shard * count)
     with torch.no_grad():

@@ -30,10 +30,10 @@ from motdiff.training.prepared import read_shards
 from motdiff.training.samples import Samples
 from motdiff.training.targets import drawn_psfs
 
-_VALIDATION_SEED = 7
+_VALIDATION_SEED = 7  # any, but the same: runs are compared on the same draws
 _VALIDATION_BATCH = 32
 _SAMPLING_STEPS = 10
-_TRIAL_PHOTOS = 2
+_TRIAL_PHOTOS = 2  # timed, to predict how long a validation takes
 _SLACK_S = 5.0  # of a last validation beyond the minutes of a piece: its time is an estimate
 
 
@@ -80,7 +80,6 @@ def make_sources(
 
     Parameters
     ----------
-    config : TrainingConfig
     device : torch.device or str
         Where photos are simulated.
     workers : int
@@ -142,11 +141,8 @@ def train(
 
     Parameters
     ----------
-    config : TrainingConfig
     folder : path
         Of ``checkpoint/``, ``log.csv`` and ``progress.png``.
-    device : str
-    pace : Pace, optional
     workers : int
         Processes that draw motions.
 
@@ -165,16 +161,14 @@ def train(
     distributed = int(os.environ.get("WORLD_SIZE", "1")) > 1
     if distributed:
         # nccl has no operations on the CPU
-        backend = "nccl" if torch.device(device).type == "cuda" else "gloo"
-        torch.distributed.init_process_group(backend)
+        backends = {"cuda": "nccl"}
+        torch.distributed.init_process_group(backends.get(torch.device(device).type, "gloo"))
     try:
         trainer = Trainer(config, device=device)
         resumed = trainer.resume(target / "checkpoint")
         log = RunLog(target, steps=config.optimiser.steps, enabled=trainer.leads)
-        log.say(
-            f"{'resumed at' if resumed else 'new run, from'} step {trainer.step} of"
-            f" {config.optimiser.steps}"
-        )
+        began = "resumed at" if resumed else "new run, from"
+        log.say(f"{began} step {trainer.step} of {config.optimiser.steps}")
         sources = make_sources(config, device=device, workers=workers)
 
         def due() -> bool:
@@ -189,7 +183,9 @@ def train(
 
         validated = log.resume(trainer.step, between=not due())
         timed = trainer.leads and math.isfinite(pace.minutes)
-        validation_s = _validation_time_s(trainer, sources.validation) if timed else 0.0
+        validation_s = 0.0
+        if timed:
+            validation_s = _validation_time_s(trainer, sources.validation)
         end_s = updates_end_s = start_s + 60 * pace.minutes
         if validation_s <= 0.5 * 60 * pace.minutes:
             updates_end_s -= validation_s

@@ -18,7 +18,7 @@ from motdiff.training.photos import crops
 from motdiff.training.simulation import Photography, photographed
 
 _KERNEL_BATCH = 8  # on a CPU larger ones fall out of the cache
-_MAX_SHIFT = 32  # HR-map pixels
+_MAX_SHIFT = 32  # HR-map pixels, 8 px of the photo
 _MIN_CORRELATION = 0.6  # below, the kernel is wrong and gives no position of the path
 
 
@@ -59,12 +59,10 @@ def simulate(
 
     Parameters
     ----------
-    bank : MotionBank
     scenes : sequence of (3, H, W) uint8
         Sharp photos on the bank's device.
     index : (B,) int64
         Motions to use, on the bank's device.
-    photography : Photography
     physics : bool
         Whether to run the quick classical searches and to register the motions to their kernels.
     seed : int
@@ -74,19 +72,15 @@ def simulate(
     on_cpu = torch.Generator().manual_seed(seed)
     on_device = torch.Generator(device).manual_seed(seed)
     psfs, x0, dwell = bank.targets(index)
-    size = PHOTO_PX + photography.margin
-    sharp = crops(scenes, count=len(index), size=size, generator=on_cpu)
+    side_px = PHOTO_PX + photography.margin
+    sharp = crops(scenes, count=len(index), size=side_px, generator=on_cpu)
     photos, sigma = photographed(sharp, psfs, photography=photography, generator=on_device)
     kernels = photos.new_zeros(len(index), 0, PSF_PX, PSF_PX)
     if physics:
         grey = photos.mean(dim=1, keepdim=True)
-        step = _KERNEL_BATCH if device.type == "cpu" else len(index)
-        kernels = torch.cat(
-            [
-                quick_kernels(grey[i : i + step], sigma=float(sigma[i : i + step].median()))
-                for i in range(0, len(index), step)
-            ]
-        )
+        size = {"cpu": _KERNEL_BATCH}.get(device.type, len(index))
+        batches = zip(torch.split(grey, size), torch.split(sigma, size), strict=True)
+        kernels = torch.cat([quick_kernels(g, sigma=float(s.median())) for g, s in batches])
         shift = registration(kernels, dwell)
         x0 = shifted(x0, shift)
         dwell = shifted(dwell, shift)
@@ -112,6 +106,7 @@ def registration(kernels: Tensor, dwell: Tensor) -> Tensor:
     if kernels.shape[1] == 0:
         return torch.zeros(len(dwell), 2, dtype=torch.int64, device=dwell.device)
     fine = functional.interpolate(kernels, scale_factor=MAP_PITCH, mode="nearest")
+    # both smoothed alike, so that a thin path and a blocky kernel overlap
     fine = functional.avg_pool2d(fine, 5, 1, 2)
     truth = functional.avg_pool2d(functional.avg_pool2d(dwell, 3, 1, 1), 5, 1, 2)
     spectrum = torch.fft.rfft2(fine) * torch.fft.rfft2(truth).conj()

@@ -76,7 +76,6 @@ def load_shards(
 
     Parameters
     ----------
-    folder : path
     name : str
         First part of the files' names.
     load : callable

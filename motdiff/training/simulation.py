@@ -97,7 +97,6 @@ def photographed(
     sharp : (B, 3, H, W) float32, display values 0..1
         With ``photography.margin`` pixels more than the photo on both axes.
     psfs : (B, 64, 64) float32, sum 1
-    photography : Photography
     generator : torch.Generator
         On the device of ``sharp``.
 
@@ -151,7 +150,7 @@ def jpeg_loss(photos: Tensor, quality: Tensor) -> Tensor:
     ----------
     photos : (B, C, H, W) float, display values 0..1; H and W multiples of 8
     quality : (B,) float, 1..100
-        The quality of the Independent JPEG Group's library.
+        As the Independent JPEG Group's library has it.
 
     Returns
     -------

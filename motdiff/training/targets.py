@@ -11,7 +11,7 @@ from motdiff.network.sampling import psf_signals, psfs_of_maps, psfs_of_signals,
 from motdiff.psf_frame import PSF_PX
 from motdiff.training.data import Batch
 
-_POINTS = 64
+_POINTS = 64  # dots along a path
 _HAT_VARIANCE_PX2 = 1 / 6  # of the bilinear hat through which PSFs see the path
 _BLURS_PX = (0.6, 1.8, 5.0)  # the sharpest is nearly MNC; the others pull from farther away
 
@@ -84,7 +84,6 @@ def drawn_psfs(
     ----------
     network : MotDiffNetwork or PathNetwork
         In eval mode.
-    batch : Batch
     schedule, steps, generator
         As for :func:`motdiff.network.sampling.sample_paths`; a quadratic path needs none.
     """
@@ -96,7 +95,9 @@ def drawn_psfs(
     draws = sample_paths(
         network, condition, count=1, schedule=schedule, steps=steps, generator=generator
     )
-    return draws.psfs()[:, 0] if network.pitch > 1 else psfs_of_signals(draws.path[:, 0])
+    if network.pitch == 1:  # it diffuses PSFs themselves
+        return psfs_of_signals(draws.path[:, 0])
+    return draws.psfs()[:, 0]
 
 
 def _peak_correlation(first: Tensor, second: Tensor) -> Tensor:

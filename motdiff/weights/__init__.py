@@ -156,7 +156,6 @@ def load_network(
     path : weights file
     target : {"map", "psf"}
         Expected target.
-    device : str or torch.device
 
     Raises
     ------

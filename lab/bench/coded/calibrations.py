@@ -23,7 +23,8 @@ from motdiff.crops import luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.metrics import mnc_subpixel, timed_distance_px
-from motdiff.trajectory import Trajectory, slice_psfs
+from motdiff.path_psfs import slice_psfs
+from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 CALIBRATIONS: Mapping[str, str] = {

@@ -132,7 +132,6 @@ def motion_of_paths(
 
     Parameters
     ----------
-    method : str
     paths : sequence of CandidatePath, best first
     probability : float
         That the order of the best one is right.

@@ -14,7 +14,7 @@ from scipy import ndimage
 from motdiff.crops import LEAST_PX, pick_crops, textured_luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
-from motdiff.estimators.coded.misfit import SceneSpectra, scene_spectra
+from motdiff.estimators.coded.scene_term import SceneSpectra, scene_spectra
 from motdiff.progress import Progress
 from motdiff.types import FloatArray
 
@@ -97,7 +97,6 @@ def exposures_of(
         Estimator of a kernel; PMP when omitted.
     progress : Progress, optional
         Its plan holds ``cost`` for this work already.
-    cost : float
 
     Raises
     ------

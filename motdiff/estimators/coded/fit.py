@@ -13,13 +13,12 @@ from motdiff.estimators.coded.exposures import Exposures
 from motdiff.estimators.coded.misfit import (
     KernelTerm,
     Roughness,
-    SceneSpectra,
-    SceneTerm,
     Term,
     Unknowns,
     descend,
 )
 from motdiff.estimators.coded.otfs import CodedOtfs
+from motdiff.estimators.coded.scene_term import SceneSpectra, SceneTerm
 from motdiff.psf_frame import centroid_px
 from motdiff.types import FloatArray
 
@@ -37,10 +36,8 @@ class PhotoFit:
 
     Parameters
     ----------
-    exposures : Exposures
     spectra : sequence of SceneSpectra
         As :meth:`Exposures.spectra` returns them.
-    knots : int
 
     Attributes
     ----------

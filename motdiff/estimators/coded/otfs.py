@@ -25,7 +25,6 @@ class CodedOtfs:
     ----------
     codes : sequence of str
         Bits of each exposure's code, played over the whole exposure.
-    knots : int
     """
 
     def __init__(self, codes: Sequence[str], knots: int) -> None:

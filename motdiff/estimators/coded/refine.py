@@ -16,6 +16,7 @@ from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.exposures import Exposures, exposures_of
 from motdiff.estimators.coded.fit import KNOTS, PhotoFit
 from motdiff.estimators.coded.misfit import PathQuadratic, Term, Unknowns, descend
+from motdiff.path_psfs import interpolated
 from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
 from motdiff.trajectory import Trajectory
@@ -109,7 +110,6 @@ class PathRefiner:
 
         Parameters
         ----------
-        paths : sequence of Trajectory
         photos : sequence of I (H, W) or (H, W, 3) array_like, linear light 0..1
 
         Returns
@@ -225,5 +225,5 @@ def _moved(path: Trajectory, move: FloatArray) -> Trajectory:
     """Path moved by (K, 2) px at evenly spaced times; its detail between the knots stays."""
     knot_times = np.linspace(0, 1, KNOTS)
     t = np.union1d(path.t, knot_times)
-    shift = np.stack([np.interp(t, knot_times, move[:, axis]) for axis in (0, 1)], axis=1)
+    shift = interpolated(t, knot_times, move)
     return Trajectory.from_samples(path.at(t) + shift, t=t, direction=path.direction)

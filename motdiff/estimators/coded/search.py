@@ -11,7 +11,8 @@ from torch import Tensor
 from motdiff.estimators.coded.candidates import CandidatePath, expected_deviation_px, merged
 from motdiff.estimators.coded.exposures import Exposures
 from motdiff.estimators.coded.fit import KNOTS, PhotoFit
-from motdiff.estimators.coded.misfit import SceneSpectra, Term, descend
+from motdiff.estimators.coded.misfit import Term, descend
+from motdiff.estimators.coded.scene_term import SceneSpectra
 from motdiff.estimators.coded.starts import bridged, crossed, decoded_paths, loop_reversals, orders
 from motdiff.motions import boracchi_foi
 from motdiff.progress import Progress
@@ -57,8 +58,6 @@ def find_paths(
 
     Parameters
     ----------
-    exposures : Exposures
-    rng : numpy Generator
     progress : Progress, optional
         Its plan holds ``cost`` for this work already.
     cost : float

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from motdiff.metrics import register_shift
+from motdiff.path_psfs import interpolated
 from motdiff.psf_frame import in_frame
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -44,10 +45,8 @@ def decoded_paths(
     kernels : sequence of I (S, S) float
         Of the exposures; the first is that of the code with the most light.
     codes : sequence of I str
-    knots, count : int
     length_px : float
         Approximate length of the path.
-    rng : numpy Generator
     shifts : (I, 2) float, optional
         Shift of each kernel against the path, (x, y) px; by correlation with the first kernel when
         omitted.
@@ -102,12 +101,8 @@ def decoded_paths(
         states.append(state)
     smooth = ndimage.gaussian_filter1d(points[np.array(states[::-1])], 1.5, axis=0, mode="nearest")
     knot_times = np.linspace(0, 1, knots)
-    return np.stack(
-        [
-            [np.interp(knot_times, times, smooth[:, i, axis]) for axis in (0, 1)]
-            for i in range(count)
-        ]
-    ).swapaxes(1, 2)
+    paths = [interpolated(knot_times, times, smooth[:, i]).T for i in range(count)]
+    return np.stack(paths).swapaxes(1, 2)  # sums over this layout keep the published digits
 
 
 def orders(path: Trajectory, *, knots: int, most: int) -> FloatArray:

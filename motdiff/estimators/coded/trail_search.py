@@ -22,7 +22,9 @@ from motdiff.estimators.coded.misfit import Roughness, Term, descend
 from motdiff.estimators.coded.starts import bridged, crossed, loop_reversals, orders
 from motdiff.estimators.coded.trail_term import TrailTerm, TrailUnknowns
 from motdiff.motions import boracchi_foi
+from motdiff.path_psfs import interpolated
 from motdiff.progress import Progress
+from motdiff.trajectory import arc_lengths
 from motdiff.types import FloatArray
 
 _LEAST_PIECES = 52
@@ -86,11 +88,8 @@ def find_trail_paths(
 
     Parameters
     ----------
-    trails : Trails
-    rng : numpy Generator
     progress : Progress, optional
         Its plan holds ``cost`` for this work already.
-    cost : float
 
     Returns
     -------
@@ -134,10 +133,10 @@ def run_by_light(
     -------
     (K, 2) float, px, at evenly spaced times
     """
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    arc = arc_lengths(path)
     pieces = int(np.clip(arc[-1] / _PIECE_PX, 20, _MOST_PIECES))
     edges = np.linspace(0, arc[-1], pieces + 1)
-    spots = _along(path, arc, 0.5 * (edges[1:] + edges[:-1]))
+    spots = interpolated(0.5 * (edges[1:] + edges[:-1]), arc, path)
     down, across = (
         np.exp(-0.5 * ((np.arange(n) - n // 2 - spots[:, axis, None]) / width_px) ** 2)
         for n, axis in zip(image.shape, (1, 0), strict=True)
@@ -150,11 +149,7 @@ def run_by_light(
     # a little light everywhere, and at all times: where the shutter is closed the path goes on
     by_arc = np.concatenate([[0.0], np.cumsum(light / max(light.sum(), 1e-12) + 1e-3 / pieces)])
     by_time = np.concatenate([[0.0], np.cumsum(is_open / is_open.sum() + 1e-3 / is_open.size)])
-    return _along(path, arc, np.interp(by_time / by_time[-1], by_arc / by_arc[-1], edges))
-
-
-def _along(path: FloatArray, arc: FloatArray, positions: FloatArray) -> FloatArray:
-    return np.stack([np.interp(positions, arc, path[:, axis]) for axis in (0, 1)], axis=1)
+    return interpolated(np.interp(by_time / by_time[-1], by_arc / by_arc[-1], edges), arc, path)
 
 
 class _TrailSearch:
@@ -308,7 +303,7 @@ class _TrailSearch:
         times = np.linspace(0, 1, len(path))
         window = np.exp(-0.5 * ((times - self.rng.uniform()) / _SLIP_SPAN) ** 2)
         slipped = np.clip(times + self.rng.normal(0, _SLIP) * window, 0, 1)
-        return _along(path, times, slipped)
+        return interpolated(slipped, times, path)
 
     def distinct(self, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
         """Best candidates, none near a better one."""

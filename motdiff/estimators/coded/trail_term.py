@@ -85,7 +85,6 @@ class TrailTerm:
 
     Parameters
     ----------
-    unknowns : TrailUnknowns
     codes : sequence of I str
         Of one number of chips, which divides ``unknowns.knots - 1``.
     photos : sequence of I (H, W) float

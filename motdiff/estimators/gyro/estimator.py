@@ -31,7 +31,6 @@ class GyroEstimator:
 
     Parameters
     ----------
-    trace : GyroTrace
     focal_px : float, px
         Focal length divided by the pixel pitch.
     start_s : float, seconds

@@ -43,7 +43,6 @@ def draw_psfs(
         between them.
     steps : int
         Steps of each draw.
-    generator : torch.Generator
     method : str
         See :func:`motdiff.network.diffusion.samples`.
     """

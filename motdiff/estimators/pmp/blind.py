@@ -103,7 +103,6 @@ def estimate_kernels(
         Blurred photos, grey, each as C crops that share one kernel; any device.
     size : int
         Odd side of the kernel frame, px; the kernel should fill a good part of it.
-    settings : PmpSettings, optional
     on_progress : callable, optional
         Called with the finished share 0..1, after each alternation of photo and kernel.
 
@@ -246,7 +245,6 @@ def fine_latent(
         Standard deviation of the noise.
     gradient_weight : float
         Weight of the gradient count without noise.
-    coupling : Coupling
 
     Returns
     -------

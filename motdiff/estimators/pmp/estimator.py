@@ -70,7 +70,6 @@ class PmpEstimator(BlindEstimator):
 
     Parameters
     ----------
-    starts : sequence of Start
     crops : int
         Most crops used of a photo larger than one crop.
     device : str

@@ -65,7 +65,6 @@ def l0_pmp_latent(
         Side of the patches whose minimum is shrunk, px.
     coarse : bool
         Shrink softly (coarse scales) instead of setting small minima to zero.
-    coupling : Coupling
 
     Returns
     -------

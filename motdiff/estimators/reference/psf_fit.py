@@ -86,7 +86,6 @@ def fit_psf(
 
     Parameters
     ----------
-    pairs : sequence of PatchPair
     size : int, px
         Frame of the PSF.
     sparse : float
@@ -146,15 +145,6 @@ def residual_variance(pairs: Sequence[PatchPair], psf: FloatArray) -> float:
         for p in pairs
     )
     return residual / max(1.0, sum(pair.pixels for pair in pairs))
-
-
-def explained_share(pairs: Sequence[PatchPair], psf: FloatArray) -> float:
-    """Share, at most 1, of the blurred variance that ``psf`` explains; negative if wrong."""
-    total = sum(float((pair.weight * pair.blurred**2).sum()) for pair in pairs)
-    unexplained = residual_variance(pairs, psf) * sum(pair.pixels for pair in pairs)
-    if total <= 0:
-        return 0.0
-    return 1 - unexplained / total
 
 
 def _constrained_step(start: FloatArray, gradient: FloatArray, model: FloatArray) -> FloatArray:

@@ -8,8 +8,9 @@ import pytest
 from numpy.typing import NDArray
 from skimage import data
 
+from motdiff.path_psfs import slice_psfs
 from motdiff.simulate import photograph, to_linear
-from motdiff.trajectory import Trajectory, slice_psfs
+from motdiff.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]
 

@@ -8,12 +8,11 @@ import torch
 from motdiff.estimators.coded.misfit import (
     KernelTerm,
     Roughness,
-    SceneTerm,
     Unknowns,
     descend,
-    scene_spectra,
 )
 from motdiff.estimators.coded.otfs import CodedOtfs
+from motdiff.estimators.coded.scene_term import SceneTerm, scene_spectra
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
