@@ -18,7 +18,7 @@ from motdiff.files.inputs import printable
 from motdiff.files.outputs import check_file, check_folder
 from motdiff.types import FloatArray
 
-_TILE_IN = 1.3
+_TILE_IN = 1.3  # inches of each picture on the sheet
 
 _EXAMPLES = """\
 examples:

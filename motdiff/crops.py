@@ -16,12 +16,11 @@ CROP_PX = 256
 LEAST_PX = 48
 """Least side of a photo in which the classical search is tried, px."""
 CLIPPED_LEVEL = 0.98  # JPEG and demosaicing leave a clipped area a little below full scale
-_CLIPPED_SHARE = (
-    0.02  # a crop with this share of clipped pixels is used only when there is nothing else
-)
-_OVERLAP_SHARE = 0.25
+# a crop with this share of clipped pixels is used only when there is nothing else
+_CLIPPED_SHARE = 0.02
+_OVERLAP_SHARE = 0.25  # of a crop's area, with any other
 _FULL = 0.95  # a dim photo is brightened up to the first
-_DARKEST = 1e-6
+_DARKEST = 1e-6  # of full scale: a black photo gets a finite gain
 _LEAST_GAIN = 1.5  # a photo that would gain less is bright enough, and stays as it is
 _WHOLE = 1.25  # a photo larger than a crop by up to this is taken whole
 
@@ -86,9 +85,7 @@ def exposure_gain(photo: ArrayLike) -> float:
     (9.5, 1.0)
     """
     gain = _FULL / max(float(np.max(photo, initial=0.0)), _DARKEST)
-    if gain < _LEAST_GAIN:
-        return 1.0
-    return gain
+    return 1.0 if gain < _LEAST_GAIN else gain
 
 
 def check_size(photo: ArrayLike, *, least_px: int) -> None:
@@ -119,10 +116,9 @@ def clipped_mask(photo: ArrayLike, *, level: float = CLIPPED_LEVEL) -> NDArray[n
 
 
 def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list[tuple[int, int]]:
-    """Choose crops that constrain the blur best: edges in several directions, few clipped pixels,
-    little overlap.
+    """Choose crops that constrain the blur best, with little overlap.
 
-    The value of a crop is the smaller eigenvalue of its structure tensor (the summed outer
+    They have edges in several directions and few clipped pixels. The value of a crop is the smaller eigenvalue of its structure tensor (the summed outer
     products of the gradient): stripes of one direction, which hide the motion along them, have the
     value 0.
 

@@ -22,9 +22,8 @@ _DIRECTIONS = {
     "forward": (0, 0, 1),
     "back": (0, 0, -1),
 }
-_SUBSTEPS = (
-    8  # trajectory samples per gyro interval: rates are linear there, hence angles quadratic
-)
+# trajectory samples per gyro interval: rates are linear there, hence angles quadratic
+_SUBSTEPS = 8
 
 
 @dataclass(frozen=True)

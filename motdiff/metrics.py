@@ -184,18 +184,6 @@ def psnr_up_to_shift(
     return psnr(*_best_aligned(restored, sharp, max_shift_px, step_px, crop_px))
 
 
-def ssim_up_to_shift(
-    restored: ArrayLike,
-    sharp: ArrayLike,
-    *,
-    max_shift_px: float = 5.0,
-    step_px: float = 0.25,
-    crop_px: int = 15,
-) -> float:
-    """SSIM at the shift of best PSNR, borders cropped; arguments as :func:`psnr_up_to_shift`."""
-    return _ssim(*_best_aligned(restored, sharp, max_shift_px, step_px, crop_px))
-
-
 def psnr_ssim_up_to_shift(
     restored: ArrayLike,
     sharp: ArrayLike,
@@ -204,7 +192,7 @@ def psnr_ssim_up_to_shift(
     step_px: float = 0.25,
     crop_px: int = 15,
 ) -> tuple[float, float]:
-    """Both of :func:`psnr_up_to_shift` and :func:`ssim_up_to_shift` in the time of one."""
+    """:func:`psnr_up_to_shift`, and the SSIM at that shift, in hardly more time."""
     aligned, target = _best_aligned(restored, sharp, max_shift_px, step_px, crop_px)
     return psnr(aligned, target), _ssim(aligned, target)
 
@@ -244,24 +232,16 @@ def _warped_mean(distance: FloatArray) -> float:
     best = np.empty_like(distance)
     best[0] = np.cumsum(distance[0])
     for i in range(1, len(distance)):
-        entered = np.minimum(
-            best[i - 1], np.r_[np.inf, best[i - 1, :-1]]
-        )  # from above, straight or diagonally
+        # from above, straight or diagonally
+        entered = np.minimum(best[i - 1], np.r_[np.inf, best[i - 1, :-1]])
         # best[j] = d[j] + min(entered[j], best[j - 1]), unrolled along the row by prefix sums
         run = np.cumsum(distance[i])
         best[i] = run + np.minimum.accumulate(entered - run + distance[i])
-    i = distance.shape[0] - 1
-    j = distance.shape[1] - 1
+    i, j = np.subtract(distance.shape, 1).tolist()
     pairs = 1
     while i or j:
-        steps = []
-        if i and j:
-            steps.append((i - 1, j - 1))
-        if i:
-            steps.append((i - 1, j))
-        if j:
-            steps.append((i, j - 1))
-        i, j = min(steps, key=lambda step: best[step])
+        steps = [(i - 1, j - 1), (i - 1, j), (i, j - 1)]
+        i, j = min((step for step in steps if min(step) >= 0), key=lambda step: best[step])
         pairs += 1
     return float(best[-1, -1] / pairs)
 
@@ -290,7 +270,7 @@ def _subpixel_peak(correlation: FloatArray) -> tuple[float, tuple[float, float]]
     padded = np.pad(correlation, 1)  # a peak at the frame's edge must not wrap into the other side
     row0, column0 = (int(i) for i in np.unravel_index(int(padded.argmax()), padded.shape))
     offsets = np.arange(-1, 1 + _SUBPIXEL_STEP_PX / 2, _SUBPIXEL_STEP_PX)
-    spectrum = fft.fft2(padded)
+    spectrum = fft.fft2(padded)  # of all of it: the interpolation is band-limited
     rows = _interpolator(padded.shape[0], row0 + offsets)
     columns = _interpolator(padded.shape[1], column0 + offsets)
     fine = (rows @ spectrum @ columns.T).real

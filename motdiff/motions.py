@@ -11,10 +11,10 @@ from motdiff.path_psfs import interpolated
 from motdiff.trajectory import Trajectory
 
 DEBLURGAN_EXPL = (0.01, 0.009, 0.008, 0.007, 0.005, 0.003)
-_WINDOW_TRIES = 200
+_WINDOW_TRIES = 200  # until the recording is called still
 # a phone's; other axes would draw the mirror images of the published tables' motions
 _RECORDED_AXES = "right,up,back"
-_ERROR_KNOTS = 101
+_ERROR_KNOTS = 101  # well within the 0.12 of the exposure over which errors change
 
 
 def boracchi_foi(

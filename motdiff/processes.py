@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 
-_LOOK_S = 0.5
+_LOOK_S = 0.5  # between two looks at the parent
 _GRACE_S = 3.0  # to put a shutter's controller to rest
 
 

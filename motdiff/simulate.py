@@ -13,7 +13,7 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
-_SRGB_KNEE_LINEAR = 0.0031308
+_SRGB_KNEE_LINEAR = 0.0031308  # IEC 61966-2-1: below, the curve is straight
 _SRGB_KNEE_DISPLAY = 0.0031308 * 12.92
 
 

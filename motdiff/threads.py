@@ -14,10 +14,9 @@ from threadpoolctl import threadpool_limits
 
 _Result = TypeVar("_Result")
 
-_ALONE = ContextVar(
-    "_ALONE", default=False
-)  # torch's own count does not matter: small arrays are fastest with 1
-_WITHIN = ContextVar("_WITHIN", default=False)
+# torch's own count does not matter: small arrays are fastest with 1
+_ALONE = ContextVar("_ALONE", default=False)
+_WITHIN = ContextVar("_WITHIN", default=False)  # nested contexts change nothing
 
 
 @contextmanager

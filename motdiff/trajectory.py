@@ -421,16 +421,12 @@ def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray
     (K,) int, increasing, from 0 to T - 1
     """
     is_knot = np.ones(t.size, dtype=bool)
-    joined: NDArray[np.bool_] = np.ones(
-        t.size - 1, dtype=bool
-    )  # whether each block of intervals is straight
+    joined = np.ones(t.size - 1, dtype=bool)  # whether each block of intervals is straight
     width = 1
     while joined.size > 1:
         width *= 2
         blocks = joined.size // 2
-        straight: NDArray[np.bool_] = np.asarray(
-            joined[: 2 * blocks].reshape(blocks, 2).all(axis=1)
-        )
+        straight = np.asarray(joined[: 2 * blocks].reshape(blocks, 2).all(axis=1))
         candidates = np.flatnonzero(straight)
         if not candidates.size:
             break

@@ -20,17 +20,17 @@ from motdiff.types import FloatArray
 
 # evidence of no motion, docs/decisions/motion-estimation.md: widths of edges in px, and their
 # share of the kernel's
-_LOST = 0.5
-_SPOT_PX = 2.7
-_LOST_SPOT_PX = 3.4
-_NARROW_PX = 2.5
-_NARROW_SHARE = 0.55
+_LOST = 0.5  # confidence: below, the kernel is likelier wrong than good
+_SPOT_PX = 2.7  # widest edges that a kernel no wider than a lens's spot leaves
+_LOST_SPOT_PX = 3.4  # where the search is lost, a wider kernel passes as a spot
+_NARROW_PX = 2.5  # and edges up to this width are as sharp as a photo at rest has them
+_NARROW_SHARE = 0.55  # of the width that the kernel would give them
 _STILL_CONFIDENCE = 0.9
 _CLIPPED = 0.02  # share of the pixels
 _ROUND_MNC = 0.98  # likeness of a spot with a Gaussian, and the ratio of its widths
-_ROUND_RATIO = 2.0
+_ROUND_RATIO = 2.0  # longer spots may be a short motion
 _DOUBTED = 0.5  # most confidence that such a doubt leaves
-_CONTRADICTED = 0.25
+_CONTRADICTED = 0.25  # and where the photo contradicts the kernel
 
 
 def doubted(
@@ -132,10 +132,10 @@ def _still(estimate: MotionEstimate, edges: EdgeWidths) -> MotionEstimate:
 def _is_round(psf: FloatArray) -> bool:
     """Whether a PSF is the Gaussian of its own second moments, about as wide as it is long."""
     light = psf / psf.sum()
-    place = np.indices(light.shape).reshape(2, -1)
+    place = np.indices(light.shape).reshape(2, -1)  # (y, x) of each pixel
     middle = place @ light.ravel()
     away = place - middle[:, None]
-    spread = (away * light.ravel()) @ away.T
+    spread = (away * light.ravel()) @ away.T  # second moments, px^2
     variances = np.linalg.eigvalsh(spread)
     if variances[1] > _ROUND_RATIO**2 * variances[0]:
         return False

@@ -29,8 +29,8 @@ _STEEPEST = 75  # edges measured in each direction
 _LEAST_EDGES = 6  # in a direction, to say anything
 _QUANTILE = 0.25  # of the widths in a direction: a scene has wide edges of its own
 _STEP_SHARE = 0.6  # of a profile's range: a line, or the end of one, is no step
-_OVER_NOISE = 12.0
-_LEAST_SIGMA = 1e-3
+_OVER_NOISE = 12.0  # contrast of an edge, in sigmas: fainter ones look wide or narrow by chance
+_LEAST_SIGMA = 1e-3  # of full scale: files that were smoothed show less
 _LENS_PX = 0.6  # sigma of the sharpest photo's edges, sampling included
 
 
@@ -138,7 +138,7 @@ def kernel_edge_widths(psf: ArrayLike, normals_rad: ArrayLike) -> FloatArray:
             right * np.cos(angle) + down * np.sin(angle), bins=bins, weights=light
         )
         edge = np.cumsum(ndimage.gaussian_filter1d(spread / light.sum(), _LENS_PX / _STEP_PX))
-        slope = edge[2:] - edge[:-2]
+        slope = edge[2:] - edge[:-2]  # central differences, as in a photo's profile
         steepest = int(np.argmax(slope)) + 1
         reach = round(_REACH_PX / _STEP_PX)
         profile = edge[np.clip(np.arange(-reach, reach + 1) + steepest, 0, edge.size - 1)]
@@ -157,7 +157,7 @@ def _edges(grey: FloatArray) -> tuple[FloatArray, FloatArray]:
     down, right = np.gradient(ndimage.gaussian_filter(grey, 1.0))
     steepness = np.hypot(down, right)
     peak = steepness == ndimage.maximum_filter(steepness, 5)
-    rim = int(_REACH_PX) + 4
+    rim = int(_REACH_PX) + 4  # profiles and their neighbours stay within the crop
     inside = np.zeros_like(peak)
     inside[rim:-rim, rim:-rim] = True
     y, x = np.nonzero(peak & inside)

@@ -69,7 +69,7 @@ def as_estimate(result: MotionEstimate | Trajectory | ArrayLike, method: str) ->
         return MotionEstimate(
             method, (result,), (1.0,), result.psf(result.frame_size(PSF_PX)), confidence=0.0
         )
-    psf = np.empty(0)
+    psf = np.empty(0)  # no PSF, which is refused below
     with suppress(TypeError, ValueError):
         if not np.iscomplexobj(result):  # numpy would only warn, and drop the imaginary part
             psf = np.asarray(result, dtype=np.float64)

@@ -98,6 +98,7 @@ def fuse(
         From crops (C, H, W) and a kernel to the kernel fitted to them once more.
     """
     kernels = [single.kernels[single.best] for single in singles]
+    # prepared once: each photo judges the kernels of all
     judges = [Judge(photo_crops) for photo_crops in crops]
 
     def fused(photos: Sequence[int]) -> tuple[Fusion, dict[int, float]]:

@@ -23,9 +23,20 @@ from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 
 _TOP = 3  # how many like-minded candidates count as agreement
-_LEAST_SIGMA = 1e-3
-_BAND_CY_PX = (0.02, 0.4)
+_LEAST_SIGMA = 1e-3  # of full scale: simulated photos have no noise, and nothing divides by 0
+_BAND_CY_PX = (0.02, 0.4)  # below, the scene dominates; above, noise
 _SPARSE_NORM = 0.8
+_CLEARLY = 0.02  # docs/decisions/motion-estimation.md
+# One score for all kernels. Its weights choose the kernel with the highest MNC on average, fitted
+# on simulated motions over training photos (120 photos, 8 or 9 starts each); a fit to drawn
+# kernels is no better, docs/decisions/network.md.
+_EVIDENCE_WEIGHTS = np.array([0.8, 2.0, -1.0])
+_AGREEMENT_WEIGHT = 0.4
+# Slope and offset turn the winner's score into the share of winners with a sub-pixel MNC of 0.7 or
+# more: fitted apart for classical searches alone and for these together with draws, whose
+# agreement is another mean.
+_SEARCHED = (8.3, -5.15)
+_DRAWN = (12.5, -8.5)
 
 
 @dataclass(frozen=True)
@@ -92,6 +103,7 @@ class Spectrum:
 
     def __init__(self, photo: FloatArray, *, sigma: float) -> None:
         height, width = self._shape = photo.shape
+        # borders would add a cross to the spectrum
         window = np.hanning(height)[:, None] * np.hanning(width)[None, :]
         window /= np.sqrt(np.mean(window**2))
         centred = (photo - np.average(photo, weights=window)) * window
@@ -120,6 +132,7 @@ class Spectrum:
         scene = np.abs(fft.rfft2(kernel, s=self._shape)) ** 2 / self._radius2
         inside = scene[self._in_band]
         start = np.exp(self._log_median - np.median(np.log(inside + 1e-12)))
+        # A has no closed form; a factor of 2.4 apart is fine enough
         amplitudes = start * np.geomspace(0.03, 30, 9)
         misfits = []
         single = inside.astype(np.float32)  # to choose one of nine, in half the time
@@ -152,7 +165,7 @@ class Phase:
         energy = float(np.mean(np.diff(photo, axis=0) ** 2) + np.mean(np.diff(photo, axis=1) ** 2))
         # white noise adds 2 sigma^2 to the mean square difference along each axis
         noise_to_scene = 40 * max(sigma, 2e-3) ** 2 / max(energy - 4 * sigma**2, 1e-6)
-        self._margin = min(32, min(photo.shape) // 4)
+        self._margin = min(32, min(photo.shape) // 4)  # the restoration rings at the borders
         # in single precision below, a mean would hide faint contrast
         padded = np.pad(photo - photo.mean(), self._margin, mode="symmetric")
         self._shape = padded.shape
@@ -181,6 +194,7 @@ class Phase:
         return reflected - right
 
     def _sparsity(self, spectrum: NDArray[np.complex64]) -> float:
+        # 8 px more than the padding, where ringing decays
         inner = slice(self._margin + 8, -self._margin - 8)
         restored = fft.irfft2(spectrum, s=self._shape)[inner, inner]
         gradients = np.concatenate([np.diff(restored, axis=axis).ravel() for axis in (0, 1)])
@@ -226,18 +240,6 @@ class Judge:
         fit = np.mean([spectrum.fit(kernel) for spectrum in self._spectra])
         phase = np.mean([phase.evidence(kernel) for phase in self._phases])
         return float(fit), float(phase), float(1 - kernel[1:-1, 1:-1].sum() / kernel.sum())
-
-
-# One score for all kernels. Its weights choose the kernel with the highest MNC on average, fitted
-# on simulated motions over training photos (120 photos, 8 or 9 starts each); a fit to drawn
-# kernels is no better, docs/decisions/network.md.
-_EVIDENCE_WEIGHTS = np.array([0.8, 2.0, -1.0])
-_AGREEMENT_WEIGHT = 0.4
-# Slope and offset turn the winner's score into the share of winners with a sub-pixel MNC of 0.7 or
-# more: fitted apart for classical searches alone and for these together with draws, whose
-# agreement is another mean.
-_SEARCHED = (8.3, -5.15)
-_DRAWN = (12.5, -8.5)
 
 
 def kernel_score(evidence: FloatArray, agreement: FloatArray | float = 0.0) -> FloatArray:
@@ -329,9 +331,6 @@ def distinct(
 def _probabilities(scores: FloatArray, calibration: tuple[float, float]) -> FloatArray:
     slope, offset = calibration
     return np.asarray(1 / (1 + np.exp(-(slope * scores + offset))), dtype=np.float64)
-
-
-_CLEARLY = 0.02  # docs/decisions/motion-estimation.md
 
 
 def uneven_blur_warning(

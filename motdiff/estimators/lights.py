@@ -39,6 +39,7 @@ def without_lights(photo: FloatArray, clipped: NDArray[np.bool_]) -> FloatArray:
     if not 0 < hidden.mean() <= _MOST_SPANNED:
         return photo
     rows, columns = np.nonzero(hidden)
+    # of each hidden pixel among the unknowns; -1 of a visible one
     number = np.full(photo.shape, -1)
     number[rows, columns] = np.arange(rows.size)
     # Laplace's equation: n_i u_i - sum of hidden neighbours u_j = sum of the visible neighbours

@@ -30,16 +30,15 @@ from motdiff.types import FloatArray
 _Photo = TypeVar("_Photo")
 _Result = TypeVar("_Result")
 
-_LEAST_HALVED_PX = 192
+_LEAST_HALVED_PX = 192  # halved it has 96, not much more than the largest kernel frame, 63
 _LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halved and tried again
 _FACTORS = (1, 2, 4)  # by which the photo is made smaller, one after the other
 _FAINT = 0.05  # share of the peak: noise of a fitted kernel, docs/decisions/tracing.md
-_SPECK_SHARE = 0.1
-_SAME_MOTION_MNC = (
-    0.8  # less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
-)
-_MOST_MOTIONS = 3
-_LOST = 0.5
+_SPECK_SHARE = 0.1  # of the light: a part with less is noise
+# less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
+_SAME_MOTION_MNC = 0.8
+_MOST_MOTIONS = 3  # the best, and alternatives
+_LOST = 0.5  # confidence: below, the kernel is likelier wrong than good
 _MOST_CROPS = 12  # of several photos together
 # kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px,
 # six
@@ -84,7 +83,7 @@ class BlindEstimator(ABC):
         if crops < 1:
             raise ValueError(f"crops: must be at least 1, got {crops}")
         self._crops = crops
-        self._tell = progress
+        self._tell = progress  # each estimate begins a plan of its own
         self._progress = Progress(progress)
 
     @abstractmethod
@@ -306,7 +305,7 @@ def _outgrown(level: _Level, largest_px: int) -> bool:
 def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate:
     kernels = level.candidates.kernels
     candidates = level.candidates
-    chosen = [candidates.best]
+    chosen = [candidates.best]  # then those that show other motions, likeliest first
     for i in np.argsort(-candidates.probabilities):
         if len(chosen) < _MOST_MOTIONS and all(
             mnc_subpixel(kernels[i], kernels[j]) < _SAME_MOTION_MNC for j in chosen

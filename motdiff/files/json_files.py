@@ -190,14 +190,14 @@ def _object_fault(value: Mapping[str, Any], schema: Mapping[str, Any], where: st
         if name not in value:
             return f'field "{inside}{name}" is missing'
     fields: Mapping[str, Any] = schema.get("properties", {})
-    others = schema.get("additionalProperties", {})  # a schema without keywords holds for all
+    extra = schema.get("additionalProperties", {})  # a schema without keywords holds for all
     for name, item in value.items():
-        if name not in fields and others is False:
+        if name not in fields and extra is False:
             return (
                 f"unknown field {one_line(repr(inside + name))}; there are"
                 f" {', '.join(sorted(fields))}"
             )
-        wrong = fault(item, fields.get(name, others), where=inside + one_line(name))
+        wrong = fault(item, fields.get(name, extra), where=inside + one_line(name))
         if wrong is not None:
             return wrong
     return None

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+_ORDER = {"ddpm": 1, "ddim": 1, "dpm++2m": 2}  # of the extrapolation of x0 from step to step
+
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
@@ -148,9 +150,6 @@ def q_sample(schedule: Schedule, x0: Tensor, t: Tensor, eps: Tensor) -> Tensor:
     sqrt_alpha_bar = schedule.alpha_bar.sqrt().to(x0)[t].view(per_sample)  # (B, 1, ...)
     sqrt_one_minus = (1 - schedule.alpha_bar).sqrt().to(x0)[t].view(per_sample)
     return sqrt_alpha_bar * x0 + sqrt_one_minus * eps
-
-
-_ORDER = {"ddpm": 1, "ddim": 1, "dpm++2m": 2}  # of the extrapolation of x0 from step to step
 
 
 def samples(

@@ -140,6 +140,7 @@ def spectral_maps(photos: Tensor) -> Tensor:
         for side in (height, width)
     )
     window = hann_y[:, None] * hann_x[None, :]
+    # taken away before the window, or its shape would show in the spectrum
     mean = (photos * window).sum(dim=(-2, -1), keepdim=True) / window.sum()
     power = torch.fft.rfft2((photos - mean) * window).abs().square()
     fy = torch.fft.fftfreq(height, device=photos.device, dtype=photos.dtype)[:, None]

@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from motdiff.files.inputs import regular_file
 
-_HEADS = (1, 2, 5, 8)
+_HEADS = (1, 2, 5, 8)  # of the attention in each stage, here and below as published
 _REDUCTIONS = (8, 4, 2, 1)  # of the grid of keys and values
 _EPS = 1e-6  # of the blocks' norms, as in the published weights; norms after convolutions: 1e-5
 

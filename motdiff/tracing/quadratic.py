@@ -17,6 +17,7 @@ from motdiff.types import FloatArray
 
 _HAT_VARIANCE_PX2 = 1 / 6  # of the PSF's bilinear hat, along each axis
 _BLURS_PX = (3.0, 1.2, 0.0)  # on top of the hat, coarse to fine
+_EXPLAINED_MNC = 0.86  # of a quadratic path, to be preferred: docs/decisions/tracing.md
 _POINTS = 49
 _TRUE_POINTS = 240
 _ANGLES = 4
@@ -239,9 +240,6 @@ def _overlap(
     return float(affinity.sum()) + 1e-300, -2 / width * pulled
 
 
-_EXPLAINED_MNC = 0.86  # docs/decisions/tracing.md
-
-
 def simplest_trajectory(psf: ArrayLike) -> Trajectory:
     """Trace an estimated PSF: a quadratic path where one explains it, else a walk.
 
@@ -257,8 +255,6 @@ def simplest_trajectory(psf: ArrayLike) -> Trajectory:
     light = np.asarray(psf, dtype=np.float64)
     plain = quadratic_of_psf(light).trajectory()
     plain_psf = plain.psf(plain.frame_size(PSF_PX))
-    return (
-        plain
-        if mnc_subpixel(plain_psf, light) >= _EXPLAINED_MNC
-        else trace_psf_to_trajectory(light)
-    )
+    if mnc_subpixel(plain_psf, light) >= _EXPLAINED_MNC:
+        return plain
+    return trace_psf_to_trajectory(light)

@@ -22,7 +22,7 @@ from motdiff.training.samples import Samples, simulate
 from motdiff.training.shards import load_shards, write_shards
 from motdiff.training.simulation import Photography
 
-SHARD_SAMPLES = 64
+SHARD_SAMPLES = 64  # about 7 MB in a file
 _NAME = "shard"
 _SEEDS_APART = 1_000_003  # of two runs: a shard of one has no seed of the other's
 

@@ -167,8 +167,8 @@ def train(
         trainer = Trainer(config, device=device)
         resumed = trainer.resume(target / "checkpoint")
         log = RunLog(target, steps=config.optimiser.steps, enabled=trainer.leads)
-        began = "resumed at" if resumed else "new run, from"
-        log.say(f"{began} step {trainer.step} of {config.optimiser.steps}")
+        opening = "resumed at" if resumed else "new run, from"
+        log.say(f"{opening} step {trainer.step} of {config.optimiser.steps}")
         sources = make_sources(config, device=device, workers=workers)
 
         def due() -> bool:

@@ -38,7 +38,7 @@ features to others."""
 _SCHEMA = "motdiff.weights/1"
 _OUTPUT_BIAS = "denoiser.output.1.bias"
 _PHOTO_FIELDS = ("backbone", "features", "photo_pool", "width")
-_PATHS = (
+_PATHS = (  # entries of a run that name files
     ("data", "photos"),
     ("data", "prepared"),
     ("data", "prepared_validation"),

@@ -18,8 +18,8 @@ from motdiff.types import FloatArray
 
 UNEXPLAINED = 1.25
 """Misfit above which a path does not explain the photos."""
-_MOST_PATHS = 3
-_MISFIT_POWER = 4.0
+_MOST_PATHS = 3  # the best, and alternatives
+_MISFIT_POWER = 4.0  # so steep that a misfit of 1.5 leaves a fifth
 
 
 @dataclass(frozen=True)

@@ -17,17 +17,17 @@ from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
 
 _KERNEL_SHARE = 0.45  # of the time
-_FIT_SHARE = 0.55
+_FIT_SHARE = 0.55  # the search of the path
 # on simulated walks: how often the path is right, by number of photos; and the ratio of true to
 # computed error (docs/decisions/motion-estimation.md)
 _SHARE_RIGHT = (0.05, 0.75, 0.67, 0.88)
 _ERROR_RATIO = 2.8
 _TWO_VAGUE = 0.3  # two photos whose path has a large expected error; whose searches end apart
-_TWO_ALONE = 0.2
-_VAGUE_PX = 0.25
+_TWO_ALONE = 0.2  # and whose other searches ended elsewhere
+_VAGUE_PX = 0.25  # expected error from which a path counts as vague
 # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
 _KERNELS_ALONE = 0.3
-_ALMOST_EQUAL = 1e-3
+_ALMOST_EQUAL = 1e-3  # of two costs: keeps the alternatives' shares finite
 _LEAST_EXTENTS = 5.0  # of a path, in units of its expected error
 
 

@@ -19,10 +19,10 @@ from motdiff.progress import Progress
 from motdiff.types import FloatArray
 
 _SAME_SCENE = 0.8  # correlation of two photos beyond their blur
-_BLUR_PX = 12.0
+_BLUR_PX = 12.0  # sigma: beyond it, blurs of the usual length hardly show
 _TRUSTED = 0.5  # confidence in a kernel
 _BLIND_WEIGHT = 300.0  # a blind kernel's error: about a tenth of its square
-_LEAST_TRUST = 0.15
+_LEAST_TRUST = 0.15  # confidence: no kernel is left out altogether
 _SIDE_STEP_PX = 6  # photos are cut to sides that the three grids divide
 _LARGEST_SIDE_PX = 252
 _LEAST_INSIDE_PX = 96  # of a photo without its borders

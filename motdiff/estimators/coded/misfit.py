@@ -130,7 +130,9 @@ class Roughness(PathQuadratic):
     """Squared second differences of the path, scaled to those of 53 knots."""
 
     def __init__(self, unknowns: Unknowns, weight: float) -> None:
+        # second differences of neighbouring knots
         D = np.diff(np.eye(unknowns.knots), n=2, axis=0)
+        # the integral of |p''|^2, whatever the number of knots
         scale = ((unknowns.knots - 1) / 52) ** 3
         super().__init__(unknowns, weight * scale * D.T @ D)
 

@@ -27,8 +27,8 @@ NOISE_GAIN = 4.0 * KNOTS
 _SMOOTH_OVER = 0.12  # of the exposure: an error of the path changes over such times
 _ROUGH_PX = 0.03  # error of each knot beside the smooth one
 _ANYWHERE_PX = 100.0  # the position of the whole path does not matter
-_FIXED_PX = 1e-3
-_MOST_ORDERS = 4
+_FIXED_PX = 1e-3  # so stiff that only shifts and gains are fitted
+_MOST_ORDERS = 4  # the best few after the quick descent
 _DEVIATION_FACTORS = (0.5, 1.0, 2.0)  # descents with other deviations end in other minima
 _NEAREST_COST = 2.0  # in fits
 # of true to computed error: docs/decisions/motion-estimation.md

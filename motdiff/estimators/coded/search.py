@@ -19,28 +19,28 @@ from motdiff.progress import Progress
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
-_DECODED = 64
+_DECODED = 64  # starting paths of each kind
 _ORDERS = 48
 _WALKS = 48
-_POPULATION = 8
+_POPULATION = 8  # candidates kept after each round
 _CHILDREN_FITTED = 10
-_PARENTS = 4
+_PARENTS = 4  # of them, crossed with all
 _ROUNDS = 6
 _PATIENCE = 2  # rounds without improvement
-_IMPROVED = 0.98
+_IMPROVED = 0.98  # of the least cost: a smaller fall is no improvement
 
 # the search beside the photos alone
 _DOUBTFUL = 1.0  # misfit; right paths have 0.6 to 0.97 on simulated walks
 _FEW_PHOTOS = 2  # their kernels mislead too often to be the only starts
 _FEW_KNOTS = 27  # half as many unknowns make a step twice as cheap
-_LONE_WALKS = 96
-_USUAL_PX = 50.0
+_LONE_WALKS = 96  # more starts: there are no kernels to decode
+_USUAL_PX = 50.0  # length of the walks where no kernel tells it
 _MOST_SEARCHES = 4
-_SAME_PX = 1.0
+_SAME_PX = 1.0  # two searches ended at one path if theirs are this near
 _WIDE_ROUNDS = 20
-_WIDE_PATIENCE = 4
-_CHILDREN = 32
-_WIDE_RESULTS = 6
+_WIDE_PATIENCE = 4  # longer: its rounds change less at a time
+_CHILDREN = 32  # of a round
+_WIDE_RESULTS = 6  # handed to the finest grid
 _WIDE_IMPROVED = 0.995
 
 

@@ -16,7 +16,7 @@ from motdiff.types import FloatArray
 
 _PASS_PX = 1.5  # strands nearer than this meet
 _LOOP_PX = 4.0  # less path between two meetings is no loop
-_MOST_MEETINGS = 10
+_MOST_MEETINGS = 10  # the orders double with each
 _FAINT = 0.04  # share of the peak
 _DOUBT = 0.08  # least share of the light at a point with the shutter open, or closed
 _BLUR_PX = 1.0  # kernels estimated apart from each other do not match to a pixel
@@ -202,7 +202,7 @@ def _meetings(points: FloatArray, path: Trajectory) -> list[tuple[int, int]]:
         if distance[i, j] > _PASS_PX:
             break
         meetings.append((int(i) * stride, int(j) * stride))
-        radius = 0.75 * _LOOP_PX
+        radius = 0.75 * _LOOP_PX  # one meeting for each pair of strands
         distance[np.ix_(np.abs(arc - arc[i]) < radius, np.abs(arc - arc[j]) < radius)] = np.inf
     return meetings
 

@@ -22,13 +22,13 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 _GAP_PX = 12  # within a trail, where the shutter was closed
-_MARGIN_PX = 7
-_MOST_PX = 160
-_TRAIL_SIGMA = 4.0
-_PEAK_SIGMA = 12.0
+_MARGIN_PX = 7  # around a trail: the spot's flanks
+_MOST_PX = 160  # time and memory grow with the area
+_TRAIL_SIGMA = 4.0  # of a 3 x 3 mean's noise
+_PEAK_SIGMA = 12.0  # a trail's brightest pixel, against noise alone
 _LEAST_NOISE = 1 / 255 / np.sqrt(12)  # 8 bits round by that
 _MODEL_ERROR = 0.02  # of a pixel's light: the spot is no Gaussian, the pixels differ
-_MOST_CLIPPED = 0.2
+_MOST_CLIPPED = 0.2  # share of a trail's pixels
 # on simulated motions: docs/decisions/motion-estimation.md
 _AGREED = 0.95
 _ALONE = 0.3

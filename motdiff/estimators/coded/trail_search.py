@@ -27,25 +27,25 @@ from motdiff.progress import Progress
 from motdiff.trajectory import arc_lengths
 from motdiff.types import FloatArray
 
-_LEAST_PIECES = 52
+_LEAST_PIECES = 52  # of time; each chip has a whole number of them
 _ROUGHNESS = 10.0  # second differences of 0.3 px at 53 knots
 # blur, px, and the error allowed, as a share of the brightest pixel
 _COARSE = ((4.0, 0.06), (2.5, 0.04), (1.5, 0.02), (1.0, 0.007))
-_STARTS = 160
+_STARTS = 160  # random walks of a search
 _SELECTED = (80, 40, 20)  # after each coarse blur
 _POPULATION = 12
-_PARENTS = 6
-_NEWCOMERS = 8
+_PARENTS = 6  # crossed with each other
+_NEWCOMERS = 8  # walks of each round, against inbreeding
 _ROUNDS = 40
 _PATIENCE = 6  # rounds without improvement
 _IMPROVED = 0.98
-_REROUTED = 5
+_REROUTED = 5  # children of a parent with a stretch drawn anew
 _SEARCHES = 5
 _RESULTS = 4
-_SAME_PX = 0.3
-_WALK_PX = (20.0, 90.0)
-_LONGEST_PX = 160.0
-_TRACE_BLURS_PX = (0.7, 1.2, 2.0)
+_SAME_PX = 0.3  # nearer paths are one
+_WALK_PX = (20.0, 90.0)  # length of a path, px
+_LONGEST_PX = 160.0  # walks stretched to the trail's shape are drawn again beyond it
+_TRACE_BLURS_PX = (0.7, 1.2, 2.0)  # bridge the gaps of closed chips
 _FAINT = 0.04
 _TRACED_POINTS = 161
 _ORDERS = 24
@@ -53,7 +53,7 @@ _PIECE_PX = 0.5  # of a traced path whose light is measured; how even it is
 _MOST_PIECES = 140
 _EVEN = 0.05
 _SLIP = 0.03  # of time, where a path is run earlier or later
-_SLIP_SPAN = 0.15
+_SLIP_SPAN = 0.15  # share of the exposure over which it lasts
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from torch import Tensor
 from motdiff.estimators.coded.misfit import Unknowns
 from motdiff.types import FloatArray
 
-_LEAST_SPOT_PX = 0.15
+_LEAST_SPOT_PX = 0.15  # narrower spots look alike on pixels
 _STEP = 1.5  # of the pixels compared, in blurs
 _AT_ONCE = 2**23  # values of the derivatives held at a time
 

@@ -100,9 +100,7 @@ def corrected_kernel(
     (63, 63) float: non-negative, sum 1.
     """
     light = torch.from_numpy(crops.astype(np.float32))
-    framed = torch.from_numpy(
-        np.stack([_framed(framed_kernel) for framed_kernel in (kernel, *rivals)])
-    )
+    framed = torch.from_numpy(np.stack([_framed(k) for k in (kernel, *rivals)]))
     estimate = framed[:1]
     framed_rivals = framed[[1, -1]][None]  # a single one counts twice
     with torch.inference_mode():

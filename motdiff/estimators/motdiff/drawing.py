@@ -110,7 +110,7 @@ def quick_search(crops: FloatArray, *, sigma: float) -> FloatArray:
 
 def _photo(crops: Tensor) -> Tensor:
     """Display values (1, 3, 256, 256) of the best crop's middle, mirrored outwards if smaller."""
-    best = crops[:, :1]
+    best = crops[:, :1]  # crops come best first
     missing = [max(0, PHOTO_PX - n) for n in best.shape[-2:]]
     while any(missing):  # a reflection adds at most n - 1 pixels, so small crops need several
         pads = [min(m, n - 1) for m, n in zip(missing, best.shape[-2:], strict=True)]

@@ -31,7 +31,7 @@ from motdiff.types import FloatArray
 from motdiff.weights import load_network
 from motdiff.weights.correction import load_correction
 
-_ODD_PX = PSF_PX - 1
+_ODD_PX = PSF_PX - 1  # an odd frame has a middle pixel, about which kernels are reflected
 _REFINED = 3
 # processor time of the stages, in starts of the classical search
 _DRAW_COST = 0.4
@@ -70,10 +70,8 @@ class MotDiffEstimator(BlindEstimator):
         corrected.
     seed : int
         Of the draws.
-    crops : int
-        Most crops used of a photo larger than one crop.
-    progress : callable, optional
-        Called with the finished share 0..1.
+    crops, progress
+        As of :class:`motdiff.estimators.multiscale.BlindEstimator`.
 
     References
     ----------

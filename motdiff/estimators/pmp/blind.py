@@ -18,21 +18,21 @@ from motdiff.estimators.pmp.latent import (
     start_threshold,
 )
 
-_RATIO = math.sqrt(0.5)
-_COARSEST_PX = 5
-_DECAY = 1.1
-_SMOOTHNESS_FLOOR = 4.0
-_SMOOTHNESS_PER_VARIANCE = 1.6e5
-_FINE_SMOOTHNESS = 0.3
+_RATIO = math.sqrt(0.5)  # of neighbouring scales: half as many pixels
+_COARSEST_PX = 5  # kernel side at the coarsest scale, where two equal pixels are a fair start
+_DECAY = 1.1  # of the priors' weights and of the threshold, from one alternation to the next
+_SMOOTHNESS_FLOOR = 4.0  # of the search's kernels, without noise
+_SMOOTHNESS_PER_VARIANCE = 1.6e5  # 16 at a noise of 0.01: noise reaches a kernel as grain
+_FINE_SMOOTHNESS = 0.3  # weaker than in the search, for the faint parts of the kernel
 _FINE_SPARSITY = 0.5
 _FINE_KEEP_SHARE = 0.01  # salient edges need 0.05: all gradients resolve fainter light
-_FINE_GRADIENT_FLOOR = 2e-4
-_FINE_GRADIENT_PER_VARIANCE = 2.5
+_FINE_GRADIENT_FLOOR = 2e-4  # weight of the gradient count, without noise
+_FINE_GRADIENT_PER_VARIANCE = 2.5  # and per noise variance: noise must not pass as gradients
 _COUPLING = Coupling(start=16.0, end=100.0, growth=1.5)
 _FINE_COUPLING = Coupling(end=100.0)  # slower growth, as in the search, loses 0.02 on real photos
 _ROUNDS = (6, 15)  # descent steps of the search's kernels and of the refinement's
-_FINE_ROUNDS = (25, 50)
-_REFINEMENTS = 3
+_FINE_ROUNDS = (25, 50)  # more: near the solution the descent is slow
+_REFINEMENTS = 3  # alternations at full size after the search
 _ALTERNATION_PX = 2e4  # fixed cost of an alternation, in pixels of the photo
 # share of the noise assumed in a shrunk photo: 0.4 and less remains, but assuming that loses 0.01
 _SHRUNK_NOISE = 0.45
@@ -125,6 +125,7 @@ def estimate_kernels(
     threshold = photos.new_zeros(0)
     batch, crops = photos.shape[:2]
     flat = photos.flatten(0, 1)
+    # of an alternation at each scale
     costs = [_ALTERNATION_PX + flat.numel() * _RATIO ** (2 * scale) for scale in range(scales)]
     rounds = [settings.last_iterations + (_REFINEMENTS if settings.fine_weights else 0)]
     rounds += [settings.iterations + len(settings.fine_weights)] * (scales - 1)

@@ -70,12 +70,10 @@ class PmpEstimator(BlindEstimator):
 
     Parameters
     ----------
-    crops : int
-        Most crops used of a photo larger than one crop.
     device : str
         Torch device of the search.
-    progress : callable, optional
-        Called with the finished share 0..1.
+    crops, progress
+        As of :class:`motdiff.estimators.multiscale.BlindEstimator`.
 
     References
     ----------
@@ -159,6 +157,7 @@ class PmpEstimator(BlindEstimator):
             sparsity=start.sparsity,
             gradient_weight=start.gradient_weight,
         )
+        # odd, and smaller than the photo
         size = min(start.size, (min(crops.shape[1:]) // 2) * 2 - 1)
         kernels = estimate_kernels(batch, size=size, settings=settings, on_progress=on_progress)
         kernel = np.rot90(kernels[0].cpu().numpy(), -start.quarter_turns)

@@ -44,8 +44,8 @@ def downsampled(photo: Tensor, factor: float) -> Tensor:
     """Shrink photos (B, H, W) by ``factor`` <= 1, with a Gaussian against aliasing."""
     if factor == 1:
         return photo
-    sigma = 1 / (2 * factor)
-    radius = math.ceil(1.7 * sigma)
+    sigma = 1 / (2 * factor)  # half a pixel of the small photo
+    radius = math.ceil(1.7 * sigma)  # beyond, the Gaussian is below a quarter of its peak
     offsets = torch.arange(-radius, radius + 1, device=photo.device, dtype=photo.dtype)
     weights = torch.exp(-0.5 * (offsets / sigma).square())
     weights = weights / weights.sum()

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from motdiff.estimators.pmp.grids import fast_size, gradient_power, shifted
 
-_SPECK_MASS = 0.1
+_SPECK_MASS = 0.1  # of the light; a stroke of the path has more
 _SPARSITY_CAP = 0.3  # of the correlation's peak: above it no kernel would be left
 
 
@@ -54,6 +54,7 @@ def fit_kernel(
     the noise-scaled sparsity are ours.
     """
     _, crops, height, width = latent[0].shape
+    # linear, not circular, correlations
     frame = (fast_size(height + size), fast_size(width + size))
     spectra = [torch.fft.rfft2(gradient, s=frame) for gradient in (*latent, *blurred)]
     power = (spectra[0].abs().square() + spectra[1].abs().square()).sum(dim=1)
@@ -75,10 +76,9 @@ def fit_kernel(
     latent_energy = lags[:, size - 1, size - 1].clamp(min=1e-12)
     blurred_energy = (blurred[0].square() + blurred[1].square()).sum(dim=(1, 2, 3))
     variance = blurred_energy / (2 * crops * height * width)
-    step = 1 / A.amax(
-        dim=(1, 2), keepdim=True
-    )  # over a bound of the eigenvalues: the descent converges
-    x = torch.full_like(Lb, 1 / size**2)
+    # over a bound of the eigenvalues: the descent converges
+    step = 1 / A.amax(dim=(1, 2), keepdim=True)
+    x = torch.full_like(Lb, 1 / size**2)  # even: the first fit must not prefer any place
     for steps in rounds:
         s = torch.minimum(
             sparsity * (variance * latent_energy).sqrt(), _SPARSITY_CAP * Lb.amax(dim=(1, 2))

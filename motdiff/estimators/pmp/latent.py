@@ -77,10 +77,10 @@ def l0_pmp_latent(
     CVPR 2013.
     """
     height, width = blurred.shape[-2:]
-    K = psf_to_otf(kernel, (height, width))
+    K = psf_to_otf(kernel, (height, width))  # the papers' symbols: K the OTF, B the photo
     KK = K.abs().square()
     KB = K.conj() * torch.fft.rfft2(blurred)
-    DD = gradient_power(height, width, blurred)
+    DD = gradient_power(height, width, blurred)  # |D|^2 of both differences
     photo = blurred
     for alpha in coupling.steps(gradient_weight):
         if intensity_weight > 0:
@@ -94,8 +94,7 @@ def l0_pmp_latent(
 
 
 def start_threshold(photo: Tensor, *, size: int) -> Tensor:
-    """Squared gradient above which each of four orientations keeps at least ``20 size`` pixels,
-    (B,).
+    """Squared gradient (B,) that at least ``20 size`` pixels of each of 4 orientations reach.
 
     Parameters
     ----------
@@ -133,6 +132,7 @@ def salient_gradients(photo: Tensor, threshold: Tensor) -> tuple[Tensor, Tensor]
     gx, gy = _forward_gradients(photo)
     strength = gx.square() + gy.square()
     strongest = strength.amax(dim=(1, 2))
+    # 0.81 = 0.9^2: at least gradients near the strongest stay
     level = torch.minimum(threshold, 0.81 * strongest)[:, None, None]
     keep = (strength >= level).to(photo.dtype)
     return gx * keep, gy * keep

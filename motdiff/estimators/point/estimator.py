@@ -16,9 +16,9 @@ from motdiff.tracing import trace_psf_to_trajectory
 from motdiff.types import BoolArray, FloatArray
 
 _GAP_PX = 2  # breaks in a streak up to twice this are bridged: noise where the light ran fast
-_KEPT_SIGMA = 3.0
-_FOUND_SIGMA = 5.0
-_LOST_TO_CLIPPING = 0.02
+_KEPT_SIGMA = 3.0  # of the noise: what belongs to a streak
+_FOUND_SIGMA = 5.0  # and what shows that there is one
+_LOST_TO_CLIPPING = 0.02  # share of a streak's pixels
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,18 +23,16 @@ from motdiff.types import BoolArray, FloatArray
 # sigma; slower differences (vignetting, lamps, haze) say little about a kernel and mislead it
 _HIGH_PASS_PX = 4.0
 _RIM_PX = int(3 * _HIGH_PASS_PX)  # the high-passed photo is not trusted this close to its border
-_SPLINE_MARGIN_PX = 8
+_SPLINE_MARGIN_PX = 8  # beyond, a spline of order 5 has forgotten the border
 _LEAST_CROP_PX = 32
 _LAMP_REACH = 0.005  # share of a lamp's light that spoils a pixel
-_LAMP_FAINT = (
-    0.05  # share of the peak: a lamp must not spoil the photo through noise in the first kernel
-)
+# share of the peak: a lamp must not spoil the photo through noise in the first kernel
+_LAMP_FAINT = 0.05
 _SPECK_FAINT = 0.03  # share of the peak: fainter light joins no parts of the kernel
 _SPECK_SHARE = 0.02  # of all light: a part with less is noise
-_CHANNEL_CLIPPED = (
-    0.1  # a channel with this share of clipped pixels is worth nothing beside others
-)
-_LOST = 0.6
+# a channel with this share of clipped pixels is worth nothing beside others
+_CHANNEL_CLIPPED = 0.1
+_LOST = 0.6  # share explained: below, the pair is hardly one scene
 
 
 @dataclass(frozen=True)
@@ -119,17 +118,15 @@ class ReferenceEstimator:
         agreement = 0.0
         if all(half.any() for half in halves):
             agreement = mnc_subpixel(*halves)
-        return self._report(
-            blurred,
-            pairs,
-            psf / gain,
-            [k for k in crop_psfs if k.any()],
-            gain,
-            noise,
-            shift,
-            places,
-            agreement,
-        )
+        details = {
+            "gain": gain,
+            "noise_sigma": math.sqrt(noise),
+            "shift_px": [float(shift[1]), float(shift[0])],
+            "crops_row_col": [[place.row, place.column] for place in places],
+            "crop_px": [places[0].height, places[0].width],
+        }
+        lit_psfs = [kernel for kernel in crop_psfs if kernel.any()]
+        return self._report(blurred, pairs, psf / gain, lit_psfs, agreement, details)
 
     def _report(
         self,
@@ -137,13 +134,10 @@ class ReferenceEstimator:
         pairs: Sequence[psf_fit.PatchPair],
         psf: FloatArray,
         crop_psfs: Sequence[FloatArray],
-        gain: float,
-        noise: float,
-        shift: tuple[float, float],
-        places: Sequence[_Place],
         agreement: float,
+        figures: Mapping[str, Any],
     ) -> MotionEstimate:
-        explained = _explained_beyond_noise(pairs, gain * psf, blurred.noise_variance)
+        explained = _explained_beyond_noise(pairs, figures["gain"] * psf, blurred.noise_variance)
         # of two fits to half of the pixels: the error energy of one, from which that of others
         # follows
         half_error = 1 / max(agreement, 1e-3) - 1
@@ -174,13 +168,11 @@ class ReferenceEstimator:
             "explained_share": explained,
             "expected_mnc": expected_mnc,
             "left_out_share": clipped,
-            "gain": gain,
-            "noise_sigma": math.sqrt(noise),
-            "shift_px": [float(shift[1]), float(shift[0])],
-            "crops_row_col": [[place.row, place.column] for place in places],
-            "crop_px": [places[0].height, places[0].width],
-            "uniformity": crops.uniformity(crop_psfs) if crop_psfs else 0.0,
+            **figures,
+            "uniformity": 0.0,
         }
+        if crop_psfs:
+            details["uniformity"] = crops.uniformity(crop_psfs)
         confidence = min(1.0, max(0.0, explained)) * expected_mnc
         return MotionEstimate(
             "reference",
@@ -194,6 +186,7 @@ class ReferenceEstimator:
 
     def _places(self, sharp: _Photo, blurred: _Photo, shift: tuple[float, float]) -> list[_Place]:
         """Choose crops of the blurred photo whose light all comes from within the sharp one."""
+        # reach of the PSF to the top and left of a crop
         before = self.size - 1 - self.size // 2 + _SPLINE_MARGIN_PX + _RIM_PX
         after = self.size // 2 + _SPLINE_MARGIN_PX + _RIM_PX
         low = [max(_RIM_PX, math.ceil(before + d)) for d in shift]

@@ -10,9 +10,9 @@ from scipy import fft
 
 from motdiff.types import FloatArray
 
-_INNER = 150
+_INNER = 150  # most iterations of ADMM in a Newton step
 _RHO = 2.0  # in units of the model's geometric mean
-_TOLERANCE = 1e-4
+_TOLERANCE = 1e-4  # of the largest value of the PSF
 
 
 @dataclass(frozen=True)

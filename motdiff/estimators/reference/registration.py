@@ -8,7 +8,7 @@ from scipy import fft, ndimage
 from motdiff.types import FloatArray
 
 _LARGE_PX = 1_500_000  # photos with more pixels are first registered binned
-_WINDOW_PX = 768
+_WINDOW_PX = 768  # px: enough texture for a peak, at a fraction of the time of the whole photo
 
 
 def high_passed(light: FloatArray, *, sigma_px: float) -> FloatArray:
