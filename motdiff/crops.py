@@ -118,9 +118,9 @@ def clipped_mask(photo: ArrayLike, *, level: float = CLIPPED_LEVEL) -> NDArray[n
 def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list[tuple[int, int]]:
     """Choose crops that constrain the blur best, with little overlap.
 
-    They have edges in several directions and few clipped pixels. The value of a crop is the smaller eigenvalue of its structure tensor (the summed outer
-    products of the gradient): stripes of one direction, which hide the motion along them, have the
-    value 0.
+    They have edges in several directions and few clipped pixels. The value of a crop is the
+    smaller eigenvalue of its structure tensor (the summed outer products of the gradient): stripes
+    of one direction, which hide the motion along them, have the value 0.
 
     Parameters
     ----------

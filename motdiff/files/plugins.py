@@ -13,7 +13,7 @@ from motdiff.files.inputs import one_line
 def is_reference(text: str) -> bool:
     """Whether a text has the form ``module:name``, as ``package.module:MyEstimator``."""
     module, _, name = text.partition(":")
-    return all(part.isidentifier() for part in (name, *module.split(".")))
+    return all(label.isidentifier() for label in (name, *module.split(".")))
 
 
 def load_object(reference: str) -> Any:
