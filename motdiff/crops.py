@@ -103,15 +103,9 @@ def check_size(photo: ArrayLike, *, least_px: int) -> None:
         )
 
 
-def clipped_mask(photo: ArrayLike, *, level: float = CLIPPED_LEVEL) -> NDArray[np.bool_]:
-    """Pixels (H, W) with a channel at or above ``level``.
-
-    Parameters
-    ----------
-    photo : (H, W) or (H, W, C) array_like, linear light 0..1
-    level : float
-    """
-    high = np.asarray(photo) >= level
+def clipped_mask(photo: ArrayLike) -> NDArray[np.bool_]:
+    """Pixels (H, W) of a photo (H, W) or (H, W, C) with a channel at :data:`CLIPPED_LEVEL`."""
+    high = np.asarray(photo) >= CLIPPED_LEVEL
     return np.asarray(high if high.ndim == 2 else high.any(axis=2))
 
 

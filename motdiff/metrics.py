@@ -17,6 +17,8 @@ SAME_KERNEL_MNC = 0.95
 """Estimates of one photo's kernel count as the same from this sub-pixel MNC on,
 docs/decisions/network.md."""
 _SUBPIXEL_STEP_PX = 0.05
+_ALIGNED_STEP_PX = 0.25  # of images: 1 px halved twice
+_TIMES = 401  # compared of two paths
 
 
 def mnc(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
@@ -121,7 +123,7 @@ def path_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 200) -> flo
     return float(min(np.linalg.norm(p - points, axis=1).mean() for points in (q, q[::-1])))
 
 
-def timed_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 401) -> float:
+def timed_distance_px(a: Trajectory, b: Trajectory) -> float:
     """Rms distance, px, of two paths at equal times after the best shift; direction counts.
 
     Examples
@@ -131,7 +133,7 @@ def timed_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 401) -> fl
     >>> print(f"{timed_distance_px(path, path):.2f} {timed_distance_px(path, back):.2f}")
     0.00 6.95
     """
-    t = np.linspace(0, 1, samples)
+    t = np.linspace(0, 1, _TIMES)
     apart = a.at(t) - b.at(t)
     return float(np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
@@ -168,7 +170,6 @@ def psnr_up_to_shift(
     sharp: ArrayLike,
     *,
     max_shift_px: float = 5.0,
-    step_px: float = 0.25,
     crop_px: int = 15,
 ) -> float:
     """PSNR, dB, of ``restored`` against ``sharp`` (peak 1), best over shifts, borders cropped.
@@ -176,12 +177,12 @@ def psnr_up_to_shift(
     Parameters
     ----------
     restored, sharp : (H, W) or (H, W, 3) array_like, 0..1
-    max_shift_px, step_px : float
-        Range and step of the translations tried (Levin et al. 2009: 5 px in steps of 1/4 px).
+    max_shift_px : float
+        Range of the translations tried, in steps of 1/4 px (Levin et al. 2009: 5 px).
     crop_px : int
         Border left out on each side.
     """
-    return psnr(*_best_aligned(restored, sharp, max_shift_px, step_px, crop_px))
+    return psnr(*_best_aligned(restored, sharp, max_shift_px, crop_px))
 
 
 def psnr_ssim_up_to_shift(
@@ -189,11 +190,10 @@ def psnr_ssim_up_to_shift(
     sharp: ArrayLike,
     *,
     max_shift_px: float = 5.0,
-    step_px: float = 0.25,
     crop_px: int = 15,
 ) -> tuple[float, float]:
     """:func:`psnr_up_to_shift`, and the SSIM at that shift, in hardly more time."""
-    aligned, target = _best_aligned(restored, sharp, max_shift_px, step_px, crop_px)
+    aligned, target = _best_aligned(restored, sharp, max_shift_px, crop_px)
     return psnr(aligned, target), _ssim(aligned, target)
 
 
@@ -288,7 +288,7 @@ def _interpolator(size: int, positions: FloatArray) -> NDArray[np.complex128]:
 
 
 def _best_aligned(
-    restored: ArrayLike, sharp: ArrayLike, max_shift_px: float, step_px: float, crop_px: int
+    restored: ArrayLike, sharp: ArrayLike, max_shift_px: float, crop_px: int
 ) -> tuple[FloatArray, FloatArray]:
     moving = np.asarray(restored, dtype=np.float64)
     target = np.asarray(sharp, dtype=np.float64)
@@ -323,7 +323,7 @@ def _best_aligned(
 
     reference = target[window]
     best = (0.0, 0.0)
-    step = max(1.0, step_px)
+    step = 1.0
     span = max_shift_px
     while True:  # coarse to fine; the error is smooth in the shift
         candidates = [
@@ -334,7 +334,7 @@ def _best_aligned(
         ]
         errors = [float(np.mean((shifted(*c) - reference) ** 2)) for c in candidates]
         best = candidates[int(np.argmin(errors))]
-        if step <= step_px:
+        if step <= _ALIGNED_STEP_PX:
             return shifted(*best), reference
         span = step
-        step = max(step / 2, step_px)
+        step /= 2

@@ -11,6 +11,11 @@ from motdiff.path_psfs import interpolated
 from motdiff.trajectory import Trajectory
 
 DEBLURGAN_EXPL = (0.01, 0.009, 0.008, 0.007, 0.005, 0.003)
+# a big shake adds the velocity turned by 180 degrees +- the spread, times the strength
+_SHAKE_STRENGTH = 2.0
+_SHAKE_SPREAD_RAD = 0.5
+_MIN_EXTENT_RAD = 2e-4  # enlarged, windows stiller than this would show the sensor's noise
+_SMOOTH_OVER = 0.12  # of the exposure: an error of a path changes over such times
 _WINDOW_TRIES = 200  # until the recording is called still
 # a phone's; other axes would draw the mirror images of the published tables' motions
 _RECORDED_AXES = "right,up,back"
@@ -26,8 +31,6 @@ def boracchi_foi(
     inertia_max: float = 0.7,
     big_shake_max: float = 0.2,
     gaussian_max: float = 10.0,
-    big_shake_strength: float = 2.0,
-    big_shake_spread_rad: float = 0.5,
 ) -> Trajectory:
     """Draw DeblurGAN's random walk: constant speed, inertia and sudden reversals.
 
@@ -46,8 +49,6 @@ def boracchi_foi(
     inertia_max, big_shake_max, gaussian_max : float
         Upper ends of the uniform laws of the pull to the start, the probability of a big shake
         (times ``expl`` per step) and the strength of the Gaussian changes.
-    big_shake_strength, big_shake_spread_rad : float
-        A big shake adds the velocity turned by 180 degrees +- the spread, times the strength.
 
     Raises
     ------
@@ -75,10 +76,8 @@ def boracchi_foi(
     normal = rng.standard_normal((2, steps))
     shakes: list[complex] = (expl * gaussian * (normal[0] + 1j * normal[1])).tolist()
     when = np.flatnonzero(rng.random(steps) < big_shake * expl)
-    turns = np.pi + big_shake_spread_rad * rng.uniform(-1, 1, when.size)
-    kicks = dict(
-        zip(when.tolist(), (big_shake_strength * np.exp(1j * turns)).tolist(), strict=True)
-    )
+    turns = np.pi + _SHAKE_SPREAD_RAD * rng.uniform(-1, 1, when.size)
+    kicks = dict(zip(when.tolist(), (_SHAKE_STRENGTH * np.exp(1j * turns)).tolist(), strict=True))
     pull = expl * inertia * max_length_px / steps
     velocity = complex(math.cos(angle_rad), math.sin(angle_rad))
     position = 0j
@@ -152,7 +151,6 @@ def random_gyro_motion(
     *,
     exposure_s: float,
     extent_px: float,
-    min_extent_rad: float = 2e-4,
     rotate: bool = True,
 ) -> Trajectory:
     """Draw a hand shake: a random window of ``trace``, its focal length for ``extent_px``.
@@ -164,8 +162,6 @@ def random_gyro_motion(
     exposure_s : float, seconds
     extent_px : float, px
         Larger side of the path's bounding box.
-    min_extent_rad : float
-        Windows stiller than this are drawn again: enlarged, they would show the sensor's noise.
     rotate : bool
         Turn the path by a random angle: a recording may have a preferred direction.
 
@@ -186,7 +182,7 @@ def random_gyro_motion(
         motion = trajectory_from_gyro(
             trace, focal_px=1.0, start_s=start_s, exposure_s=exposure_s, axes=_RECORDED_AXES
         )
-        if motion.extent_px < min_extent_rad:
+        if motion.extent_px < _MIN_EXTENT_RAD:
             continue
         if rotate:
             turn = rng.uniform(0, 2 * np.pi)
@@ -197,7 +193,7 @@ def random_gyro_motion(
         return motion.scaled(extent_px / motion.extent_px)
     raise ValueError(
         f"trace: {_WINDOW_TRIES} windows of {exposure_s} s turned by less than min_extent_rad ="
-        f" {min_extent_rad}"
+        f" {_MIN_EXTENT_RAD}"
     )
 
 
@@ -206,7 +202,6 @@ def with_smooth_error(
     error_px: float,
     *,
     rng: np.random.Generator,
-    smooth_over: float = 0.12,
     sign: float = 1.0,
 ) -> Trajectory:
     """Draw a path near another one, as an estimate is near the truth: a Gaussian process is added.
@@ -217,21 +212,18 @@ def with_smooth_error(
     error_px : float, px
         Expected rms distance over time, both axes together.
     rng : numpy.random.Generator
-    smooth_over : float
-        Share of the exposure over which the error changes.
     sign : float
         Factor of the error: -1 gives the opposite draw.
 
     Raises
     ------
     ValueError
-        If the error is negative or ``smooth_over`` is not positive.
+        If the error is negative.
     """
     if not (math.isfinite(error_px) and error_px >= 0):
         raise ValueError(f"error_px: must be 0 px or more, got {error_px}")
-    _positive("smooth_over", smooth_over)
     knots = np.linspace(0, 1, _ERROR_KNOTS)
-    alike = np.exp(-0.5 * ((knots[:, None] - knots) / smooth_over) ** 2)
+    alike = np.exp(-0.5 * ((knots[:, None] - knots) / _SMOOTH_OVER) ** 2)
     # 1e-8: a smooth covariance is singular to within rounding, and Cholesky needs it definite
     knot_errors = np.linalg.cholesky(alike + 1e-8 * np.eye(knots.size)) @ rng.standard_normal(
         (knots.size, 2)

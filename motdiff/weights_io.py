@@ -108,9 +108,9 @@ def write_with_card(
     return len(data)
 
 
-def read_tensors(path: Path | str, *, device: str = "cpu") -> dict[str, Tensor]:
+def read_tensors(path: Path | str) -> dict[str, Tensor]:
     """Read the tensors of a weights file, those of floating point as float32."""
-    with safe_open(str(path), framework="pt", device=device) as file:
+    with safe_open(str(path), framework="pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, not a dict
     return {name: t.float() if t.is_floating_point() else t for name, t in tensors.items()}
 

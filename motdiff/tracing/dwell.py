@@ -14,15 +14,15 @@ from motdiff.types import FloatArray
 
 _SPACING_PX = 0.5
 _FLOOR = 1e-3  # least dwell of a piece, as a part of the mean: a Trajectory's time must increase
+_SMOOTHNESS = 0.01  # weight of neighbouring dwells' differences, in the data's curvature
 _RIDGE = 1e-6
+_EXTENDED_PX = 1.0  # both ends, for the fit; ends without dwell are cut off again
 _ROUNDS = 4  # of dwell and shift in turn
 _MOST_SHIFT_PX = 2.0
 _SHORTEST_PX = 0.05  # a path must lead somewhere, even for a point
 
 
-def fit_dwell(
-    path_px: ArrayLike, psf: ArrayLike, *, smoothness: float = 0.01, extend_px: float = 1.0
-) -> Trajectory:
+def fit_dwell(path_px: ArrayLike, psf: ArrayLike) -> Trajectory:
     """Fit the time spent along a path, and its sub-pixel shift, so that its exact PSF is ``psf``.
 
     Parameters
@@ -31,11 +31,6 @@ def fit_dwell(
         Ordered points; zero displacement is the index ``size // 2`` of the PSF.
     psf : (H, W) array_like
         Non-negative; any total.
-    smoothness : float
-        Weight of the squared differences of neighbouring dwells, relative to the data's own
-        curvature.
-    extend_px : float, px
-        Both ends are prolonged by this before the fit; ends without dwell are cut off again.
 
     Returns
     -------
@@ -49,14 +44,14 @@ def fit_dwell(
     """
     light = checked_psf(psf)
     target = in_frame(light / light.sum(), 2 * (max(light.shape) // 2) + 1)
-    return _fit(_nodes(path_px, extend_px), target, smoothness)
+    return _fit(_nodes(path_px), target)
 
 
-def _fit(nodes: FloatArray, psf: FloatArray, smoothness: float) -> Trajectory:
+def _fit(nodes: FloatArray, psf: FloatArray) -> Trajectory:
     """Minimise ``|| K' w - psf ||^2`` over dwells w, and the path's shift, in turn."""
     for index in range(_ROUNDS):
         pieces, target = _piece_psfs(nodes, psf)
-        dwell = _non_negative_fit(pieces, target, smoothness)
+        dwell = _non_negative_fit(pieces, target)
         if index == _ROUNDS - 1:
             break
         shift = np.array(register_shift(target, np.tensordot(dwell, pieces, axes=1)))
@@ -79,13 +74,13 @@ def _piece_psfs(nodes: FloatArray, psf: FloatArray) -> tuple[FloatArray, FloatAr
     return slice_psfs(edges, nodes, edges, size) * (len(nodes) - 1), target
 
 
-def _non_negative_fit(pieces: FloatArray, target: FloatArray, smoothness: float) -> FloatArray:
+def _non_negative_fit(pieces: FloatArray, target: FloatArray) -> FloatArray:
     count = len(pieces)
     flat = pieces.reshape(count, -1)
     gram = flat @ flat.T
     scale = float(np.trace(gram)) / count
     differences = np.diff(np.eye(count), axis=0)
-    gram += scale * (smoothness * differences.T @ differences + _RIDGE * np.eye(count))
+    gram += scale * (_SMOOTHNESS * differences.T @ differences + _RIDGE * np.eye(count))
     right = flat @ target.ravel()
     total = max(float(right.sum() / max(gram.sum(), 1e-30)), 1e-12)  # of the best uniform dwell
     floor = np.full(count, _FLOOR * total)
@@ -96,7 +91,7 @@ def _non_negative_fit(pieces: FloatArray, target: FloatArray, smoothness: float)
     return np.asarray(floor + above, dtype=np.float64)
 
 
-def _nodes(path_px: ArrayLike, extend_px: float) -> FloatArray:
+def _nodes(path_px: ArrayLike) -> FloatArray:
     path = np.asarray(path_px, dtype=np.float64)
     if path.ndim != 2 or path.shape[1:] != (2,) or not len(path) or not np.isfinite(path).all():
         raise ValueError(
@@ -108,14 +103,13 @@ def _nodes(path_px: ArrayLike, extend_px: float) -> FloatArray:
         half = np.array([0.5 * _SHORTEST_PX, 0.0])
         path = np.array([path[0] - half, path[0] + half])
     arc = arc_lengths(path)
-    if extend_px > 0:
-        # the direction at an end, from the last pixel or so
-        before = path[0] - interpolated(min(1.0, arc[-1]), arc, path)
-        after = path[-1] - interpolated(max(arc[-1] - 1.0, 0.0), arc, path)
-        first = path[0] + extend_px * before / np.linalg.norm(before)
-        last = path[-1] + extend_px * after / np.linalg.norm(after)
-        path = np.concatenate([first[None], path, last[None]])
-        arc = arc_lengths(path)
+    # the direction at an end, from the last pixel or so
+    before = path[0] - interpolated(min(1.0, arc[-1]), arc, path)
+    after = path[-1] - interpolated(max(arc[-1] - 1.0, 0.0), arc, path)
+    first = path[0] + _EXTENDED_PX * before / np.linalg.norm(before)
+    last = path[-1] + _EXTENDED_PX * after / np.linalg.norm(after)
+    path = np.concatenate([first[None], path, last[None]])
+    arc = arc_lengths(path)
     count = int(np.ceil(arc[-1] / _SPACING_PX)) + 1
     return interpolated(np.linspace(0, arc[-1], max(count, 2)), arc, path)
 

@@ -15,6 +15,8 @@ _EIGHT = np.ones((3, 3), dtype=bool)
 _PINHOLE_AREA = 2  # pixels: such holes lie between strands that run along each other
 _SOFT_HIGH = 0.5  # hysteresis on a soft map, as parts of its maximum
 _SOFT_LOW = 0.25
+_SPECK_PX = 4  # components of fewer pixels are dust when there is anything larger
+_BEND_REACH = 5  # pixels to either side of a bend
 
 
 @dataclass(frozen=True)
@@ -73,9 +75,7 @@ def path_pixels(hr_map: ArrayLike) -> BoolArray:
     return np.asarray(np.isin(labels, strong[strong > 0]), dtype=bool)
 
 
-def branch_graph(
-    mask: BoolArray, *, gap_px: float = 6.0, speck_px: int = 4, spur_px: float = 0.0
-) -> BranchGraph:
+def branch_graph(mask: BoolArray, *, gap_px: float = 6.0, spur_px: float = 0.0) -> BranchGraph:
     """Skeletonise path pixels, join their components and split them at ends and crossings.
 
     Parameters
@@ -84,8 +84,6 @@ def branch_graph(
     gap_px : float
         Longest gap bridged, in pixels of the map. Components further away are dropped unless they
         are the largest.
-    speck_px : int
-        Components of fewer pixels than this are dust when there is anything larger.
     spur_px : float
         Dead ends shorter than this are taken off, shortest first; of a forked tip the longer prong
         stays.
@@ -94,7 +92,7 @@ def branch_graph(
 
     # padded, so that lines along the frame thin like any others
     thin = np.asarray(skeletonize(_without_pinholes(np.pad(mask, 1))), dtype=bool)[1:-1, 1:-1]
-    skeleton = _joined(thin, gap_px, speck_px)
+    skeleton = _joined(thin, gap_px)
     nodes, branches = _split(skeleton)
     while spurs := _spurs(nodes, branches, spur_px):
         for branch in spurs:
@@ -111,7 +109,7 @@ def _without_pinholes(mask: BoolArray) -> BoolArray:
     return np.asarray(mask | (area[labels] <= _PINHOLE_AREA), dtype=bool)
 
 
-def _joined(skeleton: BoolArray, gap_px: float, speck_px: int) -> BoolArray:
+def _joined(skeleton: BoolArray, gap_px: float) -> BoolArray:
     """Join to the largest component all others within reach of short straight bridges."""
     labels, count = ndimage.label(skeleton, structure=_EIGHT)
     if count <= 1:
@@ -119,7 +117,7 @@ def _joined(skeleton: BoolArray, gap_px: float, speck_px: int) -> BoolArray:
     components = [np.argwhere(labels == label) for label in range(1, count + 1)]
     components.sort(key=len, reverse=True)
     pixels, *candidates = components
-    candidates = [candidate for candidate in candidates if len(candidate) >= speck_px]
+    candidates = [candidate for candidate in candidates if len(candidate) >= _SPECK_PX]
     while candidates:
         tree = spatial.cKDTree(pixels)
         reaches = [tree.query(candidate) for candidate in candidates]
@@ -232,9 +230,9 @@ def _split(skeleton: BoolArray) -> tuple[FloatArray, list[Branch]]:
     return np.array(nodes), branches
 
 
-def _sharpest(loop: FloatArray, reach: int = 5) -> int:
-    forward = np.roll(loop, -reach, axis=0) - loop
-    backward = loop - np.roll(loop, reach, axis=0)
+def _sharpest(loop: FloatArray) -> int:
+    forward = np.roll(loop, -_BEND_REACH, axis=0) - loop
+    backward = loop - np.roll(loop, _BEND_REACH, axis=0)
     norms = np.linalg.norm(forward, axis=1) * np.linalg.norm(backward, axis=1)
     return int(np.argmin(np.sum(forward * backward, axis=1) / np.maximum(norms, 1e-9)))
 

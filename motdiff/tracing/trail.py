@@ -22,6 +22,7 @@ _BURIED_END_COST = 1.0  # for an end of the path that is no loose end of the lin
 _REVERSAL_RELIEF = 2.0
 _PROMISE = 0.03  # per pixel still to cover, when partial walks are compared
 _MOST_PASSES = 3
+_BEAM = 300  # partial walks kept at each step
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class _Walk(NamedTuple):  # made by the ten thousand
     step: int
 
 
-def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
+def smoothest_trail(graph: BranchGraph) -> FloatArray:
     """Find the walk over all branches with the least bending, and return it as one polyline.
 
     A walk pays for the bending energy of its Gaussian-smoothed curve, ``integral |G * p''|^2 ds``
@@ -59,8 +60,6 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
     ----------
     graph : BranchGraph
         In one part.
-    beam : int
-        Partial walks kept at each step.
 
     Returns
     -------
@@ -132,7 +131,7 @@ def smoothest_trail(graph: BranchGraph, *, beam: int = 300) -> FloatArray:
                 unique[key] = walk
         ranked = sorted(unique.values(), key=lambda w: w.cost + _PROMISE * w.uncovered_px)
         walks = []
-        for walk in ranked[:beam]:
+        for walk in ranked[:_BEAM]:
             if walk.uncovered_px < 1e-6:
                 continue
             node = lines[walk.step].stop

@@ -240,11 +240,9 @@ def _validation_time_s(trainer: Trainer, batches: tuple[Batch, ...]) -> float:
     return min(times_s) * sum(map(len, batches)) / len(trial)
 
 
-def validation_mnc(
-    trainer: Trainer, batches: tuple[Batch, ...], *, steps: int = _SAMPLING_STEPS
-) -> float:
+def validation_mnc(trainer: Trainer, batches: tuple[Batch, ...]) -> float:
     """Mean of :func:`validation_scores`; for comparing runs, not for reports."""
-    return float(validation_scores(trainer, batches, steps=steps).mean())
+    return float(validation_scores(trainer, batches).mean())
 
 
 def validation_scores(

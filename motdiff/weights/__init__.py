@@ -146,9 +146,7 @@ def _without_folders(config: Mapping[str, object]) -> dict[str, object]:
     return sections
 
 
-def load_network(
-    path: Path | str = DEFAULT_WEIGHTS, *, target: str = "map", device: str | torch.device = "cpu"
-) -> MotDiffNetwork:
+def load_network(path: Path | str = DEFAULT_WEIGHTS, *, target: str = "map") -> MotDiffNetwork:
     """Build the diffusion network that a weights file belongs to, in eval mode and float32.
 
     Parameters
@@ -162,7 +160,7 @@ def load_network(
     ValueError
         If the file is not one of ours, or draws something else.
     """
-    network = _loaded(path, device)
+    network = _loaded(path)
     if not isinstance(network, MotDiffNetwork) or network.config.target != target:
         raise ValueError(
             f"{path}: holds a network of target {network.config.target!r}, wanted {target!r}"
@@ -170,9 +168,9 @@ def load_network(
     return network
 
 
-def load_path_network(path: Path | str, *, device: str | torch.device = "cpu") -> PathNetwork:
+def load_path_network(path: Path | str) -> PathNetwork:
     """Build a weights file's network of quadratic paths; otherwise as :func:`load_network`."""
-    network = _loaded(path, device)
+    network = _loaded(path)
     if not isinstance(network, PathNetwork):
         raise ValueError(
             f"{path}: holds a network of target {network.config.target!r}, wanted 'path'"
@@ -191,7 +189,7 @@ def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
     ValueError
         If the file is not one of ours, or its condition network has other sizes.
     """
-    source = _loaded(path, "cpu")
+    source = _loaded(path)
     state = network.state_dict()
     parts = source.state_dict()
     ours = network.config
@@ -222,7 +220,7 @@ def _of_condition(name: str) -> bool:
     return name.split(".")[0] in ("photo", "physics", "fusion")
 
 
-def _loaded(path: Path | str, device: str | torch.device) -> MotDiffNetwork | PathNetwork:
+def _loaded(path: Path | str) -> MotDiffNetwork | PathNetwork:
     header = read_card(path)
     try:
         network = build_network(NetworkConfig.from_dict(header["config"]["network"]))
@@ -231,12 +229,11 @@ def _loaded(path: Path | str, device: str | torch.device) -> MotDiffNetwork | Pa
             f"{path}: its header describes no network known here: {one_line(error)}"
         ) from error
     try:
-        network.load_state_dict(read_tensors(path, device=str(device)))
+        network.load_state_dict(read_tensors(path))
     except RuntimeError as error:
         raise ValueError(
             f"{path}: its tensors do not fit the network in its own header"
         ) from error
-    network.to(device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return network.eval().requires_grad_(False)
 

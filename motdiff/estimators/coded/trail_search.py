@@ -79,7 +79,6 @@ def find_trail_paths(
     *,
     rng: np.random.Generator,
     progress: Progress | None = None,
-    cost: float = 1.0,
 ) -> tuple[list[CandidatePath], int]:
     """Find the paths that explain the trails best.
 
@@ -89,7 +88,7 @@ def find_trail_paths(
     Parameters
     ----------
     progress : Progress, optional
-        Its plan holds ``cost`` for this work already.
+        Its plan holds a cost of 1 for this work already.
 
     Returns
     -------
@@ -100,14 +99,14 @@ def find_trail_paths(
     ends: list[tuple[Tensor, Tensor]] = []
     for index in range(_SEARCHES):
         ends.append(search.evolved(search.starts(traced=not index)))
-        progress.spend(cost / (_SEARCHES + 1))
+        progress.spend(1 / (_SEARCHES + 1))
         x, costs, times = merged(search.unknowns, ends, keep=_POPULATION, same_px=_SAME_PX)
         if times > 1 and search.misfit(x[:1]) < UNEXPLAINED:
-            progress.spend(cost * (_SEARCHES - index) / (_SEARCHES + 1))
+            progress.spend((_SEARCHES - index) / (_SEARCHES + 1))
             break
     else:
         x, costs = search.evolved(x)  # crossings of several searches' ends
-        progress.spend(cost / (_SEARCHES + 1))
+        progress.spend(1 / (_SEARCHES + 1))
         times = max(
             1, sum(distance_px(search.unknowns, x[0], best[0]) < _SAME_PX for best, _ in ends)
         )

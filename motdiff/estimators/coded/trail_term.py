@@ -93,8 +93,6 @@ class TrailTerm:
         Standard deviation of each pixel; infinite where it does not count.
     blur_px : float
         Gaussian that both are blurred with: large, the term has few local minima.
-    points : int
-        Of the quadrature, in each piece; two are enough where the blur is large.
     """
 
     def __init__(
@@ -105,13 +103,12 @@ class TrailTerm:
         sigmas: Sequence[FloatArray],
         *,
         blur_px: float = 0.0,
-        points: int = 3,
     ) -> None:
         pieces = unknowns.knots - 1
         self._unknowns = unknowns
         self._blur2 = blur_px**2
         step = max(1, round(_STEP * blur_px))
-        points = 2 if blur_px > 1 else points
+        points = 2 if blur_px > 1 else 3  # of the quadrature: smooth light needs fewer
         self._open = [
             torch.tensor(
                 np.flatnonzero(np.repeat([bit == "1" for bit in code], pieces // len(code)))

@@ -70,8 +70,6 @@ class PmpEstimator(BlindEstimator):
 
     Parameters
     ----------
-    device : str
-        Torch device of the search.
     crops, progress
         As of :class:`motdiff.estimators.multiscale.BlindEstimator`.
 
@@ -88,14 +86,12 @@ class PmpEstimator(BlindEstimator):
         *,
         starts: tuple[Start, ...] = STARTS,
         crops: int = 3,
-        device: str = "cpu",
         progress: Callable[[float], None] | None = None,
     ) -> None:
         super().__init__(crops=crops, progress=progress)
         if not starts:
             raise ValueError("starts: need at least one")
         self._starts = starts
-        self._device = device
         self.largest_px = max(start.size for start in starts)
 
     def search(self, crops: FloatArray) -> FoundKernels:
@@ -107,9 +103,7 @@ class PmpEstimator(BlindEstimator):
         kernels = self.kernels(crops, progress=self._progress)
         ranking = rank_kernels(crops, kernels)
         self._progress.spend(_RANK_COST)
-        kernels[ranking.best] = refined(
-            crops, kernels[ranking.best], shared_sigma(crops), device=self._device
-        )
+        kernels[ranking.best] = self.refine(crops, kernels[ranking.best])
         self._progress.spend(_REFINE_COST)
         details: dict[str, object] = {"starts": len(kernels), "agreement": ranking.agreement}
         return FoundKernels(tuple(kernels), ranking.probabilities, ranking.best, details)
@@ -145,13 +139,13 @@ class PmpEstimator(BlindEstimator):
 
     def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
         """Fit a kernel (k, k) to the crops (C, H, W) once more."""
-        return refined(crops, kernel, shared_sigma(crops), device=self._device)
+        return refined(crops, kernel, shared_sigma(crops))
 
     def _run(
         self, crops: FloatArray, start: Start, *, on_progress: Callable[[float], None]
     ) -> FloatArray:
         rotated = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
-        batch = torch.from_numpy(np.ascontiguousarray(rotated))[None].to(self._device)
+        batch = torch.from_numpy(np.ascontiguousarray(rotated))[None]
         settings = replace(
             PmpSettings.for_noise(shared_sigma(crops)),
             sparsity=start.sparsity,
@@ -160,7 +154,7 @@ class PmpEstimator(BlindEstimator):
         # odd, and smaller than the photo
         size = min(start.size, (min(crops.shape[1:]) // 2) * 2 - 1)
         kernels = estimate_kernels(batch, size=size, settings=settings, on_progress=on_progress)
-        kernel = np.rot90(kernels[0].cpu().numpy(), -start.quarter_turns)
+        kernel = np.rot90(kernels[0].numpy(), -start.quarter_turns)
         return np.ascontiguousarray(kernel, dtype=np.float64)
 
 
@@ -169,13 +163,11 @@ def planned(starts: int) -> float:
     return min(starts, 2) + _DISAGREE * max(starts - 2, 0)
 
 
-def refined(
-    crops: FloatArray, kernel: FloatArray, sigma: float, *, device: str = "cpu"
-) -> FloatArray:
+def refined(crops: FloatArray, kernel: FloatArray, sigma: float) -> FloatArray:
     """Refine a kernel (k, k) on crops (C, H, W) by :func:`~.blind.refine_kernel`, in numpy."""
     photos, kernels = (
-        torch.from_numpy(array.astype(np.float32))[None].to(device) for array in (crops, kernel)
+        torch.from_numpy(array.astype(np.float32))[None] for array in (crops, kernel)
     )
     with torch.no_grad():
         kernels = refine_kernel(photos, kernels, sigma=sigma)
-    return np.asarray(kernels[0].cpu().numpy(), dtype=np.float64)
+    return np.asarray(kernels[0].numpy(), dtype=np.float64)
