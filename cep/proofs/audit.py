@@ -1,6 +1,4 @@
-"""Audit of a code: its zeros, frequency grids that miss them, and better codes within a few
-flips.
-"""
+"""Audit of a code: zeros, frequency grids that miss them, and better codes within a few flips."""
 
 from __future__ import annotations
 
@@ -18,7 +16,7 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis, mtf
 from cep.optics.path_limits import check_frame, check_resolved
-from cep.proofs.certify.certificate import Certificate, certify
+from cep.proofs.certify.certificate import Certificate, certify, paths_by_direction
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.proofs.certify.zeros import Zeros, zeros_along, zeros_of_code
 from cep.proofs.measure import CodeMetrics, FigureOfMerit, OwnFigure, measure_worst, own_figures
@@ -27,9 +25,10 @@ from motdiff.types import ComplexArray, FloatArray
 
 _NO_LIGHT = 1e-9  # of the duty: smaller values of |H| at a proven zero are rounding
 _LONG_CHIPS = 256  # beyond it three flips take minutes
-_REFINED = 24  # candidates of the grid whose minimum over the continuum is found
+_REFINED = 24  # candidates of the grid whose minimum over the continuum is searched
 _WORTH = 1.001  # a neighbour must be better by more than rounding
 _HONEST = 1.05  # a grid's value within 5 % of the truth
+_NULL = 1e-4  # of DC: a minimum below it is a zero for every practical purpose
 _NO_ZERO = 1e-6  # of DC: a neighbour whose minimum is no larger is no repair
 
 
@@ -97,7 +96,7 @@ class Audit:
     flips : int
         Most chips changed in looking for them.
     figures : mapping from a name to a number, or to those of both directions
-        Figures of merit of the user's own.
+        User-defined figures of merit.
     """
 
     code: ShutterCode
@@ -113,9 +112,7 @@ class Audit:
 
     @property
     def no_inverse(self) -> bool:
-        """Whether the inverse filter amplifies noise without bound: a proven zero lies within the
-        band.
-        """
+        """Whether noise is amplified without bound: a proven zero lies within the band."""
         return math.isinf(self.metrics.noise_gain_db)
 
     @property
@@ -125,23 +122,23 @@ class Audit:
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep audit --json`` prints them."""
+        certificate = self.certificate.to_dict()
+        del certificate["trajectory"]  # the path is the one that was asked for
+        custom: dict[str, Any] = {}
+        if self.figures:
+            custom["figures"] = dict(self.figures)
         return {
             "bits": self.code.bits,
             "chips": self.code.chips,
             "open": self.code.open_chips,
             "duty": self.code.duty,
             **self.metrics.to_dict(),
-            **({"figures": dict(self.figures)} if self.figures else {}),
+            **custom,
             "motion": {
                 "length_px": self.trajectory.length_px,
                 "direction": self.trajectory.direction,
             },
-            # the path is the one that was asked for
-            "certificate": {
-                name: value
-                for name, value in self.certificate.to_dict().items()
-                if name != "trajectory"
-            },
+            "certificate": certificate,
             "lowest_at": self.certificate.at,
             "null": self.null,
             "zeros": [
@@ -161,18 +158,15 @@ class Audit:
 def with_proven_zero(
     code: ShutterCode, along: Trajectory | None, metrics: CodeMetrics
 ) -> CodeMetrics:
-    """Return the figures of a code, its noise gains infinite where a straight motion has a proven
-    zero within the band.
+    """Make noise gains infinite where a straight motion has a proven zero within the band.
 
     The samples of the band miss the line of the zero, whose share of 1/|H|^2 has no bound.
     """
-    if (
-        along is not None
-        or metrics.min_mtf >= _NO_LIGHT * code.duty
-        or not zeros_by_direction(code, None)["both"].found
-    ):
-        return metrics
-    return replace(metrics, noise_gain_db=math.inf, dnf_db=math.inf)
+    # along a curved path zeros are isolated points
+    dark = along is None and metrics.min_mtf < _NO_LIGHT * code.duty
+    if dark and zeros_of_code(code.bits).found:
+        return replace(metrics, noise_gain_db=math.inf, dnf_db=math.inf)
+    return metrics
 
 
 def audit(
@@ -185,8 +179,7 @@ def audit(
     progress: Callable[[float, str], None] = lambda _share, _note: None,
     on_checked: Callable[[], None] = lambda: None,
 ) -> Audit:
-    """Measure a code, prove its minimum, list its zeros and the grids that hide them, and look for
-    better neighbours.
+    """Measure a code, prove its minimum, list its zeros, and look for better neighbours.
 
     Parameters
     ----------
@@ -199,7 +192,7 @@ def audit(
         Look for better codes up to so many flips away, 0..3; 3 when omitted, of more than 256
         chips 2.
     figures : mapping from a name to a function, optional
-        Figures of merit of the user's own, see :func:`cep.proofs.measure.own_figures`.
+        User-defined figures of merit, see :func:`cep.proofs.measure.own_figures`.
     progress : callable, optional
         Called with the finished share, 0..1, and what comes next.
     on_checked : callable, optional
@@ -208,8 +201,8 @@ def audit(
     Raises
     ------
     ValueError
-        If the path cannot be measured, or is too short for so many chips; or a figure of the
-        user's own fails.
+        If the path cannot be measured, or is too short for so many chips; or a user-defined figure
+        fails.
 
     Examples
     --------
@@ -220,16 +213,19 @@ def audit(
     >>> found.null, found.grids[0].verdict
     (True, 'hides the zero')
     """
-    motion = Trajectory.straight(float(code.chips)) if trajectory is None else trajectory
+    motion = trajectory or Trajectory.straight(float(code.chips))
     check_frame(motion)
     check_resolved(motion, code.chips)
     on_checked()
     if flips is None:
         flips = 3 if code.chips <= _LONG_CHIPS else 2
     progress(0.0, "measuring")
+    # first, so that a function that fails does so before the long work
     own_values = own_figures(figures or {}, motion, code)
     metrics = measure_worst(motion, code, camera=camera)
-    along = None if metrics.min_chip is not None else motion
+    along: Trajectory | None = motion
+    if metrics.min_chip is not None:
+        along = None  # a uniform straight motion: the polynomial alone decides
     progress(0.1, "proving the minimum")
     certificate = certify(code, along)
     zeros = zeros_by_direction(code, along)
@@ -245,21 +241,22 @@ def audit(
 
 def null_threshold(code: ShutterCode, trajectory: Trajectory | None) -> float:
     """Minimum below which a code practically has a zero: a ten-thousandth of its DC."""
-    return 1e-4 * (code.open_chips if trajectory is None else code.duty)
+    return _NULL * _dc(code, trajectory)
+
+
+def _dc(code: ShutterCode, trajectory: Trajectory | None) -> float:
+    """|H| at zero frequency, in the unit of the minima: chips, or light-true along a path."""
+    if trajectory is None:
+        return code.open_chips
+    return code.duty
 
 
 def zeros_by_direction(code: ShutterCode, trajectory: Trajectory | None) -> dict[str, Zeros]:
-    """List the true zeros of each direction that counts; "both" where the directions have the
-    same.
-    """
+    """List the true zeros of each direction that counts; "both" where they are the same."""
     if trajectory is None:
         return {"both": zeros_of_code(code.bits)}
-    if trajectory.direction == "known":
-        return {"forward": zeros_along(trajectory, code)}
-    return {
-        "forward": zeros_along(trajectory, code),
-        "backward": zeros_along(trajectory.reversed(), code),
-    }
+    paths = paths_by_direction(trajectory)
+    return {direction: zeros_along(path, code) for direction, path in paths.items()}
 
 
 def grid_claims(
@@ -275,33 +272,23 @@ def grid_claims(
     truth : float
         Minimum over the continuum.
     """
+    dc = _dc(code, trajectory)
     claims = []
     if trajectory is None:
         n = code.chips
         for points, name in {n: "n", 2 * n: "2n", 3 * n: "3n", 64: "64", 16 * n: "16n"}.items():
-            if points >= n:
+            if points >= n:  # a shorter DFT would cut the code
                 lowest = float(np.abs(np.fft.rfft(code.array, points)).min())
-                claims.append(
-                    GridClaim(
-                        f"{name}-point DFT",
-                        points,
-                        lowest,
-                        _verdict(lowest, truth, code.open_chips),
-                    )
-                )
+                verdict = _verdict(lowest, truth, dc)
+                claims.append(GridClaim(f"{name}-point DFT", points, lowest, verdict))
         return tuple(sorted(claims, key=lambda claim: claim.points))
-    paths = (
-        [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
-    )
+    paths = paths_by_direction(trajectory).values()
     for points in (32, 64, 128, 256):
         fx, fy = band(points)
         half = fy <= 0  # |H| is even
         lowest = min(float(mtf(path, code, fx[half], fy[half]).min()) for path in paths)
-        claims.append(
-            GridClaim(
-                f"{points} x {points} FFT", points, lowest, _verdict(lowest, truth, code.duty)
-            )
-        )
+        verdict = _verdict(lowest, truth, dc)
+        claims.append(GridClaim(f"{points} x {points} FFT", points, lowest, verdict))
     return tuple(claims)
 
 
@@ -343,38 +330,37 @@ def better_neighbours(
     re = np.ascontiguousarray(basis[:, order].real)
     im = np.ascontiguousarray(basis[:, order].imag)
     change = 1 - 2 * chips
-    fewest_db = max(
-        _WORTH * _exact(code, trajectory),
-        _NO_ZERO * (code.open_chips if trajectory is None else code.duty),
-    )
+    to_beat = max(_WORTH * _exact(code, trajectory), _NO_ZERO * _dc(code, trajectory))
     neighbours: list[Neighbour] = []
     for count in range(1, min(flips, code.chips) + 1):
-        scores = np.full(_REFINED, fewest_db**2)
+        scores = np.full(_REFINED, to_beat**2)
         places = np.full((_REFINED, 3), -1, dtype=np.int64)
-        start_re = chips @ re
-        start_im = chips @ im
         _scan(
-            re * change[:, None], im * change[:, None], start_re, start_im, count, scores, places
+            re * change[:, None],
+            im * change[:, None],
+            chips @ re,
+            chips @ im,
+            count,
+            scores,
+            places,
         )
-        candidates = [tuple(int(k) for k in row[:count]) for row in places if row[0] >= 0]
         exact = []
-        for chosen in candidates:
-            neighbour = _flipped(code, chosen)
+        for row in places[places[:, -1] >= 0, -count:].tolist():
+            neighbour = _flipped(code, row)
             if neighbour is not None:
-                exact.append(
-                    Neighbour(
-                        tuple(k + 1 for k in chosen), neighbour, _exact(neighbour, trajectory)
-                    )
-                )
+                minimum = _exact(neighbour, trajectory)
+                exact.append(Neighbour(tuple(k + 1 for k in row), neighbour, minimum))
         exact.sort(key=lambda n: n.minimum, reverse=True)
-        neighbours.extend(n for n in exact[:keep] if n.minimum > fewest_db)
+        neighbours.extend(n for n in exact[:keep] if n.minimum > to_beat)
     return tuple(neighbours)
 
 
 def _basis(chips: int, trajectory: Trajectory | None) -> ComplexArray:
     """Spectra (n, F) of single chips, the directions that count side by side."""
     if trajectory is None:
-        cycles = np.linspace(0, 0.5, (8 if chips <= 256 else 4) * chips + 1)
+        # of long codes fewer frequencies: the work grows with the chips to the fourth power
+        per_chip = 8 if chips <= _LONG_CHIPS else 4
+        cycles = np.linspace(0, 0.5, per_chip * chips + 1)
         return np.asarray(np.exp(-2j * np.pi * np.arange(chips)[:, None] * cycles))
     samples = band_samples(trajectory, oversampling=8)
     forward = chip_basis(trajectory, chips, samples.fx, samples.fy)
@@ -394,10 +380,9 @@ def _scan(
     scores: FloatArray,
     places: NDArray[np.int64],
 ) -> None:
-    """Keep the combinations of ``count`` rows whose sum with the start has the largest smallest
-    power.
+    """Keep the sums of the start and ``count`` rows whose smallest power is largest.
 
-    ``scores`` are ascending and hold what must be beaten; ``places`` the rows.
+    ``scores`` are ascending and hold what must be beaten; the last columns of ``places`` the rows.
     """
     chips, size = re.shape
     two_re = np.empty(size)
@@ -435,30 +420,28 @@ def _scan(
                         places[at] = places[at + 1]
                         at += 1
                     scores[at] = lowest
-                    if count == 3:
-                        places[at, 0], places[at, 1], places[at, 2] = i, j, k
-                    elif count == 2:
-                        places[at, 0], places[at, 1] = j, k
-                    else:
-                        places[at, 0] = k
+                    places[at, 0], places[at, 1], places[at, 2] = i, j, k
 
 
-def _flipped(code: ShutterCode, places: tuple[int, ...]) -> ShutterCode | None:
+def _flipped(code: ShutterCode, places: list[int]) -> ShutterCode | None:
     chips = code.array
-    chips[list(places)] = 1 - chips[list(places)]
-    return ShutterCode.from_array(chips, chip_ns=code.chip_ns) if chips.any() else None
+    chips[places] = 1 - chips[places]
+    if not chips.any():  # all closed is no code
+        return None
+    return ShutterCode.from_array(chips, chip_ns=code.chip_ns)
 
 
 def _exact(code: ShutterCode, trajectory: Trajectory | None) -> float:
+    """Smallest |P| or |H| over the continuum, as far as a quick search shows."""
     if trajectory is None:
         return min_chip(code)
-    paths = (
-        [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
-    )
+    paths = paths_by_direction(trajectory).values()
     return min(mtf_minimum(path, code, budget=0).upper for path in paths)
 
 
 def _verdict(lowest: float, truth: float, dc: float) -> str:
-    if truth <= _NO_ZERO * dc:
-        return "honest" if lowest <= 1e-4 * dc else "hides the zero"
-    return "honest" if lowest <= _HONEST * truth else "overstates"
+    if truth <= _NO_ZERO * dc and lowest > _NULL * dc:
+        return "hides the zero"
+    if truth > _NO_ZERO * dc and lowest > _HONEST * truth:
+        return "overstates"
+    return "honest"

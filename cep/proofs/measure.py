@@ -1,6 +1,4 @@
-"""Figures of a code along a trajectory: smallest MTF with a proven bound, noise gain, Wiener
-error; and one's own.
-"""
+"""Figures of a code along a trajectory: smallest MTF, noise gain, Wiener error, and others."""
 
 from __future__ import annotations
 
@@ -18,17 +16,19 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import open_path
 from cep.optics.mtf import HOPELESS_DB, noise_variance, wiener_mse
 from cep.optics.response import ShutterResponse
+from cep.proofs.certify.certificate import paths_by_direction
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from motdiff.files.inputs import one_line
 from motdiff.files.plugins import load_object
 from motdiff.trajectory import Trajectory
 
 _ZERO = 1e-12  # |H| below this is rounding
+_GAINS = ("noise_gain_db", "dnf_db")  # infinite at a zero, which JSON cannot say
+_HIGHER_IS_BETTER = {"min_mtf", "min_mtf_lower", "min_over_duty", "min_chip", "flatness_ratio"}
 FigureOfMerit = Callable[[Trajectory, ShutterCode], float]
-"""A figure of merit of the user's own, along a trajectory taken as given."""
+"""A user-defined figure of merit, along a trajectory taken as given."""
 OwnFigure = float | tuple[float, float]
-"""What it comes to: one number, or those of both directions, forward and backward, where the
-direction is unknown."""
+"""Its value, or its values forward and backward where the direction is unknown."""
 
 
 @dataclass(frozen=True)
@@ -68,22 +68,19 @@ class CodeMetrics:
     mse_db: float
 
     def to_dict(self) -> dict[str, float | None]:
-        """Fields for JSON; noise gains above :data:`HOPELESS_DB` are None, which JSON writes as
-        null.
-        """
-        figures = asdict(self)
-        for name in ("noise_gain_db", "dnf_db"):
-            if not figures[name] <= HOPELESS_DB:
-                figures[name] = None
-        return figures
+        """Fields for JSON; noise gains above :data:`HOPELESS_DB` are None, null in JSON."""
+        figures: dict[str, float | None] = asdict(self)
+        return figures | dict.fromkeys(filter(self._is_hopeless, _GAINS))
 
     def in_words(self, name: str) -> float | str | None:
         """One field for a table: "> 100" for a noise gain above :data:`HOPELESS_DB`."""
+        if self._is_hopeless(name):
+            return f"> {HOPELESS_DB:.0f}"
         value: float | None = getattr(self, name)
-        hopeless = (
-            name in ("noise_gain_db", "dnf_db") and value is not None and not value <= HOPELESS_DB
-        )
-        return f"> {HOPELESS_DB:.0f}" if hopeless else value
+        return value
+
+    def _is_hopeless(self, name: str) -> bool:
+        return name in _GAINS and not getattr(self, name) <= HOPELESS_DB
 
 
 def measure(
@@ -95,8 +92,7 @@ def measure(
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
 ) -> CodeMetrics:
-    """Measure a code along a trajectory taken as given; measure ``trajectory.reversed()`` for the
-    other direction.
+    """Measure a code along a trajectory taken as given; its reverse is another one.
 
     Parameters
     ----------
@@ -120,26 +116,30 @@ def measure(
     deconvolution noise.
     """
     samples = band_samples(trajectory)
-    on_time = response is None and edges is None
     path = open_path(trajectory, code, response=response, edges=edges)
-    duty = code.duty if on_time else float(path.dt.sum())
+    duty = float(path.dt.sum())
+    chip_units = None
+    if response is None and edges is None:
+        duty = code.duty  # not the sum, which rounding puts a hair off
+        if uniform_length_px(trajectory) is not None:
+            chip_units = min_chip(code)
     modulus = np.abs(path.otf(samples.fx, samples.fy))
     minimum = mtf_minimum(trajectory, code, budget=budget, response=response, edges=edges)
+    # a quick search over the continuum may miss a valley that a sample happens to hit
     lowest = min(minimum.upper, float(modulus.min()))
     mean = float(samples.weight @ modulus)
     with np.errstate(divide="ignore"):
-        noise_gain_db = float(
-            10 * np.log10(samples.weight @ (1 / np.where(modulus < _ZERO, 0.0, modulus) ** 2))
-        )
+        inverse_power = 1 / np.where(modulus < _ZERO, 0.0, modulus) ** 2
+        noise_gain_db = float(10 * np.log10(samples.weight @ inverse_power))
     noise = noise_variance(camera or Camera(), duty, integration_s=code.integration_ns * 1e-9)
     mse = wiener_mse(modulus**2, samples, float(noise))
     return CodeMetrics(
         min_mtf=lowest,
         min_mtf_lower=min(minimum.lower, lowest),
         min_over_duty=lowest / duty,
-        min_chip=min_chip(code) if on_time and uniform_length_px(trajectory) is not None else None,
+        min_chip=chip_units,
         flatness_var=float(samples.weight @ (modulus - mean) ** 2),
-        flatness_ratio=lowest / duty,
+        flatness_ratio=lowest / duty,  # nowhere is |H| larger than at DC, where it is the duty
         noise_gain_db=noise_gain_db,
         dnf_db=noise_gain_db + 20 * float(np.log10(duty)),
         mse_db=10 * float(np.log10(mse)),
@@ -150,13 +150,11 @@ def worst_of(*metrics: CodeMetrics) -> CodeMetrics:
     """Worst of each figure on its own, as over the two directions of one path."""
     if not metrics:
         raise ValueError("metrics: needs at least one")
-    higher_is_better = {"min_mtf", "min_mtf_lower", "min_over_duty", "min_chip", "flatness_ratio"}
 
     def worst(name: str) -> Any:
         values = [value for item in metrics if (value := getattr(item, name)) is not None]
-        if not values:
-            return None
-        return float(min(values) if name in higher_is_better else max(values))
+        extreme = min if name in _HIGHER_IS_BETTER else max
+        return extreme(values, default=None)
 
     return CodeMetrics(**{field.name: worst(field.name) for field in fields(CodeMetrics)})
 
@@ -164,19 +162,17 @@ def worst_of(*metrics: CodeMetrics) -> CodeMetrics:
 def measure_worst(
     trajectory: Trajectory, code: ShutterCode, *, camera: Camera | None = None
 ) -> CodeMetrics:
-    """Measure a code along a trajectory; when its direction is unknown, each figure is that of the
-    worse one.
-    """
-    forward = measure(trajectory, code, camera=camera)
-    mirror_image = trajectory.direction == "known" or uniform_length_px(trajectory) is not None
-    if mirror_image or code.bits == code.bits[::-1]:
-        return forward
-    return worst_of(forward, measure(trajectory.reversed(), code, camera=camera))
+    """Measure a code along a trajectory; where its direction is unknown, the worse one counts."""
+    paths = [*paths_by_direction(trajectory).values()]
+    # the reverse of a uniform straight motion, or of a code that is its own mirror image, sees
+    # the same |H|
+    if uniform_length_px(trajectory) is not None or code.bits == code.bits[::-1]:
+        paths = paths[:1]
+    return worst_of(*(measure(path, code, camera=camera) for path in paths))
 
 
 def find_figures(references: Iterable[str]) -> dict[str, FigureOfMerit]:
-    """Import figures of merit of the user's own, each ``module:name``; returns them by these
-    names.
+    """Import user-defined figures of merit, each ``module:name``, and key them by these names.
 
     Raises
     ------
@@ -193,8 +189,7 @@ def find_figures(references: Iterable[str]) -> dict[str, FigureOfMerit]:
 def own_figures(
     figures: Mapping[str, FigureOfMerit], trajectory: Trajectory, code: ShutterCode
 ) -> dict[str, OwnFigure]:
-    """Evaluate figures of merit of the user's own; both directions where it is unknown, as none is
-    known to be worse.
+    """Evaluate user-defined figures of merit; in both directions where it is unknown.
 
     Parameters
     ----------
@@ -214,13 +209,14 @@ def own_figures(
     >>> own_figures({"light": lambda path, code: code.duty}, path, ShutterCode("10"))
     {'light': 0.5}
     """
-    paths = (
-        [trajectory] if trajectory.direction == "known" else [trajectory, trajectory.reversed()]
-    )
+    # both are listed: of such a figure nobody knows whether higher is better
+    paths = [replace(path, direction="known") for path in paths_by_direction(trajectory).values()]
     by_name: dict[str, OwnFigure] = {}
     for name, figure in figures.items():
-        values = [_number(name, figure, replace(path, direction="known"), code) for path in paths]
-        by_name[name] = values[0] if len(values) == 1 else (values[0], values[1])
+        values = [_number(name, figure, path, code) for path in paths]
+        by_name[name] = values[0]
+        if len(values) > 1:
+            by_name[name] = (values[0], values[1])
     return by_name
 
 
@@ -239,10 +235,14 @@ def _number(name: str, figure: FigureOfMerit, path: Trajectory, code: ShutterCod
 
 
 def figure_head(name: str, value: OwnFigure) -> str:
-    """Head of a figure of the user's own in a table."""
-    return f"{name}, forward / backward" if isinstance(value, tuple) else name
+    """Head of a user-defined figure in a table."""
+    if isinstance(value, tuple):
+        return f"{name}, forward / backward"
+    return name
 
 
 def figure_in_words(value: OwnFigure) -> float | str:
-    """Figure of the user's own for a table."""
-    return " / ".join(map(number, value)) if isinstance(value, tuple) else value
+    """User-defined figure for a table."""
+    if isinstance(value, tuple):
+        return " / ".join(map(number, value))
+    return value

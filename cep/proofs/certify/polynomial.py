@@ -15,23 +15,22 @@ from numpy.typing import NDArray
 from motdiff.types import FloatArray
 
 IntArray = NDArray[np.int64]
-_PRIME = 2**31 - 1
-_CELLS = 200_000
+_PRIME = 2**31 - 1  # products of its residues fit 64 bits
+_CELLS = 200_000  # looked at; if more were needed, the list is not proven to be complete
 
 
 @dataclass(frozen=True)
 class SignChange:
-    """A frequency, cycles per chip, around which a real function on the circle changes sign within
-    ``radius``.
-    """
+    """A frequency, cycles per chip, within whose ``radius`` a real function changes sign."""
 
     at: float
     radius: float
 
 
 def vanishing_orders(coefficients: IntArray) -> tuple[int, ...]:
-    """Orders d of the roots of unity at which an integer polynomial (lowest degree first)
-    vanishes, in rising order.
+    """Orders d of the roots of unity at which an integer polynomial vanishes, in rising order.
+
+    Coefficients come lowest degree first.
 
     Examples
     --------
@@ -50,10 +49,9 @@ def divisible(coefficients: IntArray, order: int) -> bool:
     It does exactly if ``z^d - 1`` divides the product with ``z^(d/p) - 1`` over the primes p of d:
     those contain every other factor of ``z^d - 1``, and never this one.
     """
+    # modulo z^d - 1 exponents are equal that differ by d
     remainder = np.zeros(order, dtype=np.int64)
-    padded = np.zeros(-(-len(coefficients) // order) * order, dtype=np.int64)
-    padded[: len(coefficients)] = coefficients
-    remainder += padded.reshape(-1, order).sum(axis=0)
+    np.add.at(remainder, np.arange(len(coefficients)) % order, coefficients)
     for prime in _primes_of(order):
         remainder = np.roll(remainder, order // prime) - remainder
     return not remainder.any()
@@ -74,13 +72,11 @@ def divided(coefficients: IntArray, order: int) -> IntArray:
                 quotient[start::step] = np.cumsum(quotient[start::step])
         else:
             quotient[step:] = quotient[step:] - quotient[:-step]
-    nonzero = np.flatnonzero(quotient)
-    return np.asarray(quotient[: nonzero[-1] + 1], dtype=np.int64)
+    return np.trim_zeros(quotient, "b")
 
 
 def circle_rest(coefficients: IntArray) -> IntArray | None:
-    """Factor that holds every zero on the circle which is no root of unity; (1,) where there is
-    none.
+    """Factor with every zero on the circle that is no root of unity; (1,) where there is none.
 
     Parameters
     ----------
@@ -97,20 +93,27 @@ def circle_rest(coefficients: IntArray) -> IntArray | None:
             cofactor = divided(cofactor, order)
     if len(cofactor) == 1:
         return np.ones(1, dtype=np.int64)
-    if np.array_equal(cofactor, cofactor[::-1]) or np.array_equal(cofactor, -cofactor[::-1]):
+    if _is_reciprocal(cofactor):
         return cofactor
     # modulo a prime the divisor's degree can only grow: what is 1 there is 1
     common = _gcd(cofactor % _PRIME, cofactor[::-1] % _PRIME)
     if len(common) == 1:
         return np.ones(1, dtype=np.int64)
+    # back to integers of either sign; that they divide is then checked without the prime
     lifted = np.where(common > _PRIME // 2, common - _PRIME, common)
-    symmetric = np.array_equal(lifted, lifted[::-1]) or np.array_equal(lifted, -lifted[::-1])
-    return lifted if symmetric and _divides(lifted, cofactor) else None
+    if _is_reciprocal(lifted) and _divides(lifted, cofactor):
+        return lifted
+    return None
+
+
+def _is_reciprocal(coefficients: IntArray) -> bool:
+    """Whether a polynomial is its own reverse, up to the sign."""
+    mirrored = coefficients[::-1]
+    return np.array_equal(coefficients, mirrored) or np.array_equal(coefficients, -mirrored)
 
 
 def real_form(factor: IntArray, cycles: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Real function of a self-reciprocal factor on the circle, its slope, and a bound of its
-    rounding error.
+    """Real function of a self-reciprocal factor on the circle, its slope, and its rounding error.
 
     Parameters
     ----------
@@ -130,15 +133,15 @@ def real_form(factor: IntArray, cycles: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def sign_changes(factor: IntArray) -> tuple[tuple[SignChange, ...], bool]:
-    """All changes of sign of a self-reciprocal factor for 0..1/2 cycles per chip, and whether
-    these are all its zeros.
+    """All changes of sign of a self-reciprocal factor, and whether these are all its zeros.
 
-    On every cell the function either keeps away from zero or is monotone, by its value, slope and
-    curvature.
+    On every cell of 0..1/2 cycles per chip the function either keeps away from zero or is
+    monotone, by its value, slope and curvature.
     """
     if len(factor) < 2:
         return (), True
     middle = np.arange(len(factor)) - 0.5 * (len(factor) - 1)
+    # of the second derivative: each term cos(2 pi f m) has at most (2 pi m)^2
     bend = 4 * np.pi**2 * float(np.abs(factor) @ middle**2)
     centres = (np.arange(4 * len(factor)) + 0.5) / (8 * len(factor))
     half = 1 / (16 * len(factor))
@@ -150,10 +153,9 @@ def sign_changes(factor: IntArray) -> tuple[tuple[SignChange, ...], bool]:
         reach = np.abs(slope) * half + 0.5 * bend * half**2 + slack
         may_vanish = np.abs(value) <= reach
         monotone = np.abs(slope) > bend * half + slack * 2 * np.pi * len(factor)
-        edges = real_form(factor, np.concatenate([centres - half, centres + half]))[0].reshape(
-            2, -1
-        )
-        crosses = (edges[0] > 0) != (edges[1] > 0)
+        below = real_form(factor, centres - half)[0]
+        above = real_form(factor, centres + half)[0]
+        crosses = (below > 0) != (above > 0)
         for centre in centres[may_vanish & monotone & crosses]:
             changes.append(_bisected(factor, float(centre - half), float(centre + half)))
         centres = centres[may_vanish & ~monotone]
@@ -164,6 +166,7 @@ def sign_changes(factor: IntArray) -> tuple[tuple[SignChange, ...], bool]:
 
 
 def _bisected(factor: IntArray, low: float, high: float) -> SignChange | None:
+    """Halve an interval 60 times, to the last digit, then widen it until both signs are sure."""
     rising = real_form(factor, np.array([high]))[0][0] > 0
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -190,7 +193,9 @@ def _primes_of(number: int) -> list[int]:
             while number % divisor == 0:
                 number //= divisor
         divisor += 1
-    return [*primes, number] if number > 1 else primes
+    if number > 1:
+        primes.append(number)
+    return primes
 
 
 def _totients(limit: int) -> list[int]:
@@ -209,8 +214,7 @@ def _gcd(a: IntArray, b: IntArray) -> IntArray:
         while remainder.size >= b.size:
             offset = remainder.size - b.size
             remainder[offset:] = (remainder[offset:] - remainder[-1] * b) % _PRIME
-            nonzero = np.flatnonzero(remainder)
-            remainder = remainder[: nonzero[-1] + 1] if nonzero.size else remainder[:0]
+            remainder = np.trim_zeros(remainder, "b")
         a = b
         b = remainder
     return np.asarray(a * pow(int(a[-1]), -1, _PRIME) % _PRIME, dtype=np.int64)

@@ -1,5 +1,4 @@
-"""Taylor bounds: H and its derivatives at many frequencies, and a lower bound of |H| on a cell
-around each.
+"""Taylor bounds: H and its gradient at many frequencies, and a lower bound of |H| around each.
 
 With the path measured from the centroid of its open part, Taylor's theorem gives on the cell
 ``|d_i| <= h_i``::
@@ -13,7 +12,6 @@ quadratically.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import ceil, log2
 
 import numpy as np
 
@@ -22,10 +20,9 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import OpenPath
 from motdiff.types import FloatArray
 
-_LONGEST_PX = (
-    0.25  # of a piece: the series of sinc below are good to rounding up to a phase of 0.6
-)
-_EPS = 2.0**-53
+CELLS_PER_PX = 1.5  # of the first grid in the plane: cells per px of the path's spread
+_LONGEST_PX = 0.25  # of a piece: the series of sinc are good to rounding up to a phase of 0.6
+_EPS = 2.0**-53  # half a unit in the last place: the largest error of one rounding
 
 
 @dataclass(frozen=True)
@@ -73,9 +70,7 @@ def pieces_of_path(path: OpenPath) -> Pieces:
 
 
 def pieces_along(path: OpenPath, axis: FloatArray) -> Pieces:
-    """Prepare a path on a straight line along the unit vector ``axis``: frequencies count along
-    it.
-    """
+    """Prepare a path on a straight line for frequencies along it, the unit vector ``axis``."""
     reach = 0.5 * float(np.abs(axis).sum())
     a, b = (
         np.stack([vertices @ axis, np.zeros(len(vertices))], axis=1)
@@ -137,9 +132,7 @@ def _pieces(weight: FloatArray, a: FloatArray, b: FloatArray, box: FloatArray) -
 
 
 def jets(pieces: Pieces, points: FloatArray) -> FloatArray:
-    """Real and imaginary parts of H, dH/dfx and dH/dfy, (F, 6), at (F, 2) frequencies of the
-    box.
-    """
+    """Real and imaginary parts of H, dH/dfx and dH/dfy, (F, 6), at (F, 2) frequencies."""
     if pieces.extended:
         return _long_jets(pieces, points)
     out = np.empty((len(points), 6))
@@ -155,8 +148,10 @@ def extended(pieces: Pieces) -> Pieces:
 
 
 def _long_jets(pieces: Pieces, points: FloatArray) -> FloatArray:
+    # of a code alone: points on a line, so that sinc is 1 and nothing varies along y
     places = pieces.middle[0].astype(np.longdouble)
     turns = points[:, :1].astype(np.longdouble) * places
+    # np.pi is rounded to double; of whole turns the phase keeps no trace, so that it stays small
     phase = 2 * np.longdouble("3.14159265358979323846264338327950288") * (turns - np.rint(turns))
     re = np.cos(phase)
     im = -np.sin(phase)
@@ -166,28 +161,26 @@ def _long_jets(pieces: Pieces, points: FloatArray) -> FloatArray:
 
 
 def floors(pieces: Pieces, jet: FloatArray, half: FloatArray) -> FloatArray:
-    """Lower bounds (F,) of |H| on the cells of half-sides ``half`` (2,) around the points that
-    ``jet`` belongs to.
-    """
+    """Lower bounds (F,) of |H| on the cells of half-sides (2,) around the points of ``jet``."""
     m = pieces.moment
     corner = m[0, 0] * half[0] ** 2 + 2 * abs(m[0, 1]) * half[0] * half[1] + m[1, 1] * half[1] ** 2
+    # of the formula's two last terms, at the cell's corner, and what rounding does to g
     loss = 2 * np.pi**2 * float(corner) + pieces.slack + pieces.gradient_slack * float(half.sum())
     out = np.empty(len(jet))
     _floors(jet, float(half[0]), float(half[1]), loss, out)
     return out
 
 
-def first_cells(pieces: Pieces, *, cells_per_px: float = 1.5) -> tuple[FloatArray, FloatArray]:
-    """Centres (F, 2) and half-sides (2,) of a first grid: finer along an axis where the path
-    spreads wider.
-    """
+def first_cells(
+    pieces: Pieces, *, cells_per_px: float = CELLS_PER_PX
+) -> tuple[FloatArray, FloatArray]:
+    """Centres (F, 2) and half-sides (2,) of a first grid, finer where the path spreads wider."""
     spread = np.sqrt(np.diag(pieces.moment) / pieces.weight.sum())
     sides = np.ptp(pieces.box, axis=1)
     # powers of two: the centres of all later cells are then short binary fractions of the sides
-    counts = [
-        2 ** ceil(log2(max(1.0, 4 * cells_per_px * side * max(1.0, s)))) if side else 1
-        for side, s in zip(sides, spread, strict=True)
-    ]
+    counts = 2 ** np.ceil(
+        np.log2(np.maximum(1.0, 4 * cells_per_px * sides * np.maximum(1.0, spread)))
+    )
     half = sides / counts / 2
     axes = [
         lo + h * (2 * np.arange(n) + 1)
@@ -272,13 +265,13 @@ def _floors(jet: FloatArray, half_x: float, half_y: float, loss: float, out: Flo
         best = 0.0
         x2 = xr * xr + xi * xi
         y2 = yr * yr + yi * yi
-        x = y = 0.0
+        x = y = 0.0  # the corner or point d of the cell that decides u
         # of the few operations below
         rounding = abs(hr) + abs(hi) + (abs(xr) + abs(xi)) * half_x + (abs(yr) + abs(yi)) * half_y
         rounding *= 2e-15
         for _ in range(4):
-            # direction u: first of H at the centre, then of H + g.d where that is nearly smallest;
-            # any u is valid
+            # direction u: first of H at the centre, then of H + g.d where that is nearly smallest.
+            # Any u is valid, a better one only raises the bound
             ur = hr + x * xr + y * yr
             ui = hi + x * xi + y * yi
             size = np.sqrt(ur * ur + ui * ui)

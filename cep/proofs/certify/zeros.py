@@ -1,11 +1,9 @@
-"""Proven zeros of a code: in exact arithmetic on the unit circle, by Newton-Kantorovich along a
-curved path.
-"""
+"""Proven zeros of a code: exact on the unit circle, by Newton-Kantorovich along a curved path."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from math import ceil, gcd
 from typing import Any
@@ -20,8 +18,9 @@ from cep.proofs.certify.taylor import Pieces, first_cells, floors, jets, pieces_
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
-_NEWTON = 8
-_TRIED = 2000
+_NEWTON = 8  # steps: each doubles the right digits, and a start close enough needs five
+_TRIED = 2000  # cells from which zeros are still looked for when the budget is spent
+_MOST_H = 0.49  # of the theorem's 1/2: a margin for rounding
 
 
 @dataclass(frozen=True)
@@ -56,9 +55,9 @@ class Zero:
     @property
     def method(self) -> str:
         """Name of the proof in a certificate."""
-        return (
-            f"root of unity of order {self.order}" if self.order else f"zero proven ({self.kind})"
-        )
+        if self.order:
+            return f"root of unity of order {self.order}"
+        return f"zero proven ({self.kind})"
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON."""
@@ -95,8 +94,7 @@ class Zeros:
 
 @lru_cache(maxsize=256)
 def zeros_of_code(bits: str) -> Zeros:
-    """All zeros of a code's polynomial on the unit circle, 0..1/2 cycles per chip, in exact
-    arithmetic.
+    """All zeros of a code's polynomial on the unit circle, 0..1/2 cycles per chip, exactly.
 
     Examples
     --------
@@ -105,6 +103,7 @@ def zeros_of_code(bits: str) -> Zeros:
     >>> zeros_of_code("1101").found
     ()
     """
+    # closed chips at the ends only shift the phase; circle_rest needs both ends open
     chips = np.array([int(bit) for bit in bits.strip("0")], dtype=np.int64)
     zeros = [
         Zero((turn / order,), "root of unity", order=order)
@@ -112,15 +111,13 @@ def zeros_of_code(bits: str) -> Zeros:
         for turn in range(1, order // 2 + 1)
         if gcd(turn, order) == 1
     ]
+    complete = False
     cofactor = circle_rest(chips)
-    if cofactor is None:
-        return Zeros(tuple(sorted(zeros, key=lambda zero: zero.at)), complete=False)
-    changes, complete = sign_changes(cofactor)
-    factor = tuple(int(value) for value in cofactor)
-    zeros += [
-        Zero((change.at,), "sign change", change.radius, factor=factor) for change in changes
-    ]
-    return Zeros(tuple(sorted(zeros, key=lambda zero: zero.at)), complete)
+    if cofactor is not None:
+        changes, complete = sign_changes(cofactor)
+        factor = tuple(int(value) for value in cofactor)
+        zeros += [Zero((c.at,), "sign change", c.radius, factor=factor) for c in changes]
+    return _sorted(zeros, complete)
 
 
 def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_000) -> Zeros:
@@ -142,12 +139,13 @@ def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_
     if straight_axis(trajectory) is not None:
         return Zeros((), complete=False)
     pieces = pieces_of_path(open_path(trajectory, code))
+    corners = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
     cells, half = first_cells(pieces)
     zeros: list[Zero] = []
     complete = True
     while len(cells):
         if len(cells) > budget:
-            # no time for all: the ones that are reached from somewhere else
+            # no time for all: only those that Newton's iteration reaches from some of the cells
             points = _newton(pieces, cells[:: max(1, len(cells) // _TRIED)])
             zeros = _joined(zeros, [zero for zero in points if _place_in(pieces.box, zero)])
             complete = False
@@ -160,19 +158,16 @@ def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_
         _, alone_within = _radii(pieces, jet)
         settled = alone_within > float(np.hypot(*half))
         proven = [(zero, _place_in(pieces.box, zero)) for zero in _newton(pieces, cells[settled])]
-        complete &= len(proven) == settled.sum() and all(
-            inside is not None for _, inside in proven
-        )
-        zeros = _joined(zeros, [zero for zero, inside in proven if inside])
+        # in each settled cell at most one zero may lie: a cell without one has not been explained
+        complete &= len(proven) == settled.sum() and all(place is not None for _, place in proven)
+        zeros = _joined(zeros, [zero for zero, place in proven if place])
         half = half / 2
-        corners = half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-        cells = (cells[~settled][:, None] + corners).reshape(-1, 2)
-    return Zeros(tuple(sorted(zeros, key=lambda zero: zero.at)), complete)
+        cells = (cells[~settled][:, None] + half * corners).reshape(-1, 2)
+    return _sorted(zeros, complete)
 
 
 def kantorovich(pieces: Pieces, point: FloatArray) -> Zero | None:
-    """Prove a zero of H beside a refined point (2,), within the box of frequencies; None where
-    that fails.
+    """Prove a zero of H beside a refined point (2,), in the box; None where that fails.
 
     References
     ----------
@@ -181,29 +176,26 @@ def kantorovich(pieces: Pieces, point: FloatArray) -> Zero | None:
     |J^-1| L eta <= 1/2``, a zero lies within ``(1 - sqrt(1 - 2 h)) / (|J^-1| L)`` and no other
     within ``(1 + sqrt(1 - 2 h)) / (|J^-1| L)``.
     """
-    zero = next(iter(_newton(pieces, point[None])), None)
-    return zero if zero is not None and _place_in(pieces.box, zero) else None
+    proven = _newton(pieces, point[None])
+    return next((zero for zero in proven if _place_in(pieces.box, zero)), None)
 
 
 def _radii(pieces: Pieces, jet: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Radii (F,) within which a zero lies, infinite where none is proven, and within which it is
-    the only one.
-    """
+    """Radii (F,) that hold a zero, infinite where none is proven, and that hold no other."""
+    # second derivatives of H are at most (2 pi)^2 times the second moment of the open path
     lipschitz = 4 * np.pi**2 * float(np.linalg.eigvalsh(pieces.moment)[-1])
     residual = np.hypot(jet[:, 0], jet[:, 1]) + pieces.slack
     # smallest singular value of the 2 x 2 Jacobian, less what rounding may have added
     squares = (jet[:, 2:] ** 2).sum(axis=1)
     determinant = np.abs(jet[:, 2] * jet[:, 5] - jet[:, 3] * jet[:, 4])
     largest = np.sqrt((squares + np.sqrt(np.maximum(squares**2 - 4 * determinant**2, 0))) / 2)
-    smallest = (
-        determinant / np.maximum(largest, 1e-300) - 4 * pieces.gradient_slack - 1e-12 * largest
-    )
-    smallest = np.maximum(smallest, 1e-100)
+    smallest = determinant / np.maximum(largest, 1e-300)
+    smallest = np.maximum(smallest - 4 * pieces.gradient_slack - 1e-12 * largest, 1e-100)
     h = lipschitz * residual / smallest**2
     root = np.sqrt(np.maximum(1 - 2 * h, 0))
     # (1 - root) / (K) with K = lipschitz / smallest, written without cancellation
-    inner = np.where(h <= 0.49, 2 * residual / (smallest * (1 + root)), np.inf)
-    return inner, np.where(h <= 0.49, (1 + root) * smallest / lipschitz, 0.0)
+    inner = np.where(h <= _MOST_H, 2 * residual / (smallest * (1 + root)), np.inf)
+    return inner, np.where(h <= _MOST_H, (1 + root) * smallest / lipschitz, 0.0)
 
 
 def _newton(pieces: Pieces, points: FloatArray) -> list[Zero]:
@@ -227,9 +219,7 @@ def _newton(pieces: Pieces, points: FloatArray) -> list[Zero]:
 
 
 def _place_in(box: FloatArray, zero: Zero) -> bool | None:
-    """Whether the zero lies in the box, mirrored at the origin; None where it is too close to the
-    edge to tell.
-    """
+    """Whether the zero lies in the box; None where it is too close to the edge to tell."""
     edge = float((0.5 - np.abs(np.array(zero.at))).min())
     if abs(edge) <= zero.radius:
         return None
@@ -238,6 +228,7 @@ def _place_in(box: FloatArray, zero: Zero) -> bool | None:
 
 
 def _joined(zeros: list[Zero], more: list[Zero]) -> list[Zero]:
+    """Add the zeros that are not in the list yet: neighbouring cells find the same ones."""
     for zero in more:
         if not any(_same(zero, known_zero) for known_zero in zeros):
             zeros = [*zeros, zero]
@@ -247,10 +238,13 @@ def _joined(zeros: list[Zero], more: list[Zero]) -> list[Zero]:
 def _same(a: Zero, b: Zero) -> bool:
     place_a = np.array(a.at)
     place_b = np.array(b.at)
-    alone_within = max(a.alone_within, b.alone_within)
-    return bool(
-        min(np.linalg.norm(place_a - place_b), np.linalg.norm(place_a + place_b)) < alone_within
-    )
+    # H(-f) is the conjugate of H(f): a zero and its mirror image are one
+    apart = min(np.linalg.norm(place_a - place_b), np.linalg.norm(place_a + place_b))
+    return bool(apart < max(a.alone_within, b.alone_within))
+
+
+def _sorted(zeros: list[Zero], complete: bool) -> Zeros:
+    return Zeros(tuple(sorted(zeros, key=lambda zero: zero.at)), complete)
 
 
 def _straight_zeros(trajectory: Trajectory, code: ShutterCode) -> Zeros:
@@ -268,15 +262,8 @@ def _straight_zeros(trajectory: Trajectory, code: ShutterCode) -> Zeros:
         turns += [(cycle + sign * zero.at[0], zero) for zero in of_code.found for sign in (1, -1)]
         # half a cycle is its own mirror image
         zeros |= {round(turn, 12): zero for turn, zero in turns if 0 < turn <= reach}
-    listed = []
-    for turn, zero in sorted(zeros.items()):
-        listed.append(
-            Zero(
-                in_band(turn * per_chip, axis),
-                zero.kind,
-                zero.radius * per_chip,
-                order=zero.order,
-                factor=zero.factor,
-            )
-        )
+    listed = [
+        replace(zero, at=in_band(turn * per_chip, axis), radius=zero.radius * per_chip)
+        for turn, zero in sorted(zeros.items())
+    ]
     return Zeros(tuple(listed), of_code.complete)

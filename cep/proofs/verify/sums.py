@@ -1,6 +1,4 @@
-"""Sums of the independent check: H and its gradient, directly from the vertices, with numpy
-only.
-"""
+"""Sums of the independent check: H and its gradient from a path's vertices, by numpy alone."""
 
 from __future__ import annotations
 
@@ -12,17 +10,35 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-_CHUNK = 2**19
+_CHUNK = 2**19  # numbers held at once: a few arrays of 8 MB, whatever the budget
+_SERIES = 1e-3  # rad, below which sinc's slope by its quotient loses half of the digits
 
 
 class RefusedError(Exception):
     """A claim does not hold; the message says why."""
 
 
+def require(condition: bool, refusal: str) -> None:
+    """Refuse the claim where a condition does not hold."""
+    if not condition:
+        raise RefusedError(refusal)
+
+
 @dataclass(frozen=True)
 class Lines:
-    """Straight pieces of the open path, about their centroid: weights (S,), middles and extents
-    (S, 2).
+    """Straight pieces of the open path, about their centroid.
+
+    Attributes
+    ----------
+    weight : (S,) float
+    middle, delta : (S, 2) float
+        Midpoints and extents, px or chips.
+    principal : float
+        Larger eigenvalue of their second moments: it bounds how |H| curves.
+    spread : float
+        Largest coordinate of any piece.
+    slack : float
+        Bound of the rounding error of H.
     """
 
     weight: FloatArray
@@ -43,7 +59,7 @@ class Lines:
             batch = f[lo : lo + step]
             turns = batch @ self.middle.T
             x = pi * (batch @ self.delta.T)
-            small = np.abs(x) < 1e-3
+            small = np.abs(x) < _SERIES
             safe = np.where(small, 1.0, x)
             gain = np.where(small, 1 - x * x / 6, np.sin(safe) / safe)
             change = np.where(small, -x / 3 + x**3 / 30, (np.cos(safe) - gain) / safe)
@@ -58,32 +74,28 @@ class Lines:
     def bound_cells(
         self, cells: FloatArray, half: FloatArray, active: NDArray[np.bool_]
     ) -> tuple[FloatArray, FloatArray]:
-        """|H| at the centres of cells (F, 2), and by how much it may be lower within them, but for
-        rounding, (F,) each.
+        """|H| at the centres of cells (F, 2), and how much lower it may be within, (F,) each.
 
-        The cells have half-sides ``half``, (2,); an axis that is not ``active`` has none.
+        The cells have half-sides ``half``, (2,); an axis that is not ``active`` has none. Rounding
+        comes on top.
         """
         value, slope = self.look(cells)
         size = np.abs(value)
-        radius = float(np.hypot(*half))
-        downhill = (
-            np.where(active, np.abs((np.conj(value)[:, None] * slope).real), 0)
-            / np.maximum(size, 1e-300)[:, None]
-        )
-        return size, (downhill * half).sum(axis=1) * (
-            1 + 1e-12
-        ) + 2 * pi**2 * self.principal * radius**2
+        # d|H| = Re(conj(H) dH) / |H|
+        downhill = np.where(active, np.abs((np.conj(value)[:, None] * slope).real), 0)
+        downhill /= np.maximum(size, 1e-300)[:, None]
+        bend = 2 * pi**2 * self.principal * float(np.hypot(*half)) ** 2
+        return size, (downhill * half).sum(axis=1) * (1 + 1e-12) + bend
 
     def _look_at_points(self, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Sum open chips in the machine's longest floating point: a minimum may be a millionth of
-        their number.
-        """
+        """Sum open chips in extended precision: a minimum may be a millionth of their number."""
         value = np.empty(len(f), np.complex128)
         slope = np.zeros((len(f), 2), np.complex128)
         step = max(1, _CHUNK // len(self.weight))
         places = self.middle[:, 0].astype(np.longdouble)
         for lo in range(0, len(f), step):
             turns = f[lo : lo + step, :1].astype(np.longdouble) * places
+            # 4 arctan 1 is pi in this precision; math.pi would be rounded to double
             wave = np.exp(-2j * (4 * np.arctan(np.longdouble(1))) * (turns - np.rint(turns)))
             value[lo : lo + step] = wave.sum(axis=1)
             slope[lo : lo + step, 0] = -2j * pi * (wave * places).sum(axis=1)
@@ -114,18 +126,20 @@ def _about_centroid(weight: FloatArray, a: FloatArray, b: FloatArray) -> Lines:
     total = float(weight.sum())
     # whole chips stay whole, so that their phases are exact to the last digit
     centre = np.average(middle, axis=0, weights=weight)
-    middle = middle - (centre if delta.any() else np.rint(centre))
+    precision: type = np.float64
+    if not delta.any():
+        centre = np.rint(centre)
+        precision = np.longdouble
+    middle = middle - centre
     spread = float((np.abs(middle) + np.abs(delta)).max())
-    second = (
-        np.einsum("s,si,sj->ij", weight, middle, middle)
-        + np.einsum("s,si,sj->ij", weight, delta, delta) / 12
-    )
+    # a uniform piece adds its own d d' / 12 to the moment of its middle
+    second = np.einsum("s,si,sj->ij", weight, middle, middle)
+    second += np.einsum("s,si,sj->ij", weight, delta, delta) / 12
+    principal = float(np.linalg.eigvalsh(second)[-1]) * (1 + 1e-9)
     # roundings: of each phase in proportion to the turns, and one per term of the sum
-    rounding = float(np.finfo(np.longdouble if not delta.any() else np.float64).eps) * 0.55
+    rounding = float(np.finfo(precision).eps) * 0.55
     slack = rounding * (total * (100 * (spread + 1) + len(weight) + 100) + 10 * len(weight))
-    return Lines(
-        weight, middle, delta, float(np.linalg.eigvalsh(second)[-1]) * (1 + 1e-9), spread, slack
-    )
+    return Lines(weight, middle, delta, principal, spread, slack)
 
 
 def on_axis(lines: Lines, box: FloatArray) -> tuple[Lines, FloatArray]:
@@ -136,18 +150,16 @@ def on_axis(lines: Lines, box: FloatArray) -> tuple[Lines, FloatArray]:
         return lines, box
     along = shift / size
     across = np.array([-shift[1], shift[0]]) / size
-    if (
-        np.abs(lines.middle @ across).max() + np.abs(lines.delta @ across).max()
-        > 1e-12 * lines.spread
-    ):
+    width = np.abs(lines.middle @ across).max() + np.abs(lines.delta @ across).max()
+    if width > 1e-12 * lines.spread:
         return lines, box
     a, b = (
         np.stack([vertices @ along, 0 * lines.weight], axis=1)
         for vertices in (lines.middle - lines.delta / 2, lines.middle + lines.delta / 2)
     )
-    return _about_centroid(lines.weight, a, b), np.array(
-        [[0.0, 0.5 * np.abs(along).sum()], [0.0, 0.0]]
-    )
+    # the axis leaves the square band at its edge, which an oblique one reaches beyond 0.5
+    reach = 0.5 * np.abs(along).sum()
+    return _about_centroid(lines.weight, a, b), np.array([[0.0, reach], [0.0, 0.0]])
 
 
 def place_in_words(at: FloatArray) -> str:
