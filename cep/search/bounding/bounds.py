@@ -1,8 +1,8 @@
-r"""Bounds over all codes: upper bounds of the smallest |H| and |P|, and lower bounds of the noise
-gain.
+"""Bounds over all codes: of the smallest |H| and |P| from above, of the noise gain from below.
 
-Each figure is the best of several arguments, which :mod:`cep.search.bounding.motion_basis` and
-:mod:`cep.search.bounding.relaxation` prove; the relaxation only supplies multipliers. Every bound
+Each figure is the best of several arguments: the quick ones of
+:mod:`cep.search.bounding.motion_basis`, and those of :mod:`cep.search.bounding.proving`, for which
+the relaxation supplies multipliers. Every bound
 holds for each number of open chips alone, and a problem's bound is the weakest over its range.
 Limits on runs and single chips are ignored, so the bounds hold with them. A shutter with ramps is
 only bounded by its light: its |H|^2 is no quadratic form in the code.
@@ -18,15 +18,21 @@ from numpy.typing import NDArray
 
 from cep.optics.band import BandSamples, band_samples, straight_axis
 from cep.optics.exposure import chip_basis, chip_parts
-from cep.search.bounding.motion_basis import MotionBasis, chip_ceilings, mtf_ceilings, noise_floors
-from cep.search.bounding.proving import relaxed, tightened
-from cep.search.bounding.relaxation import DualProof, Relaxation, circle_grid
+from cep.search.bounding.motion_basis import (
+    MotionBasis,
+    chip_ceilings,
+    circle_grid,
+    mtf_ceilings,
+    noise_floors,
+)
+from cep.search.bounding.proving import DualProof, relaxed, tightened
+from cep.search.bounding.relaxation import Relaxation
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 _MOST_NUMBERS = 2**22  # of a basis: 64 MB
-_MOST_CHIPS = 256  # of a relaxation
+_MOST_CHIPS = 256  # of a relaxation, whose steps invert n x n matrices
 
 
 @dataclass(frozen=True)
@@ -82,18 +88,21 @@ def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") 
     """
     if effort not in ("quick", "sdp"):
         raise ValueError(f'effort: must be "quick" or "sdp", got {effort!r}')
-    counts = np.arange(problem.open_limits[0], problem.open_limits[1] + 1)
-    objectives = {name for name, _ in problem.objective_mix} if effort == "sdp" else set()
+    low, high = problem.open_limits
+    counts = np.arange(low, high + 1)
+    objectives = set()
+    if effort == "sdp" and problem.chips <= _MOST_CHIPS:
+        objectives = set(dict(problem.objective_mix))
     chip_name, chip = _best(chip_ceilings(problem.chips, counts))
     parts, noisy_parts = _motions(problem)
     light = _light(problem, counts)
     proofs: list[DualProof] = []
-    if not problem.scenarios:
-        mtf_name = chip_name
-        mtf = chip / problem.chips
-    else:
+    # on the circle a relaxation gains nothing: docs/decisions/proofs.md
+    mtf_name = chip_name
+    mtf = chip / problem.chips
+    if problem.scenarios:
         mtf_name, mtf = _best({"light": light, **mtf_ceilings(parts, counts)})
-        if "min-mtf" in objectives and parts and problem.chips <= _MOST_CHIPS:
+        if "min-mtf" in objectives and parts:
             mtf, won = tightened(parts, counts, mtf, "min")
             proofs += won
             if _decides(won, counts[mtf.argmax()]):
@@ -102,12 +111,13 @@ def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") 
     noise = -20 * np.log10(light)
     worst: MotionBasis | None = None
     for motion_basis in noisy_parts:
+        # the worst scenario counts, and each of them bounds it
         name, floors = _best(noise_floors(motion_basis, counts), upper=False)
         if floors.min() > noise.min():
             noise_name = name
             noise = floors
             worst = motion_basis
-    if "noise" in objectives and worst is not None and problem.chips <= _MOST_CHIPS:
+    if "noise" in objectives and worst is not None:
         noise, won = tightened([worst], counts, noise, "noise")
         proofs += won
         if _decides(won, counts[noise.argmin()]):
@@ -117,8 +127,7 @@ def bound(problem: SearchProblem, *, effort: Literal["quick", "sdp"] = "quick") 
 
 
 def relaxed_minimum(problem: SearchProblem, open_chips: int) -> Relaxation:
-    """Relax the largest smallest |H| of a number of open chips; its ``rounded_codes`` are starts
-    for a search.
+    """Relax the largest smallest |H| of so many open chips, for starts by ``rounded_codes``.
 
     Raises
     ------
@@ -135,9 +144,7 @@ def relaxed_minimum(problem: SearchProblem, open_chips: int) -> Relaxation:
 
 
 def _best(limits: dict[str, FloatArray], *, upper: bool = True) -> tuple[str, FloatArray]:
-    """Best bound for each number of open chips, and the name of the one that decides where it is
-    weakest.
-    """
+    """Best bound for each number of open chips, and the name of the weakest one's argument."""
     sign = 1.0 if upper else -1.0  # lower bounds are upper ones of the negated figure
     values = sign * np.stack(list(limits.values()))
     best = values.min(axis=0)
@@ -150,9 +157,7 @@ def _decides(proofs: list[DualProof], open_chips: np.intp) -> bool:
 
 
 def _motions(problem: SearchProblem) -> tuple[list[MotionBasis], list[MotionBasis]]:
-    """Bases of all motions, for minima, where any frequencies will do, and for means, on those of
-    the quadrature.
-    """
+    """Bases of all motions: for minima on any frequencies, for means on the quadrature's."""
     chips = problem.chips
     if not problem.scenarios:
         samples = circle_grid(chips)
@@ -170,6 +175,7 @@ def _motions(problem: SearchProblem) -> tuple[list[MotionBasis], list[MotionBasi
         if affordable and straight_axis(motion) is None:
             for_minima.append(for_means[-1])
             continue
+        # a straight motion has few frequencies, so more are cheap; too many are thinned out
         samples = _thinned(band_samples(motion, oversampling=8), _MOST_NUMBERS // chips)
         basis = chip_basis(motion, chips, samples.fx, samples.fy, edges=edges)
         for_minima.append(MotionBasis(motion, reversible, samples, basis, edges))
@@ -177,29 +183,25 @@ def _motions(problem: SearchProblem) -> tuple[list[MotionBasis], list[MotionBasi
 
 
 def _played(problem: SearchProblem) -> list[tuple[Trajectory, bool, FloatArray | None]]:
-    """Motions, whether both directions count, and chip edges; none for ramps, where |H|^2 is no
-    quadratic form.
-    """
+    """Motions, whether both directions count, and chip edges."""
+    # through ramps |H|^2 is no quadratic form
     if problem.response is not None and not problem.response.instant:
         return []
     motions: list[tuple[Trajectory, bool, FloatArray | None]] = []
     for scenario in problem.scenarios:
         motion = scenario.trajectory
-        reversible = problem.both_directions(scenario.trajectory)
-        edges = scenario.edges
-        if edges is None:
+        reversible = problem.both_directions(motion)
+        if scenario.edges is None:
             motions.append((motion, reversible, None))
             continue
-        motions.append((motion, False, edges))
+        motions.append((motion, False, scenario.edges))
         if reversible:  # the reversed path's chips are not the forward ones in another order
-            motions.append((motion.reversed(), False, edges))
+            motions.append((motion.reversed(), False, scenario.edges))
     return motions
 
 
 def _light(problem: SearchProblem, counts: NDArray[np.intp]) -> FloatArray:
-    """Most light that so many open chips let through, (K,), a fraction of the exposure; the
-    darkest scenario's.
-    """
+    """Most light that so many open chips let through, (K,), in the darkest scenario; 1 is all."""
     if not problem.scenarios:
         return np.asarray(counts / problem.chips, dtype=np.float64)
     ceiling = np.full(counts.size, np.inf)
@@ -222,10 +224,4 @@ def _light(problem: SearchProblem, counts: NDArray[np.intp]) -> FloatArray:
 
 def _thinned(samples: BandSamples, size: int) -> BandSamples:
     stride = slice(None, None, -(-samples.fx.size // size))
-    return BandSamples(
-        samples.fx[stride],
-        samples.fy[stride],
-        samples.weight[stride],
-        samples.radius2[stride],
-        samples.radius2_weight[stride],
-    )
+    return BandSamples(**{name: column[stride] for name, column in vars(samples).items()})

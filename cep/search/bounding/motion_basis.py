@@ -1,28 +1,47 @@
-r"""Quick bounds, in closed form or from one eigenvalue: of |P| on the circle, |H| along a motion,
-and noise.
+r"""Quick bounds, in closed form or from one eigenvalue: of |P| on the circle, |H|, and noise.
 
-======================
-=============================================================================================
-random-code            ``min |P|^2 <= k (n - k) / (n - 1)``: the mean of |P|^2 over the n-th roots
-of unity except 1.
-                       No convex relaxation does better, as it admits the mean of all codes with k
-                       ones, whose ``C`` gives just this.
-degree-38              every code of at most 38 chips has ``min |P| <= 2`` roots-of-unity
-the best that the counts of open chips in residue classes allow, for few chips light
-the value at zero frequency: the open time
-one-frequency          ``|H(f)| <=`` the sum of the k largest |B_i(f)|
-weighted-parseval      straight uniform motion: random-code with the chip's sinc gram
-one eigenvalue of the Gram matrix averaged over the band outside a radius gram-rows
-the k largest row sums of that matrix, each of its diagonal and k - 1 largest others
-jensen                 ``mean 1/|H|^2 >= 1 / mean |H|^2``
-jensen-weighted        the same with weights that suit the mean of all codes; see
-:mod:`cep.search.bounding.relaxation` ======================
-=============================================================================================
+At one frequency ``|H|^2 = c' G_f c`` with the Gram matrix ``G_f = Re conj(B(f)) B(f)'`` of the
+chip basis. For weights ``a_f >= 0`` and ``G = sum a_f G_f`` every code c obeys
+
+- ``min |H|^2 <= c' G c / sum a_f``, since a minimum is at most a mean;
+- ``mean 1/|H|^2 >= (sum sqrt(w_f a_f))^2 / c' G c`` for quadrature weights w, by Cauchy and
+  Schwarz.
+
+A 0/1 code with k ones has ``c_i (sum_j c_j - k) = 0``, so for any v
+
+    ``c' G c = c' A c <= k lambda_max(A)``,   ``A = G + (v 1' + 1 v') / 2 - k diag(v)``.
+
+Nothing is asked of a and v: a bad choice makes the bound loose, never wrong. The bounds by name:
+
+random-code
+    ``min |P|^2 <= k (n - k) / (n - 1)``: the mean of |P|^2 over the n-th roots of unity except 1.
+    No convex relaxation does better, as it admits the mean of all codes with k ones, whose ``C``
+    gives just this.
+degree-38
+    Every code of at most 38 chips has ``min |P| <= 2``.
+roots-of-unity
+    The best that the counts of open chips in residue classes allow, for few chips.
+light
+    The value at zero frequency: the open time.
+one-frequency
+    ``|H(f)| <=`` the sum of the k largest |B_i(f)|.
+weighted-parseval
+    Straight uniform motion: random-code with the chip's sinc.
+gram
+    One eigenvalue of the Gram matrix averaged over the band outside a radius.
+gram-rows
+    The k largest row sums of that matrix, each of its diagonal and k - 1 largest others.
+jensen
+    ``mean 1/|H|^2 >= 1 / mean |H|^2``.
+jensen-weighted
+    The same with weights that suit the mean of all codes.
 
 References
 ----------
 Hare and Jankauskas, "On Newman and Littlewood polynomials with prescribed number of zeros inside
-the unit disk", arXiv 1910.13994: the smallest degree with min |P| > 2 is 38.
+the unit disk", arXiv 1910.13994: the smallest degree with min |P| > 2 is 38. Lovasz and Schrijver,
+"Cones of matrices and set-functions and 0-1 optimization", SIAM J. Optim. 1991: multiplying the
+constraint on the sum by each variable.
 """
 
 from __future__ import annotations
@@ -33,29 +52,32 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.band import BandSamples, uniform_length_px
-from cep.search.bounding.relaxation import circle_average, gram, largest_forms
+from cep.optics.band import BandSamples, circle_samples, uniform_length_px
 from motdiff.trajectory import Trajectory
-from motdiff.types import FloatArray
+from motdiff.types import ComplexArray, FloatArray
 
 Counts = NDArray[np.intp]
-_UP = 1 + 1e-12  # rounding
-_RADII = 12
+_UP = 1 + 1e-12  # a bound must not be rounded below the truth
+# of a basis, a Gram matrix and its eigenvalues, relative to the largest number that enters
+_ROUNDING = 1e-11
+_RADII = 12  # inside which the band is left out: which is best depends on the motion
+_RADII_OF_MANY = 3  # of a long code: each takes the eigenvalues of an n x n matrix
+_MANY_CHIPS = 256
 _PROVEN_CHIPS = 38
 _CLASSES = (8, 10, 12)  # beyond 24 chips the classes never beat the other bounds: measured
 _CLASSES_PAY = 24
-_TRIES = 6
+_TRIES = 6  # numbers of open chips whose weights are tried
 
 
 @dataclass(frozen=True)
 class MotionBasis:
-    """Chip basis of a motion on samples of its band.
+    """Chip basis B of a motion on samples of its band.
 
     Attributes
     ----------
     motion : Trajectory or None
         None is the unit circle, chip by chip 1/n.
-    both : bool
+    reversible : bool
         Whether both directions count.
     samples : BandSamples
     basis : (n, F) complex
@@ -64,7 +86,7 @@ class MotionBasis:
     """
 
     motion: Trajectory | None
-    both: bool
+    reversible: bool
     samples: BandSamples
     basis: NDArray[np.complex128]
     edges: FloatArray | None = None
@@ -72,7 +94,7 @@ class MotionBasis:
     def gram(self, weights: FloatArray) -> FloatArray:
         """``sum_f a_f G_f``, the mean of both directions where both count."""
         matrix = gram(self.basis, weights)
-        if self.both:
+        if self.reversible:
             # along the reversed path the chips' rows come in the opposite order
             return 0.5 * (matrix + matrix[::-1, ::-1])
         return matrix
@@ -84,18 +106,21 @@ class MotionBasis:
 
     def random_power(self, open_chips: int) -> FloatArray:
         """Mean of |H|^2 over all codes with k ones, (F,), kept away from 0."""
-        chip_power, all_open = self.power
-        n = len(self.basis)
-        k = open_chips
-        pairs = k * (k - 1) / (n * max(n - 1, 1))
-        mean = (k / n - pairs) * chip_power + pairs * all_open
-        return np.asarray(np.maximum(mean, 1e-4 * mean.mean()), dtype=np.float64)
+        return mean_power(*self.power, len(self.basis), open_chips)
+
+
+def mean_power(
+    chip_power: FloatArray, all_open: FloatArray, chips: int, open_chips: int
+) -> FloatArray:
+    """Mean of |H|^2 over all codes with k ones, kept away from 0."""
+    # a pair of chips is open in this share of the codes, a single one in k / n of them
+    pairs = open_chips * (open_chips - 1) / (chips * max(chips - 1, 1))
+    mean = (open_chips / chips - pairs) * chip_power + pairs * all_open
+    return np.asarray(np.maximum(mean, 1e-4 * mean.mean()), dtype=np.float64)
 
 
 def chip_ceilings(chips: int, counts: Counts) -> dict[str, FloatArray]:
-    """Upper bounds of the smallest |P| on the unit circle for each number of ones, in chips, by
-    name.
-    """
+    """Upper bounds of the smallest |P|, in chips, for each number of ones, by name."""
     if chips == 1:
         return {"light": counts.astype(np.float64)}
     ceilings = {"random-code": np.sqrt(counts * (chips - counts) / (chips - 1)) * _UP}
@@ -107,9 +132,7 @@ def chip_ceilings(chips: int, counts: Counts) -> dict[str, FloatArray]:
 
 
 def mtf_ceilings(parts: list[MotionBasis], counts: Counts) -> dict[str, FloatArray]:
-    """Upper bounds of the smallest |H| over all motions for each number of ones, light-true, by
-    name.
-    """
+    """Upper bounds of the smallest |H| over all motions for each number of ones, by name."""
     ceilings = dict[str, FloatArray]()
     for motion_basis in parts:
         uniform = _uniform_ceilings(motion_basis, counts)
@@ -125,12 +148,10 @@ def mtf_ceilings(parts: list[MotionBasis], counts: Counts) -> dict[str, FloatArr
 
 
 def noise_floors(motion_basis: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
-    """Lower bounds of 10 log10 mean 1/|H|^2 for each number of ones, light-true, by name."""
+    """Lower bounds of 10 log10 mean 1/|H|^2 for each number of ones, by name."""
     weight = motion_basis.samples.weight
-    floors = {
-        "jensen": -10
-        * np.log10(np.maximum(largest_forms(motion_basis.gram(weight), counts), 1e-300))
-    }
+    mean_ceilings = largest_forms(motion_basis.gram(weight), counts)
+    jensen = -10 * np.log10(np.maximum(mean_ceilings, 1e-300))
     best = np.full(counts.size, -np.inf)
     counted = set[int]()
     while len(counted) < _TRIES:
@@ -147,7 +168,7 @@ def noise_floors(motion_basis: MotionBasis, counts: Counts) -> dict[str, FloatAr
             best,
             reached - 10 * np.log10(largest_forms(motion_basis.gram(weight * ratio**2), counts)),
         )
-    return {**floors, "jensen-weighted": best}
+    return {"jensen": jensen, "jensen-weighted": best}
 
 
 def _gram_ceilings(motion_basis: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
@@ -155,17 +176,17 @@ def _gram_ceilings(motion_basis: MotionBasis, counts: Counts) -> dict[str, Float
     chips = len(motion_basis.basis)
     eigen = np.full(counts.size, np.inf)
     rows = np.full(counts.size, np.inf)
-    for inner in np.linspace(0, 0.95 * radius.max(), _RADII if chips <= 256 else 3):
+    radii = _RADII if chips <= _MANY_CHIPS else _RADII_OF_MANY
+    for inner in np.linspace(0, 0.95 * radius.max(), radii):
         share = np.where(radius >= inner, motion_basis.samples.weight, 0.0)
         matrix = motion_basis.gram(share / share.sum())
         eigen = np.minimum(eigen, largest_forms(matrix, counts))
-        off_diagonal = np.sort(np.where(np.eye(chips, dtype=bool), np.inf, matrix), axis=1)[
-            :, ::-1
-        ]
-        off_diagonal[:, 0] = np.diag(matrix)
+        # the diagonal, infinite for the sort, comes first
+        ordered = np.sort(np.where(np.eye(chips, dtype=bool), np.inf, matrix), axis=1)[:, ::-1]
+        ordered[:, 0] = np.diag(matrix)
         # column k - 1: the most that each open chip can add beside k - 1 others; the k largest of
         # them
-        largest = np.sort(off_diagonal.cumsum(axis=1), axis=0)[::-1].cumsum(axis=0).diagonal()
+        largest = np.sort(ordered.cumsum(axis=1), axis=0)[::-1].cumsum(axis=0).diagonal()
         rows = np.minimum(rows, largest[counts - 1] + 1e-12 * np.abs(matrix).sum())
     return {
         "gram": np.sqrt(np.maximum(eigen, 0.0)) * _UP,
@@ -175,30 +196,22 @@ def _gram_ceilings(motion_basis: MotionBasis, counts: Counts) -> dict[str, Float
 
 def _uniform_ceilings(motion_basis: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
     """Find closed forms where a straight uniform motion's band covers the whole circle of |P|."""
-    if (
-        motion_basis.motion is None
-        or motion_basis.edges is not None
-        or uniform_length_px(motion_basis.motion) is None
-    ):
+    motion = motion_basis.motion
+    if motion is None or motion_basis.edges is not None or uniform_length_px(motion) is None:
         return {}
     chips = len(motion_basis.basis)
-    path = motion_basis.motion.xy[-1] - motion_basis.motion.xy[0]
+    path = motion.xy[-1] - motion.xy[0]
     reach = 0.5 * float(np.abs(path).sum()) / chips  # cycles per chip in the band's corner
     if reach < 0.5 or chips == 1:
         return {}
     # |P| repeats: each n-th root of unity is seen wherever in the band the chip's sinc is smallest
-    frequency = np.arange(1, chips)[:, None] / chips + np.arange(
-        -np.ceil(reach) - 1, np.ceil(reach) + 1
-    )
-    gain = np.where(np.abs(frequency) <= reach * _UP, np.abs(np.sinc(frequency)), np.inf).min(
-        axis=1
-    )
+    periods = np.arange(-np.ceil(reach) - 1, np.ceil(reach) + 1)
+    frequency = np.arange(1, chips)[:, None] / chips + periods
+    in_reach = np.abs(frequency) <= reach * _UP
+    gain = np.where(in_reach, np.abs(np.sinc(frequency)), np.inf).min(axis=1)
     power = counts * (chips - counts) / np.sum(1 / np.maximum(gain, 1e-9) ** 2)
-    ceilings = {
-        name: values / chips
-        for name, values in chip_ceilings(chips, counts).items()
-        if name != "random-code"
-    }
+    ceilings = {name: values / chips for name, values in chip_ceilings(chips, counts).items()}
+    del ceilings["random-code"]  # the next one is never higher
     ceilings["weighted-parseval"] = np.sqrt(power) / chips * _UP
     if reach >= 1:  # the chip's own zero
         ceilings["one-frequency"] = np.full(counts.size, 1e-15)
@@ -207,8 +220,9 @@ def _uniform_ceilings(motion_basis: MotionBasis, counts: Counts) -> dict[str, Fl
 
 @lru_cache(maxsize=64)
 def _class_ceilings(chips: int) -> FloatArray:
-    """Best smallest |P| at the m-th roots of unity, any counts of open chips in the classes mod m,
-    by k = 0..n.
+    """Largest possible min |P| at the m-th roots of unity, for k = 0..n open chips.
+
+    There P depends on the numbers of open chips in the residue classes mod m alone.
     """
     best = np.full(chips + 1, np.inf)
     for classes in {min(m, chips) for m in _CLASSES}:
@@ -216,6 +230,7 @@ def _class_ceilings(chips: int) -> FloatArray:
             -2j * np.pi * np.outer(np.arange(classes), np.arange(classes // 2 + 1)) / classes
         )
         sizes = [len(range(first, chips, classes)) for first in range(classes)]
+        # the counts of each half of the classes are listed, and every two joined
         half = classes // 2
         (ones_a, values_a), (ones_b, values_b) = (
             _all_counts(sizes[half_of_classes], roots[half_of_classes])
@@ -233,3 +248,80 @@ def _all_counts(
 ) -> tuple[Counts, NDArray[np.complex128]]:
     grid = np.indices([size + 1 for size in sizes]).reshape(len(sizes), -1).T
     return grid.sum(axis=1), grid @ roots
+
+
+def gram(basis: ComplexArray, weights: FloatArray) -> FloatArray:
+    """``sum_f a_f Re conj(B_f) B_f'``, (n, n), of an (n, F) basis."""
+    root = basis * np.sqrt(weights)
+    return np.asarray(root.real @ root.real.T + root.imag @ root.imag.T, dtype=np.float64)
+
+
+def form_matrix(matrix: FloatArray, multipliers: FloatArray, open_chips: int) -> FloatArray:
+    """Add terms that vanish on codes: ``A = G + (v 1' + 1 v') / 2 - k diag(v)``."""
+    return matrix + 0.5 * (multipliers[:, None] + multipliers) - open_chips * np.diag(multipliers)
+
+
+def largest_form(matrix: FloatArray, multipliers: FloatArray, open_chips: int) -> float:
+    """Upper bound of ``c' G c`` over 0/1 codes with k ones, from any multipliers v (n,)."""
+    form = form_matrix(matrix, multipliers, open_chips)
+    scale = float(np.linalg.norm(matrix) + np.linalg.norm(form))
+    return open_chips * float(np.linalg.eigvalsh(form)[-1] + _ROUNDING * scale)
+
+
+def largest_forms(matrix: FloatArray, counts: NDArray[np.intp]) -> FloatArray:
+    """Upper bounds of ``c' G c`` for each number of ones, (K,), with the best ``v = x 1``.
+
+    With v = x 1 the matrix is ``G + x 1 1' - x k I``. Its largest eigenvalue lambda - x k has ``1
+    / x = sum_i z_i^2 / (lambda - lambda_i)``, z the eigenvectors' sums: one decomposition serves
+    all x and all k.
+    """
+    values, vectors = np.linalg.eigh(matrix)
+    ones = vectors.sum(axis=0) ** 2
+    top = values[-1]
+    spread = max(float(np.ptp(values)), 1e-3 * float(np.abs(values).max()), 1e-300)
+    second = values[-2] if len(values) > 1 else top - spread
+    above = top + spread * len(values) * np.logspace(-12, 1.5, 160)
+    between = second + (top - second) * np.linspace(0.005, 0.995, 100)
+    multipliers = np.concatenate([between, above])[:, None]
+    best = np.full(counts.size, np.inf)
+    # any lambda gives a valid bound: a grid of them, then finer ones about the best
+    for _ in range(4):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x = 1 / (ones / (multipliers[..., None] - values)).sum(axis=-1)
+            # below the top eigenvalue only a negative x keeps lambda the largest
+            valid = np.isfinite(x) & ((multipliers > top) | ((x < 0) & (multipliers > second)))
+            forms = (
+                multipliers
+                - x * counts
+                + _ROUNDING * (np.abs(multipliers) + np.abs(x) * (counts + values.size) + abs(top))
+            )
+        forms = np.where(valid, forms, np.inf)
+        pick = forms.argmin(axis=0)
+        best = np.minimum(best, forms[pick, np.arange(counts.size)])
+        columns = np.minimum(np.arange(counts.size), multipliers.shape[1] - 1)
+        low = multipliers[np.maximum(pick - 1, 0), columns]
+        high = multipliers[np.minimum(pick + 1, len(multipliers) - 1), columns]
+        multipliers = low + (high - low) * np.linspace(0, 1, 24)[:, None]
+    # the ends that the search only approaches: x = 0, and x without end, where only all chips open
+    # are left
+    best = np.minimum(best, top + _ROUNDING * abs(top) * values.size)
+    all_open = float(matrix.sum()) / values.size + _ROUNDING * float(np.abs(matrix).sum())
+    return np.asarray(counts * np.where(counts == values.size, all_open, best), dtype=np.float64)
+
+
+def circle_grid(chips: int) -> BandSamples:
+    """Sample the unit circle for averages that :func:`circle_average` makes exact."""
+    return circle_samples(chips, oversampling=16 if chips <= _MANY_CHIPS else 8)
+
+
+def circle_average(values: FloatArray, chips: int) -> FloatArray:
+    """Cut an even function on the circle's samples to low degree, (F,), not negative.
+
+    Its square times any |P|^2 is then averaged without error by the samples; so a bound of mean
+    1/|P|^2 from it holds for the mean over the whole circle, and on every finer grid.
+    """
+    lags = np.fft.irfft(values)
+    degree = (lags.size - chips) // 2 - 1
+    lags[degree + 1 : lags.size - degree] = 0
+    cut = np.fft.rfft(lags).real
+    return np.asarray(cut - 1.000001 * min(float(cut.min()), 0.0), dtype=np.float64)

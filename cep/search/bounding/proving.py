@@ -1,11 +1,9 @@
-"""Proofs from a relaxation: choice of frequencies, and bounds from its multipliers for all numbers
-of open chips.
-"""
+"""Bounds from a relaxation's multipliers, for all numbers of open chips, and their check."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -13,29 +11,118 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.optics.band import band_samples, straight_axis
-from cep.optics.exposure import chip_basis
-from cep.search.bounding.motion_basis import MotionBasis
-from cep.search.bounding.relaxation import (
-    DualProof,
-    Relaxation,
-    Solver,
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import chip_basis, coded_otf
+from cep.search.bounding.motion_basis import (
+    MotionBasis,
     circle_average,
+    circle_grid,
+    form_matrix,
+    gram,
     largest_form,
-    relax,
 )
-from motdiff.types import FloatArray
+from cep.search.bounding.relaxation import Relaxation, Solver, relax
+from motdiff.trajectory import Trajectory
+from motdiff.types import ComplexArray, FloatArray
 
 Counts = NDArray[np.intp]
 _START = 200  # frequencies of the relaxed minimum
-_ADDED = 150
+_ADDED = 150  # the lowest ones that a round adds
 _ROUNDS = 6  # the bound holds after any round; stop where one gains less
 _SETTLED = 2e-3
 _UNUSED = 1e-4  # weights below this share of the largest make room
-_MOST_FREQUENCIES = (
-    2600  # of a relaxed mean: Newton's matrix takes 54 MB and up to a second a step
-)
+_MOST_FREQUENCIES = 2600  # of a relaxed mean: Newton's matrix takes 54 MB, a step up to a second
 _STRAIGHT_OVERSAMPLING = 8
 _LIGHTS = 6  # numbers of open chips that are relaxed, the weakest first
+_NEARLY_AS_WEAK = 0.01  # of a relaxed minimum: a number so little weaker is not relaxed as well
+_NEARLY_AS_WEAK_DB = 0.05
+
+
+@dataclass(frozen=True)
+class DualProof:
+    """A bound over all codes of one number of open chips, with all data to recompute it.
+
+    Attributes
+    ----------
+    quantity : {"min", "noise"}
+        Upper bound of the smallest |H| over all motions and directions, or lower bound of 10 log10
+        mean 1/|H|^2 on the one motion, the worse of its directions.
+    chips, open_chips : int
+        n and k.
+    motions : tuple of Trajectory or None
+        None is the unit circle of the code's polynomial over n; frequencies are then cycles per
+        chip.
+    reversible : tuple of bool
+        For each motion, whether both directions count: ``G_f`` is then the mean of both.
+    edges : tuple of (n + 1,) float or None
+        For each motion, its chips' edges as fractions of the exposure, where they are not evenly
+        spread.
+    motion : (m,) int
+        Which of them a frequency belongs to.
+    frequencies : (m, 2) float, cycles/px
+    weights : (m,) float
+        a, not negative.
+    multipliers : (n,) float
+        v.
+    bound : float
+        Light-true |H|, or dB.
+    """
+
+    quantity: Literal["min", "noise"]
+    chips: int
+    open_chips: int
+    motions: tuple[Trajectory | None, ...]
+    reversible: tuple[bool, ...]
+    edges: tuple[FloatArray | None, ...]
+    motion: NDArray[np.intp]
+    frequencies: FloatArray
+    weights: FloatArray
+    multipliers: FloatArray
+    bound: float
+
+    def check(self) -> bool:
+        """Whether the bound holds, recomputed from the motions by other means.
+
+        Of each chip alone the OTF is computed, and Cholesky stands for the eigenvalue: a matrix
+        whose factor exists in floating point is positive definite up to rounding, which the bound
+        has room for.
+        """
+        k = self.open_chips
+        if not ((self.weights >= 0).all() and self.weights.any()):
+            return False
+        total = np.zeros((self.chips, self.chips))
+        motions = zip(self.motions, self.reversible, self.edges, strict=True)
+        for index, (motion, reversible, edges) in enumerate(motions):
+            if reversible and edges is not None:
+                return False  # the reversed path is no mirror image then
+            of_motion = self.motion == index
+            basis = _basis_again(motion, self.chips, self.frequencies[of_motion], edges)
+            matrix = gram(basis, self.weights[of_motion])
+            if reversible:
+                matrix = 0.5 * (matrix + matrix[::-1, ::-1])
+            total += matrix
+        if self.quantity == "min":
+            allowed = self.bound**2 * float(self.weights.sum()) / k
+        else:
+            allowed = self._power_of_means() / (10 ** (self.bound / 10) * k)
+        test = allowed * np.eye(self.chips) - form_matrix(total, self.multipliers, k)
+        try:
+            np.linalg.cholesky(test)
+        except np.linalg.LinAlgError:
+            return False
+        return True
+
+    def _power_of_means(self) -> float:
+        """``(sum sqrt(w a))^2``; 0 where the frequencies are no quadrature of the one motion."""
+        (motion,) = self.motions
+        samples = circle_grid(self.chips) if motion is None else band_samples(motion)
+        if not np.array_equal(np.stack([samples.fx, samples.fy], axis=1), self.frequencies):
+            return 0.0
+        if motion is None:
+            ratio = np.sqrt(self.weights / samples.weight)
+            if np.abs(circle_average(ratio, self.chips) - ratio).max() > 1e-11 * ratio.max():
+                return 0.0
+        return float(np.sqrt(samples.weight * self.weights).sum()) ** 2
 
 
 def tightened(
@@ -46,7 +133,7 @@ def tightened(
     *,
     solvers: Sequence[Solver] | None = None,
 ) -> tuple[FloatArray, list[DualProof]]:
-    """Improve earlier bounds, (K,), one for each number of open chips, where the relaxation does.
+    """Improve earlier bounds, (K,), one for each number of open chips, by the relaxation.
 
     The number of open chips with the weakest bound is relaxed, its multipliers are tried on all
     others, and so on until the weakest has been relaxed. Where no solver finds an optimum, the
@@ -72,10 +159,10 @@ def tightened(
     proofs = dict[int, DualProof]()
     solved = set[int]()
     sign = 1.0
-    relaxed_proof = _minimum
+    prove = _minimum
     if quantity == "noise":  # a lower bound, in dB
         sign = -1.0
-        relaxed_proof = _mean
+        prove = _mean
     settled = -np.inf
     for _ in range(_LIGHTS):
         index = int((sign * best).argmax())
@@ -85,7 +172,7 @@ def tightened(
             break
         solved.add(index)
         try:
-            proof, matrix, reached = relaxed_proof(parts, k, solvers)
+            proof, matrix, reached = prove(parts, k, solvers)
         except ValueError:  # no solver found an optimum
             break
         for row, count in enumerate(counts):
@@ -98,7 +185,7 @@ def tightened(
             if sign * value < sign * best[row]:
                 best[row] = value
                 proofs[row] = replace(proof, open_chips=int(count), bound=float(value))
-        margin = 0.01 * best[index] if quantity == "min" else 0.05
+        margin = _NEARLY_AS_WEAK * best[index] if quantity == "min" else _NEARLY_AS_WEAK_DB
         settled = max(settled, sign * best[index] + margin)
     return best, [proofs[row] for row in sorted(proofs)]
 
@@ -121,9 +208,11 @@ def relaxed(
     """
     power = np.concatenate([motion_basis.random_power(open_chips) for motion_basis in parts])
     sizes = [motion_basis.samples.fx.size for motion_basis in parts]
+    # those where a random code is darkest, and others everywhere
     spread = np.linspace(0, power.size - 1, min(_START // 2, power.size)).astype(np.intp)
     chosen = np.unique(np.concatenate([np.argsort(power)[: _START // 2], spread]))
     best: tuple[Relaxation, Counts] | None = None
+    value_reached = 0.0
     for _ in range(_ROUNDS):
         try:
             relaxation = relax(_columns(parts, _split(chosen, sizes)), open_chips, solvers=solvers)
@@ -132,11 +221,10 @@ def relaxed(
                 raise
             break
         value = relaxation.weights.sum()
-        before = 0.0
-        if best is not None:
-            before = best[0].weights.sum()
+        before = value_reached
         if value > before:
             best = relaxation, chosen
+            value_reached = value
         if value < before * (1 + _SETTLED):
             break
         reached = np.concatenate(
@@ -158,24 +246,20 @@ def _minimum(
 ) -> tuple[DualProof, FloatArray, float]:
     relaxation, chosen = relaxed(parts, open_chips, solvers=solvers)
     weights = np.maximum(relaxation.weights, 0.0)
-    bounds = np.cumsum([index.size for index in chosen])
+    sizes = [index.size for index in chosen]
     matrix = np.zeros_like(relaxation.products)
-    for motion_basis, index, share in zip(
-        parts, chosen, np.split(weights, bounds[:-1]), strict=True
-    ):
+    shares = np.split(weights, np.cumsum(sizes)[:-1])
+    for motion_basis, index, share in zip(parts, chosen, shares, strict=True):
         matrix += replace(motion_basis, basis=motion_basis.basis[:, index]).gram(share)
-    frequencies = [
-        np.stack([p.samples.fx[i], p.samples.fy[i]], axis=1)
-        for p, i in zip(parts, chosen, strict=True)
-    ]
+    frequencies = [_frequencies(basis)[index] for basis, index in zip(parts, chosen, strict=True)]
     proof = DualProof(
         quantity="min",
         chips=len(matrix),
         open_chips=open_chips,
         motions=tuple(motion_basis.motion for motion_basis in parts),
-        both=tuple(motion_basis.both for motion_basis in parts),
+        reversible=tuple(motion_basis.reversible for motion_basis in parts),
         edges=tuple(motion_basis.edges for motion_basis in parts),
-        motion=np.repeat(np.arange(len(parts)), [index.size for index in chosen]),
+        motion=np.repeat(np.arange(len(parts)), sizes),
         frequencies=np.concatenate(frequencies),
         weights=weights,
         multipliers=relaxation.multipliers,
@@ -187,13 +271,14 @@ def _minimum(
 def _mean(
     parts: Sequence[MotionBasis], open_chips: int, solvers: Sequence[Solver] | None
 ) -> tuple[DualProof, FloatArray, float]:
-    motion_basis = parts[0]
-    coarse = parts[0]
+    motion_basis = coarse = parts[0]
+    motion = motion_basis.motion
     samples = motion_basis.samples
     chips = len(motion_basis.basis)
-    if motion_basis.motion is not None and straight_axis(motion_basis.motion) is not None:
-        few = band_samples(motion_basis.motion, oversampling=_STRAIGHT_OVERSAMPLING)
-        basis = chip_basis(motion_basis.motion, chips, few.fx, few.fy, edges=motion_basis.edges)
+    if motion is not None and straight_axis(motion) is not None:
+        # fewer frequencies, whose weights are then interpolated: any weights give a bound
+        few = band_samples(motion, oversampling=_STRAIGHT_OVERSAMPLING)
+        basis = chip_basis(motion, chips, few.fx, few.fy, edges=motion_basis.edges)
         coarse = replace(motion_basis, samples=few, basis=basis)
     shares = coarse.samples.weight
     if shares.size > _MOST_FREQUENCIES:
@@ -205,43 +290,42 @@ def _mean(
     active = shares > 0
     columns = _columns([coarse], [np.flatnonzero(active)])
     relaxation = relax(columns, open_chips, shares=shares[active], solvers=solvers)
-    ratio = np.sqrt(np.maximum(relaxation.weights, 0.0) / shares[active])
+    ratio = np.zeros_like(shares)
+    ratio[active] = np.sqrt(np.maximum(relaxation.weights, 0.0) / shares[active])
     if coarse is not motion_basis:
         radius = [np.hypot(s.fx, s.fy) for s in (samples, coarse.samples)]
-        ratio = np.interp(radius[0], radius[1][active], ratio)
-    elif motion_basis.motion is None:
+        ratio = np.interp(radius[0], radius[1][active], ratio[active])
+    elif motion is None:
         ratio = circle_average(ratio, chips)
-    full = ratio
-    if coarse is motion_basis:
-        full = np.zeros_like(samples.weight)
-        full[active] = ratio
-    weights = samples.weight * full**2
+    weights = samples.weight * ratio**2
     proof = DualProof(
         quantity="noise",
         chips=chips,
         open_chips=open_chips,
-        motions=(motion_basis.motion,),
-        both=(motion_basis.both,),
+        motions=(motion,),
+        reversible=(motion_basis.reversible,),
         edges=(motion_basis.edges,),
         motion=np.zeros(weights.size, dtype=np.intp),
-        frequencies=np.stack([samples.fx, samples.fy], axis=1),
+        frequencies=_frequencies(motion_basis),
         weights=weights,
         multipliers=relaxation.multipliers,
         bound=-np.inf,
     )
-    return proof, motion_basis.gram(weights), float(samples.weight @ full) ** 2
+    return proof, motion_basis.gram(weights), float(samples.weight @ ratio) ** 2
+
+
+def _frequencies(motion_basis: MotionBasis) -> FloatArray:
+    return np.stack([motion_basis.samples.fx, motion_basis.samples.fy], axis=1)
 
 
 def _columns(parts: Sequence[MotionBasis], chosen: Sequence[Counts]) -> FloatArray:
-    """``G_f = sum_r columns[:, f, r] columns[:, f, r]'``, (n, m, 2), or 4 where both directions
-    count.
-    """
-    rank = 4 if any(motion_basis.both for motion_basis in parts) else 2
+    """``G_f = sum_r columns[:, f, r] columns[:, f, r]'``, (n, m, 2 or for both directions 4)."""
+    rank = 4 if any(motion_basis.reversible for motion_basis in parts) else 2
     blocks = []
     for motion_basis, index in zip(parts, chosen, strict=True):
         basis = motion_basis.basis[:, index]
         columns = np.stack([basis.real, basis.imag], axis=2)
-        if motion_basis.both:
+        if motion_basis.reversible:
             columns = np.concatenate([columns, columns[::-1]], axis=2) / np.sqrt(2)
         blocks.append(np.pad(columns, ((0, 0), (0, 0), (0, rank - columns.shape[2]))))
     return np.concatenate(blocks, axis=1)
@@ -249,7 +333,7 @@ def _columns(parts: Sequence[MotionBasis], chosen: Sequence[Counts]) -> FloatArr
 
 def _power(motion_basis: MotionBasis, products: FloatArray) -> FloatArray:
     """``tr(G_f C)`` on all samples, (F,)."""
-    if motion_basis.both:
+    if motion_basis.reversible:
         products = 0.5 * (products + products[::-1, ::-1])
     return np.asarray(
         (motion_basis.basis.conj() * (products @ motion_basis.basis)).sum(axis=0).real,
@@ -261,3 +345,15 @@ def _split(chosen: Counts, sizes: Sequence[int]) -> list[Counts]:
     """Turn indices into all samples into indices into each part's."""
     starts = np.concatenate([[0], np.cumsum(sizes)])
     return [chosen[(chosen >= low) & (chosen < high)] - low for low, high in pairwise(starts)]
+
+
+def _basis_again(
+    motion: Trajectory | None, chips: int, frequencies: FloatArray, edges: FloatArray | None
+) -> ComplexArray:
+    if motion is None:
+        return np.asarray(
+            np.exp(-2j * np.pi * np.outer(np.arange(chips), frequencies[:, 0])) / chips
+        )
+    fx, fy = frequencies.T
+    single = [ShutterCode("0" * chip + "1" + "0" * (chips - chip - 1)) for chip in range(chips)]
+    return np.stack([coded_otf(motion, code, fx, fy, edges=edges) for code in single])

@@ -1,5 +1,4 @@
-"""Semidefinite relaxation of the search: its value bounds every code, and its solution suggests
-codes.
+"""Semidefinite relaxation of the search: its value bounds all codes, its solution suggests some.
 
 The products ``C = c c'`` of all codes with k ones are relaxed to symmetric ``C >= 0`` with ``tr C
 = k`` and ``C 1 = k diag C``, which imply the lifted ``[[1, c'], [c, C]] >= 0`` with ``c = diag
@@ -12,7 +11,7 @@ with ``g = sum a_f`` for the smallest |H|^2 (whose bound is k / g) and ``g = sum
 for the mean of 1/|H|^2 (whose bound is g^2 / k). Newton steps on its logarithmic barrier cost
 little, as each G_f has two or four columns, and the barrier's inverse matrix is the relaxed C. The
 result of a solver is only used as multipliers of a
-:class:`cep.search.bounding.relaxation.DualProof`.
+:class:`cep.search.bounding.proving.DualProof`.
 
 References
 ----------
@@ -20,51 +19,29 @@ Mo and Duarte, "Design of spectrally shaped binary sequences via randomized conv
 2018: lifting and randomised rounding. Benson, Ye and Zhang, "Solving large-scale sparse
 semidefinite programs for combinatorial optimization", SIAM J. Optim. 2000: the dual barrier for
 low-rank constraints.
-
-At one frequency ``|H|^2 = c' G_f c`` with the Gram matrix ``G_f = Re conj(B(f)) B(f)'`` of the
-chip basis. For weights ``a_f >= 0`` and ``G = sum a_f G_f`` every code c obeys
-
-- ``min |H|^2 <= c' G c / sum a_f``, since a minimum is at most a mean;
-- ``mean 1/|H|^2 >= (sum sqrt(w_f a_f))^2 / c' G c`` for quadrature weights w, by Cauchy and
-  Schwarz.
-
-A 0/1 code with k ones has ``c_i (sum_j c_j - k) = 0``, so for any v
-
-    ``c' G c = c' A c <= k lambda_max(A)``,   ``A = G + (v 1' + 1 v') / 2 - k diag(v)``.
-
-Nothing is asked of a and v: a bad solver makes the bound loose, never wrong.
-
-References
-----------
-Lovasz and Schrijver, "Cones of matrices and set-functions and 0-1 optimization", SIAM J. Optim.
-1991: multiplying the constraint on the sum by each variable.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from cep.optics.band import BandSamples, band_samples, circle_samples
-from cep.optics.code import ShutterCode
-from cep.optics.exposure import coded_otf
-from motdiff.trajectory import Trajectory
-from motdiff.types import ComplexArray, FloatArray
+from cep.search.bounding.motion_basis import mean_power
+from motdiff.types import FloatArray
 
 Solver = Callable[[FloatArray, int, "FloatArray | None"], "Relaxation"]
-_GAP = 1e-4  # relative, where Newton stops; 0.02 dB
-_GAP_OF_MEAN = 2e-3
-_MOST_STEPS = 150
-_COOLING = 0.15
+_GAP = 1e-4  # relative, where Newton stops; 0.0004 dB of the bound, which holds at any gap
+_GAP_OF_MEAN = 2e-3  # the same of a mean, whose steps are the dearer ones; 0.02 dB
+_MOST_STEPS = 150  # after which the next solver is tried
+_COOLING = 0.15  # of the barrier's heat once a step gains little
 _COOLING_OF_MEAN = 0.1
+_SMALL_GAIN = 0.3  # of a step by the quadratic model: below it the path's centre is near enough
 _BLOCK = 128  # frequencies whose products with all others are held at once
-# of a basis, a Gram matrix and its eigenvalues, relative to the largest number that enters
-_ROUNDING = 1e-11
 
 
 @dataclass(frozen=True)
@@ -100,7 +77,7 @@ def relax(
     shares: FloatArray | None = None,
     solvers: Sequence[Solver] | None = None,
 ) -> Relaxation:
-    """Solve the relaxation; the next solver is tried where one does not end as exactly "optimal".
+    """Solve the relaxation, by the first solver that ends as exactly "optimal".
 
     Parameters
     ----------
@@ -119,12 +96,11 @@ def relax(
         If no solver ends as "optimal"; the line has the status of each.
     """
     failures = []
+    # solvers' tolerances suit matrices with entries of about 1
     scale = float((columns**2).sum(axis=(0, 2)).mean())
     for solver in solvers or SOLVERS:
         relaxation = solver(columns / np.sqrt(scale), open_chips, shares)
-        finite = (
-            np.isfinite(relaxation.weights).all() and np.isfinite(relaxation.multipliers).all()
-        )
+        finite = np.isfinite([*relaxation.weights, *relaxation.multipliers]).all()
         if relaxation.status == "optimal" and finite:
             return replace(relaxation, weights=relaxation.weights / scale)
         failures.append(f"{relaxation.solver}: {relaxation.status}")
@@ -134,8 +110,9 @@ def relax(
 def rounded_codes(
     relaxation: Relaxation, count: int, *, rng: np.random.Generator
 ) -> NDArray[np.int8]:
-    """Draw codes (count, n) whose first and second moments resemble the relaxed ones: Gaussian, k
-    largest open.
+    """Draw codes (count, n) whose first and second moments resemble the relaxed ones.
+
+    The k largest of a Gaussian vector with these moments are open.
 
     References
     ----------
@@ -156,9 +133,8 @@ def newton_solver(
     """Follow the barrier's central path by damped Newton steps."""
     chips, m, rank = columns.shape
     flat = columns.reshape(chips, m * rank)
-    products = np.ones((chips, chips)) - open_chips * np.eye(
-        chips
-    )  # column i is what chip i's multiplier multiplies
+    # column i is what chip i's multiplier multiplies
+    products = np.ones((chips, chips)) - open_chips * np.eye(chips)
 
     def slack(a: FloatArray, v: FloatArray) -> FloatArray:
         gram = (flat * np.repeat(a, rank)) @ flat.T
@@ -185,7 +161,9 @@ def newton_solver(
     walls = chips + m
     if shares is not None:
         # for 1/x the best weights are w / x^2: start from x of a random code
-        a = shares / _random_power(columns, open_chips) ** 2
+        chip_power = (columns**2).sum(axis=(0, 2))
+        all_open = (columns.sum(axis=0) ** 2).sum(axis=1)
+        a = shares / mean_power(chip_power, all_open, chips, open_chips) ** 2
         gap = _GAP_OF_MEAN
         cooling = _COOLING_OF_MEAN
         walls = chips
@@ -198,7 +176,7 @@ def newton_solver(
         inverse = np.linalg.inv(slack(a, v))
         inverse = 0.5 * (inverse + inverse.T)
         step, gain = _newton_step(flat, rank, inverse, products, a, shares, heat)
-        if gain < 0.3:
+        if gain < _SMALL_GAIN:
             if heat * walls < gap * goal(a):
                 status = "optimal"
                 break
@@ -209,36 +187,17 @@ def newton_solver(
         if down.any() and step[:m].min() < -0.9:
             length = min(1.0, 0.9 / float(-step[:m][down].min()))
         before = merit(a, v, heat)
-        # steps in a are relative
-        while (
-            merit(a * (1 + length * step[:m]), v + length * step[m:], heat)
-            < before + 0.1 * length * gain
-        ):
-            length *= 0.5
-            if length < 1e-9:
+        while length >= 1e-9:
+            # steps in a are relative, so that one scale suits large and small weights
+            further = (a * (1 + length * step[:m]), v + length * step[m:])
+            if merit(*further, heat) >= before + 0.1 * length * gain:  # Armijo's rule
                 break
-        if length < 1e-9:
+            length *= 0.5
+        else:
             break
-        a = a * (1 + length * step[:m])
-        v = v + length * step[m:]
-    return Relaxation(
-        open_chips,
-        a,
-        v,
-        np.asarray(inverse * (open_chips / float(np.trace(inverse)))),
-        status,
-        "newton",
-    )
-
-
-def _random_power(columns: FloatArray, open_chips: int) -> FloatArray:
-    """Mean of ``c' G_f c`` over all codes with k ones, (m,), kept away from 0."""
-    chips = len(columns)
-    pairs = open_chips * (open_chips - 1) / (chips * (chips - 1))
-    chip_power = (columns**2).sum(axis=(0, 2))
-    all_open = (columns.sum(axis=0) ** 2).sum(axis=1)
-    power = (open_chips / chips - pairs) * chip_power + pairs * all_open
-    return np.asarray(np.maximum(power, 1e-4 * power.mean()), dtype=np.float64)
+        a, v = further
+    products = np.asarray(inverse * (open_chips / float(np.trace(inverse))))
+    return Relaxation(open_chips, a, v, products, status, "newton")
 
 
 def _newton_step(
@@ -268,18 +227,17 @@ def _newton_step(
     hessian = np.block(
         [[pairs * np.outer(a, a) + np.diag(bend), (mixed * a).T], [mixed * a, chips]]
     )
+    # weights and multipliers differ by many powers of ten: scaled to a diagonal of ones
     size = np.sqrt(np.diag(hessian))
     gradient = np.concatenate([slope, -np.diag(transformed)])
     hessian /= size
     hessian /= size[:, None]
     hessian[np.diag_indices(size.size)] += 1e-12
-    step = (
-        linalg.solve(
-            hessian, gradient / size, assume_a="pos", overwrite_a=True, check_finite=False
-        )
-        / size
+    step = linalg.solve(
+        hessian, gradient / size, assume_a="pos", overwrite_a=True, check_finite=False
     )
-    return np.asarray(step, dtype=np.float64), float(gradient @ step)
+    step = np.asarray(step / size, dtype=np.float64)
+    return step, float(gradient @ step)
 
 
 def _pairs(flat: FloatArray, through: FloatArray, rank: int) -> FloatArray:
@@ -322,211 +280,18 @@ def cvxpy_solver(
     except cvxpy.error.SolverError:
         status = "failed"
     if a.value is None or v.value is None or semidefinite.dual_value is None:
-        nothing = np.full(m, np.nan)
-        return Relaxation(open_chips, nothing, np.full(chips, np.nan), np.eye(chips), status, name)
+        # relax() refuses what is not finite, whatever the status
+        weights, multipliers = np.full(m, np.nan), np.full(chips, np.nan)
+        return Relaxation(open_chips, weights, multipliers, np.eye(chips), status, name)
     dual = np.asarray(semidefinite.dual_value, dtype=np.float64)
     products = 0.5 * (dual + dual.T) * (open_chips / float(np.trace(dual)))
-    return Relaxation(
-        open_chips, np.maximum(a.value, 0.0), np.asarray(v.value), products, status, name
-    )
+    weights = np.maximum(a.value, 0.0)
+    return Relaxation(open_chips, weights, np.asarray(v.value), products, status, name)
 
 
-def _clarabel(
-    columns: FloatArray, open_chips: int, shares: FloatArray | None = None
-) -> Relaxation:
-    return cvxpy_solver(columns, open_chips, shares, name="CLARABEL")
-
-
-def _scs(columns: FloatArray, open_chips: int, shares: FloatArray | None = None) -> Relaxation:
-    return cvxpy_solver(columns, open_chips, shares, name="SCS")
-
-
-SOLVERS: tuple[Solver, ...] = (newton_solver, _clarabel, _scs)
-
-
-@dataclass(frozen=True)
-class DualProof:
-    """A bound over all codes of one number of open chips, with all data to recompute it.
-
-    Attributes
-    ----------
-    quantity : {"min", "noise"}
-        Upper bound of the smallest |H| over all motions and directions, or lower bound of 10 log10
-        mean 1/|H|^2 on the one motion, the worse of its directions.
-    chips, open_chips : int
-        n and k.
-    motions : tuple of Trajectory or None
-        None is the unit circle of the code's polynomial over n; frequencies are then cycles per
-        chip.
-    both : tuple of bool
-        For each motion, whether both directions count: ``G_f`` is then the mean of both.
-    edges : tuple of (n + 1,) float or None
-        For each motion, its chips' edges as fractions of the exposure, where they are not evenly
-        spread.
-    motion : (m,) int
-        Which of them a frequency belongs to.
-    frequencies : (m, 2) float, cycles/px
-    weights : (m,) float
-        a, not negative.
-    multipliers : (n,) float
-        v.
-    bound : float
-        Light-true |H|, or dB.
-    """
-
-    quantity: Literal["min", "noise"]
-    chips: int
-    open_chips: int
-    motions: tuple[Trajectory | None, ...]
-    both: tuple[bool, ...]
-    edges: tuple[FloatArray | None, ...]
-    motion: NDArray[np.intp]
-    frequencies: FloatArray
-    weights: FloatArray
-    multipliers: FloatArray
-    bound: float
-
-    def check(self) -> bool:
-        """Whether the bound holds, recomputed from the motions: other code for the basis, Cholesky
-        for the eigenvalue.
-
-        A matrix whose Cholesky factor exists in floating point is positive definite up to
-        rounding, which the bound has room for.
-        """
-        k = self.open_chips
-        n = self.chips
-        if not ((self.weights >= 0).all() and self.weights.any()):
-            return False
-        if any(
-            reversible and edges is not None
-            for reversible, edges in zip(self.both, self.edges, strict=True)
-        ):
-            return False  # the reversed path is no mirror image then
-        total = np.zeros((n, n))
-        for index, (motion, reversible, edges) in enumerate(
-            zip(self.motions, self.both, self.edges, strict=True)
-        ):
-            of_motion = self.motion == index
-            basis = _basis_again(motion, n, self.frequencies[of_motion], edges) * np.sqrt(
-                self.weights[of_motion]
-            )
-            gram = basis.real @ basis.real.T + basis.imag @ basis.imag.T
-            total += 0.5 * (gram + gram[::-1, ::-1]) if reversible else gram
-        if self.quantity == "min":
-            allowed = self.bound**2 * float(self.weights.sum()) / k
-        else:
-            allowed = self._power_of_means() / (10 ** (self.bound / 10) * k)
-        test = allowed * np.eye(n) - form_matrix(total, self.multipliers, k)
-        try:
-            np.linalg.cholesky(test)
-        except np.linalg.LinAlgError:
-            return False
-        return True
-
-    def _power_of_means(self) -> float:
-        """``(sum sqrt(w a))^2``, where the frequencies are the quadrature of the one motion; 0
-        where they are not.
-        """
-        (motion,) = self.motions
-        samples = circle_grid(self.chips) if motion is None else band_samples(motion)
-        if not np.array_equal(np.stack([samples.fx, samples.fy], axis=1), self.frequencies):
-            return 0.0
-        if motion is None:
-            ratio = np.sqrt(self.weights / samples.weight)
-            if np.abs(circle_average(ratio, self.chips) - ratio).max() > 1e-11 * ratio.max():
-                return 0.0
-        return float(np.sqrt(samples.weight * self.weights).sum()) ** 2
-
-
-def gram(basis: ComplexArray, weights: FloatArray) -> FloatArray:
-    """``sum_f a_f Re conj(B_f) B_f'``, (n, n), of an (n, F) basis."""
-    root = basis * np.sqrt(weights)
-    return np.asarray(root.real @ root.real.T + root.imag @ root.imag.T, dtype=np.float64)
-
-
-def form_matrix(matrix: FloatArray, multipliers: FloatArray, open_chips: int) -> FloatArray:
-    """Add terms that vanish on codes: ``A = G + (v 1' + 1 v') / 2 - k diag(v)``."""
-    return matrix + 0.5 * (multipliers[:, None] + multipliers) - open_chips * np.diag(multipliers)
-
-
-def largest_form(matrix: FloatArray, multipliers: FloatArray, open_chips: int) -> float:
-    """Upper bound of ``c' G c`` over 0/1 codes with k ones, from any multipliers v (n,)."""
-    form = form_matrix(matrix, multipliers, open_chips)
-    scale = float(np.linalg.norm(matrix) + np.linalg.norm(form))
-    return open_chips * float(np.linalg.eigvalsh(form)[-1] + _ROUNDING * scale)
-
-
-def largest_forms(matrix: FloatArray, counts: NDArray[np.intp]) -> FloatArray:
-    """Upper bounds of ``c' G c`` for each number of ones, (K,), with the best equal multipliers
-    ``v = x 1``.
-
-    With v = x 1 the matrix is ``G + x 1 1' - x k I``. Its largest eigenvalue lambda - x k has ``1
-    / x = sum_i z_i^2 / (lambda - lambda_i)``, z the eigenvectors' sums: one decomposition serves
-    all x and all k.
-    """
-    values, vectors = np.linalg.eigh(matrix)
-    ones = vectors.sum(axis=0) ** 2
-    top = values[-1]
-    spread = max(float(np.ptp(values)), 1e-3 * float(np.abs(values).max()), 1e-300)
-    second = values[-2] if len(values) > 1 else top - spread
-    above = top + spread * len(values) * np.logspace(-12, 1.5, 160)
-    between = second + (top - second) * np.linspace(0.005, 0.995, 100)
-    multipliers = np.concatenate([between, above])[:, None]
-    best = np.full(counts.size, np.inf)
-    for _ in range(4):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x = 1 / (ones / (multipliers[..., None] - values)).sum(axis=-1)
-            # below the top eigenvalue only a negative x keeps lambda the largest
-            valid = np.isfinite(x) & ((multipliers > top) | ((x < 0) & (multipliers > second)))
-            forms = (
-                multipliers
-                - x * counts
-                + _ROUNDING * (np.abs(multipliers) + np.abs(x) * (counts + values.size) + abs(top))
-            )
-        forms = np.where(valid, forms, np.inf)
-        pick = forms.argmin(axis=0)
-        best = np.minimum(best, forms[pick, np.arange(counts.size)])
-        columns = np.minimum(np.arange(counts.size), multipliers.shape[1] - 1)
-        low = multipliers[np.maximum(pick - 1, 0), columns]
-        high = multipliers[np.minimum(pick + 1, len(multipliers) - 1), columns]
-        multipliers = low + (high - low) * np.linspace(0, 1, 24)[:, None]
-    # the ends that the search only approaches: x = 0, and x without end, where only all chips open
-    # are left
-    best = np.minimum(best, top + _ROUNDING * abs(top) * values.size)
-    all_open = float(matrix.sum()) / values.size + _ROUNDING * float(np.abs(matrix).sum())
-    return np.asarray(counts * np.where(counts == values.size, all_open, best), dtype=np.float64)
-
-
-def circle_grid(chips: int) -> BandSamples:
-    """Sample the unit circle for averages that :func:`circle_average` makes exact."""
-    return circle_samples(chips, oversampling=16 if chips <= 256 else 8)
-
-
-def circle_average(values: FloatArray, chips: int) -> FloatArray:
-    """Cut an even function on the circle's samples to a trigonometric polynomial, (F,), not
-    negative, of low degree.
-
-    Its square times any |P|^2 is then averaged without error by the samples; so a bound of mean
-    1/|P|^2 from it holds for the mean over the whole circle, and on every finer grid.
-    """
-    lags = np.fft.irfft(values)
-    degree = (lags.size - chips) // 2 - 1
-    lags[degree + 1 : lags.size - degree] = 0
-    cut = np.fft.rfft(lags).real
-    return np.asarray(cut - 1.000001 * min(float(cut.min()), 0.0), dtype=np.float64)
-
-
-def _basis_again(
-    motion: Trajectory | None, chips: int, frequencies: FloatArray, edges: FloatArray | None
-) -> ComplexArray:
-    if motion is None:
-        return np.asarray(
-            np.exp(-2j * np.pi * np.outer(np.arange(chips), frequencies[:, 0])) / chips
-        )
-    single = [ShutterCode("0" * chip + "1" + "0" * (chips - chip - 1)) for chip in range(chips)]
-    return np.stack(
-        [
-            coded_otf(motion, code, frequencies[:, 0], frequencies[:, 1], edges=edges)
-            for code in single
-        ]
-    )
+# Newton's is 10 times as fast: docs/decisions/proofs.md
+SOLVERS: tuple[Solver, ...] = (
+    newton_solver,
+    partial(cvxpy_solver, name="CLARABEL"),
+    partial(cvxpy_solver, name="SCS"),
+)

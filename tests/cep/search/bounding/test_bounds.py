@@ -17,16 +17,18 @@ from cep.proofs.certify.minimum import min_chip
 from cep.proofs.measure import measure
 from cep.search.bounding import relaxation
 from cep.search.bounding.bounds import bound, relaxed_minimum
-from cep.search.bounding.motion_basis import chip_ceilings
-from cep.search.bounding.proving import tightened
-from cep.search.bounding.relaxation import (
-    Relaxation,
+from cep.search.bounding.motion_basis import (
+    chip_ceilings,
     circle_average,
-    cvxpy_solver,
     form_matrix,
     gram,
     largest_form,
     largest_forms,
+)
+from cep.search.bounding.proving import tightened
+from cep.search.bounding.relaxation import (
+    Relaxation,
+    cvxpy_solver,
     newton_solver,
     relax,
     rounded_codes,
