@@ -23,7 +23,7 @@ MOST = {
     "cep/files": 3,
     "cep/proofs": 1,
     "cep/restoration": 2,
-    "cep/search": 12,
+    "cep/search": 9,
     "cep/shutter": 1,
     "lab/bench": 98,
     "lab/block_proofs": 52,

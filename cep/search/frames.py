@@ -15,8 +15,7 @@ from cep.optics.mtf import HOPELESS_DB
 from cep.proofs.measure import CodeMetrics
 from cep.search.advise import Verdict
 from cep.search.annealing.anneal import Stopped
-from cep.search.annealing.frames import FramesResult, anneal_frames
-from cep.search.annealing.joint import joint_figures
+from cep.search.annealing.frames import FramesResult, anneal_frames, joint_figures
 from cep.search.expected import equal_light_noise, joint_psnr_db, light_noise
 from cep.search.optimize import (
     Search,

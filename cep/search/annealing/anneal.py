@@ -1,9 +1,8 @@
-"""Annealing search of a code: rounds of chains on all cores, each longer than the last, then a
-polish.
-"""
+"""Annealing search of a code: rounds of ever longer chains on all cores, then a polish."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -16,25 +15,26 @@ from cep.optics.band import straight_axis
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import CodeMetrics
 from cep.search.annealing.chains import Cooling, Crew, Walks
-from cep.search.annealing.polish import Polished, polish
-from cep.search.annealing.sweeps import Sweeps, SweepTables, sweep_tables, swept
+from cep.search.annealing.polish import Polished, judging_objective, polish
+from cep.search.annealing.sweeps import Sweeps, sweep_tables, swept
 from cep.search.annealing.terms import lay_out
 from cep.search.objective import Objective, sample_count
 from cep.search.problem import SearchProblem
+from motdiff.types import FloatArray
 
 Codes = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
-_SEARCH_OVERSAMPLING = 8  # of the moves, and of the polish, which uses the continuum too
-_JUDGED_OVERSAMPLING = 64
+# temperatures, shares of walks and numbers of moves were measured: docs/decisions/search.md
+SEARCH_OVERSAMPLING = 8  # of the moves; what they find is judged on finer samples
 _HOT_CHIPS = 52  # these temperatures are for so many chips; fewer are at most so much hotter
 _HOTTEST = 4.0
 COOLING = 3.0  # hottest over coldest
 _WALKS_STRAIGHT = 6  # chains of later rounds that walk instead
-_WALKS_OTHERS = 2
+_WALKS_OTHERS = 2  # along curves annealing wins
 _SHORT = 64  # chips up to which walks find better codes than cooling on straight motion
 MOST_SWAPS = 2**12  # chips up to which every neighbour is evaluated in each step
-REHEATED = 0.6
-_SWEPT = 0.28  # temperature of sweeps, over the hottest: docs/decisions/search.md
+REHEATED = 0.6  # temperature over the hottest, of chains that start from the best codes
+_SWEPT = 0.28  # the same of sweeps, all the time
 _ELITES = 32  # codes kept for the polish, which evaluates each on the fine grid
 _POOL = 8  # of the best, from which walks start
 _STANDARD_WORK = 2**33  # moves times frequencies after which more rarely find a better code
@@ -85,25 +85,31 @@ class SearchResult:
 
 
 @dataclass
-class _Elites:
-    """Best distinct codes seen."""
+class Elites:
+    """Best distinct codes seen, or choices of codes, the best first.
 
-    coarse: Objective
+    Attributes
+    ----------
+    cost_of : callable
+        Cost (R,) of (R, ...) codes; one that is not finite is left out.
+    capacity : int
+        Codes kept.
+    """
+
+    cost_of: Callable[[Codes], FloatArray]
+    capacity: int
     costs: dict[bytes, float] = field(default_factory=dict)
 
     def offer(self, codes: Codes) -> None:
-        for code, cost in zip(codes, self.coarse.cost_of(codes), strict=True):
+        """Keep (R, ...) codes as far as they are among the best."""
+        for code, cost in zip(codes, self.cost_of(codes), strict=True):
             if np.isfinite(cost):
                 self.costs[code.astype(np.int8).tobytes()] = float(cost)
-        if len(self.costs) > _ELITES:
-            self.costs = dict(sorted(self.costs.items(), key=lambda item: item[1])[:_ELITES])
+        self.costs = dict(sorted(self.costs.items(), key=lambda item: item[1])[: self.capacity])
 
     def ranked(self) -> Codes:
-        order = sorted(self.costs, key=self.costs.__getitem__)
-        return np.array([np.frombuffer(key, dtype=np.int8) for key in order])
-
-    def best(self) -> ShutterCode:
-        return ShutterCode.from_array(self.ranked()[0])
+        """Return the codes, (R, all their chips)."""
+        return np.array([np.frombuffer(key, dtype=np.int8) for key in self.costs])
 
 
 def anneal(
@@ -164,38 +170,29 @@ def anneal(
     starts = [code.array for code in start]
     if any(bits.size != problem.chips for bits in starts):
         raise ValueError(f"start: every code must have {problem.chips} chips")
-    coarse = moved or Objective(problem, oversampling=_SEARCH_OVERSAMPLING)
-    sweeping = swept(problem)
-    if sweeping:
-        judge = judge or Objective(problem, oversampling=_JUDGED_OVERSAMPLING, dtype=np.float64)
-    elites = _Elites(coarse)
-    if sweeping and judge is not None:
+    ranking = coarse = moved or Objective(problem, oversampling=SEARCH_OVERSAMPLING)
+    longest = _LONGEST
+    if swept(problem):
         # what is best on the coarse samples need not be so between them
-        elites = _Elites(judge)
+        ranking = judge = judge or judging_objective(problem)
+        longest = _LONGEST_SWEPT
+    elites = Elites(ranking.cost_of, _ELITES)
     seeds = np.array([*starts, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
     elites.offer(seeds[problem.satisfied(seeds)])
-    free = problem.free_chips
     stopped: Stopped = "complete"
 
     def tick(moves: int) -> bool:
         budget.moves += moves
         if progress is not None:
-            progress(MOVES_SHARE * budget.share(), elites.best())
+            progress(MOVES_SHARE * budget.share(), ShutterCode.from_array(elites.ranked()[0]))
         return budget.elapsed() < time_s
 
     try:
-        if _movable(problem, elites.ranked()[0], free):
-            crews = _crews(
-                problem,
-                coarse,
-                free,
-                threads,
-                sweep_tables(coarse, judge) if sweeping and judge else None,
-            )
+        if _movable(problem, elites.ranked()[0]):
+            crews = _crews(coarse, judge, threads)
             # the samples of a class of motions may take longer than the whole limit
             budget.start_s = time.monotonic()
             round_number = 0
-            longest = _LONGEST_SWEPT if sweeping else _LONGEST
             while budget.remains():
                 moves = budget.chain(round_number, longest=longest)
                 plans = _plans(problem, elites, moves, rng, first=round_number == 0)
@@ -209,23 +206,22 @@ def anneal(
         if progress is not None:
             progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece.done, piece.code)
 
-    best = elites.best()
-    fine = judge or Objective(problem, oversampling=_JUDGED_OVERSAMPLING, dtype=np.float64)
+    best = ShutterCode.from_array(elites.ranked()[0])
+    fine = judge or judging_objective(problem)
     polished = Polished(best, fine.exact_cost(best), 0.0)
     polished, stopped = budget.polished(
         polished, polish(fine, elites.ranked(), swaps=swaps), report, stopped=stopped
     )
     metrics = problem.measure(polished.code)
-    return SearchResult(
-        polished.code, polished.cost, metrics, time.monotonic() - started, budget.moves, stopped
-    )
+    seconds = time.monotonic() - started
+    return SearchResult(polished.code, polished.cost, metrics, seconds, budget.moves, stopped)
 
 
 def standard_moves(problem: SearchProblem) -> int:
     """Return the number of moves after which further ones rarely find a better code."""
     if swept(problem):
         return _SWEPT_MOVES
-    columns = sample_count(problem, oversampling=_SEARCH_OVERSAMPLING)
+    columns = sample_count(problem, oversampling=SEARCH_OVERSAMPLING)
     if problem.rule == "mean":
         # every move is judged on every motion, and a class of them leaves few valleys
         return int(np.clip(_STANDARD_WORK // columns, _LEAST_OF_MEAN, 2**25))
@@ -240,38 +236,33 @@ def hottest_db(problem: SearchProblem) -> float:
     return float(hot * min(_HOTTEST, (_HOT_CHIPS / problem.chips) ** 1.5))
 
 
-def _movable(problem: SearchProblem, code: Codes, free: NDArray[np.intp]) -> bool:
+def _movable(problem: SearchProblem, code: Codes) -> bool:
     """Whether any chip may change: alone, where the light may, or against another."""
+    free = problem.free_chips
     low, high = problem.open_limits
     return free.size > 0 and (low < high or np.unique(code[free]).size == 2)
 
 
-def _crews(
-    problem: SearchProblem,
-    coarse: Objective,
-    free: NDArray[np.intp],
-    threads: int | None,
-    sweeping: SweepTables | None,
-) -> list[Crew]:
-    """Return a crew for the objective; of a mix also one for each part, which judges a move many
-    times as fast.
-    """
-    parts = [coarse.instead(name) for name, _ in problem.objective_mix]
+def _crews(coarse: Objective, judge: Objective | None, threads: int | None) -> list[Crew]:
+    """Return a crew for the objective, and of a mix one for each of its parts before it."""
+    problem = coarse.problem
+    sweeping = None
+    if judge is not None and swept(problem):
+        sweeping = sweep_tables(coarse, judge)
     objectives = [coarse]
-    if len(parts) > 1:
-        objectives = [*parts, coarse]
+    if len(problem.objective_mix) > 1:
+        # a part alone is one sum, by which a move is judged many times as fast
+        objectives = [*(coarse.instead(name) for name, _ in problem.objective_mix), coarse]
     return [
-        Crew(objective.problem, lay_out(objective), free, threads=threads, sweeping=sweeping)
-        for objective in objectives
+        Crew(o.problem, lay_out(o), problem.free_chips, threads=threads, sweeping=sweeping)
+        for o in objectives
     ]
 
 
 def _plans(
-    problem: SearchProblem, elites: _Elites, moves: int, rng: np.random.Generator, *, first: bool
+    problem: SearchProblem, elites: Elites, moves: int, rng: np.random.Generator, *, first: bool
 ) -> list[Cooling | Walks | Sweeps]:
-    """Plan a round: sweeps, or chains that cool from the best so far and from anywhere, and others
-    that walk.
-    """
+    """Plan a round: sweeps; or chains that cool, from the best and from anywhere, and walks."""
     hot = hottest_db(problem)
     if swept(problem):
         return [Sweeps(moves, _SWEPT * hot, int(seed)) for seed in rng.integers(1, 2**62, CHAINS)]
@@ -290,12 +281,12 @@ def _plans(
     leaders = min(len(best), cooled // 2)
     codes[:leaders] = best[:leaders]
     seeds = [int(seed) for seed in rng.integers(1, 2**62, CHAINS)]
-    heats = [hot if first or index >= leaders else REHEATED * hot for index in range(cooled)]
+    heats = [hot] * cooled
+    if not first:
+        heats[:leaders] = [REHEATED * hot] * leaders
     chains = [
-        Cooling(*plan)
-        for plan in zip(
-            codes, heats, [hot / COOLING] * cooled, [moves] * cooled, seeds, strict=False
-        )
+        Cooling(code, heat, hot / COOLING, moves, seed)
+        for code, heat, seed in zip(codes, heats, seeds, strict=False)
     ]
     return [*chains, *(Walks(best[:_POOL], moves, seed) for seed in seeds[cooled:])]
 
@@ -317,10 +308,8 @@ class Budget:
 
     def share(self) -> float:
         """Fraction used, 0..1."""
-        share = self.elapsed() / self.time_s
-        if self.steps is not None:
-            share = max(share, self.moves / self.steps)
-        return min(1.0, share)
+        of_moves = self.moves / (self.steps or math.inf)
+        return min(1.0, max(self.elapsed() / self.time_s, of_moves))
 
     def elapsed(self) -> float:
         """Seconds since it began."""
@@ -338,9 +327,8 @@ class Budget:
         if not self.moves:
             return moves
         # a chain cut off by the time limit is wasted
-        affordable = (
-            self.moves / max(self.elapsed(), 1e-3) * (self.time_s - self.elapsed()) / CHAINS
-        )
+        per_second = self.moves / max(self.elapsed(), 1e-3)
+        affordable = per_second * (self.time_s - self.elapsed()) / CHAINS
         return max(256, int(min(moves, 0.95 * affordable)))
 
     def stopped(self) -> Stopped:
@@ -357,8 +345,7 @@ class Budget:
         *,
         stopped: Stopped,
     ) -> tuple[_Piece, Stopped]:
-        """Take the pieces of a closing polish until it ends or must: sooner where Ctrl-C has
-        stopped the search.
+        """Take the pieces of a closing polish until it ends or must, soon after Ctrl-C.
 
         Parameters
         ----------

@@ -1,5 +1,4 @@
-"""Parallel chains of the search: simulated annealing and tabu walks, compiled, each on its own
-thread.
+"""Parallel chains of the search: simulated annealing and tabu walks, each on its own thread.
 
 The cost of a move is summed only as far as it can still beat the best one of the step: most are
 refused early.
@@ -24,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
-from cep.search.annealing.proposals import draw_any, draw_blocks, keeps_runs, uniform
+from cep.search.annealing.proposals import Limits, draw_any, draw_blocks, keeps_runs, uniform
 from cep.search.annealing.states import found_by, new_chain, own_tables, refresh, smallest_power
 from cep.search.annealing.sweeps import Sweeps, SweepTables, sweeps
 from cep.search.annealing.terms import (
@@ -32,7 +31,6 @@ from cep.search.annealing.terms import (
     add_rows,
     decibels,
     judge,
-    limits_of,
     one_sum_decides,
     sum_of_cost,
     turn,
@@ -42,14 +40,15 @@ from cep.search.objectives.criterion import STEEP
 from cep.search.problem import SearchProblem
 
 Codes = NDArray[np.int8]
-_COOL_SLICE = 4096  # moves and steps until the OTF is summed anew and its frequencies sorted
-_WALK_SLICE = 16
+_COOL_SLICE = 4096  # moves until the OTF is summed anew and its frequencies sorted
+_WALK_SLICE = 16  # steps of a walk until the same: each judges all flips and swaps
 _TICK_S = 0.1  # between two looks of the caller
 _PATIENCE = 32  # steps without a better code before a walk ends
 _KEPT = 64  # walks of a chain whose ends are offered: an exact objective ranks them
 _KICK = (3, 9)  # swaps that start a walk from one of the best
 _FRESH = 0.8  # share of walks that start from a random code: docs/decisions/search.md
-_TENURE = 4  # steps that a moved chip stays where it is: at least, and drawn on top
+# steps that a moved chip stays where it is, at least, and drawn on top: a constant number cycles
+_TENURE = 4
 _SPREAD = 12
 
 
@@ -121,7 +120,7 @@ class Crew:
         self._tables = tables
         self._free = free.astype(np.int64)
         self._sweeping = sweeping
-        self._limits = limits_of(problem)
+        self._limits = Limits.of(problem)
         self._threads = threads or os.cpu_count() or 1
 
     def run(
@@ -130,8 +129,7 @@ class Crew:
         tick: Callable[[int], bool],
         offer: Callable[[Codes], None],
     ) -> None:
-        """Run the plans, and offer the codes that each chain found best, in the plans' order,
-        whatever ends them.
+        """Run the plans, and offer each chain's best codes, whatever ends them.
 
         Parameters
         ----------
@@ -170,6 +168,7 @@ class Crew:
                         break
             finally:
                 stop.set()
+                # in the plans' order, so that the outcome does not depend on who is faster
                 for job in jobs:
                     offer(job.result())
             if (late := sum(moves_made) - reported) > 0:  # a stopped chain ends its slice first
@@ -223,7 +222,7 @@ class Crew:
                 moves = moves + step_moves
                 since += _WALK_SLICE
                 if chain.cost[1] < before:
-                    since = 0
+                    since = 0  # patience starts again
                 ranked = sorted(
                     [*finished, (float(chain.cost[1]), found_by(chain))],
                     key=lambda entry: entry[0],
@@ -275,6 +274,7 @@ def walk(
         Number of the first step.
     steps : int
     """
+    # out of their tuples once: doing it for every move would cost more than the sums
     code = chain.code
     otf = chain.otf
     random = chain.random
@@ -405,7 +405,7 @@ def cool(
     variants = rows.shape[1]
     may_change = np.zeros(len(code), np.bool_)
     may_change[free] = True
-    early = one_sum_decides(tables)
+    early = one_sum_decides(tables)  # a move is then refused as soon as its sum is too large
     steep = kinds[0] == STEEP
     cooling = (temperatures[1] / temperatures[0]) ** (1.0 / moves)
     temperature = temperatures[0]
@@ -420,6 +420,7 @@ def cool(
         if count == 0:
             continue
         more = turn(code, changed, count, limits.chips, variants, picked)
+        # Metropolis: the random number comes first, so that it sets what the cost may be
         highest = costs[0] - temperature * np.log(1.0 - uniform(random))
         ceiling = sum_of_cost(tables, highest) if early else np.inf
         cost = np.inf

@@ -1,7 +1,9 @@
-"""Joint search of the codes of several exposures of one scene, whose spectra complement each
-other.
+"""Joint search of the codes of several exposures of one scene, with complementary spectra.
 
-The joint cost is in :mod:`cep.search.annealing.joint`.
+Frames taken along the same motion, each with its own code, are restored jointly: the inverse sees
+the sum of their |H|^2, so all that a single code does with |H| they do with the root of that sum.
+Their common noise gain is ``10 log10 mean 1 / sum |H|^2``, and under the camera's noise the sum
+stands over the noise of a frame of mean light.
 
 References
 ----------
@@ -13,38 +15,43 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.optics.band import straight_axis
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import (
     CHAINS,
     COOLING,
     MOVES_SHARE,
     REHEATED,
+    SEARCH_OVERSAMPLING,
     Budget,
+    Elites,
     Stopped,
     hottest_db,
 )
 from cep.search.annealing.chains import cool
-from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables, polish_jointly
+from cep.search.annealing.polish import BATCH, GAIN_DB, judging_objective, neighbours, otf_nearby
 from cep.search.annealing.proposals import Limits
 from cep.search.annealing.states import Chain, found_by, new_chain, own_tables, refresh
-from cep.search.annealing.terms import BLOCK, Tables, limits_of
+from cep.search.annealing.terms import BLOCK, Tables, lay_out
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from motdiff.types import FloatArray
 
 Codes = NDArray[np.int8]
 Progress = Callable[[float, tuple[ShutterCode, ...]], None]
-_OVERSAMPLING = 8
 _SLICE = 4096  # moves until the OTF is summed anew: float32 sums drift
 _VISIT = 256  # moves in one frame until the next one has its turn
-_ELITES = 16
+_ELITES = 16  # choices from which chains start and the polish climbs
+_MOST_WORK = 2**37  # multiplications for all swaps of a frame; beyond, the polish leaves them out
+_ZERO_POWER = 1e-24  # smaller is rounding
 
 
 @dataclass(frozen=True)
@@ -57,9 +64,9 @@ class FramesResult:
         One for each frame.
     objective : float
         Joint cost in dB on the fine grid, lower is better; see
-        :func:`cep.search.annealing.joint.joint_cost`.
+        :func:`joint_cost`.
     minimum, noise_gain_db : float
-        As :class:`cep.search.annealing.joint.JointFigures` has them; the minimum is sampled.
+        As :class:`JointFigures` has them; the minimum is sampled.
     seconds : float
     steps : int
         Moves tried.
@@ -87,8 +94,7 @@ def anneal_frames(
     progress: Progress | None = None,
     threads: int | None = None,
 ) -> FramesResult:
-    """Search the codes of several frames that restore best together; anytime, as
-    :func:`cep.search.annealing.anneal`.
+    """Search the codes of several frames that restore best together; anytime, as ``anneal``.
 
     Every frame keeps all of the problem's limits.
 
@@ -127,7 +133,13 @@ def anneal_frames(
         for codes in starts
     ):
         raise ValueError(f"start: every one must be {frames} codes of {problem.chips} chips")
-    elites = _Elites(Objective(problem, oversampling=_OVERSAMPLING))
+    coarse = Objective(problem, oversampling=SEARCH_OVERSAMPLING)
+
+    def cost_of(choices: Codes) -> FloatArray:
+        # one by one: rounding must not make a cost depend on what it is judged beside
+        return np.concatenate([joint_cost(coarse, codes[None]) for codes in choices])
+
+    elites = Elites(cost_of, _ELITES)
     seeds = np.array([*starts, problem.random_codes(frames, rng=rng)], dtype=np.int8)
     seeds = seeds[[bool(problem.satisfied(codes).all()) for codes in seeds]]
     elites.offer(seeds)
@@ -136,7 +148,7 @@ def anneal_frames(
 
     try:
         if free.size:
-            joint = _Joint.of(elites.coarse, frames, free)
+            joint = _Joint.of(coarse, frames, free)
             with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
                 round_number = 0
                 while budget.remains():
@@ -146,49 +158,26 @@ def anneal_frames(
     except KeyboardInterrupt:
         stopped = "interrupted"
     # no start may beat what is returned on the fine grid
-    ranked = np.concatenate([elites.ranked(frames), seeds])
+    ranked = np.concatenate([elites.ranked().reshape(-1, frames, problem.chips), seeds])
 
     def report(piece: tuple[NDArray[np.int8], float], over: bool) -> None:
         if progress is not None:
-            progress(
-                1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece[1], _as_codes(piece[0])
-            )
+            share = 1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece[1]
+            progress(share, _as_codes(piece[0]))
 
     (best, _), stopped = budget.polished(
         (ranked[0], 0.0), polish_jointly(problem, ranked), report, stopped=stopped
     )
     codes = _as_codes(best)
-    cost = float(joint_cost(Objective(problem, oversampling=64, dtype=np.float64), best[None])[0])
+    cost = float(joint_cost(judging_objective(problem), best[None])[0])
     return FramesResult(
         codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.moves, stopped
     )
 
 
-@dataclass
-class _Elites:
-    """Best distinct choices of codes seen, their frames one after the other."""
-
-    coarse: Objective
-    costs: dict[bytes, float] = field(default_factory=dict)
-
-    def offer(self, choices: Codes) -> None:
-        for codes in choices:
-            self.costs[codes.astype(np.int8).tobytes()] = float(
-                joint_cost(self.coarse, codes[None])[0]
-            )
-        self.costs = dict(sorted(self.costs.items(), key=lambda item: item[1])[:_ELITES])
-
-    def ranked(self, frames: int) -> Codes:
-        return np.array(
-            [np.frombuffer(key, dtype=np.int8).reshape(frames, -1) for key in self.costs]
-        )
-
-
 @dataclass(frozen=True)
 class _Joint:
-    """A problem of several frames for the compiled loop, whose code is all frames' chips in a
-    row.
-    """
+    """A problem of several frames for the compiled loop: its code is their chips in a row."""
 
     problem: SearchProblem
     frames: int
@@ -200,7 +189,7 @@ class _Joint:
     def of(cls, coarse: Objective, frames: int, free: NDArray[np.intp]) -> _Joint:
         problem = coarse.problem
         tables = joint_tables(coarse, frames)
-        return cls(problem, frames, tables, limits_of(problem), free.astype(np.int64))
+        return cls(problem, frames, tables, Limits.of(problem), free.astype(np.int64))
 
     def chain(self, codes: Codes, seed: int) -> tuple[Tables, Chain]:
         """Start a chain at (M, n) codes, with the tables that it sorts for itself."""
@@ -228,17 +217,15 @@ class _Joint:
 
 def _round(
     joint: _Joint,
-    elites: _Elites,
+    elites: Elites,
     budget: Budget,
     round_number: int,
     rng: np.random.Generator,
     pool: ThreadPoolExecutor,
     progress: Progress | None,
 ) -> None:
-    """Cool chains side by side, from the best and from anywhere, and offer what they found,
-    whatever ends them.
-    """
-    best = elites.ranked(joint.frames)
+    """Cool chains side by side, and offer their best codes, whatever ends them."""
+    best = elites.ranked().reshape(-1, joint.frames, joint.problem.chips)
     # first round: every code known starts a chain; later half of them start anywhere
     leaders = min(len(best), CHAINS)
     if round_number:
@@ -276,3 +263,128 @@ def _round(
 
 def _as_codes(codes: Codes) -> tuple[ShutterCode, ...]:
     return tuple(ShutterCode.from_array(code) for code in codes)
+
+
+class JointFigures(NamedTuple):
+    """Figures of frames restored together, light-true, the worst of scenarios and directions.
+
+    Attributes
+    ----------
+    minimum : float
+        Smallest root of sum |H|^2 on the fine grid of frequencies: sampled, unlike a single code's
+        proven minimum.
+    noise_gain_db : float
+        ``10 log10 mean 1 / sum |H|^2``; infinite when a sample falls on a common zero.
+    """
+
+    minimum: float
+    noise_gain_db: float
+
+
+def joint_cost(objective: Objective, codes: NDArray[Any]) -> FloatArray:
+    """Cost, dB, of frames restored together: of the root of sum |H|^2, at their mean light.
+
+    Parameters
+    ----------
+    objective : Objective
+    codes : (R, M, n) array
+        R choices of M codes.
+
+    Returns
+    -------
+    (R,) float
+    """
+    frames = np.moveaxis(codes, 1, 0)
+    power = sum(_power(objective, frame) for frame in frames)
+    duty = np.mean([objective.duty(frame) for frame in frames], axis=0)
+    return _cost_of_power(objective, np.asarray(power), duty)
+
+
+def joint_figures(problem: SearchProblem, codes: Sequence[ShutterCode]) -> JointFigures:
+    """Measure frames restored together; M times one code gain 10 log10 M dB over it."""
+    fine = judging_objective(problem)
+    power = _power(fine, np.stack([code.array for code in codes])).sum(axis=0)
+    power = np.where(power < _ZERO_POWER, 0.0, power)
+    with np.errstate(divide="ignore"):
+        inverse = 1 / power
+    noise = max(float(motion.samples.weight @ inverse[motion.columns]) for motion in fine.parts)
+    return JointFigures(float(np.sqrt(power.min())), float(10 * np.log10(noise)))
+
+
+def joint_tables(objective: Objective, frames: int) -> Tables:
+    """Lay a problem out for the compiled loops, whose code is then all frames' chips in a row."""
+    chips = objective.problem.chips
+    tables = lay_out(objective)
+    # of M frames the light counts by their mean, which need not be a whole number of chips
+    mean_open = np.arange(frames * chips + 1) / frames
+    noise = np.interp(mean_open, np.arange(chips + 1), objective.noise)
+    light = np.array(
+        [criterion.light(mean_open, noise) for criterion, _ in objective.problem.criteria],
+        dtype=np.float32,
+    )
+    return tables._replace(rows=np.tile(tables.rows, (frames, 1, 1, 1, 1)), light=light)
+
+
+def polish_jointly(problem: SearchProblem, ranked: Codes) -> Iterator[tuple[Codes, float]]:
+    """Climb on the fine grid from the best of (R, M, n) codes, by flips and swaps in each frame.
+
+    Yields
+    ------
+    (M, n) int8, float
+        The best so far, and the fraction done; after every piece of work, so that the caller may
+        stop.
+    """
+    fine = judging_objective(problem)
+    curved = any(straight_axis(scenario.trajectory) is None for scenario in problem.scenarios)
+    costs = np.concatenate([joint_cost(fine, codes[None]) for codes in ranked])
+    # a curved path has so many more frequencies
+    leaders = np.argsort(costs, kind="stable")[: 1 if curved else 4]
+    best = ranked[leaders[0]]
+    lowest = float(costs[leaders[0]])
+    for number, leader in enumerate(leaders):
+        for cost, codes in _climb(fine, ranked[leader].copy(), float(costs[leader])):
+            if cost < lowest:
+                best = codes.copy()
+                lowest = cost
+            yield best, number / len(leaders)
+
+
+def _climb(fine: Objective, codes: Codes, cost: float) -> Iterator[tuple[float, Codes]]:
+    """Change the codes in place until no neighbour is better; yields them now and then."""
+    frames, chips = codes.shape
+    step = max(1, BATCH // fine.rows[0].size)
+    swaps = chips**2 // 4 * fine.rows[0].size * chips <= _MOST_WORK
+    stuck = frame = 0
+    while stuck < frames:
+        other_frames = np.delete(codes, frame, axis=0)
+        power = _power(fine, other_frames).sum(axis=0)
+        duty = fine.duty(other_frames).sum()
+        otf = fine.otf(codes[frame][None])[0]
+        candidates = neighbours(fine.problem, codes[frame], swaps=swaps)
+        costs = np.full(len(candidates), np.inf)
+        for first in range(0, len(candidates), step):
+            batch = candidates[first : first + step]
+            frame_power = (otf_nearby(fine, codes[frame], otf, batch) ** 2).sum(axis=1)
+            costs[first : first + step] = _cost_of_power(
+                fine, frame_power + power, (fine.duty(batch) + duty) / frames
+            )
+            yield cost, codes
+        if costs.size and costs.min() < cost - GAIN_DB:
+            best = int(costs.argmin())
+            cost = float(costs[best])
+            codes[frame] = candidates[best]
+            stuck = 0
+        else:
+            frame = (frame + 1) % frames
+            stuck = stuck + 1
+        yield cost, codes
+
+
+def _power(objective: Objective, codes: NDArray[Any]) -> NDArray[Any]:
+    """|H|^2, (R, F), of (R, n) codes."""
+    return np.asarray((objective.otf(codes) ** 2).sum(axis=1))
+
+
+def _cost_of_power(objective: Objective, power: NDArray[Any], duty: FloatArray) -> FloatArray:
+    root = np.sqrt(power)
+    return objective.cost(np.stack([root, np.zeros_like(root)], axis=1), duty)

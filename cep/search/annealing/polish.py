@@ -1,6 +1,4 @@
-"""Polish of a search's best codes: costs over the continuum, and local search over all single
-flips and swaps.
-"""
+"""Polish of a search's best codes over the continuum: local search by flips and swaps."""
 
 from __future__ import annotations
 
@@ -20,13 +18,20 @@ from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
 Codes = NDArray[np.int8]
+Indices = NDArray[np.intp]
+RealArray = NDArray[Any]
+BATCH = 2**18  # numbers of an OTF evaluated at once: they stay in the cache
+_OVERSAMPLING = 64  # of what codes are judged by: 8 hide zeros between them
 _HOPEFUL = 8  # neighbours evaluated on the continuum in a step
 # numbers times chips of a step; beyond, as for very long codes, swaps are left out
 _MOST_WORK = 2**39
-Indices = NDArray[np.intp]
-RealArray = NDArray[Any]
-_BATCH = 2**18  # numbers of an OTF evaluated at once: they stay in the cache
 _SPARSE = 8  # one frequency in so many suffices to reject nearly every code
+GAIN_DB = 1e-9  # a smaller one is rounding, which could exchange two equal codes without end
+
+
+def judging_objective(problem: SearchProblem) -> Objective:
+    """Make the objective by which codes are compared in the end, fine and in float64."""
+    return Objective(problem, oversampling=_OVERSAMPLING, dtype=np.float64)
 
 
 class Polished(NamedTuple):
@@ -48,16 +53,19 @@ class Polished(NamedTuple):
 
 
 def polish(fine: Objective, ranked: Codes, *, swaps: bool = True) -> Iterator[Polished]:
-    """Evaluate (R, n) codes, best first, on the continuum, and climb from the leaders by flips,
-    and by ``swaps``.
+    """Evaluate (R, n) codes, best first, and climb from the leaders by flips, and by ``swaps``.
 
     Yields
     ------
     Polished
         After every piece of work, so that the caller may stop; the last one is the outcome.
     """
-    curved = any(straight_axis(s.trajectory) is None for s in fine.problem.scenarios)
-    evaluated, climbed = (4, 1) if curved else (len(ranked), 6)
+    evaluated = len(ranked)
+    climbed = 6
+    if any(straight_axis(s.trajectory) is None for s in fine.problem.scenarios):
+        # a minimum over a plane of frequencies takes so much longer than one along a line
+        evaluated = 4
+        climbed = 1
     leaders: list[tuple[float, str, ShutterCode]] = []
     for code in (ShutterCode.from_array(array) for array in ranked[:evaluated]):
         leaders = sorted([*leaders, (fine.exact_cost(code), code.bits, code)])[:climbed]
@@ -75,22 +83,19 @@ def polish(fine: Objective, ranked: Codes, *, swaps: bool = True) -> Iterator[Po
 def _climb(
     fine: Objective, code: ShutterCode, cost: float, *, swaps: bool
 ) -> Iterator[tuple[float, ShutterCode]]:
-    """Go to the best neighbour until none is better; where it stands, after every piece of
-    work.
-    """
+    """Go to the best neighbour until none is better; yields where it stands, now and then."""
     swaps = swaps and code.chips**2 // 4 * fine.rows[0].size * code.chips <= _MOST_WORK
     while True:
         bits = code.array.astype(np.int8)
         codes = neighbours(fine.problem, bits, swaps=swaps)
-        below = cost - 1e-9
-        hopeful: NDArray[np.intp] = np.empty(0, np.intp)
+        below = cost - GAIN_DB
+        hopeful = np.empty(0, np.intp)
         # a minimum over the continuum is never above the sampled one: only these can win
-        for found_yet in cheapest(fine, bits, codes, count=_HOPEFUL, below=below):
-            hopeful = found_yet
+        for indices in cheapest(fine, bits, codes, count=_HOPEFUL, below=below):
+            hopeful = indices
             yield cost, code
-        costs = [
-            (fine.exact_cost(c), c) for c in (ShutterCode.from_array(codes[i]) for i in hopeful)
-        ]
+        candidates = [ShutterCode.from_array(codes[index]) for index in hopeful]
+        costs = [(fine.exact_cost(candidate), candidate) for candidate in candidates]
         best = min(costs, key=lambda pair: pair[0], default=(cost, code))
         if best[0] >= below:
             return
@@ -99,8 +104,9 @@ def _climb(
 
 
 def neighbours(problem: SearchProblem, bits: Codes, *, swaps: bool) -> Codes:
-    """Codes within the limits that differ by one flip or, with ``swaps``, one open chip exchanged
-    for a closed one.
+    """Codes within the limits that differ by one flip, or with ``swaps`` by one swap.
+
+    A swap exchanges an open chip for a closed one.
     """
     flips = np.repeat(bits[None], len(bits), axis=0)
     flips[np.arange(len(bits)), np.arange(len(bits))] ^= 1
@@ -118,9 +124,7 @@ def neighbours(problem: SearchProblem, bits: Codes, *, swaps: bool) -> Codes:
 
 
 def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) -> RealArray:
-    """OTF (R, 2, F) of (R, n) codes near a code (n,) whose OTF (2, F) is known, by the changed
-    chips alone.
-    """
+    """OTF (R, 2, F) of (R, n) codes near a code (n,) of OTF (2, F), by the changed chips alone."""
     chips, variants = objective.rows.shape[:2]
     change = codes - code
     which, chip = np.nonzero(change)
@@ -133,6 +137,7 @@ def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) 
         row = 4 * chip + 2 * left_open + right_open
     signs = change[which, chip].astype(objective.rows.dtype)
     row_starts = np.searchsorted(which, np.arange(len(codes) + 1))
+    # few chips change, so that a sparse product costs a fraction of the full one
     changed = csr_array(
         (signs, row, row_starts), shape=(len(codes), chips * variants)
     ) @ objective.rows.reshape(chips * variants, -1)
@@ -143,8 +148,7 @@ def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) 
 def cheapest(
     objective: Objective, code: Codes, codes: Codes, *, count: int, below: float
 ) -> Iterator[Indices]:
-    """Find the cheapest of (R, n) codes near a code (n,), as far as they cost less than ``below``
-    dB.
+    """Find the cheapest of (R, n) codes near a code (n,) that cost less than ``below`` dB.
 
     Yields
     ------
@@ -152,12 +156,12 @@ def cheapest(
         Indices of the cheapest so far, in their order; after the last codes, the answer.
     """
     judges = [(judge, judge.otf(code[None])[0]) for judge in _judges(objective)]
-    step = max(1, _BATCH // judges[0][1].size)
+    step = max(1, BATCH // judges[0][1].size)
     indices = np.empty(0, np.intp)
     costs = np.empty(0)
     for start in range(0, len(codes), step):
         limit = below
-        if indices.size >= count:
+        if indices.size >= count:  # only what is cheaper than the last of them counts now
             limit = float(costs[-1])
         candidates = np.arange(start, min(start + step, len(codes)))
         candidate_costs = np.empty(0)
@@ -177,9 +181,8 @@ def cheapest(
 
 
 def _judges(objective: Objective) -> list[Objective]:
-    """Return the objective, and before it a quick one that never costs more, where a minimum is
-    all that counts.
-    """
+    """Return the objective, and where a minimum is all that counts a quick one before it."""
+    # the minimum over a part of the frequencies is never lower: it never costs more
     if any(name != "min-mtf" for name, _ in objective.problem.objective_mix):
         return [objective]
     columns_by_part = [

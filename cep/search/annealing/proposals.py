@@ -1,6 +1,4 @@
-"""Proposals of the annealer, compiled: flips, swaps, and under run limits blocks that are flipped
-or moved.
-"""
+"""Proposals of the annealer: flips and swaps, or under run limits whole blocks of chips."""
 
 from __future__ import annotations
 
@@ -10,16 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled, inlined
+from cep.search.problem import SearchProblem
 
 Codes = NDArray[np.int8]
 Ints = NDArray[np.int64]
 Random = NDArray[np.uint64]
 _TRIES = 16  # proposals drawn under run limits, to have one that keeps them
-_MOST_CHANGES = 24  # chips that one move may change
+_MOST_CHANGES = 24  # chips that one move may change: the cost of judging it grows with them
 
 
 class Limits(NamedTuple):
-    """Limits of a code for the compiled loops.
+    """Limits of a code for the compiled loops, which know no None.
 
     Attributes
     ----------
@@ -28,7 +27,7 @@ class Limits(NamedTuple):
     low, high : int
         Fewest and most open chips, over all frames.
     min_open, min_closed, max_pulses, max_open, min_period : int
-        Of every frame.
+        Of every frame; ``chips`` where there is no maximum.
     constrained : bool
         Whether any of these five is a limit.
     """
@@ -43,17 +42,37 @@ class Limits(NamedTuple):
     min_period: int
     constrained: bool
 
+    @classmethod
+    def of(cls, problem: SearchProblem) -> Limits:
+        """Limits of a problem on light, runs and pulses, without its forced chips."""
+        runs = problem.runs
+        chips = problem.chips
+        return cls(
+            chips,
+            *problem.open_limits,
+            runs.min_open,
+            runs.min_closed,
+            runs.max_pulses or chips,
+            runs.max_open or chips,
+            runs.min_period,
+            problem.limits_runs,
+        )
+
 
 @inlined
 def uniform(random: Random) -> float:
-    """Draw from [0, 1): xorshift64* (Vigna, "An experimental exploration of Marsaglia's xorshift
-    generators", 2016).
+    """Draw from [0, 1) by xorshift64*.
+
+    References
+    ----------
+    Vigna, "An experimental exploration of Marsaglia's xorshift generators", 2016.
     """
     x = random[0]
     x ^= x >> np.uint64(12)
     x ^= x << np.uint64(25)
     x ^= x >> np.uint64(27)
     random[0] = x
+    # the upper 53 bits, as many as a float64 holds
     return float((x * np.uint64(0x2545F4914F6CDD1D)) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
@@ -61,9 +80,8 @@ def uniform(random: Random) -> float:
 def draw_any(
     code: Codes, free: Ints, limits: Any, open_chips: int, random: Random, changed: Ints
 ) -> int:
-    """Draw a flip or a swap into ``changed``; the number of chips, 0 if the draw found none that
-    keeps the light.
-    """
+    """Draw a flip or a swap into ``changed``; how many chips, 0 where none keeps the light."""
+    # a swap keeps the light, so that flips are needed where it may change
     if limits.low < limits.high and uniform(random) < 0.5:
         pick = free[int(uniform(random) * free.size)]
         if limits.low <= open_chips + 1 - 2 * code[pick] <= limits.high:
@@ -127,9 +145,8 @@ def draw_blocks(
 
 @compiled
 def keeps_runs(code: Codes, limits: Any) -> bool:
-    """Whether every frame keeps the limits on runs and pulses; before and after its pulses it is
-    closed.
-    """
+    """Whether every frame keeps the limits on runs and pulses."""
+    # the shutter rests closed: the closed chips before and after the pulses are no run
     chips = limits.chips
     for start in range(0, code.size, chips):
         run = 0

@@ -45,7 +45,9 @@ def fresh_otf(tables: Any, code: NDArray[np.int8], chips: int, otf: Floats) -> N
         if code[j]:
             # chips open from the first to the last: the left neighbour stands, the right one is
             # closed yet
-            variant = 2 * code[j - 1] if variants == 4 and j % chips > 0 else 0
+            variant = 0
+            if variants == 4 and j % chips > 0:
+                variant = 2 * code[j - 1]
             row = tables.rows[j, variant].ravel()
             changed = otf[j // chips].ravel()
             for f in range(changed.size):
@@ -54,58 +56,40 @@ def fresh_otf(tables: Any, code: NDArray[np.int8], chips: int, otf: Floats) -> N
 
 @compiled
 def worst_first(tables: Any, otf: Floats) -> None:
-    """Sort each part's frequencies in place by their share of the cost: the worst ones reject most
-    moves.
-    """
-    frames = otf.shape[0]
-    rows = tables.rows
+    """Sort each part's frequencies in place: the costliest ones reject most moves."""
+    rows = tables.rows.reshape((-1, otf.shape[1], 2, BLOCK))
     scale = tables.scale
     offset = tables.offset
     for band in range(len(tables.layout)):
         first = tables.layout[band, 0]
         size = (tables.layout[band, 1] - tables.layout[band, 0]) * BLOCK
         key = np.empty(size, np.float32)
-        sorted_row = np.empty(size, np.float32)
         for place in range(size):
             block = first + place // BLOCK
             f = place % BLOCK
             power = np.float32(SMALLEST)
-            for frame in range(frames):
+            for frame in range(otf.shape[0]):
                 power += otf[frame, block, 0, f] ** 2 + otf[frame, block, 1, f] ** 2
             # columns that fill up a block have scale 0
-            key[place] = -scale[0, block, 0, f] / power if tables.kinds[0] == FLATNESS else 0
-            if tables.kinds[0] != FLATNESS:
+            if tables.kinds[0] == FLATNESS:
+                key[place] = -scale[0, block, 0, f] / power
+            else:
                 key[place] = -1 / (scale[0, block, 0, f] * power + offset[0, block, 0, f])
         order = np.argsort(key)
-        for line in range(rows.shape[0] * rows.shape[1] * 2):
-            chip = line // (2 * rows.shape[1])
-            variant = line // 2 % rows.shape[1]
-            half = line % 2
-            for place in range(size):
-                sorted_row[place] = rows[
-                    chip, variant, first + order[place] // BLOCK, half, order[place] % BLOCK
-                ]
-            for place in range(size):
-                rows[chip, variant, first + place // BLOCK, half, place % BLOCK] = sorted_row[
-                    place
-                ]
-        for line in range(frames * 2):
-            for place in range(size):
-                sorted_row[place] = otf[
-                    line // 2, first + order[place] // BLOCK, line % 2, order[place] % BLOCK
-                ]
-            for place in range(size):
-                otf[line // 2, first + place // BLOCK, line % 2, place % BLOCK] = sorted_row[place]
-        for table in (scale, offset):
-            for line in range(scale.shape[0] * scale.shape[2]):
-                o = line // scale.shape[2]
-                q = line % scale.shape[2]
-                for place in range(size):
-                    sorted_row[place] = table[
-                        o, first + order[place] // BLOCK, q, order[place] % BLOCK
-                    ]
-                for place in range(size):
-                    table[o, first + place // BLOCK, q, place % BLOCK] = sorted_row[place]
+        for table in (rows, otf, scale, offset):
+            _reorder(table, first, order)
+
+
+@compiled
+def _reorder(table: Floats, first: int, order: NDArray[np.intp]) -> None:
+    """Permute the frequencies of a (L, nb, Q, 64) table from a block on, in place."""
+    row = np.empty(order.size, np.float32)
+    for line in range(table.shape[0]):
+        for q in range(table.shape[2]):
+            for place in range(order.size):
+                row[place] = table[line, first + order[place] // BLOCK, q, order[place] % BLOCK]
+            for place in range(order.size):
+                table[line, first + place // BLOCK, q, place % BLOCK] = row[place]
 
 
 @compiled
@@ -142,18 +126,17 @@ def smallest_power(tables: Any, otf: Floats) -> float:
             power = np.float32(0)
             for frame in range(otf.shape[0]):
                 power += otf[frame, block, 0, f] ** 2 + otf[frame, block, 1, f] ** 2
+            # again without the columns that only fill up a block
             if tables.scale[0, block, 0, f] > 0 and power < lowest:
                 lowest = power
     return float(lowest)
 
 
 def new_chain(tables: Tables, code: NDArray[np.int8], seed: int, *, frames: int = 1) -> Chain:
-    """Make a chain at a code, all frames' chips in a row; :func:`refresh` gives it its OTF and
-    cost.
-    """
+    """Make a chain at a code, all frames' chips in a row; :func:`refresh` gives it its OTF."""
     otf = np.empty((frames, tables.rows.shape[2], 2, BLOCK), np.float32)
     costs = np.array([np.inf, np.inf, 0.0])
-    random = np.array([seed | 1], dtype=np.uint64)
+    random = np.array([seed | 1], dtype=np.uint64)  # a shift register never leaves 0
     return Chain(code.copy(), code.copy(), code.copy(), otf, costs, random)
 
 
@@ -175,7 +158,6 @@ def refresh(tables: Tables, chain: Chain, chips: int) -> None:
 
 
 def found_by(chain: Chain) -> NDArray[np.int8]:
-    """Codes (R, n) that a chain found best; the deepest is only kept for the minimum's
-    objective.
-    """
-    return np.stack([chain.best, chain.deepest] if chain.cost[2] > 0 else [chain.best])
+    """Codes (R, n) that a chain found best; the deepest counts for the smallest |H| alone."""
+    codes = np.stack([chain.best, chain.deepest])
+    return codes[: 1 + (chain.cost[2] > 0)]

@@ -1,5 +1,4 @@
-"""Annealing of the smallest |P| at a constant temperature, by sweeps over all partners of a chip,
-compiled.
+"""Annealing of the smallest |P| at a constant temperature, by sweeps over all partners of a chip.
 
 For one chip the swaps with every other chip, and its flip, are judged side by side, at the dips of
 |P| alone. A move that deepens a dip beyond what is accepted is refused there. So a move costs a
@@ -27,9 +26,9 @@ Codes = NDArray[np.int8]
 Floats = NDArray[np.float32]
 _MOST_CHIPS = 64  # of a code: its moves are as many lanes of vector instructions
 _FREQUENCIES = 64  # at which the cost is summed
-_LANES = 16
+_LANES = 16  # float32 numbers of the widest vector registers
 _CHAIN = 2**21  # moves from one random code, and until the OTF is summed anew
-_SLICE = 2**17
+_SLICE = 2**17  # moves between looks at Ctrl-C: a millisecond
 _DIPS = 16  # frequencies at most at which moves are refused
 _SHALLOW = 3.0  # times the smallest |P|^2: dips above it refuse few moves
 _KEPT = 8  # last and best codes of a run, which are offered: an exact objective ranks them
@@ -78,26 +77,16 @@ class SweepTables(NamedTuple):
 
 
 def swept(problem: SearchProblem) -> bool:
-    """Whether sweeps search a problem: the smallest |H| one way along one straight motion, few
-    chips, no run limits.
-    """
-    return (
-        problem.chips <= _MOST_CHIPS
-        and [name for name, _ in problem.objective_mix] == ["min-mtf"]
-        and not problem.limits_runs
-        and problem.response is None
-        and (
-            not problem.scenarios
-            or (
-                len(problem.ways()) == 1
-                and straight_axis(problem.scenarios[0].trajectory) is not None
-            )
-        )
-    )
+    """Whether sweeps search a problem: the smallest |H| of few chips, one way along a line."""
+    if problem.chips > _MOST_CHIPS or problem.limits_runs or problem.response is not None:
+        return False
+    if [name for name, _ in problem.objective_mix] != ["min-mtf"] or len(problem.ways()) > 1:
+        return False
+    return all(straight_axis(s.trajectory) is not None for s in problem.scenarios)
 
 
 def sweep_tables(objective: Objective, judge: Objective) -> SweepTables:
-    """Lay out some samples of an objective of one part, and all of a finer one's.
+    """Lay out some samples of an objective of one part, and all of a finer one.
 
     The finer ones have to be so many that |P| has no dip between them: of a code with a zero, 8
     per 1 / chips may show a smallest |P| of 2 chips.
@@ -105,9 +94,8 @@ def sweep_tables(objective: Objective, judge: Objective) -> SweepTables:
     problem = objective.problem
     rows = problem.chips * objective.rows[:, 0]
     count = min(_FREQUENCIES, rows.shape[-1])
-    coarse = rows[:, :, np.linspace(0, rows.shape[-1] - 1, count).round().astype(int)].astype(
-        np.float32
-    )
+    columns = np.linspace(0, rows.shape[-1] - 1, count).round().astype(int)
+    coarse = rows[:, :, columns].astype(np.float32)
     fine = (problem.chips * judge.rows[:, 0]).astype(np.float32)
     lanes = -(-problem.chips // _LANES) * _LANES
     by_frequency = np.zeros((count, 2, lanes), np.float32)
@@ -123,9 +111,7 @@ def sweep_tables(objective: Objective, judge: Objective) -> SweepTables:
 def sweeps(
     problem: SearchProblem, tables: SweepTables, plan: Sweeps
 ) -> Iterator[tuple[int, Codes]]:
-    """Yield the moves made and the (R, n) best codes after every slice of chains from random
-    codes.
-    """
+    """Yield the moves made and the (R, n) best codes after every slice of moves."""
     rng = np.random.default_rng(plan.seed)
     random = np.array([int(rng.integers(1, 2**62)) | 1], dtype=np.uint64)
     deepest = np.zeros(1)
@@ -156,9 +142,8 @@ def sweeps(
 def _term_sum(
     by_chip: Floats, otf: Floats, a: int, b: int, s: np.float32, t: np.float32
 ) -> np.float32:
-    """Sum of 1 / |P|^8 after the chips ``a`` and ``b`` have opened (1), closed (-1) or stayed
-    (0).
-    """
+    """Sum of 1 / |P|^8 after chips ``a`` and ``b`` have opened (1), closed (-1) or stayed (0)."""
+    # the eighth power nearly is the minimum, yet tells where to go: docs/decisions/search.md
     unit = np.float32(1)
     total = np.float32(0)
     for f in range(otf.shape[1]):
@@ -172,9 +157,7 @@ def _term_sum(
 
 @inlined
 def _find_dips(otf: Floats, power: Floats, dips: NDArray[np.int64]) -> int:
-    """Find the frequencies of the deepest local minima of |P|^2, from the first on; returns their
-    number.
-    """
+    """Find frequencies of the deepest local minima of |P|^2; returns their number."""
     size = otf.shape[1]
     lowest = np.float32(np.inf)
     for f in range(size):
@@ -185,6 +168,7 @@ def _find_dips(otf: Floats, power: Floats, dips: NDArray[np.int64]) -> int:
     count = 0
     for f in range(size):
         if power[f] < limit and count < _DIPS:
+            # |P| is even about both ends of the half circle
             before = power[f - 1] if f > 0 else power[1]
             after = power[f + 1] if f < size - 1 else power[size - 2]
             if power[f] <= before and power[f] < after:
@@ -246,15 +230,17 @@ def sweep(
     zero = np.float32(0)
     cost = _term_sum(by_chip, otf, 0, 0, zero, zero)
     count = _find_dips(otf, power, dips)
-    heat = temperature * np.log(10.0) / 2.5
+    heat = temperature * np.log(10.0) / 2.5  # from dB of the sum's fourth root to its exponent
     judged_moves = 0
     while judged_moves < moves:
         judged_moves += chips
         i = int(uniform(random) * chips)
         limit = np.float32(cost * (1.0 - uniform(random)) ** -heat)
+        # partners from a random one on: the first that passes is taken
         start = int(uniform(random) * chips)
         if not free[i]:
             continue
+        # one term alone exceeds the limit where |P|^2 is below this
         floor = np.float32(1.0 / np.sqrt(np.sqrt(limit)))
         sign_i = signs[i]
         signs[i] = 0  # its lane is the flip alone
@@ -279,7 +265,9 @@ def sweep(
                 j -= chips
             if refused[j] > 0 or not free[j]:
                 continue
-            sign_j = signs[j] if j != i else zero
+            sign_j = zero
+            if j != i:
+                sign_j = signs[j]
             if sign_j == zero:
                 if not once:
                     continue
@@ -302,6 +290,7 @@ def sweep(
             lowest = np.float32(np.inf)
             for d in range(count):
                 lowest = min(lowest, power[dips[d]])
+            # what is deepest on the coarse samples need not be so between them
             if lowest > deepest[0]:
                 lowest = _fine_power(fine, code, precise)
                 if lowest > deepest[0]:

@@ -1,5 +1,4 @@
-"""Cost terms of the compiled loops: sums over frequencies, updated by one row of the chip basis
-per changed chip.
+"""Cost terms of the compiled loops: sums over frequencies, a row of the basis per changed chip.
 
 A code's cost is made of sums over frequencies of terms that are never negative, so a move is
 refused as soon as the terms seen exceed what would be accepted. Frequencies come in blocks of 64,
@@ -14,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled, inlined
-from cep.search.annealing.proposals import Limits
 from cep.search.objective import Objective
 from cep.search.objectives.criterion import FLATNESS, NO_TERM, RECIPROCAL, STEEP, Columns
 from cep.search.problem import SearchProblem
@@ -22,13 +20,14 @@ from motdiff.types import FloatArray
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int64]
-BLOCK = 64
+BLOCK = 64  # frequencies: of constant length, so that loops become vector instructions
 SMALLEST = np.float32(1e-8)  # of |P|^2: a chip has |P| of about 1
+_STEEP_DB = 2.5  # per decade of a sum of 1 / |P|^8: its fourth root counts
+_PLAIN_DB = 10.0
 
 
 class Tables(NamedTuple):
-    """Tables of a problem for the compiled loops; nb blocks of frequencies, those of one part side
-    by side.
+    """Tables of a problem for the compiled loops; nb blocks, those of one part side by side.
 
     Attributes
     ----------
@@ -62,9 +61,7 @@ class Tables(NamedTuple):
 def _block_power(
     rows: Floats, otf: Floats, picked: Ints, count: int, chips: int, block: int, work: Floats
 ) -> None:
-    """|P|^2 of a changed code on one block, summed over frames, into work[2]; ``picked`` as
-    :func:`turn` notes it.
-    """
+    """|P|^2 of a changed code on one block, summed over frames, into work[2]; see :func:`turn`."""
     for f in range(BLOCK):
         work[2, f] = SMALLEST
     for frame in range(otf.shape[0]):
@@ -100,9 +97,8 @@ def _pair_sum(
     picked: Ints,
     block: int,
 ) -> np.float32:
-    """One objective's terms on one block when two chips of a single frame change: the usual move,
-    nothing stored.
-    """
+    """One objective's terms on one block for the usual move: two chips of a single frame."""
+    # nothing is stored on the way: all of it stays in registers
     unit = np.float32(1)
     total = np.float32(0)
     a = picked[0, 0]
@@ -165,9 +161,7 @@ def sums_over(
     work: Floats,
     sums: NDArray[np.float64],
 ) -> bool:
-    """Sum the terms of every part and objective for a changed code; False as soon as the first
-    exceeds ``limit``.
-    """
+    """Sum all terms of a changed code; False as soon as the first sum exceeds ``limit``."""
     unit = np.float32(1)
     for band in range(layout.shape[0]):
         for o in range(kinds.size):
@@ -190,7 +184,7 @@ def sums_over(
                             total += unit / (
                                 light * scale[o, block, q, f] * work[2, f] + offset[o, block, q, f]
                             )
-                else:
+                else:  # flatness: mean and mean square of |P|, whose difference is the variance
                     for f in range(BLOCK):
                         total += scale[o, block, 0, f] * work[2, f]
                         mean += scale[o, block, 0, f] * np.sqrt(work[2, f])
@@ -203,9 +197,7 @@ def sums_over(
 
 @compiled
 def decibels(tables: Any, sums: NDArray[np.float64], open_chips: int) -> float:
-    """Cost of the sums: a scenario counts as its worse direction; scenarios as the worst, or by
-    their shares.
-    """
+    """Cost of the sums: of a scenario's directions the worse one; of scenarios as of the rule."""
     layout = tables.layout
     kinds = tables.kinds
     worst = -np.inf
@@ -217,10 +209,11 @@ def decibels(tables: Any, sums: NDArray[np.float64], open_chips: int) -> float:
         for o in range(kinds.size):
             value = sums[o, band, 0]
             if kinds[o] == FLATNESS:
-                value = (
-                    max(value - sums[o, band, 1] ** 2, 1e-12 * value) * tables.light[o, open_chips]
-                )
-            total += tables.weights[o] * (2.5 if kinds[o] == STEEP else 10.0) * np.log10(value)
+                # rounding must not make a variance negative
+                variance = max(value - sums[o, band, 1] ** 2, 1e-12 * value)
+                value = variance * tables.light[o, open_chips]
+            per_decade = _STEEP_DB if kinds[o] == STEEP else _PLAIN_DB
+            total += tables.weights[o] * per_decade * np.log10(value)
         if layout[band, 2] != scenario:
             if scenario >= 0:
                 mean += tables.shares[scenario] * scenario_cost
@@ -242,7 +235,7 @@ def one_sum_decides(tables: Any) -> bool:
 @inlined
 def sum_of_cost(tables: Any, cost_db: float) -> float:
     """Sum that costs so much, where one sum decides."""
-    per_decade: float = tables.weights[0] * (2.5 if tables.kinds[0] == STEEP else 10.0)
+    per_decade: float = tables.weights[0] * (_STEEP_DB if tables.kinds[0] == STEEP else _PLAIN_DB)
     total: float = 10.0 ** (cost_db / per_decade)
     return total
 
@@ -262,12 +255,14 @@ def turn(
         picked[c, 0], picked[c, 1], picked[c, 2] = j, 0, 1 - 2 * code[j]
         if variants == 4:
             place = j % chips
-            left_open = code[j - 1] if place > 0 else 0
-            right_open = code[j + 1] if place < chips - 1 else 0
-            picked[c, 1] = 2 * left_open + right_open
+            # beside a frame's ends the shutter is closed
+            if place > 0:
+                picked[c, 1] += 2 * code[j - 1]
+            if place < chips - 1:
+                picked[c, 1] += code[j + 1]
         more_open += picked[c, 2]
         code[j] = 1 - code[j]
-    if count == 1:
+    if count == 1:  # the usual move has two rows: the second with the sign 0
         picked[1, 0], picked[1, 1], picked[1, 2] = picked[0, 0], picked[0, 1], 0
     return more_open
 
@@ -328,29 +323,13 @@ def judge(
 
 @inlined
 def add_rows(rows: Floats, otf: Floats, picked: Ints, count: int, chips: int) -> None:
-    """Change the OTF in place."""
+    """Add the rows of the changed chips to the OTF, in place."""
     for c in range(count):
         sign = np.float32(picked[c, 2])
         row = rows[picked[c, 0], picked[c, 1]].ravel()
         changed = otf[picked[c, 0] // chips].ravel()  # a view, as rows are
         for f in range(changed.size):
             changed[f] += sign * row[f]
-
-
-def limits_of(problem: SearchProblem) -> Limits:
-    """Light and run limits for the compiled loop."""
-    low, high = problem.open_limits
-    return Limits(
-        problem.chips,
-        low,
-        high,
-        problem.runs.min_open,
-        problem.runs.min_closed,
-        problem.runs.max_pulses or problem.chips,
-        problem.runs.max_open or problem.chips,
-        problem.runs.min_period,
-        problem.limits_runs,
-    )
 
 
 def lay_out(objective: Objective) -> Tables:
@@ -360,9 +339,10 @@ def lay_out(objective: Objective) -> Tables:
     layout: list[tuple[int, int, int]] = []
     blocks = 0
     for motion in objective.parts:
+        # the ends of a straight band may weigh nothing
         heavy = np.flatnonzero(motion.samples.weight > 0) + motion.columns.start
         size = -(-heavy.size // BLOCK)
-        columns.append(np.concatenate([heavy, np.full(size * BLOCK - heavy.size, -1)]))
+        columns.append(np.pad(heavy, (0, size * BLOCK - heavy.size), constant_values=-1))
         layout.append((blocks, blocks + size, motion.scenario))
         blocks += size
     places = np.concatenate(columns)
@@ -382,6 +362,7 @@ def lay_out(objective: Objective) -> Tables:
     scale = np.zeros((len(mix), across, places.size))
     # columns that fill up a block have no terms
     offset = np.full((len(mix), across, places.size), NO_TERM)
+    # where the objectives differ in their nodes across, the others' terms are 0 as well
     for o, (factors, offsets) in enumerate(terms):
         scale[o, : len(factors), samples] = factors.T
         offset[o, : len(factors), samples] = offsets.T
@@ -405,11 +386,14 @@ def lay_out(objective: Objective) -> Tables:
 
 
 def work_space(tables: Tables, problem: SearchProblem) -> NDArray[np.float32] | None:
-    """Work space for the compiled loops: None where moves change two chips at most and one plain
-    sum decides.
+    """Work space for the compiled loops: None where every move is the usual one.
+
+    It then changes two chips at most, and one plain sum decides.
     """
-    usual = len(tables.kinds) == 1 and tables.kinds[0] != FLATNESS and tables.scale.shape[2] == 1
-    return None if usual and not problem.limits_runs else np.empty((3, BLOCK), np.float32)
+    plain = len(tables.kinds) == 1 and tables.kinds[0] != FLATNESS and tables.scale.shape[2] == 1
+    if plain and not problem.limits_runs:
+        return None
+    return np.empty((3, BLOCK), np.float32)
 
 
 def _contiguous(array: FloatArray) -> NDArray[np.float32]:

@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.search.annealing.proposals import Limits
 from cep.search.exhaustive.exhaust import (
     BYTES,
     INNER,
     SHIFT,
-    Limits,
     Part,
     all_patterns,
     dot,
@@ -27,17 +27,17 @@ from motdiff.types import ComplexArray
 Patterns = NDArray[np.int8]
 MARGIN = 1e-8  # relative: equal minima stay in spite of rounding
 _CELL = 0.15  # side of a cell over the limit; others: docs/decisions/search.md
-_MOST_CELLS = 126  # along one axis
-_FREQUENCIES = 24  # of the bit tables, a multiple of eight
+_CELL_BITES = 0.6  # of its side, that a cell takes off the limit: half its diagonal is 0.7
+_MOST_CELLS = 126  # along one axis: 24 tables of 126 x 126 cells of 128 bytes are 49 MB
+_FREQUENCIES = 24  # of the bit tables, a multiple of eight: docs/decisions/search.md
 _FEWEST_CHIPS = 20  # below, bit tables cost more than they save
-_NEAR = 8
-_SAMPLE = 2**12
+_NEAR = 8  # near chips: their 256 patterns share the sums of the far ones
+_SAMPLE = 2**12  # random codes by which frequencies are put in order
 _CANDIDATES = 768  # frequencies that the scan looks at; the caller looks at the others
 
 
 class Tables:
-    """Tables that depend on the limit alone: frequencies in order of trial, and the patterns that
-    they leave.
+    """Tables of a limit: frequencies in order of trial, and the patterns that they leave.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Tables:
 
     def __init__(self, basis: ComplexArray, limits: Limits, limit: float) -> None:
         self.limits = limits
-        self.inner_at = _cut(len(basis))[0] + _cut(len(basis))[1]
+        self.inner_at = sum(_cut(len(basis))[:2])
         order = _order(basis, limits, limit)
         count = min(_FREQUENCIES, order.size // 8 * 8) if len(basis) >= _FEWEST_CHIPS else 0
         self.used = basis[:, order[:count]]
@@ -157,7 +157,7 @@ class Scanner:
         inner = patterns[2]
         self.inner_bits = _bits(inner, tables.inner_at)
         outside = np.arange(8 * BYTES + 1)[:, None] + inner.sum(axis=1)
-        fits_light = keep[2] & (outside >= limits.fewest) & (outside <= limits.most)
+        fits_light = keep[2] & (outside >= limits.low) & (outside <= limits.high)
         self.inner_left = np.packbits(fits_light, axis=1, bitorder="little").view(np.uint64)
         self.inner_count = fits_light.sum(axis=1).astype(np.int64)
 
@@ -169,7 +169,7 @@ class Scanner:
         yield from pairwise(edges)
 
     def buffer(self) -> NDArray[np.uint64]:
-        """Buffer for the codes found by a call of :meth:`run`."""
+        """Buffer for the survivors of a call of :meth:`run`: twice what one pair may leave."""
         return np.zeros(2 * self.near.bits.size * self.inner_bits.size, dtype=np.uint64)
 
     def run(
@@ -179,9 +179,7 @@ class Scanner:
         counts: NDArray[np.int64],
         halt: NDArray[np.bool_],
     ) -> NDArray[np.uint64]:
-        """Scan from ``span[0]``, ``span[2]`` on, as :func:`exhaust.scan` does; returns the codes
-        found.
-        """
+        """Scan from ``span[0]``, ``span[2]`` on by :func:`exhaust.scan`; returns the survivors."""
         tables = self.tables
         number = scan(
             self.head,
@@ -205,11 +203,10 @@ class Scanner:
         )
         return buffer[:number].copy()
 
-    def _part(self, patterns: Patterns, start: int, corner: ComplexArray | None = None) -> Part:
+    def _part(self, patterns: Patterns, start: int, corner: ComplexArray | float = 0.0) -> Part:
+        """Lay out the patterns of the chips from ``start`` on; sums count from ``corner``."""
         tables = self.tables
-        sums = dot(patterns, tables.used[start : start + patterns.shape[1]]) - (
-            0 if corner is None else corner
-        )
+        sums = dot(patterns, tables.used[start : start + patterns.shape[1]]) - corner
         fixed = np.rint(np.concatenate([sums.real, sums.imag], axis=1) / tables.unit).astype(
             np.int32
         )
@@ -229,26 +226,26 @@ def _cut(chips: int) -> tuple[int, int, int]:
 
 
 def _order(basis: ComplexArray, limits: Limits, limit: float) -> NDArray[np.intp]:
-    """Order frequencies so that each discards most of the codes left by those before it, in a
-    sample of random codes.
+    """Order frequencies so that each discards most of the codes that those before it left.
 
-    Of very many frequencies only some are taken.
+    Both are judged on a sample of random codes. Of very many frequencies only some are taken.
     """
-    rng, (chips, size) = np.random.default_rng(0), basis.shape
+    rng = np.random.default_rng(0)
+    chips, size = basis.shape
     candidates = rng.permutation(size)[:_CANDIDATES]
     rank = rng.random((_SAMPLE, chips)).argsort(axis=1).argsort(axis=1)
-    centre = np.clip(rng.binomial(chips, 0.5, size=(_SAMPLE, 1)), limits.fewest, limits.most)
+    centre = np.clip(rng.binomial(chips, 0.5, size=(_SAMPLE, 1)), limits.low, limits.high)
     sampled = np.abs(
         (rank < centre).astype(np.complex64) @ basis[:, candidates].astype(np.complex64)
     )
     # a cell takes a part of the limit away
-    below = np.ascontiguousarray((sampled < limit * (1 - 0.6 * _CELL)).T)
+    below = np.ascontiguousarray((sampled < limit * (1 - _CELL_BITES * _CELL)).T)
     survives = np.ones(_SAMPLE, dtype=np.bool_)
     free = np.ones(candidates.size, dtype=np.bool_)
     picked = []
     for _ in range(min(3 * _FREQUENCIES, candidates.size)):
         discards = np.where(free, below[:, survives].sum(axis=1), -1)
-        if discards.max() == 0:
+        if discards.max() == 0:  # the sample is used up: start it again
             survives[:] = True
             discards = np.where(free, below.sum(axis=1), -1)
         pick = int(discards.argmax())

@@ -1,5 +1,4 @@
-"""Proven optimum by exhaustive search: a code is discarded at a frequency where its |H| is below
-the best minimum.
+"""Proven optimum by exhaustive search: codes are discarded where |H| is below the best minimum.
 
 On the unit circle a shift in time and the reversal change nothing, so the codes of n chips are
 those of every length up to n with both end chips open, one of each mirror pair, or both where the
@@ -31,34 +30,33 @@ from cep.optics.band import band_samples, circle_samples
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis
 from cep.proofs.certify.minimum import Minimum, chip_minimum, min_chip, mtf_minimum
+from cep.search.annealing.proposals import Limits
 from cep.search.exhaustive.blocks import MARGIN, Scanner, Tables
-from cep.search.exhaustive.exhaust import BYTES, INNER, Limits, dot
+from cep.search.exhaustive.exhaust import BYTES, INNER, dot
 from cep.search.exhaustive.proof import ExactResult, LengthLog, ProofLog
 from cep.search.problem import SearchProblem
 
 Progress = Callable[[float, ShutterCode], None]
 Codes = NDArray[np.uint64]
+Patterns = NDArray[np.int8]
 _SLICE = 2**30  # codes between looks at Ctrl-C: a tenth of a second
 _SLICES = 128  # at least, of a long proof, so that a better code helps it
-_FIRST_ROUND = (
-    16  # slices side by side, the next round twice as many: early ones find the better codes
-)
+# slices side by side, the next round twice as many: early ones find the better codes
+_FIRST_ROUND = 16
 # minima as close as this are equal: the brighter code wins, then the shorter, then the first bits
 _TIE = 1e-9
 _GROWTH = 1.01  # of the limit, at which the scan's tables are made again
-_RESTARTS = 16
+_RESTARTS = 16  # random codes from which the first limit is climbed to
 _CLIMBED = 20  # chips below which no climb is needed
+_SEEN = 256  # frequencies at which a climb judges: it only has to be good, the scan proves
 _OVERSAMPLING = 8  # frequencies per 1 / chips on the unit circle
-_BATCH = 2**13
+_BATCH = 2**13  # codes judged at once
 _DARK = 1e-9  # |H| at which no code passes anything
-Patterns = NDArray[np.int8]
 _LEAST = 1e-6  # relative gain of a step
 
 
 def codes_to_count(problem: SearchProblem) -> int:
-    """Count the codes that a proof goes through, mirror images mostly once; a core does billions a
-    second.
-    """
+    """Count the codes that a proof goes through, mirror images mostly once."""
     if problem.scenarios or problem.runs.fixed is not None:
         return int(2**problem.chips)
     return int(2 ** max(problem.chips - 1 - problem.mirrors, 0))
@@ -105,6 +103,7 @@ def exact(
         )
     if problem.chips > 8 * BYTES:
         raise ValueError(f"chips: at most {8 * BYTES} can be counted out, got {problem.chips}")
+    # through ramps |H| depends on neighbours, so that parts of a code cannot be summed alone
     if problem.response is not None and not problem.response.instant:
         raise ValueError(
             "response: a proof needs a shutter that opens at once, leave the response out"
@@ -114,8 +113,7 @@ def exact(
         proof.climb()
         proof.count(progress, threads or cpu_count() or 1)
     except KeyboardInterrupt:
-        # the log says what is missing
-        pass
+        pass  # the log says what is missing
     code, minimum, log = proof.outcome()
     return ExactResult(code, minimum, log, time.monotonic() - start_s, log.complete)
 
@@ -135,9 +133,9 @@ class _Proof:
             )
         self.limits = Limits.of(problem)
         self.best = ""
-        self.value = -1.0
-        self.limit = 0.0
-        self.ceiling = 0.0
+        self.value = -1.0  # minimum of the best code
+        self.limit = 0.0  # proven minimum below which codes are discarded
+        self.ceiling = 0.0  # largest minimum judged
         self.tables: Tables | None = None
         self.lock = Lock()
         n = problem.chips
@@ -184,24 +182,23 @@ class _Proof:
             value > self.value - tie and _rank(name) > _rank(self.best)
         ):
             if value > self.value + tie:
-                limit = chip_minimum(ShutterCode(name)).lower if self.circle else value
+                limit = value
+                if self.circle:  # what discards others must be proven itself
+                    limit = chip_minimum(ShutterCode(name)).lower
                 self.limit = max(self.limit, limit)
             self.best = name
             self.value = max(value, self.value)
 
     def climb(self) -> None:
-        """Climb from random codes, for a good limit from the start; the outcome does not depend on
-        it.
-        """
+        """Climb from random codes, for a good limit from the start: the outcome is the same."""
         if self.problem.chips < _CLIMBED:
             return
         rng = np.random.default_rng(0)
-        sample = self.basis[:, rng.permutation(self.basis.shape[1])[:256]]
+        sample = self.basis[:, rng.permutation(self.basis.shape[1])[:_SEEN]]
+        # where few codes keep the limits, one pulse may be among them
         single = np.eye(self.problem.chips, dtype=np.int8)[[0, self.problem.chips // 2]]
-        starts = [
-            *self.problem.random_codes(_RESTARTS, rng=rng),
-            *single[self.problem.satisfied(single)],
-        ]
+        single = single[self.problem.satisfied(single)]
+        starts = [*self.problem.random_codes(_RESTARTS, rng=rng), *single]
         for code in starts:
             self.offer(_packed(_name(climbed(code, sample, self.problem.satisfied))))
 
@@ -215,6 +212,7 @@ class _Proof:
                 if progress is not None and self.best:
                     progress((before + share * codes) / total, ShutterCode(self.best))
 
+            # shorter codes have no chips beside the inner block and the two ends
             if not entry.complete and length < INNER + 2:
                 self._list(length)
             elif not entry.complete:
@@ -248,10 +246,9 @@ class _Proof:
                         pool.submit(self._slice, scanner, span, halt): span for span in batch
                     }
                     for future in as_completed(running):
-                        self.logs[length] = self.logs[length].grown(
-                            running[future], future.result()
-                        )
-                        report(len(self.logs[length].done) / len(spans))
+                        log = self.logs[length].grown(running[future], future.result())
+                        self.logs[length] = log
+                        report(len(log.done) / len(spans))
                     size *= 2
             finally:
                 halt[0] = True
@@ -297,12 +294,10 @@ class _Proof:
             ]
             worst = min(minima, key=lambda minimum: minimum.upper)
             minimum = replace(worst, lower=min(minimum.lower for minimum in minima))
-        complete = all(entry.complete for entry in self.logs.values())
-        # mean |P|^2 is the number of open chips; |H| is nowhere above the duty
-        ceiling = float(problem.open_limits[1] / problem.chips)
-        if self.circle:
-            ceiling = float(np.sqrt(problem.open_limits[1]))
-        if complete:
+        high = problem.open_limits[1]
+        # until all is judged: mean |P|^2 is the number of open chips; |H| nowhere exceeds the duty
+        ceiling = float(np.sqrt(high)) if self.circle else high / problem.chips
+        if all(entry.complete for entry in self.logs.values()):
             ceiling = self.ceiling
         log = ProofLog(
             problem.chips,
@@ -329,13 +324,11 @@ class _Proof:
 
 
 def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
-    """Contribution of each chip at all frequencies, (n, Q)."""
+    """Contribution of each chip at all frequencies, (n, Q): in chips on the circle."""
     if not problem.scenarios:
         samples = circle_samples(problem.chips, oversampling=_OVERSAMPLING)
-        return np.asarray(
-            np.exp(-2j * np.pi * np.arange(problem.chips)[:, None] * samples.fx),
-            dtype=np.complex128,
-        )
+        phases = -2j * np.pi * np.arange(problem.chips)[:, None] * samples.fx
+        return np.asarray(np.exp(phases), dtype=np.complex128)
     rows = []
     for scenario, is_reversed in problem.ways():
         path = scenario.path(reversed_path=is_reversed)
@@ -353,6 +346,7 @@ def _packed(bits: str) -> Codes:
 
 
 def _rank(bits: str) -> tuple[int, int, str]:
+    """Sort codes of equal minima: brighter, then shorter, then those that open earlier."""
     return bits.count("1"), -len(bits.strip("0")), bits
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
-from cep.search.problem import SearchProblem
+from cep.search.annealing.proposals import Limits
 
 INNER = 10  # chips of a block: its 1024 bits are two vector registers
 BYTES = 6  # of a code: 48 chips at most
@@ -30,7 +30,6 @@ SHIFT = 16  # a cell is 2^16 fixed-point units wide
 Bits = NDArray[np.uint64]
 Ints = NDArray[np.int32]
 Counts = NDArray[np.int64]
-_NONE = 64  # more than any code has
 
 
 class Part(NamedTuple):
@@ -58,13 +57,11 @@ def all_patterns(chips: int) -> NDArray[np.int8]:
 
 
 def dot(patterns: NDArray[np.int8], basis: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Sum the chips' contributions, (R, Q); numpy multiplies mixed types without its fast
-    routines.
-    """
+    """Sum the chips' contributions at each frequency, (R, Q)."""
+    # real and imaginary parts side by side: of mixed types numpy multiplies without BLAS
     chips, frequencies = basis.shape
-    parts = patterns.astype(np.float64) @ np.ascontiguousarray(basis).view(np.float64).reshape(
-        chips, 2 * frequencies
-    )
+    columns = np.ascontiguousarray(basis).view(np.float64).reshape(chips, 2 * frequencies)
+    parts = patterns.astype(np.float64) @ columns
     return parts.view(np.complex128).reshape(len(patterns), frequencies)
 
 
@@ -119,8 +116,7 @@ def fill_cells(
 
 
 def sums_by_byte(basis: NDArray[np.complex128]) -> NDArray[np.float32]:
-    """Sum every byte of a code at all frequencies, (Q / 16, 6, 256, 32) float32; the last sixteen
-    repeat some.
+    """Sum every byte of a code at all frequencies, (Q / 16, 6, 256, 32) float32.
 
     Parameters
     ----------
@@ -130,9 +126,8 @@ def sums_by_byte(basis: NDArray[np.complex128]) -> NDArray[np.float32]:
     chips, frequencies = basis.shape
     order = np.arange(-(-frequencies // LANES) * LANES)
     padded = np.zeros((8 * BYTES, order.size), np.complex128)
-    padded[:chips] = basis[
-        :, np.where(order < frequencies, order, order - frequencies) % frequencies
-    ]
+    # the last sixteen are filled up with the first: a frequency twice discards no more codes
+    padded[:chips] = basis[:, order % frequencies]
     sums = np.stack(
         [dot(all_patterns(8), padded[8 * byte : 8 * byte + 8]) for byte in range(BYTES)]
     )
@@ -144,7 +139,7 @@ def sums_by_byte(basis: NDArray[np.complex128]) -> NDArray[np.float32]:
 
 @compiled
 def _reaches(code: np.uint64, dense: NDArray[np.float32], limit2: np.float32) -> bool:
-    """Whether |H|^2 is not below the limit at any frequency."""
+    """Whether |H|^2 is not below the limit at any frequency; sixteen are judged side by side."""
     mask = np.uint64(255)
     b0 = code & mask
     b1 = (code >> np.uint64(8)) & mask
@@ -227,6 +222,7 @@ def scan(
         Set from another thread to stop.
     """
     rows = np.zeros(first_cell.size, np.uint32)
+    # in fixed point, where a shift finds the cell, and a sum of parts has no rounding of its own
     outer_sums = np.zeros(2 * first_cell.size, np.int32)
     alive = np.zeros(inner_left.shape[1], np.uint64)
     words = alive.size
@@ -236,7 +232,6 @@ def scan(
     zero = np.int32(0)
     number = 0
     room = survivors.size - middle.bits.size * inner_bits.size
-    unlimited = free_runs(limits)
     near_sums = middle.sums
     near_open_chips = middle.open_chips
     near_bits = middle.bits
@@ -248,8 +243,8 @@ def scan(
                 span[0], span[2] = i, j
                 return number
             open_chips = head.open_chips[i] + tail.open_chips[j]
-            low = max(limits.fewest - open_chips - INNER, 0)
-            high = min(limits.most - open_chips, most_near)
+            low = max(limits.low - open_chips - INNER, 0)
+            high = min(limits.high - open_chips, most_near)
             # joined in the middle they may still be one pulse
             if low > high or head.pulses[i] + tail.pulses[j] - 1 > limits.max_pulses:
                 continue
@@ -309,7 +304,7 @@ def scan(
                         )
                         bits &= bits - np.uint64(1)
                         counts[1] += 1
-                        if not unlimited and not keeps_runs(code, limits):
+                        if limits.constrained and not keeps_runs(code, limits):
                             continue
                         counts[2] += 1
                         if _reaches(code, dense, limit2):
@@ -331,46 +326,9 @@ def _ones(word: np.uint64) -> int:
     return count
 
 
-class Limits(NamedTuple):
-    """Limits on light and on runs, as in a search problem; ``max_pulses`` and ``max_open`` are 64
-    for none.
-    """
-
-    fewest: int
-    most: int
-    min_open: int
-    min_closed: int
-    max_pulses: int
-    max_open: int
-    min_period: int
-
-    @classmethod
-    def of(cls, problem: SearchProblem) -> Limits:
-        """Limits of a problem."""
-        low, high = problem.open_limits
-        return cls(
-            low,
-            high,
-            problem.runs.min_open,
-            problem.runs.min_closed,
-            problem.runs.max_pulses or _NONE,
-            problem.runs.max_open or _NONE,
-            problem.runs.min_period,
-        )
-
-
-@compiled
-def free_runs(limits: Limits) -> bool:
-    """Whether every code keeps the limits on runs and pulses."""
-    shortest = limits.min_open == 1 and limits.min_closed == 1 and limits.min_period == 1
-    return shortest and limits.max_pulses >= _NONE and limits.max_open >= _NONE
-
-
 @compiled
 def keeps_runs(code: np.uint64, limits: Limits) -> bool:
-    """Whether every run limit holds; closed chips before the first and after the last pulse do not
-    count.
-    """
+    """Whether every run limit holds; of a closed end only the code before it counts."""
     pulses = 0
     run = limits.min_closed
     is_open = False
@@ -397,18 +355,18 @@ def keeps_runs(code: np.uint64, limits: Limits) -> bool:
 def possible(
     patterns: NDArray[np.int8], limits: Limits, at_ends: tuple[bool, bool]
 ) -> NDArray[np.bool_]:
-    """Which patterns may be part of a code that keeps the run limits; ``at_ends`` says whether the
-    code ends there.
+    """Which patterns may be part of a code that keeps the run limits.
+
+    ``at_ends`` are whether the code begins and ends with the pattern.
     """
-    if (
-        limits.min_open == limits.min_closed == limits.min_period == 1
-        and limits.max_open >= patterns.shape[1]
-    ):
+    shortest = limits.min_open == limits.min_closed == limits.min_period == 1
+    if shortest and limits.max_open >= patterns.shape[1]:
         return np.ones(len(patterns), dtype=np.bool_)
     return np.array([_runs_fit(row.tolist(), limits, at_ends) for row in patterns], dtype=np.bool_)
 
 
 def _runs_fit(row: list[int], limits: Limits, at_ends: tuple[bool, bool]) -> bool:
+    # a run cut off by the pattern's edge may go on: it has no shortest length yet
     runs = [(bit, len(list(group))) for bit, group in groupby(row)]
     place = 0
     pulse_start = -limits.min_period

@@ -1,6 +1,4 @@
-"""Logs of exhaustive proofs: discarded codes per length or per block, and the minimum of the best
-code.
-"""
+"""Logs of exhaustive proofs: discarded codes per length, and the minimum of the best code."""
 
 from __future__ import annotations
 
@@ -46,12 +44,15 @@ class LengthLog:
 
     def grown(self, span: tuple[int, int], counts: NDArray[np.int64]) -> LengthLog:
         """Log after another range of heads."""
-        names = ("judged", "left_by_tables", "kept_runs", "left_by_samples")
-        sums = {
-            name: getattr(self, name) + int(count)
-            for name, count in zip(names, counts, strict=True)
-        }
-        return replace(self, done=(*self.done, span), **sums)
+        scanned, by_tables, within_runs, by_samples = (int(count) for count in counts)
+        return replace(
+            self,
+            judged=self.judged + scanned,
+            left_by_tables=self.left_by_tables + by_tables,
+            kept_runs=self.kept_runs + within_runs,
+            left_by_samples=self.left_by_samples + by_samples,
+            done=(*self.done, span),
+        )
 
 
 @dataclass(frozen=True)
@@ -96,12 +97,12 @@ class ProofLog:
         return all(entry.complete for entry in self.lengths)
 
     def to_dict(self) -> dict[str, Any]:
-        """Give the log as JSON-ready data."""
+        """Fields for JSON."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> ProofLog:
-        """Read the data of :meth:`to_dict`, also from a JSON file."""
+        """Read :meth:`to_dict` back, from JSON as well, where tuples have become lists."""
         lengths = (
             LengthLog(**{**entry, "done": tuple((int(a), int(b)) for a, b in entry["done"])})
             for entry in data["lengths"]
@@ -139,7 +140,7 @@ class BundledLog:
     judged: int = 0
 
     def to_dict(self) -> dict[str, Any]:
-        """Give the log as JSON-ready data."""
+        """Fields for JSON."""
         return asdict(self)
 
 

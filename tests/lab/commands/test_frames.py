@@ -7,7 +7,7 @@ import pytest
 
 from cep.files.files import read_code
 from cep.optics.code import ShutterCode
-from cep.search.annealing.joint import joint_figures
+from cep.search.annealing.frames import joint_figures
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 

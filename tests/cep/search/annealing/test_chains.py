@@ -9,8 +9,9 @@ import pytest
 from cep.optics.response import ShutterResponse
 from cep.search.annealing.chains import Cooling, Crew, Walks, cool, walk
 from cep.search.annealing.polish import neighbours
+from cep.search.annealing.proposals import Limits
 from cep.search.annealing.states import Chain, fresh_otf, smallest_power, total_cost, worst_first
-from cep.search.annealing.terms import BLOCK, lay_out, limits_of, work_space
+from cep.search.annealing.terms import BLOCK, lay_out, work_space
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, SearchProblem
@@ -133,7 +134,7 @@ def test_cooling_keeps_limits_and_books(name, objective):
     problem = replace(PROBLEMS[name], objective=objective)
     _, tables, chain = started(problem, seed=1)
     work = work_space(tables, problem)
-    limits = limits_of(problem)
+    limits = Limits.of(problem)
     free = free_chips(problem)
     for _ in range(20):
         accepted = cool(tables, limits, chain, free, work, np.array([1.0, 0.5]), 40)
@@ -169,7 +170,7 @@ def test_a_walk_takes_the_best_neighbour(name, objective):
     held = np.zeros(problem.chips, np.int64)
     judged = walk(
         tables,
-        limits_of(problem),
+        Limits.of(problem),
         chain,
         free_chips(problem),
         work_space(tables, problem),

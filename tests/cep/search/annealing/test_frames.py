@@ -13,10 +13,10 @@ from cep.optics.exposure import open_path
 from cep.optics.response import ShutterResponse
 from cep.search.annealing.anneal import anneal
 from cep.search.annealing.chains import cool, walk
-from cep.search.annealing.frames import anneal_frames
-from cep.search.annealing.joint import joint_cost, joint_figures, joint_tables
+from cep.search.annealing.frames import anneal_frames, joint_cost, joint_figures, joint_tables
+from cep.search.annealing.proposals import Limits
 from cep.search.annealing.states import Chain, fresh_otf, smallest_power, total_cost, worst_first
-from cep.search.annealing.terms import BLOCK, limits_of
+from cep.search.annealing.terms import BLOCK
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, SearchProblem
@@ -273,7 +273,7 @@ def test_moves_in_several_frames_keep_the_books(name):
     problem = replace(SHORT[name], objective="noise")
     _, tables, chain = started(problem, 2, seed=2)
     low, high = problem.open_limits
-    limits = limits_of(problem)._replace(low=2 * low, high=2 * high)
+    limits = Limits.of(problem)._replace(low=2 * low, high=2 * high)
     free = np.arange(2 * problem.chips)
     work = np.empty((3, BLOCK), np.float32)
     held = np.zeros(12, np.int64)

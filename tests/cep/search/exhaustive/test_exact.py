@@ -15,10 +15,11 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis
 from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip
+from cep.search.annealing.proposals import Limits
 from cep.search.exhaustive import exact as module
 from cep.search.exhaustive.blocks import Tables
 from cep.search.exhaustive.exact import codes_to_count, exact
-from cep.search.exhaustive.exhaust import INNER, Limits, all_patterns, keeps_runs, possible
+from cep.search.exhaustive.exhaust import INNER, all_patterns, keeps_runs, possible
 from cep.search.exhaustive.proof import ProofLog
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
@@ -182,19 +183,17 @@ def test_runs_are_kept_by_codes_and_their_parts(
 ):
     bits = f"1{bits}1"
     code = np.array([[int(bit) for bit in bits]], dtype=np.int8)
-    limits = Limits(
-        1, len(bits), min_open, min_closed, max_pulses, max(max_open, min_open), min_period
-    )
     problem = SearchProblem(
         chips=len(bits),
         runs=RunLimits(
             min_open=min(min_open, len(bits)),
             min_closed=min_closed,
             max_pulses=max_pulses,
-            max_open=limits.max_open,
+            max_open=max(max_open, min_open),
             min_period=min_period,
         ),
     )
+    limits = Limits.of(problem)
     kept = bool(problem.satisfied(code)[0])
     assert keeps_runs(np.uint64(int(bits[::-1], 2)), limits) == kept
     for first in range(len(bits)):
@@ -331,7 +330,7 @@ def test_what_a_cell_discards_is_below_the_limit_wherever_the_point_lies(seed, l
     rng = np.random.default_rng(seed)
     chips = 20
     basis = np.exp(-2j * np.pi * np.outer(np.arange(chips), rng.random(8) / 2))
-    tables = Tables(basis, Limits(1, chips, 1, 1, 64, 64, 1), limit)
+    tables = Tables(basis, Limits.of(SearchProblem(chips=chips)), limit)
     inner = all_patterns(INNER) @ tables.used[tables.inner_at : tables.inner_at + INNER]
     rows = tables.cells.reshape(-1, tables.grid, tables.grid, 16)
     discarded = 0
