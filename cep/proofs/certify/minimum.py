@@ -31,14 +31,14 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 _CANDIDATES = 24  # local minima of the first grid that are refined, the lowest ones
-_LATER = 4  # of a later level, whose first one is nearly always refined already
+_LATER = 4  # cells refined at a later level
 _NEARLY_ZERO = 1e-8  # of DC: below it a proof of a true zero is tried
 _CHIP_GAP = 1e-6  # relative widths at which subdivision stops: docs/decisions/proofs.md
 _PATH_GAP = 1e-4
 _PADDED = 16  # points per chip of the quick grid
 _FEW = 512  # cells left before sums are made longer for a minimum near rounding
 _ALONG = 14.0  # cells per px and spread on a line, where they cost little
-_STEPS = 60  # of a descent; Newton's converge in a few, steps towards a flat minimum do not
+_STEPS = 60  # of a descent at most; Newton's steps converge in a few
 _SHORTENED = 12  # trials of one step, each 0.35 of the last: a step of 3e-6 of the first is none
 
 

@@ -35,7 +35,7 @@ Vertices = tuple[FloatArray, FloatArray]
 """Times (T,) from 0 to 1, and vertices (T, 2) in px, of a path."""
 _TOLERANCE = 1e-9  # relative, on both bounds: numbers in a file may have been rounded
 _SAME_PLACE = 1e-9  # cycles or px: as above, of a frequency and of a path
-_MOST_TURNS = 2**17  # points on a circle; a radius that needs more is too close to other zeros
+_MOST_TURNS = 2**17  # points on a circle around a zero, beyond which it is not confirmed
 # |H(-f)| = |H(f)|, as codes are real: half of the circle and of the band is enough
 _CIRCLE = np.array([[0.0, 0.5], [0.0, 0.0]])  # cycles per chip
 _BAND = np.array([[-0.5, 0.5], [0.0, 0.5]])  # cycles/px

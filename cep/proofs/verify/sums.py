@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 _CHUNK = 2**19  # numbers held at once: a few arrays of 8 MB, whatever the budget
-_SERIES = 1e-3  # rad, below which sinc's slope by its quotient loses half of the digits
+_SERIES = 1e-3  # rad, below which sinc's slope by its quotient loses six digits or more
 
 
 class RefusedError(Exception):

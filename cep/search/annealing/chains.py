@@ -266,8 +266,7 @@ def walk(
     free : (M,) int64
         Chips that may change.
     work : (3, 64) float32 or None
-        Work space; None where every move is usual (:func:`cep.search.annealing.terms.work_space`),
-        which is faster.
+        Of :func:`cep.search.annealing.terms.work_space`.
     tabu_until : (chips,) int64
         Step until which each chip stays; changed in place.
     first : int
@@ -376,14 +375,8 @@ def cool(
 
     Parameters
     ----------
-    tables : Tables
-    limits : Limits
-    chain : Chain
-    free : (M,) int64
-        Chips that may change.
-    work : (3, 64) float32 or None
-        Work space; None where every move is usual (:func:`cep.search.annealing.terms.work_space`),
-        which is faster.
+    tables, limits, chain, free, work
+        As of :func:`walk`.
     temperatures : (2,) float64, dB
         At the first move, and after the last.
     moves : int
