@@ -158,7 +158,7 @@ def ordered_walks(
 
     walks = []
     for _ in range(count):
-        walk = orders(boracchi_foi(rng, max_length_px=length_px), knots=_KNOTS, most=64)
+        walk = orders(boracchi_foi(rng, max_length_px=length_px), knots=_KNOTS, count=64)
         apart = walk[2:] - walk[0]
         apart = apart - apart.mean(axis=1, keepdims=True)
         altered = 2 + np.flatnonzero(np.sqrt((apart**2).sum(axis=2).mean(axis=1)) >= _ALIKE_PX)

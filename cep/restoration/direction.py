@@ -145,7 +145,7 @@ def orders_in_time(trajectory: Trajectory) -> list[Trajectory]:
     >>> len(orders_in_time(Trajectory.from_samples([[0, 0], [8, 1], [12, 9]])))
     2
     """
-    others = orders(trajectory, knots=_ORDER_KNOTS, most=_MOST_ORDERS)[2:]
+    others = orders(trajectory, knots=_ORDER_KNOTS, count=_MOST_ORDERS)[2:]
     reordered = [Trajectory.from_samples(xy, direction=trajectory.direction) for xy in others]
     return [trajectory, trajectory.reversed(), *reordered]
 

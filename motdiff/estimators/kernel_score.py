@@ -57,11 +57,6 @@ class Ranking:
     probabilities: FloatArray
     agreement: float
 
-    @property
-    def confidence(self) -> float:
-        """Probability that the chosen kernel is good."""
-        return float(self.probabilities[self.best])
-
 
 def noise_sigma(photo: FloatArray) -> float:
     """Estimate the sigma of white noise in a photo (H, W) from mixed second differences.

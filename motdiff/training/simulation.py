@@ -178,9 +178,9 @@ def jpeg_loss(photos: Tensor, quality: Tensor) -> Tensor:
     return image.clamp(0, 1)
 
 
-def _cosine_matrix(like: Tensor) -> Tensor:
+def _cosine_matrix(template: Tensor) -> Tensor:
     """Orthonormal DCT-II, (8, 8)."""
-    k = torch.arange(8, dtype=like.dtype, device=like.device)
+    k = torch.arange(8, dtype=template.dtype, device=template.device)
     matrix = torch.cos(math.pi / 8 * k[:, None] * (k[None, :] + 0.5)) / 2
     matrix[0] /= math.sqrt(2)
     return matrix

@@ -80,18 +80,18 @@ def distinct(
 
 
 def merged(
-    unknowns: Unknowns, ends: Sequence[tuple[Tensor, Tensor]], *, keep: int, same_px: float
+    unknowns: Unknowns, results: Sequence[tuple[Tensor, Tensor]], *, keep: int, same_px: float
 ) -> tuple[Tensor, Tensor, int]:
-    """Join the ends of several searches, each candidates and their costs, best first.
+    """Join the results of several searches, each candidates and their costs, best first.
 
     Returns
     -------
     Best distinct candidates, their costs, and how many searches ended within ``same_px`` of the
     best
     """
-    candidates, costs = (torch.cat(tensors) for tensors in zip(*ends, strict=True))
+    candidates, costs = (torch.cat(tensors) for tensors in zip(*results, strict=True))
     x, costs = distinct(unknowns, candidates, costs, keep=keep)
-    return x, costs, sum(distance_px(unknowns, x[0], best[0]) < same_px for best, _ in ends)
+    return x, costs, sum(distance_px(unknowns, x[0], best[0]) < same_px for best, _ in results)
 
 
 def expected_deviation_px(

@@ -57,10 +57,7 @@ class CodedEstimator:
     progress : callable, optional
         Called with the finished share 0..1.
 
-    Raises
-    ------
-    ValueError
-        As :func:`check_codes`.
+    Raises as :func:`check_codes`.
     """
 
     method = "coded"
@@ -110,9 +107,9 @@ class CodedEstimator:
             exposures = exposures_of(
                 photos, self._codes, kernels=self._kernels, progress=progress, cost=_KERNEL_SHARE
             )
-            if exposures.still is not None:
+            if exposures.at_rest is not None:
                 progress.finish()
-                return _at_rest(exposures.still, photos=len(photos))
+                return _at_rest(exposures.at_rest, photos=len(photos))
             rng = np.random.default_rng(self._seed)
             paths, times = find_paths(exposures, rng=rng, progress=progress, cost=_FIT_SHARE)
             estimate = _described(paths, times, exposures)
@@ -120,12 +117,12 @@ class CodedEstimator:
             return estimate
 
 
-def _at_rest(still: MotionEstimate, *, photos: int) -> MotionEstimate:
+def _at_rest(estimate: MotionEstimate, *, photos: int) -> MotionEstimate:
     """Estimate of photos without motion blur: no order, and no error of the path."""
-    details = {**still.details, "order_confidence": None, "path_uncertainty_px": None}
-    warnings = still.warnings if photos == 1 else ("The photos show no motion blur",)
+    details = {**estimate.details, "order_confidence": None, "path_uncertainty_px": None}
+    warnings = estimate.warnings if photos == 1 else ("The photos show no motion blur",)
     return replace(
-        still,
+        estimate,
         method=CodedEstimator.method,
         warnings=warnings,
         psf_warnings=warnings,

@@ -48,7 +48,7 @@ class Exposures:
         Factor by which the photos were made smaller: a path of theirs is that much shorter.
     confidences : tuple of I float
         Of the kernels.
-    still : MotionEstimate or None
+    at_rest : MotionEstimate or None
         Estimate of a sharp photo where all photos are sharp, or those with the shutter open
         throughout.
     """
@@ -60,7 +60,7 @@ class Exposures:
     photos: tuple[FloatArray, ...] = ()
     shrunk: int = 1
     confidences: tuple[float, ...] = ()
-    still: MotionEstimate | None = None
+    at_rest: MotionEstimate | None = None
 
     def spectra(self) -> list[SceneSpectra]:
         """Spectra on three grids, coarse to fine; none without one scene large enough."""
@@ -138,11 +138,11 @@ def exposures_of(
         photos=tuple(greys[i] for i in order) if _are_one_scene(greys) else (),
         shrunk=shrunk,
         confidences=confidences,
-        still=_still(estimates, codes),
+        at_rest=_at_rest(estimates, codes),
     )
 
 
-def _still(estimates: Sequence[MotionEstimate], codes: Sequence[str]) -> MotionEstimate | None:
+def _at_rest(estimates: Sequence[MotionEstimate], codes: Sequence[str]) -> MotionEstimate | None:
     """Estimate of a camera at rest where the uncoded photos, or all without any, are sharp."""
     pairs = zip(estimates, codes, strict=True)
     decisive = [estimate for estimate, code in pairs if "0" not in code] or estimates

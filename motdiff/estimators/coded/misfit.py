@@ -231,8 +231,8 @@ def descend(
     """
     # two, however many cores there are: the batches, hence the last bits, are the same everywhere
     halves = torch.split(x, max(1, -(-len(x) // 2)))
-    ends = side_by_side([partial(_descend, terms, half, steps, tolerance) for half in halves])
-    candidates, costs = zip(*ends, strict=True)
+    descents = side_by_side([partial(_descend, terms, half, steps, tolerance) for half in halves])
+    candidates, costs = zip(*descents, strict=True)
     return torch.cat(candidates), torch.cat(costs)
 
 

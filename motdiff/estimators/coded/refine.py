@@ -118,10 +118,7 @@ class PathRefiner:
             Of the orders that explain the photos best, each from descents with half, once and
             twice the given deviation; best first.
 
-        Raises
-        ------
-        ValueError
-            As :func:`motdiff.estimators.coded.exposures.exposures_of`.
+        Raises as :func:`motdiff.estimators.coded.exposures.exposures_of`.
         """
         with one_thread_a_call():
             progress = Progress(self._tell)

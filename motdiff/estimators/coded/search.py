@@ -73,12 +73,12 @@ def find_paths(
     x = search.from_kernels()
     if spectra and len(exposures.codes) == _FEW_PHOTOS:
         return _wide_paths(
-            search, spectra, starts=search.paths(x), most=_MOST_SEARCHES, spend=search.spend
+            search, spectra, starts=search.paths(x), searches=_MOST_SEARCHES, spend=search.spend
         )
     paths = search.run(x)
     times = 1
     # a path of one search that three photos confirm needs no other search
-    for most in (1, _MOST_SEARCHES):
+    for searches in (1, _MOST_SEARCHES):
         if not paths[0].misfit > _DOUBTFUL:
             break
         progress.expect_more(2 * cost)
@@ -86,7 +86,7 @@ def find_paths(
             search,
             spectra,
             starts=np.stack([path.path for path in paths]),
-            most=most,
+            searches=searches,
             spend=lambda share: progress.spend(2 * share * cost),
         )
         if wide[0].misfit < paths[0].misfit:
@@ -122,7 +122,7 @@ class _Search(PhotoFit):
         self.length_px = float(np.clip(traced.length_px, 8, 90))
         starts = [
             self._decoded(_DECODED),
-            orders(traced, knots=KNOTS, most=_ORDERS),
+            orders(traced, knots=KNOTS, count=_ORDERS),
             _walks(self.rng, KNOTS, np.full(_WALKS, self.length_px)),
         ]
         x = self.pack(np.concatenate(starts))
@@ -177,11 +177,11 @@ class _Search(PhotoFit):
                 [self.coarse_kernels[1.5], self.loose], new, steps=4, keep=_CHILDREN_FITTED
             )
             new, new_costs = descend(terms, self.registered(new), steps=5)
-            least = float(costs.min())
+            least_cost = float(costs.min())
             x, costs = self.distinct(
                 torch.cat([x, new]), torch.cat([costs, new_costs]), keep=_POPULATION
             )
-            idle_rounds = 0 if float(costs[0]) < _IMPROVED * least else idle_rounds + 1
+            idle_rounds = 0 if float(costs[0]) < _IMPROVED * least_cost else idle_rounds + 1
             self.spend(0.5 / _ROUNDS)
             if idle_rounds == _PATIENCE:
                 self.spend(0.5 * (_ROUNDS - 1 - index) / _ROUNDS)
@@ -196,7 +196,7 @@ class _Search(PhotoFit):
             partners = [*paths[:i], *paths[i + 1 :]]
             if i < 2:
                 partners += list(self._decoded(12, shifts[i].numpy().astype(np.float64)))
-            children += loop_reversals(path, most=4 if i < 2 else 2, rng=self.rng)
+            children += loop_reversals(path, count=4 if i < 2 else 2, rng=self.rng)
             crossings = (crossed(path, partner, rng=self.rng) for partner in partners)
             children += [child for child in crossings if child is not None]
         return children
@@ -218,28 +218,28 @@ def _wide_paths(
     spectra: Sequence[SceneSpectra],
     *,
     starts: FloatArray,
-    most: int,
+    searches: int,
     spend: Callable[[float], None],
 ) -> tuple[list[CandidatePath], int]:
     """Search without the kernels, from paths (N, K, 2) and random walks.
 
     Searches are repeated, the later ones from walks alone, until two of them end at one path,
-    ``most`` times at most.
+    at most ``searches`` times.
 
     Returns
     -------
     Paths, best first, and the number of searches that ended at the best
     """
     fit = PhotoFit(search.exposures, spectra, knots=_FEW_KNOTS)
-    share = 0.85 / most
+    share = 0.85 / searches
     starts = _with_knots(starts, _FEW_KNOTS)
-    ends: list[tuple[Tensor, Tensor]] = []
-    for count in range(1, most + 1):
-        ends.append(_wide_search(fit, starts, search.rng, spend=lambda s: spend(share * s)))
+    results: list[tuple[Tensor, Tensor]] = []
+    for count in range(1, searches + 1):
+        results.append(_wide_search(fit, starts, search.rng, spend=lambda s: spend(share * s)))
         starts = starts[:0]
-        x, _, times = merged(fit.unknowns, ends, keep=_WIDE_RESULTS, same_px=_SAME_PX)
+        x, _, times = merged(fit.unknowns, results, keep=_WIDE_RESULTS, same_px=_SAME_PX)
         if times > 1:
-            spend(share * (most - count))
+            spend(share * (searches - count))
             break
     wide = _with_knots(fit.paths(x), KNOTS)
     paths = search.finished(wide)
@@ -274,11 +274,11 @@ def _wide_search(
         new, _ = fit.best(coarse, new, steps=2, keep=20)
         new, _ = fit.best(middle, new, steps=2, keep=8)
         new, new_costs = descend(middle, new, steps=4)
-        least = float(costs.min())
+        least_cost = float(costs.min())
         x, costs = fit.distinct(
             torch.cat([x, new]), torch.cat([costs, new_costs]), keep=_POPULATION
         )
-        idle_rounds = 0 if float(costs[0]) < _WIDE_IMPROVED * least else idle_rounds + 1
+        idle_rounds = 0 if float(costs[0]) < _WIDE_IMPROVED * least_cost else idle_rounds + 1
         spend(0.8 / _WIDE_ROUNDS)
         if idle_rounds == _WIDE_PATIENCE:
             spend(0.8 * (_WIDE_ROUNDS - 1 - index) / _WIDE_ROUNDS)
@@ -295,7 +295,7 @@ def _children_of(paths: FloatArray, walks: FloatArray, *, rng: np.random.Generat
         kind = rng.random()
         child = None
         if kind < 0.25:
-            child = loop_reversals(path, most=1, rng=rng)[0]
+            child = loop_reversals(path, count=1, rng=rng)[0]
         elif kind < 0.5:
             child = crossed(path, paths[rng.integers(len(paths))], rng=rng)
         children.append(bridged(path, walk, rng=rng) if child is None else child)

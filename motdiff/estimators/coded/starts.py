@@ -105,8 +105,8 @@ def decoded_paths(
     return np.stack(paths).swapaxes(1, 2)  # sums over this layout keep the published digits
 
 
-def orders(path: Trajectory, *, knots: int, most: int) -> FloatArray:
-    """Orders in time (N, knots, 2), N <= most, of one PSF: loops and the whole path reversed."""
+def orders(path: Trajectory, *, knots: int, count: int) -> FloatArray:
+    """Orders in time (N, knots, 2), N <= count, of one PSF: loops and the whole path reversed."""
     fine = path.at(np.linspace(0, 1, 20 * (knots - 1) + 1))
     loops = _meetings(fine, path)
     subsets = itertools.chain.from_iterable(
@@ -118,27 +118,31 @@ def orders(path: Trajectory, *, knots: int, most: int) -> FloatArray:
         if not any(_overlap(*pair) for pair in itertools.combinations(subset, 2))
     )
     paths = []
-    for subset in itertools.islice(nested, max(1, most // 2)):
+    for subset in itertools.islice(nested, max(1, count // 2)):
         order = fine
         for start, stop in sorted(subset, key=lambda loop: loop[1] - loop[0]):  # inner loops first
             order = _reversed_loop(order, start, stop)
         paths += [order[::20], order[::-20]]
-    return np.stack(paths)[:most]
+    return np.stack(paths)[:count]
 
 
-def loop_reversals(points: FloatArray, *, most: int, rng: np.random.Generator) -> list[FloatArray]:
+def loop_reversals(
+    points: FloatArray, *, count: int, rng: np.random.Generator
+) -> list[FloatArray]:
     """Paths (K, 2) with one loop of ``points`` reversed; the path reversed if it has none."""
     loops = _meetings(points, Trajectory.from_samples(points))
     paths = [_reversed_loop(points, start, stop) for start, stop in loops] or [points[::-1]]
-    return [paths[i] for i in rng.permutation(len(paths))[:most]]
+    return [paths[i] for i in rng.permutation(len(paths))[:count]]
 
 
-def crossed(path: FloatArray, other: FloatArray, *, rng: np.random.Generator) -> FloatArray | None:
+def crossed(
+    path: FloatArray, partner: FloatArray, *, rng: np.random.Generator
+) -> FloatArray | None:
     """Return a path (K, 2) with a stretch of another, between two times at which they meet.
 
     None where there is no such stretch.
     """
-    distance = np.linalg.norm(path - other, axis=1)
+    distance = np.linalg.norm(path - partner, axis=1)
     inner = distance[1:-1]
     minimum = (inner < _PASS_PX) & (inner <= distance[:-2]) & (inner <= distance[2:])
     last = len(path) - 1
@@ -151,7 +155,7 @@ def crossed(path: FloatArray, other: FloatArray, *, rng: np.random.Generator) ->
     if not stretches:
         return None
     start, stop = stretches[rng.integers(len(stretches))]
-    return _replaced(path, other[start : stop + 1], start)
+    return _replaced(path, partner[start : stop + 1], start)
 
 
 def bridged(path: FloatArray, walk: FloatArray, *, rng: np.random.Generator) -> FloatArray:

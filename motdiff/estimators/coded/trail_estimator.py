@@ -57,10 +57,7 @@ class TrailEstimator:
     progress : callable, optional
         Called with the finished share 0..1.
 
-    Raises
-    ------
-    ValueError
-        As :func:`check_codes`.
+    Raises as :func:`check_codes`.
 
     References
     ----------
@@ -168,7 +165,7 @@ def _described(paths: Sequence[CandidatePath], times: int, *, photos: int) -> Mo
     best = paths[0]
     share = _ALONE
     if times > 1:
-        folded = len(orders(Trajectory.from_samples(best.path), knots=len(best.path), most=4)) > 2
+        folded = len(orders(Trajectory.from_samples(best.path), knots=len(best.path), count=4)) > 2
         share = _FOLDED if folded and photos == 1 else _AGREED
     excess = np.array(
         [0.5 * (path.cost - best.cost) / max(1.0, best.misfit) for path in paths[1:]]

@@ -96,11 +96,11 @@ def find_trail_paths(
     """
     progress = progress or Progress()
     search = _TrailSearch(trails, rng)
-    ends: list[tuple[Tensor, Tensor]] = []
+    results: list[tuple[Tensor, Tensor]] = []
     for index in range(_SEARCHES):
-        ends.append(search.evolved(search.starts(traced=not index)))
+        results.append(search.evolved(search.starts(traced=not index)))
         progress.spend(1 / (_SEARCHES + 1))
-        x, costs, times = merged(search.unknowns, ends, keep=_POPULATION, same_px=_SAME_PX)
+        x, costs, times = merged(search.unknowns, results, keep=_POPULATION, same_px=_SAME_PX)
         if times > 1 and search.misfit(x[:1]) < UNEXPLAINED:
             progress.spend((_SEARCHES - index) / (_SEARCHES + 1))
             break
@@ -108,7 +108,7 @@ def find_trail_paths(
         x, costs = search.evolved(x)  # crossings of several searches' ends
         progress.spend(1 / (_SEARCHES + 1))
         times = max(
-            1, sum(distance_px(search.unknowns, x[0], best[0]) < _SAME_PX for best, _ in ends)
+            1, sum(distance_px(search.unknowns, x[0], best[0]) < _SAME_PX for best, _ in results)
         )
     return search.described(x[:_RESULTS], costs[:_RESULTS]), times
 
@@ -216,11 +216,11 @@ class _TrailSearch:
                 *descend([self.coarse[2], self.rough], new, steps=4), keep=2 * _POPULATION
             )
             new, new_costs = descend(finest, new, steps=5)
-            least = float(costs[0])
+            least_cost = float(costs[0])
             x, costs = self.distinct(
                 torch.cat([x, new]), torch.cat([costs, new_costs]), keep=_POPULATION
             )
-            idle_rounds = 0 if float(costs[0]) < _IMPROVED * least else idle_rounds + 1
+            idle_rounds = 0 if float(costs[0]) < _IMPROVED * least_cost else idle_rounds + 1
             if idle_rounds == _PATIENCE:
                 break
         return self.distinct(*descend([self.fine, self.rough], x[:6], steps=20), keep=_RESULTS)
@@ -243,7 +243,7 @@ class _TrailSearch:
             middle = np.array([(soft * columns).sum(), (soft * rows).sum()]) / soft.sum() - centre
             paths += [
                 run_by_light(path + middle, image, self.is_open[0], width_px=self.spot_px + 0.3)
-                for path in orders(traced, knots=_TRACED_POINTS, most=_ORDERS)
+                for path in orders(traced, knots=_TRACED_POINTS, count=_ORDERS)
             ]
         return paths
 
@@ -289,7 +289,7 @@ class _TrailSearch:
         paths = self.unknowns.paths(x).numpy().astype(np.float64)
         children = [self._walk() for _ in range(_NEWCOMERS)]
         for i, path in enumerate(paths[:_PARENTS]):
-            children += loop_reversals(path, most=5, rng=self.rng)
+            children += loop_reversals(path, count=5, rng=self.rng)
             partners = (*paths[:i], *paths[i + 1 :])
             crossings = (crossed(path, partner, rng=self.rng) for partner in partners)
             children += [child for child in crossings if child is not None]

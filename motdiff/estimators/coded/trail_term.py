@@ -149,11 +149,11 @@ class TrailTerm:
 
     def add_normal(self, x: Tensor, JJ: Tensor, Jr: Tensor) -> None:
         """See :class:`motdiff.estimators.coded.misfit.Term`."""
-        most = max(
+        pixels = max(
             len(rows) * len(columns)
             for rows, columns in zip(self._rows, self._columns, strict=True)
         )
-        at_once = max(1, _AT_ONCE // (most * self._unknowns.size))
+        at_once = max(1, _AT_ONCE // (pixels * self._unknowns.size))
         for start in range(0, len(x), at_once):
             chunk = slice(start, start + at_once)
             for photo in range(self._unknowns.exposures):

@@ -22,10 +22,10 @@ def fast_size(size: int) -> int:
         candidate += 2
 
 
-def gradient_power(height: int, width: int, like: Tensor) -> Tensor:
+def gradient_power(height: int, width: int, template: Tensor) -> Tensor:
     """Half-plane power response (H, W // 2 + 1) of the two periodic first differences together."""
-    fy = torch.arange(height, device=like.device, dtype=like.dtype) / height
-    fx = torch.arange(width // 2 + 1, device=like.device, dtype=like.dtype) / width
+    fy = torch.arange(height, device=template.device, dtype=template.dtype) / height
+    fx = torch.arange(width // 2 + 1, device=template.device, dtype=template.dtype) / width
     power: Tensor = 4 * (
         torch.sin(torch.pi * fy).square()[:, None] + torch.sin(torch.pi * fx).square()[None, :]
     )
@@ -127,9 +127,9 @@ def _harmonic(frame: Tensor) -> Tensor:
     return sine_r @ spectrum @ sine_c
 
 
-def _sine_basis(size: int, like: Tensor) -> tuple[Tensor, Tensor]:
+def _sine_basis(size: int, template: Tensor) -> tuple[Tensor, Tensor]:
     """Orthonormal sine basis of the Dirichlet Laplacian and its eigenvalues."""
-    index = torch.arange(1, size + 1, device=like.device, dtype=like.dtype)
+    index = torch.arange(1, size + 1, device=template.device, dtype=template.dtype)
     angle = torch.pi / (size + 1)
     basis = math.sqrt(2 / (size + 1)) * torch.sin(angle * index[:, None] * index[None, :])
     return basis, 2 - 2 * torch.cos(angle * index)

@@ -91,7 +91,7 @@ def eight():
 
 def test_a_loop_that_was_run_the_other_way_round_is_found():
     path = eight()
-    others = orders(path, knots=201, most=24)
+    others = orders(path, knots=201, count=24)
     assert len(others) == 4
     for i, xy in enumerate(others):
         taken = Trajectory.from_samples(xy)

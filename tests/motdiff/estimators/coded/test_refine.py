@@ -74,7 +74,7 @@ def test_one_photo_and_an_exact_kernel(taken) -> None:
 @pytest.mark.slow(reason="fits from four orders")
 def test_of_all_orders_the_true_one_is_first(taken) -> None:
     given = [
-        Trajectory.from_samples(xy) for xy in orders(bent(loop_path(), 0.5), knots=201, most=24)
+        Trajectory.from_samples(xy) for xy in orders(bent(loop_path(), 0.5), knots=201, count=24)
     ]
     assert len(given) == 4
     found = refined(taken, given[1:] + given[:1])

@@ -37,7 +37,7 @@ def apart_px(a: np.ndarray, b: np.ndarray) -> float:
 def test_orders_are_all_that_draw_the_same_psf(points: np.ndarray, count: int) -> None:
     path = Trajectory.from_samples(points)
     psf = path.psf()
-    found = orders(path, knots=401, most=48)
+    found = orders(path, knots=401, count=48)
     assert found.shape == (count, 401, 2)
     for order in found:
         assert mnc_subpixel(Trajectory.from_samples(order).psf(), psf) > 0.999
@@ -50,7 +50,7 @@ def test_orders_are_all_that_draw_the_same_psf(points: np.ndarray, count: int) -
 @pytest.mark.parametrize("most", [1, 2, 5])
 def test_orders_are_no_more_than_asked_for(most: int) -> None:
     path = Trajectory.from_samples(curls(3))
-    found = orders(path, knots=KNOTS, most=most)
+    found = orders(path, knots=KNOTS, count=most)
     assert 1 <= len(found) <= most
     np.testing.assert_allclose(found[0], path.at(np.linspace(0, 1, KNOTS)), atol=1e-9)
 
@@ -58,7 +58,7 @@ def test_orders_are_no_more_than_asked_for(most: int) -> None:
 def test_loop_reversals_turn_one_loop_round() -> None:
     points = curls(3, samples=401)
     rng = np.random.default_rng(0)
-    found = loop_reversals(points, most=9, rng=rng)
+    found = loop_reversals(points, count=9, rng=rng)
     assert len(found) == 2
     psf = Trajectory.from_samples(points).psf()
     for turned in found:
@@ -69,12 +69,12 @@ def test_loop_reversals_turn_one_loop_round() -> None:
             np.sort(turned, axis=0), np.sort(points, axis=0)
         )  # the same places
         assert mnc_subpixel(Trajectory.from_samples(turned).psf(), psf) > 0.99
-    assert len(loop_reversals(points, most=1, rng=rng)) == 1
+    assert len(loop_reversals(points, count=1, rng=rng)) == 1
 
 
 def test_where_there_is_no_loop_the_whole_is_reversed() -> None:
     line = np.linspace((0, 0), (20, 5), KNOTS)
-    (turned,) = loop_reversals(line, most=4, rng=np.random.default_rng(0))
+    (turned,) = loop_reversals(line, count=4, rng=np.random.default_rng(0))
     np.testing.assert_array_equal(turned, line[::-1])
 
 
