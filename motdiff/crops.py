@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -48,6 +49,13 @@ def luminance(photo: ArrayLike) -> FloatArray:
     if image.ndim == 3:
         return np.asarray(image.mean(axis=2, dtype=np.float64))
     return np.asarray(image, dtype=np.float64)
+
+
+def centre_crop(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
+    """Middle of an image, at most so many rows and columns; a view of it."""
+    height, width = (min(image.shape[0], rows), min(image.shape[1], columns))
+    top, left = ((image.shape[0] - height) // 2, (image.shape[1] - width) // 2)
+    return image[top : top + height, left : left + width]
 
 
 def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:

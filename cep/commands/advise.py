@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.commands.code_options import Device, Direction, Exposure, chips_option, exposure_seconds
-from cep.commands.console import finish, part, progress, table
+from cep.commands.console import Page, Table, finish, part, progress
 from cep.commands.options import (
     CameraOptions,
     CommonOptions,
@@ -22,8 +22,6 @@ from cep.commands.options import (
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-
-    from rich.console import Console
 
     from cep.optics.code import ShutterCode
     from cep.search.advise import Advice
@@ -47,10 +45,8 @@ class AdviseOptions(CommonOptions, CameraOptions, MotionOptions):
         typer.Option(
             "--code",
             metavar="CODE",
-            help=(
-                "A code to judge as well: bits, code.json or a name; may be repeated. A file's"
-                " chip time sets the exposure."
-            ),
+            help="A code to judge as well: bits, code.json or a name; may be repeated. A file's"
+            " chip time sets the exposure.",
         ),
     ] = None
     direction: Direction = "auto"
@@ -70,36 +66,29 @@ class AdviseOptions(CommonOptions, CameraOptions, MotionOptions):
     tables: TableFile = None
 
     def codes(self) -> list[ShutterCode]:
-        """Return the codes to judge, all of as many chips.
-
-        Raises
-        ------
-        ValueError
-            If one cannot be read, or their numbers of chips differ.
-        """
+        """Return the codes to judge, all of as many chips."""
         from cep.codes.sources import load_code
 
         codes = [load_code(source) for source in self.code or ()]
-        if len({code.chips for code in codes} | ({self.chips} if self.chips else set())) > 1:
+        if len({self.chips, *(code.chips for code in codes)} - {None}) > 1:
             raise ValueError("--code: every code must have as many chips, those of --chips")
         return codes
 
     def chip_ns(self, codes: Sequence[ShutterCode]) -> int | None:
         """Return the chip time that the files of the codes state, ns; None where none does.
 
-        Raises
-        ------
-        ValueError
-            If they contradict each other or the exposure.
+        They must not contradict each other or ``--exposure``.
         """
         from cep.codes.sources import stated_chip_ns
         from cep.files.formatting import duration
 
-        file_times_ns = (
-            stated_chip_ns(source, code)
-            for source, code in zip(self.code or (), codes, strict=True)
+        times_ns = sorted(
+            {
+                time_ns
+                for time_ns in map(stated_chip_ns, self.code or (), codes)
+                if time_ns is not None
+            }
         )
-        times_ns = sorted({time_ns for time_ns in file_times_ns if time_ns is not None})
         if len(times_ns) > 1:
             raise ValueError(
                 "--code: the files state chips of"
@@ -125,7 +114,7 @@ class AdviseOptions(CommonOptions, CameraOptions, MotionOptions):
         from cep.search.chip_count import ASSUMED_EXPOSURE_S
         from cep.search.problem import ProblemFields, SearchProblem
 
-        exposure_s = exposure_seconds(self.exposure)
+        exposure_s: float | None = exposure_seconds(self.exposure) or ASSUMED_EXPOSURE_S
         fields: ProblemFields = {
             "direction": self.direction,  # type: ignore[typeddict-item]  # checked there
             "camera": self.load_camera(),
@@ -133,8 +122,6 @@ class AdviseOptions(CommonOptions, CameraOptions, MotionOptions):
         if chip_ns is not None:
             fields["chip_ns"] = chip_ns
             exposure_s = None
-        elif exposure_s is None:
-            exposure_s = ASSUMED_EXPOSURE_S
         return SearchProblem.along(
             motion, chips=chips, device=self.device, exposure_s=exposure_s, **fields
         )
@@ -142,8 +129,7 @@ class AdviseOptions(CommonOptions, CameraOptions, MotionOptions):
 
 @command(AdviseOptions)
 def advise(options: AdviseOptions) -> None:
-    """Say whether to leave the shutter open, expose for a shorter time, pulse it evenly or code
-    it.
+    """Say whether to leave the shutter open, expose for a shorter time, pulse evenly or code.
 
     Each way may be open for any part of the exposure that the shutter's limits allow, and the
     scene is as bright for all. What counts is the expected error of the restored photo, with the
@@ -174,9 +160,7 @@ def advise(options: AdviseOptions) -> None:
         from cep.search.advise import advise as compare_ways
         from cep.search.chip_count import suited_chips
         from motdiff.files.outputs import claim
-        from motdiff.files.trajectories import stated_uncertainty_px
 
-        file = options.trajectory
         output = options.output
         if output is not None:
             check_figure_name(output)
@@ -184,21 +168,25 @@ def advise(options: AdviseOptions) -> None:
         stored = options.load_motion()
         motion = stored.trajectory
         error_px = options.path_error
-        if error_px is None and file is not None:
-            error_px = stated_uncertainty_px(stored, file)
+        if error_px is None:
+            error_px = options.path_error_px(stored)
         chip_ns = options.chip_ns(codes)
-        chips = codes[0].chips if codes else options.chips
+        chips = options.chips
+        if codes:
+            chips = codes[0].chips
         gains: Mapping[int, float] = {}
-        problem = None if chips is None else options.problem(motion, chips=chips, chip_ns=chip_ns)
+        problem = None
+        if chips is not None:  # wrong options are named before outputs in the way
+            problem = options.problem(motion, chips=chips, chip_ns=chip_ns)
         outputs = claim(
-            [*([] if output is None else [output]), *table_files(options.tables)],
+            filter(None, [output, *table_files(options.tables)]),
             force=options.force,
-            inputs=[] if file is None else [file],
+            inputs=filter(None, [options.trajectory]),
         )
         if problem is None:
             chips, gains = suited_chips(
                 lambda count: options.problem(motion, chips=count),
-                path_error_px=error_px or 0.0,
+                path_error_px=error_px,
                 seed=options.seed,
                 progress=part(tick, 0.0, 0.4),
             )
@@ -206,7 +194,7 @@ def advise(options: AdviseOptions) -> None:
         advice = compare_ways(
             problem,
             *codes,
-            path_error_px=error_px or 0.0,
+            path_error_px=error_px,
             seed=options.seed,
             progress=part(tick, 0.4, 1.0),
         )
@@ -234,7 +222,7 @@ def advise(options: AdviseOptions) -> None:
             "warnings": warnings,
         },
         as_json=options.as_json,
-        show=lambda console: _show(console, advice, candidates, gains, output),
+        page=_page(advice, candidates, gains, output),
         outputs=outputs,
         save=draw,
         tables=options.tables,
@@ -242,66 +230,49 @@ def advise(options: AdviseOptions) -> None:
     )
 
 
-def _show(
-    console: Console,
+def _page(
     advice: Advice,
     own_codes: Sequence[Way],
     other_chips_db: Mapping[int, float],
     plot: Path | None,
-) -> None:
-    from cep.files.formatting import duration
+) -> Page:
+    from cep.files.formatting import duration, formatted
     from cep.search.chip_count import in_words_of_chips
 
     at_camera = advice.here
     problem = advice.problem
-    console.print(at_camera.sentence)
-    console.print(advice.where)
-    best = {
-        candidate.label: candidate
-        for kind in at_camera.gains_db
-        if (candidate := at_camera.best(kind)) is not None
-    }
-    own_by_label = {
-        f"your {candidate.label}, {candidate.code.bits}": candidate for candidate in own_codes
-    }
+    yield at_camera.sentence
+    yield advice.where
     open_shutter = at_camera.ways[0]
-    open_light_db = open_shutter.equal_light_db
-    rows = [
-        (
-            name,
-            candidate.code.open_chips,
-            f"{candidate.psnr_db - open_shutter.psnr_db:+.2f}",
-            None
-            if at_camera.open_saturates
-            else f"{candidate.equal_light_db - open_light_db:+.2f}",
-        )
-        for name, candidate in {open_shutter.label: open_shutter, **best, **own_by_label}.items()
-    ]
+    best = map(at_camera.best, at_camera.gains_db)
+    # by name, as the best code may be the same even pulses as the best strobe
+    ways = {way.label: way for way in (open_shutter, *best) if way is not None}
+    ways |= {f"your {way.label}, {way.code.bits}": way for way in own_codes}
+    rows: list[tuple[object, ...]] = []
+    for name, way in ways.items():
+        gain_db = way.psnr_db - open_shutter.psnr_db
+        equal_light_db = None
+        if not at_camera.open_saturates:  # else it saturates under the brighter lamp all the more
+            equal_light_db = way.equal_light_db - open_shutter.equal_light_db
+        cells = (formatted(figure, "+.2f") for figure in (gain_db, equal_light_db))
+        rows.append((name, way.code.open_chips, *cells))
     columns = ("", f"open, of {problem.chips}", "gain, dB", "at equal light, dB")
-    console.print(table("over the open shutter, worse direction where unknown", columns, rows))
+    yield Table("over the open shutter, worse direction where unknown", columns, rows)
     levels = [
         (
             f"{level.camera.photons_full_scale:,.0f}",
-            *(
-                f"{gain:+.2f}" if (gain := level.gains_db.get(kind)) is not None else None
-                for kind in ("snapshot", "code")
-            ),
+            formatted(level.gains_db.get("snapshot"), "+.2f"),
+            formatted(level.gains_db.get("code"), "+.2f"),
             level.choice,
         )
         for level in advice.levels
     ]
-    console.print(
-        table(
-            "over the light",
-            ("photo-electrons", "single exposure, dB", "code, dB", "advised"),
-            levels,
-        )
-    )
-    gains_note = in_words_of_chips(other_chips_db)
+    heads = ("photo-electrons", "single exposure, dB", "code, dB", "advised")
+    yield Table("over the light", heads, levels)
     chip, exposure = (
         duration(time_ns * 1e-9) for time_ns in (problem.chip_ns, problem.chips * problem.chip_ns)
     )
     chips = f"{problem.chips} chips of {chip}, {exposure} in all"
-    console.print(f"{chips}; {gains_note}" if gains_note else chips)
+    yield "; ".join(filter(None, [chips, in_words_of_chips(other_chips_db)]))
     if plot is not None:
-        console.print(f"{plot}: gains over the light")
+        yield f"{plot}: gains over the light"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, make_dataclass
@@ -12,7 +13,7 @@ import typer
 
 from cep.commands.code_options import exposure_seconds
 from cep.commands.commands import in_options
-from cep.commands.console import finish, part, photo_named, progress
+from cep.commands.console import finish, part, progress
 from cep.commands.jobs import Workers, finish_folder
 from cep.commands.options import CommonOptions, Gamma, command, output_option
 from motdiff.estimators.method import Kind, Option, command_options
@@ -22,12 +23,13 @@ if TYPE_CHECKING:
     from cep.calibration.calibrate import Calibration
     from cep.calibration.refine import Refinement
 
+# where in the time of the command an estimate begins and ends; the preview and the restored photo
+# take most of the rest
 _BLIND_ESTIMATE = (0.07, 0.88)
 _OTHER_ESTIMATE = (0.3, 0.8)
-"""Where in the time of the command an estimate begins and ends; the preview and the restored photo
-take most of the rest."""
-_SEVERAL_END = 0.96
+_SEVERAL_END = 0.96  # of several photos only the first is drawn and restored
 
+# types of the options' values as typer reads them
 _TYPES: Mapping[Kind, Any] = {
     "count": int,
     "number": float,
@@ -37,13 +39,20 @@ _TYPES: Mapping[Kind, Any] = {
     "gyro": Path,
     "codes": list[str],
 }
-"""Types of the options' values as typer reads them."""
 
-
+# of all registered methods, by the names of their fields
 _OPTIONS: Mapping[str, Option] = {
     name: option for method in METHODS.values() for name, option in command_options(method).items()
 }
-"""Options of all registered methods, by the names of their fields."""
+# heads of the table of a folder
+_COLUMNS = {
+    "photo": "photo",
+    "length_px": "long, px",
+    "extent_px": "wide, px",
+    "direction": "direction",
+    "confidence": "confidence",
+    "seconds": "s",
+}
 
 
 def _annotation(name: str) -> Any:
@@ -123,8 +132,7 @@ class CalibrateOptions(CommonOptions):
     )
 )
 def calibrate(options: CalibrateOptions) -> None:
-    """Estimate the motion in one blurred photo, in each photo of a folder, or in several photos of
-    one motion.
+    """Estimate the motion in a blurred photo, in each of a folder, or in several of one motion.
 
     A photo with an open shutter shows the path, but neither its order nor its direction in time.
     Several, of any scenes, show it more surely: motdiff and pmp search them together, and say how
@@ -185,7 +193,7 @@ def calibrate(options: CalibrateOptions) -> None:
         from motdiff.files.trajectories import trajectory_text
 
         check_method(method, {**method_options, "codes": sources or None})
-        codes = load_codes(sources) if sources else None
+        codes = load_codes(sources) or None
         parse_gamma(options.gamma)
         folder = options.output or images[0].with_name(f"{images[0].stem}_motion")
         claim_folder(folder, CALIBRATION_FILES, force=options.force)
@@ -213,7 +221,7 @@ def calibrate(options: CalibrateOptions) -> None:
         tick(end_share, "writing")
         source: dict[str, object] = {"image": str(images[0]), "seed": options.seed}
         if codes is not None or len(images) > 1:
-            source["images"] = [str(image) for image in images]
+            source["images"] = list(map(str, images))
         if codes is not None:
             source["codes"] = [code.bits for code in codes]
         with summary_on_failure(trajectory_text(calibration.best)):
@@ -232,7 +240,7 @@ def calibrate(options: CalibrateOptions) -> None:
     if method_options.get("gyro") is not None:
         columns = calibration.details["columns"]
         lines.append(f"{method_options['gyro']}: {columns}; axes: {calibration.details['axes']}")
-    finish(result, as_json=options.as_json, show=lambda console: console.print(*lines, sep="\n"))
+    finish(result, as_json=options.as_json, page=lines)
 
 
 def _refuse_workers(options: CalibrateOptions) -> None:
@@ -245,8 +253,16 @@ def _with_file(error: str, images: Sequence[Path]) -> str:
     if error.partition(": ")[0] in (*_OPTIONS, "method", "code"):
         return error
     if len(images) > 1:
-        return photo_named(error, images)
+        return _with_file_of_several(error, images)
     return f"{images[0]}: {error.removeprefix('photo: ')}"
+
+
+def _with_file_of_several(error: str, images: Sequence[Path]) -> str:
+    """Name the file of ``photo 2`` in an error of several photos; others stay as they are."""
+    prefix = re.match(r"photo(?: (\d+))?: ", error)
+    if prefix is None:
+        return error
+    return f"{images[int(prefix[1] or 1) - 1]}: {error[prefix.end() :]}"
 
 
 def _summary(
@@ -255,18 +271,16 @@ def _summary(
     """Say in lines what was found, and how sure it is."""
     motion = calibration.best
     certainty = f"direction {motion.direction}; confidence {calibration.confidence:.2f}"
-    is_still = calibration.details.get("motion_blur", True) is False
-    if is_coded and not is_still:
+    heads = _repeatability(motion.length_px, calibration.details)
+    if calibration.details.get("motion_blur", True) is False:
+        heads = [f"{calibration.warnings[0]}."]
+    elif is_coded:
         certainty = (
             f"in this order in time with probability {calibration.confidence:.2f}, and then exact"
             f" to {calibration.details['path_uncertainty_px']:.2g} px"
         )
-    if is_still:
-        first = [f"{calibration.warnings[0]}."]
-    else:
-        first = _repeatability(motion.length_px, calibration.details)
     return [
-        *first,
+        *heads,
         f"{folder}: path of {motion.length_px:.1f} px, {motion.extent_px:.1f} px wide,"
         f" {certainty}; {calibration.method}, {seconds:.1f} s",
     ]
@@ -290,17 +304,6 @@ def _repeatability(length_px: float, details: Mapping[str, Any]) -> list[str]:
         f"One motion of {length_px:.0f} px, seen alike in {agreeing} of {photos} photos: their"
         f" paths differ by {apart_px:.2g} px."
     ]
-
-
-_COLUMNS = {
-    "photo": "photo",
-    "length_px": "long, px",
-    "extent_px": "wide, px",
-    "direction": "direction",
-    "confidence": "confidence",
-    "seconds": "s",
-}
-"""Heads of the table of a folder."""
 
 
 def _calibrate_folder(
@@ -368,7 +371,7 @@ def _refine(
         codes = load_codes(sources)
         check_codes([code.bits for code in codes], photos=len(images))
         target = options.output or trajectory.with_name(f"{trajectory.stem}_refined.json")
-        code_files = [file for file in map(code_file, sources) if file is not None]
+        code_files = filter(None, map(code_file, sources))
         outputs = claim([target], force=options.force, inputs=[trajectory, *images, *code_files])
         stored = read_motion(trajectory)
         stated_px = stated_uncertainty_px(stored, trajectory)
@@ -386,11 +389,11 @@ def _refine(
                 progress=part(tick, 0.03, 0.99),
             )
         except ValueError as error:
-            raise ValueError(photo_named(str(error), images)) from None
+            raise ValueError(_with_file_of_several(str(error), images)) from None
         source = {
             "method": "refined",
             "trajectory": str(trajectory),
-            "images": [str(image) for image in images],
+            "images": list(map(str, images)),
             "codes": [code.bits for code in codes],
             "path_uncertainty_px": refinement.uncertainty_px,
         }
@@ -418,20 +421,20 @@ def _refine(
     finish(
         result,
         as_json=options.as_json,
-        show=lambda console: console.print(
+        page=[
             f"{target}: {outcome}; direction {motion.direction}, error about"
             f" {refinement.uncertainty_px:.2g} px"
-        ),
+        ],
     )
 
 
 def _outcome(refinement: Refinement, *, given_direction: str) -> str:
     """Say in words whether the given path is kept, and why."""
     if refinement.kept == "given":
-        order = ""
+        outcome = "the given path is kept, as the photos show no better one"
         if refinement.trajectory.direction != given_direction:
-            order = ", in the order in time that they show"
-        return f"the given path is kept, as the photos show no better one{order}"
+            outcome += ", in the order in time that they show"
+        return outcome
     change = f"refined by {refinement.moved_px:.2g} px rms"
     if refinement.confidence is not None:
         return (

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.commands.code_options import ChipTime, Device, chips_option
-from cep.commands.console import finish, progress, table
+from cep.commands.code_options import STANDARD_CHIPS, ChipTime, Device, chips_option
+from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import CommonOptions, TableFile, command, output_option, table_files
 from cep.commands.search_run import in_bits
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from cep.calibration.calibration_set import CalibrationSet
 
 
@@ -29,7 +27,7 @@ class CalibrationSetOptions(CommonOptions):
             "--photos", metavar="N", min=1, max=8, help="Photos to be taken of the motion."
         ),
     ] = 4
-    chips: Annotated[int, chips_option(fewest=4)] = 52
+    chips: Annotated[int, chips_option(fewest=4)] = STANDARD_CHIPS
     chip_ns: ChipTime = 1_000_000
     device: Device = None
     file_format: Annotated[
@@ -46,12 +44,11 @@ class CalibrationSetOptions(CommonOptions):
 
 @command(CalibrationSetOptions)
 def calibration_set(options: CalibrationSetOptions) -> None:
-    """Design the codes of photos of one motion that tell its order in time, which one open photo
-    cannot.
+    """Design codes for photos of one motion that show its order in time.
 
-    Writes set.json, which says in which order to take the photos and how to find the motion from
-    them, and for each photo code_N.json and its timed program. Two photos or more begin with the
-    open shutter where the device allows it.
+    One photo with an open shutter cannot show it. Writes set.json, which says in which order to
+    take the photos and how to find the motion from them, and for each photo code_N.json and its
+    timed program. Two photos or more begin with the open shutter where the device allows it.
 
     Fields of --json that need a word, all measured on simulated walks other than those of the
     design:
@@ -93,7 +90,7 @@ def calibration_set(options: CalibrationSetOptions) -> None:
     finish(
         result,
         as_json=options.as_json,
-        show=lambda console: _show(console, calibration, output),
+        page=_page(calibration, output),
         outputs=outputs,
         save=lambda _staged: calibration.save(
             output, file_format=options.file_format, force=options.force
@@ -103,13 +100,13 @@ def calibration_set(options: CalibrationSetOptions) -> None:
     )
 
 
-def _show(console: Console, calibration: CalibrationSet, folder: Path) -> None:
-    console.print(calibration.summary)
+def _page(calibration: CalibrationSet, folder: Path) -> Page:
+    yield calibration.summary
     rows = [
         (f"P{i}", name, code.open_chips, code.pulses, code.bits)
         for i, (name, code) in enumerate(
             zip(calibration.sources, calibration.codes, strict=True), 1
         )
     ]
-    console.print(table(str(folder), ("photo", "code", "open", "openings", "bits"), rows))
-    console.print(f"then: {calibration.command(folder)}")
+    yield Table(str(folder), ("photo", "code", "open", "openings", "bits"), rows)
+    yield f"then: {calibration.command(folder)}"

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.commands.console import finish, progress, table
+from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import (
     Force,
     Json,
@@ -21,8 +20,6 @@ from cep.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from cep.optics.camera import Camera
 
 camera = typer.Typer(
@@ -58,24 +55,21 @@ def list_(options: ListOptions) -> None:
     from motdiff.files.outputs import claim
 
     outputs = claim(table_files(options.table), force=options.force)
+    result: dict[str, object]
     if options.camera is None:
         profiles = [Camera.load(name) for name in camera_names()]
-        result: dict[str, object] = {"cameras": [profile.to_dict() for profile in profiles]}
-
-        def show(console: Console) -> None:
-            _show_all(console, profiles)
-
+        result = {"cameras": [profile.to_dict() for profile in profiles]}
+        page: Page = [_list_of(profiles)]
     else:
         profile = Camera.load(options.camera)
         result = {"camera": profile.to_dict()}
-
-        def show(console: Console) -> None:
-            _show(console, profile)
-
-    finish(result, as_json=options.as_json, show=show, outputs=outputs, tables=options.table)
+        page = [_figures_of(profile), f"source: {profile.source or 'not stated'}"]
+    finish(result, as_json=options.as_json, page=page, outputs=outputs, tables=options.table)
 
 
-def _show_all(console: Console, profiles: Sequence[Camera]) -> None:
+def _list_of(profiles: list[Camera]) -> Table:
+    from cep.files.formatting import formatted
+
     rows = [
         (
             profile.name,
@@ -83,38 +77,30 @@ def _show_all(console: Console, profiles: Sequence[Camera]) -> None:
             f"{profile.full_well_e:.0f}",
             f"{profile.read_noise_e:g}",
             profile.bits,
-            None if profile.gain_e_per_dn is None else f"{profile.gain_e_per_dn:g}",
+            formatted(profile.gain_e_per_dn, "g"),
         )
         for profile in profiles
     ]
-    heads = ("name", "kind", "full well", "read noise", "bits", "gain")
-    console.print(table("cameras", heads, rows))
+    return Table("cameras", ("name", "kind", "full well", "read noise", "bits", "gain"), rows)
 
 
-def _show(console: Console, profile: Camera) -> None:
+def _figures_of(profile: Camera) -> Table:
+    from cep.files.formatting import formatted
+
     rows = [
         ("kind", profile.kind or None),
         ("electrons at value 1", f"{profile.photons_full_scale:.6g}"),
-        ("full well, e-", None if profile.full_well_e is None else f"{profile.full_well_e:.6g}"),
+        ("full well, e-", formatted(profile.full_well_e, ".6g")),
         ("read noise, e-", f"{profile.read_noise_e:g}"),
         ("bits", profile.bits),
         ("response", profile.response),
-        (
-            "gain, e- per code value",
-            None if profile.gain_e_per_dn is None else f"{profile.gain_e_per_dn:g}",
-        ),
+        ("gain, e- per code value", formatted(profile.gain_e_per_dn, "g")),
         ("black level, of value 1", f"{profile.black_level:g}"),
-        (
-            "dark current, e-/s",
-            f"{profile.dark_current_e_s:g}" if profile.dark_current_e_s else None,
-        ),
-        (
-            "least exposure, s",
-            f"{profile.least_exposure_s:g}" if profile.least_exposure_s else None,
-        ),
+        # 0 of these two stands for a figure that the source does not state
+        ("dark current, e-/s", formatted(profile.dark_current_e_s or None, "g")),
+        ("least exposure, s", formatted(profile.least_exposure_s or None, "g")),
     ]
-    console.print(table(profile.name, ("", ""), rows))
-    console.print(f"source: {profile.source or 'not stated'}")
+    return Table(profile.name, ("", ""), rows)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,9 +111,8 @@ class EstimateOptions:
         list[Path],
         typer.Argument(
             metavar="FLAT...",
-            help=(
-                "Frames of an evenly lit surface, two of each level of light, one after the other."
-            ),
+            help="Frames of an evenly lit surface, two of each level of light, one after the"
+            " other.",
         ),
     ]
     dark: Annotated[
@@ -218,31 +203,24 @@ def estimate(options: EstimateOptions) -> None:
         **transfer.to_dict(),
         "warnings": list(transfer.warnings),
     }
-
-    def show(console: Console) -> None:
-        console.print(transfer.summary)
-        rows = [
-            (
-                f"{point.signal_dn:.5g}",
-                f"{point.variance_dn2:.4g}",
-                f"{point.signal_dn * transfer.gain_e_per_dn:.0f}",
-                point.use,
-            )
-            for point in transfer.points
-        ]
-        console.print(
-            table(
-                "photon transfer",
-                ("mean above black, DN", "variance, DN²", "electrons", "use"),
-                rows,
-            )
+    rows = [
+        (
+            f"{point.signal_dn:.5g}",
+            f"{point.variance_dn2:.4g}",
+            f"{point.signal_dn * transfer.gain_e_per_dn:.0f}",
+            point.use,
         )
-        console.print(f"{output}: the camera, for --camera; the curve is in {picture}")
-
+        for point in transfer.points
+    ]
+    heads = ("mean above black, DN", "variance, DN²", "electrons", "use")
     finish(
         result,
         as_json=options.as_json,
-        show=show,
+        page=[
+            transfer.summary,
+            Table("photon transfer", heads, rows),
+            f"{output}: the camera, for --camera; the curve is in {picture}",
+        ],
         outputs=outputs,
         tables=options.table,
         summary=transfer.summary,

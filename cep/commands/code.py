@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cep.commands.console import finish, progress, table
+from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import (
     CameraOptions,
     ChipNs,
@@ -24,8 +24,6 @@ from cep.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from cep.files.files import StoredCode
     from cep.optics.camera import Camera
     from cep.optics.code import ShutterCode
@@ -36,6 +34,8 @@ if TYPE_CHECKING:
     from motdiff.files.outputs import Outputs
 
 _LISTED_ZEROS = 12  # for people; --json has all
+_NO_ADVICE = {"verdict": None, "choice": None, "gains_db": None}  # where no motion is named
+_INVERSE = ("noise_gain_db", "dnf_db")  # infinite for a code with a zero
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +55,7 @@ class FigureOptions(MotionOptions, CommonOptions):
         """Return the files that are written: the output, where there is one, and the tables'."""
         from motdiff.files.outputs import Outputs
 
-        files = [] if output is None else [output]
-        return Outputs((*files, *table_files(self.tables)), self.force)
+        return Outputs(tuple(filter(None, [output, *table_files(self.tables)])), self.force)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,10 +70,8 @@ class AuditOptions(FigureOptions, CameraOptions):
             metavar="N",
             min=0,
             max=3,
-            help=(
-                "Look for better codes up to this many flips away; 3 when omitted, for more than"
-                " 256 chips 2."
-            ),
+            help="Look for better codes up to this many flips away; 3 when omitted, for more than"
+            " 256 chips 2.",
         ),
     ] = None
     chip_ns: ChipNs = None
@@ -83,8 +80,7 @@ class AuditOptions(FigureOptions, CameraOptions):
 
 @command(AuditOptions)
 def audit(options: AuditOptions) -> None:
-    """Measure a code: its proven minimum and true zeros, the grids that hide them, and better
-    codes a few flips away.
+    """Measure a code: proven minimum, true zeros, what grids hide, better codes a few flips away.
 
     Along a motion it is said first whether the code is the exposure to take with this camera:
     verdict, choice and gains_db of --json, as of cep advise. Without a motion these are null, and
@@ -105,7 +101,8 @@ def audit(options: AuditOptions) -> None:
     from cep.proofs.verify.certificates import verify
     from cep.search.advise import verdict
     from cep.search.problem import SearchProblem
-    from motdiff.files.trajectories import stated_uncertainty_px
+    from motdiff.files.json_files import json_text
+    from motdiff.files.outputs import write_text
 
     if options.code.endswith(".jsonl"):
         raise ValueError(
@@ -116,14 +113,13 @@ def audit(options: AuditOptions) -> None:
     camera = _camera(options, stored)
     motion = None
     path_error_px = 0.0
-    if options.trajectory is not None or options.linear is not None:
+    if options.has_motion:
         stored_motion = options.load_motion()
         motion = stored_motion.trajectory
-        if options.trajectory is not None:
-            path_error_px = stated_uncertainty_px(stored_motion, options.trajectory) or 0.0
+        path_error_px = options.path_error_px(stored_motion)
     figures = options.find_figures()
     outputs = options.outputs(options.output)
-    advice: dict[str, Any] = {"verdict": None, "choice": None, "gains_db": None}
+    advice: Mapping[str, Any] = _NO_ADVICE
     with progress("auditing") as tick:
         measured = audit_code(
             stored.code,
@@ -146,7 +142,9 @@ def audit(options: AuditOptions) -> None:
             }
     verified = None
     if stored.certificate:
-        path = None if motion is None else (motion.t.tolist(), motion.xy.tolist())
+        path = None
+        if motion is not None:  # as plain numbers: the checker shares no code with the product
+            path = (motion.t.tolist(), motion.xy.tolist())
         verified = verify(stored.certificate, bits=stored.code.bits, path=path)
     result = {
         **advice,
@@ -155,13 +153,18 @@ def audit(options: AuditOptions) -> None:
         "seed": options.seed,
         "warnings": _warnings(options.code, measured, stored, verified),
     }
+
+    def save(staged: Mapping[Path, Path]) -> None:
+        if options.output is not None:
+            write_text(staged[options.output], json_text(result))
+
     finish(
         result,
         as_json=options.as_json,
         tables=options.tables,
-        show=lambda console: _show(console, measured, verified, advice["verdict"]),
+        page=_audit_page(measured, verified, advice["verdict"]),
         outputs=outputs,
-        save=lambda temporary: _write(options.output, result, temporary),
+        save=save,
     )
 
 
@@ -187,18 +190,15 @@ def _warnings(
     name: str, measured: Audit, stored: StoredCode, verified: Verdict | None
 ) -> list[str]:
     minimum = measured.certificate
-    straight = measured.along is None
     warnings = []
     if measured.null:
         has = "has" if minimum.upper == 0 else "nearly has"
-        warnings.append(f"the code {has} a zero at {_place(minimum.at, straight)}")
-    if verified is not None and not verified.holds:
+        warnings.append(f"the code {has} a zero at {_place(minimum.at)}")
+    if verified is None:
+        return warnings
+    if not verified.holds:
         warnings.append(f"{name}: its certificate is not confirmed: {verified.reasons[-1]}")
-    elif (
-        verified is not None
-        and not straight
-        and not _covers(stored.certificate, minimum.directions)
-    ):
+    elif measured.along is not None and not _covers(stored.certificate, minimum.directions):
         warnings.append(
             f"{name}: its certificate does not cover this motion,"
             f" {' and '.join(minimum.directions)}"
@@ -213,70 +213,59 @@ def _covers(certificate: Mapping[str, Any], directions: tuple[str, ...]) -> bool
     )
 
 
-def _write(
-    output: Path | None, result: Mapping[str, object], temporary: Mapping[Path, Path]
-) -> None:
-    from motdiff.files.json_files import json_text
-    from motdiff.files.outputs import write_text
-
-    if output is not None:
-        write_text(temporary[output], json_text(result))
-
-
-def _show(
-    console: Console, measured: Audit, verified: Verdict | None, sentence: str | None
-) -> None:
-    """Print an audit for people, along a motion with the advice's sentence first."""
+def _audit_page(measured: Audit, verified: Verdict | None, sentence: str | None) -> Page:
+    """Lay an audit out for people, along a motion with the advice's sentence first."""
     from cep.proofs.measure import figure_head, figure_in_words
 
     code = measured.code
     motion = measured.trajectory
     minimum = measured.certificate
-    straight = measured.along is None
     scale = " (1 px a chip)"
     if sentence is not None:
-        console.print(sentence)
+        yield sentence
         scale = ""
-    console.print(
-        f"{code.chips} chips, {code.open_chips} open, {code.pulses} openings: {code.bits}"
-    )
-    console.print(f"motion: {motion.length_px:.1f} px, direction {motion.direction}{scale}")
-    infinite = ("noise_gain_db", "dnf_db") if measured.no_inverse else ()
-    rows = [
-        (name, "infinite" if name in infinite else measured.metrics.in_words(name))
-        for name in measured.metrics.to_dict()
-    ]
-    rows += [(figure_head(*item), figure_in_words(item[1])) for item in measured.figures.items()]
-    console.print(table("figures", ("figure", "value"), rows))
-    modulus, unit = ("|P|", "chips") if straight else ("|H|", "light-true")
+    yield f"{code.chips} chips, {code.open_chips} open, {code.pulses} openings: {code.bits}"
+    yield f"motion: {motion.length_px:.1f} px, direction {motion.direction}{scale}"
+    figures = {name: measured.metrics.in_words(name) for name in measured.metrics.to_dict()}
+    if measured.no_inverse:
+        figures |= dict.fromkeys(_INVERSE, "infinite")
+    for name, value in measured.figures.items():
+        figures[figure_head(name, value)] = figure_in_words(value)
+    yield Table("figures", ("figure", "value"), list(figures.items()))
+    modulus, unit = ("|H|", "light-true")
+    if measured.along is None:  # a straight motion's minimum is that of the code's polynomial
+        modulus, unit = ("|P|", "chips")
     # both bounds as they are: an upper bound of 1e-13 is no proven zero
-    console.print(
+    yield (
         f"smallest {modulus}: {minimum.lower:.6g} .. {minimum.upper:.6g} ({unit}) at"
-        f" {_place(minimum.at, straight)}"
+        f" {_place(minimum.at)}"
     )
-    console.print(f"proof: {minimum.method}{_in_words(verified)}")
+    yield f"proof: {minimum.method}{_in_words(verified)}"
     for direction, zeros in measured.zeros.items():
-        label = "true zeros" if direction == "both" else f"true zeros {direction}"
-        console.print(f"{label}: {len(zeros.found)}{'' if zeros.complete else ' or more'}")
+        label = f"true zeros {direction}".removesuffix(" both")
+        yield f"{label}: {len(zeros.found)}{'' if zeros.complete else ' or more'}"
         for zero in zeros.found[:_LISTED_ZEROS]:
-            console.print(f"  {_place(zero.at, straight)}, {zero.method}")
+            yield f"  {_place(zero.at)}, {zero.method}"
         if len(zeros.found) > _LISTED_ZEROS:
-            console.print(f"  and {len(zeros.found) - _LISTED_ZEROS} more: --json lists them")
+            yield f"  and {len(zeros.found) - _LISTED_ZEROS} more: --json lists them"
     grids = [(claim.name, claim.minimum, claim.verdict) for claim in measured.grids]
-    console.print(table("what grids say", ("grid", "minimum", "verdict"), grids))
+    yield Table("what grids say", ("grid", "minimum", "verdict"), grids)
     neighbours = [
         (", ".join(map(str, neighbour.flips)), neighbour.minimum, neighbour.code.bits)
         for neighbour in measured.neighbours
     ]
     if neighbours:
-        console.print(table("better codes nearby", ("flip chips", "minimum", "bits"), neighbours))
+        yield Table("better codes nearby", ("flip chips", "minimum", "bits"), neighbours)
     else:
-        console.print(f"no better code was found within {measured.flips} flips")
+        yield f"no better code was found within {measured.flips} flips"
 
 
-def _place(frequency: tuple[float, ...], in_chips: bool) -> str:
+def _place(frequency: tuple[float, ...]) -> str:
+    """Write one frequency along a straight motion, or the two of a path."""
     numbers = ", ".join(f"{value:.5f}" for value in frequency)
-    return f"{numbers} cycles per chip" if in_chips else f"({numbers}) cycles/px"
+    if len(frequency) == 1:
+        return f"{numbers} cycles per chip"
+    return f"({numbers}) cycles/px"
 
 
 def _in_words(verified: Verdict | None) -> str:
@@ -320,7 +309,7 @@ def mtf(options: MtfOptions) -> None:
     codes: dict[str, ShutterCode] = {}
     for source in options.codes or []:
         label = code_label(source)
-        while label in (OPEN, *codes):
+        while label in (OPEN, *codes):  # files in two folders may have one name
             label += "'"
         codes[label] = load_code(source)
     outputs = options.outputs(options.output)
@@ -329,14 +318,14 @@ def mtf(options: MtfOptions) -> None:
     finish(
         {"image": options.output, "curves": curves.to_dict(), "seed": options.seed},
         as_json=options.as_json,
-        show=lambda console: _show_curves(console, curves, options.output),
+        page=[_mtf_table(curves, options.output)],
         outputs=outputs,
         save=lambda temporary: curves.save(temporary[options.output]),
         tables=options.tables,
     )
 
 
-def _show_curves(console: Console, curves: MtfComparison, output: Path) -> None:
+def _mtf_table(curves: MtfComparison, output: Path) -> Table:
     from cep.plots.mtf_curves import OPEN
     from cep.proofs.measure import figure_head, figure_in_words
 
@@ -349,6 +338,5 @@ def _show_curves(console: Console, curves: MtfComparison, output: Path) -> None:
         )
         for name, row in curves.rows.items()
     ]
-    console.print(
-        table(str(output), ("code", "min MTF", "noise gain, dB", "MSE, dB", *heads), rows)
-    )
+    columns = ("code", "min MTF", "noise gain, dB", "MSE, dB", *heads)
+    return Table(str(output), columns, rows)

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from cep.search.scenarios import Scenario
     from motdiff.trajectory import Trajectory
 
+# panels of the help pages
 _CODE = "Code"
 _OBJECTIVE = "Objective"
 _LIMITS = "Limits of the shutter"
 SEARCH = "Search"
-"""Panel of the help pages for how the code is searched."""
 
+# of a code where their number is neither given nor chosen: as many as Raskar's of 2006
 STANDARD_CHIPS = 52
-"""Chips of a code where their number is neither given nor chosen: as many as Raskar's of 2006."""
 
 
 def _option(panel: str, name: str, metavar: str | None, help: str, **more: Any) -> Any:
@@ -42,11 +42,6 @@ def chips_option(*, fewest: int, help: str = "Number of chips.") -> Any:
 
 def exposure_seconds(text: str | None) -> float | None:
     """Read ``--exposure``: seconds, a fraction of one, or a number with its unit.
-
-    Raises
-    ------
-    ValueError
-        If it is none of these, or not above 0.
 
     Examples
     --------
@@ -151,22 +146,16 @@ class CodeOptions(CameraOptions):
             Where the options leave them open; then 52 chips of 1 ms.
         objective, rule
             As of :class:`cep.search.problem.SearchProblem`.
-
-        Raises
-        ------
-        ValueError
-            If an option is malformed or they conflict.
         """
         from cep.search.limits import RunLimits
         from cep.search.problem import SearchProblem
 
         chips = chips or self.chips or STANDARD_CHIPS
-        stated_s = exposure_seconds(self.exposure)
         return SearchProblem.along(
             *motions,
             chips=chips,
             open_range=open_range(self.open_chips, chips, duty=self.duty),
-            exposure_s=exposure_s if stated_s is None else stated_s,
+            exposure_s=exposure_seconds(self.exposure) or exposure_s,
             device=self.device,
             objective=objective,
             direction=self.direction,  # type: ignore[arg-type]  # checked there
@@ -211,11 +200,6 @@ class SearchOptions:
 def open_range(text: str | None, chips: int, *, duty: str | None = None) -> tuple[int, int]:
     """Read ``--open`` or ``--duty``: fewest and most open chips.
 
-    Raises
-    ------
-    ValueError
-        If it is no range of chips or of shares.
-
     Examples
     --------
     >>> open_range("3", 8), open_range("2:4", 8), open_range(None, 8, duty="0.25:0.5")
@@ -243,18 +227,13 @@ def open_range(text: str | None, chips: int, *, duty: str | None = None) -> tupl
 def objective_mix(text: str) -> Mix:
     """Read ``--objective``: a name, or a mix of names with weights.
 
-    Raises
-    ------
-    ValueError
-        If a weight is no number, or a name comes twice.
-
     Examples
     --------
     >>> objective_mix("min-mtf:0.15,noise")
     (('min-mtf', 0.15), ('noise', 1.0))
     """
     if ":" not in text and "," not in text:
-        return text
+        return text  # a single name, which the problem checks
     mix = []
     for term in text.split(","):
         name, _, weight = term.partition(":")
@@ -270,13 +249,7 @@ def objective_mix(text: str) -> Mix:
 
 
 def low_and_high(name: str, text: str, example: str) -> tuple[float, float]:
-    """Read an option's ``LOW:HIGH``, or one number for both.
-
-    Raises
-    ------
-    ValueError
-        If they are no numbers.
-    """
+    """Read an option's ``LOW:HIGH``, or one number for both."""
     low, _, high = text.partition(":")
     try:
         return float(low), float(high or low)
@@ -286,15 +259,17 @@ def low_and_high(name: str, text: str, example: str) -> tuple[float, float]:
 
 def openings(code: ShutterCode) -> str:
     """Say in words how often a code opens."""
-    return f"{code.pulses} opening{'' if code.pulses == 1 else 's'}"
+    return "1 opening" if code.pulses == 1 else f"{code.pulses} openings"
 
 
 def ending(stopped: str, steps: int) -> str:
     """Say in words what ended a search after so many moves, or codes counted."""
+    if stopped == "proven" and not steps:  # by a proof that comes with the package
+        return "proven before"
     return {
         "steps": f"all {steps:,} moves made",
         "time": f"stopped by the time, {steps:,} moves made",
         "interrupted": "stopped by Ctrl-C",
         "complete": "no other code keeps the limits",
-        "proven": f"all {steps:.2g} codes counted" if steps else "proven before",
+        "proven": f"all {steps:.2g} codes counted",
     }[stopped]

@@ -1,6 +1,4 @@
-"""Commands and groups of ``cep``: help that ends with examples, and errors that name the option as
-it is typed.
-"""
+"""Commands of ``cep``: help that ends with examples, errors that name options as typed."""
 
 from __future__ import annotations
 
@@ -15,7 +13,9 @@ from typer.core import TyperCommand, TyperGroup
 from cep.commands.options import COMMON
 
 _EXAMPLE = "Example: "
+# of parameters in Python; an option's unit is in its help
 _UNITS = ("_s", "_ms", "_ns", "_px", "_db", "_e", "_ppm", "_hz", "_dn")
+# options and arguments that set a parameter of another name: of those given, the first is meant
 _SET_BY = {
     "axes": ("gyro_axes",),
     "bits": ("bits", "code", "codes"),
@@ -30,19 +30,20 @@ _SET_BY = {
     "scenarios": ("speed", "trajectory", "linear"),
     "trajectory": ("trajectory", "linear"),
 }
-"""Options and arguments that set a parameter of another name: of those given, the first is
-meant."""
 
+# an error begins with the parameters that are wrong: "open_range, min_open and device: conflict"
 _NAME = r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*"
 _NAMED = re.compile(rf"(?:^|(?<=, )|(?<= and )|(?<= or ))({_NAME})(?=[ ,]|$)")
-_FILE = re.compile(r"/|\.\w+$")
+_FILE = re.compile(r"/|\.\w+$")  # or with a file, whose fields are not options
+# behind the colon only what cannot be an English word: method='pmp', and names with underscores
 _ASSIGNED = re.compile(rf"\b({_NAME})=(?:'([^']*)'|(\S+))")
 _WITHIN = re.compile(r"""(?<![\w.'"/-])([a-z][a-z0-9]*(?:_[a-z0-9]+)+)(?![\w.'"/-])""")
 
 
 def in_options(message: str, context: Any) -> str:
-    """Translate the Python parameters that an error names into the command's options and
-    arguments.
+    """Translate the Python parameters that an error names into the command's options.
+
+    The library has no knowledge of the command line, so its errors name its own parameters.
 
     Parameters
     ----------
@@ -63,7 +64,7 @@ def in_options(message: str, context: Any) -> str:
     def spelt(match: re.Match[str]) -> str:
         return _spelling(match[1], context) or match[1]
 
-    def given(match: re.Match[str]) -> str:
+    def assigned(match: re.Match[str]) -> str:
         option = _spelling(match[1], context)
         return f"{option} {match[2] or match[3]}" if option else match[0]
 
@@ -71,18 +72,20 @@ def in_options(message: str, context: Any) -> str:
     options = names if _FILE.search(names) else _NAMED.sub(spelt, names)
     if not colon or options == names:
         return message
-    return f"{options}: {_WITHIN.sub(spelt, _ASSIGNED.sub(given, fault))}"
+    return f"{options}: {_WITHIN.sub(spelt, _ASSIGNED.sub(assigned, fault))}"
 
 
 class _Page:
-    """What commands and groups share: how their help is laid out."""
+    """What commands and groups share: the layout of their help, and the names in their errors."""
 
     examples: tuple[str, ...]
 
+    def __init__(self, *args: Any, help: str | None = None, **options: Any) -> None:
+        about, self.examples = _pages(help or "")
+        super().__init__(*args, help=about, **options)  # type: ignore[call-arg]
+
     def get_params(self, ctx: Any) -> list[Any]:
-        """List the parameters for the help page: a switch has no value, and what all commands
-        share comes last.
-        """
+        """List the parameters for the help page, those that all commands share last."""
         params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
         for param in params:
             if getattr(param, "is_flag", False) and param.metavar is None:
@@ -92,62 +95,38 @@ class _Page:
         return sorted(params, key=lambda param: _panel(param) == COMMON)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Print the page, and the examples below it as they can be copied: a panel would pad their
-        lines.
-        """
+        """Print the page, and the examples without a panel, which would pad the lines to copy."""
         super().format_help(ctx, formatter)  # type: ignore[misc]
         if self.examples:
             width = shutil.get_terminal_size().columns
             lines = [line for example in self.examples for line in _folded(example, width)]
-            typer.echo(
-                "\n".join(["", f" Example{'s' if len(self.examples) > 1 else ''}:", *lines, ""])
-            )
+            plural = "s" if len(self.examples) > 1 else ""
+            typer.echo("\n".join(["", f" Example{plural}:", *lines, ""]))
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; a ValueError leaves it with the options' names."""
+        try:
+            return super().invoke(ctx)  # type: ignore[misc]
+        except ValueError as error:
+            if ctx.invoked_subcommand is not None:  # of a group: the command has translated it
+                raise
+            translated = ValueError(in_options(str(error), ctx))
+            for note in getattr(error, "__notes__", ()):
+                translated.add_note(note)
+            raise translated from error
 
 
 class Command(_Page, TyperCommand):
     """A command: the paragraphs of its docstring that begin with "Example:" end its help page."""
 
-    def __init__(self, name: str | None, *, help: str | None = None, **options: Any) -> None:
-        about, self.examples = _pages(help or "")
-        super().__init__(name, help=about, **options)
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command; a ValueError leaves it with the options' names."""
-        try:
-            return super().invoke(ctx)
-        except ValueError as error:
-            raise _translated(error, ctx) from error
-
 
 class Group(_Page, TyperGroup):
     """A group of commands, which may do something by itself too."""
 
-    def __init__(self, *, help: str | None = None, **options: Any) -> None:
-        about, self.examples = _pages(help or "")
-        super().__init__(help=about, **options)
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the group's own work or the command that was named, which has translated its errors
-        already.
-        """
-        try:
-            return super().invoke(ctx)
-        except ValueError as error:
-            if ctx.invoked_subcommand is not None:
-                raise
-            raise _translated(error, ctx) from error
-
 
 def _panel(param: Any) -> str | None:
-    panel: str | None = getattr(param, "rich_help_panel", None)
+    panel: str | None = getattr(param, "rich_help_panel", None)  # arguments of click have none
     return panel
-
-
-def _translated(error: ValueError, context: Any) -> ValueError:
-    translated = ValueError(in_options(str(error), context))
-    for note in getattr(error, "__notes__", ()):
-        translated.add_note(note)
-    return translated
 
 
 def _spelling(name: str, context: Any) -> str | None:
@@ -156,14 +135,15 @@ def _spelling(name: str, context: Any) -> str | None:
     spellings: list[tuple[bool, int, str]] = []
     for param in context.command.params:
         longest = max(param.opts, key=len)
+        text = longest
+        if param.param_type_name == "argument":
+            text = (param.metavar or param.name.upper()).strip("[].")
+        source = context.get_parameter_source(param.name)
+        is_default = source is None or source.name != "COMMANDLINE"
+        # a field may have another name than its option: open_chips is --open
         for spelling in (_bare(param.name), _bare(longest.lstrip("-").replace("-", "_"))):
             if spelling in setters:
-                argument = param.param_type_name == "argument"
-                text = (param.metavar or param.name.upper()).strip("[].") if argument else longest
-                source = context.get_parameter_source(param.name)
-                spellings.append(
-                    (source is None or source.name != "COMMANDLINE", setters.index(spelling), text)
-                )
+                spellings.append((is_default, setters.index(spelling), text))
     return min(spellings)[2] if spellings else None
 
 
@@ -175,20 +155,16 @@ def _bare(name: str) -> str:
 
 def _pages(text: str) -> tuple[str, tuple[str, ...]]:
     """Split a docstring into what stands before the options, unwrapped, and the examples."""
-    paragraphs = [_unwrapped(paragraph) for paragraph in text.split("\n\n") if paragraph.strip()]
-    examples = tuple(
-        paragraph.removeprefix(_EXAMPLE)
-        for paragraph in paragraphs
-        if paragraph.startswith(_EXAMPLE)
-    )
-    return "\n\n".join(
-        paragraph for paragraph in paragraphs if not paragraph.startswith(_EXAMPLE)
-    ), examples
+    # a paragraph's lines are joined, as rich breaks them anew; the items of a list stay apart
+    paragraphs = [re.sub(r"\n(?!- )\s*", " ", part.strip()) for part in text.split("\n\n")]
+    about = [part for part in paragraphs if part and not part.startswith(_EXAMPLE)]
+    examples = [part for part in paragraphs if part.startswith(_EXAMPLE)]
+    return "\n\n".join(about), tuple(part.removeprefix(_EXAMPLE) for part in examples)
 
 
 def _folded(command: str, width: int) -> list[str]:
     """Fold a command line before its options, with backslashes, to so many columns."""
-    options = command.replace(" ", "\0").replace("\0-", " -")
+    options = command.replace(" ", "\0").replace("\0-", " -")  # an option keeps its value
     lines = textwrap.wrap(
         options,
         width - 2,
@@ -198,8 +174,3 @@ def _folded(command: str, width: int) -> list[str]:
         break_on_hyphens=False,
     )
     return [line.replace("\0", " ") for line in " \\\n".join(lines).splitlines()]
-
-
-def _unwrapped(paragraph: str) -> str:
-    """Join a paragraph's lines, which rich breaks anew; the items of a list stay apart."""
-    return re.sub(r"\n(?!- )\s*", " ", paragraph.strip())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.commands.console import finish, page, progress, table
+from cep.commands.console import Page, Table, finish, print_page, progress
 from cep.commands.emulate import emulate
 from cep.commands.options import Json, command
 from cep.commands.programs import Driver, Port, named_port, open_controller
@@ -82,7 +82,7 @@ def info(options: InfoOptions) -> None:
     finish(
         result,
         as_json=options.as_json,
-        show=lambda console: console.print(table(str(options.port), ("", ""), rows)),
+        page=[Table(options.port, ("", ""), rows)],
     )
 
 
@@ -108,9 +108,7 @@ def trigger(options: PortOptions) -> None:
     finish(
         _confirmed(options.port, status),
         as_json=options.as_json,
-        show=lambda console: console.print(
-            f"{options.port}: played, 0 edges missed, shutter closed"
-        ),
+        page=[f"{options.port}: played, 0 edges missed, shutter closed"],
     )
 
 
@@ -132,11 +130,13 @@ def abort(options: AbortOptions) -> None:
 
     with open_shutter(named_port(options.port), driver=options.driver) as shutter:
         status = shutter.abort()
-    state = "" if status is None else f", {_name(status)}"
+    words = [f"{options.port}: closed"]
+    if status is not None:  # only CXP controllers tell their state
+        words.append(_name(status))
     finish(
         _confirmed(options.port, status),
         as_json=options.as_json,
-        show=lambda console: console.print(f"{options.port}: closed{state}"),
+        page=[", ".join(words)],
     )
 
 
@@ -181,11 +181,11 @@ def calibrate(options: CalibrateOptions) -> None:
     finish(
         result,
         as_json=options.as_json,
-        show=lambda console: console.print(
+        page=[
             f"{options.port}: clock is {abs(fit.ppm):.0f} ppm"
             f" {'fast' if fit.ppm >= 0 else 'slow'} (± {fit.uncertainty_ppm:.0f});"
             f" --clock-ppm {fit.ppm:.0f} takes it out"
-        ),
+        ],
     )
 
 
@@ -196,42 +196,39 @@ hw.command("emulate")(emulate)
 def _list_ports(*, ask: bool, as_json: bool) -> None:
     from hw.cxp.protocol import Hello
     from hw.drivers.cxp import ask_ports
-    from hw.port import list_ports
+    from hw.port import PortInfo, list_ports
 
-    answers = dict(ask_ports()) if ask else {}
+    answers: dict[PortInfo, Hello | str | None] = dict.fromkeys(list_ports())
+    if ask:
+        answers |= ask_ports()
     ports = []
     rows = []
-    for port in answers or list_ports():
-        answer = answers.get(port)
-        firmware = answer.firmware if isinstance(answer, Hello) else None
-        refusal = answer if isinstance(answer, str) else None
-        ports.append(
-            {
-                "port": port.port,
-                "description": port.description,
-                "serial_number": port.serial_number,
-                "firmware": firmware,
-                "controller": isinstance(answer, Hello) if ask else None,
-                "answer": refusal,
-            }
-        )
-        controller = firmware or refusal or "not asked"
-        rows.append((port.port, port.description, port.serial_number, controller))
-    heads = ("port", "description", "USB serial number", "controller")
-    finish(
-        {"ports": ports},
-        as_json=as_json,
-        show=lambda console: console.print(
-            table("serial ports", heads, rows) if rows else "no serial ports"
-        ),
-    )
+    for port, answer in answers.items():
+        about = {
+            "port": port.port,
+            "description": port.description,
+            "serial_number": port.serial_number,
+        }
+        controller: str | Hello = answer or "not asked"
+        reply: dict[str, object] = {"firmware": None, "controller": None, "answer": None}
+        if isinstance(answer, Hello):
+            controller = answer.firmware
+            reply |= {"firmware": controller, "controller": True}
+        elif answer is not None:
+            reply |= {"controller": False, "answer": answer}
+        ports.append({**about, **reply})
+        rows.append((*about.values(), controller))
+    page: Page = ["no serial ports"]
+    if rows:
+        heads = ("port", "description", "USB serial number", "controller")
+        page = [Table("serial ports", heads, rows)]
+    finish({"ports": ports}, as_json=as_json, page=page)
 
 
 def _watch(port: str, seconds: float, *, as_json: bool) -> None:
     """Print every change of the state, from now on; the controller is left as it is."""
     if not seconds > 0:
         raise ValueError(f"--watch: must be above 0, got {seconds:g}")
-    console = page()
     changes: list[dict[str, object]] = []
     last: tuple[object, ...] | None = None
     looks = 0
@@ -240,21 +237,29 @@ def _watch(port: str, seconds: float, *, as_json: bool) -> None:
         while (after_s := time.monotonic() - start_s) < seconds:
             status = controller.status()
             looks += 1
-            state = (status.state, status.runs, status.late, status.bad_frames)
-            if (*state, status.stored_crc32) != last:
+            # not the position and the time, which change at every look
+            state = (
+                status.state,
+                status.runs,
+                status.late,
+                status.bad_frames,
+                status.stored_crc32,
+            )
+            if state != last:
                 changes.append({"after_s": after_s, **_status_figures(status)})
                 if not as_json:
-                    console.print(
+                    line = (
                         f"{after_s:9.3f} s  {_name(status):7s} plays {status.runs}  missed edges"
                         f" {status.late}  bad frames {status.bad_frames}  CRC32"
                         f" 0x{status.stored_crc32:08x}"
                     )
-            last = (*state, status.stored_crc32)
+                    print_page([line])
+            last = state
             time.sleep(min(_LOOK_S, max(0.0, start_s + seconds - time.monotonic())))
     finish(
         {"port": port, "looks": looks, "changes": changes},
         as_json=as_json,
-        show=lambda console: console.print(f"{port}: {looks} looks, {len(changes)} states seen"),
+        page=[f"{port}: {looks} looks, {len(changes)} states seen"],
     )
 
 
@@ -268,7 +273,9 @@ def _until_interrupted() -> Iterator[None]:
 
 def _confirmed(port: str, status: Status | None) -> dict[str, object]:
     """Return the JSON of a request that the device acknowledged: trust B."""
-    figures = {} if status is None else _status_figures(status)
+    figures: dict[str, object] = {}
+    if status is not None:  # drivers other than CXP's have none
+        figures = _status_figures(status)
     return {"port": port, **figures, "trust": "B"}
 
 
@@ -301,5 +308,6 @@ def _status_figures(status: Status) -> dict[str, object]:
         "missed_edges": status.late,
         "bad_frames": status.bad_frames,
         "uptime_s": status.uptime_us * 1e-6,
+        # 0 where no program is stored
         "stored_crc32": f"0x{status.stored_crc32:08x}" if status.stored_crc32 else None,
     }

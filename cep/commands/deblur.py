@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cep.commands.console import finish, part, progress
+from cep.commands.console import Page, finish, part, progress
 from cep.commands.options import (
     MOTION,
     CameraOptions,
@@ -71,23 +71,17 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
     @property
     def is_blind(self) -> bool:
         """Whether neither motion nor PSF is given."""
-        return self.trajectory is None and self.linear is None and self.psf is None
+        return not self.has_motion and self.psf is None
 
     @property
     def is_photo_alone(self) -> bool:
         """Whether what suits the photo is to be chosen, since nothing is said of it."""
-        figures = (self.code, self.camera, self.photons, self.read_noise)
-        return self.method == "auto" and self.is_blind and figures == (None,) * 4
+        is_plain = self.code is None and not self.has_camera
+        return self.method == "auto" and self.is_blind and is_plain
 
     def check(self) -> None:
-        """Refuse options that contradict each other.
-
-        Raises
-        ------
-        ValueError
-            If they do, or the method is not known.
-        """
-        method = "wiener" if self.method == "auto" else self.method
+        """Refuse options that contradict each other, and unknown methods."""
+        method = self.method.replace("auto", "wiener")
         find_method(method)
         if sum(source is not None for source in (self.trajectory, self.linear, self.psf)) > 1:
             raise ValueError(
@@ -109,8 +103,7 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
 
 @command(DeblurOptions)
 def deblur(options: DeblurOptions) -> None:
-    """Restore a photo along a trajectory, with a PSF, or with neither: the PSF is then searched in
-    the photo itself.
+    """Restore a photo along a trajectory, with a PSF, or from itself alone.
 
     Of an ordinary photo alone the blur is estimated, and the photo restored with what suits it; a
     photo without motion blur, or one that no restoration improves, is written as it was, and the
@@ -138,7 +131,9 @@ def deblur(options: DeblurOptions) -> None:
         from motdiff.files.outputs import claim
 
         parse_gamma(options.gamma)
-        code = None if options.code is None else load_code(options.code)
+        code = None
+        if options.code is not None:
+            code = load_code(options.code)
         target = options.output or options.image.with_name(f"{options.image.stem}_sharp.png")
         check_image_name(target)
         outputs = claim([target], force=options.force, inputs=[options.image])
@@ -153,7 +148,7 @@ def deblur(options: DeblurOptions) -> None:
         warnings: list[str] = []
         if options.has_camera:
             inputs["camera"] = options.load_camera()
-        if options.trajectory is not None or options.linear is not None:
+        if options.has_motion:
             inputs["trajectory"] = options.load_motion().trajectory
             if code is not None:
                 check_resolved(inputs["trajectory"], code.chips)
@@ -162,8 +157,10 @@ def deblur(options: DeblurOptions) -> None:
             warnings += doubts
         photo = read_photo(options.image, gamma=options.gamma)
         try:
-            if options.is_blind:
-                check_photo(photo.pixels, "motdiff" if options.is_photo_alone else "pmp")
+            if options.is_photo_alone:
+                check_photo(photo.pixels, "motdiff")
+            elif options.is_blind:
+                check_photo(photo.pixels, "pmp")
             else:
                 check_texture(photo.pixels)
         except ValueError as error:
@@ -189,13 +186,14 @@ def deblur(options: DeblurOptions) -> None:
     finish(
         result,
         as_json=options.as_json,
-        show=lambda console: console.print(*_lines(restored, target), sep="\n"),
+        page=_page(restored, target),
     )
 
 
-def _lines(restored: Restoration, target: Path) -> list[str]:
-    """Say how the photo was restored, for the console."""
+def _page(restored: Restoration, target: Path) -> Page:
+    """Say how the photo was restored."""
     figures = f"residual {restored.residual:.3g} of full scale"
+    # beyond its borders the scene is extrapolated
     border = f"the outer {restored.unreliable_px} px lean on a guess"
     if restored.kept:
         return [f"{restored.summary}.", f"{target}"]

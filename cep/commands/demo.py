@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from cep.commands.code_options import Device, Exposure, exposure_seconds
 from cep.commands.console import finish, part, progress
 from cep.commands.options import CameraOptions, CommonOptions, Gamma, command, output_option
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 _UNNAMED = (
     "No camera was named (--camera): the figures are those of a camera with 10,000 photo-electrons"
@@ -43,10 +41,8 @@ class DemoOptions(CameraOptions, CommonOptions):
             "-n",
             metavar="N",
             min=2,
-            help=(
-                "Number of chips; one for each px of the path when omitted, with --device as many"
-                " as pay."
-            ),
+            help="Number of chips; one for each px of the path when omitted, with --device as many"
+            " as pay.",
         ),
     ] = None
     device: Device = None
@@ -54,8 +50,7 @@ class DemoOptions(CameraOptions, CommonOptions):
 
 @command(DemoOptions)
 def demo(options: DemoOptions) -> None:
-    """Say whether to code an exposure, and show it: everything on one photo, to
-    OUTPUT/report.html.
+    """Say whether to code an exposure, and show it on one photo, to OUTPUT/report.html.
 
     The bundled photo is a public-domain picture blurred by a simulated hand shake, and taken with
     8-bit video when no camera is named. With --photo the motion is estimated from your own blurred
@@ -77,6 +72,7 @@ def demo(options: DemoOptions) -> None:
         tick(0.0, "loading")
         import numpy as np
 
+        from cep.files.formatting import option_words
         from cep.files.images import parse_gamma, read_photo
         from cep.report.demo import DEMO_FILES, write_demo
         from cep.report.demo_chain import EXPOSURE_S, STANDARD_CAMERA, run_chain
@@ -89,17 +85,19 @@ def demo(options: DemoOptions) -> None:
             options = replace(options, camera=STANDARD_CAMERA)
         camera = options.load_camera()
         exposure_s = exposure_seconds(options.exposure) or EXPOSURE_S
-        profile = None if options.device is None else load_profile(options.device)
+        profile = None
+        if options.device is not None:
+            profile = load_profile(options.device)
         claim_folder(options.output, DEMO_FILES, force=options.force)
         started = time.perf_counter()
         if options.photo is None:
             scene = bundled_scene(camera, rng=np.random.default_rng(options.seed))
         else:
             photo = read_photo(options.photo, gamma=options.gamma)
-            warnings = list(photo.warnings)
+            warnings = photo.warnings
             if options.camera is None:
-                warnings.append(_UNNAMED)
-            scene = Scene(str(options.photo), photo.pixels, warnings=tuple(warnings))
+                warnings += (_UNNAMED,)
+            scene = Scene(str(options.photo), photo.pixels, warnings=warnings)
         chain = run_chain(
             scene,
             camera,
@@ -110,34 +108,28 @@ def demo(options: DemoOptions) -> None:
             tell=part(tick, *_CHAIN),
         )
         tick(_CHAIN[1], "writing the report")
-        figures = write_demo(options.output, chain, options=_options(options), force=options.force)
+        named = {
+            "--device": options.device,
+            "--camera": options.camera,
+            "--photons": options.photons,
+            "--read-noise": options.read_noise,
+        }
+        figures = write_demo(
+            options.output, chain, options=shlex.join(option_words(named)), force=options.force
+        )
         tick(1.0)
-    result = {**figures, "seconds": time.perf_counter() - started}
-
-    def show(console: Console) -> None:
-        console.print(chain.advice.here.sentence)
-        for shot in chain.shots:
-            console.print(
-                f"{shot.kind:9} {shot.exposure.code.duty:5.0%} of the light, restored to"
-                f" {shot.psnr_db:.2f} dB"
-            )
-        console.print(f"The report is {figures['report']} ({result['seconds']:.0f} s)")
-
-    finish(result, as_json=options.as_json, show=show)
-
-
-def _options(options: DemoOptions) -> str:
-    """Return the options of the camera and the device, as on a command line."""
-    import shlex
-
-    values = {
-        "--device": options.device,
-        "--camera": options.camera,
-        "--photons": options.photons,
-        "--read-noise": options.read_noise,
-    }
-    words: list[str] = []
-    for option, value in values.items():
-        if value is not None:
-            words += [option, value if isinstance(value, str) else f"{value:g}"]
-    return shlex.join(words)
+    seconds = time.perf_counter() - started
+    shots = [
+        f"{shot.kind:9} {shot.exposure.code.duty:5.0%} of the light, restored to"
+        f" {shot.psnr_db:.2f} dB"
+        for shot in chain.shots
+    ]
+    finish(
+        {**figures, "seconds": seconds},
+        as_json=options.as_json,
+        page=[
+            chain.advice.here.sentence,
+            *shots,
+            f"The report is {figures['report']} ({seconds:.0f} s)",
+        ],
+    )

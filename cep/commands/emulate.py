@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hw.emulation.uno import EmulatedUno
 
 _BOARDS = ("uno",)
-_LOOK_S = 0.05
+_LOOK_S = 0.05  # at its pins' record and the keyboard: a hand does not notice the delay
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ def emulate(options: EmulateOptions) -> None:
         raise ValueError(f"BOARD: must be one of {', '.join(_BOARDS)}, got {board[:40]!r}")
     if options.seconds is not None and not 0 < options.seconds < 1e9:
         raise ValueError(f"--seconds: must be above 0, got {options.seconds:g}")
-    claim([path for path in (link, vcd) if path], force=options.force)
+    claim(filter(None, [link, vcd]), force=options.force)
     uno = EmulatedUno()
     try:
         uno.start()
@@ -94,19 +94,17 @@ def emulate(options: EmulateOptions) -> None:
         "open": bool(edges and edges[-1][1]),
         "vcd": vcd,
     }
-    file = f", in {vcd}" if vcd else ""
-    finish(
-        result,
-        as_json=options.as_json,
-        show=lambda console: console.print(f"{board}: {len(edges)} edges of the shutter{file}"),
-    )
+    line = f"{board}: {len(edges)} edges of the shutter"
+    if vcd is not None:
+        line += f", in {vcd}"
+    finish(result, as_json=options.as_json, page=[line])
 
 
 def _run(uno: EmulatedUno, seconds: float | None) -> None:
     import select
 
     deadline = time.monotonic() + (seconds or float("inf"))
-    keys = [sys.stdin] if sys.stdin is not None and sys.stdin.isatty() else []
+    keys = [stream for stream in (sys.stdin,) if stream is not None and stream.isatty()]
     signals: list[int] = []
     # The ordinary end must not come as an exception: it could break off a word with the emulator.
     handlers = {

@@ -52,8 +52,9 @@ def export(options: ExportOptions) -> None:
     program, warnings = on_ticks(program, exporter.tick_ns)
     profile = options.checked_profile(program, stored)
     file = code_file(options.code)
-    target = options.output or Path(exporter.file_name("code" if file is None else file.stem))
-    outputs = claim([target], force=options.force, inputs=[] if file is None else [file])
+    stem = Path(file or "code").stem
+    target = options.output or Path(exporter.file_name(stem))
+    outputs = claim([target], force=options.force, inputs=filter(None, [file]))
     text = export_program(program, options.file_format, device=profile)
     result = {
         "file": target,
@@ -70,7 +71,7 @@ def export(options: ExportOptions) -> None:
     finish(
         result,
         as_json=options.as_json,
-        show=lambda console: console.print(line),
+        page=[line],
         outputs=outputs,
         save=lambda staged: write_text(staged[target], text),
     )
@@ -145,12 +146,14 @@ def upload(options: UploadOptions) -> None:
     elif options.arm and not report.armed:
         state = "; armed and triggered already"
     elif options.arm:
-        state = f"; armed for {report.lease_ms} ms" if report.lease_ms else "; armed"
+        state = "; armed"
+        if report.lease_ms:  # a CXP controller disarms itself
+            state += f" for {report.lease_ms} ms"
     finish(
         result,
         as_json=options.as_json,
-        show=lambda console: console.print(
+        page=[
             f"{report.port}: {program.chips} chips of {program.chip_ns} ns loaded, trust"
             f" {report.trust}: {report.trust.meaning}{state}"
-        ),
+        ],
     )

@@ -1,6 +1,4 @@
-"""What commands share that do one thing for everything in a folder: the run, its table, and how it
-ends.
-"""
+"""The end of a command of many parts, as of the photos of a folder: its table and exit code."""
 
 from __future__ import annotations
 
@@ -9,12 +7,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.commands.console import FAILURE, INTERRUPTED, finish, table
+from cep.commands.console import FAILURE, INTERRUPTED, Table, finish
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from cep.calibration.calibrate_folder import FolderResults
+
+MANY = "Folders and benchmarks"  # panel of the help pages for work that is cut into cells
+
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        "--workers",
+        metavar="N",
+        min=1,
+        rich_help_panel=MANY,
+        help="Processes of one thread; as many as cores when omitted.",
+    ),
+]
 
 
 def finish_folder(
@@ -60,31 +69,19 @@ def finish_folder(
         warnings.append(
             f"stopped early: {missing} {noun} are left out; the same command with --force goes on"
         )
-
-    def show(console: Console) -> None:
-        filled = [key for key in figures if any(row.get(key) is not None for row in rows)]
-        lines = [(str(row[name]), *(row.get(key) for key in filled), _state(row)) for row in rows]
-        console.print(
-            table(
-                title,
-                (columns[name], *(columns[key] for key in filled), "warnings"),
-                lines,
-                last_columns=1,
-            )
-        )
-        console.print(str(result["summary"]))
-
+    filled = [key for key in figures if any(row.get(key) is not None for row in rows)]
+    heads = (columns[name], *(columns[key] for key in filled), "warnings")
+    lines = [(str(row[name]), *(row.get(key) for key in filled), _state(row)) for row in rows]
     finish(
         {**result, "failures": failures, "missing": missing, "warnings": warnings},
         as_json=as_json,
-        show=show,
+        page=[Table(title, heads, lines, last_columns=1), str(result["summary"])],
     )
     end(missing=missing, failed=len(failures))
 
 
 def end(*, missing: int, failed: int) -> None:
-    """End a command of many parts, whose outputs are written, with the exit code that tells how it
-    went.
+    """End a command of many parts, whose outputs are written, with the exit code of the run.
 
     Raises
     ------
@@ -103,21 +100,10 @@ def _state(row: Mapping[str, object]) -> str:
 
     failure = row.get("failure")
     warnings = row.get("warnings")
+    if failure == NOT_REACHED:
+        return NOT_REACHED
     if failure:
-        return NOT_REACHED if failure == NOT_REACHED else "failed"
-    return str(len(warnings)) if isinstance(warnings, Sequence) and warnings else ""
-
-
-MANY = "Folders and benchmarks"
-"""Panel of the help pages for work that is cut into cells."""
-
-Workers = Annotated[
-    int | None,
-    typer.Option(
-        "--workers",
-        metavar="N",
-        min=1,
-        rich_help_panel=MANY,
-        help="Processes of one thread; as many as cores when omitted.",
-    ),
-]
+        return "failed"
+    if isinstance(warnings, Sequence) and warnings:
+        return str(len(warnings))
+    return ""

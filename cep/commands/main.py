@@ -26,6 +26,7 @@ from cep.commands import (
 from cep.commands.commands import Command, Group
 from cep.commands.console import BAD_INPUT, FAILURE, INTERRUPTED, complain, explain, warn
 
+# commands of earlier versions that are not part of the product
 _MOVED = {
     "bench": "moved to the laboratory, in the repository: python -m lab bench",
     "pareto": "moved to the laboratory, in the repository: python -m lab pareto",
@@ -37,12 +38,12 @@ _MOVED = {
     "camera show": "is now: cep camera list NAME",
     "cite": "is now the page Works of the documentation; the file: cep/files/works.bib",
 }
-"""Commands of earlier versions that are not part of the product."""
 
 _PYTHON = "is for Python: cep.SearchProblem.along and cep.optimize"
 _PROVE = "proofs in blocks moved to the laboratory, in the repository: python -m lab prove"
 _CLASS = "moved to the laboratory, in the repository: python -m lab design-class"
 _DEVICE = "is a figure of the shutter: --device FILE.toml"
+# options of earlier versions, by command
 _MOVED_OPTIONS = {
     "optimize": {
         "--all": _CLASS,
@@ -67,7 +68,6 @@ _MOVED_OPTIONS = {
         "--workers": _PROVE,
     }
 }
-"""Options of earlier versions, by command."""
 
 
 class _Commands(Group):
@@ -88,7 +88,7 @@ app = typer.Typer(
         " sharp photo."
     ),
     epilog="Begin with: cep demo -o demo",
-    pretty_exceptions_enable=False,
+    pretty_exceptions_enable=False,  # an error is one line, by explain()
     rich_markup_mode="rich",
 )
 
@@ -127,6 +127,7 @@ app.add_typer(camera.camera, name="camera", cls=Group)
 app.add_typer(controller.hw, name="hw", cls=Group)
 app.command("studio")(studio.studio)
 app.command("demo")(demo.demo)
+# typer makes plain commands; these show examples and name options in their errors
 for _group in (app, camera.camera, controller.hw):
     for _command in _group.registered_commands:
         _command.cls = Command
@@ -140,7 +141,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         The command line without the program's name; that of this process when omitted.
     """
-    words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    if arguments is None:
+        arguments = sys.argv[1:]
+    words = list(arguments) or ["--help"]
     for name in (words[0], " ".join(words[:2])):
         if name in _MOVED:
             complain(f"{name} {_MOVED[name]}")
@@ -169,14 +172,15 @@ def run_app(app: typer.Typer, arguments: Sequence[str], *, name: str) -> int:
         complain("interrupted")
         return INTERRUPTED
     except BrokenPipeError:
-        # the reader has gone (as in cep ... | head): nothing to say, and nobody to say it to
+        # the reader has gone (as in cep ... | head): nothing to say, and nobody to say it to;
+        # Python would complain when it flushes stdout at its end, so that goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILURE
     except Exception as error:
         return explain(error)
     if outcome == INTERRUPTED:
         complain("interrupted")  # typer has turned Ctrl-C into this exit code
-    return outcome if isinstance(outcome, int) else 0
+    return outcome if isinstance(outcome, int) else 0  # what a command returns is not its code
 
 
 def _show_warning(message: Warning | str, *_location: object, **_options: object) -> None:
@@ -193,7 +197,7 @@ def run() -> None:
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # signs that its encoding lacks
     warnings.showwarning = _show_warning
-    for name in ("SIGTERM", "SIGHUP"):
+    for name in ("SIGTERM", "SIGHUP"):  # Windows has no SIGHUP; nohup ignores it, which stays
         if hasattr(signal, name) and signal.getsignal(getattr(signal, name)) is signal.SIG_DFL:
             signal.signal(getattr(signal, name), signal.default_int_handler)
     sys.exit(main())

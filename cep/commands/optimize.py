@@ -19,13 +19,11 @@ from cep.commands.code_options import (
     objective_mix,
     openings,
 )
-from cep.commands.console import finish, progress, table
+from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import MOTION, CommonOptions, MotionOptions, command
 from cep.commands.search_run import saved_on_interrupt
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from cep.search.optimize import Optimum
     from cep.search.problem import SearchProblem
     from motdiff.files.trajectories import StoredMotion
@@ -64,13 +62,7 @@ class OptimizeOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
     ] = "anneal"
 
     def searched(self, stored: StoredMotion) -> SearchProblem | Callable[[int], SearchProblem]:
-        """Return the problem along a motion, or where the number of chips is open what makes it.
-
-        Raises
-        ------
-        ValueError
-            If an option is malformed or they conflict.
-        """
+        """Return the problem along a motion, or what makes it of a number of chips still open."""
         from cep.optics.band import uniform_length_px
         from cep.search.chip_count import ASSUMED_EXPOSURE_S
         from cep.search.scenarios import Scenario, speed_range
@@ -80,9 +72,9 @@ class OptimizeOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
             low, high = low_and_high("--speed", self.speed, "0.8:1.2")
             motions = speed_range(motions, low, high, _SPEEDS if low < high else 1)
         exact = self.method == "exact"
-        # a proof is for the minimum of a code's polynomial
-        proven = exact and uniform_length_px(stored.trajectory) is not None
-        objective = objective_mix(self.objective or ("min-mtf" if proven else "mse"))
+        objective = objective_mix(self.objective or "mse")
+        if self.objective is None and exact and uniform_length_px(stored.trajectory) is not None:
+            objective = "min-mtf"  # a proof is for the minimum of a code's polynomial
         if self.chips is not None or exact or objective != "mse":
             return self.problem(*motions, objective=objective)
         return lambda chips: self.problem(
@@ -92,8 +84,7 @@ class OptimizeOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
 
 @command(OptimizeOptions)
 def optimize(options: OptimizeOptions) -> None:
-    """Search the shutter code whose coded photo restores best along a motion; Ctrl-C keeps the
-    best so far.
+    """Search the code whose photo restores best along a motion; Ctrl-C keeps the best so far.
 
     The code is compared with what would be used instead, and never loses to what of it keeps the
     limits, by the objective. Its minimum is certified, and a bound says how far from the best it
@@ -130,11 +121,9 @@ def optimize(options: OptimizeOptions) -> None:
         from cep.search.optimize import optimize as search_code
         from cep.search.problem import SearchProblem
         from motdiff.files.outputs import claim
-        from motdiff.files.trajectories import stated_uncertainty_px
 
-        file = options.trajectory
         stored = options.load_motion()
-        error_px = None if file is None else stated_uncertainty_px(stored, file)
+        error_px = options.path_error_px(stored)
         problem = options.searched(stored)
         # wrong options are named before outputs in the way
         how: dict[str, Any] = {
@@ -147,19 +136,19 @@ def optimize(options: OptimizeOptions) -> None:
         if isinstance(problem, SearchProblem):
             checked_motion(problem, stored.trajectory)
         outputs = claim(
-            [options.output], force=options.force, inputs=[] if file is None else [file]
+            [options.output], force=options.force, inputs=filter(None, [options.trajectory])
         )
         with saved_on_interrupt(outputs) as keep:
             best = search_code(
                 problem,
                 **how,
                 along=stored.trajectory,
-                path_error_px=error_px or 0.0,
+                path_error_px=error_px,
                 progress=tick,
                 on_found=lambda code: keep({options.output: code}),
             )
     source = {
-        "trajectory": None if file is None else str(file),
+        "trajectory": options.trajectory,
         "linear_px": options.linear,
         "speed": options.speed,
     }
@@ -171,54 +160,53 @@ def optimize(options: OptimizeOptions) -> None:
             "seed": options.seed,
         },
         as_json=options.as_json,
-        show=lambda console: _show(console, best, options.output),
+        page=_page(best, options.output),
         outputs=outputs,
         save=lambda staged: best.save(staged[options.output], source=source),
         summary=best.code.bits,
     )
 
 
-def _show(console: Console, best: Optimum, file: Path) -> None:
-    """Print a search and its comparison for people."""
+def _page(best: Optimum, file: Path) -> Page:
+    """Lay a search and its comparison out for people."""
     from cep.files.formatting import duration, number
     from cep.search.chip_count import in_words_of_chips
 
     code = best.code
     search = best.found
-    straight = best.along is None
-    console.print(best.verdict.sentence)
-    console.print(f"{file}: {code.bits}")
+    modulus, figure, head = ("|H|", "min_mtf", "min MTF")
+    if best.along is None:  # a straight motion's minimum is that of the code's polynomial
+        modulus, figure, head = ("|P|", "min_chip", "min |P|, chips")
+    yield best.verdict.sentence
+    yield f"{file}: {code.bits}"
     chip, exposure = (duration(time_ns * 1e-9) for time_ns in (code.chip_ns, code.duration_ns))
-    light = (
+    yield (
         f"{code.open_chips} of {code.chips} chips open, {openings(code)}; {chip} a chip,"
-        f" {exposure} in all"
+        f" {exposure} in all; {search.seconds:.1f} s, {ending(search.stopped, search.steps)}"
     )
-    console.print(f"{light}; {search.seconds:.1f} s, {ending(search.stopped, search.steps)}")
     if best.chip_count is not None and best.chip_count.gains_db:
-        console.print(in_words_of_chips(best.chip_count.gains_db))
-    lowest_head = "min |P|, chips" if straight else "min MTF"
-    columns = ("code", "open", lowest_head, "noise gain, dB", "MSE, dB")
-    lowest = "min_chip" if straight else "min_mtf"
+        yield in_words_of_chips(best.chip_count.gains_db)
+    columns = ("code", "open", head, "noise gain, dB", "MSE, dB")
     rows = [
         (
             row.label,
             row.code.open_chips,
-            *(row.metrics.in_words(name) for name in (lowest, "noise_gain_db", "mse_db")),
+            *(row.metrics.in_words(name) for name in (figure, "noise_gain_db", "mse_db")),
         )
         for row in best.comparison
     ]
-    console.print(table("compared on this motion (worse direction where unknown)", columns, rows))
-    console.print(
-        f"certified: min {'|P|' if straight else '|H|'} lies within "
+    yield Table("compared on this motion (worse direction where unknown)", columns, rows)
+    yield (
+        f"certified: min {modulus} lies within "
         f"{best.certificate.lower:.6g}..{best.certificate.upper:.6g} ({best.certificate.method})"
     )
     if search.stopped == "proven" and search.proof is not None:
-        proof = f" ({search.proof['file']})" if "file" in search.proof else ""
-        console.print(
-            f"proven{proof}: no code within the limits is better on {search.proof['domain']}"
-        )
+        proven = "proven"
+        if "file" in search.proof:  # an earlier proof that comes with the package
+            proven += f" ({search.proof['file']})"
+        yield f"{proven}: no code within the limits is better on {search.proof['domain']}"
     elif best.bound is not None:
-        console.print(
+        yield (
             f"{best.figure}: no code with so many open chips can do better than"
             f" {number(best.bound)}"
         )

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 Options = TypeVar("Options")
 
+# panels of the help pages
 COMMON = "Common options"
 MOTION = "Motion"
 CAMERA = "Camera"
-"""Panels of the help pages."""
 
 Json = Annotated[
     bool,
@@ -108,10 +108,8 @@ Figures = Annotated[
     typer.Option(
         "--figure",
         metavar="MODULE:NAME",
-        help=(
-            "Also a figure of merit of your own: a function of (trajectory, code) that returns a"
-            " number; may be repeated."
-        ),
+        help="Also a figure of merit of your own: a function of (trajectory, code) that returns a"
+        " number; may be repeated.",
     ),
 ]
 Photons = Annotated[
@@ -130,6 +128,9 @@ ReadNoise = Annotated[
 
 def command(options: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
     """Declare a command's arguments and options by the dataclass that they fill.
+
+    Typer wants them as parameters of the function; so many of one function nobody can read, and
+    commands could not share them.
 
     Parameters
     ----------
@@ -181,14 +182,13 @@ class MotionOptions:
     trajectory: TrajectoryFile = None
     linear: Linear = None
 
-    def load_motion(self) -> StoredMotion:
-        """Return the motion that is named, exactly one.
+    @property
+    def has_motion(self) -> bool:
+        """Whether a motion is named."""
+        return self.trajectory is not None or self.linear is not None
 
-        Raises
-        ------
-        ValueError
-            If both or none is named, or the file or length is not valid.
-        """
+    def load_motion(self) -> StoredMotion:
+        """Return the motion that is named; ValueError unless it is exactly one, and valid."""
         from motdiff.files.trajectories import StoredMotion, read_motion
         from motdiff.trajectory import LONGEST_PX, Trajectory
 
@@ -203,6 +203,14 @@ class MotionOptions:
                 f" got {self.linear:g}"
             )
         return StoredMotion(Trajectory.straight(self.linear), source={"method": "linear"})
+
+    def path_error_px(self, motion: StoredMotion) -> float:
+        """Error of the motion, px rms over time, as its file states it; else 0."""
+        if self.trajectory is None:
+            return 0.0
+        from motdiff.files.trajectories import stated_uncertainty_px
+
+        return stated_uncertainty_px(motion, self.trajectory) or 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,21 +227,14 @@ class CameraOptions:
         return (self.camera, self.photons, self.read_noise) != (None, None, None)
 
     def load_camera(self, standard: Camera | None = None) -> Camera:
-        """Return the camera; where none is named ``standard``, by default that of ``Camera()``.
-
-        Raises
-        ------
-        ValueError
-            If the camera is not known, or a figure is not valid.
-        """
+        """Return the camera; where none is named ``standard``, by default that of ``Camera()``."""
         from dataclasses import replace
 
         from cep.optics.camera import Camera
 
+        camera = standard or Camera()
         if self.camera is not None:
             camera = Camera.load(self.camera)
-        else:
-            camera = standard or Camera()
         if self.photons is not None:
             camera = camera.at(self.photons)
         if self.read_noise is not None:
@@ -256,14 +257,7 @@ def output_option(help: str, *, metavar: str = "FILE") -> Any:
 
 
 def table_files(table: Path | None) -> list[Path]:
-    """Return the file of ``--table``, to be claimed with the other outputs; none where it is not
-    given.
-
-    Raises
-    ------
-    ValueError
-        If the name has a suffix that tables are not written with.
-    """
+    """Return the file of ``--table``, checked, to be claimed with the other outputs."""
     from cep.files.tables import check_table_name
 
     if table is None:

@@ -20,10 +20,8 @@ Port = Annotated[
     typer.Option(
         "--port",
         "-p",
-        help=(
-            "Serial port of the controller, as /dev/ttyACM0 or COM3; its USB serial number; or"
-            " auto."
-        ),
+        help="Serial port of the controller, as /dev/ttyACM0 or COM3; its USB serial number; or"
+        " auto.",
     ),
 ]
 Driver = Annotated[
@@ -51,20 +49,16 @@ class TimedCode:
     chip_ns: ChipNs = None
 
     def timed_program(self) -> tuple[Program, StoredCode]:
-        """Return the program of the code, for whatever shutter, and the content of its file.
-
-        Raises
-        ------
-        ValueError
-            If it is no code, or its chip time is out of range.
-        """
+        """Return the program of the code, for whatever shutter, and the content of its file."""
         from cep.codes.sources import find_code
         from hw.program import MAX_CHIP_NS, Program
 
         stored = find_code(self.code, chip_ns=self.chip_ns)
         code = stored.code
-        if code.chip_ns > MAX_CHIP_NS:
-            place = f"{self.code}: chip time" if self.chip_ns is None else "--chip-ns:"
+        if code.chip_ns > MAX_CHIP_NS:  # JSON has integers of any size
+            place = "--chip-ns:"
+            if self.chip_ns is None:
+                place = f"{self.code}: chip time"
             raise ValueError(f"{place} must be below 2^63 ns, got {code.chip_ns:.6g}")
         return Program.from_bits(code.bits, chip_ns=code.chip_ns), stored
 
@@ -78,20 +72,15 @@ class PlayableCode(TimedCode):
         typer.Option(
             "--device",
             metavar="NAME|FILE",
-            help=(
-                "Check against this profile: a built-in name or a .toml file. When omitted the one"
-                " that the code was searched for; generic has no limits."
-            ),
+            help="Check against this profile: a built-in name or a .toml file. When omitted the"
+            " one that the code was searched for; generic has no limits.",
         ),
     ] = None
 
     def checked_profile(self, program: Program, stored: StoredCode) -> DeviceProfile | None:
         """Return the profile of ``--device``, or else the one the code was searched for.
 
-        Raises
-        ------
-        ValueError
-            If the device cannot play the program: the line lists every limit it breaks.
+        A ValueError lists every limit of it that the program breaks.
         """
         from cep.files.files import stored_device
         from hw.device import load_profile
@@ -112,13 +101,7 @@ class PlayableCode(TimedCode):
 
 
 def open_controller(port: str) -> Controller:
-    """Open the controller of ``--port``.
-
-    Raises
-    ------
-    ValueError
-        If the port is blank or cannot be opened.
-    """
+    """Open the controller of ``--port``."""
     from hw.drivers.cxp import Controller
 
     return Controller.open(named_port(port))
@@ -141,6 +124,6 @@ def program_figures(program: Program, profile: DeviceProfile | None) -> dict[str
         "runs": program.runs,
         "edges": program.edges,
         "duration_ns": program.duration_ns,
-        "checks": {"device": profile.name if profile else None, "problems": []},
+        "checks": {"device": profile and profile.name, "problems": []},
         "code_crc32": f"0x{program.code_crc32:08x}",
     }

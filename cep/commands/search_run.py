@@ -17,15 +17,7 @@ if TYPE_CHECKING:
 def saved_on_interrupt(outputs: Outputs) -> Iterator[Callable[[Mapping[Path, StoredCode]], None]]:
     """Write codes on Ctrl-C that are found but not yet compared; another error names them.
 
-    Parameters
-    ----------
-    outputs : Outputs
-        Of the command.
-
-    Yields
-    ------
-    function
-        To be called with each file's code as soon as they are known.
+    What it yields is called with each file's code as soon as they are known.
     """
     from dataclasses import replace
 

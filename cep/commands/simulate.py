@@ -68,10 +68,13 @@ def simulate(options: SimulateOptions) -> None:
 
         parse_gamma(options.gamma)
         motion = options.load_motion().trajectory
-        shutter = ShutterCode("1") if options.code is None else load_code(options.code)
+        shutter = ShutterCode("1")
+        kind = "open"
+        if options.code is not None:
+            shutter = load_code(options.code)
+            kind = "coded"
         check_resolved(motion, shutter.chips)
         camera = options.load_camera()
-        kind = "open" if options.code is None else "coded"
         target = options.output or options.sharp.with_name(f"{options.sharp.stem}_{kind}.png")
         check_image_name(target)
         stem = f"{target.stem}_psf"
@@ -84,6 +87,7 @@ def simulate(options: SimulateOptions) -> None:
         coded = capture(photo.pixels, motion, shutter, camera, rng=rng)
         psf = coded_psf(motion, shutter, size=motion.frame_size(PSF_PX))
         with new_folder(target.parent, names, force=options.force) as folder:
+            # 16 bits, so that the gamma curve adds no rounding to the camera's
             write_image(folder / target.name, coded, bits=16, gamma=options.gamma)
             write_psf(folder, psf, stem=stem)
     psf_file = target.with_name(names[1])
@@ -96,11 +100,8 @@ def simulate(options: SimulateOptions) -> None:
         "seed": options.seed,
         "warnings": list(photo.warnings),
     }
-    finish(
-        result,
-        as_json=options.as_json,
-        show=lambda console: console.print(
-            f"{target}: {coded.shape[1]} x {coded.shape[0]} px, {shutter.duty:.0%} of the light;"
-            f" PSF in {psf_file}"
-        ),
+    line = (
+        f"{target}: {coded.shape[1]} x {coded.shape[0]} px, {shutter.duty:.0%} of the light;"
+        f" PSF in {psf_file}"
     )
+    finish(result, as_json=options.as_json, page=[line])

@@ -39,10 +39,8 @@ class StudioOptions:
         typer.Option(
             "--extract",
             metavar="FOLDER",
-            help=(
-                "Instead of the page: write the trajectory.json, code.json and commands.sh of"
-                " FILE's state."
-            ),
+            help="Instead of the page: write the trajectory.json, code.json and commands.sh of"
+            " FILE's state.",
         ),
     ] = None
     force: Force = False
@@ -68,11 +66,7 @@ def studio(options: StudioOptions) -> None:
         from cep.studio.documents import extract as take_apart
 
         written = take_apart(options.file, options.extract, force=options.force)
-        finish(
-            {"files": written},
-            as_json=options.as_json,
-            show=lambda console: console.print(*map(str, written), sep="\n"),
-        )
+        finish({"files": written}, as_json=options.as_json, page=map(str, written))
         return
     try:
         import starlette  # noqa: F401 - only whether it is there
@@ -91,12 +85,8 @@ def studio(options: StudioOptions) -> None:
 
     def ready(address: str) -> None:
         if options.as_json:
-            finish(
-                {"address": address},
-                as_json=True,
-                show=lambda _console: None,
-            )
-            sys.stdout.flush()
+            finish({"address": address}, as_json=True)
+            sys.stdout.flush()  # a pipe's reader waits for it, and the server goes on
         else:
             print(  # noqa: T201
                 f"The studio is at {address}\nThis address opens it once, in one browser. Ctrl-C"

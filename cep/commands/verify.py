@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cep.commands.console import FAILURE, complain, finish, table
+from cep.commands.console import FAILURE, Table, complain, finish
 from cep.commands.options import (
     Force,
     Json,
@@ -57,8 +58,7 @@ class VerifyOptions(TimedCode, MotionOptions):
 
 @command(VerifyOptions)
 def verify(options: VerifyOptions) -> None:
-    """Compare a code with what the controller holds (--port), or with what its shutter really
-    played (--capture).
+    """Compare a code with what a controller holds (--port) or its shutter played (--capture).
 
     A recording gives each play's chips, clock error and jitter, and with a motion the PSF as
     achieved, which cep deblur takes. Exit code 1 when anything differs.
@@ -101,10 +101,10 @@ def _verify_stored(options: VerifyOptions) -> None:
     finish(
         result,
         as_json=options.as_json,
-        show=lambda console: console.print(
+        page=[
             f"{port}: holds this code, {program.chips} chips of {program.chip_ns} ns, bit for bit,"
             f" trust {trust}"
-        ),
+        ],
     )
 
 
@@ -120,13 +120,17 @@ def _verify_recording(options: VerifyOptions, capture: Path) -> None:
     force = options.force
     program, stored = options.timed_program()
     motion = None
-    if options.trajectory is not None or options.linear is not None:
+    if options.has_motion:
         motion = options.load_motion().trajectory
-    files = [] if output is None else playback_files(output, with_psf=motion is not None)
+    files: Sequence[Path] = ()
+    device = None
+    if output is not None:
+        files = playback_files(output, with_psf=motion is not None)
     tables = table_files(options.table)
-    inputs = [file for file in (code_file(options.code), capture, options.trajectory) if file]
+    inputs = filter(None, [code_file(options.code), capture, options.trajectory])
     claim([*files, *tables], force=force, inputs=inputs)
-    device = None if output is None else stored_device(stored, source=options.code)
+    if output is not None:
+        device = stored_device(stored, source=options.code)
     playback = read_playback(capture, program, signal=options.signal, trigger=options.trigger)
     result = {
         "file": capture,
@@ -150,7 +154,7 @@ def _verify_recording(options: VerifyOptions, capture: Path) -> None:
     finish(
         result,
         as_json=options.as_json,
-        show=lambda console: console.print(table(f"{capture}, {playback.signal}", heads, rows)),
+        page=[Table(f"{capture}, {playback.signal}", heads, rows)],
         outputs=Outputs(tuple(tables), force),
         tables=options.table,
         save=lambda _staged: (
@@ -159,7 +163,8 @@ def _verify_recording(options: VerifyOptions, capture: Path) -> None:
     )
     if playback.wrong:
         index, play = next(iter(playback.wrong.items()))
-        plays = len(playback.plays)
-        share = f" ({len(playback.wrong)} of {plays} plays differ)" if plays > 1 else ""
-        complain(f"play {index}: {play.verdict}{share}")
+        line = f"play {index}: {play.verdict}"
+        if len(playback.plays) > 1:
+            line += f" ({len(playback.wrong)} of {len(playback.plays)} plays differ)"
+        complain(line)
         raise typer.Exit(FAILURE)

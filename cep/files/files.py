@@ -26,11 +26,13 @@ CODE_SCHEMA = "cep.code/1"
 DEMO_SCHEMA = "cep.demo/1"
 FRONT_SCHEMA = "cep.front/1"
 PSF_SUFFIXES = (".npy", ".mat", ".png")
-_OFF_MIDDLE_PX = 1.0  # px of an open shutter's PSF; share of the extent of a coded one's
-_CODED_OFF = 0.25
-_OPEN_LIGHT = 0.999
-_VEIL = 0.05  # share of the light; of the peak: that of a box is no veil
-_VEIL_LEVEL = 0.5
+# how far a centre of mass may be off the middle without a doubt
+_OFF_MIDDLE_PX = 1.0  # of an open shutter's PSF
+_CODED_OFF = 0.25  # of a coded one's, share of its extent
+_OPEN_LIGHT = 0.999  # sum of a PSF, light-true: less was taken through a code
+# a rim of one level is the background of a photo of a light, unless it is as bright as a box
+_VEIL = 0.05  # share of the light in it
+_VEIL_LEVEL = 0.5  # share of the peak
 _MAT_TEXT = b"MATLAB 5.0 MAT-file, written by coded-exposure"  # "MAT-File Format", MathWorks
 _MAT_TEXT_BYTES = 116
 
@@ -74,48 +76,32 @@ def code_document(stored: StoredCode) -> dict[str, Any]:
 
 
 def read_code(path: Path | str) -> StoredCode:
-    """Read a code file.
-
-    Raises
-    ------
-    ValueError
-        If the file is not JSON, of another schema, or its bits are no code; the line names the
-        file.
-    OSError
-        If the file cannot be read.
-    """
+    """Read a code file; a ValueError names the file where it is none."""
     document = read_versioned(path, CODE_SCHEMA)
     bits: Any = document.get("bits")
     chip_ns: Any = document.get("chip_ns")
     if isinstance(chip_ns, float) and chip_ns.is_integer():
         chip_ns = int(chip_ns)  # as some programs write whole numbers
+    code = None
     try:
-        code = (
-            ShutterCode(bits, chip_ns) if isinstance(bits, str) and "chip_ns" in document else None
-        )
+        if isinstance(bits, str) and "chip_ns" in document:
+            code = ShutterCode(bits, chip_ns)
     except (TypeError, ValueError) as error:  # says which chip is wrong, as a schema cannot
         raise ValueError(f"{path}: {one_line(error)}") from None
     if (wrong := fault(document, load_schema("cep.files", "code"))) is not None or code is None:
         raise ValueError(f"{path}: {wrong}")
-    return StoredCode(
-        code, *(document.get(name) or {} for name in ("metrics", "problem", "certificate"))
-    )
+    about = (document.get(name) or {} for name in ("metrics", "problem", "certificate"))
+    return StoredCode(code, *about)
 
 
 def stored_device(stored: StoredCode, *, source: str) -> DeviceProfile | None:
-    """Return the profile of the shutter that a code was searched for, as its file has it; None
-    where it names none.
+    """Return the profile of the shutter that a code was searched for, None where there is none.
 
     Parameters
     ----------
     stored : StoredCode
     source : str
         Its file, for messages.
-
-    Raises
-    ------
-    ValueError
-        If it is no profile, or the name of one that is not known.
     """
     device = stored.problem.get("device")
     if device is None:
@@ -131,15 +117,7 @@ def stored_device(stored: StoredCode, *, source: str) -> DeviceProfile | None:
 
 
 def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:
-    """Read a JSON object, and check its ``schema`` and that it is as ``cep/files/schemas`` has it.
-
-    Raises
-    ------
-    ValueError
-        If the file is not JSON, has another schema, or a field of it is wrong.
-    OSError
-        If the file cannot be read.
-    """
+    """Read a JSON object, and check it against its schema in ``cep/files/schemas``."""
     document = read_versioned(path, schema)
     name = schema.removeprefix("cep.").partition("/")[0]
     if (wrong := fault(document, load_schema("cep.files", name))) is not None:
@@ -151,10 +129,9 @@ def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:
 
 
 def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple[Path, Path, Path]:
-    """Write a PSF as ``.npy`` (float32), ``.mat`` (variable ``psf``) and, for people, ``.png``,
-    all three or none.
+    """Write a PSF as ``.npy``, ``.mat`` and, for people, ``.png``, all three or none.
 
-    In the ``.png`` the largest value is white.
+    They are float32, the variable ``psf``, and 8 bits. In the ``.png`` the largest value is white.
 
     Parameters
     ----------
@@ -171,16 +148,14 @@ def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple
 
     kernel = np.asarray(psf, dtype=np.float32)
     paths = tuple(Path(folder) / f"{stem}{suffix}" for suffix in PSF_SUFFIXES)
-    grey = np.rint(
-        255 * kernel / max(float(kernel.max()), float(np.finfo(np.float32).tiny))
-    ).astype(np.uint8)
+    peak = max(float(kernel.max()), float(np.finfo(np.float32).tiny))  # an all-black one too
+    grey = np.rint(255 * kernel / peak).astype(np.uint8)
     stored = BytesIO()
     np.save(stored, kernel)  # written to a file, SciPy hides the error of a full disk
     matlab = BytesIO()
     savemat(matlab, {"psf": kernel.astype(np.float64)})
-    undated = (
-        _MAT_TEXT.ljust(_MAT_TEXT_BYTES) + matlab.getvalue()[_MAT_TEXT_BYTES:]
-    )  # SciPy puts the date there
+    # SciPy puts the date there, and the same PSF must give the same file
+    undated = _MAT_TEXT.ljust(_MAT_TEXT_BYTES) + matlab.getvalue()[_MAT_TEXT_BYTES:]
     contents = (stored.getvalue(), undated, cv2.imencode(".png", grey)[1].tobytes())
     with new_files(paths) as temporary:
         for path, content in zip(paths, contents, strict=True):
@@ -256,7 +231,7 @@ def _psf_doubts(kernel: NDArray[np.float64]) -> list[str]:
             " it if that is not meant"
         )
     rim = np.concatenate([kernel[0], kernel[-1], kernel[1:-1, 0], kernel[1:-1, -1]])
-    level = float(np.median(rim))
+    level = float(np.median(rim))  # a PSF that is cut off crosses its rim in a few pixels
     veil = level * kernel.size / light
     if veil > _VEIL and level < _VEIL_LEVEL * kernel.max():
         doubts.append(
@@ -293,4 +268,4 @@ def _psf_from_image(source: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
     photo = read_photo(source, gamma="linear", min_side_px=1)
     grey = luminance(photo.pixels)
     total = float(grey.sum())
-    return (np.asarray(grey / total) if total > 0 else grey), photo.warnings
+    return np.asarray(grey / (total or 1.0)), photo.warnings  # load_psf refuses a black one

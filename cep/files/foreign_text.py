@@ -1,5 +1,4 @@
-"""Text that others wrote, made safe for each output: names of files, cameras, devices and methods,
-and their messages.
+"""Text that others wrote, as names of files and cameras, made safe for each output.
 
 Such a text may hold what the output takes for a command. Every output writes it through its
 function here, so that a reader sees the characters themselves. Rich's markup, JSON and HTML need
@@ -12,9 +11,12 @@ import re
 
 from motdiff.files.inputs import printable
 
+# what a spreadsheet takes for the beginning of a formula (OWASP, "CSV injection"); some fold the
+# full-width signs into the others
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+]?(inf|nan)", re.IGNORECASE)
 _MARKDOWN = re.compile(r"([\\`*_\[\]<|~$&#])")
+# what LaTeX reads as commands, or its fonts lack or take for others
 _LATEX = str.maketrans(
     {
         "\\": r"\textbackslash{}",
@@ -44,7 +46,6 @@ _LATEX = str.maketrans(
         "*": "{*}",  # at the beginning of a row they would be options of the row before
     }
 )
-"""Characters that LaTeX reads as commands, or that its fonts lack or take for others."""
 
 
 def terminal_line(text: object) -> str:
@@ -59,8 +60,9 @@ def terminal_line(text: object) -> str:
 
 
 def csv_text(text: str) -> str:
-    r"""Write the text of a CSV cell, which a spreadsheet must not take for a formula; numbers stay
-    numbers.
+    r"""Write the text of a CSV cell, which no spreadsheet takes for a formula.
+
+    Numbers stay numbers.
 
     Examples
     --------
@@ -68,8 +70,9 @@ def csv_text(text: str) -> str:
     ("'=1+1", '-0.5', "'-1+1", 'a=b')
     """
     visible = printable(text)
-    is_formula = visible.lstrip().startswith(_FORMULA) and not _NUMBER.fullmatch(visible)
-    return f"'{visible}" if is_formula else visible
+    if _NUMBER.fullmatch(visible) or not visible.lstrip().startswith(_FORMULA):
+        return visible
+    return f"'{visible}"  # the spreadsheets' own mark of a text
 
 
 def markdown_text(text: str) -> str:
@@ -111,8 +114,9 @@ def latex_text(text: str) -> str:
 
 
 def plot_text(text: str) -> str:
-    r"""Write a text into a figure: dollars begin no formula, and an underscore hides no label from
-    the legend.
+    r"""Write a text into a figure, where a dollar would begin a formula.
+
+    An underscore at the beginning would hide a label from the legend.
 
     Examples
     --------
@@ -120,4 +124,4 @@ def plot_text(text: str) -> str:
     ('\\$x\\$', ' _a')
     """
     visible = printable(text).replace("$", r"\$")
-    return f" {visible}" if visible.startswith("_") else visible
+    return re.sub("^_", " _", visible)

@@ -21,16 +21,12 @@ from motdiff.files.photo_files import check_px, photo_bytes
 from motdiff.simulate import to_display, to_linear
 from motdiff.types import FloatArray
 
+# photos of more pixels are held in single precision: half the memory, and finer than any sensor
 LARGE_PX = 2**24
-"""Photos of more pixels are held in single precision: half the memory, and finer than any
-sensor."""
-
-MIN_SIDE_PX = 16
-"""Smallest side of a photo, px: below it there is no blur to speak of."""
-
-PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
-"""What :func:`write_image` writes."""
-
+MIN_SIDE_PX = 16  # of a photo: below it there is no blur to speak of
+PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")  # that write_image writes
+_JPEG_QUALITY = 95  # OpenCV's default
+# read with the package rawpy
 RAW_SUFFIXES = (
     ".3fr",
     ".arw",
@@ -46,18 +42,15 @@ RAW_SUFFIXES = (
     ".rw2",
     ".srw",
 )
-"""RAW files, read with the package ``rawpy``."""
-
 _RAW_OPTIONS: dict[str, Any] = {
-    "gamma": (1, 1),
+    "gamma": (1, 1),  # linear light
     "output_bps": 16,
     "use_camera_wb": True,
-    "no_auto_bright": True,
+    "no_auto_bright": True,  # which would stretch each photo differently
     "adjust_maximum_thr": 0.0,  # full scale is the sensor's, not the brightest pixel of this photo
 }
+# photos of a folder: what read_photo reads, but for .mat files, which hold other things as well
 PHOTO_SUFFIXES = (*PICTURE_SUFFIXES, ".webp", *RAW_SUFFIXES)
-"""Photos of a folder: what :func:`read_photo` reads, but for .mat files, which hold other things
-as well."""
 
 
 @dataclass(frozen=True)
@@ -160,11 +153,6 @@ def read_codes(
     -------
     codes : (H, W) or (H, W, 3) uint8 or uint16 ndarray
     warnings : tuple of str
-
-    Raises
-    ------
-    ValueError, OSError
-        As of :func:`read_photo`; or if the samples are floating point.
     """
     source = Path(path)
     codes, warnings = decode(photo_bytes(source), source)
@@ -180,8 +168,9 @@ def read_codes(
 def read_detail(
     path: Path | str, *, side_px: int, preview_px: int, gamma: str | float = "srgb"
 ) -> tuple[Photo, FloatArray, tuple[int, int]]:
-    """Read the part of a photo that has most detail, and all of it small, without all of it in
-    floating point.
+    """Read the part of a photo with most detail, and all of it small.
+
+    All of it in floating point would take several times the memory of its samples.
 
     Parameters
     ----------
@@ -196,34 +185,34 @@ def read_detail(
     -------
     Photo, (h, w) or (h, w, 3) float ndarray, (int, int)
         The part, the small version, and height and width of the photo.
-
-    Raises
-    ------
-    ValueError, OSError
-        As of :func:`read_photo`.
     """
     import cv2
 
     decoded, linear, warnings = _decoded(path, gamma, MIN_SIDE_PX, "y")
     height, width = decoded.shape[:2]
-    factor = max(height, width) / preview_px
-    size = (max(1, round(width / factor)), max(1, round(height / factor)))
-    small = linear(
-        decoded if factor <= 1 else cv2.resize(decoded, size, interpolation=cv2.INTER_AREA)
-    )
+    factor = max(max(height, width) / preview_px, 1.0)
+
+    def shrunk(length: int) -> int:
+        return max(1, int(np.rint(length / factor)))
+
+    small_codes = decoded
+    if factor > 1:  # of the code values: of light, a full copy in floating point would be made
+        size = (shrunk(width), shrunk(height))
+        small_codes = cv2.resize(decoded, size, interpolation=cv2.INTER_AREA)
+    small = linear(small_codes)
     rows = min(side_px, height)
     columns = min(side_px, width)
-    grey = small if small.ndim == 2 else small.mean(axis=2)
+    grey = np.atleast_3d(small).mean(axis=2)
     detail = np.abs(np.diff(grey, axis=0, prepend=grey[:1])) + np.abs(
         np.diff(grey, axis=1, prepend=grey[:, :1])
     )
-    window = (max(1, round(columns / max(factor, 1))), max(1, round(rows / max(factor, 1))))
+    # the sum over the window to the right of and below each pixel
+    window = (shrunk(columns), shrunk(rows))
     summed = cv2.boxFilter(
         detail, cv2.CV_64F, window, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT
     )
     top, left = (
-        int(place * max(factor, 1))
-        for place in np.unravel_index(int(summed.argmax()), summed.shape)
+        int(place * factor) for place in np.unravel_index(int(summed.argmax()), summed.shape)
     )
     top = min(top, height - rows)
     left = min(left, width - columns)
@@ -282,9 +271,7 @@ def _bits(decoded: NDArray[Any]) -> int:
 
 
 def check_image_name(path: Path | str) -> None:
-    """Check, before any work is done, that :func:`write_image` writes such files; raises
-    ValueError as it does.
-    """
+    """Check, before any work is done, that :func:`write_image` writes such files."""
     suffix = Path(path).suffix.lower()
     if suffix not in PICTURE_SUFFIXES:
         raise ValueError(
@@ -295,8 +282,7 @@ def check_image_name(path: Path | str) -> None:
 def write_image(
     path: Path | str, image: ArrayLike, *, bits: int = 8, gamma: str | float = "srgb"
 ) -> None:
-    """Write linear light as PNG, TIFF or JPEG, whole or not at all; values outside 0..1 are
-    clipped.
+    """Write linear light as PNG, TIFF or JPEG, whole or not at all; it is clipped to 0..1.
 
     Parameters
     ----------
@@ -366,12 +352,11 @@ def encode_image(
         samples = _srgb_bytes()[(pixels * 0xFFFF + 0.5).astype(np.uint16)]
     else:
         full_scale = 2**bits - 1
-        samples = np.rint(to_display(pixels, gamma=exponent) * full_scale).astype(
-            np.uint8 if bits == 8 else np.uint16
-        )
+        codes = np.rint(to_display(pixels, gamma=exponent) * full_scale)
+        samples = codes.astype({8: np.uint8, 16: np.uint16}[bits])
     if samples.ndim == 3:
-        samples = np.ascontiguousarray(samples[:, :, ::-1])
-    options = [cv2.IMWRITE_JPEG_QUALITY, 95] if bits == 8 and suffix.startswith(".jp") else []
+        samples = np.ascontiguousarray(samples[:, :, ::-1])  # OpenCV's order is blue, green, red
+    options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if suffix.startswith(".jp") else []
     encoded_well, encoded = cv2.imencode(suffix, samples, options)
     if not encoded_well:
         raise ValueError(f"an image of shape {samples.shape} cannot be written as {suffix}")
@@ -380,15 +365,15 @@ def encode_image(
 
 @cache
 def _srgb_bytes() -> NDArray[np.uint8]:
-    """8-bit sRGB of linear light in 16 bits, 20 of whose steps are one of sRGB's near black:
-    quicker than the power.
+    """8-bit sRGB of linear light in 16 bits: a table is quicker than the power.
+
+    Near black, where sRGB is finest, 20 of its steps are one of sRGB's.
     """
     return np.rint(255 * to_display(np.arange(0x10000) / 0xFFFF)).astype(np.uint8)
 
 
 def parse_gamma(text: str | float) -> str | float:
-    """Check a response curve: ``"srgb"``, ``"linear"``, or a number in 1..4 (also as text, from a
-    command line).
+    """Check a response curve: ``"srgb"``, ``"linear"``, or a number in 1..4, also as text.
 
     Examples
     --------
@@ -411,7 +396,9 @@ def _exponent(gamma: str | float) -> float | None:
     checked = parse_gamma(gamma)
     if checked == "srgb":
         return None
-    return 1.0 if isinstance(checked, str) else checked
+    if checked == "linear":
+        return 1.0
+    return float(checked)
 
 
 def _precision(decoded: NDArray[Any]) -> type:

@@ -12,7 +12,6 @@ from cep.files.foreign_text import csv_text, latex_text, markdown_text
 from cep.files.formatting import number
 from motdiff.files.outputs import write_text
 
-TABLE_SUFFIXES = (".tex", ".csv", ".md")
 _WIDE = 16  # characters: columns of longer texts stand to the left, those of figures to the right
 
 
@@ -29,13 +28,10 @@ class Bold:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A table.
+    """A table: its title, the heads of its columns, and its rows.
 
     Attributes
     ----------
-    title : str
-    columns : sequence of str
-        Heads.
     rows : sequence of sequences
         Texts, :class:`Bold` ones, numbers, and None where there is nothing.
     """
@@ -57,33 +53,18 @@ def cell_text(value: object) -> str:
 def cell_parts(value: object) -> list[tuple[str, bool]]:
     """Split a cell into texts, and whether each is bold."""
     if isinstance(value, Bold):
-        return [(value.text, True), *([(value.rest, False)] if value.rest else [])]
+        return [(text, bold) for text, bold in ((value.text, True), (value.rest, False)) if text]
     return [(cell_text(value), False)]
 
 
 def check_table_name(path: Path | str) -> None:
-    """Check, before any work is done, that :func:`write_sheets` writes such files.
-
-    Raises
-    ------
-    ValueError
-        If the name has another suffix.
-    """
-    if Path(path).suffix.lower() not in TABLE_SUFFIXES:
-        raise ValueError(
-            f"{path}: tables are written as {', '.join(TABLE_SUFFIXES[:-1])} or"
-            f" {TABLE_SUFFIXES[-1]}"
-        )
+    """Check, before any work is done, that :func:`write_sheets` writes such files."""
+    if Path(path).suffix.lower() not in (".tex", ".csv", ".md"):
+        raise ValueError(f"{path}: tables are written as .tex, .csv or .md")
 
 
 def write_sheets(sheets: Sequence[Sheet], path: Path | str) -> None:
-    """Write tables as .tex, .csv or .md, whole or not at all.
-
-    Raises
-    ------
-    ValueError
-        If the name has another suffix.
-    """
+    """Write tables as .tex, .csv or .md, whole or not at all."""
     check_table_name(path)
     layout = {".tex": latex, ".csv": _csv, ".md": markdown}[Path(path).suffix.lower()]
     write_text(path, layout(sheets))
@@ -116,16 +97,17 @@ def _latex_table(sheet: Sheet) -> str:
     rows = [[_latex_cell(value) for value in row] for row in (sheet.columns, *sheet.rows)]
     body = [" & ".join(row) + r" \\" for row in rows]
     sides = "".join("l" if _is_text(sheet, index) else "r" for index in range(len(sheet.columns)))
+    caption = []
+    if sheet.title:
+        caption = [rf"  \caption{{{latex_text(sheet.title)}}}"]
+    ruled = (r"\toprule", body[0], r"\midrule", *body[1:], r"\bottomrule")
     return "\n".join(
         [
             r"\begin{table}",
             r"  \centering",
-            *([rf"  \caption{{{latex_text(sheet.title)}}}"] if sheet.title else []),
+            *caption,
             rf"  \begin{{tabular}}{{{sides}}}",
-            *(
-                f"    {line}"
-                for line in (r"\toprule", body[0], r"\midrule", *body[1:], r"\bottomrule")
-            ),
+            *(f"    {line}" for line in ruled),
             r"  \end{tabular}",
             r"\end{table}",
         ]
@@ -140,13 +122,13 @@ def _latex_cell(value: object) -> str:
 
 
 def _csv(sheets: Sequence[Sheet]) -> str:
-    """Lay out tables as CSV, numbers in full; several stand below their titles with an empty line
-    between.
-    """
-    titled = len(sheets) > 1
+    """Lay out tables as CSV, numbers in full; several are titled, with empty lines between."""
+    titles: list[list[list[str]]] = [[] for _ in sheets]  # of one table the file is, a plain CSV
+    if len(sheets) > 1:
+        titles = [[[sheet.title]] for sheet in sheets]
     return "\n".join(
-        csv_lines([*([[sheet.title]] if titled else []), sheet.columns, *sheet.rows])
-        for sheet in sheets
+        csv_lines([*title, sheet.columns, *sheet.rows])
+        for title, sheet in zip(titles, sheets, strict=True)
     )
 
 
@@ -162,18 +144,16 @@ def csv_lines(rows: Iterable[Iterable[object]]) -> str:
 
 def markdown(sheets: Sequence[Sheet]) -> str:
     """Lay out tables as Markdown, each below its title."""
-    return "\n".join(
-        (f"**{markdown_text(sheet.title)}**\n\n" if sheet.title else "")
-        + markdown_table(sheet.columns, sheet.rows)
-        + "\n"
-        for sheet in sheets
-    )
+    blocks = []
+    for sheet in sheets:
+        if sheet.title:
+            blocks.append(f"**{markdown_text(sheet.title)}**\n")
+        blocks.append(markdown_table(sheet.columns, sheet.rows) + "\n")
+    return "\n".join(blocks)
 
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay out cells as a Markdown table: the first column to the left, the others, figures, to the
-    right.
-    """
+    """Lay out cells as a Markdown table: the first column to the left, figures to the right."""
     lines = [[_markdown_cell(value) for value in row] for row in (head, *rows)]
     rule = ("---", *("---:",) * (len(head) - 1))
     return "\n".join("| " + " | ".join(line) + " |" for line in (lines[0], rule, *lines[1:]))

@@ -19,19 +19,12 @@ _WINDOWS_BELOW = 8
 _PILED = 10.0  # times as many pixels as in a window below
 _LEAST_SATURATED = 1e-3  # share of the samples
 _LEAST_NOISE = 0.5  # of a photo whose flat top is no part of a drawing, code values
-_CHUNK = 2**22
+_CHUNK = 2**22  # samples counted at once: bincount makes 64-bit integers of them
 
 
 @dataclass(frozen=True)
 class WhiteLevel:
-    """Code value that stands for value 1.
-
-    Attributes
-    ----------
-    code : int
-    assumption : str
-        What was assumed from the values, without a full stop; empty where nothing was.
-    """
+    """Code value that stands for light 1, and what was assumed for it, if anything."""
 
     code: int
     assumption: str = ""
@@ -47,10 +40,6 @@ def white_level(codes: NDArray[Any]) -> WhiteLevel:
     Parameters
     ----------
     codes : (H, W) or (H, W, C) uint8 or uint16 array
-
-    Returns
-    -------
-    WhiteLevel
     """
     full = int(np.iinfo(codes.dtype).max)
     largest = int(codes.max())
@@ -62,7 +51,7 @@ def white_level(codes: NDArray[Any]) -> WhiteLevel:
     codes_present = np.flatnonzero(histogram)
     if codes_present.size <= _LEAST_CODES:
         return WhiteLevel(full)
-    gap = int(np.diff(codes_present).min())
+    gap = int(np.diff(codes_present).min())  # 16 where 12 bits are shifted up to 16
     if _is_saturated(histogram, largest, gap) and _noise(codes) > _LEAST_NOISE * gap:
         share = histogram[largest - _window(largest, gap) + 1 :].sum() / histogram.sum()
         return WhiteLevel(
@@ -105,5 +94,6 @@ def _is_saturated(histogram: NDArray[np.int64], largest: int, gap: int) -> bool:
 
 def _noise(codes: NDArray[Any]) -> float:
     """Estimate the standard deviation of the noise, code values."""
-    channel = codes if codes.ndim == 2 else codes[:, :, min(1, codes.shape[2] - 1)]
-    return noise_sigma(channel.astype(np.float64))
+    channels = np.atleast_3d(codes)
+    green = channels[:, :, min(1, channels.shape[2] - 1)]  # the least interpolated
+    return noise_sigma(green.astype(np.float64))

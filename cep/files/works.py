@@ -9,6 +9,7 @@ from functools import cache
 from importlib import resources
 from types import MappingProxyType
 
+# works.bib is our own, one field a line: no parser of all of BibTeX is needed
 _ENTRY = re.compile(r"^@(\w+)\{([\w-]+),\n(.*?)\n\}$", re.MULTILINE | re.DOTALL)
 _FIELD = re.compile(r"^  (\w+) = \{(.*?)\},?$", re.MULTILINE | re.DOTALL)
 _ACCENTS = {
@@ -26,24 +27,12 @@ _HALF_LINE = 3  # authors: more are "et al." where a citation is short
 
 @dataclass(frozen=True)
 class Work:
-    """An entry of a bibliography.
+    """An entry of a bibliography."""
 
-    Attributes
-    ----------
-    key : str
-        Its name in a document, as ``raskar2006``.
-    kind : str
-        As BibTeX names it: article, inproceedings, book, ...
-    fields : mapping
-        LaTeX, as in the file.
-    bibtex : str
-        The entry.
-    """
-
-    key: str
-    kind: str
-    fields: Mapping[str, str]
-    bibtex: str
+    key: str  # its name in a document, as raskar2006
+    kind: str  # as BibTeX names it: article, inproceedings, book, ...
+    fields: Mapping[str, str]  # LaTeX, as in the file
+    bibtex: str  # the entry
 
     def text(self, field: str) -> str:
         """Return a field as plain text, empty where the entry has none."""
@@ -62,18 +51,20 @@ class Work:
     @property
     def venue(self) -> str:
         """Where it appeared, with volume and year."""
-        conference = re.search(r"\((\w+)\)$", self.text("booktitle"))
-        place = self.text("journal") or (conference[1] if conference else self.text("booktitle"))
+        comma = ", "
+        place = self.text("journal") or self.text("booktitle")
+        if conference := re.search(r"\((\w+)\)$", self.text("booktitle")):  # as (CVPR)
+            place = self.text("journal") or conference[1]
+            comma = " "
         if not place:
             place = self.text("publisher") or self.text("note")
             if eprint := self.text("eprint"):
                 place = f"{self.text('archiveprefix')} {eprint}"
         if self.text("journal") and self.text("volume"):
             place += f" {self.text('volume')}"
-        parts = (place, self.text("year"))
-        return (" " if conference or self.kind == "book" else ", ").join(
-            text for text in parts if text
-        )
+        if self.kind == "book":
+            comma = " "
+        return comma.join(filter(None, (place, self.text("year"))))
 
     @property
     def line(self) -> str:
@@ -84,11 +75,8 @@ class Work:
         >>> work("glover1989").line
         'Glover: *Tabu search, part I.* ORSA Journal on Computing 1, 1989.'
         """
-        title = self.text("title")
-        return (
-            f"{', '.join(self.authors)}: *{title}{'' if title[-1] in '.?!' else '.'}*"
-            f" {self.venue}."
-        )
+        title = re.sub(r"(?<![.?!])$", ".", self.text("title"))
+        return f"{', '.join(self.authors)}: *{title}* {self.venue}."
 
     @property
     def short(self) -> str:
@@ -99,10 +87,10 @@ class Work:
         >>> work("raskar2006").short
         'Raskar, Agrawal, Tumblin, Coded exposure photography, 2006'
         """
-        who = self.authors if len(self.authors) <= _HALF_LINE else (f"{self.authors[0]} et al.",)
-        return ", ".join(
-            text for text in (*who, self.text("title").split(":")[0], self.text("year")) if text
-        )
+        who = self.authors
+        if len(who) > _HALF_LINE:
+            who = (f"{who[0]} et al.",)
+        return ", ".join(filter(None, (*who, self.text("title").split(":")[0], self.text("year"))))
 
 
 @cache
@@ -122,11 +110,5 @@ def works() -> Mapping[str, Work]:
 
 
 def work(key: str) -> Work:
-    """Return the work of a key.
-
-    Raises
-    ------
-    KeyError
-        If there is none.
-    """
+    """Return the work of a key."""
     return works()[key]

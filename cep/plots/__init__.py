@@ -1,6 +1,4 @@
-"""Figures: every function returns a matplotlib Figure of its own, without pyplot, global state or
-windows.
-"""
+"""Figures: each function returns a matplotlib Figure, without pyplot, global state or windows."""
 
 from cep.plots.canvas import COLOURS, check_figure_name, png_bytes, save
 from cep.plots.codes import code_strips, main_axis, mtf_curve, mtf_figure

@@ -11,32 +11,25 @@ if TYPE_CHECKING:
 
     from cep.search.advise import Advice
 
-_NAMES = {"snapshot": "best single exposure", "strobe": "best even pulses", "code": "best code"}
+WAY_NAMES = {
+    "snapshot": "best single exposure",
+    "strobe": "best even pulses",
+    "code": "best code",
+}
 
 
 def advice_figure(advice: Advice) -> Figure:
-    """Draw expected gains over the open shutter against the light; ranges where a code or pulses
-    pay are shaded.
-
-    Parameters
-    ----------
-    advice : Advice
-    """
+    """Draw expected gains over the open shutter against the light; shaded where a code pays."""
     figure = new_figure(7.2, 4.6)
     axes = figure.subplots()
     light = [level.camera.photons_full_scale for level in advice.levels]
     axes.axhline(0.0, color="black", linewidth=1.0)
-    full = next(
-        (
-            photons
-            for photons, level in zip(light, advice.levels, strict=True)
-            if level.open_saturates
-        ),
-        None,
-    )
-    saturates = "" if full is None else f"; at {full:,.0f} and more it saturates"
+    label = "open shutter"
+    full = [level.camera.photons_full_scale for level in advice.levels if level.open_saturates]
+    if full:  # levels rise
+        label += f"; at {full[0]:,.0f} and more it saturates"
     axes.annotate(
-        f"open shutter{saturates}",
+        label,
         (light[-1], 0.0),
         xytext=(0, -3),
         textcoords="offset points",
@@ -44,9 +37,12 @@ def advice_figure(advice: Advice) -> Figure:
         ha="right",
         va="top",
     )
-    for (kind, name), colour, line in zip(_NAMES.items(), COLOURS, LINES, strict=False):
-        gains = [(level.camera.photons_full_scale, level.gains_db) for level in advice.levels]
-        points = [(photons, gain[kind]) for photons, gain in gains if kind in gain]
+    for (kind, name), colour, line in zip(WAY_NAMES.items(), COLOURS, LINES, strict=False):
+        points = [
+            (photons, level.gains_db[kind])
+            for photons, level in zip(light, advice.levels, strict=True)
+            if kind in level.gains_db
+        ]
         if points:
             axes.plot(
                 *zip(*points, strict=True),
@@ -56,7 +52,7 @@ def advice_figure(advice: Advice) -> Figure:
                 markersize=4,
                 label=name,
             )
-    for low, high in advice.crossover:
+    for low, high in advice.crossover:  # None: beyond the levels that were tried
         axes.axvspan(low or light[0], high or light[-1], color=COLOURS[2], alpha=0.12, linewidth=0)
     axes.axvline(advice.here.camera.photons_full_scale, color="grey", linewidth=1.0, linestyle=":")
     axes.annotate(

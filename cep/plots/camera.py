@@ -12,6 +12,7 @@ from cep.plots.canvas import COLOURS, new_figure, plain_ticks
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# by the use of a flat pair: what the fit leaves out looks different
 _MARKS: dict[str, dict[str, Any]] = {
     "fitted": {"marker": "o", "color": COLOURS[0]},
     "above the fit": {"marker": "o", "color": COLOURS[0], "markerfacecolor": "white"},
@@ -20,12 +21,10 @@ _MARKS: dict[str, dict[str, Any]] = {
 
 
 def photon_transfer_figure(transfer: PhotonTransfer) -> Figure:
-    """Draw variance against mean, both axes logarithmic, with the fit, its two terms and the
-    saturation.
+    """Draw variance against mean, both logarithmic, with the fit, its two terms and saturation.
 
-    Parameters
-    ----------
-    transfer : PhotonTransfer
+    The photon-transfer method of Janesick (2007): variance = mean / gain + read noise, in code
+    values.
     """
     figure = new_figure(7.2, 5.4)
     axes = figure.subplots()
@@ -45,9 +44,9 @@ def photon_transfer_figure(transfer: PhotonTransfer) -> Figure:
     slope = 1 / transfer.gain_e_per_dn
     floor = (transfer.read_noise_e / transfer.gain_e_per_dn) ** 2
     brightest = transfer.points[-1].signal_dn
-    signal = np.geomspace(
-        min(transfer.points[0].signal_dn, max(floor / slope, 0.1)) / 4, 1.4 * brightest, 200
-    )
+    # from below the point where photon and read noise are equal, or 0.1 where there is none
+    darkest = min(transfer.points[0].signal_dn, max(floor / slope, 0.1))
+    signal = np.geomspace(darkest / 4, 1.4 * brightest, 200)
     fit = f"fit: {transfer.gain_e_per_dn:.3g} e⁻/DN"
     axes.plot(signal, slope * signal + floor, color="black", linewidth=1.2, label=fit)
     axes.plot(
@@ -64,7 +63,7 @@ def photon_transfer_figure(transfer: PhotonTransfer) -> Figure:
         axes.plot(
             [0.0],
             [transfer.dark_variance_dn2],
-            transform=axes.get_yaxis_transform(),
+            transform=axes.get_yaxis_transform(),  # at the border: 0 has no place on a log axis
             marker=">",
             clip_on=False,
             linestyle="",

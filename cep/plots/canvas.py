@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Line colours that stay apart for colour-blind readers and in grey print.
 
@@ -29,13 +28,13 @@ References
 Okabe and Ito, "Color universal design", 2008.
 """
 
+# so that curves stay apart without colour
 LINES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (7, 2)))
-"""Line styles, so that curves stay apart without colour."""
 
+PRINTED_IN = 7.0  # width of print on a page: wider figures are shrunk to it, with their texts
 _DPI = 144
-PRINTED_IN = 7.0
-"""Width of print on a page: wider figures are shrunk to it, with their texts."""
-_LEAST_PT = 7.0
+_LEAST_PT = 7.0  # in print
+_LETTER = 2 / 3  # mean width of a letter over its size
 
 
 def least_pt(width_in: float) -> float:
@@ -44,10 +43,9 @@ def least_pt(width_in: float) -> float:
 
 
 def in_lines(text: str, width_in: float, size_pt: float) -> str:
-    """Break a text into lines that fit a width, at a letter's mean width of two thirds of its
-    size.
-    """
-    return textwrap.fill(text, max(int(width_in * 72 * 1.5 / size_pt), 8), break_long_words=False)
+    """Break a text into lines that fit a width."""
+    letters = int(width_in * 72 / (_LETTER * size_pt))  # 72 pt are an inch
+    return textwrap.fill(text, max(letters, 8), break_long_words=False)
 
 
 def plain_ticks(axis: Axis) -> None:
@@ -73,31 +71,18 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 def png_bytes(figure: Figure, *, dpi: int = _DPI) -> bytes:
     """Render a figure as PNG; the same figure gives the same bytes."""
     # the lowest compression takes half the time and an eighth more bytes
-    return _rendered(
-        figure,
-        format="png",
-        dpi=dpi,
-        metadata={"Software": None},
-        pil_kwargs={"compress_level": 1},
-    )
+    quick = {"compress_level": 1}
+    return _rendered(figure, format="png", dpi=dpi, metadata={"Software": None}, pil_kwargs=quick)
 
 
 def check_figure_name(path: Path | str) -> None:
-    """Check, before any work is done, that :func:`save` writes such files; raises ValueError as it
-    does.
-    """
+    """Check, before any work is done, that :func:`save` writes such files, else ValueError."""
     if Path(path).suffix.lower() not in (".png", ".pdf", ".svg"):
         raise ValueError(f"{path}: figures are written as .png, .pdf or .svg")
 
 
 def save(figure: Figure, path: Path | str) -> None:
-    """Write a figure as .png, .pdf or .svg, whole or not at all.
-
-    Raises
-    ------
-    ValueError
-        If the name has another suffix.
-    """
+    """Write a figure as .png, .pdf or .svg, whole or not at all."""
     target = Path(path)
     check_figure_name(target)
     content = undated(figure, target.suffix[1:].lower())
@@ -142,8 +127,9 @@ def show_photo(axes: Axes, image: FloatArray) -> None:
 
 
 def show_inset(axes: Axes, psf: FloatArray, *, share: float, cmap: str) -> None:
-    """Draw a PSF in the upper left corner, ``share`` of the axes wide, by the square root that
-    shows faint parts.
+    """Draw the square root of a PSF, which shows faint parts, in the upper left corner.
+
+    It is ``share`` of the axes wide.
     """
     corner = axes.inset_axes((0, 1 - share, share, share))
     corner.imshow(np.sqrt(np.maximum(psf, 0)), cmap=cmap, interpolation="nearest")
@@ -152,9 +138,7 @@ def show_inset(axes: Axes, psf: FloatArray, *, share: float, cmap: str) -> None:
 
 
 def thumbnail(image: ArrayLike, longest_px: int) -> FloatArray:
-    """Shrink by whole-number box means: linear light, so the thumbnail is as bright as the
-    photo.
-    """
+    """Shrink by whole-number box means: of linear light, so that it stays as bright."""
     pixels = np.asarray(image, dtype=np.float64)
     factor = -(-max(pixels.shape[:2]) // longest_px)
     if factor == 1:

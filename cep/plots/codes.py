@@ -18,20 +18,16 @@ from motdiff.types import FloatArray
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-_FLOOR_DB = -40.0
-_STRIP_IN = 10.0
+_FLOOR_DB = -40.0  # of the maps' colours: an MTF of 0.01
+_STRIP_IN = 10.0  # width of a strip
+_MOST_LINED = 128  # chips: lines between more would hide them
 _MAP_IN = 2.9  # width of a map, and how many stand side by side
 _MAPS = 3
+_DIP = 1e-6  # in place of a zero, which has no logarithm
 
 
 def code_strips(codes: Mapping[str, ShutterCode]) -> Figure:
-    """Draw codes as strips of open (light) and closed (dark) chips, one above the other.
-
-    Parameters
-    ----------
-    codes : mapping of name to ShutterCode
-    """
+    """Draw codes by their names as strips of open (light) and closed (dark) chips."""
     figure = new_figure(_STRIP_IN, 0.55 + 0.75 * len(codes))
     rows = np.atleast_1d(figure.subplots(len(codes), 1))
     for axes, (name, code) in zip(rows, codes.items(), strict=True):
@@ -44,7 +40,7 @@ def code_strips(codes: Mapping[str, ShutterCode]) -> Figure:
             extent=(0, code.chips, 0, 1),
             interpolation="nearest",
         )
-        if code.chips <= 128:
+        if code.chips <= _MOST_LINED:
             axes.set_xticks(np.arange(code.chips + 1), minor=True)
             axes.grid(which="minor", axis="x", color="0.5", linewidth=0.4)
             axes.tick_params(which="minor", length=0)
@@ -98,8 +94,7 @@ def mtf_curve(
 def mtf_figure(
     trajectory: Trajectory, codes: Mapping[str, ShutterCode | None], *, grid: int = 101
 ) -> Figure:
-    """Draw MTFs: a curve per code along the motion's main axis, and below it a map of the whole
-    band per code.
+    """Draw MTFs: a curve per code along the motion's main axis, and a map of the band for each.
 
     Parameters
     ----------
@@ -118,7 +113,7 @@ def mtf_figure(
         freq_cy_px, curve = mtf_curve(trajectory, code)
         style = {"color": COLOURS[index % len(COLOURS)], "linestyle": LINES[index % len(LINES)]}
         curves.semilogy(
-            freq_cy_px, np.maximum(curve, 1e-6), linewidth=1.9, label=plot_text(name), **style
+            freq_cy_px, np.maximum(curve, _DIP), linewidth=1.9, label=plot_text(name), **style
         )
     angle_deg = float(np.degrees(np.arctan2(axis[1], axis[0]))) % 180
     curves.set(
@@ -139,7 +134,7 @@ def mtf_figure(
     maps = []
     for index, (name, code) in enumerate(codes.items()):
         axes = figure.add_subplot(layout[1 + index // columns, index % columns])
-        level_db = 20 * np.log10(np.maximum(_mtf_map(trajectory, code, grid), 1e-6))
+        level_db = 20 * np.log10(np.maximum(_mtf_map(trajectory, code, grid), _DIP))
         heatmap = axes.imshow(
             level_db,
             cmap="cividis",

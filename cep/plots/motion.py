@@ -16,8 +16,8 @@ from motdiff.types import FloatArray
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
-_TIME_MAP = "cividis"
+_TIME_MAP = "cividis"  # of even lightness, for colour-blind readers too
+_VISIBLE = 0.01  # of a PSF's peak
 
 
 def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = "") -> Figure:
@@ -40,13 +40,16 @@ def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = 
     photo_axes.plot(*on_photo.T, color="white", linewidth=4.0, solid_capstyle="round")
     photo_axes.add_collection(_coloured_by_time(on_photo, trajectory.t, width=2.2))
 
-    is_directed = trajectory.direction == "known"
+    names = ("one end", "other end")
+    note = "time, fraction of the exposure (or reversed)"
+    if trajectory.direction == "known":
+        names = ("start", "end")
+        note = "time, fraction of the exposure"
     path_axes.plot(*trajectory.xy.T, color="0.85", linewidth=6.0, solid_capstyle="round", zorder=1)
     bar = path_axes.add_collection(_coloured_by_time(trajectory.xy, trajectory.t, width=3.0))
-    even = trajectory.at(np.linspace(0, 1, 21))
+    even = trajectory.at(np.linspace(0, 1, 21))  # dots at even times show the speed
     path_axes.scatter(*even.T, s=14, color="white", edgecolor="black", linewidth=0.7, zorder=3)
     # the second end is drawn smaller, over the first: of a closed path both show
-    names = ("start", "end") if is_directed else ("one end", "other end")
     for name, point, colour, marker, size in zip(
         names, trajectory.xy[[0, -1]], (COLOURS[2], COLOURS[1]), "os", (150, 52), strict=True
     ):
@@ -60,8 +63,7 @@ def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = 
             zorder=4,
             label=name,
         )
-    # names above the axes: beside their ends they would lie over each other, or over a tangled
-    # path
+    # above the axes: beside their ends the names would lie over each other, or over the path
     path_axes.legend(
         loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, handletextpad=0.2
     )
@@ -79,14 +81,12 @@ def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = 
     )
     path_axes.grid(color="0.92")
     path_axes.set_axisbelow(True)
-    note = "time, fraction of the exposure" + ("" if is_directed else " (or reversed)")
     figure.colorbar(bar, ax=path_axes, label=note, shrink=0.85, pad=0.02)
     return figure
 
 
 def psf_figure(psfs: Mapping[str, ArrayLike]) -> Figure:
-    """Draw PSFs side by side, cut to the largest one, each on its own scale and with the zero
-    displacement marked.
+    """Draw PSFs side by side, each on its own scale, with the zero displacement marked.
 
     Parameters
     ----------
@@ -139,5 +139,5 @@ def _coloured_by_time(points: FloatArray, t: FloatArray, *, width: float) -> Any
 def _reach(psf: ArrayLike) -> int:
     """Largest displacement, px along either axis, that holds a visible share of the light."""
     kernel = np.asarray(psf, dtype=np.float64)
-    bright = np.argwhere(kernel > 0.01 * kernel.max())
+    bright = np.argwhere(kernel > _VISIBLE * kernel.max())
     return int(np.abs(bright - np.array(kernel.shape) // 2).max())

@@ -16,8 +16,7 @@ from cep.plots import mtf_curve, mtf_figure, save
 from cep.proofs.measure import CodeMetrics, FigureOfMerit, OwnFigure, measure_worst, own_figures
 from motdiff.trajectory import Trajectory
 
-OPEN = "open shutter"
-"""Name of the row that every comparison begins with."""
+OPEN = "open shutter"  # name of the row that every comparison begins with
 
 
 @dataclass(frozen=True)
@@ -42,16 +41,16 @@ class MtfRow:
     figures: Mapping[str, OwnFigure] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """Fields for JSON: bits, curve, metrics, and the user's own as ``figures`` where there are
-        any.
-        """
-        return {
-            "bits": None if self.code is None else self.code.bits,
+        """Fields for JSON: bits, curve, metrics, and the user's own ``figures`` if any."""
+        fields: dict[str, Any] = {
+            "bits": self.code and self.code.bits,
             "freq_cy_px": self.freq_cy_px,
             "mtf": self.mtf,
             **self.metrics.to_dict(),
-            **({"figures": dict(self.figures)} if self.figures else {}),
         }
+        if self.figures:
+            fields["figures"] = dict(self.figures)
+        return fields
 
 
 @dataclass(frozen=True)
@@ -74,9 +73,8 @@ class MtfComparison:
 
     def save(self, path: Path | str) -> None:
         """Draw the MTFs in one and two dimensions, as .png, .pdf or .svg, whole or not at all."""
-        save(
-            mtf_figure(self.trajectory, {name: row.code for name, row in self.rows.items()}), path
-        )
+        codes = {name: row.code for name, row in self.rows.items()}
+        save(mtf_figure(self.trajectory, codes), path)
 
 
 def compare_mtfs(

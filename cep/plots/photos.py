@@ -10,11 +10,14 @@ from numpy.typing import ArrayLike
 
 from cep.files.foreign_text import plot_text
 from cep.plots.canvas import COLOURS, new_figure, show_photo, thumbnail
-from motdiff.crops import luminance
+from motdiff.crops import centre_crop, luminance
 from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_SHOWN_PX = 1200  # longest side of a whole photo: more than a figure's pixels are not seen
+_BORDER_PX = 32
 
 
 def before_after(
@@ -39,15 +42,16 @@ def before_after(
     chooser = list(pictures.values())[-1]
     if detail_of is not None:
         chooser = np.asarray(detail_of, dtype=np.float64)
-    row, column = _busiest(_centred(chooser, height, width), side)
+    row, column = _busiest(centre_crop(chooser, height, width), side)
     width_in = 4.0
     figure = new_figure(width_in * len(pictures), width_in * (height / width + 1.0) + 0.4)
     grid = figure.subplots(2, len(pictures), squeeze=False, height_ratios=(height / width, 1.0))
     for (title, image), top, bottom in zip(pictures.items(), grid[0], grid[1], strict=True):
-        cut = _centred(image, height, width)
-        show_photo(top, thumbnail(cut, 1200))
+        cut = centre_crop(image, height, width)
+        small = thumbnail(cut, _SHOWN_PX)
+        show_photo(top, small)
         top.set_title(plot_text(title))
-        scale = thumbnail(cut, 1200).shape[1] / width
+        scale = small.shape[1] / width
         corner = (column * scale, row * scale)
         top.add_patch(_frame(corner, side * scale))
         show_photo(bottom, cut[row : row + side, column : column + side])
@@ -62,21 +66,14 @@ def _frame(corner: Sequence[float], side: float) -> Any:
     )
 
 
-def _centred(image: FloatArray, height: int, width: int) -> FloatArray:
-    row = (image.shape[0] - height) // 2
-    column = (image.shape[1] - width) // 2
-    return image[row : row + height, column : column + width]
-
-
 def _busiest(image: FloatArray, side: int) -> tuple[int, int]:
-    """Corner of the window with most gradient, in steps of a quarter window, clear of the
-    restoration's borders.
-    """
+    """Corner of the window with most gradient, clear of the restoration's borders."""
     grey = luminance(image)
     energy = sum(np.abs(gradient) for gradient in np.gradient(grey))
+    # a window's sum from four entries of the summed-area table (Crow 1984)
     totals = np.pad(np.cumsum(np.cumsum(energy, axis=0), axis=1), ((1, 0), (1, 0)))
-    margin = min(32, (min(grey.shape) - side) // 2)
-    step = max(1, side // 4)
+    margin = min(_BORDER_PX, (min(grey.shape) - side) // 2)
+    step = max(1, side // 4)  # neighbours overlap by three quarters: none falls between two
     corners = [
         (row, column)
         for row in range(margin, grey.shape[0] - side - margin + 1, step)

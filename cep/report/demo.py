@@ -29,6 +29,8 @@ _PROGRAMS = {
     f"shutter_code{exporter.suffix}": file_format for file_format, exporter in EXPORTERS.items()
 }
 _OF_A_CODE = ("code.json", "coded.png", "restored_coded.png", "code_strip.png", *_PROGRAMS)
+# the code, its programs and pictures are written only where a code is advised, the further photos
+# of the calibration only where they were taken
 DEMO_FILES = (
     "report.html",
     "demo.json",
@@ -40,8 +42,6 @@ DEMO_FILES = (
     *_PROGRAMS,
     *CALIBRATION_FILES,
 )
-"""What :func:`write_demo` writes; the code, its programs and pictures only where a code is
-advised, the further photos of the calibration only where they were taken."""
 
 
 def write_demo(
@@ -82,8 +82,11 @@ def write_demo(
         if chain.code is not None:
             metrics = chain.problem.measure(chain.code).to_dict()
             certificate = chain.certificate.to_dict()
-            device = None if chain.device is None else chain.device.to_dict()
-            described = {"objective": "mse", "chips": chain.code.chips, "device": device}
+            described = {
+                "objective": "mse",
+                "chips": chain.code.chips,
+                "device": chain.device and chain.device.to_dict(),
+            }
             write_code(
                 temporary / "code.json", StoredCode(chain.code, metrics, described, certificate)
             )
@@ -106,9 +109,7 @@ def write_demo(
 
 
 def _guide(folder: Path) -> str:
-    """Address of docs/hardware.md from a folder; empty where the package is installed without the
-    documents.
-    """
+    """Address of docs/hardware.md from a folder; empty in a wheel, which has no documents."""
     guide = Path(__file__).resolve().parents[2] / "docs" / "hardware.md"
     try:
         address = Path(os.path.relpath(guide, folder.resolve())).as_posix()
@@ -135,11 +136,11 @@ def _figures(chain: Chain) -> dict[str, object]:
         "path_uncertainty_px": chain.estimate.path_error_px,
         "calibration_codes": [code.bits for code in chain.motion.codes],
         "open_photo_alone": _from_open_photo(chain),
-        "bits": None if chain.code is None else chain.code.bits,
+        "bits": chain.code and chain.code.bits,
         "chips": chain.problem.chips,
         "chip_ns": chain.problem.chip_ns,
         "camera": camera.to_dict(),
-        "device": None if chain.device is None else chain.device.name,
+        "device": chain.device and chain.device.name,
         "seed": chain.seed,
         "warnings": [*chain.scene.warnings, *chain.estimate.warnings],
     }

@@ -16,20 +16,19 @@ from cep.restoration.result import Restoration
 from cep.search.advise import LEVELS, Advice
 from cep.search.chip_count import suited_chips
 from cep.search.ways import CODED, Choice, Way
-from motdiff.crops import luminance
+from motdiff.crops import centre_crop, luminance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.simulate import visible
 from motdiff.types import FloatArray
 
+# of the bundled case: its fixed noise is large enough for a code to be the best exposure
 STANDARD_CAMERA = "video-8bit"
-"""Profile of the bundled case: its fixed noise is large enough for a code to be the best
-exposure."""
+# a code is compared on it as well: a modern sensor whose fixed noise is small
 CONTRAST = "sony-imx250"
-"""Profile that a code is compared on as well: a modern sensor whose fixed noise is small."""
-EXPOSURE_S = 1 / 30
-"""Length of the exposure where none is given."""
+EXPOSURE_S = 1 / 30  # where none is given
 
+# chips of a code: else one for each px of the path
 _LEAST_CHIPS = 8
 _MOST_CHIPS = 64
 _LARGEST_SCENE_PX = 768  # of a user's photo: TV takes a minute on more
@@ -124,7 +123,7 @@ class Chain:
     @property
     def advised_shot(self) -> Shot:
         """The photo taken as advised."""
-        return self.shot("coded" if self.coded else self.choice)
+        return self.shot(_kind(self.choice))
 
     def shot(self, kind: str) -> Shot:
         """Return the photo of a kind that there is."""
@@ -170,8 +169,7 @@ def run_chain(
     Raises
     ------
     ValueError
-        If the photo shows nothing to estimate a motion from, or the exposure cannot be divided so
-        on the device.
+        If the photo shows no motion, or the exposure cannot be divided so on the device.
     """
     tell(0.0, "estimating the motion")
     if motion is None:
@@ -223,12 +221,13 @@ def run_chain(
 
     tell(_ADVICE_SHARE, "exposing")
     exposures = _Exposures(scene, estimate, camera, seed)
-    best_code = advice.here.advised if advice.choice in CODED else advice.here.best("code")
     candidates = {
         "open": advice.here.ways[0],
         "snapshot": advice.here.best("snapshot"),
-        "coded": best_code,
+        "coded": advice.here.best("code"),
     }
+    if advice.choice in CODED:  # even pulses, where no code is better
+        candidates["coded"] = advice.here.advised
     possible = {kind: exposure for kind, exposure in candidates.items() if exposure is not None}
     photos = exposures.photos(possible)
     tell(_PHOTOS_SHARE, "restoring")
@@ -238,7 +237,7 @@ def run_chain(
         from_open = cep.advise(
             problem_along(motion.from_open, problem.chips), levels=(), seed=seed
         ).here
-        kind = "coded" if from_open.choice in CODED else from_open.choice
+        kind = _kind(from_open.choice)
         possible = {"open": from_open.ways[0], kind: from_open.advised}
         photos = exposures.photos(possible)
         shot_from_open = exposures.restored(possible, photos, motion.from_open.best)[-1]
@@ -265,15 +264,14 @@ class _Exposures:
         self, scene: Scene, estimate: MotionEstimate, camera: cep.Camera, seed: int
     ) -> None:
         self._camera = camera
-        self._rng = np.random.default_rng([seed, 3])
-        self._open_photo = None if scene.sharp is None else scene.photo
+        self._rng = np.random.default_rng([seed, 3])  # the motion's photos draw from 4
+        self._open_photo: FloatArray | None = None
         if scene.sharp is not None and scene.motion is not None:
-            self._sharp, self._motion = scene.sharp, scene.motion
+            self._open_photo = scene.photo
+            self._sharp = scene.sharp
+            self._motion = scene.motion
         else:  # of a user's photo neither is known: its restoration and the estimate stand in
-            height, width = (min(side, _LARGEST_SCENE_PX) for side in scene.photo.shape[:2])
-            row = (scene.photo.shape[0] - height) // 2
-            column = (scene.photo.shape[1] - width) // 2
-            crop = scene.photo[row : row + height, column : column + width]
+            crop = centre_crop(scene.photo, _LARGEST_SCENE_PX, _LARGEST_SCENE_PX)
             self._sharp = np.clip(cep.restore(crop, estimate.psf, method="tv").image, 0, 1)
             self._motion = estimate.best
         self._frame = self._motion.frame_size() | 1
@@ -323,6 +321,7 @@ class _Exposures:
                 )
             else:
                 restorations[kind] = restore(kind, path)
+        # all are compared where the least reliable of them is good, but on half the picture
         border = max(restoration.unreliable_px for restoration in restorations.values()) + 2
         border = min(border, min(self.reference.shape[:2]) // 4)
         reference = _grey(self.reference)
@@ -341,6 +340,11 @@ class _Exposures:
 
     def _camera_of(self, exposure: Way) -> cep.Camera:
         return self._camera.with_dark_noise(exposure.code.integration_ns * 1e-9)
+
+
+def _kind(choice: Choice) -> str:
+    """Kind of the shot that is taken by such a choice."""
+    return "coded" if choice in CODED else choice
 
 
 def _grey(image: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 import cep
 from cep.calibration.order_codes import gray_planes
 from hw.program import Program
-from motdiff.crops import pick_crops
+from motdiff.crops import centre_crop, pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.motions import quadratic
 from motdiff.simulate import to_linear
@@ -91,9 +91,8 @@ def bundled_scene(
         Side of the part around the middle of the picture; all of it when omitted.
     """
     sharp = bundled_picture()
-    if side_px is not None:
-        corner = (len(sharp) - side_px) // 2
-        sharp = sharp[corner : corner + side_px, corner : corner + side_px]
+    side_px = side_px or len(sharp)
+    sharp = centre_crop(sharp, side_px, side_px)
     shortest_px, longest_px = _LENGTH_PX
     motion = quadratic(rng, min_length_px=shortest_px, max_length_px=longest_px, max_bend=_BEND)
     photo = cep.capture(sharp, motion.psf(motion.frame_size() | 1), camera=camera, rng=rng)
@@ -116,11 +115,6 @@ def find_motion(
     """Estimate a scene's motion, from photos through known codes where they can be simulated.
 
     A user's photo has no others, and neither has a device that cannot play the codes.
-
-    Raises
-    ------
-    ValueError
-        If the photo shows nothing to estimate a motion from.
     """
 
     def estimate_from_open(begin: float) -> MotionEstimate:

@@ -37,9 +37,8 @@ if TYPE_CHECKING:
     from cep.report.demo_chain import Chain, Shot
     from cep.search.advise import Advice
 
+# pictures of the page that are files as well; the code strip where a code is advised
 PICTURE_FILES = ("advice", "code_strip", "mtf", "photos", "scene_at_rest")
-"""Pictures of the page that are files as well; the code strip where a code is advised."""
-
 _NAMES = {"open": "open shutter", "snapshot": "best single exposure", "coded": "best code"}
 
 
@@ -65,11 +64,8 @@ def pictures(chain: Chain) -> dict[str, bytes]:
     """Return the pictures of a chain's page as PNG files, by name."""
     path = chain.estimate.best
     shots = [shot for shot in chain.shots if shot.kind != "coded" or chain.coded]
-    advised = chain.advised_shot
-    restored = {
-        "as advised" if shot is advised else _NAMES[shot.kind]: shot.restored
-        for shot in _shown(chain)
-    }
+    names = {**_NAMES, chain.advised_shot.kind: "as advised"}
+    restored = {names[shot.kind]: shot.restored for shot in _shown(chain)}
     psfs = {
         "estimated": chain.estimate.psf,
         "estimated path": path.psf(path.frame_size(PSF_PX)),
@@ -214,9 +210,11 @@ def _devices(chain: Chain) -> Table | None:
     rows = []
     for profile in profiles:
         broken = profile.check(program)
-        reason = broken[0].removeprefix(f"{profile.name}: ") if broken else "can be played"
+        reason = (*broken, "can be played")[0].removeprefix(f"{profile.name}: ")
         rows.append((profile.name, reason))
-    highlight = None if chain.device is None else profiles.index(chain.device)
+    highlight = None
+    if chain.device is not None:
+        highlight = profiles.index(chain.device)
     return Table(("shutter or controller", "this code"), tuple(rows), highlight)
 
 

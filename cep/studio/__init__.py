@@ -1,3 +1,1 @@
-"""Studio: a page on this machine on which codes are dragged, searched, compared, exported and
-played.
-"""
+"""Studio: a page on this computer on which codes are dragged, searched, compared and played."""

@@ -7,10 +7,9 @@ from functools import cache
 
 import numpy as np
 
-from cep.optics.camera import Camera
 from cep.optics.camera import camera_names as camera_names
 from hw.device import DeviceProfile
-from hw.device import load_profile as load_profile
+from hw.device import load_profile as load_profile  # state.py takes the house's names from here
 from hw.device import profile_names as profile_names
 from hw.export import EXPORTERS
 from hw.port import list_ports
@@ -23,29 +22,15 @@ _EXAMPLES = {
     "start": "a conveyor that starts: straight, 32 px, ever faster, of known direction",
     "walk": "a random walk with reversals, 60 px",
 }
-_THIN_PX = 0.05  # of the walk's 2000 samples
+_THIN_PX = 0.05  # of paths of 2,000 samples, far below what a photo shows
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A choice by name.
-
-    Attributes
-    ----------
-    name : str
-        As options take it.
-    about : str
-        One line.
-    """
+    """A choice: its name, as options take it, and a line about it."""
 
     name: str
     about: str
-
-
-def cameras() -> tuple[tuple[Choice, Camera], ...]:
-    """List the known cameras."""
-    profiles = ((name, Camera.load(name)) for name in camera_names())
-    return tuple((Choice(name, camera.kind), camera) for name, camera in profiles)
 
 
 def devices() -> tuple[Choice, ...]:
@@ -69,12 +54,7 @@ def ports() -> tuple[Choice, ...]:
 
 
 def example_motion(name: str) -> Trajectory:
-    """Return an example motion.
-
-    Raises
-    ------
-    ValueError
-        If there is none of that name.
+    """Return an example motion; ValueError where there is none of that name.
 
     Examples
     --------

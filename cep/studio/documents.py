@@ -16,14 +16,12 @@ from cep.studio.fields import FieldError, nameless
 from cep.studio.state import path_fields, read_state, saved_setting
 from cep.studio.views import STUDIO_SCHEMA, Views
 from motdiff.files.json_files import json_text, stated_schema
-from motdiff.files.outputs import claim_folder, new_folder
+from motdiff.files.outputs import claim_folder, new_folder, write_text
 from motdiff.files.trajectories import read_motion, stated_uncertainty_px
 from motdiff.gyro import DEFAULT_AXES, trajectory_from_gyro
 from motdiff.trajectory import check_length
 
-EXTRACTED = ("trajectory.json", "code.json", "commands.sh")
-"""Files of :func:`extract`."""
-
+EXTRACTED = ("trajectory.json", "code.json", "commands.sh")  # by extract
 _PATH_PX = 0.01  # by which a motion may differ that another version of the library drew
 
 
@@ -32,11 +30,6 @@ def opened_document(file: Path) -> dict[str, Any]:
 
     With the bits comes ``device``, the name of the shutter they were searched for, or a
     ``warning`` where it has none.
-
-    Raises
-    ------
-    FieldError
-        If it is none of these documents.
     """
     schema = stated_schema(file)
     try:
@@ -63,11 +56,6 @@ def opened_gyro(file: Path, query: Mapping[str, str]) -> dict[str, Any]:
     query : mapping
         ``focal`` px, ``start`` s, ``exposure`` s and ``axes``, the directions of the recording's
         axes.
-
-    Raises
-    ------
-    FieldError
-        If a number or the recording is wrong.
     """
     numbers = {}
     for name, parse in (("focal", float), ("start", float), ("exposure", seconds_of)):
@@ -119,13 +107,10 @@ def extract(file: Path, folder: Path, *, force: bool = False) -> list[Path]:
     if (wrong := _difference(document, saved)) is not None:
         raise ValueError(f"{file}: {wrong}")
     with new_folder(folder, EXTRACTED, force=force) as temporary:
-        for name in EXTRACTED[:2]:
-            (temporary / name).write_text(
-                json_text(saved[name.removesuffix(".json")]), encoding="utf-8"
-            )
-        (temporary / EXTRACTED[2]).write_text(
-            "".join(f"{line}\n" for line in saved["commands"]), encoding="utf-8"
-        )
+        write_text(temporary / "trajectory.json", json_text(saved["trajectory"]))
+        write_text(temporary / "code.json", json_text(saved["code"]))
+        commands = "".join(f"{line}\n" for line in saved["commands"])
+        write_text(temporary / "commands.sh", commands)
     return [folder / name for name in EXTRACTED]
 
 
@@ -145,15 +130,7 @@ def _opened_code(stored: StoredCode) -> dict[str, Any]:
 
 
 def stored_state(file: Path) -> dict[str, Any]:
-    """Read the state of a page out of a studio file.
-
-    Raises
-    ------
-    ValueError
-        If the file is no studio file, or a field of its state is malformed.
-    OSError
-        If the file cannot be read.
-    """
+    """Read the state of a page out of a studio file; ValueError where it is none."""
     return _checked(read_json(file, schema=STUDIO_SCHEMA)["state"], file)
 
 

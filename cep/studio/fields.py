@@ -1,4 +1,7 @@
-"""Checks of the fields that a page sends; each error is one line, shown beside its field."""
+"""Checks of the fields that a page sends.
+
+Every function here raises :class:`FieldError`, one line that the page shows beside the field.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
 
-MOST_CHIPS = 512
-LIMITS = ("min_open", "min_closed", "max_open", "max_pulses")
-_LARGEST = sys.float_info.max
+MOST_CHIPS = 512  # of a code on the page
+# of a code's runs, as RunLimits and the page's fields name them, with their units
+LIMITS = {
+    "min_open": "chips",
+    "min_closed": "chips",
+    "max_open": "chips",
+    "max_pulses": "openings",
+}
+# fields of the page that set what an error of the library begins with
 _FIELD_OF = {
     "bits": "bits",
     "camera": "camera",
@@ -26,7 +35,6 @@ _FIELD_OF = {
     "scenarios": "motion",
     "trajectory": "motion",
 }
-"""Fields of the page that set what an error of the library begins with."""
 
 
 class FieldError(ValueError):
@@ -48,11 +56,16 @@ class FieldError(ValueError):
             return error
         head, colon, fault = str(error).partition(": ")
         first = head.split(" ")[0].rstrip(",")
+        field = _FIELD_OF.get(first)
+        if field is not None and colon and " " not in head:
+            return cls(field, fault)
         if first in LIMITS:
-            return cls(first, str(error))
-        if first in _FIELD_OF:
-            return cls(_FIELD_OF[first], fault if colon and " " not in head else str(error))
-        return cls(fallback, str(error))
+            field = first
+        return cls(field or fallback, str(error))
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the error as the page reads it."""
+        return {"field": self.field, "message": str(self)}
 
 
 def nameless(error: Exception, file: Path, kind: str = "the file") -> str:
@@ -71,12 +84,7 @@ def disk_error(field: str, error: OSError) -> FieldError:
 
 
 def read_bits(bits: object, field: str) -> str:
-    """Read a code with an open chip.
-
-    Raises
-    ------
-    FieldError
-    """
+    """Read a code with an open chip."""
     if not isinstance(bits, str) or not bits or set(bits) - {"0", "1"}:
         raise FieldError(field, "a code is a row of 1 (open) and 0 (closed), as 11010001")
     if len(bits) > MOST_CHIPS:
@@ -94,23 +102,17 @@ def is_text(value: object, longest: int) -> TypeGuard[str]:
 
 
 def is_number(value: object) -> TypeGuard[int | float]:
-    """Whether a value is a number that a double holds: JSON has integers of any size, and Python
-    reads NaN.
-    """
-    return (
-        isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
-    )
+    """Whether a value is a number that a double holds."""
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    # JSON has integers of any size, and Python's reader takes NaN, which compares as False
+    return abs(value) <= sys.float_info.max
 
 
 def read_number(
     document: Mapping[str, Any], name: str, low: float, high: float, unit: str
 ) -> float | None:
-    """Read a number within a range, None where there is none, or an empty text.
-
-    Raises
-    ------
-    FieldError
-    """
+    """Read a number within a range, None where there is none, or an empty text."""
     value = document.get(name)
     if value is None or value == "":
         return None
@@ -122,12 +124,7 @@ def read_number(
 def read_whole(
     document: Mapping[str, Any], name: str, low: int, high: int, unit: str
 ) -> int | None:
-    """Read a whole number within a range, as :func:`read_number` does.
-
-    Raises
-    ------
-    FieldError
-    """
+    """Read a whole number within a range, as :func:`read_number` does."""
     value = read_number(document, name, low, high, unit)
     if value is None:
         return None
@@ -139,13 +136,7 @@ def read_whole(
 def read_choice(
     document: Mapping[str, Any], field: str, choices: Sequence[str], *, default: str
 ) -> str:
-    """Read one of the choices that the server gave; the default where there is none, or an empty
-    text.
-
-    Raises
-    ------
-    FieldError
-    """
+    """Read one of the server's choices; the default where there is none, or an empty text."""
     value = document.get(field)
     if value is None or value == "":
         return default

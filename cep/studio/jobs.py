@@ -1,6 +1,4 @@
-"""Long work for the page: one job at a time, in its own process, which can be ended and does not
-outlive its page.
-"""
+"""Long work for the page: one job at a time, in a process that does not outlive its page."""
 
 from __future__ import annotations
 
@@ -19,18 +17,19 @@ from typing import Any
 
 from cep.studio import work
 
-# a page that is loaded again is the same page, and one that has just been opened may not listen
-# yet
+# for a page that is loaded again, which is the same page, or does not listen yet
 _GRACE_S = 5.0
 _LAST_S = 120.0  # to measure the best so far
+# glibc gives large arrays back when they are freed: an estimate then takes 60 MB less
 _MALLOC = {"MALLOC_ARENA_MAX": "2", "MALLOC_MMAP_THRESHOLD_": "1000000"}
-"""glibc gives large arrays back when they are freed: an estimate then takes 60 MB less."""
 _STOP_S = 3.0  # to put a shutter's controller to rest, or to end
-_MOST_LISTENERS = 64
+_MOST_LISTENERS = 64  # each holds a connection open
 
 
 class BusyError(Exception):
     """Another job is running, or too many pages listen."""
+
+    field = "job"
 
 
 @dataclass
@@ -98,22 +97,15 @@ class Jobs:
         if self._context.get_start_method() == "forkserver":
             from multiprocessing import forkserver
 
-            for (
-                name,
-                value,
-            ) in _MALLOC.items():  # the helper's, which is started here, and its children's
-                os.environ.setdefault(name, value)
+            for name, setting in _MALLOC.items():  # inherited by the helper and its children
+                os.environ.setdefault(name, setting)
             self._context.set_forkserver_preload(["cep.studio.work", "cep.search.optimize"])
             forkserver.ensure_running()
 
     def start(self, page: str, kind: str, order: Mapping[str, Any]) -> Job:
-        """Start a job for a page; an automatic one gives way. It ends where the page does not
-        listen soon.
+        """Start a job for a page, which must listen soon; BusyError where another one runs.
 
-        Raises
-        ------
-        BusyError
-            If another one runs.
+        One that the page itself has started, as the verdict over the light, gives way.
         """
         if self._job is not None and self._job.state == "running":
             if not work.KINDS[self._job.kind].gives_way:
@@ -142,9 +134,7 @@ class Jobs:
         return job
 
     def stop(self, page: str) -> None:
-        """Ask the job of a page to come to its end: a search keeps the best so far, and has a
-        while for it.
-        """
+        """Ask the job of a page to come to its end: a search may still measure the best so far."""
         job = self._job
         if job is None or job.page != page or job.state != "running" or self._stopping is not None:
             return
@@ -159,16 +149,12 @@ class Jobs:
 
     def current(self, page: str) -> Job | None:
         """Return the last job of a page."""
-        return self._job if self._job is not None and self._job.page == page else None
+        if self._job is None or self._job.page != page:
+            return None
+        return self._job
 
     def listen(self, page: str) -> asyncio.Queue[Job | None]:
-        """Return a queue of what happens to a page's job, beginning with what is.
-
-        Raises
-        ------
-        BusyError
-            If too many listen.
-        """
+        """Return a queue of what happens to a page's job, beginning with what is."""
         if sum(map(len, self._listeners.values())) >= _MOST_LISTENERS:
             raise BusyError("too many pages listen; close some of them")
         if (timer := self._leaving.pop(page, None)) is not None:
@@ -240,12 +226,10 @@ class Jobs:
     def _told(self, job: Job, message: Mapping[str, Any] | None) -> None:
         if job.state != "running":
             return
-        if message is None:  # the pipe was closed without a result
-            job.state, job.error = (
-                "failed",
-                {"field": "job", "message": "the work ended without a result"},
-            )
-        for name, value in (message or {}).items():
+        if message is None:  # the pipe was closed: the process was killed, as for its memory
+            error = {"field": "job", "message": "the work ended without a result"}
+            message = {"state": "failed", "error": error}
+        for name, value in message.items():
             setattr(job, name, value)
         if job.state != "running":
             self._settle()

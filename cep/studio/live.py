@@ -1,5 +1,4 @@
-"""Figures, MTFs and simulated photos of one code after another along one motion, fast enough to
-follow a hand.
+"""Figures, MTFs and photos of one code after another along a motion, fast enough to follow a hand.
 
 What a code does not change is computed once and kept: the OTFs of the chips, and the ways to
 expose without a code.
@@ -9,8 +8,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,16 +35,23 @@ from hw.program import Program
 from motdiff.simulate import valid_window
 from motdiff.types import FloatArray
 
+# frequencies of the MTF's map: x from -0.5 to 0.5, y from 0 to 0.5 cycles/px; |H(-f)| = |H(f)|
 MAP_COLUMNS = 97
 MAP_ROWS = 49
-"""Frequencies of the MTF's map: x from -0.5 to 0.5, y from 0 to 0.5 cycles/px; the other half is
-its mirror image."""
-
 _CURVE = 241  # frequencies along the main axis, 0..0.5 cycles/px
 _BORDER_ROUNDS = 4  # of the filter: the photo is looked at, not measured
 # of the OTFs of the paths near one that is not known exactly: 70 chips in both directions
 _MOST_BYTES = 96 * 2**20
 _BUDGET = 4_000  # cells of the proof of the minimum: milliseconds
+_BROKEN = {
+    "open_range": "{open} chips are open; the limit is {low} to {high}",
+    "min_open": "an opening is shorter than {limit} chips",
+    "min_closed": "a gap is shorter than {limit} chips",
+    "max_open": "an opening is longer than {limit} chips",
+    "max_pulses": "the shutter opens {pulses} times; the limit is {limit}",
+    "min_period": "openings begin less than {limit} chips apart",
+    "fixed": "a chip that is fixed is changed",
+}
 
 
 @dataclass(frozen=True)
@@ -81,6 +88,8 @@ class LiveBench:
         Frequencies of the curves.
     axis : (2,) float
         Unit vector of the main axis.
+    along : Trajectory or None
+        As :func:`cep.proofs.certify.certificate.certify` takes it.
 
     Raises
     ------
@@ -101,6 +110,9 @@ class LiveBench:
         check_frame(scenario.trajectory)
         check_resolved(scenario.trajectory, problem.chips)
         self.problem = problem
+        self.along = None  # what minima are of: the unit circle, for a uniform straight motion
+        if not problem.on_circle:
+            self.along = scenario.trajectory
         self.freq_cy_px = np.linspace(0, 0.5, _CURVE)
         self.axis = main_axis(scenario.trajectory)
         self._ways: tuple[float, tuple[Way, ...]] | None = None  # of the latest error of the path
@@ -115,8 +127,7 @@ class LiveBench:
         ValueError
             If it has another number of chips.
         """
-        along = None if self.problem.on_circle else self.problem.scenarios[0].trajectory
-        metrics = with_proven_zero(code, along, self.problem.measure(code, budget=_BUDGET))
+        metrics = with_proven_zero(code, self.along, self.problem.measure(code, budget=_BUDGET))
         modulus = np.abs(coded_sum(self._rows, code.array[None])[0]).astype(np.float64)
         return LiveFigures(
             metrics, modulus[:_CURVE], modulus[_CURVE:].reshape(MAP_ROWS, MAP_COLUMNS)
@@ -139,8 +150,7 @@ class LiveBench:
         return self.figures(ShutterCode("1" * self.problem.chips))
 
     def verdict(self, code: ShutterCode, *, path_error_px: float = 0.0) -> Verdict:
-        """Judge a code beside the ways to expose without one, as :func:`cep.search.advise.verdict`
-        does.
+        """Judge a code beside the ways to expose without one, as ``cep.search.advise.verdict``.
 
         The first call for a motion and an error finds and judges these ways, which takes some
         seconds; later ones judge the code alone.
@@ -170,9 +180,7 @@ class LiveBench:
         return verdict_of(self.problem, candidates, [code], path_error_px=path_error_px)
 
     def psnr_db(self, codes: Sequence[ShutterCode], *, path_error_px: float = 0.0) -> list[float]:
-        """Return the expected PSNR of photos restored along a path that is known to such an
-        error.
-        """
+        """Return the expected PSNR of photos restored along a path known to such an error."""
         with self._finding:
             psnrs = {
                 exposure.code.bits: exposure.psnr_db
@@ -204,20 +212,11 @@ class LiveBench:
         return coded_psf(path, code, size=path.frame_size() | 1, response=self.problem.response)
 
     def photo(self, code: ShutterCode, scene: LiveScene, *, side_px: int) -> FloatArray:
-        """Simulate the photo of the middle of a scene, at most so many px a side: a coded photo is
-        darker.
-
-        Raises
-        ------
-        ValueError
-            If the scene is smaller than the PSF.
-        """
+        """Simulate the photo of the middle of a scene, at most so many px a side."""
         return scene.photo(self.psf(code), self._camera(code), side_px=side_px)
 
     def restored(self, code: ShutterCode, photo: ArrayLike) -> FloatArray:
-        """Restore such a photo by a Wiener filter with the same PSF: what a motion that is known
-        exactly allows.
-        """
+        """Restore such a photo by a Wiener filter with its PSF: what a known motion allows."""
         return wiener(
             photo, self.psf(code), camera=self._camera(code), border_rounds=_BORDER_ROUNDS
         )
@@ -245,7 +244,7 @@ class LiveScene:
 
     def __init__(self, light: ArrayLike, *, seed: int = 0) -> None:
         pixels = np.asarray(light, dtype=np.float32)
-        self._colour = pixels.ndim == 3
+        self._is_grey = pixels.ndim == 2
         layers = np.moveaxis(np.atleast_3d(pixels), 2, 0)
         self.shape = pixels.shape[:2]
         self._spectrum = fft.rfft2(layers)
@@ -253,13 +252,7 @@ class LiveScene:
         self._photon, self._read = rng.standard_normal((2, *layers.shape), dtype=np.float32)
 
     def photo(self, psf: FloatArray, camera: Camera, *, side_px: int) -> FloatArray:
-        """Return the photo of its middle, at most so many px a side.
-
-        Raises
-        ------
-        ValueError
-            If the PSF is larger than the scene.
-        """
+        """Return the photo of its middle, at most so many px a side."""
         visible = [_middle(span, side_px) for span in valid_window(self.shape, psf.shape)]
         kernel = fft.rfft2(psf.astype(np.float32), self.shape)
         # lies half a frame further; its wrap is not seen
@@ -269,19 +262,16 @@ class LiveScene:
             for span, n in zip(visible, psf.shape, strict=True)
         )
         window = (slice(None), *visible)
-        noise = camera.noise
+        full_e = np.float32(camera.noise["photons_full_scale"])
         z = self._photon[window]
-        electrons = np.maximum(blurred[:, below, right], 0) * np.float32(
-            noise["photons_full_scale"]
-        )
+        electrons = np.maximum(blurred[:, below, right], 0) * full_e  # FFT leaves values below 0
         electrons += np.sqrt(electrons) * z + (z * z - 1) / 6
         counted = np.maximum(np.rint(electrons), 0)
-        light = (
-            counted / np.float32(noise["photons_full_scale"])
-            + noise["read_sigma"] * self._read[window]
-        )
+        light = counted / full_e + camera.noise["read_sigma"] * self._read[window]
         photo = camera.quantise(light)
-        return np.ascontiguousarray(np.moveaxis(photo, 0, 2)) if self._colour else photo[0]
+        if self._is_grey:
+            return np.asarray(photo[0])
+        return np.ascontiguousarray(np.moveaxis(photo, 0, 2))
 
 
 def _middle(range_px: slice, most_px: int) -> slice:
@@ -289,17 +279,6 @@ def _middle(range_px: slice, most_px: int) -> slice:
     size = min(range_px.stop - range_px.start, most_px)
     begin = range_px.start + (range_px.stop - range_px.start - size) // 2
     return slice(begin, begin + size)
-
-
-_WORDS = {
-    "open_range": "{open} chips are open; the limit is {low} to {high}",
-    "min_open": "an opening is shorter than {limit} chips",
-    "min_closed": "a gap is shorter than {limit} chips",
-    "max_open": "an opening is longer than {limit} chips",
-    "max_pulses": "the shutter opens {pulses} times; the limit is {limit}",
-    "min_period": "openings begin less than {limit} chips apart",
-    "fixed": "a chip that is fixed is changed",
-}
 
 
 def broken_limits(
@@ -321,25 +300,21 @@ def broken_limits(
     >>> broken_limits(problem, ShutterCode("11100101"))
     ('5 chips are open; the limit is 2 to 4',)
     """
-    reasons = (
-        list(device.check(Program.from_bits(code.bits, chip_ns=problem.chip_ns))) if device else []
-    )
+    reasons: list[str] = []
+    if device is not None:
+        reasons += device.check(Program.from_bits(code.bits, chip_ns=problem.chip_ns))
     if reasons or problem.allows(code):
         return tuple(reasons)
     bits = code.array[None].astype(np.int8)
     limits = problem.limits
     low, high = limits.open_range
-    for name, words in _WORDS.items():
+    for name, words in _BROKEN.items():
+        limit: Any = getattr(limits.runs, name, None)
         if name == "open_range":
-            single = Limits(limits.chips, limits.open_range)
+            alone = Limits(limits.chips, limits.open_range)
         else:
-            runs = RunLimits(**{name: getattr(limits.runs, name)})
-            single = replace(limits, open_range=(1, limits.chips), runs=runs)
-        if not single.satisfied(bits)[0]:
-            limit = getattr(limits.runs, name, None)
-            reasons.append(
-                words.format(
-                    open=code.open_chips, low=low, high=high, limit=limit, pulses=code.pulses
-                )
-            )
+            alone = Limits(limits.chips, (1, limits.chips), RunLimits(**{name: limit}))
+        if not alone.satisfied(bits)[0]:
+            figures = {"open": code.open_chips, "pulses": code.pulses}
+            reasons.append(words.format(**figures, low=low, high=high, limit=limit))
     return tuple(reasons)

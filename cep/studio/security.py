@@ -1,6 +1,4 @@
-"""Gate in front of the studio: who may ask, from where and how much, and what a browser may do
-with the answer.
-"""
+"""Gate in front of the studio: who may ask, from where and how much, and what a browser may do."""
 
 from __future__ import annotations
 
@@ -24,13 +22,13 @@ from starlette.responses import (
 )
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-_MOST_BYTES = 256 * 1024
+_MOST_BYTES = 256 * 1024  # of a request: the longest path and all pins take less than 64 KB
 _MOST_UPLOADED = {
-    "/api/upload/photo": 256 * 1024**2,
-    "/api/upload/gyro": 32 * 1024**2,
+    "/api/upload/photo": 256 * 1024**2,  # a TIFF of 40 megapixels with 16 bits
+    "/api/upload/gyro": 32 * 1024**2,  # as motdiff.files.inputs reads
     "/api/upload/document": 4 * 1024**2,  # parsed, JSON takes up to 30 times as much memory
 }
-_MOST_BODY_S = 60.0
+_MOST_BODY_S = 60.0  # a body that stalls would keep its connection for good
 _HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:;"
@@ -96,18 +94,11 @@ class Keys:
         return True
 
     def page_in(self, folder: Path) -> Path:
-        """Write a page that leads to the studio, for this user's eyes alone; it goes when the
-        token is spent.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
-        """
+        """Write a page that leads this user alone to the studio; it goes with the token's use."""
         self._page = folder / "open.html"
-        with open(
-            os.open(self._page, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8"
-        ) as file:
+        # the mode at once, as chmod afterwards leaves a moment; O_EXCL follows no prepared link
+        descriptor = os.open(self._page, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with open(descriptor, "w", encoding="utf-8") as file:
             file.write(_leading(self.address))
         return self._page
 
@@ -123,9 +114,7 @@ class Keys:
 
     @property
     def hosts(self) -> tuple[str, str]:
-        """What the Host header may say; any other name, and it was a foreign page that led
-        here.
-        """
+        """What the Host header may say: under any other name a foreign page has led here."""
         return f"127.0.0.1:{self.port}", f"localhost:{self.port}"
 
 
@@ -168,9 +157,7 @@ class Gate:
         await self._app(scope, _limited(receive, self._most(scope)), guarded)
 
     def _refusal(self, scope: Scope) -> Response | None:
-        """Return the answer to a request that is not let in, and to the one that brings the token;
-        None else.
-        """
+        """Return the answer to a request that is not let in, or brings the token; else None."""
         headers = Headers(scope=scope)
         keys = self._keys
         if headers.get("host", "") not in keys.hosts:
@@ -206,14 +193,14 @@ class Gate:
         if length is not None and (
             not length.isdecimal() or len(length) > 15 or int(length) > self._most(scope)
         ):
-            return too_large(self._most(scope))
+            return refusal(TooLargeError(self._most(scope)), 413)
         return None
 
     def _with_cookie(self, *, linked: bool) -> Response:
-        """Lead on to the page, from another page's link by a page: redirected, a browser would
-        hold the cookie back.
-        """
-        answer = HTMLResponse(_leading("/")) if linked else RedirectResponse("/", 303)
+        """Lead on to the page, and give the browser its cookie."""
+        answer: Response = RedirectResponse("/", 303)
+        if linked:  # redirected from another page's link, a browser would hold the cookie back
+            answer = HTMLResponse(_leading("/"))
         answer.set_cookie(
             self._keys.cookie, self._keys.session, httponly=True, samesite="strict", path="/"
         )
@@ -238,23 +225,25 @@ class Gate:
 class TooLargeError(Exception):
     """The body of a request is larger than is read."""
 
+    def __init__(self, limit: int) -> None:
+        size = f"{limit // 1024} KB"
+        if limit >= 1024 * 1024:
+            size = f"{limit // 1024 // 1024} MB"
+        super().__init__(f"at most {size} are read")
+
 
 class LateError(Exception):
     """The body of a request did not come in time."""
 
 
-def too_large(limit: int) -> Response:
-    """Return the answer to a body of more than so many bytes."""
-    message = f"at most {limit // 1024} KB are read"
-    if limit >= 1024 * 1024:
-        message = f"at most {limit // 1024 // 1024} MB are read"
-    return JSONResponse({"error": {"field": "page", "message": message}}, 413)
+def refusal(error: Exception, status: int) -> Response:
+    """Return the answer that shows an error beside its field of the page."""
+    field = getattr(error, "field", "page")
+    return JSONResponse({"error": {"field": field, "message": str(error)}}, status)
 
 
 def _limited(receive: Receive, limit: int) -> Receive:
-    """Count the bytes of a body as they come, and the time: a length may be a lie, and the rest
-    never come.
-    """
+    """Count the bytes of a body as they come, and the time: its stated length may be a lie."""
     received = 0
     is_complete = False
     deadline_s = asyncio.get_running_loop().time() + _MOST_BODY_S

@@ -1,6 +1,4 @@
-"""Server of the studio: its addresses, each a few lines, behind the gate; and its start on
-127.0.0.1.
-"""
+"""Server of the studio on 127.0.0.1: its addresses, each a few lines, behind the gate."""
 
 from __future__ import annotations
 
@@ -26,16 +24,18 @@ from starlette.types import Receive, Scope, Send
 from threadpoolctl import threadpool_limits
 
 from cep.files.images import RAW_SUFFIXES
+from cep.optics.camera import Camera
 from cep.studio import catalogue
 from cep.studio.documents import opened_document, opened_gyro
 from cep.studio.fields import FieldError
 from cep.studio.jobs import BusyError, Job, Jobs
-from cep.studio.security import Gate, Keys, LateError, TooLargeError, too_large
+from cep.studio.security import Gate, Keys, LateError, TooLargeError, refusal
 from cep.studio.state import Setting, read_codes, read_search, read_setting
 from cep.studio.uploads import Uploads
 from cep.studio.views import Views, start_view
 from cep.studio.work import KINDS
 from motdiff.estimators.registry import blind_methods
+from motdiff.files.json_files import plain
 
 _STATIC = {
     "index.html": "text/html; charset=utf-8",
@@ -45,11 +45,14 @@ _STATIC = {
     "strip.js": "text/javascript; charset=utf-8",
     "plots.js": "text/javascript; charset=utf-8",
 }
-_BEAT_S = 15.0
+# answers to errors, RFC 9110: unprocessable content, conflict, content too large, timeout
+_STATUS = {FieldError: 422, BusyError: 409, TooLargeError: 413, LateError: 408}
+_BEAT_S = 15.0  # a page that has gone is noticed when it is written to
 _MOST_SILENT_S = 10.0  # of a connection that has asked nothing yet
-_MOST_PHOTOS = 3
-_MOST_PAGE = 64
+_MOST_PHOTOS = 3  # of one request
+_MOST_PAGE = 64  # characters of a page's name
 Answer = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
+Endpoint = Callable[[Request], Awaitable[Response]]
 T = TypeVar("T")
 
 
@@ -121,10 +124,8 @@ class _Studio:
             method = document.get("method", "motdiff")
             if method not in blind_methods():
                 raise FieldError("method", f"the methods are {' and '.join(blind_methods())}")
-            order: dict[str, Any] = {
-                "path": str(self.uploads.path(document.get("photo"))),
-                "method": method,
-            }
+            photo = self.uploads.path(document.get("photo"))
+            order: dict[str, Any] = {"path": str(photo), "method": method}
         else:
             _setting(document).problem()
             steps, seed = read_search(document)
@@ -159,6 +160,9 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
         State that a page without one in its address begins with.
     """
     studio = _Studio()
+    opened = {}
+    if first_state is not None:
+        opened = {"state": first_state}
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
@@ -168,7 +172,7 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
             yield
         studio.close()
 
-    def answering(answer: Answer) -> Callable[[Request], Awaitable[Response]]:
+    def answering(answer: Answer) -> Endpoint:
         async def endpoint(request: Request) -> Response:
             return JSONResponse(await answer(await _document(request)))
 
@@ -178,21 +182,15 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
         suffix = request.query_params.get("suffix", "")
         return JSONResponse({"photo": await studio.uploads.photo(request.stream(), suffix=suffix)})
 
-    async def upload_document(request: Request) -> Response:
-        file = await studio.uploads.text(request.stream(), ".json", field="open_file")
-        try:
-            return JSONResponse(await studio.quickly(opened_document, file))
-        finally:
-            file.unlink(missing_ok=True)
+    def uploading(suffix: str, field: str, read: Callable[..., Mapping[str, Any]]) -> Endpoint:
+        async def endpoint(request: Request) -> Response:
+            file = await studio.uploads.text(request.stream(), suffix, field=field)
+            try:
+                return JSONResponse(await studio.quickly(read, file, request.query_params))
+            finally:
+                file.unlink(missing_ok=True)
 
-    async def upload_gyro(request: Request) -> Response:
-        file = await studio.uploads.text(request.stream(), ".csv", field="gyro")
-        try:
-            return JSONResponse(
-                await studio.quickly(opened_gyro, file, dict(request.query_params))
-            )
-        finally:
-            file.unlink(missing_ok=True)
+        return endpoint
 
     async def example_photo(_: Request) -> Response:
         content = await studio.quickly(_bundled_photo)
@@ -209,13 +207,10 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
         return JSONResponse(await studio.quickly(start_view))
 
     async def opened_state(_: Request) -> Response:
-        return JSONResponse({} if first_state is None else {"state": first_state})
+        return JSONResponse(opened)
 
     async def ports(_: Request) -> Response:
-        ports_found = await studio.quickly(catalogue.ports)
-        return JSONResponse(
-            {"ports": [{"name": port.name, "about": port.about} for port in ports_found]}
-        )
+        return JSONResponse({"ports": plain(await studio.quickly(catalogue.ports))})
 
     async def events(request: Request) -> Response:
         return _News(studio.jobs, _page(request.query_params.get("page")))
@@ -243,20 +238,18 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
         Route("/api/photo/{key}", preview),
         Route("/api/example-photo", example_photo, methods=["POST"]),
         Route("/api/upload/photo", upload_photo, methods=["POST"]),
-        Route("/api/upload/document", upload_document, methods=["POST"]),
-        Route("/api/upload/gyro", upload_gyro, methods=["POST"]),
+        Route(
+            "/api/upload/document",
+            uploading(".json", "open_file", lambda file, _: opened_document(file)),
+            methods=["POST"],
+        ),
+        Route("/api/upload/gyro", uploading(".csv", "gyro", opened_gyro), methods=["POST"]),
         *(
             Route(f"/api/{name}", answering(answer), methods=["POST"])
             for name, answer in answers.items()
         ),
     ]
-    handlers: Any = {
-        FieldError: _wrong,
-        BusyError: _busy,
-        TooLargeError: _large,
-        LateError: _late,
-        ClientDisconnect: _gone,
-    }
+    handlers: dict[Any, Any] = dict.fromkeys((*_STATUS, ClientDisconnect), _refused)
     app = Starlette(
         routes=routes,
         lifespan=lifespan,
@@ -300,9 +293,7 @@ def serve(
     from uvicorn.protocols.http.h11_impl import H11Protocol
 
     class Impatient(H11Protocol):
-        """Closes connections that ask nothing: anybody on the computer can open as many as the
-        server has files.
-        """
+        """Closes connections that ask nothing: each takes one of the server's open files."""
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
@@ -328,9 +319,7 @@ def serve(
     )
 
     class Server(uvicorn.Server):
-        """Ends the streams of news when it is asked to stop: it would wait for them and break them
-        off.
-        """
+        """Ends the streams of news when it is asked to stop: it would wait for them."""
 
         def handle_exit(self, sig: int, frame: FrameType | None) -> None:
             app.state.studio.jobs.dismiss()
@@ -403,9 +392,7 @@ class _News(StreamingResponse):
 
 
 async def _events(jobs: Jobs, queue: asyncio.Queue[Job | None]) -> AsyncIterator[str]:
-    """Tell of a job as it goes on; an idle line now and then shows whether the page is still
-    there.
-    """
+    """Tell of a job as it goes on; an idle line shows whether the page is still there."""
     while True:
         try:
             job: Job | None = await asyncio.wait_for(queue.get(), _BEAT_S)
@@ -416,7 +403,7 @@ async def _events(jobs: Jobs, queue: asyncio.Queue[Job | None]) -> AsyncIterator
             return
         while not queue.empty():  # only the latest state counts
             job = queue.get_nowait()
-        yield f"data: {json.dumps(None if job is None else job.to_dict())}\n\n"
+        yield f"data: {json.dumps(job and job.to_dict())}\n\n"
 
 
 def _static(name: str) -> Response:
@@ -434,28 +421,11 @@ def _bundled_photo() -> bytes:
     from cep.report.demo_chain import STANDARD_CAMERA
     from cep.report.demo_scene import bundled_scene
 
-    import cep  # isort: skip
-
-    scene = bundled_scene(cep.Camera.load(STANDARD_CAMERA), rng=np.random.default_rng(0))
+    scene = bundled_scene(Camera.load(STANDARD_CAMERA), rng=np.random.default_rng(0))
     return encode_image(scene.photo, ".png")
 
 
-def _wrong(_: Request, error: Exception) -> Response:
-    assert isinstance(error, FieldError)
-    return JSONResponse({"error": {"field": error.field, "message": str(error)}}, 422)
-
-
-def _busy(_: Request, error: Exception) -> Response:
-    return JSONResponse({"error": {"field": "job", "message": str(error)}}, 409)
-
-
-def _large(_: Request, error: Exception) -> Response:
-    return too_large(error.args[0])
-
-
-def _late(_: Request, error: Exception) -> Response:
-    return JSONResponse({"error": {"field": "page", "message": str(error)}}, 408)
-
-
-def _gone(_: Request, _error: Exception) -> Response:
-    return Response(status_code=400)  # the client has gone: it is not read
+def _refused(_: Request, error: Exception) -> Response:
+    if isinstance(error, ClientDisconnect):
+        return Response(status_code=400)  # the client has gone: it is not read
+    return refusal(error, _STATUS[type(error)])

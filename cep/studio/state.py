@@ -1,12 +1,13 @@
-"""State of the page as the server reads it: checked field by field, then as a problem, as
-documents and as commands.
+"""State of the page: checked field by field, then a search problem, a document and commands.
+
+What reads a part of it raises :class:`cep.studio.fields.FieldError`.
 """
 
 from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -15,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 import cep
-from cep.files.formatting import seconds_of
+from cep.files.formatting import option_words, seconds_of
 from cep.studio.catalogue import camera_names, example_motion, load_profile, profile_names
 from cep.studio.fields import (
     LIMITS,
@@ -33,18 +34,19 @@ _MOST_SAMPLES = 512  # of a path in the address
 _TIME_STEPS = 65_535  # of a path in the address: 16 bits
 _FARTHEST_PX = 500.0  # of a bent path: the work grows with its area, to some seconds of a picture
 _MOST_ERROR_PX = 20.0
-_MOST_EXPOSURE_S = 86_400.0
+_MOST_EXPOSURE_S = 86_400.0  # a day
 _MOST_STEPS = 10**9
 _MOST_SEED = 2**32 - 1
 _MOST_PINS = 12
-_MOST_NAME = 80
+_MOST_NAME = 80  # characters
+# what a page begins with, as static/state.js has it
 _FIRST_PAGE: Mapping[str, Any] = {
     "motion": {"kind": "straight", "length": 40, "angle": 0},
     "bits": "1010000111000001010000110011110111010111001001100111",
     "exposure": "1/30",
     "camera": "aptina-mt9m031-8bit",
 }
-"""What a page begins with, as ``static/state.js`` has it."""
+# fields of the page and of Setting that have the same name and form
 _SETTINGS = (
     "motion",
     "bits",
@@ -111,23 +113,18 @@ class Setting:
 
     @property
     def key(self) -> str:
-        """Text that differs where anything but the bits and the path's error differs, the number
-        of bits included.
-        """
+        """Text of all that a bench depends on: not which chips are open, nor the path's error."""
         light = (self.camera, self.photons, self.read_noise)
         limits = (self.device, self.open_range, sorted(self.limits.items()))
         return repr((self.chips, self.motion, self.exposure, light, limits))
 
     @cached_property
     def sensor(self) -> cep.Camera:
-        """Camera at its light.
-
-        Raises
-        ------
-        FieldError
-        """
+        """Camera at its light."""
         try:
-            camera = _camera(self.camera) if self.camera else cep.Camera()
+            camera = cep.Camera()
+            if self.camera:
+                camera = _camera(self.camera)
             if self.photons is not None:
                 camera = camera.at(self.photons)
             if self.read_noise is not None:
@@ -142,22 +139,22 @@ class Setting:
         return _profile(self.device) if self.device else None
 
     def problem(self, *, limited: bool = True) -> cep.SearchProblem:
-        """Return the search problem; without its limits where the codes are only to be measured.
-
-        Raises
-        ------
-        FieldError
-        """
+        """Return the search problem; without its limits where codes are only to be measured."""
+        limits: dict[str, Any] = {"camera": replace(self.sensor, least_exposure_s=0.0)}
+        if limited:
+            limits = {
+                "camera": self.sensor,
+                "device": self.profile,
+                "open_range": self.open_range,
+                "runs": cep.RunLimits(**self.limits),
+            }
         try:
             return cep.SearchProblem.along(
                 self.trajectory,
                 chips=self.chips,
                 exposure_s=seconds_of(self.exposure),
-                camera=self.sensor if limited else replace(self.sensor, least_exposure_s=0.0),
                 objective="mse",
-                device=self.profile if limited else None,
-                open_range=self.open_range if limited else None,
-                runs=replace(cep.RunLimits(), **(self.limits if limited else {})),
+                **limits,
             )
         except ValueError as error:
             if self.profile is not None and self.profile.name in str(error):
@@ -171,52 +168,14 @@ class Setting:
             # a device that cannot play such codes: they last as they would without it
             with suppress(FieldError):
                 chip_ns = self.problem().chip_ns
-        return cep.ShutterCode(self.bits if bits is None else bits, chip_ns)
+        return cep.ShutterCode(bits or self.bits, chip_ns)
 
     # -- what reproduces it -----------------------------------------------------------------------
 
-    @property
-    def motion_options(self) -> list[str]:
-        """Options of the command line that name the motion."""
-        if (
-            self.motion["kind"] == "straight"
-            and not self.motion["angle"]
-            and not self.path_error_px
-        ):
-            return ["--linear", f"{self.motion['length']:g}"]
-        return ["--trajectory", "trajectory.json"]
-
-    @property
-    def camera_options(self) -> list[str]:
-        """Options of the command line that name the camera and the light."""
-        options = {
-            "--camera": self.camera or None,
-            "--photons": self.photons,
-            "--read-noise": self.read_noise,
-        }
-        return [
-            word
-            for name, value in options.items()
-            if value is not None
-            for word in (name, value if isinstance(value, str) else f"{value:g}")
-        ]
-
-    @property
-    def device_options(self) -> list[str]:
-        """Option of the command line that names the shutter."""
-        return ["--device", self.device] if self.device else []
-
-    @property
-    def limit_options(self) -> list[str]:
-        """Options of the command line for the limits of the code."""
-        words = [] if self.open_range is None else ["--open", "{}:{}".format(*self.open_range)]
-        for name, value in self.limits.items():
-            words += [f"--{name.replace('_', '-')}", str(value)]
-        return words
-
     def commands(self, *, steps: int | None = None, seed: int = 0) -> list[str]:
-        """Return the command lines that give what the page shows, in a folder with its
-        trajectory.json and code.json.
+        """Return the command lines that give what the page shows.
+
+        They are for a folder with its trajectory.json and code.json.
 
         Parameters
         ----------
@@ -224,33 +183,41 @@ class Setting:
             Moves of a search that found the code.
         seed : int
         """
-        motion = self.motion_options
-        time = ["--exposure", self.exposure]
-        light = self.camera_options
-        device = self.device_options
-        lines = [
+        motion = ["--trajectory", "trajectory.json"]
+        angle = self.motion.get("angle")
+        if self.motion["kind"] == "straight" and not angle and not self.path_error_px:
+            motion = option_words({"--linear": self.motion["length"]})
+        camera: dict[str, str | float | None] = {
+            "--camera": self.camera or None,
+            "--photons": self.photons,
+            "--read-noise": self.read_noise,
+        }
+        device = {"--device": self.device or None}
+        lines = []
+        if steps is not None:
+            limits = option_words(
+                {
+                    "--chips": str(self.chips),
+                    "--exposure": self.exposure,
+                    "--open": self.open_range and "{}:{}".format(*self.open_range),
+                    **{
+                        f"--{name.replace('_', '-')}": limit for name, limit in self.limits.items()
+                    },
+                    **device,
+                    **camera,
+                    "--steps": str(steps),  # whole, as 1e+06 would not be read back
+                    "--seed": str(seed),
+                }
+            )
+            lines.append(["cep", "optimize", *motion, *limits, "-o", "searched.json"])
+        if self.chips > 1:  # a single chip leaves nothing to choose
+            light = option_words({**camera, **device})
+            code = ["--code", "code.json"]
+            lines.append(["cep", "advise", *motion, *code, *light, "-o", "advice.png"])
+        lines += [
             ["cep", "mtf", *motion, "--code", "code.json", "-o", "mtf.png"],
             ["cep", "audit", "code.json", *motion],
         ]
-        if self.chips > 1:
-            lines.insert(
-                0,
-                [
-                    "cep",
-                    "advise",
-                    *motion,
-                    "--code",
-                    "code.json",
-                    *light,
-                    *device,
-                    "-o",
-                    "advice.png",
-                ],
-            )
-        if steps is not None:
-            search = ["--chips", str(self.chips), *time, *self.limit_options, *device, *light]
-            rest_options = ["--steps", str(steps), "--seed", str(seed), "-o", "searched.json"]
-            lines.insert(0, ["cep", "optimize", *motion, *search, *rest_options])
         return [shlex.join(line) for line in lines]
 
 
@@ -265,13 +232,7 @@ def _profile(name: str) -> cep.DeviceProfile:
 
 
 def read_setting(document: object) -> Setting:
-    """Read the state that the page sends.
-
-    Raises
-    ------
-    FieldError
-        If a field is missing or malformed; the line says what would be right.
-    """
+    """Read the state that the page sends."""
     if not isinstance(document, dict):
         raise FieldError("page", f"the state must be an object, got {type(document).__name__}")
     bits = read_bits(document.get("bits"), "bits")
@@ -289,24 +250,14 @@ def read_setting(document: object) -> Setting:
         open_range=_open_range(document.get("open"), len(bits)),
         limits={
             name: value
-            for name in LIMITS
-            if (
-                value := read_whole(
-                    document, name, 1, MOST_CHIPS, "openings" if name == "max_pulses" else "chips"
-                )
-            )
-            is not None
+            for name, unit in LIMITS.items()
+            if (value := read_whole(document, name, 1, MOST_CHIPS, unit)) is not None
         },
     )
 
 
 def read_search(document: Mapping[str, Any]) -> tuple[int | None, int]:
-    """Read the ``steps`` of a search, None where it says nothing of them, and its ``seed``.
-
-    Raises
-    ------
-    FieldError
-    """
+    """Read the ``steps`` of a search, None where it says nothing of them, and its ``seed``."""
     steps = read_whole(document, "steps", 1, _MOST_STEPS, "moves of a search")
     return steps, read_whole(document, "seed", 0, _MOST_SEED, "as a seed") or 0
 
@@ -334,17 +285,12 @@ def read_state(document: object) -> dict[str, Any]:
     -------
     dict
         The fields that the document has, each checked; fields that are not known are left out.
-
-    Raises
-    ------
-    FieldError
-        If a field is malformed.
     """
     if not isinstance(document, dict):
         raise FieldError("page", f"the state must be an object, got {type(document).__name__}")
     setting = saved_setting(document)
     fields = {name: getattr(setting, name) for name in _SETTINGS} | {
-        "open": None if setting.open_range is None else list(setting.open_range),
+        "open": setting.open_range and list(setting.open_range),
         **{name: setting.limits.get(name) for name in LIMITS},
         **{
             name: read_choice(document, name, names, default=names[0])
@@ -358,18 +304,12 @@ def read_state(document: object) -> dict[str, Any]:
 
 
 def saved_setting(state: Mapping[str, Any]) -> Setting:
-    """Return the setting of a page's state; what it leaves out is as on the first page.
-
-    Raises
-    ------
-    FieldError
-    """
+    """Return the setting of a page's state; what it leaves out is as on the first page."""
     return read_setting({**_FIRST_PAGE, **state})
 
 
 def path_fields(trajectory: cep.Trajectory, *, max_samples: int = 160) -> dict[str, Any]:
-    """Return a motion as the page keeps it in its address: thinned to at most so many samples,
-    times in 16 bits.
+    """Return a motion as the page keeps it in its address: thinned, with times in 16 bits.
 
     Samples of a fast jump that fall on the same time are moved to the next ones.
     """
@@ -379,7 +319,9 @@ def path_fields(trajectory: cep.Trajectory, *, max_samples: int = 160) -> dict[s
         path = trajectory.thinned(tolerance_px)
         tolerance_px = 1.4 * tolerance_px
     order = np.arange(path.t.size)
+    # strictly rising whole numbers: from the left each at least one above the one before ...
     steps = np.maximum.accumulate(np.rint(_TIME_STEPS * path.t) - order) + order
+    # ... and none so high that the samples after it have no room below the end
     t = np.minimum(steps, _TIME_STEPS - order[::-1]) / _TIME_STEPS
     samples = {
         name: np.round(values, 5).tolist() for name, values in (("x", path.x), ("y", path.y))
@@ -410,8 +352,9 @@ def _motion(motion: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
     if kind != "path":
         raise FieldError("motion", "the kind of a motion is straight, example or path")
     columns = [motion.get(name) for name in "txy"]
-    sizes = {len(column) if isinstance(column, list) else -1 for column in columns}
-    if len(sizes) != 1 or not 2 <= sizes.pop() <= _MOST_SAMPLES:
+    sizes = {len(column) for column in columns if isinstance(column, list)}
+    are_lists = all(isinstance(column, list) for column in columns)
+    if not are_lists or len(sizes) != 1 or not 2 <= sizes.pop() <= _MOST_SAMPLES:
         raise FieldError(
             "motion", f"a path has 2 to {_MOST_SAMPLES} samples, as many of t as of x and y"
         )
@@ -420,9 +363,9 @@ def _motion(motion: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
     t, x, y = (np.array(column, dtype=np.float64) for column in columns)
     if max(np.abs(x).max(), np.abs(y).max()) > _FARTHEST_PX:
         raise FieldError("motion", f"a path lies within {_FARTHEST_PX:g} px")
-    direction: Literal["known", "unknown"] = (
-        "known" if motion.get("direction") == "known" else "unknown"
-    )
+    direction: Literal["known", "unknown"] = "unknown"
+    if motion.get("direction") == "known":
+        direction = "known"
     try:
         path = cep.Trajectory.from_samples(np.column_stack([x, y]), t=t, direction=direction)
     except ValueError as error:
@@ -459,11 +402,12 @@ def _photo(key: object) -> str:
     return key
 
 
-def _pins(pins_given: object) -> list[dict[str, str]]:
-    if pins_given is None or pins_given == []:
+def _pins(pins: object) -> list[dict[str, str]]:
+    if pins is None or pins == []:
         return []
-    pins: Sequence[Any] = pins_given if isinstance(pins_given, list) else [None]
-    if not all(isinstance(pin, dict) and isinstance(pin.get("name"), str) for pin in pins):
+    if not isinstance(pins, list) or not all(
+        isinstance(pin, dict) and isinstance(pin.get("name"), str) for pin in pins
+    ):
         raise FieldError("pins", "must be a list of codes with their name and bits")
     codes = read_codes({pin["name"]: pin.get("bits") for pin in pins}, "pins")
     if len(codes) < len(pins):
@@ -474,21 +418,20 @@ def _pins(pins_given: object) -> list[dict[str, str]]:
 def _search(search: object) -> dict[str, int] | None:
     if search is None:
         return None
-    steps, seed = read_search(search) if isinstance(search, dict) else (None, 0)
-    if steps is None:
-        raise FieldError("search", "must be an object with the steps and the seed of a search")
-    return {"steps": steps, "seed": seed}
+    if isinstance(search, dict):
+        steps, seed = read_search(search)
+        if steps is not None:
+            return {"steps": steps, "seed": seed}
+    raise FieldError("search", "must be an object with the steps and the seed of a search")
 
 
 def _open_range(bounds: object, chips: int) -> tuple[int, int] | None:
     if bounds is None:
         return None
-    limits: Sequence[Any] = bounds if isinstance(bounds, list) else ()
-    if len(limits) != 2 or not all(
-        isinstance(end, int) and not isinstance(end, bool) for end in limits
-    ):
+    # not isinstance: True is an int too
+    if not isinstance(bounds, list) or [type(end) for end in bounds] != [int, int]:
         raise FieldError("open", "the open chips are two whole numbers, the fewest and the most")
-    low, high = limits
+    low, high = bounds
     if not 1 <= low <= high <= chips:
         raise FieldError("open", f"the open chips must lie within 1 to {chips}, the fewest first")
     return low, high

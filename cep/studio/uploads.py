@@ -1,6 +1,4 @@
-"""Files that pages send: streamed into a folder of the server's own, under names of its own
-making, few at a time.
-"""
+"""Files that pages send: streamed into the server's own folder under names of its own making."""
 
 from __future__ import annotations
 
@@ -13,13 +11,14 @@ from cep.files.images import RAW_SUFFIXES
 from cep.studio.fields import FieldError, disk_error
 
 _KEPT = 8  # photos; the oldest goes first
+# by their first bytes, whatever the name says
 _PHOTOS: Mapping[str, Callable[[bytes], bool]] = {
     ".jpg": lambda head: head.startswith(b"\xff\xd8\xff"),
     ".png": lambda head: head.startswith(b"\x89PNG\r\n\x1a\n"),
     ".tif": lambda head: head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
     ".webp": lambda head: head[:4] == b"RIFF" and head[8:12] == b"WEBP",
 }
-_HEAD = 16
+_HEAD = 16  # bytes that tell the formats apart
 
 
 class Uploads:
@@ -46,27 +45,19 @@ class Uploads:
         chunks : async iterator of bytes
         suffix : str
             Of the file's name where it is one of a RAW file: many begin as TIFF files do.
-
-        Raises
-        ------
-        FieldError
-            If it is no PNG, JPEG, TIFF or WebP file and not named as a RAW file is, or the disk is
-            full.
         """
-        kind = suffix.lower() if suffix.lower() in RAW_SUFFIXES else None
         key = secrets.token_hex(16)
         partial = self.folder / f"{key}.part"
         try:
             head = await _streamed(chunks, partial)
-            kind = kind or next(
-                (ending for ending, is_kind in _PHOTOS.items() if is_kind(head)), None
-            )
-            if kind is None:
+            kinds = [ending for ending in RAW_SUFFIXES if ending == suffix.lower()]
+            kinds += [ending for ending, is_kind in _PHOTOS.items() if is_kind(head)]
+            if not kinds:
                 raise FieldError(
                     "photo",
                     "a photo is a PNG, JPEG, TIFF, WebP or RAW file; this file is none of them",
                 )
-            self._photos[key] = partial.rename(self.folder / f"{key}{kind}")
+            self._photos[key] = partial.rename(self.folder / f"{key}{kinds[0]}")
         except OSError as error:
             raise disk_error("photo", error) from None
         finally:
@@ -76,9 +67,7 @@ class Uploads:
         return key
 
     async def text(self, chunks: AsyncIterator[bytes], suffix: str, *, field: str) -> Path:
-        """Keep a text for as long as it is read; the caller removes it. An error is one of the
-        field.
-        """
+        """Keep a text for as long as it is read; the caller removes it."""
         partial = self.folder / f"{secrets.token_hex(16)}{suffix}"
         try:
             await _streamed(chunks, partial)
@@ -102,14 +91,8 @@ class Uploads:
         return key
 
     def path(self, key: object) -> Path:
-        """Return the file of a key.
-
-        Raises
-        ------
-        FieldError
-            If there is none.
-        """
-        file = self._photos.get(key) if isinstance(key, str) else None
+        """Return the file of a key."""
+        file = self._photos.get(str(key))
         if file is None or not file.is_file():
             raise FieldError("photo", "this photo is no longer here: drop it again")
         return file

@@ -1,6 +1,4 @@
-"""Content of the page as JSON: the picture of a code, the verdict, restored photos, documents to
-save.
-"""
+"""Content of the page as JSON: pictures of a code, verdicts, photos, documents to save."""
 
 from __future__ import annotations
 
@@ -19,6 +17,8 @@ from cep.codes.published import names
 from cep.files.files import StoredCode, code_document
 from cep.files.formatting import duration
 from cep.files.images import encode_image
+from cep.optics.camera import camera_names
+from cep.plots.advice import WAY_NAMES
 from cep.report.demo_scene import bundled_picture
 from cep.shutter.play import export_code
 from cep.studio import catalogue
@@ -30,20 +30,17 @@ from motdiff.types import FloatArray
 
 STUDIO_SCHEMA = "cep.studio/1"
 _BENCHES = 6  # motions, cameras and shutters kept; a few MB each
-_SCENE_PX = 256
-_LEAST_PX = 64
+_SCENE_PX = 256  # side of the photos that are shown
+_LEAST_PX = 64  # of the scene that a motion must leave of it: less shows nothing
 _FLOOR_DB = 50.0  # of the map's 8 bits
-_WORDS = {
-    "open": "open shutter",
-    "snapshot": "best single exposure",
-    "strobe": "best even pulses",
-    "code": "best code",
-}
+_WORDS = {"open": "open shutter", **WAY_NAMES}
 
 
 class Views:
-    """Views of settings; what only depends on motion, camera and shutter is kept from one code to
-    the next.
+    """Views of settings.
+
+    What depends on motion, camera and shutter alone is kept from one code to the next: a code
+    that is dragged must be followed within milliseconds.
     """
 
     def __init__(self) -> None:
@@ -56,8 +53,7 @@ class Views:
     def picture(
         self, setting: Setting, *, steps: int | None = None, seed: int = 0
     ) -> dict[str, Any]:
-        """Return all that follows a chip: figures, MTF in one and two dimensions, limits that it
-        breaks, commands.
+        """Return all that follows a chip: figures, MTFs, limits that it breaks, commands.
 
         Parameters
         ----------
@@ -99,7 +95,7 @@ class Views:
                 "map": _map(figures.band),
                 "open_map": _map(open_figures.band),
                 "commands": setting.commands(steps=steps, seed=seed),
-                "error": problem_error,
+                "error": problem_error and problem_error.to_dict(),
             }
         ) | {
             "curve": np.round(figures.curve, 5).tolist(),
@@ -109,13 +105,12 @@ class Views:
     def photos(
         self, setting: Setting, scene: Path | None, codes: Mapping[str, str], *, restored: bool
     ) -> dict[str, Any]:
-        """Return simulated photos of a scene through codes, or what is restored from them, by the
-        codes' names.
+        """Return simulated or restored photos of a scene through codes, by the codes' names.
 
         The scene is a .npy file, or the bundled picture.
         """
         bench, _ = self._bench(setting)
-        live_scene = _scene() if scene is None else self._scene(scene)
+        live_scene = self._scene(scene)
         frame = len(bench.psf(cep.ShutterCode("1")))
         side = min(live_scene.shape)
         if side < frame + _LEAST_PX:
@@ -126,18 +121,18 @@ class Views:
         for name, bits in codes.items():
             code = setting.code(bits)
             photo = bench.photo(code, live_scene, side_px=_SCENE_PX)
-            images[name] = _jpeg(
-                bench.restored(code, photo) if restored else photo / max(code.duty, 1e-6)
-            )
+            if restored:
+                image = bench.restored(code, photo)
+            else:
+                image = photo / max(code.duty, 1e-6)  # a coded photo is darker: as bright as open
+            images[name] = _jpeg(image)
         return images
 
     def verdict(self, setting: Setting) -> dict[str, Any]:
-        """Return what to do with this code at this light, and the ways to expose that it is
-        compared with.
-        """
+        """Return what to do with this code at this light, and the ways it is compared with."""
         bench, error = self._bench(setting)
         if error is not None:
-            raise FieldError(error["field"], error["message"])
+            raise error
         try:
             verdict = self._judging(bench).verdict(
                 setting.code(), path_error_px=setting.path_error_px
@@ -184,9 +179,7 @@ class Views:
         return _plain({"pins": rows})
 
     def exported(self, setting: Setting, file_format: object) -> dict[str, Any]:
-        """Return the code as a timed program: the name of the file, its text, and in what it
-        differs from the code.
-        """
+        """Return the code as a timed program: name and text of the file, and its warnings."""
         if file_format not in (names := [choice.name for choice in catalogue.formats()]):
             raise FieldError("format", f"must be one of {', '.join(names)}")
         try:
@@ -196,22 +189,16 @@ class Views:
         return {"name": program.name, "text": program.text, "warnings": program.warnings}
 
     def saved(self, setting: Setting, state: Mapping[str, Any]) -> dict[str, Any]:
-        """Return everything as one document: the page's state, motion, code with its certificate,
-        and the commands.
-
-        Raises
-        ------
-        FieldError
-            If the state is malformed.
-        """
+        """Return one document: the page's state, motion, code with its certificate, commands."""
         state = read_state(state)
         bench, _ = self._bench(setting)
         code = setting.code()
         path = setting.trajectory
-        along = None if bench.problem.on_circle else path
-        proven = cep.certify(code, along)
+        proven = cep.certify(code, bench.along)
         metrics = bench.figures(code).metrics
-        about = {} if setting.profile is None else {"device": setting.profile.to_dict()}
+        about = {}
+        if setting.profile is not None:
+            about = {"device": setting.profile.to_dict()}
         steps, seed = read_search(state.get("search") or {})
         samples = {name: getattr(path, name) for name in "txy"}
         source = {"method": setting.motion["kind"]}
@@ -246,7 +233,9 @@ class Views:
             before.forget_otfs()
         return bench
 
-    def _scene(self, file: Path) -> LiveScene:
+    def _scene(self, file: Path | None) -> LiveScene:
+        if file is None:
+            return _bundled_scene()
         with self._keeping:
             # another search of the same photo writes it again
             written_ns = file.stat().st_mtime_ns
@@ -254,15 +243,13 @@ class Views:
                 self._own = file, written_ns, LiveScene(np.load(file, allow_pickle=False))
             return self._own[2]
 
-    def _bench(self, setting: Setting) -> tuple[LiveBench, dict[str, str] | None]:
-        """Return the bench of a setting, and the error of its limits where there is one: codes are
-        measured anyway.
-        """
+    def _bench(self, setting: Setting) -> tuple[LiveBench, FieldError | None]:
+        """Return the bench of a setting, and what is wrong with its limits: it measures anyway."""
         error = None
         try:
             problem = setting.problem()
         except FieldError as wrong:
-            error = {"field": wrong.field, "message": str(wrong)}
+            error = wrong
             problem = setting.problem(limited=False)
         with self._keeping:
             if (bench := self._benches.get(setting.key)) is not None:
@@ -282,18 +269,19 @@ class Views:
 
 def start_view() -> dict[str, Any]:
     """Return what can be chosen: cameras, shutters, published codes, example motions, formats."""
+    cameras = {name: cep.Camera.load(name) for name in camera_names()}
     return _plain(
         {
             "version": cep.__version__,
             "cameras": [
                 {
-                    "name": choice.name,
-                    "about": choice.about,
+                    "name": name,
+                    "about": camera.kind,
                     "photons": camera.photons_full_scale,
                     "read_noise": camera.read_noise_e,
                     "bits": camera.bits,
                 }
-                for choice, camera in catalogue.cameras()
+                for name, camera in cameras.items()
             ],
             "devices": catalogue.devices(),
             "formats": catalogue.formats(),
@@ -304,7 +292,7 @@ def start_view() -> dict[str, Any]:
 
 
 @cache
-def _scene() -> LiveScene:
+def _bundled_scene() -> LiveScene:
     """Part of the bundled picture with the face in its middle, in colour."""
     return LiveScene(bundled_picture()[:384, 40:424])
 

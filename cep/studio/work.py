@@ -22,8 +22,8 @@ from motdiff.files.json_files import plain
 Order = Mapping[str, Any]
 Tell = Callable[..., None]
 _EVERY_S = 0.1  # between two messages of progress
-_PREVIEW_PX = 1600
-_SCENE_PX = 420
+_PREVIEW_PX = 1600  # longest side
+_SCENE_PX = 420  # side of the part that is restored, and then photographed through codes
 _SEARCHED_PX = 576  # side of the part of a photo; crops of a few hundred px are searched anyway
 _UNO = "cxp-avr"  # profile of the emulated controller
 _CALM = 5  # niceness: the page goes first
@@ -78,7 +78,7 @@ def run(kind: str, order: Order, pipe: Connection) -> None:
         pipe.send({"state": "stopped"})
     except ValueError as error:
         wrong = FieldError.of(error, fallback="job")
-        pipe.send({"state": "failed", "error": {"field": wrong.field, "message": str(wrong)}})
+        pipe.send({"state": "failed", "error": wrong.to_dict()})
     except BrokenPipeError:  # the server is gone
         pass
     except Exception as error:  # whatever it is, the page says so, and the server goes on
@@ -117,6 +117,7 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
     from cep.files.images import encode_image, read_detail
     from cep.restoration.sharpen import sharpen
+    from motdiff.crops import centre_crop
     from motdiff.files.outputs import new_file, write_bytes
 
     file = Path(order["path"])
@@ -148,11 +149,10 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     except ValueError as error:
         raise FieldError("photo", str(error).removeprefix("photo: ")) from None
     tell(0.85, "restoring a part of the photo")
-    scene = sharpen(_middle(pixels, _SCENE_PX).astype(np.float64), motion)
+    scene = sharpen(centre_crop(pixels, _SCENE_PX, _SCENE_PX).astype(np.float64), motion)
     try:
-        with new_file(
-            file.with_name(f"{file.stem}_scene.npy")
-        ) as temporary:  # a page may read the one before
+        # under another name first: a page may read the one before
+        with new_file(file.with_name(f"{file.stem}_scene.npy")) as temporary:
             np.save(temporary, np.clip(scene.image, 0, 1).astype(np.float32))
     except OSError as error:
         raise disk_error("photo", error) from None
@@ -177,42 +177,29 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     }
 
 
-def _middle(image: np.ndarray[Any, Any], side_px: int) -> np.ndarray[Any, Any]:
-    """Copy the middle of an image, at most so many pixels a side."""
-    rows, columns = (min(length, side_px) for length in image.shape[:2])
-    row = (image.shape[0] - rows) // 2
-    column = (image.shape[1] - columns) // 2
-    return image[row : row + rows, column : column + columns].copy()
-
-
 def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
 
     setting = read_setting(order["setting"])
     problem = setting.problem()
     steps, seed = read_search(order)
-    share_note: list[Any] = [0.0, ""]
+    last_bits = ""
 
     def best(code: cep.ShutterCode) -> None:
-        tell(
-            share_note[0],
-            share_note[1],
-            **({"best": {"bits": code.bits}} if code.bits != last[0] else {}),
-        )
-        last[0] = code.bits
+        nonlocal last_bits
+        if code.bits == last_bits:
+            tell()  # a stop is noticed here too
+        else:
+            tell(best={"bits": code.bits})
+        last_bits = code.bits
 
-    def progress(share: float, note: str) -> None:
-        share_note[:] = share, note
-        tell(share, note)
-
-    last = [""]
     tell(0.0, "measuring what is used instead")
     result = cep.optimize(
         problem,
         steps=steps,
         seed=seed,
         threads=1,
-        progress=progress,
+        progress=lambda share, note: tell(share, note),
         on_best=best,
         path_error_px=setting.path_error_px,
     )

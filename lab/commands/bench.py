@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.commands.console import complain, finish, progress
+from cep.commands.console import Page, complain, finish, progress
 from cep.commands.jobs import end
 from cep.commands.options import Seed, command
 from lab.commands.tables import (
@@ -20,12 +20,10 @@ from lab.commands.tables import (
     TableOptions,
     WorkerOptions,
     run_job,
-    show_tables,
+    table_page,
 )
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from lab.bench.harness import Job, Report
 
 _SEARCH_S = 30.0
@@ -327,12 +325,12 @@ def everything(options: AllOptions) -> None:
         ],
     }
 
-    def page(console: Console) -> None:
+    def page() -> Page:
         for report in reports.values():
-            show_tables(console, report.shown)
-        console.print(f"{options.output}: {INDEX}, {', '.join(jobs)}")
+            yield from table_page(report.shown)
+        yield f"{options.output}: {INDEX}, {', '.join(jobs)}"
 
-    finish(result, as_json=options.as_json, show=page)
+    finish(result, as_json=options.as_json, page=page())
     if failed:
         complain(f"{failed} cells failed: {index} names them")
     end(missing=sum(missing.values()), failed=failed)

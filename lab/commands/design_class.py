@@ -17,13 +17,11 @@ from cep.commands.code_options import (
     objective_mix,
     openings,
 )
-from cep.commands.console import finish, progress, table
+from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import MOTION, CommonOptions, TableFile, command, table_files
 from cep.commands.search_run import saved_on_interrupt
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from lab.class_code import ClassOptimum
 
 _CHIP_S = 1e-3  # where no exposure is given
@@ -128,7 +126,7 @@ def design_class(options: DesignClassOptions) -> None:
             "seed": options.seed,
         },
         as_json=options.as_json,
-        show=lambda console: _show(console, best, options.output),
+        page=_page(best, options.output),
         outputs=outputs,
         save=lambda made: best.save(made[options.output], source=motions.source),
         tables=options.tables,
@@ -136,14 +134,14 @@ def design_class(options: DesignClassOptions) -> None:
     )
 
 
-def _show(console: Console, best: ClassOptimum, file: Path) -> None:
+def _page(best: ClassOptimum, file: Path) -> Page:
     """Print a class code for people."""
     code = best.code
     found = best.found
-    console.print(best.verdict)
-    console.print(f"{file}: {code.bits}")
+    yield best.verdict
+    yield f"{file}: {code.bits}"
     light = f"{code.open_chips} of {code.chips} chips open, {openings(code)}"
-    console.print(f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}")
+    yield f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}"
     unseen = best.others > 0
     rows = [
         (
@@ -158,10 +156,8 @@ def _show(console: Console, best: ClassOptimum, file: Path) -> None:
     ]
     where = [f"on the {best.motions} searched", *([f"on {best.others} others"] if unseen else [])]
     objective = best.problem.objective if isinstance(best.problem.objective, str) else "mix"
-    console.print(
-        table(
-            f"mean {objective} over the motions, dB, lower is better",
-            ("code", "open", *where, "behind this code", "standard error"),
-            rows,
-        )
+    yield Table(
+        f"mean {objective} over the motions, dB, lower is better",
+        ("code", "open", *where, "behind this code", "standard error"),
+        rows,
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.commands.code_options import CodeOptions, SearchOptions, ending, objective_mix
-from cep.commands.console import finish, progress, table
+from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import (
     CommonOptions,
     MotionOptions,
@@ -22,8 +22,6 @@ from cep.commands.search_run import in_bits, saved_on_interrupt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from rich.console import Console
 
     from cep.search.frames import FramesOptimum
 
@@ -87,7 +85,7 @@ def frames(options: FramesOptions) -> None:
             "seed": options.seed,
         },
         as_json=options.as_json,
-        show=lambda console: _show(console, best, files),
+        page=_page(best, files),
         outputs=outputs,
         save=lambda made: best.save([made[file] for file in files], source=source),
         tables=options.tables,
@@ -95,13 +93,13 @@ def frames(options: FramesOptions) -> None:
     )
 
 
-def _show(console: Console, best: FramesOptimum, files: Sequence[Path]) -> None:
+def _page(best: FramesOptimum, files: Sequence[Path]) -> Page:
     """Print the codes and what they are worth together for people."""
     codes = best.found.codes
     straight = best.problem.on_circle
-    console.print(best.verdict.sentence)
+    yield best.verdict.sentence
     for file, code in zip(files, codes, strict=True):
-        console.print(f"{file}: {code.bits}")
+        yield f"{file}: {code.bits}"
     lowest = "min_chip" if straight else "min_mtf"
     columns = ("frames", "open", "min |P|, chips" if straight else "min MTF", "noise gain, dB")
     rows: list[tuple[object, ...]] = [
@@ -125,6 +123,6 @@ def _show(console: Console, best: FramesOptimum, files: Sequence[Path]) -> None:
                 "> 100" if noise_db is None else noise_db,
             )
         )
-    console.print(table("on this motion (worse direction where unknown)", columns, rows))
-    console.print("together: root of the sum of |H|^2, its minimum as sampled")
-    console.print(f"{best.found.seconds:.1f} s, {ending(best.found.stopped, best.found.steps)}")
+    yield Table("on this motion (worse direction where unknown)", columns, rows)
+    yield "together: root of the sum of |H|^2, its minimum as sampled"
+    yield f"{best.found.seconds:.1f} s, {ending(best.found.stopped, best.found.steps)}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.commands.code_options import SEARCH, CodeOptions, chips_option, ending
-from cep.commands.console import finish, progress, table
+from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import (
     CommonOptions,
     MotionOptions,
@@ -22,8 +22,6 @@ from cep.commands.options import (
 from cep.commands.search_run import in_bits
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from lab.fronts.run import FrontComparison
 
 
@@ -136,7 +134,7 @@ def pareto(options: ParetoOptions) -> None:
     finish(
         result,
         as_json=options.as_json,
-        show=lambda console: _show(console, front, output, picture),
+        page=_page(front, output, picture),
         outputs=outputs,
         save=lambda made: front.save(made[output], made[picture], source=source),
         tables=options.tables,
@@ -144,20 +142,20 @@ def pareto(options: ParetoOptions) -> None:
     )
 
 
-def _show(console: Console, found: FrontComparison, output: Path, picture: Path) -> None:
+def _page(found: FrontComparison, output: Path, picture: Path) -> Page:
     from cep.optics.mtf import HOPELESS_DB
 
     front = found.front
     named = found.knees
     if found.verdict is None:
-        console.print(
+        yield (
             "Whether to code at all depends on the motion and the camera: cep advise --linear PX"
             " says it."
         )
     else:
-        console.print(found.verdict.sentence)
+        yield found.verdict.sentence
     ended = f"{front.seconds:.1f} s, {ending(front.stopped, front.steps)}"
-    console.print(f"{output}, {picture}: {len(front.points)} codes that none found beats; {ended}")
+    yield f"{output}, {picture}: {len(front.points)} codes that none found beats; {ended}"
     least = {"chips": "min |P|, chips", "light-true": "min MTF"}.get(
         front.unit, "min MTF, sampled"
     )
@@ -175,6 +173,6 @@ def _show(console: Console, found: FrontComparison, output: Path, picture: Path)
         for name, point in (*named.items(), *others.items())
     ]
     columns = ("code", "open", least, "noise gain, dB", "MSE, dB")
-    console.print(table(f"{front.problem.chips} chips", columns, rows))
+    yield Table(f"{front.problem.chips} chips", columns, rows)
     for name, point in named.items():
-        console.print(f"{name}: {point.code.bits}")
+        yield f"{name}: {point.code.bits}"

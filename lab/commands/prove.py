@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.commands.code_options import OpenChips, open_range
-from cep.commands.console import INTERRUPTED, finish, progress
+from cep.commands.console import INTERRUPTED, Page, finish, progress
 from cep.commands.options import CommonOptions, command, output_option
 from lab.commands.tables import Dask
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from lab.block_proofs.check import ProofVerdict
     from lab.block_proofs.prove import BlockProof
 
@@ -109,7 +107,7 @@ def prove(options: ProveOptions) -> None:
     finish(
         {**proof.to_dict(), "seed": options.seed, "warnings": warnings},
         as_json=options.as_json,
-        show=lambda console: _show_proof(console, proof),
+        page=_page_proof(proof),
     )
     if not is_whole:
         raise typer.Exit(INTERRUPTED)
@@ -154,34 +152,34 @@ def _check(options: ProveOptions, file: Path) -> None:
     finish(
         result,
         as_json=options.as_json,
-        show=lambda console: _show_verdict(console, verdict),
+        page=_page_verdict(verdict),
         outputs=outputs,
         save=save,
     )
 
 
-def _show_proof(console: Console, proof: BlockProof) -> None:
+def _page_proof(proof: BlockProof) -> Page:
     plan = proof.plan
-    console.print(
+    yield (
         f"{proof.file}: {proof.finished} of {len(plan.blocks)} blocks,"
         f" {proof.judged:.3g} of {plan.codes:.3g} codes; {proof.seconds:.1f} s"
     )
-    console.print(f"{proof.code.bits}: min |P| {proof.minimum.lower:.6f}")
+    yield f"{proof.code.bits}: min |P| {proof.minimum.lower:.6f}"
     if proof.proven:
-        console.print(
+        yield (
             f"proven: no code of at most {plan.chips} chips with"
             f" {_open_range(plan.fewest, plan.most)} open is better"
         )
 
 
-def _show_verdict(console: Console, verdict: ProofVerdict) -> None:
-    console.print(
+def _page_verdict(verdict: ProofVerdict) -> Page:
+    yield (
         f"holds: no code of at most {verdict.chips} chips with"
         f" {_open_range(verdict.fewest_open, verdict.most_open)} open has a larger"
         f" minimum of |P| than {verdict.minimum:.6f}, of {verdict.bits}"
     )
     for reason in verdict.reasons:
-        console.print(f"  {reason}")
+        yield f"  {reason}"
 
 
 def _open_range(fewest: int, most: int) -> str:

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.commands.console import finish, progress, table
+from cep.commands.console import Page, finish, progress
+from cep.commands.console import Table as SheetTable
 from cep.commands.jobs import MANY, Workers, end
 from cep.commands.options import Force, Json, output_option
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from cep.files.tables import Bold
     from lab.bench.harness import Job, Report, Request
     from lab.bench.tables import Column, Entry, Table, TextTable
@@ -131,29 +130,29 @@ def _finish_table(about: Mapping[str, object], report: Report, *, as_json: bool)
         "warnings": report.made.warnings,
     }
 
-    def page(console: Console) -> None:
-        show_tables(console, report.shown)
+    def page() -> Page:
+        yield from table_page(report.shown)
         folder = next(iter(report.files.values())).parent
-        console.print(f"{folder}: {', '.join(report.files)}")
+        yield f"{folder}: {', '.join(report.files)}"
 
-    finish(result, as_json=as_json, show=page)
+    finish(result, as_json=as_json, page=page())
     end(missing=missing, failed=len(report.outcome.reasons))
 
 
-def show_tables(console: Console, tables: Sequence[Table | TextTable]) -> None:
-    """Print tables for people: means, or medians, whose intervals are in the files."""
+def table_page(tables: Sequence[Table | TextTable]) -> Page:
+    """Lay tables out for people: means, or medians, whose intervals are in the files."""
     from lab.bench.tables import TextTable
 
     for sheet in tables:
         if isinstance(sheet, TextTable):
-            console.print(table(sheet.title, sheet.head, sheet.lines))
-            console.print(sheet.note)
+            yield SheetTable(sheet.title, sheet.head, sheet.lines)
+            yield sheet.note
             continue
         lines = [
             (label, *map(_shown, sheet.columns, entries), *sheet.sizes(label))
             for label, entries in sheet.rows.items()
         ]
-        console.print(table(sheet.title, sheet.head, lines, last_columns=1))
+        yield SheetTable(sheet.title, sheet.head, lines, last_columns=1)
 
 
 def _shown(column: Column, entry: Entry) -> str | Bold | None:

@@ -5,7 +5,6 @@ import io
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 import typer
 from hypothesis import given
@@ -13,12 +12,9 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from cep.calibration.calibrate_folder import FolderResults
-from cep.commands.console import Table, finish, table
+from cep.commands.console import Table, finish
 from cep.commands.jobs import finish_folder
 from cep.files.tables import Bold
-from lab.bench.blind.report import blind_tables
-from lab.bench.codes import CODE_HEAD
-from lab.commands.tables import show_tables
 
 WIDTHS = (60, 80, 120)
 
@@ -60,7 +56,7 @@ NAMES = st.lists(
 def test_names_are_whole_whatever_the_figures_take(names, columns, digits, width, kept):
     figures = ["1" * digits] * columns
     heads = ["", *(f"{'X' * (1 + index)} Y" for index in range(columns))]
-    made = table("", heads, [(name, *figures) for name in names], last_columns=kept)
+    made = Table("", heads, [(name, *figures) for name in names], last_columns=kept)
     text = rendered(made, width)
     page, _, note = text.partition("left out")
     assert re.sub(r"[^a-h]", "", page) == "".join(names).replace(
@@ -81,8 +77,8 @@ def test_names_are_whole_whatever_the_figures_take(names, columns, digits, width
 def test_columns_are_not_left_out_where_wrapped_heads_fit():
     rows = [("published: raskar-52", 26, 0.0005, "> 100", -22.2)]
     heads = ("code", "open", "min |P|, chips", "noise gain, dB", "MSE, dB")
-    assert "left out" not in rendered(table("", heads, rows), 60)
-    assert "noise gain, dB; MSE, dB" in rendered(table("", heads, rows), 40)
+    assert "left out" not in rendered(Table("", heads, rows), 60)
+    assert "noise gain, dB; MSE, dB" in rendered(Table("", heads, rows), 40)
 
 
 @pytest.fixture
@@ -121,32 +117,6 @@ def test_every_commands_tables_at_every_width(shown, workplace, command, tables)
         check(one)
 
 
-def test_the_tables_of_the_benchmarks_at_every_width(monkeypatch):
-    rng = np.random.default_rng(0)
-    methods = (
-        "pmp",
-        "motdiff",
-        "network",
-        "psf-diffusion",
-        "true path, uniform speed",
-        "network:ddpm:1000",
-    )
-    names = ("mnc", "mnc_subpixel", "path_mnc", "psnr_db", "ssim", "cpu_s")
-    figures = {
-        (method, photo, motion, "bright"): {name: 10 * rng.random() for name in names}
-        for method in methods
-        for photo in "ab"
-        for motion in "01"
-    }
-    made = []
-    console = type("Console", (), {"print": lambda self, one: made.append(one)})()
-    show_tables(console, blind_tables(figures, ["bright"], title="Blind", seed=0))
-    codes = [("mcdermott-moore-104", "52", "1.2345", "21.20", "1.3456", "20.11", "yes")]
-    for one in [*made, table("smallest |P|", CODE_HEAD, codes)]:
-        check(one)
-    assert all(rendered(one, 60).splitlines()[-1].count("n;") == 0 for one in made)
-
-
 def test_the_table_of_a_folder_says_what_failed_at_every_width(capsys, monkeypatch):
     heads = {"photo": "photo", **{f"figure{index}": f"figure {index}, px" for index in range(9)}}
     row = {
@@ -167,11 +137,8 @@ def test_the_table_of_a_folder_says_what_failed_at_every_width(capsys, monkeypat
 
 
 def test_brackets_of_names_are_printed_as_they_are(capsys):
-    def show(console):
-        console.print("m[b].json: written")
-        console.print(table("c[w].json", ("code", "x"), [(Bold("best"), 1), ("[/]", 2)]))
-
-    finish({}, as_json=False, show=show)
+    table = Table("c[w].json", ("code", "x"), [(Bold("best"), 1), ("[/]", 2)])
+    finish({}, as_json=False, page=["m[b].json: written", table])
     said = capsys.readouterr().out
     assert "m[b].json: written" in said
     assert "c[w].json" in said

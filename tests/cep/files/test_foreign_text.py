@@ -15,8 +15,7 @@ from hostile_names import HOSTILE
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cep.commands.console import complain, page, progress
-from cep.commands.console import table as console_table
+from cep.commands.console import Table, complain, print_page, progress
 from cep.files.files import StoredCode, write_code
 from cep.files.foreign_text import (
     csv_text,
@@ -41,9 +40,7 @@ def printed(monkeypatch):
     def run(*items):
         stream = io.StringIO()
         monkeypatch.setattr(sys, "stdout", stream)
-        console = page()
-        for item in items:
-            console.print(item)
+        print_page(items)
         return stream.getvalue()
 
     return run
@@ -51,7 +48,7 @@ def printed(monkeypatch):
 
 @pytest.mark.parametrize("name", HOSTILE, ids=ascii)
 def test_a_terminal_obeys_no_name(printed, capsys, name):
-    shown = printed(f"{name}: written", console_table(name, ("", name), [(name, Bold(name))]))
+    shown = printed(f"{name}: written", Table(name, ("", name), [(name, Bold(name))]))
     complain(f"{name}: is no photo")
     told = capsys.readouterr().err
     assert told.count("\n") == 1

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from cep.commands.console import table as rich_table
+from cep.commands.console import Table as ConsoleTable
 from lab.bench.statistics import mean_interval, summarized
 from lab.bench.table_io import (
     TABLES_SCHEMA,
@@ -21,7 +21,7 @@ from lab.bench.table_io import (
     tables_markdown,
 )
 from lab.bench.tables import Column, differences, tabulate
-from lab.commands.tables import show_tables
+from lab.commands.tables import table_page
 from lab.jobs.machine import machine
 
 PSNR = Column("psnr_db", "PSNR, dB", better="high")
@@ -226,7 +226,7 @@ def test_json_says_how_it_was_made():
 def test_people_see_it_on_a_console():
     table = made(measured(plain=gain(0), ours=gain(1, seed=2)))
     console = Console(file=io.StringIO(), width=100, force_terminal=True, color_system="standard")
-    console.print(rich_table(table.title, table.head, table.lines()))
+    console.print(ConsoleTable(table.title, table.head, table.lines()))
     shown = console.file.getvalue()
     mean = f"{table.rows['ours'][0].summary.mean:.2f}"
     assert f"\x1b[1m{mean}\x1b[0m (" in shown
@@ -243,7 +243,8 @@ def test_people_see_the_median_where_that_is_shown():
         for middle in ("median", "mean")
     ]
     console = Console(file=io.StringIO(), width=60)
-    show_tables(console, tables)
+    for one in table_page(tables):
+        console.print(one)
     assert [
         line.split()[1] for line in console.file.getvalue().splitlines() if "open" in line
     ] == ["22.5", "inf"]
