@@ -54,8 +54,8 @@ def luminance(photo: ArrayLike) -> FloatArray:
 def centre_crop(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
     """Middle of an image, at most so many rows and columns; a view of it."""
     height, width = (min(image.shape[0], rows), min(image.shape[1], columns))
-    top, left = ((image.shape[0] - height) // 2, (image.shape[1] - width) // 2)
-    return image[top : top + height, left : left + width]
+    row, column = ((image.shape[0] - height) // 2, (image.shape[1] - width) // 2)
+    return image[row : row + height, column : column + width]
 
 
 def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:

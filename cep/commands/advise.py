@@ -246,16 +246,20 @@ def _page(
     open_shutter = at_camera.ways[0]
     best = map(at_camera.best, at_camera.gains_db)
     # by name, as the best code may be the same even pulses as the best strobe
-    ways = {way.label: way for way in (open_shutter, *best) if way is not None}
-    ways |= {f"your {way.label}, {way.code.bits}": way for way in own_codes}
+    exposures = {
+        exposure.label: exposure for exposure in (open_shutter, *best) if exposure is not None
+    }
+    exposures |= {
+        f"your {exposure.label}, {exposure.code.bits}": exposure for exposure in own_codes
+    }
     rows: list[tuple[object, ...]] = []
-    for name, way in ways.items():
-        gain_db = way.psnr_db - open_shutter.psnr_db
+    for name, exposure in exposures.items():
+        gain_db = exposure.psnr_db - open_shutter.psnr_db
         equal_light_db = None
         if not at_camera.open_saturates:  # else it saturates under the brighter lamp all the more
-            equal_light_db = way.equal_light_db - open_shutter.equal_light_db
+            equal_light_db = exposure.equal_light_db - open_shutter.equal_light_db
         cells = (formatted(figure, "+.2f") for figure in (gain_db, equal_light_db))
-        rows.append((name, way.code.open_chips, *cells))
+        rows.append((name, exposure.code.open_chips, *cells))
     columns = ("", f"open, of {problem.chips}", "gain, dB", "at equal light, dB")
     yield Table("over the open shutter, worse direction where unknown", columns, rows)
     levels = [
@@ -269,10 +273,10 @@ def _page(
     ]
     heads = ("photo-electrons", "single exposure, dB", "code, dB", "advised")
     yield Table("over the light", heads, levels)
-    chip, exposure = (
+    chip, length = (
         duration(time_ns * 1e-9) for time_ns in (problem.chip_ns, problem.chips * problem.chip_ns)
     )
-    chips = f"{problem.chips} chips of {chip}, {exposure} in all"
+    chips = f"{problem.chips} chips of {chip}, {length} in all"
     yield "; ".join(filter(None, [chips, in_words_of_chips(other_chips_db)]))
     if plot is not None:
         yield f"{plot}: gains over the light"

@@ -156,10 +156,14 @@ def _bare(name: str) -> str:
 def _pages(text: str) -> tuple[str, tuple[str, ...]]:
     """Split a docstring into what stands before the options, unwrapped, and the examples."""
     # a paragraph's lines are joined, as rich breaks them anew; the items of a list stay apart
-    paragraphs = [re.sub(r"\n(?!- )\s*", " ", part.strip()) for part in text.split("\n\n")]
-    about = [part for part in paragraphs if part and not part.startswith(_EXAMPLE)]
-    examples = [part for part in paragraphs if part.startswith(_EXAMPLE)]
-    return "\n\n".join(about), tuple(part.removeprefix(_EXAMPLE) for part in examples)
+    paragraphs = [
+        re.sub(r"\n(?!- )\s*", " ", paragraph.strip()) for paragraph in text.split("\n\n")
+    ]
+    about = [
+        paragraph for paragraph in paragraphs if paragraph and not paragraph.startswith(_EXAMPLE)
+    ]
+    examples = [paragraph for paragraph in paragraphs if paragraph.startswith(_EXAMPLE)]
+    return "\n\n".join(about), tuple(paragraph.removeprefix(_EXAMPLE) for paragraph in examples)
 
 
 def _folded(command: str, width: int) -> list[str]:

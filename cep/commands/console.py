@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import sys
 import traceback
@@ -11,8 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
-
-from cep.files.tables import Sheet
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
@@ -23,7 +20,6 @@ if TYPE_CHECKING:
 FAILURE = 1
 BAD_INPUT = 2  # as click and most Unix tools have it
 INTERRUPTED = 130  # 128 + SIGINT, the shells' convention
-_FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # no fault of the command line
 _ROOMY = 100  # columns of a terminal that hold the bar, the elapsed time and a note
 _WIDE = 16  # characters: longer cells are names or texts, which may wrap, but to no fewer
 
@@ -36,16 +32,21 @@ class Tick(Protocol):
 
 
 @dataclass(frozen=True)
-class Table(Sheet):
+class Table:
     """A table that fits the console: texts wrap first, then columns are left out and named below.
 
     Attributes
     ----------
+    title, columns, rows
+        As of :class:`cep.files.tables.Sheet`, which a command may not import at its start.
     last_columns : int
         Columns at the end that are left out last. The first column has the rows' names, which are
         always there and whole.
     """
 
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
     last_columns: int = 0
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Any]:
@@ -146,9 +147,14 @@ def finish(
     if outputs is not None:
         with outputs.written(summary=summary) as staged:
             if tables is not None:
-                from cep.files.tables import write_sheets
+                from cep.files.tables import Sheet, write_sheets
 
-                write_sheets([item for item in items if isinstance(item, Table)], staged[tables])
+                sheets = [
+                    Sheet(item.title, item.columns, item.rows)
+                    for item in items
+                    if isinstance(item, Table)
+                ]
+                write_sheets(sheets, staged[tables])
             save(staged)
     if as_json:
         from motdiff.files.json_files import json_text
@@ -204,9 +210,13 @@ def explain(error: BaseException) -> int:
         notes = ""
         code = BAD_INPUT
     elif isinstance(error, OSError):
+        import errno
+
+        # no fault of the command line
+        full_disk = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
         reason = error.strerror or str(error) or type(error).__name__
-        line = ": ".join(str(part) for part in (error.filename, reason) if part)
-        if error.errno not in _FULL_DISK:
+        line = ": ".join(str(text) for text in (error.filename, reason) if text)
+        if error.errno not in full_disk:
             code = BAD_INPUT
     elif isinstance(error, ValueError):
         line = str(error) or "wrong input"
@@ -265,8 +275,8 @@ def progress(task: str) -> Iterator[Tick]:
         row = bar.add_task(terminal_line(task), total=None, note="")
 
         def tick(fraction: float, note: str = "", /) -> None:
-            done = min(max(fraction, 0.0), 1.0)
-            bar.update(row, total=1.0, completed=done, note=terminal_line(note))
+            share = min(max(fraction, 0.0), 1.0)
+            bar.update(row, total=1.0, completed=share, note=terminal_line(note))
 
         yield tick
 

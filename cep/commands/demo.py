@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -70,6 +69,8 @@ def demo(options: DemoOptions) -> None:
     """
     with progress("starting") as tick:
         tick(0.0, "loading")
+        import shlex
+
         import numpy as np
 
         from cep.files.formatting import option_words
@@ -108,14 +109,17 @@ def demo(options: DemoOptions) -> None:
             tell=part(tick, *_CHAIN),
         )
         tick(_CHAIN[1], "writing the report")
-        named = {
+        camera_options = {
             "--device": options.device,
             "--camera": options.camera,
             "--photons": options.photons,
             "--read-noise": options.read_noise,
         }
         figures = write_demo(
-            options.output, chain, options=shlex.join(option_words(named)), force=options.force
+            options.output,
+            chain,
+            options=shlex.join(option_words(camera_options)),
+            force=options.force,
         )
         tick(1.0)
     seconds = time.perf_counter() - started

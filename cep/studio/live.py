@@ -311,10 +311,10 @@ def broken_limits(
     for name, words in _BROKEN.items():
         limit: Any = getattr(limits.runs, name, None)
         if name == "open_range":
-            alone = Limits(limits.chips, limits.open_range)
+            single = Limits(limits.chips, limits.open_range)
         else:
-            alone = Limits(limits.chips, (1, limits.chips), RunLimits(**{name: limit}))
-        if not alone.satisfied(bits)[0]:
+            single = Limits(limits.chips, (1, limits.chips), RunLimits(**{name: limit}))
+        if not single.satisfied(bits)[0]:
             figures = {"open": code.open_chips, "pulses": code.pulses}
             reasons.append(words.format(**figures, low=low, high=high, limit=limit))
     return tuple(reasons)

@@ -160,9 +160,9 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
         State that a page without one in its address begins with.
     """
     studio = _Studio()
-    opened = {}
+    first = {}
     if first_state is not None:
-        opened = {"state": first_state}
+        first = {"state": first_state}
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
@@ -207,7 +207,7 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
         return JSONResponse(await studio.quickly(start_view))
 
     async def opened_state(_: Request) -> Response:
-        return JSONResponse(opened)
+        return JSONResponse(first)
 
     async def ports(_: Request) -> Response:
         return JSONResponse({"ports": plain(await studio.quickly(catalogue.ports))})
