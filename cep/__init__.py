@@ -1,5 +1,4 @@
-"""Coded exposure: the shutter code for a camera's motion, from the blurred photo to the restored
-one.
+"""Coded exposure: from a blurred photo to the shutter code for its motion, and a sharp photo.
 
 Each name is imported when it is first used, so that ``import cep`` is instant.
 
@@ -110,6 +109,7 @@ _MODULES = {
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
+        # kept in the module, so that the next use finds it without this function
         member = globals()[name] = getattr(import_module(_MODULES[name]), name)
         return member
     if name == "__version__":  # importlib.metadata is a tenth of what `cep --help` may take

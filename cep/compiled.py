@@ -1,5 +1,4 @@
-"""Compilation of the innermost loops by numba, cached between runs, without the interpreter's
-lock.
+"""Innermost loops compiled by numba, cached between runs, without the interpreter's lock.
 
 numba keys the machine code it keeps by the file of each function alone, and a loop into which
 other modules' functions were inlined would survive their change. So the folder of the kept code is
@@ -36,8 +35,7 @@ _NAME = "compiled-"
 
 
 def compiled(function: F) -> F:
-    """Compile at the first call; the machine code is kept in the package's folder, or else in the
-    user's cache folder.
+    """Compile at the first call, and cache the machine code on disk.
 
     Where neither can be written, it is compiled anew in every run, which a warning says. Threads
     may run it side by side.
@@ -46,15 +44,12 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Compile into the calling compiled function: passing many arrays costs more than a short
-    loop.
-    """
+    """Compile into the calling function: passing many arrays costs more than a short loop."""
     return _compile(function, forceinline=True)
 
 
 def kept_folder(package: Path, *, otherwise: Path | None) -> Path | None:
-    """Make the folder for the machine code of a package's sources as they are now, and drop that
-    of earlier ones.
+    """Make the cache folder of a package's sources as they are now; drop those of earlier ones.
 
     Parameters
     ----------
@@ -86,9 +81,7 @@ def kept_folder(package: Path, *, otherwise: Path | None) -> Path | None:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Whether files can be written into a folder, which is made where it is missing, for this user
-    alone.
-    """
+    """Whether files can be written into a folder; a missing one is made for this user alone."""
     try:
         # the parent too: the umask of many systems lets the user's group write
         folder.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
@@ -119,9 +112,7 @@ def _compile(function: F, **more: object) -> F:
 
 @cache
 def _cache_folder() -> Path | None:
-    """Return the folder that the user names for numba, the one of the sources, or a passing one;
-    None without any.
-    """
+    """Return the user's folder for numba, the one of the sources, or a temporary one."""
     user_folder = numba.config.CACHE_DIR
     if user_folder:
         if _is_writable(Path(user_folder)):
@@ -139,9 +130,7 @@ def _cache_folder() -> Path | None:
 
 
 def _passing_folder(folders: str) -> Path | None:
-    """Make a folder that lasts as long as this process, for those that it starts too; None where
-    none can be made.
-    """
+    """Make a folder for this process and its children; None where none can be made."""
     warnings.warn(
         f"compiled loops cannot be kept in {folders}, not writable by this user alone: they are"
         " compiled anew in every run; NUMBA_CACHE_DIR names a folder to keep them in",

@@ -18,11 +18,11 @@ from cep.optics.path_limits import check_frame, check_resolved
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.objectives import OBJECTIVES
-from cep.search.optimize import Search, described_search, ended_early, search
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Found
 from cep.search.scenarios import class_scenarios
+from cep.search.search import Search, described_search, ended_early, search
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.files.trajectories import read_motion
 from motdiff.gyro import GyroTrace

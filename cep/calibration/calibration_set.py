@@ -14,7 +14,8 @@ from cep.calibration.order_codes import search_order_codes
 from cep.calibration.order_separation import BLIND_ERROR, OrderSeparation, ordered_walks
 from cep.files.files import StoredCode, write_code
 from cep.optics.code import ShutterCode
-from cep.search.limits import Limits, RunLimits, check_feasible
+from cep.search.feasibility import check_feasible
+from cep.search.limits import Limits, RunLimits
 from cep.search.playable import within_device
 from hw.device import DeviceProfile, load_profile
 from hw.export import export_program, find_exporter

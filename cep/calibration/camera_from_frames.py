@@ -12,13 +12,8 @@ from numpy.typing import NDArray
 
 from cep.files.images import RAW_SUFFIXES, read_codes, read_mosaic
 from cep.optics.camera import Camera
-from cep.optics.photon_transfer import (
-    CodeRange,
-    FramePair,
-    PhotonTransfer,
-    find_code_range,
-    photon_transfer,
-)
+from cep.optics.frame_pairs import CodeRange, FramePair, find_code_range
+from cep.optics.photon_transfer import PhotonTransfer, photon_transfer
 from cep.plots.camera import photon_transfer_figure
 from cep.plots.canvas import check_figure_name, save
 from motdiff.files.outputs import claim

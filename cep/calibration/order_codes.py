@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from cep.calibration.order_separation import BLIND_ERROR, OrderSeparation
 from cep.codes.published import published
 from cep.optics.code import ShutterCode
-from cep.search.limits import Limits, RunLimits, feasible, nearest
+from cep.search.feasibility import feasible, nearest
+from cep.search.limits import Limits, RunLimits
 from cep.search.sampling import draw
 from motdiff.types import FloatArray
 

@@ -1,12 +1,12 @@
-"""Codes with the largest minimum of |P| on the unit circle, proven: the tables of
-docs/optima.md.
-"""
+"""Codes proven to have the largest minimum of |P| on the unit circle: see docs/optima.md."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 _TABLE = "docs/optima.md"
+# Codes with their numbers of chips: the best of up to so many, whatever is open. A longer code is
+# listed only where it beats all shorter ones, which may be padded with closed chips.
 _ANY_LIGHT = (
     ("1", 9),
     ("1110001001", 12),
@@ -53,13 +53,12 @@ _BY_OPEN_CHIPS = (
     "1111111111111101111111111111",
     "1111111111111111111111111111",
 )
-_MOST_BY_OPEN_CHIPS = 28  # chips
+_MOST_BY_OPEN_CHIPS = 28  # chips to which each number of open chips is proven
 _IN_BLOCKS = 42  # chips from which each number has a proof of its own
 
 
 class ProvenCode(NamedTuple):
-    """The code with the largest minimum of |P| among all codes of a range of lengths and open
-    chips.
+    """The code of largest minimum |P| among all of a range of lengths and open chips.
 
     Attributes
     ----------

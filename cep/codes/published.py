@@ -77,6 +77,7 @@ _JEON_HEX = {
     190: "12CBFD0221072F92F972F0E2660C6192B02D89A2A6B11DC5",
     200: "7302CA07604A05BC6937C5BB2A2AC848B5AED76A600E3F170E",
 }
+# primitive polynomials x^a + x^b + 1 over GF(2), by the period 2^a - 1
 _TAPS = {15: (4, 3), 31: (5, 3), 63: (6, 5), 127: (7, 6)}
 _PRIMES = (31, 43, 53, 61)
 
@@ -106,9 +107,7 @@ class PublishedCode:
     @property
     def source(self) -> str:
         """Its works in short, and the note."""
-        return "; ".join(
-            [*(work(key).short for key in self.works), *([self.note] if self.note else [])]
-        )
+        return "; ".join(filter(None, [*(work(key).short for key in self.works), self.note]))
 
 
 def names() -> tuple[str, ...]:
@@ -130,9 +129,7 @@ def published(name: str) -> PublishedCode:
 
 
 def published_works(name: str) -> tuple[str, ...]:
-    """Keys of the works that a code comes from; its best rotation is not searched, unlike in
-    :func:`published`.
-    """
+    """Keys of the works that a code comes from, without the search of its best rotation."""
     return _registry()[name].works
 
 
@@ -143,15 +140,8 @@ def for_chips(chips: int) -> tuple[PublishedCode, ...]:
     )
 
 
-def best_for(chips: int) -> PublishedCode | None:
-    """Find the published code of ``chips`` chips with the largest :func:`min_chip`, or None."""
-    return max(for_chips(chips), key=lambda entry: min_chip(entry.code), default=None)
-
-
 def m_sequence(chips: int) -> ShutterCode:
-    """Maximum-length sequence from a shift register that starts all ones; 15, 31, 63 or 127
-    chips.
-    """
+    """Maximum-length sequence of 15, 31, 63 or 127 chips; its shift register starts all ones."""
     if chips not in _TAPS:
         raise ValueError(
             f"chips: m-sequences of 15, 31, 63 or 127 chips are known here, got {chips}"
@@ -169,14 +159,12 @@ def legendre(prime: int) -> ShutterCode:
     """Legendre sequence: chip i is open if i is 0 or a square modulo the odd ``prime``."""
     if prime < 3 or any(prime % divisor == 0 for divisor in range(2, int(prime**0.5) + 1)):
         raise ValueError(f"prime: must be an odd prime, got {prime}")
-    squares = {i * i % prime for i in range(prime)}
-    return ShutterCode("".join("1" if i in squares else "0" for i in range(prime)))
+    squares = {i * i % prime for i in range(prime)}  # 0 among them
+    return ShutterCode([i in squares for i in range(prime)])
 
 
 def best_rotation(code: ShutterCode) -> ShutterCode:
-    """Rotation with the largest minimum on the circle: one exposure is not periodic, so rotations
-    differ.
-    """
+    """Rotation of largest minimum |P|: one exposure is not periodic, so rotations differ."""
     rotations = [
         ShutterCode(code.bits[i:] + code.bits[:i], code.chip_ns) for i in range(code.chips)
     ]
@@ -193,7 +181,7 @@ def _registry() -> Mapping[str, PublishedCode]:
         for name, (keys, note, bits) in _BITS.items()
     ]
     for n, digits in _JEON_HEX.items():
-        bits = f"{int(digits, 16):0{4 * len(digits)}b}"[-n:]
+        bits = f"{int(digits, 16):0{4 * len(digits)}b}"[-n:]  # leading zeros count as chips
         entries.append(PublishedCode(f"jeon-{n}", ShutterCode(bits), ("jeon2013",)))
     for n in _TAPS:
         entries.append(
@@ -209,17 +197,18 @@ def _registry() -> Mapping[str, PublishedCode]:
                 periodic=True,
             )
         )
+    # shortest first, as tables and messages list them
     entries.sort(key=lambda entry: (entry.code.chips, entry.name))
     return MappingProxyType({entry.name: entry for entry in entries})
 
 
 @cache
 def _rotated(name: str) -> PublishedCode:
-    """Return the entry of a name, a periodic sequence in its best rotation (1 s for all of
-    them).
-    """
+    """Return the entry of a name, a periodic sequence in its best rotation."""
     entry = _registry()[name]
-    return replace(entry, code=best_rotation(entry.code)) if entry.periodic else entry
+    if entry.periodic:
+        return replace(entry, code=best_rotation(entry.code))
+    return entry
 
 
 class _LazyCodes(Mapping[str, ShutterCode]):

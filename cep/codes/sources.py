@@ -36,6 +36,7 @@ def load_codes(sources: Sequence[str]) -> tuple[ShutterCode, ...]:
     ['11111111', '11100101']
     """
     codes = {source: load_code(source) for source in sources if source != "open"}
+    # photos of one motion last equally long: the open shutter has the chips of the others
     chips = next((code.chips for code in codes.values()), 1)
     chip_times = [stated_chip_ns(source, code) for source, code in codes.items()]
     chip_ns = next(
@@ -49,10 +50,10 @@ def load_codes(sources: Sequence[str]) -> tuple[ShutterCode, ...]:
 
 
 def stated_chip_ns(source: str, code: ShutterCode) -> int | None:
-    """Return the chip time, ns, that comes with a code; None for bits and published names, which
-    state none.
-    """
-    return code.chip_ns if code_file(source) is not None or is_reference(source) else None
+    """Return the chip time, ns, that comes with a code; None for bits and published names."""
+    if code_file(source) is not None or is_reference(source):
+        return code.chip_ns
+    return None
 
 
 def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
@@ -75,6 +76,7 @@ def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
         If the file cannot be read.
     """
     file = code_file(source)
+    # in this order: a file may be named as a code is, and bits are never looked up as a name
     if file is not None:
         stored = read_code(file)
     elif source.startswith(("0", "1")) or not source:
@@ -84,14 +86,14 @@ def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
     else:
         try:
             stored = StoredCode(published(source).code)
-        except ValueError:
+        except ValueError:  # its list of names says nothing of files and bits
             raise ValueError(
                 f"{source[:40]!r} is no code: give bits as 1011, a code.json file, a published"
                 " code's name as raskar-52, or module:name"
             ) from None
-    return (
-        stored if chip_ns is None else replace(stored, code=ShutterCode(stored.code.bits, chip_ns))
-    )
+    if chip_ns is None:
+        return stored
+    return replace(stored, code=ShutterCode(stored.code.bits, chip_ns))
 
 
 def code_file(source: str) -> Path | None:
@@ -102,20 +104,26 @@ def code_file(source: str) -> Path | None:
     """
     if not set(source) - set("01"):
         return None
-    return Path(source) if source.endswith(".json") or os.path.isfile(source) else None
+    if source.endswith(".json") or os.path.isfile(source):
+        return Path(source)
+    return None
 
 
 def code_label(source: str) -> str:
     """Name a code for tables and legends: a file by its stem, long bits by their head."""
     if (file := code_file(source)) is not None:
         return file.stem
-    return source if len(source) <= 16 else f"{source[:12]}... ({len(source)})"
+    if len(source) <= 16:
+        return source
+    return f"{source[:12]}... ({len(source)})"
 
 
 def _load_own(reference: str) -> ShutterCode:
     target = load_object(reference)
     try:
         code = target() if callable(target) else target
-        return code if isinstance(code, ShutterCode) else ShutterCode(code)
+        if not isinstance(code, ShutterCode):
+            code = ShutterCode(code)
+        return code
     except (TypeError, ValueError) as error:
         raise ValueError(f"{reference}: is no code ({error})") from None

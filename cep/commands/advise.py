@@ -158,7 +158,7 @@ def advise(options: AdviseOptions) -> None:
         from cep.plots import check_figure_name, save
         from cep.plots.advice import advice_figure
         from cep.search.advise import advise as compare_ways
-        from cep.search.chip_count import suited_chips
+        from cep.search.chip_count import choose_chips
         from motdiff.files.outputs import claim
 
         output = options.output
@@ -184,13 +184,14 @@ def advise(options: AdviseOptions) -> None:
             inputs=filter(None, [options.trajectory]),
         )
         if problem is None:
-            chips, gains = suited_chips(
+            choice = choose_chips(
                 lambda count: options.problem(motion, chips=count),
                 path_error_px=error_px,
                 seed=options.seed,
                 progress=part(tick, 0.0, 0.4),
-            )
-            problem = options.problem(motion, chips=chips)
+            ).uninterrupted()
+            gains = choice.gains_db
+            problem = options.problem(motion, chips=choice.chips)
         advice = compare_ways(
             problem,
             *codes,

@@ -99,8 +99,8 @@ def audit(options: AuditOptions) -> None:
     from cep.codes.sources import find_code
     from cep.proofs.audit import audit as audit_code
     from cep.proofs.verify.certificates import verify
-    from cep.search.advise import verdict
     from cep.search.problem import SearchProblem
+    from cep.search.verdict import verdict
     from motdiff.files.json_files import json_text
     from motdiff.files.outputs import write_text
 

@@ -117,9 +117,10 @@ def optimize(options: OptimizeOptions) -> None:
     Example: cep optimize --linear 52 --open 26 --objective min-mtf:0.15,noise:1
     """
     with progress("counting codes" if options.method == "exact" else "searching") as tick:
-        from cep.search.optimize import Search, checked_motion
+        from cep.search.optimize import checked_motion
         from cep.search.optimize import optimize as search_code
         from cep.search.problem import SearchProblem
+        from cep.search.search import Search
         from motdiff.files.outputs import claim
 
         stored = options.load_motion()

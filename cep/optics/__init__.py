@@ -1,3 +1,1 @@
-"""Light through a coded shutter along a motion: codes, exposure, bands of frequency, MTF, shutter
-response, cameras.
-"""
+"""Light through a coded shutter along a motion: code, exposure, band, MTF, shutter, camera."""

@@ -42,9 +42,7 @@ class BandSamples:
 
 
 def band(size: int = 64) -> tuple[FloatArray, FloatArray]:
-    """Grids (fx, fy), each (size, size) cycles/px, of an FFT over [-0.5, 0.5)^2, zero frequency at
-    ``size // 2``.
-    """
+    """FFT frequencies (fx, fy), each (size, size) cycles/px, zero at index ``size // 2``."""
     axis = np.fft.fftshift(np.fft.fftfreq(size))
     fx, fy = np.meshgrid(axis, axis)
     return fx, fy
@@ -84,9 +82,7 @@ def grid_samples(side: int) -> BandSamples:
 
 
 def circle_samples(chips: int, *, oversampling: int = 64) -> BandSamples:
-    """Make a quadrature over the unit circle of a code's polynomial: ``fx`` in cycles/chip, one
-    chip a px.
-    """
+    """Make a quadrature over the unit circle of a code's polynomial: ``fx`` in cycles/chip."""
     return _along(np.array([1.0, 0.0]), float(chips), oversampling, ACROSS)
 
 
@@ -104,19 +100,18 @@ def stays_in_place(trajectory: Trajectory) -> bool:
 
 
 def straight_axis(trajectory: Trajectory) -> FloatArray | None:
-    """Find the unit vector (2,) of a straight motion, whatever its speed, or None for a curved
-    one; (1, 0) for none.
-    """
+    """Return the unit vector (2,) of a straight motion, (1, 0) for a point, else None."""
     if stays_in_place(trajectory):
         return np.array([1.0, 0.0])
     extent = trajectory.extent_px
-    farthest = (
-        trajectory.xy[np.argmax(np.linalg.norm(trajectory.xy - trajectory.xy[0], axis=1))]
-        - trajectory.xy[0]
-    )
-    axis = farthest / np.linalg.norm(farthest)
+    # from the first sample to the one farthest from it: a path may end where it began
+    from_first = trajectory.xy - trajectory.xy[0]
+    farthest = from_first[np.argmax(np.linalg.norm(from_first, axis=1))]
+    axis: FloatArray = farthest / np.linalg.norm(farthest)
     sideways = trajectory.xy @ np.array([-axis[1], axis[0]])
-    return axis if np.ptp(sideways) <= _STRAIGHT * extent else None
+    if np.ptp(sideways) > _STRAIGHT * extent:
+        return None
+    return axis
 
 
 def uniform_length_px(trajectory: Trajectory) -> float | None:

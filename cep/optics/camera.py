@@ -1,6 +1,4 @@
-"""Camera model: photon noise, read noise, clipping, quantisation; its files, and profiles of known
-cameras.
-"""
+"""Camera model: photon and read noise, clipping, quantisation; files and known cameras."""
 
 from __future__ import annotations
 
@@ -24,12 +22,16 @@ from motdiff.types import FloatArray
 
 SCHEMA = "cep.camera/1"
 
-LIGHT_LEVELS = (100.0, 1_000.0, 10_000.0, 100_000.0)
-"""Photo-electrons at full scale at which coding is compared with not coding: from starlight to
-studio."""
+LIGHT_RANGE = (1.0, 1e7)
+"""Light levels that can be asked for, photo-electrons at full scale."""
 
 _LARGEST_PHOTONS = 1e9  # Poisson draws stay exact in float64 and int64 far above any full well
-_LEVELS = (1.0, 1e7)  # light levels that can be asked for, photo-electrons
+_UNITS = {
+    "read_noise_e": "electrons",
+    "dark_current_e_s": "electrons a second",
+    "least_exposure_s": "seconds",
+}
+"""Figures that are 0 or more, with their units in words."""
 _STATED = (
     "name",
     "kind",
@@ -106,13 +108,7 @@ class Camera:
     least_exposure_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in (
-            "photons_full_scale",
-            "read_noise_e",
-            "black_level",
-            "dark_current_e_s",
-            "least_exposure_s",
-        ):
+        for name in ("photons_full_scale", "black_level", *_UNITS):
             object.__setattr__(self, name, _number(name, getattr(self, name)))
         for name in ("full_well_e", "gain_e_per_dn"):
             if (electrons := getattr(self, name)) is not None:
@@ -127,8 +123,10 @@ class Camera:
                 "photons_full_scale: must lie within 0..1e9 and above 0, got"
                 f" {self.photons_full_scale}"
             )
-        if not (np.isfinite(self.read_noise_e) and self.read_noise_e >= 0):
-            raise ValueError(f"read_noise_e: must be 0 or more electrons, got {self.read_noise_e}")
+        for name, unit in _UNITS.items():
+            if not (math.isfinite(value := getattr(self, name)) and value >= 0):
+                raise ValueError(f"{name}: must be 0 or more {unit}, got {value}")
+        # bool is an int, and JSON's true would be a camera of one bit
         if (
             isinstance(self.bits, bool)
             or not isinstance(self.bits, int)
@@ -143,12 +141,6 @@ class Camera:
             raise ValueError(
                 'gain_e_per_dn: needs response "linear": code values of "srgb" differ in electrons'
             )
-        for name, unit in (
-            ("dark_current_e_s", "electrons a second"),
-            ("least_exposure_s", "seconds"),
-        ):
-            if not (math.isfinite(value := getattr(self, name)) and value >= 0):
-                raise ValueError(f"{name}: must be 0 or more {unit}, got {value}")
         for name in ("name", "kind", "source"):
             if not isinstance(text := getattr(self, name), str) or not text.isprintable():
                 raise ValueError(f"{name}: must be one line of text, got {one_line(repr(text))}")
@@ -157,29 +149,25 @@ class Camera:
 
     @property
     def code_steps(self) -> float:
-        """Steps of the code values between light 0 and 1; a fraction where one of them ends above
-        1.
-        """
+        """Code values between light 0 and 1; not whole where the last one ends above 1."""
         if self.gain_e_per_dn is None:
             return float(2**self.bits - 1)
         return self.photons_full_scale / self.gain_e_per_dn
 
     @property
     def saturation_e(self) -> float:
-        """Electrons, of light and dark current, at which the pixel or its code range is full,
-        whichever is first.
+        """Electrons, of light and dark current, at which the pixel or its code range is full.
 
         The pedestal is added after the pixel: it takes from the code range and not from the full
         well. Infinite where neither is known. A light level above it cannot be recorded: expose
         for less.
         """
-        full_well_e = math.inf if self.full_well_e is None else self.full_well_e
+        full_well_e = self.full_well_e or math.inf
         if self.gain_e_per_dn is None:
             return full_well_e
         pedestal_e = self.black_level * self.photons_full_scale
-        return min(
-            full_well_e, max(self.gain_e_per_dn * float(2**self.bits - 1) - pedestal_e, 0.0)
-        )
+        range_e = self.gain_e_per_dn * float(2**self.bits - 1) - pedestal_e
+        return min(full_well_e, max(range_e, 0.0))
 
     def at(self, photons: float, *, exposure_s: float | None = None) -> Camera:
         """Return the camera at a light level.
@@ -200,12 +188,12 @@ class Camera:
             If a figure is outside its range.
         """
         level = _number("photons", photons)
-        if not _LEVELS[0] <= level <= _LEVELS[1]:
+        if not LIGHT_RANGE[0] <= level <= LIGHT_RANGE[1]:
             raise ValueError(
                 f"photons: must lie within 1..1e7 photo-electrons at full scale, got {level:g}"
             )
         black = self.black_level
-        # the pedestal is so many code values, and those are electrons
+        # the pedestal is so many code values, and with a gain those are electrons
         if self.gain_e_per_dn is not None:
             black = min(black * self.photons_full_scale / level, 1.0)
         camera = replace(self, photons_full_scale=level, black_level=black)
@@ -216,16 +204,12 @@ class Camera:
         return camera.with_dark_noise(time_s)
 
     def with_dark_noise(self, integration_s: float) -> Camera:
-        """Return the camera with the noise of so many seconds of dark current in its read noise,
-        and no more of it.
-        """
+        """Return the camera with its dark current's noise counted as read noise."""
         noise_e = math.sqrt(self.read_noise_e**2 + float(self.dark_e(integration_s)))
         return replace(self, read_noise_e=noise_e, dark_current_e_s=0.0)
 
     def dark_e(self, integration_s: ArrayLike) -> FloatArray:
-        """Electrons of dark current after (...) seconds: their mean, and the variance of their
-        number.
-        """
+        """Electrons of dark current after (...) seconds: mean, and variance (Poisson)."""
         return np.asarray(self.dark_current_e_s * np.asarray(integration_s, dtype=np.float64))
 
     # -- noise ------------------------------------------------------------------------------------
@@ -237,8 +221,7 @@ class Camera:
         return {"photons_full_scale": self.photons_full_scale, "read_sigma": read_sigma}
 
     def noise_variance(self, signal: ArrayLike, *, integration_s: ArrayLike = 0.0) -> FloatArray:
-        """Variance of a pixel whose mean is ``signal``: shot + read + dark + quantisation, in
-        full-scale units squared.
+        """Variance of a pixel of mean ``signal``: shot, read, dark and quantisation noise.
 
         Parameters
         ----------
@@ -252,16 +235,17 @@ class Camera:
         (...) float ndarray
         """
         light = np.clip(np.asarray(signal, dtype=np.float64), 0.0, 1.0)
+        # the variance of a Poisson number is its mean: signal / N in units of full scale
         shot = light / self.photons_full_scale
         step = self._code_slope(light) / self.code_steps
         dark = self.dark_e(integration_s) / self.photons_full_scale**2
+        # rounding to steps is an error of uniform density: variance step^2 / 12
         return np.asarray(
             shot + self.noise["read_sigma"] ** 2 + dark + step**2 / 12, dtype=np.float64
         )
 
     def expose(self, light: ArrayLike, *, rng: np.random.Generator) -> FloatArray:
-        """Record ``light``: Poisson shot noise, Gaussian read noise, clipping, rounding to code
-        values.
+        """Record light: shot noise, read noise, clipping, rounding to code values.
 
         Parameters
         ----------
@@ -272,13 +256,11 @@ class Camera:
         -------
         (...) float ndarray, linear light ``-black_level``..1, on the camera's code values.
         """
-        clean = np.maximum(np.asarray(light, dtype=np.float64), 0.0)
+        clean = np.maximum(np.asarray(light, dtype=np.float64), 0.0)  # a Poisson mean
         return self.quantise(add_noise(clean, rng, **self.noise))
 
     def quantise(self, light: ArrayLike) -> FloatArray:
-        """Clip (...) linear light to ``-black_level``..1 and round it to the nearest code
-        value.
-        """
+        """Clip (...) linear light to ``-black_level``..1 and round it to code values."""
         steps = self.code_steps
         bounded = np.clip(np.asarray(light, dtype=np.float64), -self.black_level, 1.0)
         if self.response == "linear":
@@ -290,9 +272,7 @@ class Camera:
     # -- files ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Fields as a JSON document with its schema; of a profile's fields those that are
-        stated.
-        """
+        """Fields as a JSON document with its schema; unstated ones are left out."""
         entries = {
             key: value for key, value in asdict(self).items() if key not in _STATED or value
         }
@@ -300,8 +280,7 @@ class Camera:
 
     @classmethod
     def load(cls, name_or_file: str | Path) -> Camera:
-        """Load a profile by its name, or a camera of one's own by the path of its ``.json`` or
-        ``.toml`` file.
+        """Load a profile by its name, or a camera's ``.json`` or ``.toml`` file by its path.
 
         Raises
         ------
@@ -320,9 +299,9 @@ class Camera:
             with resources.as_file(_profiles() / f"{name_or_file}.toml") as path:
                 return cls.from_file(path)
         alike = get_close_matches(name_or_file.lower(), names, n=3, cutoff=0.5)
-        right = (
-            f"did you mean {' or '.join(alike)}?" if alike else f"known are {', '.join(names)}."
-        )
+        right = f"known are {', '.join(names)}."
+        if alike:
+            right = f"did you mean {' or '.join(alike)}?"
         raise ValueError(
             f"camera: {one_line(name_or_file)!r} is not known; {right} Or name a .json or .toml"
             " file"
@@ -330,8 +309,7 @@ class Camera:
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Camera:
-        """Make a camera from a document; missing fields take their defaults, ``schema`` may be
-        left out.
+        """Make a camera from a document; missing fields and schema take their defaults.
 
         Raises
         ------
@@ -358,7 +336,8 @@ class Camera:
         OSError
             If the file cannot be read.
         """
-        document = read_json(path) if _suffix(path) == ".json" else read_toml(path)
+        read = {".json": read_json, ".toml": read_toml}[_suffix(path)]
+        document: Any = read(path)
         if not isinstance(document, dict):
             raise ValueError(
                 f"{path}: wanted an object with a camera's fields, found {type(document).__name__}"
@@ -376,19 +355,22 @@ class Camera:
         ValueError
             If the file name ends otherwise.
         """
-        suffix = _suffix(path)
-        items = self.to_dict().items()
-        # numbers and printable text read the same in JSON and TOML
-        toml = "".join(
-            f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in items
-        )
-        write_text(path, toml if suffix == ".toml" else json.dumps(dict(items), indent=1) + "\n")
+        document = self.to_dict()
+        text = json.dumps(document, indent=1) + "\n"
+        if _suffix(path) == ".toml":
+            # numbers and printable text read the same in JSON and TOML
+            text = "".join(
+                f"{key} = {json.dumps(value, ensure_ascii=False)}\n"
+                for key, value in document.items()
+            )
+        write_text(path, text)
 
     def _code_slope(self, light: FloatArray) -> FloatArray:
         """Linear light per unit of code."""
         if self.response == "linear":
             return np.ones_like(light)
         code = to_display(light)
+        # derivative of the sRGB curve, IEC 61966-2-1
         return np.where(code <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((code + 0.055) / 1.055) ** 1.4)
 
 

@@ -1,6 +1,4 @@
-"""The photo that a camera takes of a scene while it moves along a path and its shutter plays a
-code.
-"""
+"""Simulated photo of a scene, through a coded shutter while the camera moves."""
 
 from __future__ import annotations
 
@@ -68,6 +66,7 @@ def capture(
             f"scene: must be finite, non-negative (H, W) or (H, W, 3), got shape {light.shape}"
         )
     if isinstance(motion, Trajectory):
+        # an odd frame: its zero displacement is the middle pixel, so the photo is not shifted
         kernel = coded_psf(motion, code or ShutterCode("1"), size=motion.frame_size() | 1)
     elif code is not None:
         raise ValueError("code: goes with a trajectory; a PSF holds its code already")
@@ -80,6 +79,7 @@ def capture(
             f"scene: {light.shape[1]} x {light.shape[0]} px is smaller than the PSF frame of"
             f" {kernel.shape[0]} px"
         )
+    # the light is that of the open shutter: a light-true PSF darkens it
     return photograph(
         light, kernel, rng=rng, borders=borders, record=sensor.quantise, **sensor.noise
     )

@@ -60,20 +60,22 @@ class ShutterCode:
     chip_ns: int
 
     def __init__(self, bits: str | ArrayLike, chip_ns: int = 1_000_000) -> None:
-        text = bits if isinstance(bits, str) else _text(bits)
+        text = _text(bits)
         wrong = next((i for i, bit in enumerate(text) if bit not in "01"), None)
         if wrong is not None:
             raise ValueError(
                 f"bits: only 0 and 1 are allowed, found {text[wrong]!r} at chip {wrong + 1}"
             )
         if "1" not in text:
-            what = "all chips are closed" if text else "the code is empty"
-            raise ValueError(f"bits: {what}; at least one chip must be open")
+            state = "all chips are closed" if text else "the code is empty"
+            raise ValueError(f"bits: {state}; at least one chip must be open")
         is_integer = isinstance(chip_ns, int | np.integer) and not isinstance(chip_ns, bool)
+        # controllers and files hold times in 64 bits with a sign
         if not (is_integer and 0 < chip_ns < 2**63):
             raise ValueError(
                 f"chip_ns: must be a whole number of nanoseconds within 1..2^63-1, got {chip_ns!r}"
             )
+        # frozen: set past the dataclass, whose own __init__ would not take arrays
         object.__setattr__(self, "bits", text)
         object.__setattr__(self, "chip_ns", int(chip_ns))
 
@@ -109,7 +111,9 @@ class ShutterCode:
         A single opening is an exposure of its own, and no longer than that. Any other code takes
         the whole exposure.
         """
-        return self.chip_ns * (self.open_chips if self.pulses == 1 else self.chips)
+        if self.pulses == 1:
+            return self.chip_ns * self.open_chips
+        return self.duration_ns
 
     @property
     def array(self) -> FloatArray:
@@ -126,26 +130,23 @@ class ShutterCode:
         """Number of open runs: how often the shutter opens."""
         return sum(bit for bit, _ in self.runs)
 
-    @property
-    def longest_run(self) -> int:
-        """Chips in the longest run, open or closed."""
-        return max(length for _, length in self.runs)
-
     def reversed(self) -> ShutterCode:
         """Return the code played backwards."""
         return replace(self, bits=self.bits[::-1])
 
 
-def _text(chips: ArrayLike) -> str:
+def _text(chips: str | ArrayLike) -> str:
     """Spell (n,) numbers or booleans as 0 and 1."""
+    if isinstance(chips, str):
+        return chips
     try:
         values = np.asarray(chips)
     except (TypeError, ValueError):  # rows of unequal length
         values = np.empty((0, 0))
     if values.ndim != 1 or values.dtype.kind not in "biuf":
-        kind = "rows of them"
-        if values.ndim == 0 or values.dtype.kind not in "biuf":
-            kind = type(chips).__name__
+        kind = type(chips).__name__
+        if values.ndim > 1 and values.dtype.kind in "biuf":
+            kind = "rows of them"
         raise ValueError(
             f"bits: must be a string or a one-dimensional array of 0 and 1, got {kind}"
         )
@@ -154,4 +155,4 @@ def _text(chips: ArrayLike) -> str:
         raise ValueError(
             f"bits: only 0 and 1 are allowed, found {values[wrong[0]]:g} at chip {wrong[0] + 1}"
         )
-    return "".join("1" if value else "0" for value in values)
+    return "".join(str(int(value)) for value in values)

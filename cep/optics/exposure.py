@@ -1,5 +1,4 @@
-"""A code along a trajectory: the chip basis, and the coded OTF and PSF (light-true: their DC is
-the open time).
+"""A code along a trajectory: OTF of its chips, coded OTF and PSF, light-true (DC = open time).
 
 Chips may be played off their time (``edges``), and the shutter may have ramps (``response``). With
 c_k = 0 outside the code, the OTF is ``sum_k c_k B_k + c_k (1 - c_{k-1}) O_k + c_k (1 - c_{k+1})
@@ -44,9 +43,7 @@ class OpenPath:
     b: FloatArray
 
     def otf(self, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> ComplexArray:
-        """Exact OTF at (...) frequencies: the sum of ``dt exp(-i pi f.(a + b)) sinc(f.(b -
-        a))``.
-        """
+        """Exact OTF at (...) frequencies: sum of ``dt exp(-i pi f.(a + b)) sinc(f.(b - a))``."""
         fx, fy = np.broadcast_arrays(
             np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64)
         )
@@ -96,6 +93,7 @@ def open_path(
         If the edges are malformed, or leave a chip shorter than the shutter takes to open or
         close.
     """
+    # on time and at once the path needs no extension beyond the exposure
     if edges is None and response is None:
         pieces = trajectory.segments(np.linspace(0, 1, code.chips + 1))
         is_open = code.array[pieces.slice_index] > 0
@@ -114,8 +112,7 @@ def chip_basis(
     *,
     edges: ArrayLike | None = None,
 ) -> ComplexArray:
-    """OTF of every chip, ``B_k(f)``: the coded OTF is ``sum_k c_k B_k(f)`` while the shutter
-    follows at once.
+    """OTF ``B_k(f)`` of every chip; for an instant shutter the coded OTF is ``sum_k c_k B_k``.
 
     Parameters
     ----------
@@ -144,8 +141,7 @@ def chip_parts(
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Terms ``B_k``, ``O_k`` and ``C_k`` of the coded OTF, each (n, ...); see the head of this
-    module.
+    """Terms ``B_k``, ``O_k`` and ``C_k`` of the coded OTF, each (n, ...).
 
     Parameters and errors are those of :func:`open_path` and :func:`chip_basis`.
     """
@@ -161,7 +157,7 @@ def chip_parts(
     sums = chip_sums(played.a, played.b, weights, played.chip, chips + 1, f)
     basis = sums[0, :-1]
     opening = sums[1, :-1]
-    closing = sums[2, 1:]
+    closing = sums[2, 1:]  # chip k closes within chip k + 1
     return tuple(term.reshape(chips, *fx.shape) for term in (basis, opening, closing))  # type: ignore[return-value]
 
 
@@ -174,8 +170,7 @@ def chip_rows(
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
 ) -> ComplexArray:
-    """Change of the coded OTF when chip k opens between neighbours in the states l and r,
-    ``rows[k, l, r]``.
+    """Change of the coded OTF when chip k opens between neighbours in states l and r.
 
     ``rows[k, l, r] = B_k + (1 - l) O_k + (1 - r) C_k - l C_{k-1} - r O_{k+1}``: an open neighbour
     needs no edge towards chip k any more. Closing chip k is the negative. Outside the code every
@@ -195,19 +190,18 @@ def chip_rows(
     basis, opening, closing = chip_parts(
         trajectory, chips, fx_cy_px, fy_cy_px, response=response, edges=edges
     )
+    # axes: chip, left neighbour, right neighbour; 0 closed, 1 open
     rows = np.repeat(basis[:, None], 4, axis=1).reshape(chips, 2, 2, *shape)
     rows[:, 0] += opening[:, None]
     rows[:, :, 0] += closing[:, None]
     rows[1:, 1] -= closing[:-1, None]
     rows[:-1, :, 1] -= opening[1:, None]
-    rows.setflags(write=False)
+    rows.setflags(write=False)  # as the broadcast ones of an instant shutter
     return rows
 
 
 def chip_psfs(trajectory: Trajectory, chips: int, size: int = PSF_PX) -> FloatArray:
-    """PSF of every chip, (n, size, size); each sums to 1/n. Raises ValueError if the path leaves
-    the frame.
-    """
+    """PSF of every chip, (n, size, size); each sums to 1/n."""
     return trajectory.slice_psfs(checked_edges(None, chips), size)
 
 
@@ -220,8 +214,7 @@ def coded_otf(
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
 ) -> ComplexArray:
-    """Exact OTF of the coded exposure at (...) frequencies; at zero frequency it is the light that
-    came in.
+    """Exact OTF of the coded exposure at (...) frequencies, light-true.
 
     Parameters
     ----------
@@ -238,8 +231,7 @@ def coded_otf(
 def mtf(
     trajectory: Trajectory, code: ShutterCode | None, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike
 ) -> FloatArray:
-    """Exact, light-true MTF of the exposure at (...) frequencies: the modulus of
-    :func:`coded_otf`.
+    """Exact, light-true MTF of the exposure at (...) frequencies.
 
     Parameters
     ----------
@@ -269,8 +261,7 @@ def coded_psf(
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
 ) -> FloatArray:
-    """Light-true coded PSF (size, size): it sums to the light, zero displacement at index ``size
-    // 2``.
+    """Light-true coded PSF (size, size), zero displacement at index ``size // 2``.
 
     ``response`` and ``edges`` are those of :func:`open_path`.
 

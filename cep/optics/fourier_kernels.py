@@ -1,6 +1,4 @@
-"""Fourier sums of many short straight pieces, compiled: equal pieces in a row cost one rotation
-each.
-"""
+"""Compiled Fourier sums of many short straight pieces of a path."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ from numpy.typing import NDArray
 from cep.compiled import compiled
 from motdiff.types import FloatArray
 
-_SAME_PX = 1e-13
+_SAME_PX = 1e-13  # difference of pieces that count as equal: rounding of paths of some 100 px
 
 
 def chip_sums(
@@ -21,8 +19,7 @@ def chip_sums(
     chips: int,
     f: FloatArray,
 ) -> NDArray[np.complex128]:
-    """Sum the weighted transforms of pieces, ``exp(-i pi f.(a + b)) sinc(f.(b - a))``, chip by
-    chip.
+    """Sum the weighted transforms ``exp(-i pi f.(a + b)) sinc(f.(b - a))`` chip by chip.
 
     Parameters
     ----------

@@ -1,6 +1,4 @@
-"""Noise and error of a restoration from its MTF: noise gain, noise variance, expected Wiener
-error, reference scene.
-"""
+"""Reference scene, noise of its photos, and the Wiener error and noise gain of an MTF."""
 
 from __future__ import annotations
 
@@ -14,8 +12,8 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from motdiff.types import FloatArray
 
-# linear light that an all-open exposure records of the reference scene: sRGB mid-tone 0.54
-SCENE_MEAN = 0.25
+# The reference scene has the 1/f^2 spectrum of natural images (Field 1987).
+SCENE_MEAN = 0.25  # linear light of an all-open exposure: sRGB mid-tone 0.54
 SCENE_STD = 0.2
 HOPELESS_DB = 100.0
 """Noise gains above this say that a sample met a zero, and how closely rounding let it: tables
@@ -25,14 +23,13 @@ _LOWEST_CY_PX = 1 / 256  # the 1/f^2 law stops here, or its variance would be in
 
 
 def chip_noise_db(code: ShutterCode) -> float:
-    """``10 log10 mean 1/|P|^2`` over the unit circle on 512 points a chip; add 20 log10 k for the
-    DC-normalised one.
+    """Noise gain ``10 log10 mean 1/|P|^2`` over the unit circle, on 512 points a chip.
 
     A zero on the circle makes it infinite; a grid near one gives a finite figure that proves
     nothing: see :func:`min_chip`.
     """
     size = 512 * code.chips
-    power = np.abs(np.fft.rfft(code.array, size)) ** 2
+    power = np.abs(np.fft.rfft(code.array, size)) ** 2  # half of the circle: P is real
     weight = np.full(power.size, 2.0)
     weight[[0, -1]] = 1.0  # frequencies that are their own mirror
     with np.errstate(divide="ignore"):
@@ -42,8 +39,7 @@ def chip_noise_db(code: ShutterCode) -> float:
 def noise_variance(
     camera: Camera, duty: ArrayLike, *, integration_s: ArrayLike = 0.0
 ) -> FloatArray:
-    """Variance per pixel of photos of the reference scene through shutters open for (...) ``duty``
-    of the exposure.
+    """Variance per pixel of photos of the reference scene, open for (...) ``duty``.
 
     Dark current counts for ``integration_s``, as :meth:`cep.optics.camera.Camera.noise_variance`
     has it.
@@ -55,9 +51,7 @@ def noise_variance(
 
 @lru_cache(maxsize=1)
 def scene_strength() -> float:
-    """Constant A of the reference scene's power spectrum ``A / (f^2 + f0^2)``, which integrates to
-    its variance.
-    """
+    """Return A of the scene's spectrum ``A / (f^2 + f0^2)``, which integrates to its variance."""
     # the inner integral of 1 / (f^2 + f0^2) has a closed form; u = asinh(fx / f0) makes the outer
     # one smooth
     u = np.linspace(0, np.arcsinh(0.5 / _LOWEST_CY_PX), 2001)
@@ -71,8 +65,7 @@ def inverse_scene(samples: BandSamples) -> FloatArray:
 
 
 def wiener_mse(power: FloatArray, samples: BandSamples, noise: float) -> float:
-    r"""Mean over the band of ``S N / (S |H|^2 + N)``, the least mean square error of any linear
-    restoration.
+    r"""Least mean square error of a linear restoration: band mean of ``S N / (S |H|^2 + N)``.
 
     Parameters
     ----------
@@ -82,5 +75,6 @@ def wiener_mse(power: FloatArray, samples: BandSamples, noise: float) -> float:
     noise : float
         Variance N of the noise per pixel.
     """
+    # S N / (S |H|^2 + N) = 1 / (|H|^2 / N + 1 / S)
     per_noise = power[:, None] / noise + inverse_scene(samples)
     return float(samples.weight @ (samples.radius2_weight / per_noise).sum(axis=1))

@@ -1,6 +1,4 @@
-"""Limits on paths: too wide or too dense to be measured, or too short to tell so many chips
-apart.
-"""
+"""Limits on paths: too wide or dense to be measured, or too short for so many chips."""
 
 from __future__ import annotations
 
@@ -35,12 +33,15 @@ def check_frame(trajectory: Trajectory) -> None:
     check_length(trajectory)
     if uniform_length_px(trajectory) is not None:
         return
-    frame = 1 if straight_axis(trajectory) is not None else trajectory.frame_size()
+    frame = 1  # of a straight path: it is measured along its axis alone
+    if straight_axis(trajectory) is None:
+        frame = trajectory.frame_size()
     if frame > LARGEST_FRAME_PX:
         raise ValueError(
             f"trajectory: the path needs a PSF of {frame} px around its zero, at most"
             f" {LARGEST_FRAME_PX} can be handled"
         )
+    # a PSF is drawn for each sample: the work is their product
     max_samples = min(MOST_SAMPLES, _MOST_WORK // frame**2)
     if trajectory.t.size > max_samples:
         raise ValueError(

@@ -1,5 +1,4 @@
-"""Photon-transfer curve: gain, read noise and full well of a camera, from pairs of evenly lit
-frames.
+"""Photon-transfer curve: gain, read noise and full well of a camera from pairs of flat frames.
 
 The difference of two frames of the same light, scaled to the same mean, holds noise alone: what is
 fixed to the pixels cancels. Over the mean the variance is a line, ``variance = (mean - black) /
@@ -15,167 +14,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cep.optics.camera import Camera
+from cep.optics.frame_pairs import CodeRange, FramePair
 from motdiff.simulate import to_display, to_linear
 from motdiff.types import FloatArray
 
-_DEPTHS = (8, 10, 12, 14, 16)  # bits of cameras whose codes lie at the lower end of 16-bit files
 _FIT_SHARE = 0.7  # of saturation: above it the response bends, EMVA 1288
-_CLIPPED = (
-    0.005  # share of pixels at the end of the codes from which a pair's variance is too small
-)
+_CLIPPED = 0.005  # share of pixels at the end of the codes that makes a variance too small
 _BLACK_CLIPPED = 0.1  # share of dark pixels at 0 from which the dark noise is not there to be seen
 _FALLEN = 0.1  # a brighter pair with so much less variance than a darker one is saturated
 # share by which the light of a pair's frames may differ: scaling them mends that to 0.1 %
 _UNEQUAL = 0.05
-_ROUNDING = 1e-12  # of the variance over the pixels: that of frames that are the same
 _BANDED = 0.01  # part of a pair's variance that differences between lines may make up
 _UNSURE = 0.25  # relative error from which a gain is no result
 _EMVA_LEAST_NOISE_DN = 0.24  # below it quantisation hides the noise
-
-
-@dataclass(frozen=True, eq=False)
-class FramePair:
-    """Statistics of two frames of the same light, in code values of the file.
-
-    Attributes
-    ----------
-    means : (2,) float ndarray
-        Of each frame.
-    covariance : (2, 2) float ndarray
-        Over the pixels of the two frames.
-    lines : tuple of (2, K) float ndarray
-        Means of the rows of both frames, and of their columns; none of frames that are not
-        two-dimensional.
-    histogram : (65536,) int ndarray
-        Pixels of both frames with each code value.
-    pixels : int
-        Of one frame.
-    """
-
-    means: FloatArray
-    covariance: FloatArray
-    lines: tuple[FloatArray, ...]
-    histogram: NDArray[np.int64]
-    pixels: int
-
-    @property
-    def mean(self) -> float:
-        """Mean of both frames."""
-        return float(self.means.mean())
-
-    @property
-    def difference(self) -> float:
-        """Mean of the second frame less that of the first."""
-        return float(self.means[1] - self.means[0])
-
-    def variance(self, black: float | None = None) -> float:
-        """Variance of one frame over time, with the quantisation's.
-
-        With the code value without light, the frames are brought to the same light first: uneven
-        light and unequal pixels would not cancel otherwise. What that does to the noise is of
-        second order in the difference.
-        """
-        scale = self._scale(black)
-        # the difference of two independent frames has twice the variance of one
-        variance = float(scale @ self.covariance @ scale) / 2
-        return variance if variance > _ROUNDING * self.covariance.trace() else 0.0
-
-    def banding(self, black: float) -> float:
-        """Part of the variance that rows or columns of differing light make up; 0 where it is not
-        significant.
-        """
-        scale = self._scale(black)
-        variance = self.variance(black)
-        parts = [0.0]
-        for means in self.lines:
-            count = means.shape[1]
-            share = float((scale @ means).var(ddof=1)) / max(2 * variance, 1e-300)
-            chance = count / self.pixels  # of white noise
-            # sqrt(2 / K) is the relative standard error of a variance of K means: five of them
-            if share > chance * (1 + 5 * math.sqrt(2 / count)):
-                parts.append(share - chance)
-        return max(parts)
-
-    def _scale(self, black: float | None) -> FloatArray:
-        """Factors of the first frame and, with the sign of a difference, of the second."""
-        light = np.ones(2) if black is None else self.means - black
-        return np.array([-1.0, 1.0]) if light.min() <= 0 else light.mean() / light * [-1.0, 1.0]
-
-    @classmethod
-    def of(
-        cls, first: ArrayLike, second: ArrayLike, *, codes: ArrayLike | None = None
-    ) -> FramePair:
-        """Measure two frames.
-
-        Parameters
-        ----------
-        first, second : (...) uint8 or uint16 array_like
-            Code values, the same shape.
-        codes : (65536,) float array_like, optional
-            Light that each code value stands for, where that is not the code value itself.
-
-        Raises
-        ------
-        ValueError
-            If the shapes differ.
-        """
-        dn_a = np.asarray(first)
-        dn_b = np.asarray(second)
-        if dn_a.shape != dn_b.shape:
-            raise ValueError(f"differ in size, {_size(dn_a)} and {_size(dn_b)} px")
-        light = np.arange(65536.0) if codes is None else np.asarray(codes, dtype=np.float64)
-        a = light[dn_a]
-        b = light[dn_b]
-        means = np.array([a.mean(), b.mean()])
-        da = a.ravel() - means[0]
-        db = b.ravel() - means[1]
-        lines: tuple[FloatArray, ...] = ()
-        if a.ndim == 2:
-            lines = tuple(np.stack([a.mean(axis=axis), b.mean(axis=axis)]) for axis in (1, 0))
-        return cls(
-            means=means,
-            covariance=np.array([[da @ da, da @ db], [da @ db, db @ db]]) / max(da.size - 1, 1),
-            lines=lines,
-            histogram=np.bincount(dn_a.ravel(), minlength=65536)
-            + np.bincount(dn_b.ravel(), minlength=65536),
-            pixels=dn_a.size,
-        )
-
-    def quantile(self, share: float) -> int:
-        """Smallest code value that at least this share of the pixels does not exceed."""
-        return int(np.searchsorted(np.cumsum(self.histogram), share * 2 * self.pixels))
-
-
-@dataclass(frozen=True)
-class CodeRange:
-    """How a camera's code values lie in its files.
-
-    Attributes
-    ----------
-    bits : int
-        Of the camera.
-    spacing : float
-        Step of the file's values from one code value to the next.
-    top_dn : float
-        Largest code value.
-    assumed : str
-        What was assumed, one sentence; empty where nothing was.
-    """
-
-    bits: int
-    spacing: float = 1.0
-    top_dn: float = 0.0
-    assumed: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "top_dn", self.top_dn or float(2**self.bits - 1))
 
 
 @dataclass(frozen=True)
@@ -249,24 +107,24 @@ class PhotonTransfer:
         )
 
     def camera(self, *, name: str = "", source: str = "") -> Camera:
-        """Make the camera with these figures; value 1 is where it saturates, or the end of its
-        code range.
-        """
-        linear = self.response == "linear"
-        range_e = (self.codes.top_dn - (self.black_dn if linear else 0.0)) * self.gain_e_per_dn
-        full = min(range_e, self.full_well_e or range_e)
+        """Make the camera with these figures; value 1 is where it saturates."""
+        black_dn = 0.0  # on a curve code values differ in electrons: neither pedestal nor gain
+        gain_e_per_dn = None
+        if self.response == "linear":
+            black_dn = self.black_dn
+            gain_e_per_dn = _round(self.gain_e_per_dn)
+        range_e = (self.codes.top_dn - black_dn) * self.gain_e_per_dn
+        full_e = min(range_e, self.full_well_e or range_e)
         return Camera(
-            photons_full_scale=_round(full),
+            photons_full_scale=_round(full_e),
             read_noise_e=_round(self.read_noise_e),
             bits=self.codes.bits,
             response=self.response,
-            black_level=(
-                _round(min(self.black_dn * self.gain_e_per_dn / full, 1.0)) if linear else 0.0
-            ),
+            black_level=_round(min(black_dn * self.gain_e_per_dn / full_e, 1.0)),
             name=name,
             source=source,
-            full_well_e=None if self.full_well_e is None else _round(self.full_well_e),
-            gain_e_per_dn=_round(self.gain_e_per_dn) if linear else None,
+            full_well_e=self.full_well_e and _round(self.full_well_e),
+            gain_e_per_dn=gain_e_per_dn,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -280,59 +138,8 @@ class PhotonTransfer:
             "full_well_is": self.full_well_is or None,
             "black_dn": self.black_dn,
             "bits": self.codes.bits,
-            "points": [
-                {
-                    "signal_dn": point.signal_dn,
-                    "variance_dn2": point.variance_dn2,
-                    "use": point.use,
-                }
-                for point in self.points
-            ],
+            "points": [asdict(point) for point in self.points],
         }
-
-
-def find_code_range(
-    pairs: Sequence[FramePair], *, file_bits: int, bits: int | None = None
-) -> CodeRange:
-    """Find how many bits a camera has from the values that its files hold.
-
-    Cameras of 10, 12 or 14 bits write 16-bit files with their code values at the lower end,
-    shifted to the upper end, or spread over the whole range.
-
-    Parameters
-    ----------
-    pairs : sequence of FramePair
-    file_bits : {8, 16}
-    bits : int, optional
-        Of the camera, where known.
-
-    Raises
-    ------
-    ValueError
-        If the camera cannot have so many bits.
-    """
-    if bits is not None and not 1 <= bits <= file_bits:
-        raise ValueError(
-            f"bits: must lie within 1..{file_bits} for files of {file_bits} bits, got {bits}"
-        )
-    values_dn = np.flatnonzero(np.sum([pair.histogram for pair in pairs], axis=0))
-    largest = int(values_dn[-1])
-    gap = int(np.diff(values_dn).min()) if values_dn.size > 1 else 1
-    assumed = ""
-    if bits is None:
-        bits = file_bits - round(math.log2(gap))
-        if gap == 1 and file_bits == 16:
-            bits = next(depth for depth in _DEPTHS if largest < 2**depth)
-            if largest < 2**bits - 1:
-                assumed = (
-                    f"taken as a camera of {bits} bits, as no value exceeds {largest}; state them"
-                    " if it has more"
-                )
-    if largest < 2**bits:
-        return CodeRange(bits, assumed=assumed)
-    shift = 2 ** (file_bits - bits)
-    shifted = not (values_dn % shift).any()
-    return CodeRange(bits, float(shift) if shifted else (2**file_bits - 1) / (2**bits - 1))
 
 
 def photon_transfer(
@@ -399,6 +206,7 @@ def photon_transfer(
                 f"pair {number}: the light of its frames differs from line to line, by"
                 f" {banding:.0%} of their noise: the light flickers, and the gain is too small"
             )
+    # the curve by rising light, in the camera's code values above black
     order = sorted(flats, key=lambda pair: pair.mean)
     signal = np.array([pair.mean for pair in order]) / codes.spacing - black
     variance = np.array(
@@ -409,8 +217,11 @@ def photon_transfer(
     if saturated.all():
         raise ValueError("the frames are saturated throughout: expose some for less")
     fitted = ~saturated
-    if saturated.any() and (fitted & (signal <= _FIT_SHARE * signal[saturated].max())).any():
-        fitted &= signal <= _FIT_SHARE * signal[saturated].max()
+    if saturated.any():
+        # EMVA 1288 fits up to 70 % of saturation; all that is left where nothing is below
+        low = fitted & (signal <= _FIT_SHARE * signal[saturated].max())
+        if low.any():
+            fitted = low
     x = signal[fitted]
     y = variance[fitted]
     n = pixels[fitted]
@@ -435,17 +246,14 @@ def photon_transfer(
             f"the noise is off the line by up to {bent:.0%}: the response is bent or noise was"
             " filtered"
         )
-    noise_dn2 = max(floor, floor_error)
+    noise_dn2 = max(floor, floor_error)  # a floor at or below 0 is unknown, to its error
     full_well, kind = _full_well(
         order, saturated, variance, slope * signal + floor, codes, black, gain, response
     )
-    uses: list[Literal["fitted", "above the fit", "saturated"]] = [
-        "saturated" if full else "fitted" if is_fitted else "above the fit"
-        for full, is_fitted in zip(saturated, fitted, strict=True)
-    ]
+    uses = np.select([saturated, fitted], ["saturated", "fitted"], "above the fit").tolist()
     return PhotonTransfer(
         gain_e_per_dn=gain,
-        gain_error=gain**2 * slope_error,
+        gain_error=gain**2 * slope_error,  # of 1 / slope
         read_noise_e=gain * math.sqrt(noise_dn2),
         read_noise_error=gain * floor_error / (2 * math.sqrt(noise_dn2)),
         full_well_e=full_well,
@@ -464,9 +272,7 @@ def photon_transfer(
 def _variance(
     pair: FramePair, codes: CodeRange, response: str, black: float | None = None
 ) -> float:
-    """Variance over time at the same light above black without the quantisation's, code values
-    squared.
-    """
+    """Variance over time at equal light, without the quantisation's, code values squared."""
     step = 1.0
     if response == "srgb":
         half = 0.5 / codes.top_dn
@@ -500,12 +306,12 @@ def _check_dark(dark: FramePair, variance_dn2: float) -> list[str]:
 
 def _check_flat(number: int, pair: FramePair, black: float, dark: FramePair | None) -> None:
     light = pair.mean - black
-    error = math.sqrt(2 * pair.variance() / pair.pixels)
+    error = math.sqrt(2 * pair.variance() / pair.pixels)  # of the difference of two means
     if light <= 5 * error:
-        of = f"the dark frames, {black:g}" if dark is not None else f"black, {black:g}"
+        source = "black" if dark is None else "the dark frames"
         raise ValueError(
-            f"pair {number}: its mean of {pair.mean:.5g} is not above that of {of}; flats need"
-            " light"
+            f"pair {number}: its mean of {pair.mean:.5g} is not above that of {source},"
+            f" {black:g}; flats need light"
         )
     if abs(pair.difference) > _UNEQUAL * light + 5 * error:
         raise ValueError(
@@ -535,9 +341,7 @@ def _saturated(
 def _line(
     x: FloatArray, y: FloatArray, n: NDArray[np.int64]
 ) -> tuple[float, float, float, float, float]:
-    """Fit ``y = slope x + floor`` to variances of ``n`` pixels: both, their errors, and a misfit
-    worth a warning.
-    """
+    """Fit ``y = slope x + floor`` to variances: both, their errors, and the worst misfit."""
     if x.size < 2 or np.ptp(x) < 0.1 * x.max():
         raise ValueError(
             "the frames have one level of light: give dark frames, or flats of other levels too"
@@ -551,6 +355,7 @@ def _line(
         slope, floor = (float(value) for value in covariance @ (basis.T @ (weights * y)))
         error = _scatter(np.maximum(basis @ (slope, floor), 0.1 * np.abs(y)), n)
     slope_error, floor_error = (float(value) for value in np.sqrt(np.diag(covariance)))
+    # the slope is the gain's reciprocal: without photon noise there is none
     if slope <= 0:
         raise ValueError(
             "the noise does not grow with the light: these are no frames as the sensor made them"
@@ -561,13 +366,13 @@ def _line(
             " small, for a gain"
         )
     off = np.abs(basis @ (slope, floor) - y)
-    bent = off[(off > 5 * error) & (off > 0.05 * y)] / y[(off > 5 * error) & (off > 0.05 * y)]
+    is_bent = (off > 5 * error) & (off > 0.05 * y)  # significant, and large enough to matter
+    bent = off[is_bent] / y[is_bent]
     return slope, floor, slope_error, floor_error, float(bent.max(initial=0.0))
 
 
 def _scatter(variance: FloatArray, n: NDArray[np.int64]) -> FloatArray:
-    """Add the standard error of variances of ``n`` pixels and what rounding to code values may do
-    to small ones.
+    """Return the standard error of variances of ``n`` pixels, rounding included.
 
     Rounding adds 1/12 to a variance, and for a Gaussian of variance v up to (4 v + 1 / pi^2)
     exp(-2 pi^2 v) more or less, by where its mean lies between two code values.
@@ -590,17 +395,17 @@ def _full_well(
     """Electrons at which the brightest pair saturates, and what is full there."""
     if not saturated[-1]:
         return None, ""
-    # frames that are full everywhere have the noise of reading alone, and their median is the
-    # level
-    value = order[-1].quantile(0.5 if variance[-1] < 0.2 * expected[-1] else 0.999) / codes.spacing
-    kind: Literal["pixel", "code range"] = "code range" if value > codes.top_dn - 1 else "pixel"
+    share = 0.999  # of pixels, that a few hot ones do not count
+    # frames that are full everywhere have the noise of reading alone: their median is the level
+    if variance[-1] < 0.2 * expected[-1]:
+        share = 0.5
+    value = order[-1].quantile(share) / codes.spacing
+    kind: Literal["pixel", "code range"] = "pixel"
+    if value > codes.top_dn - 1:
+        kind = "code range"
     if response == "srgb":
         value = float(to_linear(value / codes.top_dn)) * codes.top_dn
     return gain * (value - black), kind
-
-
-def _size(frame: NDArray[Any]) -> str:
-    return " x ".join(str(length) for length in frame.shape[1::-1])
 
 
 def _round(value: float, digits: int = 6) -> float:

@@ -1,6 +1,4 @@
-"""Response of a shutter to its commands: linear ramps, delay and bias after each transition of the
-code.
-"""
+"""Response of a shutter to its commands: delay, linear ramps and bias."""
 
 from __future__ import annotations
 
@@ -53,6 +51,7 @@ class ShutterResponse:
                 raise ValueError(f"{field.name}: must be a time of at least 0 ns, got {value}")
         if self.chip_ns == 0:
             raise ValueError("chip_ns: must be above 0 ns, got 0")
+        # one transition must be over before the next can begin
         for names, transition_ns in (
             ("on_delay_ns + rise_ns", self.opening_ns),
             ("on_bias_ns + fall_ns", self.closing_ns),
@@ -62,6 +61,7 @@ class ShutterResponse:
                     f"{names}: {transition_ns:g} ns is longer than a chip of {self.chip_ns:g} ns; "
                     f"chips of at least {transition_ns:g} ns would do"
                 )
+        # an instant rise at the chip's very end lets no light in
         if self.on_delay_ns == self.chip_ns:
             raise ValueError(
                 f"on_delay_ns: {self.on_delay_ns:g} ns leaves nothing of a chip of"
@@ -88,9 +88,7 @@ class ShutterResponse:
         return replace(self, chip_ns=chip_ns)
 
     def opening(self, after_chips: ArrayLike) -> FloatArray:
-        """Transmission (...) at times after an opening edge, in chips; a ramp is a stair of
-        :data:`RAMP_STEPS`.
-        """
+        """Transmission (...) at times after an opening edge, in chips; ramps are stairs."""
         return self._ramp(after_chips, self.opening_cuts)
 
     def closing(self, after_chips: ArrayLike) -> FloatArray:
@@ -108,8 +106,7 @@ class ShutterResponse:
         return self._cuts(self.on_bias_ns, self.fall_ns)
 
     def open_time(self, codes: ArrayLike) -> FloatArray:
-        """Light of (R, n) codes played on time, (R,): a fraction of the exposure, the duty for an
-        instant shutter.
+        """Light of (R, n) codes played on time, (R,): a fraction of the exposure.
 
         Examples
         --------
@@ -134,5 +131,12 @@ class ShutterResponse:
         return np.where(step == 0, 0.0, np.where(step == cuts.size, 1.0, stair))
 
     def _cuts(self, start_ns: float, length_ns: float) -> FloatArray:
-        steps = RAMP_STEPS if length_ns else 0
+        steps = RAMP_STEPS * bool(length_ns)  # no ramp is a single step
         return (start_ns + length_ns * np.linspace(0, 1, steps + 1)) / self.chip_ns
+
+
+def open_time(codes: ArrayLike, response: ShutterResponse | None) -> FloatArray:
+    """Light of (R, n) codes, (R,): as of a response, or the duty of an instant shutter."""
+    if response is not None:
+        return response.open_time(codes)
+    return np.asarray(np.asarray(codes).mean(axis=1), dtype=np.float64)

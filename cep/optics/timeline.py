@@ -19,8 +19,7 @@ known there."""
 
 @dataclass(frozen=True)
 class Timeline:
-    """A played exposure cut at every sample of the path, chip edge, and step of the shutter's
-    ramps.
+    """A played exposure cut at every path sample, chip edge, and step of the shutter's ramps.
 
     Attributes
     ----------
@@ -48,7 +47,7 @@ class Timeline:
 
     def transmission(self, code: ShutterCode) -> FloatArray:
         """Transmission (S,) of the shutter under a code, closed before and after it."""
-        chips = np.concatenate([[0.0], code.array, [0.0]])
+        chips = np.concatenate([[0.0], code.array, [0.0]])  # closed before and after
         previous = chips[self.chip]
         current = chips[self.chip + 1]
         return np.where(
@@ -58,9 +57,7 @@ class Timeline:
         )
 
     def frame_size(self) -> int:
-        """Smallest PSF frame, px, that holds the played path (zero displacement at index ``size //
-        2``).
-        """
+        """Smallest PSF frame, px, that holds the played path."""
         points = np.concatenate([self.a, self.b[-1:]])
         low = np.floor(points.min())
         high = np.floor(points.max()) + 1
@@ -95,9 +92,10 @@ def checked_edges(edges: ArrayLike | None, chips: int) -> FloatArray:
 
 def check_lengths(edges: FloatArray, response: ShutterResponse) -> None:
     """Refuse edges (n + 1,) that leave a chip no time to open or close, with a ValueError."""
+    # a transition must end within its chip: it depends on two neighbouring chips alone
     slowest = max(response.opening_ns, response.closing_ns)
     shortest_ns = float(np.diff(edges).min()) * (len(edges) - 1) * response.chip_ns
-    if slowest > shortest_ns * (1 + 1e-9):
+    if slowest > shortest_ns * (1 + 1e-9):  # but for rounding
         raise ValueError(
             f"response: opening or closing takes {slowest:g} ns, "
             f"but the shortest chip of these edges lasts {shortest_ns:g} ns"
@@ -105,8 +103,7 @@ def check_lengths(edges: FloatArray, response: ShutterResponse) -> None:
 
 
 def extended(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Continue a path by one exposure either way, ``p(1 + d) = 2 p(1) - p(1 - d)``: (T',) times
-    and (T', 2) px.
+    """Continue a path by one exposure either way: (T',) times and (T', 2) px.
 
     The last stretch of the motion is repeated, turned by 180 degrees: velocity and speed go on
     without a jump, a uniform straight motion simply goes on, and one noisy last sample cannot
@@ -157,6 +154,7 @@ def timeline(
     ]
     # between cuts the transmission is constant, so each piece keeps its closed-form transform
     cuts = np.unique(np.concatenate([edges, *ramps]))
+    # a last edge cut for an opening ramp as well opens nothing: no chip follows
     cuts = cuts[cuts <= (edges[-1] + shutter.closing_cuts / chips).max()]
     t, xy = extended(trajectory)
     u = np.union1d(t[(t > cuts[0]) & (t < cuts[-1])], cuts)

@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import cep
-from cep.optics.camera import LIGHT_LEVELS
 from cep.optics.path_limits import check_resolved
 from cep.proofs.certify.certificate import Certificate
 from cep.report.demo_scene import Scene, SceneMotion, find_motion
 from cep.restoration.result import Restoration
 from cep.search.advise import LEVELS, Advice
-from cep.search.chip_count import suited_chips
+from cep.search.chip_count import choose_chips
 from cep.search.ways import CODED, Choice, Way
 from motdiff.crops import centre_crop, luminance
 from motdiff.estimators.base import MotionEstimate
@@ -28,6 +27,7 @@ STANDARD_CAMERA = "video-8bit"
 CONTRAST = "sony-imx250"
 EXPOSURE_S = 1 / 30  # where none is given
 
+_CONTRAST_LEVELS = (100.0, 1_000.0, 10_000.0, 100_000.0)  # photo-electrons at full scale
 # chips of a code: else one for each px of the path
 _LEAST_CHIPS = 8
 _MOST_CHIPS = 64
@@ -202,7 +202,8 @@ def run_chain(
         if device is None:
             chips = int(np.clip(round(estimate.best.length_px), _LEAST_CHIPS, _MOST_CHIPS))
         else:
-            chips, _ = suited_chips(lambda count: problem_along(estimate, count), seed=seed)
+            choice = choose_chips(lambda count: problem_along(estimate, count), seed=seed)
+            chips = choice.uninterrupted().chips
     check_resolved(estimate.best, chips)
     problem = problem_along(estimate, chips)
     error_px = estimate.path_error_px or 0.0
@@ -217,7 +218,9 @@ def run_chain(
     contrast = None
     if advice.choice in CODED:
         elsewhere = replace(problem, camera=cep.Camera.load(CONTRAST))
-        contrast = cep.advise(elsewhere, levels=LIGHT_LEVELS, path_error_px=error_px, seed=seed)
+        contrast = cep.advise(
+            elsewhere, levels=_CONTRAST_LEVELS, path_error_px=error_px, seed=seed
+        )
 
     tell(_ADVICE_SHARE, "exposing")
     exposures = _Exposures(scene, estimate, camera, seed)

@@ -1,6 +1,4 @@
-"""Proven codes that come with the package: the answer to a problem that a proof covers, else
-starts of its search.
-"""
+"""Proven codes that come with the package, as answers or starts of searches."""
 
 from __future__ import annotations
 
@@ -41,7 +39,8 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
     """
     if problem.scenarios or [name for name, _ in problem.objective_mix] != ["min-mtf"]:
         return None
-    started, (low, high) = time.monotonic(), problem.open_limits
+    started = time.monotonic()
+    low, high = problem.open_limits
     for entry in OPTIMA:
         covers = (
             problem.chips <= entry.chips and entry.fewest_open <= low and high <= entry.most_open
@@ -49,7 +48,7 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
         if not covers:
             continue
         code = _within_limits(problem, entry)
-        if code is None:
+        if code is None:  # shifts and mirror image break the limits: another code may be the best
             continue
         minimum = chip_minimum(code)
         log = BundledLog(
@@ -66,8 +65,7 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
 
 
 def proven_starts(problem: SearchProblem) -> list[ShutterCode]:
-    """Return the proven codes within a problem's limits where the smallest MTF of straight motions
-    counts; else none.
+    """Return the proven codes within the limits of a "min-mtf" search along straight motion.
 
     Examples
     --------
@@ -84,10 +82,9 @@ def proven_starts(problem: SearchProblem) -> list[ShutterCode]:
 
 
 def _within_limits(problem: SearchProblem, entry: ProvenCode) -> ShutterCode | None:
-    """Place a proven code, or else its mirror image, at the first chip where it keeps the
-    limits.
-    """
+    """Place a proven code or its mirror image at the first chip where it keeps the limits."""
     room = problem.chips - len(entry.bits)
+    # shifts and the mirror image have the same |P|
     for bits in (entry.bits, entry.bits[::-1]):
         for first in range(room + 1):
             code = ShutterCode("0" * first + bits + "0" * (room - first))

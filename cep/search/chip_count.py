@@ -1,6 +1,4 @@
-"""Number of chips of a code: the fewest with which the best way to expose is as good as with
-more.
-"""
+"""Number of chips: the fewest with which the best way to expose is as good as with more."""
 
 from __future__ import annotations
 
@@ -43,6 +41,12 @@ class ChipCount:
     code: ShutterCode | None
     early: str = ""
 
+    def uninterrupted(self) -> ChipCount:
+        """Return this choice; raise KeyboardInterrupt where Ctrl-C ended it."""
+        if self.early == "interrupted":
+            raise KeyboardInterrupt
+        return self
+
 
 def choose_chips(
     problem_of: Callable[[int], SearchProblem],
@@ -54,8 +58,7 @@ def choose_chips(
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> ChipCount:
-    """Choose the number of chips: the fewest with which the best way is within ``WORTH_DB`` of the
-    best.
+    """Choose the fewest chips with which the best way is within ``WORTH_DB`` of the best.
 
     Anytime: the time or Ctrl-C ends the choice with the numbers tried so far.
 
@@ -79,7 +82,7 @@ def choose_chips(
     reached: dict[int, Way] = {}
     refusal = ValueError("counts: needs at least one number of chips")
     early = ""
-    count = 0
+    count = 0  # the number that is tried
     try:
         for index, count in enumerate(counts):
             left_s = deadline - time.monotonic()
@@ -92,12 +95,13 @@ def choose_chips(
                 check_resolved(problem.scenarios[0].trajectory, count)
                 check_light(problem)
             except ValueError as error:
+                # more chips fail for the same reason, or for being too many
                 if index == 0:
                     refusal = error
                 continue
-            reached[count], stopped = _best_way(
-                problem, path_error_px, seed, max(left_s, 1e-3), threads
-            )
+            # whatever the time, the first number is judged
+            time_left_s = max(left_s, 1e-3)
+            reached[count], stopped = _best_way(problem, path_error_px, seed, time_left_s, threads)
             if stopped in ("time", "interrupted"):
                 early = stopped
                 break
@@ -107,63 +111,27 @@ def choose_chips(
             return ChipCount(count, {}, None, early)
     if not reached:
         raise refusal
-    best_db = max(exposure.psnr_db for exposure in reached.values())
-    chosen = min(
-        count for count, exposure in reached.items() if exposure.psnr_db > best_db - WORTH_DB
-    )
-    gains = {
-        count: exposure.psnr_db - reached[chosen].psnr_db
-        for count, exposure in reached.items()
-        if count != chosen
-    }
-    return ChipCount(chosen, gains, reached[chosen].code, early)
-
-
-def suited_chips(
-    problem_of: Callable[[int], SearchProblem],
-    counts: Sequence[int] = COUNTS,
-    *,
-    path_error_px: float = 0.0,
-    seed: int = 0,
-    threads: int | None = None,
-    progress: Callable[[float, str], None] = lambda _share, _note: None,
-) -> tuple[int, Mapping[int, float]]:
-    """Return the number of chips of :func:`choose_chips` and the gains of the others, once all
-    have been tried.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        After Ctrl-C.
-    ValueError
-        As of :func:`choose_chips`.
-    """
-    choice = choose_chips(
-        problem_of,
-        counts,
-        path_error_px=path_error_px,
-        seed=seed,
-        threads=threads,
-        progress=progress,
-    )
-    if choice.early == "interrupted":
-        raise KeyboardInterrupt
-    progress(1.0, "")
-    return choice.chips, choice.gains_db
+    psnr_db = {count: exposure.psnr_db for count, exposure in reached.items()}
+    chosen = min(count for count in reached if psnr_db[count] > max(psnr_db.values()) - WORTH_DB)
+    gains_db = {count: psnr_db[count] - psnr_db[chosen] for count in reached if count != chosen}
+    return ChipCount(chosen, gains_db, reached[chosen].code, early)
 
 
 def in_words_of_chips(gains_db: Mapping[int, float]) -> str:
-    """Say what other numbers of chips would gain or lose, as :func:`choose_chips` finds it; empty
-    for none.
+    """Say what other numbers of chips would gain or lose; empty for none.
 
     Examples
     --------
     >>> in_words_of_chips({16: -0.52, 104: 0.04})
     '16 chips would lose 0.52 dB, 104 gain 0.04 dB'
     """
-    gains = [f"{'gain' if gain > 0 else 'lose'} {abs(gain):.2f} dB" for gain in gains_db.values()]
-    names = [f"{count} chips would" if i == 0 else str(count) for i, count in enumerate(gains_db)]
-    return ", ".join(f"{name} {gain}" for name, gain in zip(names, gains, strict=True))
+    verbs = {True: "gain", False: "lose"}
+    clauses = [
+        f"{count} {verbs[gain_db > 0]} {abs(gain_db):.2f} dB"
+        for count, gain_db in gains_db.items()
+    ]
+    # the noun stands once: "16 chips would lose 0.52 dB, 104 gain 0.04 dB"
+    return ", ".join(clauses).replace(" ", " chips would ", 1)
 
 
 def _best_way(
@@ -179,5 +147,6 @@ def _best_way(
     if searched is not None:
         codes = [*ordinary, searched.code]
         stopped = searched.stopped
-    exposures = judged_ways(problem, [camera], codes, path_error_px=path_error_px)[0]
+    # judged with the error of the path, which the search does not count
+    (exposures,) = judged_ways(problem, [camera], codes, path_error_px=path_error_px)
     return best_possible(exposures), stopped

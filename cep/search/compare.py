@@ -54,7 +54,10 @@ class BaselineRow:
 
     def to_dict(self) -> dict[str, Any]:
         """Figures for JSON: the metrics, and the user's own as ``figures`` where there are any."""
-        return self.metrics.to_dict() | ({"figures": dict(self.figures)} if self.figures else {})
+        fields = self.metrics.to_dict()
+        if self.figures:
+            return fields | {"figures": dict(self.figures)}
+        return fields
 
     @property
     def label(self) -> str:
@@ -131,7 +134,7 @@ def compare(
     """
     if baselines is None:
         baselines = find_baselines(problem, rng=np.random.default_rng(seed))
-    first = Trajectory.straight(float(problem.chips))
+    first = Trajectory.straight(float(problem.chips))  # stands for the unit circle: a px a chip
     if problem.scenarios:
         first = problem.scenarios[0].trajectory
     path = as_designed(along or first, problem.direction)
@@ -140,8 +143,8 @@ def compare(
         *(
             BaselineRow(
                 baseline.name,
-                ShutterCode(baseline.code.bits, code.chip_ns),
-                problem.measure(baseline.code, budget=0),
+                ShutterCode(baseline.code.bits, code.chip_ns),  # published codes have none
+                problem.measure(baseline.code, budget=0),  # no proof: it would take seconds
                 baseline.within_limits,
                 baseline.stopped_early,
             )

@@ -1,5 +1,4 @@
-"""DNF: the code of least deconvolution noise for a straight blur of the path's length, its
-direction ignored.
+"""DNF: the code of least deconvolution noise for a straight blur of the path's length.
 
 The deconvolution noise factor of a code is ``sqrt(mean(max|H|^2 / |H|^2))``; since |H| is largest
 at frequency 0, it is the noise of the inverse filter relative to the light that came through. A
@@ -9,11 +8,8 @@ light the noise itself is compared, which for codes of equal light is the same.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import SearchResult, anneal
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
@@ -34,6 +30,8 @@ def dnf_problem(
     if not (np.isfinite(length_px) and length_px >= 0):
         raise ValueError(f"length_px: must be 0 or more, got {length_px}")
     straight = Trajectory.straight(max(SHORTEST_PX, float(length_px)))
+    # the noise gain, not the DNF: among codes of equal light they rank alike, and only the gain
+    # counts the light that a code loses
     return SearchProblem.along(
         straight, chips=chips, open_range=open_range, objective="noise", runs=runs or RunLimits()
     )
@@ -76,10 +74,3 @@ def dnf_search(
     """
     problem = dnf_problem(length_px, chips, open_range=open_range, runs=runs)
     return anneal(problem, rng=rng, steps=steps, time_s=time_s, threads=threads)
-
-
-def dnf_code(
-    length_px: float, chips: int, *, rng: np.random.Generator, **options: Any
-) -> ShutterCode:
-    """Search as :func:`dnf_search`, and return the code alone."""
-    return dnf_search(length_px, chips, rng=rng, **options).code

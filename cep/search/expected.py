@@ -1,6 +1,4 @@
-"""Expected PSNR of the restoration through codes: at any light, and for a path known to so many
-pixels.
-"""
+"""Expected PSNR of the restoration through codes, at any light and error of the path."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from cep.optics.band import BandSamples, band_samples, grid_samples, straight_ax
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import inverse_scene, noise_variance, wiener_mse
-from cep.optics.response import ShutterResponse
+from cep.optics.response import ShutterResponse, open_time
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_rows
 from motdiff.motions import with_smooth_error
@@ -25,23 +23,17 @@ from motdiff.types import FloatArray
 WORTH_DB = 0.1
 """Expected gain below which the simpler way to expose is advised."""
 
-_OVERSAMPLING = 16
-_PAIRS = 16  # of opposite draws of a path's error
-_INTERVALS = 128  # a side
-_TOLERANCE_PX = 0.003  # of a path of thousands of samples, which takes as many times as long
+_OVERSAMPLING = 16  # samples per 1 / extent of a straight motion: twice a search's
+_INTERVALS = 128  # a side of a curved motion's grid: twice a search's
+_PAIRS = 16  # draws of a path's error; opposite ones cancel what is linear in the error
+_TOLERANCE_PX = 0.003  # by which a path is thinned: the work grows with its samples
 
 
 def open_share(
     codes: Sequence[ShutterCode], response: ShutterResponse | None = None
 ) -> FloatArray:
-    """Share of the exposure that each code lets in, (R,), with the shutter's ramps where there are
-    any.
-    """
-    chips = np.array([code.array for code in codes])
-    share = chips.mean(axis=1)
-    if response is not None:
-        share = response.open_time(chips)
-    return np.asarray(share, dtype=np.float64)
+    """Share of the exposure that each code lets in, (R,), with the shutter's ramps."""
+    return open_time(np.array([code.array for code in codes]), response)
 
 
 def light_noise(
@@ -57,9 +49,7 @@ def light_noise(
 def collected_e(
     camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None
 ) -> FloatArray:
-    """Electrons that a pixel of value 1 collects through each code, (R,): of light and of dark
-    current.
-    """
+    """Electrons of light and dark current in a pixel of value 1 through each code, (R,)."""
     light_e = camera.photons_full_scale * open_share(codes, response)
     return np.asarray(light_e + camera.dark_e(_integration_s(codes)), dtype=np.float64)
 
@@ -67,8 +57,7 @@ def collected_e(
 def equal_light_noise(
     camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None
 ) -> FloatArray:
-    """Variance of the noise through each code, (R,), where a brighter lamp makes up for the closed
-    time.
+    """Variance of the noise, (R,), where a brighter lamp makes up for the closed time.
 
     A pixel collects as many photo-electrons through every code as with the shutter open, and has
     the same photon noise. It is given relative to what the lamp would give an open shutter, as the
@@ -81,8 +70,7 @@ def equal_light_noise(
 
 
 class ExpectedPsnr:
-    """Expected PSNR of codes along a problem's motions; what does not depend on the code may be
-    kept for the next.
+    """Expected PSNR of codes along a problem's motions; tables may be reused between codes.
 
     Where the path is known to ``path_error_px`` only, the filter knows the mean and the scatter of
     the OTF H over such paths, each shifted so that the code's light stays in place: a shift of the
@@ -120,7 +108,7 @@ class ExpectedPsnr:
             raise ValueError(f"path_error_px: must be 0 px or more, got {path_error_px:g}")
         _check_moves(problem)
         self.problem = problem
-        rng = rng or np.random.default_rng(0)
+        rng = rng or np.random.default_rng(0)  # the same draws for all codes: only they differ
         self._motions = [
             [
                 _DirectedMotion(problem, directed, path_error_px, rng)
@@ -128,13 +116,10 @@ class ExpectedPsnr:
             ]
             for scenario in problem.scenarios
         ]
-        if (
-            sum(motion.kept_bytes for directions in self._motions for motion in directions)
-            <= most_bytes
-        ):
-            for directions in self._motions:
-                for motion in directions:
-                    motion.keep()
+        motions = [motion for directions in self._motions for motion in directions]
+        if sum(motion.kept_bytes for motion in motions) <= most_bytes:
+            for motion in motions:
+                motion.keep()
 
     def psnr_db(self, codes: Sequence[ShutterCode], *, noise: ArrayLike) -> FloatArray:
         """Return the PSNR, dB, of the best linear restoration of the reference scene, (codes, L).
@@ -148,29 +133,13 @@ class ExpectedPsnr:
             Variance through each code, as :func:`light_noise` and :func:`equal_light_noise` give
             it, for L cases.
         """
-        chips = np.array([code.array for code in codes], dtype=np.float64)
+        chips = np.array([code.array for code in codes])
         variances = np.atleast_2d(np.asarray(noise, dtype=np.float64)).T
-        return _psnr_db(
-            self.problem,
-            [
-                [motion.error(chips, variances) for motion in directions]
-                for directions in self._motions
-            ],
-        )
-
-
-def expected_psnr_db(
-    problem: SearchProblem,
-    codes: Sequence[ShutterCode],
-    *,
-    noise: ArrayLike,
-    path_error_px: float = 0.0,
-    rng: np.random.Generator | None = None,
-) -> FloatArray:
-    """Return the expected PSNR of codes, (codes, L), as :class:`ExpectedPsnr` does, once; it has
-    the parameters.
-    """
-    return ExpectedPsnr(problem, path_error_px=path_error_px, rng=rng).psnr_db(codes, noise=noise)
+        errors = [
+            [motion.error(chips, variances) for motion in directions]
+            for directions in self._motions
+        ]
+        return _psnr_db(self.problem, errors)
 
 
 def joint_psnr_db(
@@ -184,7 +153,7 @@ def joint_psnr_db(
     Parameters
     ----------
     problem : SearchProblem
-        As of :func:`expected_psnr_db`.
+        As of :class:`ExpectedPsnr`.
     codes : sequence of ShutterCode
         Of each frame.
     noise : (L, R) array_like
@@ -195,18 +164,15 @@ def joint_psnr_db(
     ValueError
         If the problem has no motion.
     """
-    chips = np.array([code.array for code in codes], dtype=np.float64)
+    chips = np.array([code.array for code in codes])
     variances = np.atleast_2d(np.asarray(noise, dtype=np.float64))
 
     def error(scenario: Scenario) -> FloatArray:
         samples = _samples(scenario.trajectory, exact=True)
         power = np.abs(coded_sum(_rows(problem, scenario, samples), chips)) ** 2
-        return np.array(
-            [
-                wiener_mse((power / variance[:, None]).sum(axis=0), samples, 1.0)
-                for variance in variances
-            ]
-        )
+        # frames add up as |H|^2 / N: noise of 1 is left
+        powers = [(power / variance[:, None]).sum(axis=0) for variance in variances]
+        return np.array([wiener_mse(total, samples, 1.0) for total in powers])
 
     _check_moves(problem)
     errors = [
@@ -231,14 +197,12 @@ def _directed(problem: SearchProblem, scenario: Scenario) -> list[Scenario]:
 
 
 def _psnr_db(problem: SearchProblem, errors: Sequence[Sequence[FloatArray]]) -> FloatArray:
-    """PSNR from the mean square errors along every motion and direction: the worse direction
-    counts.
-    """
+    """PSNR from the mean square errors by motion and direction: the worse direction counts."""
     errors_db = [10 * np.log10(np.max(along, axis=0)) for along in errors]
     if problem.rule == "mean":
         weights = np.array([scenario.weight for scenario in problem.scenarios])
         return -np.tensordot(weights / weights.sum(), np.array(errors_db), axes=1)
-    return -np.asarray(np.max(errors_db, axis=0), dtype=np.float64)
+    return -np.asarray(np.max(errors_db, axis=0), dtype=np.float64)  # full scale is 1
 
 
 class _DirectedMotion:
@@ -263,14 +227,11 @@ class _DirectedMotion:
     @property
     def kept_bytes(self) -> int:
         """Memory of the OTFs if they are kept."""
-        states = 1 if self._problem.response is None else 4
-        return (
-            len(self._paths)
-            * self._problem.chips
-            * states
-            * self._samples.fx.size
-            * np.complex64().itemsize
-        )
+        states = 1
+        if self._problem.response is not None:
+            states = 4  # of a chip's two neighbours
+        otfs = len(self._paths) * self._problem.chips * states
+        return otfs * self._samples.fx.size * np.complex64().itemsize
 
     def keep(self) -> None:
         """Keep the OTFs of the chips along every path."""
@@ -287,15 +248,12 @@ class _DirectedMotion:
         for path_drawn, rows in zip(self._paths, otfs, strict=True):
             otf = coded_sum(rows, chips)
             if path_drawn is not path:
-                shift = chips @ (
-                    _at_chips(path_drawn, problem.chips) - _at_chips(path, problem.chips)
-                )
+                # each code's light stays in place: a shift of the restored photo is no error
+                middles = (np.arange(problem.chips) + 0.5) / problem.chips
+                shift = chips @ (path_drawn.at(middles) - path.at(middles))
                 shift /= chips.sum(axis=1, keepdims=True)
-                otf = otf * np.exp(
-                    2j
-                    * np.pi
-                    * (np.outer(shift[:, 0], samples.fx) + np.outer(shift[:, 1], samples.fy))
-                )
+                turns = np.outer(shift[:, 0], samples.fx) + np.outer(shift[:, 1], samples.fy)
+                otf = otf * np.exp(2j * np.pi * turns)
             mean += otf / len(self._paths)
             power += np.abs(otf) ** 2 / len(self._paths)
         # the mean is of the same draws: Bessel's correction; the difference may round below 0
@@ -330,10 +288,10 @@ def _rows(
 
 
 def _samples(path: Trajectory, *, exact: bool) -> BandSamples:
-    """Return samples finer than those of a search, which may have found a code with its valleys
-    between them.
+    """Return samples finer than a search's, whose code may have valleys between them.
 
-    An error of a curved path fills such valleys; one of a straight path bends it.
+    An error of a curved path fills such valleys, and the search's samples do. One of a straight
+    path bends it, and needs a grid.
     """
     straight = straight_axis(path) is not None
     if straight == exact:
@@ -348,10 +306,6 @@ def _perturbed_paths(
         seed = int(rng.integers(2**32))
         for sign in (1.0, -1.0):
             yield with_smooth_error(path, error_px, rng=np.random.default_rng(seed), sign=sign)
-
-
-def _at_chips(path: Trajectory, chips: int) -> FloatArray:
-    return path.at((np.arange(chips) + 0.5) / chips)
 
 
 def _integration_s(codes: Sequence[ShutterCode]) -> FloatArray:

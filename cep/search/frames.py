@@ -13,21 +13,22 @@ from cep.files.files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import HOPELESS_DB
 from cep.proofs.measure import CodeMetrics
-from cep.search.advise import Verdict
 from cep.search.annealing.anneal import Stopped
 from cep.search.annealing.frames import FramesResult, anneal_frames, joint_figures
 from cep.search.expected import equal_light_noise, joint_psnr_db, light_noise
-from cep.search.optimize import (
+from cep.search.optimize import certificate_warnings
+from cep.search.playable import unplayable
+from cep.search.problem import SearchProblem
+from cep.search.recipe import mean_length_px, search_code
+from cep.search.search import (
+    NO_TIME_S,
     Search,
-    certificate_warnings,
     described_search,
     ended_early,
     searched_problem,
 )
-from cep.search.playable import unplayable
-from cep.search.problem import SearchProblem
-from cep.search.recipe import mean_length_px, search_code
-from cep.search.ways import CODED, Way, WayFinder, best_possible, check_light, judged_ways
+from cep.search.verdict import Verdict
+from cep.search.ways import CODED, Choice, Way, WayFinder, best_possible, check_light, judged_ways
 from motdiff.files.outputs import new_files
 
 
@@ -84,7 +85,7 @@ class FramesOptimum:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know besides the figures, one sentence each."""
+        """Warnings, one sentence each."""
         moves = self.how.moves(searched_problem(self.problem))
         return (
             *ended_early(self.how, self.found.stopped, moves),
@@ -153,8 +154,7 @@ def optimize_frames(
     progress: Callable[[float, str], None] = lambda _share, _note: None,
     on_found: Callable[[list[StoredCode]], None] = lambda _stored: None,
 ) -> FramesOptimum:
-    """Search the codes of several frames, and measure them beside the best single code played in
-    every frame.
+    """Search the codes of several frames, and measure them beside one code in every frame.
 
     Parameters
     ----------
@@ -201,6 +201,7 @@ def optimize_frames(
         min_chip = None
         noise_gain_db = None
         if problem.on_circle:
+            # as sampled, in chips: no certificate covers several codes
             circle = replace(problem, scenarios=())
             min_chip = problem.chips * joint_figures(circle, codes).minimum
         if joint.noise_gain_db <= HOPELESS_DB:
@@ -225,8 +226,7 @@ def _described(problem: SearchProblem, how: Search, outcome: FramesResult) -> di
 
 
 def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verdict:
-    """Judge the codes of several frames beside one exposure repeated in every frame: open, single
-    or pulsed evenly.
+    """Judge the codes of several frames beside one exposure repeated in every frame.
 
     Parameters
     ----------
@@ -244,18 +244,22 @@ def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verd
     check_light(problem)
     frames = len(codes)
     camera = problem.camera
+    # M frames have an Mth of the noise, for which another length of exposure may be the best
     ordinary = WayFinder(problem).ordinary(camera, every_length=True)
-    alike = len({code.bits for code in codes}) == 1
-    single = all(code.pulses == 1 for code in codes)
+    alike = len({code.bits for code in codes}) == 1  # then they are a way repeated, like others
+    kind: Choice = "code"
+    if all(code.pulses == 1 for code in codes):
+        kind = "snapshot"
     exposures = judged_ways(
         problem,
         [camera],
-        [*ordinary, *(codes[:1] if alike else ())],
+        [*ordinary, *codes[: int(alike)]],
         path_error_px=0.0,
         frames=frames,
     )[0]
     searched = exposures[-1]
     if not alike:
+        # different codes fill each other's zeros, which no single code with less noise does
         noise = [
             model(camera, codes, response=problem.response)
             for model in (light_noise, equal_light_noise)
@@ -263,7 +267,7 @@ def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verd
         at_time, at_light = joint_psnr_db(problem, codes, noise=noise)
         frame_exposures = judged_ways(problem, [camera], codes, path_error_px=0.0)[0][1:]
         searched = Way(
-            "snapshot" if single else "code",
+            kind,
             codes[0],
             float(at_time),
             float(at_light),
@@ -284,9 +288,7 @@ def _search(
     length_px: float,
     progress: Callable[[float, str], None],
 ) -> tuple[ShutterCode, FramesResult]:
-    """Search the best single code, then all frames' from it; what ended either search has ended
-    both.
-    """
+    """Search the best single code, then all frames' from it."""
     moves = how.moves(problem)
     time_s = how.limit_s
     progress(0.0, "a single code")
@@ -298,16 +300,16 @@ def _search(
         length_px=length_px,
         progress=lambda share, best: progress(share / 2, f"a single code, {best.open_chips} open"),
     )
-    left_s = max(time_s / 2, time_s - single.seconds)
+    left_s = max(time_s / 2, time_s - single.seconds)  # baselines may overrun their half
     if single.stopped == "interrupted":
-        left_s = 1e-9  # Ctrl-C ends both searches; a time limit only the one
+        left_s = NO_TIME_S  # Ctrl-C ends both searches; a time limit only the one
     outcome = anneal_frames(
         problem,
         frames,
-        rng=np.random.default_rng([how.seed, 3]),
+        rng=np.random.default_rng([how.seed, 3]),  # other draws than the single code's
         steps=moves,
         time_s=left_s,
-        start=[[single.code] * frames],
+        start=[[single.code] * frames],  # so that the codes together are never worse than it
         progress=lambda share, best: progress(
             (1 + share) / 2, f"{'+'.join(str(code.open_chips) for code in best)} open"
         ),

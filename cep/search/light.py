@@ -1,13 +1,10 @@
-"""Codes without a search over chips: the best snapshot, the best strobe, and random codes.
+"""Codes without a search over chips: best snapshot, best strobe, and a random code.
 
-They are judged by a problem's own objective. Random codes keep its limits; the others keep them on
-request.
+They are judged by a problem's own objective. The random code keeps its limits, the others keep
+them on request.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +17,9 @@ from motdiff.types import FloatArray
 
 Codes = NDArray[np.int8]
 _ALL_RUNS_WORK = 2**35  # multiplications that evaluating every snapshot may take: seconds
-_LENGTHS = 32  # snapshots looked at otherwise, before the best one is moved chip by chip
+_LENGTHS = 32  # of snapshots beyond that, before the best one is moved chip by chip
 _STARTS = 16
-_PERIODS = 64  # of strobes
+_PERIODS = 64  # of strobes, and widths of each period
 _WIDTHS = 32
 _PAIRS = 256  # of strobes within limits: widths with numbers of pulses, and periods of each
 _PERIODS_WITHIN = 8
@@ -30,32 +27,12 @@ _FIRSTS = 64  # and where chips are forced, where the first pulse begins
 _BATCH = 2**21  # numbers evaluated at once: 16 MB
 
 
-@dataclass(frozen=True)
-class RandomCodes:
-    """Codes drawn within the limits, all equally likely, best first.
+def median_random_code(
+    objective: Objective, count: int, *, rng: np.random.Generator
+) -> ShutterCode:
+    """Draw ``count`` codes within the limits, all equally likely: the one of the median cost.
 
-    Attributes
-    ----------
-    codes : (count, n) int8 of 0 and 1
-    costs_db : (count,) float
-        The objective's, lower is better.
-    """
-
-    codes: Codes
-    costs_db: FloatArray
-
-    @property
-    def middle(self) -> ShutterCode:
-        """The code of the median cost; of an even number, the worse of the two in the middle."""
-        return ShutterCode.from_array(self.codes[len(self.codes) // 2])
-
-    def quantiles_db(self, shares: Sequence[float] = (0.1, 0.5, 0.9)) -> FloatArray:
-        """Cost that each share of the codes, 0..1, does not exceed: how far they spread."""
-        return np.asarray(np.quantile(self.costs_db, list(shares)), dtype=np.float64)
-
-
-def random_codes(objective: Objective, count: int, *, rng: np.random.Generator) -> RandomCodes:
-    """Draw ``count`` codes within the limits of the objective's problem.
+    Of an even number, the worse of the two in the middle.
 
     Raises
     ------
@@ -65,9 +42,8 @@ def random_codes(objective: Objective, count: int, *, rng: np.random.Generator) 
     if count < 1:
         raise ValueError(f"count: must be at least 1, got {count}")
     codes = objective.problem.random_codes(count, rng=rng)
-    costs = _costs(objective, codes)
-    order = np.argsort(costs, kind="stable")
-    return RandomCodes(codes[order], costs[order])
+    order = np.argsort(_costs(objective, codes), kind="stable")
+    return ShutterCode.from_array(codes[order[count // 2]])
 
 
 def best_snapshot(objective: Objective, *, within_limits: bool = False) -> ShutterCode | None:
@@ -104,6 +80,7 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
     chip = np.arange(n)
     best = (0, 0)
     lowest = np.inf
+    # descent by single chips; where every run was tried, its first step ends it
     while runs:
         firsts, stops = np.array(runs).T
         codes = ((chip >= firsts[:, None]) & (chip < stops[:, None])).astype(np.int8)
@@ -124,8 +101,7 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
 
 
 def best_strobe(objective: Objective, *, within_limits: bool = False) -> ShutterCode | None:
-    """Find the best periodic pulses: ``width`` chips open out of every ``period``, two pulses or
-    more.
+    """Find the best periodic pulses: ``width`` chips open of every ``period``, two or more.
 
     The first pulse begins with the exposure and the last is cut off with it. Every period and
     width is tried, of long codes 64 periods and 32 widths each. Along a uniform straight motion a
@@ -161,9 +137,11 @@ def _fitting_runs(limits: Limits) -> NDArray[np.bool_]:
         & (length >= max(limits.open_range[0], limits.runs.min_open, 1))
         & (length <= longest)
     )
+    # numbers of forced chips before each chip
     forced_closed, forced_open = (
         np.concatenate([[0], np.cumsum(~limits.may_be(bit))]) for bit in (1, 0)
-    )  # forced before a chip
+    )
+    # a run must hold no chip that is forced closed, and all that are forced open
     fits &= (forced_closed[end] == forced_closed[first]) & (
         forced_open[end] - forced_open[first] == forced_open[-1]
     )
@@ -183,17 +161,14 @@ def _strobes(chips: int) -> Codes:
 
 
 def _strobes_within(problem: SearchProblem) -> Codes:
-    """Strobes of whole pulses within the limits: some widths and numbers of pulses, and for each
-    some periods.
-    """
+    """Strobes of whole pulses within the limits: some widths, numbers of pulses and periods."""
     limits = problem.limits
     n = problem.chips
     low, high = limits.open_range
     pairs = []
     for width in range(limits.runs.min_open, limits.longest + 1):
-        most_pulses = 1 + (n - width) // max(
-            limits.runs.min_period, width + limits.runs.min_closed
-        )
+        shortest = max(limits.runs.min_period, width + limits.runs.min_closed)
+        most_pulses = 1 + (n - width) // shortest
         first = max(2, -(-low // width))
         last = min(most_pulses, high // width, limits.runs.max_pulses or most_pulses)
         pairs += [(width, pulses) for pulses in range(first, last + 1)]
@@ -213,7 +188,7 @@ def _strobes_within(problem: SearchProblem) -> Codes:
 
 
 def evenly_some(values: NDArray[np.intp], count: int) -> NDArray[np.intp]:
-    """Return all values, or ``most`` of them evenly spread."""
+    """Return all values, or ``count`` of them evenly spread."""
     return values[
         np.unique(np.linspace(0, len(values) - 1, min(len(values), count)).round().astype(np.intp))
     ]

@@ -10,8 +10,7 @@ the end of its gap. Every code within the limits is exactly one walk.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +21,9 @@ from motdiff.types import BoolArray
 CLOSED = 0  # states of a walk
 OPEN = 1
 OVER = 2
+
+MOST_NUMBERS = 3 * 2**22
+"""Most numbers of a table over walks: 96 MB."""
 
 
 class Step(NamedTuple):
@@ -95,14 +97,11 @@ class RunLimits:
 
     @property
     def says_nothing(self) -> bool:
-        """Whether every code keeps the limits on runs, pulses and their period, whatever chips are
-        forced.
-        """
+        """Whether runs, pulses and their period are free, whatever chips are forced."""
         return replace(self, fixed=None) == RunLimits()
 
     def tightened(self, limits: RunLimits) -> RunLimits:
-        """Return the limits of codes that keep these and those of ``limits``, whose mask counts
-        where there is none.
+        """Return the limits of codes that keep these and others; a mask given here counts first.
 
         Examples
         --------
@@ -161,7 +160,7 @@ class Limits:
     @property
     def fitting_pulses(self) -> int:
         """Most pulses for which there is time."""
-        return 1 + (self.chips - self.runs.min_open) // self.period
+        return 1 + (self.chips - self.runs.min_open) // self.period  # the last needs no gap
 
     @property
     def counts_opens(self) -> bool:
@@ -181,6 +180,7 @@ class Limits:
 
     def room(self, bit: int, length: int) -> BoolArray:
         """Whether a run of ``length`` chips of ``bit`` may start at each chip, (n + 1,)."""
+        # a run fits where as many chips are refused before its end as before its start
         refused = np.concatenate([[0], np.cumsum(~self.may_be(bit))])
         fits = np.zeros(self.chips + 1, dtype=np.bool_)
         last = self.chips - length
@@ -199,11 +199,13 @@ class Limits:
 
         def step(open_chips: int, closed_chips: int, next_state: int, pulses: int = 0) -> Step:
             fits = self.room(1, open_chips)
-            after = may_stay_closed if next_state == OVER else self.room(0, closed_chips)
+            after = self.room(0, closed_chips)
+            if next_state == OVER:
+                after = may_stay_closed
             fits[: after.size - open_chips] &= after[open_chips:]
             return Step(open_chips, closed_chips, next_state, pulses, fits)
 
-        bounded = self.longest < self.chips
+        bounded = self.longest < self.chips  # then each length of a pulse is a step of its own
         # longer pulses may last and end as they like: nothing needs to remember when they began
         free = min(max(self.runs.min_open, self.runs.min_period - gap), self.chips + 1)
         from_closed = [step(0, 1, CLOSED)]
@@ -222,11 +224,11 @@ class Limits:
         runs = self.runs
         count = is_open.sum(axis=1)
         ok = (count >= max(self.open_range[0], runs.min_open)) & (count <= self.open_range[1])
+        # a run is long enough if every chip of it lies in a window of that length: an opening
         if runs.min_open > 1:
             ok &= (_opening(is_open, runs.min_open) == is_open).all(axis=1)
         if runs.min_closed > 1:
-            # before the first and after the last pulse the shutter is closed for longer than any
-            # limit
+            # before the first and after the last pulse the shutter stays closed
             is_closed = np.pad(
                 ~is_open, ((0, 0), (runs.min_closed, runs.min_closed)), constant_values=True
             )
@@ -237,9 +239,8 @@ class Limits:
             ok &= _starts(is_open).sum(axis=1) <= runs.max_pulses
         if runs.min_period > 1:
             period = min(runs.min_period, self.chips)
-            pulses_begun = np.pad(
-                _starts(is_open).cumsum(axis=1), ((0, 0), (1, 0))
-            )  # pulses before each chip
+            # pulses before each chip
+            pulses_begun = np.pad(_starts(is_open).cumsum(axis=1), ((0, 0), (1, 0)))
             ok &= (pulses_begun[:, period:] - pulses_begun[:, :-period] <= 1).all(axis=1)
         if runs.fixed is not None:
             marks = np.frombuffer(runs.fixed.encode(), dtype=np.uint8)
@@ -332,190 +333,3 @@ def checked_mask(fixed: str | None, chips: int) -> str | None:
     if set(fixed) == {"?"}:
         return None
     return fixed
-
-
-_NEVER = 1 << 30  # pulses, or changes, of a code that does not exist
-_MOST_NUMBERS = 3 * 2**22  # of a table: 96 MB
-
-
-@lru_cache(maxsize=64)
-def feasible(limits: Limits) -> bool:
-    """Whether any code keeps the limits, exactly."""
-    low = max(limits.open_range[0], 1)
-    high = min(limits.open_range[1], limits.chips)
-    if low > high or limits.runs.min_open > high:
-        return False
-    if limits.runs.fixed is None:
-        fewest = _fewest_free_pulses(limits)
-    else:
-        # the same for every range: a front asks for each number of open chips
-        fewest = _fewest_pulses(
-            Limits(limits.chips, (1, limits.chips), replace(limits.runs, max_pulses=None))
-        )
-    most_pulses = limits.runs.max_pulses or limits.chips
-    return bool(fewest[low : high + 1].min() <= most_pulses)
-
-
-def conflicting(limits: Limits) -> tuple[str, ...]:
-    """Name limits that no code keeps together, though it could if any one of them were dropped;
-    none if feasible.
-    """
-    if feasible(limits):
-        return ()
-    # deletion filter: a limit without which codes exist belongs to the set, others are dropped
-    names = []
-    for name in ("open_range", *(run_limit.name for run_limit in fields(RunLimits))):
-        if name == "open_range":
-            without = replace(limits, open_range=(1, limits.chips))
-        else:
-            without = replace(
-                limits, runs=replace(limits.runs, **{name: getattr(RunLimits(), name)})
-            )
-        if without == limits:
-            continue
-        if feasible(without):
-            names.append(name)
-        else:
-            limits = without
-    return tuple(names)
-
-
-def check_feasible(limits: Limits) -> None:
-    """Refuse limits that no code keeps.
-
-    Raises
-    ------
-    ValueError
-        The line names a smallest set of limits that conflict.
-    """
-    names = conflicting(limits)
-    if not names:
-        return
-    marks = limits.runs.fixed or ""
-    values = {
-        "open_range": "{}..{}".format(*limits.open_range),
-        "fixed": f"({marks.count('1')} forced open, {marks.count('0')} forced closed)",
-    }
-    words = [f"{name} {values.get(name) or getattr(limits.runs, name)}" for name in names]
-    code = f"no code of {limits.chips} chips keeps"
-    if len(words) == 1:
-        raise ValueError(f"{words[0]}: {code} it")
-    listed = f"{', '.join(words[:-1])} and {words[-1]}"
-    number = "both" if len(words) == 2 else f"all {len(words)}"
-    raise ValueError(f"{listed} conflict: {code} {number}")
-
-
-def _fewest_free_pulses(limits: Limits) -> NDArray[np.int64]:
-    """Fewest pulses of a code with each number of open chips, (n + 1,), where none is forced."""
-    open_chips = np.arange(limits.chips + 1)
-    pulses = np.maximum(-(-open_chips // limits.longest), 1)
-    # all but the last take a period at least, and within it may be open but for the gap
-    full = min(limits.longest, limits.period - limits.runs.min_closed)
-    span = (pulses - 1) * limits.period + np.maximum(
-        open_chips - (pulses - 1) * full, limits.runs.min_open
-    )
-    # more pulses would take longer, and more open chips
-    return np.where(
-        (pulses * limits.runs.min_open <= open_chips) & (span <= limits.chips), pulses, _NEVER
-    )
-
-
-@lru_cache(maxsize=8)
-def _fewest_pulses(limits: Limits) -> NDArray[np.int64]:
-    """Fewest pulses of a code with each number of open chips, (n + 1,): a shortest walk from the
-    end.
-    """
-    n = limits.chips
-    steps = limits.steps()
-    fewest = np.full(
-        (3, n + 1, n + 1), _NEVER, dtype=np.int64
-    )  # state, position, open chips to come
-    fewest[OVER, limits.rest(), 0] = 0
-    for i in reversed(range(n + 1)):
-        for state in (CLOSED, OPEN):
-            for open_chips, closed_chips, next_state, pulses, fits in steps[state]:
-                if fits[i]:
-                    target = fewest[state, i, open_chips:]
-                    np.minimum(
-                        target,
-                        fewest[next_state, i + open_chips + closed_chips, : n + 1 - open_chips]
-                        + pulses,
-                        out=target,
-                    )
-    return np.asarray(np.minimum(fewest[CLOSED, 0], _NEVER), dtype=np.int64)
-
-
-def nearest(limits: Limits, code: NDArray[np.integer] | BoolArray) -> NDArray[np.int8] | None:
-    """Find the code within feasible limits that differs from a code (n,) in the fewest chips: a
-    cheapest walk.
-
-    Returns
-    -------
-    (n,) int8 of 0 and 1, or None
-        None where the walk's table would exceed 12 million numbers, as for 512 chips and 16
-        pulses.
-
-    Examples
-    --------
-    >>> nearest(Limits(6, (2, 3), RunLimits(min_open=2)), np.array([1, 0, 1, 1, 0, 1])).tolist()
-    [0, 0, 1, 1, 0, 0]
-    """
-    n = limits.chips
-    steps = limits.steps()
-    high = limits.open_range[1]
-    most_pulses = limits.most_pulses or 0  # 0: nothing moves along the axis of pulses
-    if 3 * (n + 1) * (high + 1) * (most_pulses + 1) > _MOST_NUMBERS:
-        return None
-    opened_before = np.concatenate([[0], np.cumsum(np.asarray(code) != 0)])
-
-    def changes(i: int, step: Step) -> int:
-        middle = i + step.open_chips
-        end = i + step.open_chips + step.closed_chips
-        if step.next_state == OVER:
-            end = n
-        already_open = opened_before[middle] - opened_before[i]
-        return int(step.open_chips - already_open + opened_before[end] - opened_before[middle])
-
-    cost = np.full(
-        (3, n + 1, high + 1, most_pulses + 1), _NEVER, dtype=np.int64
-    )  # state, position, open chips, pulses left
-    cost[OVER, limits.rest(), 0] = 0  # what follows is counted by the step that leads there
-    for i in reversed(range(n + 1)):
-        for state in (CLOSED, OPEN):
-            for step in steps[state]:
-                if step.fits[i] and step.open_chips <= high:
-                    starts = min(step.pulses, most_pulses)
-                    after = i + step.open_chips + step.closed_chips
-                    target = cost[state, i, step.open_chips :, starts:]
-                    total_changes = cost[
-                        step.next_state,
-                        after,
-                        : high + 1 - step.open_chips,
-                        : most_pulses + 1 - starts,
-                    ] + changes(i, step)
-                    np.minimum(target, total_changes, out=target)
-    k = max(limits.open_range[0], 1)
-    k += int(cost[CLOSED, 0, k:, most_pulses].argmin())
-    state = CLOSED
-    i = 0
-    pulses_left = most_pulses
-    nearest_code = np.zeros(n, dtype=np.int8)
-    while state != OVER:
-        for step in steps[state]:
-            starts = min(step.pulses, most_pulses)
-            after = i + step.open_chips + step.closed_chips
-            if not step.fits[i] or step.open_chips > k or starts > pulses_left:
-                continue
-            # costs are whole numbers: equality finds the step that the minimum came from
-            if (
-                cost[step.next_state, after, k - step.open_chips, pulses_left - starts]
-                + changes(i, step)
-                == cost[state, i, k, pulses_left]
-            ):
-                nearest_code[i : i + step.open_chips] = 1
-                state = step.next_state
-                i = after
-                k = k - step.open_chips
-                pulses_left = pulses_left - starts
-                break
-    return nearest_code

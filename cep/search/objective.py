@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from cep.optics.band import ACROSS, BandSamples, band_samples, circle_samples
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import inverse_scene, noise_variance
+from cep.optics.response import open_time
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.search.objectives.criterion import Spectrum
 from cep.search.problem import SearchProblem
@@ -73,8 +74,10 @@ class Objective:
         self.problem = problem
         blocks: list[NDArray[Any]] = []
         parts: list[Part] = []
+        start = 0
         if not problem.scenarios:
             samples = circle_samples(problem.chips, oversampling=oversampling)
+            # about the middle chip, which changes the phase of P alone
             chips = np.arange(problem.chips) - (problem.chips - 1) / 2
             blocks.append(
                 np.exp(-2j * np.pi * np.outer(chips, samples.fx))[:, None] / problem.chips
@@ -86,11 +89,8 @@ class Objective:
             samples = band_samples(scenario.trajectory, oversampling=oversampling, across=across)
             for reversed_path in problem.directions(scenario):
                 if reversed_path and scenario.edges is None and not ramps:
-                    rows = rows[
-                        ::-1
-                        # the forward ones, which come first: the chips are met in the opposite
-                        # order
-                    ]
+                    # the forward rows, which come first: the chips are met in the opposite order
+                    rows = rows[::-1]
                 else:
                     rows = scenario_rows(
                         scenario,
@@ -101,10 +101,10 @@ class Objective:
                         reversed_path=reversed_path,
                     )
                 blocks.append(distinct_rows(rows, problem.response))
-                start = parts[-1].columns.stop if parts else 0
-                parts.append(
-                    Part(slice(start, start + samples.fx.size), samples, index, reversed_path)
-                )
+                stop = start + samples.fx.size
+                parts.append(Part(slice(start, stop), samples, index, reversed_path))
+                start = stop
+        # real and imaginary parts apart: the compiled loops add rows without complex arithmetic
         basis = np.concatenate(blocks, axis=2)
         self.rows: RealArray = np.ascontiguousarray(
             np.stack([basis.real, basis.imag], axis=2).astype(dtype)
@@ -125,9 +125,7 @@ class Objective:
         return self.for_problem(replace(self.problem, objective=objective))
 
     def for_problem(self, problem: SearchProblem) -> Objective:
-        """Judge by a problem of the same motions and shutter, with another objective, camera or
-        limits.
-        """
+        """Judge by a problem with another objective, camera or limits, on the same samples."""
         objective = copy(self)
         objective.problem = problem
         objective._set_noise()
@@ -138,6 +136,8 @@ class Objective:
         chips = self.problem.chips
         chip_s = self.problem.chip_ns * 1e-9
         counts = np.arange(chips + 1)
+        # a code of several openings integrates dark current for the whole exposure, a single
+        # opening for as long as it lasts
         self.noise = noise_variance(camera, counts / chips, integration_s=chips * chip_s)
         self._noise_of_one = noise_variance(camera, counts / chips, integration_s=counts * chip_s)
 
@@ -147,18 +147,14 @@ class Objective:
 
     def duty(self, codes: RealArray) -> NDArray[np.float64]:
         """(R,) open fraction of the exposure, with the shutter's ramps where there are any."""
-        response = self.problem.response
-        share = codes.mean(axis=1) if response is None else response.open_time(codes)
-        return np.asarray(share, dtype=np.float64)
+        return open_time(codes, self.problem.response)
 
     def noise_of(self, codes: RealArray) -> NDArray[np.float64]:
-        """(R,) variance of the noise through (R, n) codes; that of a single opening has its own
-        dark current alone.
-        """
+        """(R,) variance of the noise through (R, n) codes."""
         chips = self.problem.chips
         on = np.asarray(codes) != 0
         single = on[:, 0] + (on[:, 1:] & ~on[:, :-1]).sum(axis=1) == 1
-        open_chips = self.duty(codes) * chips
+        open_chips = self.duty(codes) * chips  # ramps make it a fraction: interpolated
         counts = np.arange(chips + 1)
         return np.where(
             single,
@@ -169,12 +165,12 @@ class Objective:
     def cost(
         self, otf: RealArray, duty: NDArray[np.float64], noise: NDArray[np.float64] | None = None
     ) -> NDArray[np.float64]:
-        """Cost (R,) in dB, lower is better, of (R, 2, F) OTFs whose codes are open for (R,) of the
-        time.
+        """Cost (R,) in dB, lower is better, of (R, 2, F) OTFs with (R,) open fractions.
 
         The variance (R,) of the noise is that of :attr:`noise` when omitted, as for codes of many
         openings.
         """
+        # decibels are averaged, not powers: one bad motion would rule the mean of these
         scenario_costs = self._each(otf, duty, noise)
         if self.problem.rule == "mean":
             return np.asarray(self.scenario_shares @ scenario_costs, dtype=np.float64)
@@ -189,8 +185,7 @@ class Objective:
         return self.cost(self.otf(codes), self.duty(codes), self.noise_of(codes))
 
     def exact_cost(self, code: ShutterCode) -> float:
-        """Cost of one code with every minimum taken over the continuum; meant for the finest
-        samples and float64.
+        """Cost of one code, dB, with every minimum taken over the continuum.
 
         A curved path's H is a complex function of two frequencies: for nearly every code it has
         isolated true zeros, which no code can flip away. Such codes cost 60 dB more than their
@@ -206,7 +201,8 @@ class Objective:
                 if self.problem.scenarios:
                     directed = (self.problem.scenarios[motion.scenario], motion.reversed_path)
                 minimum = max(
-                    continuum_minimum(self.problem, directed, code), 1e-3 * modulus[deepest]
+                    continuum_minimum(self.problem, directed, code),
+                    1e-3 * modulus[deepest],  # 60 dB
                 )
                 # the deepest sample stands for the continuum between it and its neighbours
                 otf[0, :, motion.columns.start + deepest] *= min(
@@ -238,14 +234,13 @@ class Objective:
                 weight * (10 * np.log10(criterion.figure(spectrum)))
                 for criterion, weight in self.problem.criteria
             )
+            # of both directions of a scenario the worse one counts
             worst[motion.scenario] = np.maximum(worst[motion.scenario], total)
         return worst
 
 
 def sample_count(problem: SearchProblem, *, oversampling: int) -> int:
-    """Columns that an objective has, all scenarios and directions together, without making its
-    tables.
-    """
+    """Columns that an objective has, without making its tables."""
     if not problem.scenarios:
         return circle_samples(problem.chips, oversampling=oversampling).fx.size
     return sum(
@@ -266,8 +261,7 @@ def _stacked(tables: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 def continuum_minimum(
     problem: SearchProblem, motion: tuple[Scenario, bool] | None, code: ShutterCode
 ) -> float:
-    """Smallest |H| that was found over the continuum one way, as :meth:`SearchProblem.ways` names
-    it.
+    """Smallest |H| over the continuum along a scenario in one direction; None: unit circle.
 
     None is the unit circle.
     """

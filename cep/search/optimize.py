@@ -5,99 +5,42 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
-
-import numpy as np
 
 from cep.files.files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
 from cep.proofs.measure import CodeMetrics, FigureOfMerit, own_figures
-from cep.search.advise import Verdict, verdict
-from cep.search.annealing.anneal import standard_moves
-from cep.search.annealing.frames import FramesResult
 from cep.search.chip_count import ChipCount, choose_chips
 from cep.search.compare import Comparison, as_designed, compare
 from cep.search.exhaustive.exact import codes_to_count
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
-from cep.search.recipe import Found, mean_length_px, prove_code, search_code
+from cep.search.recipe import Found, mean_length_px
+from cep.search.search import (
+    NO_TIME_S,
+    Search,
+    described_search,
+    ended_early,
+    search,
+    searched_problem,
+)
+from cep.search.verdict import Verdict, verdict
 from cep.search.ways import check_light
 from motdiff.trajectory import Trajectory
-
-STANDARD_TIME_S = 60.0
-"""Limit of an annealing that is given neither moves nor a time, seconds."""
 
 _CHOOSING = 0.3  # of the time: the number of chips, where it is to be chosen
 _LEAST_LEFT = 0.1  # of the time, for the search after that choice
 _SEARCH_SHARE = 0.9  # of the time: comparing and certifying take the rest
-_NO_TIME_S = 1e-9  # ends an annealing at its start
-_RELAXED = 128  # chips to which the relaxation takes seconds
-_ROUNDED = 16  # codes drawn from it
-_FEWER = "{} ended the choice of the number of chips: fewer numbers were tried"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Search:
-    """How a code is searched.
-
-    Attributes
-    ----------
-    method : {"anneal", "exact"}
-    effort : {"quick", "sdp"}
-        Of the bound; "sdp" also draws codes from the relaxation to start from.
-    steps : int, optional
-        Moves of an annealing. The same seed and moves give the same code, unless the time ends the
-        search.
-    time_s : float, optional
-        Limit of an annealing, seconds; a proof runs to its end. With a time alone the annealing
-        goes on for it, however many moves that are; without moves or a time it makes as many as
-        suit the problem, for :data:`STANDARD_TIME_S` at most.
-    seed : int
-
-    Raises
-    ------
-    ValueError
-        If the method or the effort is another, the time is not above 0, or moves or a time are
-        given for a proof.
-    """
-
-    method: Literal["anneal", "exact"] = "anneal"
-    effort: Literal["quick", "sdp"] = "quick"
-    steps: int | None = None
-    time_s: float | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.method not in ("anneal", "exact"):
-            raise ValueError(f"method: must be anneal or exact, got {self.method!r}")
-        if self.effort not in ("quick", "sdp"):
-            raise ValueError(f"effort: must be quick or sdp, got {self.effort!r}")
-        if self.time_s is not None and not self.time_s > 0:
-            raise ValueError(f"time_s: must be above 0 seconds, got {self.time_s}")
-        for name in ("steps", "time_s"):
-            if self.method == "exact" and getattr(self, name) is not None:
-                raise ValueError(
-                    f"{name}: not valid with method='exact', which judges every code there is"
-                )
-
-    @property
-    def limit_s(self) -> float:
-        """Limit of an annealing, seconds; infinite where only its moves are given."""
-        if self.time_s is not None:
-            return self.time_s
-        if self.steps is None:
-            return STANDARD_TIME_S
-        return math.inf
-
-    def moves(self, problem: SearchProblem) -> int | None:
-        """Say how many moves an annealing makes; None where the time alone ends it."""
-        if self.steps is None and self.time_s is None:
-            return standard_moves(problem)
-        return self.steps
+_FEWER_TRIED = {
+    "": [],
+    "time": ["the time ended the choice of the number of chips: fewer numbers were tried"],
+    "interrupted": ["Ctrl-C ended the choice of the number of chips: fewer numbers were tried"],
+}
+"""Warnings by what ended the choice of the number of chips."""
 
 
 @dataclass(frozen=True)
@@ -153,31 +96,28 @@ class Optimum:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the user should know besides the figures, one sentence each."""
+        """Warnings, one sentence each."""
         outcome = self.found
         moves = self.how.moves(searched_problem(self.problem))
-        early = (row.name for row in self.comparison if row.stopped_early)
-        count_ended = self.chip_count.early if self.chip_count else ""
-        # with a time alone every run differs
-        repeats = (
-            outcome.stopped == "interrupted" or self.how.method == "exact" or moves is not None
-        )
+        early = [row.name for row in self.comparison if row.stopped_early]
+        if not (outcome.stopped == "interrupted" or self.how.method == "exact" or moves):
+            early = []  # with a time alone every run differs anyway
         return (
             *ended_early(self.how, outcome.stopped, moves),
             *(
                 f"the search of the {name} was stopped early, by the time or Ctrl-C: another run"
                 " may give another"
-                for name in (early if repeats else ())
+                for name in early
             ),
             *certificate_warnings(self.problem),
+            # the search does not know the well: only the verdict does
             *(
                 "the code saturates at this light: search with fewer open chips, or give what can"
                 " be recorded"
                 for exposure in self.verdict.ways
                 if exposure.saturates and exposure.code.bits == self.code.bits
             ),
-            *([_FEWER.format("the time")] if count_ended == "time" else ()),
-            *([_FEWER.format("Ctrl-C")] if count_ended == "interrupted" else ()),
+            *(_FEWER_TRIED[self.chip_count.early] if self.chip_count else ()),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -276,12 +216,11 @@ def optimize(
     on_found: Callable[[StoredCode], None] = lambda _stored: None,
     on_best: Callable[[ShutterCode], None] = lambda _code: None,
 ) -> Optimum:
-    """Search the code that is best along a problem's motions, certify it, and compare it with what
-    is used instead.
+    """Search the best code along a problem's motions, certify it, and compare it with others.
 
     No code of the comparison that keeps the problem's limits is better by its objective. Whether
     to use the code at all is decided by the expected restoration, see
-    :class:`cep.search.advise.Verdict`.
+    :class:`cep.search.verdict.Verdict`.
 
     Parameters
     ----------
@@ -328,25 +267,25 @@ def optimize(
     started = time.monotonic()
     chosen: ChipCount | None = None
     searched_s = time_s
-    finished = 0.0
+    finished = 0.0  # share of the progress that the choice of the number of chips has
     if not isinstance(problem, SearchProblem):
         chosen = choose_chips(
             problem,
             path_error_px=path_error_px,
             seed=seed,
-            time_s=math.inf if time_s is None else _CHOOSING * time_s,
+            time_s=_CHOOSING * (time_s or math.inf),
             threads=threads,
             progress=lambda share, note: progress(_CHOOSING * share, note),
         )
         problem = problem(chosen.chips)
-        if chosen.code is not None:
+        if chosen.code is not None:  # best by the expected error: a start by any objective
             start = [*start, chosen.code]
         finished = _CHOOSING
         if time_s is not None:
             left_s = time_s - (time.monotonic() - started)
             searched_s = max(left_s, _LEAST_LEFT * time_s)
         if chosen.early == "interrupted":
-            searched_s = _NO_TIME_S
+            searched_s = NO_TIME_S
 
     def tell(share: float, note: str) -> None:
         progress(finished + (1 - finished) * share, note)
@@ -360,7 +299,10 @@ def optimize(
     # a figure that fails does so before the search
     own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))
     searched = searched_problem(problem)
-    tell(0.0, f"{codes_to_count(searched):.2g} codes" if method == "exact" else "")
+    note = ""
+    if method == "exact":
+        note = f"{codes_to_count(searched):.2g} codes"
+    tell(0.0, note)
     outcome = search(
         searched,
         replace(how, time_s=searched_s),
@@ -371,15 +313,19 @@ def optimize(
     )
     if chosen is not None and chosen.early == "interrupted":
         outcome = replace(outcome, stopped="interrupted")
-    code = replace(outcome.code, chip_ns=problem.chip_ns)
+    code = replace(outcome.code, chip_ns=problem.chip_ns)  # a search knows no times
+    # the limits already keep to the device: its own check has the last word
     if reason := unplayable(code.bits, problem.device, code.chip_ns):
         raise ValueError(reason)
     about = described_search(problem, how, outcome)
+    # what follows may take seconds: a caller can keep the code before
     on_found(StoredCode(code, problem={**about, "proof": outcome.proof}))
     tell(_SEARCH_SHARE, "comparing with other codes")
     comparison = compare(problem, code, baselines=outcome.baselines, figures=figures, along=motion)
     judgement = verdict(problem, code, path_error_px=path_error_px)
-    path = None if problem.on_circle else designed
+    path: Trajectory | None = designed
+    if problem.on_circle:
+        path = None  # the certificate is for |P|, whatever the speed of the motion
     certificate = certify(code, path)
     bounded = _bounded(
         problem, outcome, comparison[0].metrics, straight=path is None, effort=effort
@@ -422,29 +368,6 @@ def checked_motion(problem: SearchProblem, along: Trajectory | None = None) -> T
     return motion
 
 
-def searched_problem(problem: SearchProblem) -> SearchProblem:
-    """Return what is searched for a problem: the unit circle where only the code's polynomial
-    matters.
-    """
-    if problem.on_circle and problem.objective == "min-mtf":
-        return replace(problem, scenarios=())
-    return problem
-
-
-def ended_early(how: Search, stopped: str, moves: int | None) -> list[str]:
-    """Warn of a search that Ctrl-C or the time ended before its ``moves``."""
-    if stopped == "interrupted":
-        what = "proof" if how.method == "exact" else "search"
-        return [f"the {what} was stopped early, this is the best code so far"]
-    if stopped == "time" and moves is not None:
-        limit = f"the limit of {how.limit_s:g} s"
-        return [
-            f"{limit} ended the search before its {moves:,} moves: another run may give another"
-            " code"
-        ]
-    return []
-
-
 def certificate_warnings(problem: SearchProblem) -> list[str]:
     """Warn where a certificate does not cover all that the search counted."""
     if (
@@ -459,108 +382,6 @@ def certificate_warnings(problem: SearchProblem) -> list[str]:
     ]
 
 
-def search(
-    problem: SearchProblem,
-    how: Search,
-    *,
-    start: Sequence[ShutterCode] = (),
-    length_px: float | None = None,
-    threads: int | None = None,
-    progress: Callable[[float, ShutterCode], None] | None = None,
-) -> Found:
-    """Search a code, or count all codes for the best.
-
-    Parameters
-    ----------
-    problem : SearchProblem
-    how : Search
-    start : sequence of ShutterCode
-        Codes to start an annealing from.
-    length_px : float, optional
-        Of the path, for the length-only code among the baselines; of the problem's when omitted.
-    threads : int, optional
-        As many as there are cores when omitted; the code does not depend on it.
-    progress : callable, optional
-        Called with the fraction done and the best code so far.
-
-    Returns
-    -------
-    Found
-        No baseline within the limits has a lower cost. Along a path a proof is over the band's
-        samples, though: it stands, whatever a baseline is worth between them.
-
-    Raises
-    ------
-    ValueError
-        If the problem is not one that the method solves.
-    """
-    rng = np.random.default_rng(how.seed)
-    if how.method == "exact":
-        return prove_code(
-            problem,
-            rng=rng,
-            time_s=how.limit_s,
-            length_px=length_px,
-            progress=progress,
-            threads=threads,
-        )
-    return search_code(
-        problem,
-        rng=rng,
-        steps=how.moves(problem),
-        time_s=how.limit_s,
-        start=[*start, *(_rounded(problem, how.seed) if how.effort == "sdp" else ())],
-        length_px=length_px,
-        progress=progress,
-        threads=threads,
-    )
-
-
-def described_search(
-    problem: SearchProblem, how: Search, outcome: Found | FramesResult
-) -> dict[str, Any]:
-    """Describe a problem, how it was searched and how that ended, as a code file does."""
-    return {
-        "chips": problem.chips,
-        **asdict(problem.runs),
-        "open_range": problem.open_limits,
-        "objective": problem.objective,
-        "direction": problem.direction,
-        "rule": problem.rule,
-        "camera": problem.camera.to_dict(),
-        "device": None if problem.device is None else problem.device.to_dict(),
-        "method": how.method,
-        "seed": how.seed,
-        "steps": outcome.steps,
-        "stopped": outcome.stopped,
-    }
-
-
-def _rounded(problem: SearchProblem, seed: int) -> list[ShutterCode]:
-    """Codes drawn from the relaxation along a path; on the unit circle it knows nothing of the
-    code.
-    """
-    from cep.search.bounding.bounds import relaxed_minimum
-    from cep.search.bounding.relaxation import rounded_codes
-
-    low, high = problem.open_limits
-    k = min(max((low + high) // 2, 2), problem.chips - 1)
-    if (
-        not problem.scenarios
-        or problem.response is not None
-        or not low <= k <= high
-        or problem.chips > _RELAXED
-    ):
-        return []
-    try:
-        codes = rounded_codes(
-            relaxed_minimum(problem, k), _ROUNDED, rng=np.random.default_rng([seed, 3])
-        )
-    except ValueError:  # no solver found an optimum: the search does without
-        return []
-    return [ShutterCode.from_array(code) for code in codes]
-
-
 def _bounded(
     problem: SearchProblem,
     outcome: Found,
@@ -572,10 +393,11 @@ def _bounded(
     """Name, bound and gap of the figure that was optimised, None where nothing bounds it."""
     from cep.search.bounding.bounds import bound
 
+    # no bound is known for a mix, the flatness or the expected error
     if problem.objective not in ("min-mtf", "noise"):
         return "", None, None
     if straight and outcome.proof is not None and outcome.stopped == "proven":
-        limit = outcome.proof["upper"]
+        limit = outcome.proof["upper"]  # tighter than the bound: it counted every code
         return "min |P|, chips", limit, max(0.0, _gap(metrics.min_chip, limit))
     limits = bound(problem, effort=effort)
     if problem.objective == "noise":

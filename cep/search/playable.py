@@ -1,6 +1,4 @@
-"""Codes that a device can play: its limits on times as limits on chips, its rise and fall, and its
-check of a code.
-"""
+"""Codes that a device can play: its limits in chips, its rise and fall."""
 
 from __future__ import annotations
 
@@ -14,7 +12,7 @@ from cep.search.limits import RunLimits
 from hw.device import DeviceProfile
 from hw.program import Program
 
-_LONGEST_S = 3600.0
+_LONGEST_S = 3600.0  # longest exposure: an hour
 
 
 @dataclass(frozen=True)
@@ -43,8 +41,7 @@ def within_device(
     open_range: tuple[int, int],
     runs: RunLimits,
 ) -> Playable:
-    """Tighten limits by those of a device, see :func:`limits_of_device` and
-    :func:`response_of_device`.
+    """Tighten limits by those of a device.
 
     Raises
     ------
@@ -53,6 +50,7 @@ def within_device(
     """
     limits, most_open = limits_of_device(profile, chips=chips, chip_ns=chip_ns)
     low, high = open_range
+    # named here: as a conflict of limits the device's part would not be seen
     if most_open < low:
         raise ValueError(
             f"{profile.name}: at most {most_open} of {chips} chips may be open, at least {low}"
@@ -77,13 +75,13 @@ def within_camera(camera: Camera, *, chips: int, chip_ns: int, runs: RunLimits) 
             f" code of {chips} chips lasts {chips * chip_ns / 1e6:g} ms"
         )
     return runs.tightened(
+        # a product such as 1e-3 * 1e9 may round up to the next chip
         RunLimits(min_open=max(1, math.ceil(camera.least_exposure_s * 1e9 / chip_ns - 1e-9)))
     )
 
 
 def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tuple[RunLimits, int]:
-    """Translate a device's limits on times into limits on chips, for
-    :class:`cep.search.problem.SearchProblem`.
+    """Translate a device's limits on times into limits on chips.
 
     A code within them is one that :meth:`hw.device.DeviceProfile.check` passes, and the other way
     round.
@@ -115,7 +113,7 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tup
         # commands are shortened by the bias, and the device counts them in whole ticks
         least_open_ns = max(least_open_ns, profile.tick_ns) + bias_ns
     least_closed_ns = max(profile.min_off_ns or 0, profile.dead_time_ns)
-    min_open = max(1, -(-least_open_ns // chip_ns))
+    min_open = max(1, -(-least_open_ns // chip_ns))  # rounded up
     max_open = None
     if min_open > chips:
         raise ValueError(
@@ -164,8 +162,7 @@ def limits_of_device(profile: DeviceProfile, *, chips: int, chip_ns: int) -> tup
 
 
 def response_of_device(profile: DeviceProfile, chip_ns: int) -> ShutterResponse | None:
-    """Describe how a device's shutter opens and closes around its edges, or None when it does so
-    at once.
+    """Rise and fall of a device's shutter; None where it opens and closes at once.
 
     The response does not contain ``on_bias_ns``, the time by which the device lengthens every
     opening. Commands to the device are to be shorter by this time, as those of
@@ -182,6 +179,7 @@ def response_of_device(profile: DeviceProfile, chip_ns: int) -> ShutterResponse 
         If the chip time is none of the device's, or opening or closing takes longer than a chip.
     """
     _check_chip(profile, chip_ns)
+    # a transition must end within its chip, see ShutterResponse
     slowest = max(profile.rise_ns, profile.fall_ns)
     if slowest > chip_ns:
         raise ValueError(
@@ -211,9 +209,7 @@ def chip_time_ns(exposure_s: float, chips: int, profile: DeviceProfile | None = 
 
 
 def _check_chip(profile: DeviceProfile, chip_ns: int) -> None:
-    """Refuse a chip time that is no whole number of ticks, or out of range; name the nearest that
-    would do.
-    """
+    """Refuse a chip time out of range or not of whole ticks; name the nearest that would do."""
     tick = profile.tick_ns
     shortest_ns = -(-(profile.min_chip_ns or 1) // tick) * tick
     longest_ns = None
@@ -223,6 +219,7 @@ def _check_chip(profile: DeviceProfile, chip_ns: int) -> None:
         words += f" to {longest_ns} ns"
     if chip_ns % tick == 0 and shortest_ns <= chip_ns <= (longest_ns or chip_ns):
         return
+    # the whole numbers of ticks on either side, moved into the range
     below = chip_ns // tick * tick
     nearest_ns = sorted(
         {

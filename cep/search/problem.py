@@ -14,7 +14,8 @@ from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.optics.timeline import check_lengths, checked_edges
 from cep.proofs.measure import CodeMetrics, measure, worst_of
-from cep.search.limits import Limits, RunLimits, check_feasible, checked_mask
+from cep.search.feasibility import check_feasible
+from cep.search.limits import Limits, RunLimits, checked_mask
 from cep.search.objectives import OBJECTIVES, Criterion
 from cep.search.playable import chip_time_ns, within_camera, within_device
 from cep.search.sampling import draw
@@ -126,6 +127,7 @@ class SearchProblem:
             raise ValueError("objective: needs at least one objective")
         if not all(np.isfinite(s.weight) and s.weight > 0 for s in self.scenarios):
             raise ValueError("scenarios: every weight must be above 0")
+        # ramps and shifted edges take a share of a chip along a path, not of a polynomial
         if self.response is not None and not self.scenarios:
             raise ValueError(
                 "response: needs a motion (scenarios), the unit circle of a polynomial has no"
@@ -135,9 +137,9 @@ class SearchProblem:
             edges = checked_edges(scenario.edges, self.chips)
             if self.response is not None:
                 check_lengths(edges, self.response)
-        object.__setattr__(
-            self, "runs", replace(self.runs, fixed=checked_mask(self.runs.fixed, self.chips))
-        )
+        # a mask without forced chips is none: the closed form of the sampling needs no walks then
+        fixed = checked_mask(self.runs.fixed, self.chips)
+        object.__setattr__(self, "runs", replace(self.runs, fixed=fixed))
         self._check_feasible()
 
     @classmethod
@@ -203,6 +205,7 @@ class SearchProblem:
             fields["chip_ns"] = chip_time_ns(exposure_s, chips, profile)
         chip_ns = fields.get("chip_ns", cls.chip_ns)
         runs = fields.get("runs", RunLimits())
+        # without a device the camera's own shutter plays the code
         if profile is None:
             camera = fields.get("camera", Camera())
             fields["runs"] = within_camera(camera, chips=chips, chip_ns=chip_ns, runs=runs)
@@ -230,13 +233,13 @@ class SearchProblem:
 
     @property
     def on_circle(self) -> bool:
-        """Whether the code's polynomial alone decides: one uniform straight motion, chips on time,
-        no ramps.
+        """Whether the code's polynomial alone decides: one uniform straight motion, no ramps.
 
-        Zeros that come from the chip itself are no fault of the code.
+        |H| is then |sinc| of a chip times |P|, and zeros of the sinc are no fault of the code.
         """
         if len(self.scenarios) != 1 or self.response is not None:
             return False
+        # shifted edges make chips of unequal length: H is no polynomial then
         scenario = self.scenarios[0]
         return scenario.edges is None and uniform_length_px(scenario.trajectory) is not None
 
@@ -260,14 +263,13 @@ class SearchProblem:
 
     @property
     def limits_runs(self) -> bool:
-        """Whether runs, pulses or their period are limited, so that few single flips and swaps are
-        allowed.
-        """
+        """Whether runs, pulses or their period are limited: few flips and swaps are allowed."""
         return not self.runs.says_nothing
 
     @property
     def mirrors(self) -> bool:
         """Whether a code's mirror image keeps the limits on runs as well."""
+        # a longer period counts from start to start: reversed, it would be from end to end
         return self.limits.period == self.runs.min_open + self.runs.min_closed
 
     @property
@@ -277,9 +279,8 @@ class SearchProblem:
         return Limits(self.chips, (low, high), self.runs)
 
     def both_directions(self, trajectory: Trajectory) -> bool:
-        """Whether the reversed path is designed for as well; a uniform straight one is its own
-        mirror image.
-        """
+        """Whether the reversed path counts as well; a uniform straight one is its own."""
+        # time reversal: an uncoded photo is the same for a path and its reverse
         unknown = self.direction == "unknown" or (
             self.direction == "auto" and trajectory.direction == "unknown"
         )
@@ -313,34 +314,33 @@ class SearchProblem:
         return bool(self.satisfied(code.array[None].astype(np.int8))[0])
 
     def random_codes(self, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
-        """Draw ``count`` codes within the limits, all equally likely, (count, n) of 0 and 1; see
-        :func:`draw`.
-        """
+        """Draw ``count`` codes within the limits, (count, n) of 0 and 1, all equally likely."""
         return draw(self.limits, count, rng=rng)
 
     def measure(self, code: ShutterCode, *, budget: int = 20_000) -> CodeMetrics:
-        """Worst of each figure over all scenarios and directions; on the unit circle, along
-        ``chips`` px straight.
+        """Worst of each figure over all scenarios and directions.
 
         The shutter opens and closes by :attr:`response`, and the chips are played at each
         scenario's edges. They last as long as the problem's, whatever the code says.
         """
         if code.chips != self.chips:
             raise ValueError(f"code: must have {self.chips} chips, got {code.chips}")
-        metrics = []
         played = ShutterCode(code.bits, self.chip_ns)
-        for scenario, reversed_path in self.ways() or (
-            (Scenario(Trajectory.straight(float(self.chips))), False),
-        ):
-            path = scenario.path(reversed_path=reversed_path)
-            shutter = self.response
-            edges = scenario.edges
-            metrics.append(
+        # a px a chip: the figures of the unit circle in chips
+        circle = (Scenario(Trajectory.straight(float(self.chips))), False)
+        return worst_of(
+            *(
                 measure(
-                    path, played, camera=self.camera, budget=budget, response=shutter, edges=edges
+                    scenario.path(reversed_path=reversed_path),
+                    played,
+                    camera=self.camera,
+                    budget=budget,
+                    response=self.response,
+                    edges=scenario.edges,
                 )
+                for scenario, reversed_path in self.ways() or (circle,)
             )
-        return worst_of(*metrics)
+        )
 
     def _check_feasible(self) -> None:
         # plain conflicts first: their messages are plainer than a smallest set of limits

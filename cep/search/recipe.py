@@ -1,5 +1,4 @@
-"""The one recipe of a search: codes that would be used anyway, annealing or a count of all codes,
-the best of all.
+"""Recipe of a search: baselines, annealing or a count of all codes, and the best of all.
 
 What a code is compared with is computed first. The annealing starts from whatever of it keeps the
 problem's limits, and from the nearest code to each other one. The code returned is the best of
@@ -28,18 +27,16 @@ from cep.search.bundled import proven_optimum, proven_starts
 from cep.search.dnf import dnf_search
 from cep.search.exhaustive.exact import codes_to_count, exact
 from cep.search.exhaustive.proof import ExactResult, ProofLog
-from cep.search.light import best_snapshot, best_strobe, random_codes
-from cep.search.limits import nearest
+from cep.search.feasibility import nearest
+from cep.search.light import best_snapshot, best_strobe, median_random_code
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
-_COARSE = 8  # samples per 1 / extent: to choose a baseline, and to judge
-_FINE = 64
+_COARSE = 8  # samples per 1 / extent, to choose a baseline
+_FINE = 64  # to judge: between 8 samples a code's |P| may dip unseen, docs/decisions/search.md
 _RANDOM_CODES = 15
 _LENGTH_ONLY_MOVES = 200_000
-_LENGTH_ONLY_SHARE = (
-    0.25  # of the time limit: all that may take long of what comes before the annealing
-)
+_LENGTH_ONLY_SHARE = 0.25  # of the time limit: the only baseline that may take long
 _LEAST_SHARE = 0.5  # of the time limit that the annealing has in any case
 _WITHIN = " within the limits"
 
@@ -151,6 +148,7 @@ def search_code(
     started = time.monotonic()
     # the search's draws must not depend on how many the baselines take
     for_baselines, for_search = rng.spawn(2)
+    # float64: candidates that are almost as good must not be ranked by rounding
     judge = Objective(problem, oversampling=_FINE, dtype=np.float64)
     rivals: list[Baseline] = []
     try:
@@ -164,6 +162,7 @@ def search_code(
         ):
             rivals.append(baseline)
     except KeyboardInterrupt:
+        # Ctrl-C before the annealing: any code within the limits, if no baseline keeps them
         code = ShutterCode.from_array(problem.random_codes(1, rng=for_search)[0])
         cost = judge.exact_cost(code)
         moves = 0
@@ -224,8 +223,12 @@ def prove_code(
             problem, rng=rng, judge=judge, length_px=length_px, time_s=time_s, threads=threads
         ):
             rivals.append(baseline)
-    code, cost = proven.code, judge.exact_cost(proven.code)
+    code = proven.code
+    cost = judge.exact_cost(code)
+    stopped: Stopped = "proven"
+    # a proven code stands, though along a path a baseline may be better between the samples
     if not proven.proven:
+        stopped = "interrupted"
         code, cost = _best_of(code, cost, rivals)
     if isinstance(proven.proof, ProofLog):
         counted = codes_to_count(problem)
@@ -236,21 +239,20 @@ def prove_code(
         cost,
         counted,
         proven.seconds,
-        "proven" if proven.proven else "interrupted",
+        stopped,
         tuple(rivals),
         proven.proof.to_dict(),
     )
 
 
 def _starts(problem: SearchProblem, rivals: Iterable[Baseline]) -> list[ShutterCode]:
-    """Return the baselines within the limits, and of each other one the nearest code that keeps
-    them.
-    """
+    """Return the baselines within the limits, and the nearest codes to the others."""
     codes = []
     for baseline in rivals:
         if baseline.within_limits:
             codes.append(ShutterCode.from_array(baseline.code.array != 0))
             continue
+        # None where the walk's table would be too large: that start is left out
         bits = nearest(problem.limits, baseline.code.array != 0)
         if bits is not None:
             codes.append(ShutterCode.from_array(bits))
@@ -260,9 +262,7 @@ def _starts(problem: SearchProblem, rivals: Iterable[Baseline]) -> list[ShutterC
 def _best_of(
     code: ShutterCode, cost_db: float, rivals: Iterable[Baseline]
 ) -> tuple[ShutterCode, float]:
-    """Return the best, with its cost, of a code and the baselines within the limits; the code
-    where none is better.
-    """
+    """Return the cheapest, with its cost, of a code and the baselines within the limits."""
     best = min(
         (baseline for baseline in rivals if baseline.within_limits),
         key=lambda baseline: baseline.cost_db,
@@ -320,11 +320,8 @@ def baselines(
 
 def mean_length_px(problem: SearchProblem) -> float:
     """Mean length of the problem's paths, px; on the unit circle, a px for each chip."""
-    return float(
-        np.mean(
-            [scenario.trajectory.length_px for scenario in problem.scenarios] or [problem.chips]
-        )
-    )
+    lengths_px = [scenario.trajectory.length_px for scenario in problem.scenarios]
+    return float(np.mean(lengths_px or [problem.chips]))
 
 
 def _used_instead(
@@ -340,11 +337,12 @@ def _used_instead(
     coarse = Objective(problem, oversampling=_COARSE)
     for name, best in (("best snapshot", best_snapshot), ("best strobe", best_strobe)):
         free = best(coarse)
-        if free is None:
+        if free is None:  # two pulses do not fit
             continue
         yield name, free, False
         if problem.allows(free):
             continue
+        # the best of all breaks the limits: also the best that could be used
         limited = best(coarse, within_limits=True)
         if limited is not None:
             yield name + _WITHIN, limited, False
@@ -365,4 +363,4 @@ def _used_instead(
     yield "length-only code", length_only.code, length_only.stopped in ("time", "interrupted")
     if length_only.stopped == "interrupted":
         raise KeyboardInterrupt
-    yield "random code, median", random_codes(coarse, _RANDOM_CODES, rng=rng).middle, False
+    yield "random code, median", median_random_code(coarse, _RANDOM_CODES, rng=rng), False

@@ -15,15 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.search.limits import CLOSED, OPEN, OVER, Limits, Step
+from cep.search.limits import CLOSED, MOST_NUMBERS, OPEN, OVER, Limits, Step
 from motdiff.types import FloatArray
 
 IntArray = NDArray[np.intp]
-_MOST_NUMBERS = 3 * 2**22  # of a table: 96 MB
-_TILT_BATCH = 256
-_TILT_ACCEPTED = (
-    0.25  # of the walks drawn with a weight on their pulses must keep the limit on them
-)
+_TILT_BATCH = 256  # walks by which a weight is tried
+_TILT_ACCEPTED = 0.25  # share of walks drawn with a weight on pulses that keep the limit on them
 
 
 def draw(limits: Limits, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
@@ -36,7 +33,7 @@ def draw(limits: Limits, count: int, *, rng: np.random.Generator) -> NDArray[np.
     """
     if _free(limits):
         return _draw_free(limits, count, rng)
-    if _size(limits) <= _MOST_NUMBERS:
+    if _size(limits) <= MOST_NUMBERS:
         return _walks(limits, True, 0.0).draw(count, rng)
     return _draw_tilted(limits, count, rng)
 
@@ -50,9 +47,7 @@ def _free(limits: Limits) -> bool:
 
 @lru_cache(maxsize=4)
 def _free_table(limits: Limits) -> FloatArray:
-    """Logarithm of the number of codes with k open chips (row k) in p pulses (column p), (n + 1, p
-    + 1).
-    """
+    """Logarithm of the number of codes, by open chips (row) and pulses (column)."""
     n = limits.chips
     low = max(limits.open_range[0], 1)
     high = min(limits.open_range[1], limits.chips)
@@ -98,9 +93,7 @@ def _draw_free(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[
 def _compositions(
     total: IntArray, parts: IntArray, width: int, rng: np.random.Generator
 ) -> IntArray:
-    """Split each of (R,) totals into (R,) parts, all splits equally likely: (R, most), zero after
-    the last part.
-    """
+    """Split (R,) totals into (R,) parts, all splits equally likely: (R, width), zero-filled."""
     slots = total + parts - 1
     most_slots = int(slots.max(initial=0))
     keys = np.where(
@@ -142,8 +135,7 @@ class _StepTables(NamedTuple):
 
 @dataclass(frozen=True)
 class _Walks:
-    """Logarithms of the number of ways to go on, per state, position, open chips to come, and
-    pulses that may come.
+    """Logarithms of the number of ways to go on: state, position, open chips and pulses left.
 
     Where the open chips or the pulses are free, their axis has length 1 and nothing moves along
     it.
@@ -159,18 +151,14 @@ class _Walks:
 
     @property
     def by_count(self) -> FloatArray:
-        """Logarithms of the number of codes for each number of open chips in their range, or for
-        all together.
-        """
-        low, high = self.limits.open_range if self.opens else (0, 0)
+        """Logarithms of the number of codes by open chips in their range, or of all."""
+        low, high = (self.opens * count for count in self.limits.open_range)
         return self.log_counts[CLOSED, 0, low : high + 1, -1]
 
     def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
         n = self.limits.chips
         steps = self.steps
-        open_left = _pick(self.by_count, count, rng) + (
-            self.limits.open_range[0] if self.opens else 0
-        )
+        open_left = _pick(self.by_count, count, rng) + self.opens * self.limits.open_range[0]
         budget = np.full(count, self.log_counts.shape[3] - 1)
         place = np.zeros(count, dtype=np.intp)
         state = np.full(count, CLOSED, dtype=np.intp)
@@ -244,9 +232,7 @@ def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
 
 
 def _add(total: FloatArray, log_counts: FloatArray, opens: int, pulses: int) -> None:
-    """Add ways that are ``opens`` open chips and ``pulses`` pulses short of ``total``, in
-    logarithms, in place.
-    """
+    """Add, in logarithms and in place, ways that are some open chips and pulses short."""
     rows = max(len(total) - opens, 0)
     columns = total.shape[1] - pulses
     target = total[opens:, pulses:]
@@ -255,14 +241,12 @@ def _add(total: FloatArray, log_counts: FloatArray, opens: int, pulses: int) -> 
 
 def _size(limits: Limits) -> int:
     """Numbers in the table over open chips and pulses."""
-    opens = limits.open_range[1] + 1 if limits.counts_opens else 1
+    opens = limits.open_range[1] * limits.counts_opens + 1
     return 3 * (limits.chips + 1) * opens * ((limits.most_pulses or 0) + 1)
 
 
 def _draw_tilted(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
-    """Draw with a weight per pulse, leave out codes of too many: small weights concentrate on the
-    fewest pulses.
-    """
+    """Draw with a weight per pulse, and leave out codes of too many pulses."""
     walks = _walks(limits, False, _tilt(limits))
     accepted = np.empty((0, limits.chips), dtype=np.int8)
     while len(accepted) < count:
@@ -273,11 +257,9 @@ def _draw_tilted(limits: Limits, count: int, rng: np.random.Generator) -> NDArra
 
 @lru_cache(maxsize=16)
 def _tilt(limits: Limits) -> float:
-    """Weight per pulse, in logarithms, with which a good share of the walks keeps the limit on
-    pulses.
-    """
+    """Log weight per pulse with which a good share of the walks keeps the limit on pulses."""
     tilt = 0.0
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(0)  # the weight must not depend on the caller's draws
     while (
         _few_pulses(limits, _walks(limits, False, tilt).draw(_TILT_BATCH, rng)).mean()
         < _TILT_ACCEPTED

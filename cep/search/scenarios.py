@@ -22,10 +22,10 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 MOST_SCENARIOS = 256
-"""A search looks at every scenario in every move: more than these are refused."""
+"""Most scenarios of a problem: a search looks at each of them in every move."""
 
 LARGEST_JITTER = 0.15  # chips: three standard deviations of two neighbouring edges do not meet
-_FARTHEST_EDGE = 0.45  # of the shorter chip beside it
+_FARTHEST_EDGE = 0.45  # of the shorter chip beside it: below half, so that edges stay in order
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,7 @@ class Scenario:
             object.__setattr__(self, "edges", edges)
 
     def path(self, *, reversed_path: bool) -> Trajectory:
-        """Return the motion, or the same run backwards in time; the chips are played in their
-        order either way.
-        """
+        """Return the motion or its reverse; the chips are played in their order either way."""
         if reversed_path:
             return self.trajectory.reversed()
         return self.trajectory
@@ -70,8 +68,7 @@ Base = Trajectory | Scenario | Iterable[Scenario]
 
 
 def alternatives(motion: StoredMotion) -> tuple[Scenario, ...]:
-    """Motions that may explain a photo, as ``trajectory.json`` stores them, with their
-    probabilities as weights.
+    """Motions that may explain a photo, with their probabilities as weights.
 
     Those without any probability are left out.
     """
@@ -79,12 +76,12 @@ def alternatives(motion: StoredMotion) -> tuple[Scenario, ...]:
     scenarios = tuple(
         Scenario(trajectory, weight) for weight, trajectory in weighted if weight > 0
     )
-    return _counted(scenarios or (Scenario(motion.trajectory),))
+    _check_count(len(scenarios))
+    return scenarios or (Scenario(motion.trajectory),)
 
 
 def class_scenarios(motions: Iterable[Trajectory]) -> tuple[Scenario, ...]:
-    """Make a class of motions of equal weight; one of unknown direction is in it both ways, with
-    half of it each.
+    """Make a class of motions of equal weight; an unknown direction is in it both ways.
 
     For a problem of the rule "mean" and the direction "forward": over a class the ways of a motion
     are averaged as its motions are, while the other problems count the worse one.
@@ -109,12 +106,12 @@ def class_scenarios(motions: Iterable[Trajectory]) -> tuple[Scenario, ...]:
             scenarios.append(Scenario(path))
     if not scenarios:
         raise ValueError("motions: a class needs at least one")
-    return _counted(tuple(scenarios))
+    _check_count(len(scenarios))
+    return tuple(scenarios)
 
 
 def speed_range(base: Base, low: float, high: float, count: int) -> tuple[Scenario, ...]:
-    """Scale every path by ``count`` factors, evenly spaced from ``low`` to ``high``: the same
-    time, another length.
+    """Scale every path by ``count`` factors, evenly spaced from ``low`` to ``high``.
 
     Raises
     ------
@@ -137,8 +134,7 @@ def speed_range(base: Base, low: float, high: float, count: int) -> tuple[Scenar
 
 
 def drifted(base: Base, chips: int, amounts: float | Sequence[float]) -> tuple[Scenario, ...]:
-    """Play the code ``1 + amount`` times as slowly as meant, for each amount: its chips cover
-    another part of the path.
+    """Play the code ``1 + amount`` times as slowly as meant, for each amount.
 
     Code and exposure begin together. A slow code (amount above 0) outlasts the exposure, see
     :func:`cep.optics.timeline.extended`; a fast one leaves its end unused. Give 0 as well to keep
@@ -159,7 +155,8 @@ def drifted(base: Base, chips: int, amounts: float | Sequence[float]) -> tuple[S
         base,
         len(drifts),
         lambda scenario: [
-            _at(scenario, _edges(scenario, chips) * (1 + amount)) for amount in drifts
+            replace(scenario, edges=checked_edges(scenario.edges, chips) * (1 + amount))
+            for amount in drifts
         ],
     )
 
@@ -167,8 +164,7 @@ def drifted(base: Base, chips: int, amounts: float | Sequence[float]) -> tuple[S
 def jittered(
     base: Base, chips: int, sigma_chips: float, count: int, *, rng: np.random.Generator
 ) -> tuple[Scenario, ...]:
-    """Move every edge on its own by a normal draw of standard deviation ``sigma_chips``, ``count``
-    times.
+    """Move every edge by a normal draw of ``sigma_chips``, ``count`` times.
 
     An edge moves by less than half of the shorter chip beside it, so that the edges stay in order.
 
@@ -185,16 +181,15 @@ def jittered(
         raise ValueError(f"count: must be at least 1, got {count}")
 
     def drawn(scenario: Scenario) -> list[Scenario]:
-        edges = _edges(scenario, chips)
+        edges = checked_edges(scenario.edges, chips)
         lengths = np.diff(edges)
         # the first and the last edge have a chip on one side only
         room = _FARTHEST_EDGE * np.minimum(
             np.append(lengths, lengths[-1]), np.insert(lengths, 0, lengths[0])
         )
         shifts = rng.normal(0.0, sigma_chips / chips, (count, chips + 1))
-        return [
-            _at(scenario, shifted_edges) for shifted_edges in edges + np.clip(shifts, -room, room)
-        ]
+        jittered_edges = edges + np.clip(shifts, -room, room)
+        return [replace(scenario, edges=shifted) for shifted in jittered_edges]
 
     return _varied(base, count, drawn)
 
@@ -208,8 +203,7 @@ def scenario_rows(
     response: ShutterResponse | None = None,
     reversed_path: bool = False,
 ) -> NDArray[np.complex128]:
-    """Rows (n, 2, 2, ...) of :func:`cep.optics.exposure.chip_rows` along a scenario, or along its
-    path run backwards.
+    """Rows (n, 2, 2, ...) of :func:`cep.optics.exposure.chip_rows` along a scenario.
 
     The code is played in its own order either way. Only for chips of equal length and an instant
     shutter are the rows of the reversed path those of the path in the opposite order.
@@ -225,7 +219,7 @@ def distinct_rows(rows: NDArray[Any], response: ShutterResponse | None) -> NDArr
     1.
     """
     if response is None:
-        return rows[:, 0, :1]
+        return rows[:, 0, :1]  # all four are the same
     return rows.reshape(len(rows), 4, *rows.shape[3:])
 
 
@@ -252,8 +246,7 @@ def _varied(
     elif isinstance(base, Scenario):
         base = (base,)
     scenarios = tuple(base)
-    if len(scenarios) * count > MOST_SCENARIOS:
-        _refuse(len(scenarios) * count)
+    _check_count(len(scenarios) * count)  # before they are made
     return tuple(
         replace(variation, weight=scenario.weight / count)
         for scenario in scenarios
@@ -261,22 +254,9 @@ def _varied(
     )
 
 
-def _counted(scenarios: tuple[Scenario, ...]) -> tuple[Scenario, ...]:
-    if len(scenarios) > MOST_SCENARIOS:
-        _refuse(len(scenarios))
-    return scenarios
-
-
-def _refuse(count: int) -> None:
-    raise ValueError(
-        f"scenarios: {count} are too many, at most {MOST_SCENARIOS}; take fewer speeds, draws or"
-        " motions"
-    )
-
-
-def _edges(scenario: Scenario, chips: int) -> FloatArray:
-    return checked_edges(scenario.edges, chips)
-
-
-def _at(scenario: Scenario, edges: FloatArray) -> Scenario:
-    return replace(scenario, edges=edges)
+def _check_count(count: int) -> None:
+    if count > MOST_SCENARIOS:
+        raise ValueError(
+            f"scenarios: {count} are too many, at most {MOST_SCENARIOS}; take fewer speeds, draws"
+            " or motions"
+        )

@@ -1,12 +1,11 @@
-"""Ways to expose for a motion: those that are tried, and the restoration expected of each at every
-light level.
-"""
+"""Ways to expose for a motion: which are tried, and the restoration expected of each."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
@@ -18,7 +17,7 @@ from cep.search.annealing.anneal import SearchResult, anneal
 from cep.search.expected import WORTH_DB, ExpectedPsnr, collected_e, equal_light_noise, light_noise
 from cep.search.light import best_snapshot, best_strobe, evenly_some
 from cep.search.limits import RunLimits
-from cep.search.objective import Objective, sample_count
+from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
 Choice = Literal["open", "snapshot", "strobe", "code"]
@@ -35,14 +34,19 @@ KINDS = (*PLAIN, *CODED)
 NONE_POSSIBLE = "limits: none of the ways to expose that were tried keeps them without saturating"
 """Refusal where no way can be advised."""
 
+_NAMES = {
+    "open": "open shutter",
+    "snapshot": "single exposure",
+    "strobe": "even pulses",
+    "code": "code",
+}
+# The search samples coarsely, what it finds is judged finely: see expected.py. Of straight motions
+# beyond some 250 px half of the samples and nodes do as well: docs/decisions/search.md.
 _OVERSAMPLING = 8  # samples per 1 / extent while snapshots, strobes and codes are searched
-# samples of a straight motion, some 250 px long, beyond which fewer do: docs/decisions/search.md
-_LONG_COLUMNS = 1_024
+_LONG_COLUMNS = 1_024  # samples from which a motion is long
 _LONG_OVERSAMPLING = 4
-_LONG_ACROSS = 6
-_SWAPS_WORK = (
-    5_000_000  # terms of all swaps of two chips, beyond which a code is polished by flips alone
-)
+_LONG_ACROSS = 6  # nodes across it: within 0.03 dB of twelve
+_SWAPS_WORK = 5_000_000  # terms of all swaps of two chips; beyond, only single flips polish a code
 _MOVES = 100_000  # of a search at one light level; four times as many gain less than 0.05 dB
 _MOST_RUNS = 1_000  # single exposures that are all judged where every length is asked for
 _LENGTHS = 24  # else so many lengths and starts
@@ -85,23 +89,13 @@ class Way:
     @property
     def label(self) -> str:
         """Name for tables."""
-        name = {
-            "open": "open shutter",
-            "snapshot": "single exposure",
-            "strobe": "even pulses",
-            "code": "code",
-        }[self.kind]
-        notes = [
-            note
-            for note, applies in (
-                ("outside the limits", not self.within_limits),
-                ("saturates", self.saturates),
-            )
-            if applies
-        ]
-        if not notes:
-            return name
-        return f"{name} ({', '.join(notes)})"
+        notes = []
+        if not self.within_limits:
+            notes.append("outside the limits")
+        if self.saturates:
+            notes.append("saturates")
+        note = f" ({', '.join(notes)})" if notes else ""
+        return _NAMES[self.kind] + note
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON."""
@@ -126,28 +120,26 @@ class WayFinder:
     """
 
     def __init__(self, problem: SearchProblem) -> None:
-        mse_problem = replace(problem, objective="mse")
+        problem = replace(problem, objective="mse")
         straight = all(
             straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios
         )
-        long = straight and sample_count(mse_problem, oversampling=_OVERSAMPLING) > _LONG_COLUMNS
-        over = _OVERSAMPLING
+        self._fast = self._moved = Objective(problem, oversampling=_OVERSAMPLING)
+        long = straight and self._fast.rows.shape[-1] > _LONG_COLUMNS
+        oversampling = _OVERSAMPLING
         across = ACROSS
         if long:
-            over = _LONG_OVERSAMPLING
+            oversampling = _LONG_OVERSAMPLING
             across = _LONG_ACROSS
-        self._fast = Objective(mse_problem, oversampling=_OVERSAMPLING)
-        self._moved = self._fast
-        if long:
-            self._moved = Objective(mse_problem, oversampling=over, across=across)
-        self._judge = Objective(mse_problem, oversampling=over, across=across, dtype=np.float64)
-        self._swaps = (
-            not long or problem.chips**2 // 4 * self._judge.shares_across.size <= _SWAPS_WORK
+            self._moved = Objective(problem, oversampling=oversampling, across=across)
+        self._judge = Objective(
+            problem, oversampling=oversampling, across=across, dtype=np.float64
         )
+        work = problem.chips**2 // 4 * self._judge.shares_across.size
+        self._swaps = not long or work <= _SWAPS_WORK
 
     def ordinary(self, camera: Camera, *, every_length: bool = False) -> list[ShutterCode]:
-        """Return single exposures and even pulses to judge: the best by the expected error that do
-        not saturate.
+        """Return the best single exposures and even pulses that do not saturate, and others.
 
         Of all, and within the limits. Also the shortest exposures, which may be the best with a
         brighter lamp; or exposures of every length, where they are judged otherwise: for a path
@@ -157,37 +149,43 @@ class WayFinder:
         unlimited = replace(problem, open_range=None, runs=RunLimits())
         codes = []
         for best, single in ((best_snapshot, True), (best_strobe, False)):
+            # without limits first, to say what loosening them would gain
             for candidate in (unlimited, problem):
                 unsaturated = recordable(candidate, single=single)
                 if unsaturated is None:
                     continue
-                code = best(
-                    self._fast.for_problem(unsaturated),
-                    within_limits=unsaturated is not unlimited,
-                )
+                objective = self._fast.for_problem(unsaturated)
+                code = best(objective, within_limits=unsaturated is not unlimited)
                 if code is None:
                     continue
                 codes.append(code)
                 if problem.allows(code):
-                    break
+                    break  # the best within the limits as well
+        return codes + self._short_exposures(every_length)
+
+    def _short_exposures(self, every_length: bool) -> list[ShutterCode]:
+        """List the shortest single exposures, or those of every length, in any place."""
+        problem = self._fast.problem
         n = problem.chips
-        shortest = max(problem.open_limits[0], 1)
-        lengths = np.arange(1, n) if every_length else np.unique([1, shortest])
         judge_all = n * (n - 1) // 2 <= _MOST_RUNS
-        for length in lengths if judge_all else evenly_some(lengths, _LENGTHS):
-            starts = np.arange(n - length + 1)
-            runs = starts if judge_all and every_length else evenly_some(starts, _STARTS)
-            codes += [
-                ShutterCode("0" * i + "1" * int(length) + "0" * (n - int(length) - i))
-                for i in map(int, runs)
-            ]
-        return codes
+        most_lengths = most_starts = n
+        lengths = np.arange(1, n)
+        if not every_length:
+            lengths = np.unique([1, problem.open_limits[0]])
+        if not judge_all:
+            most_lengths = _LENGTHS
+        if not (judge_all and every_length):
+            most_starts = _STARTS
+        return [
+            ShutterCode("0" * first + "1" * length + "0" * (n - length - first))
+            for length in evenly_some(lengths, most_lengths).tolist()
+            for first in evenly_some(np.arange(n - length + 1), most_starts).tolist()
+        ]
 
     def codes(
         self, camera: Camera, starts: Sequence[ShutterCode], *, seed: int, threads: int | None
     ) -> list[ShutterCode]:
-        """Return the code that :meth:`search` finds, in a list; an empty one where every code
-        would saturate.
+        """Return the code that :meth:`search` finds, in a list; an empty one for none.
 
         Raises
         ------
@@ -210,8 +208,7 @@ class WayFinder:
         threads: int | None,
         time_s: float = math.inf,
     ) -> SearchResult | None:
-        """Search the code of least expected error within the limits; None where every code would
-        saturate.
+        """Search the code of least expected error; None where every code would saturate.
 
         A snapshot may have less noise from dark current. It is charged that of a code here, or the
         search would end on it. The time or Ctrl-C ends the search with the best code so far.
@@ -219,13 +216,11 @@ class WayFinder:
         unsaturated = recordable(replace(self._judge.problem, camera=camera), single=False)
         if unsaturated is None:
             return None
-        charged = replace(
-            unsaturated,
-            camera=camera.with_dark_noise(unsaturated.chips * unsaturated.chip_ns * 1e-9),
-        )
+        exposure_s = unsaturated.chips * unsaturated.chip_ns * 1e-9
+        charged = replace(unsaturated, camera=camera.with_dark_noise(exposure_s))
         return anneal(
             charged,
-            rng=np.random.default_rng([seed, 7]),
+            rng=np.random.default_rng([seed, 7]),  # other draws than a search of the same seed
             steps=_MOVES,
             time_s=time_s,
             start=[code for code in starts if charged.allows(code)],
@@ -237,8 +232,7 @@ class WayFinder:
 
 
 def recordable(problem: SearchProblem, *, single: bool) -> SearchProblem | None:
-    """Rule out codes that would saturate, by their open chips: a problem with fewer of them, or
-    the same.
+    """Limit a problem's open chips to those that do not saturate; None where none is left.
 
     Parameters
     ----------
@@ -256,10 +250,12 @@ def recordable(problem: SearchProblem, *, single: bool) -> SearchProblem | None:
     n = problem.chips
     chip_s = problem.chip_ns * 1e-9
     counts = np.arange(1, n + 1)
-    collected = camera.photons_full_scale * counts / n + camera.dark_e(
-        chip_s * (counts if single else n)
-    )
-    most_open = int(np.count_nonzero(collected <= _full_e(camera)))
+    integrated_chips = np.full(n, n)
+    if single:
+        integrated_chips = counts
+    dark_e = camera.dark_e(chip_s * integrated_chips)
+    electrons = camera.photons_full_scale * counts / n + dark_e
+    most_open = int(np.count_nonzero(electrons <= _full_e(camera)))
     low, high = problem.open_range or (1, n)
     if most_open >= high:
         return problem
@@ -291,7 +287,7 @@ def check_light(problem: SearchProblem) -> None:
         ) from None
     if not can_record(problem):
         camera = problem.camera
-        shortest = max(problem.open_limits[0], 1) / problem.chips
+        shortest = problem.open_limits[0] / problem.chips
         raise ValueError(
             f"photons_full_scale: this camera is full at {camera.saturation_e:,.0f} electrons, and"
             f" at a light level of {camera.photons_full_scale:,.0f} the shortest opening,"
@@ -309,18 +305,29 @@ def judged_ways(
     frames: int = 1,
     expected: ExpectedPsnr | None = None,
 ) -> list[tuple[Way, ...]]:
-    """Judge every code, used in so many frames, at the light of every camera; the open shutter is
-    added, and first.
+    """Judge the open shutter, first, and every code, at the light of every camera.
 
-    One that is ``expected`` of this problem and error already need not be made.
+    Parameters
+    ----------
+    problem : SearchProblem
+    cameras : sequence of Camera
+    codes : sequence of ShutterCode
+    path_error_px : float
+        Rms error of the path where it is an estimate.
+    frames : int
+        Photos through the same code that are restored together.
+    expected : ExpectedPsnr, optional
+        Of this problem and error, where it was made before.
+
+    Returns
+    -------
+    list of tuple of Way
+        For each camera, the ways in the order of the codes without repetitions.
     """
     # several searches may find the same code
-    distinct = list(
-        {
-            code.bits: ShutterCode(code.bits, problem.chip_ns)
-            for code in [ShutterCode("1" * problem.chips), *codes]
-        }.values()
-    )
+    bits = dict.fromkeys(["1" * problem.chips, *(code.bits for code in codes)])
+    distinct = [ShutterCode(code_bits, problem.chip_ns) for code_bits in bits]
+    # M frames through the same code are as good as one with an Mth of the noise
     noise = [
         model(camera, distinct, response=problem.response) / frames
         for camera in cameras
@@ -328,18 +335,15 @@ def judged_ways(
     ]
     expected = expected or ExpectedPsnr(problem, path_error_px=path_error_px)
     psnr = expected.psnr_db(distinct, noise=noise).reshape(len(distinct), -1, 2)
-    allowed = [problem.allows(code) for code in distinct]
     kinds = [_kind(code) for code in distinct]
+    allowed = [problem.allows(code) for code in distinct]
     judgements = []
     for index, camera in enumerate(cameras):
-        full = collected_e(camera, distinct, response=problem.response) > _full_e(camera)
+        electrons = collected_e(camera, distinct, response=problem.response)
+        saturates = (electrons > _full_e(camera)).tolist()
+        psnr_db, equal_light_db = psnr[:, index].T.tolist()
         judgements.append(
-            tuple(
-                Way(kind, code, float(at_time), float(at_light), allows, bool(saturates))
-                for kind, code, (at_time, at_light), allows, saturates in zip(
-                    kinds, distinct, psnr[:, index], allowed, full, strict=True
-                )
-            )
+            tuple(map(Way, kinds, distinct, psnr_db, equal_light_db, allowed, saturates))
         )
     return judgements
 
@@ -352,27 +356,17 @@ def best_possible(exposures: Sequence[Way]) -> Way:
     ValueError
         If there is none.
     """
-    best = max(
-        (exposure for exposure in exposures if exposure.possible),
-        key=lambda exposure: exposure.psnr_db,
-        default=None,
-    )
-    if best is None:
+    possible = [exposure for exposure in exposures if exposure.possible]
+    if not possible:
         raise ValueError(NONE_POSSIBLE)
-    return best
+    return max(possible, key=attrgetter("psnr_db"))
 
 
 def simplest(exposures: Sequence[Way]) -> Way:
-    """Return the best way of the simplest kind that none beats by
-    :data:`cep.search.expected.WORTH_DB`.
-    """
+    """Return the best way of the simplest kind that none beats by ``WORTH_DB``."""
     highest = max(exposure.psnr_db for exposure in exposures)
     equal = [exposure for exposure in exposures if exposure.psnr_db > highest - WORTH_DB]
-    kind = min(KINDS.index(exposure.kind) for exposure in equal)
-    return max(
-        (exposure for exposure in equal if exposure.kind == KINDS[kind]),
-        key=lambda exposure: exposure.psnr_db,
-    )
+    return min(equal, key=lambda exposure: (KINDS.index(exposure.kind), -exposure.psnr_db))
 
 
 def _full_e(camera: Camera) -> float:
@@ -381,20 +375,17 @@ def _full_e(camera: Camera) -> float:
 
 def _kind(code: ShutterCode) -> Choice:
     """Kind of a code by its openings: all, one, even ones, or others."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], code.array, [0]])))
-    starts = edges[::2]
-    stops = edges[1::2]
     if code.open_chips == code.chips:
         return "open"
-    if len(starts) == 1:
+    if code.pulses == 1:
         return "snapshot"
-    if len(starts) == 2:
-        return "code"  # any two equal openings would be even
-    even = len(np.unique(np.diff(starts))) == 1 and len(np.unique((stops - starts)[:-1])) == 1
-    # the last pulse may be cut off by the end of the exposure
-    last_is_alike = stops[-1] - starts[-1] == stops[0] - starts[0] or (
-        stops[-1] == code.chips and stops[-1] - starts[-1] < stops[0] - starts[0]
-    )
-    if even and last_is_alike:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], code.array, [0]])))
+    starts = edges[::2]
+    widths = edges[1::2] - starts
+    if edges[-1] == code.chips and widths[-1] < widths[0]:
+        widths = widths[:-1]  # the end of the exposure cuts the last pulse off
+    even = np.ptp(np.diff(starts)) == 0 and np.ptp(widths) == 0
+    # any two equal openings would be even
+    if even and len(starts) > 2:
         return "strobe"
     return "code"

@@ -77,7 +77,7 @@ class Shutter:
         report = self.driver.upload(
             Program.from_bits(code.bits, chip_ns=code.chip_ns),
             profile=limits,
-            arm=arm or (play and armed_to_play),
+            arm=arm or (play and armed_to_play),  # some devices only play what is armed
             lease_ms=lease_ms,
             clock_ppm=clock_ppm,
         )

@@ -7,9 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cep.files.files import PSF_SUFFIXES, StoredCode, write_code, write_psf
-from cep.optics.as_played import achieved_code, achieved_psf
 from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.optics.response import ShutterResponse
 from hw.device import DeviceProfile
 from hw.program import Program
 from hw.recordings.capture import read_capture
@@ -65,11 +68,22 @@ class Playback:
 
     @property
     def code(self) -> ShutterCode:
-        """The first play's code, with its measured chip time."""
-        return achieved_code(self.plays[0], chip_ns=self.program.chip_ns)
+        """The first play's code, with its measured chip time, to the nanosecond.
+
+        Raises
+        ------
+        ValueError
+            If no chip was open.
+        """
+        play = self.plays[0]
+        chip_ns = self.program.chip_ns * (1 + play.scale_ppm * 1e-6)  # a slow clock: longer chips
+        return ShutterCode(play.achieved, max(1, round(chip_ns)))
 
     def psf(self, motion: Trajectory, *, size: int = PSF_PX) -> FloatArray:
         """PSF of the first play along a motion, (size, size), light-true.
+
+        It sums to the open part of the commanded exposure. A shutter with a slow clock plays the
+        same chips over a longer stretch of the motion.
 
         Raises
         ------
@@ -77,7 +91,16 @@ class Playback:
             If the path as played leaves the frame, no chip was open, or the clock was so slow that
             the motion is not known for as long.
         """
-        return achieved_psf(motion, self.plays[0], chip_ns=self.program.chip_ns, size=size)
+        play = self.plays[0]
+        chip_ns = self.program.chip_ns
+        code = ShutterCode(play.achieved, chip_ns)
+        edges = np.linspace(0, 1 + play.scale_ppm * 1e-6, code.chips + 1)
+        # openings that were longer than the fitted clock says count as closing late
+        late_ns = min(max(play.widening_ns, 0.0), 0.9 * chip_ns)  # closing fits into a chip
+        response = None
+        if late_ns:
+            response = ShutterResponse(chip_ns=chip_ns, on_bias_ns=late_ns)
+        return coded_psf(motion, code, size=size, edges=edges, response=response)
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep hw verify --json`` prints them."""
@@ -107,7 +130,7 @@ class Playback:
         with new_folder(output.parent, [file.name for file in files], force=force) as folder:
             about = {
                 "played": play.verdict,
-                "device": None if device is None else device.to_dict(),
+                "device": device and device.to_dict(),
             }
             write_code(folder / output.name, StoredCode(self.code, problem=about))
             if motion is not None:
@@ -173,7 +196,7 @@ def read_playback(
     trigger_trace = recording.trace(trigger) if trigger else None
     plays = align(trace, program, trigger=trigger_trace)
     playback = Playback(program, trace.name, plays)
-    if signal is not None:
+    if signal is not None:  # the user has said which it is
         return playback
     # One that is much quieter is no rival, unless what was taken is wrong.
     min_edges = 1 if playback.wrong else len(trace.edges) // 2
@@ -194,7 +217,7 @@ def _figures(play: Verification) -> dict[str, object]:
         "bits": play.achieved,
         "same_bits": play.same_bits,
         "start_ns": play.start_ns,
-        "clock_ppm": -play.scale_ppm,
+        "clock_ppm": -play.scale_ppm,  # a fast clock plays shorter chips
         "jitter_ns": play.jitter_ns,
         "worst_ns": play.worst_ns,
         "widening_ns": play.widening_ns,

@@ -24,11 +24,11 @@ from cep.plots.codes import main_axis
 from cep.proofs.audit import with_proven_zero
 from cep.proofs.measure import CodeMetrics
 from cep.restoration.wiener import wiener
-from cep.search.advise import Verdict, verdict_of
 from cep.search.expected import ExpectedPsnr
 from cep.search.limits import Limits, RunLimits
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import coded_sum, distinct_rows, scenario_rows
+from cep.search.verdict import Verdict, verdict_of
 from cep.search.ways import Way, WayFinder, check_light, judged_ways
 from hw.device import DeviceProfile
 from hw.program import Program
@@ -150,7 +150,7 @@ class LiveBench:
         return self.figures(ShutterCode("1" * self.problem.chips))
 
     def verdict(self, code: ShutterCode, *, path_error_px: float = 0.0) -> Verdict:
-        """Judge a code beside the ways to expose without one, as ``cep.search.advise.verdict``.
+        """Judge a code beside the ways to expose without one.
 
         The first call for a motion and an error finds and judges these ways, which takes some
         seconds; later ones judge the code alone.

@@ -87,8 +87,8 @@ def design_class(options: DesignClassOptions) -> None:
     """
     with progress("searching") as tick:
         from cep.search.compare import as_designed
-        from cep.search.optimize import Search
         from cep.search.scenarios import class_scenarios
+        from cep.search.search import Search
         from lab.class_code import motion_class, optimize_class
         from motdiff.files.outputs import claim
 

@@ -51,7 +51,7 @@ def frames(options: FramesOptions) -> None:
     with progress("searching") as tick:
         from cep.optics.path_limits import check_frame, check_resolved
         from cep.search.frames import optimize_frames
-        from cep.search.optimize import Search
+        from cep.search.search import Search
         from motdiff.files.outputs import claim
 
         motion = options.load_motion().trajectory

@@ -17,9 +17,9 @@ from cep.files.files import FRONT_SCHEMA
 from cep.optics.mtf import HOPELESS_DB
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.plots.canvas import save
-from cep.search.advise import Verdict, verdict
-from cep.search.optimize import Search
 from cep.search.problem import SearchProblem
+from cep.search.search import Search
+from cep.search.verdict import Verdict, verdict
 from cep.search.ways import check_light
 from lab.fronts.front import Front, FrontPoint, knees
 from lab.fronts.pareto import front_points, pareto_front
@@ -159,7 +159,7 @@ def pareto(
     problem : SearchProblem
         Its objective does not matter.
     steps, time_s, seed
-        As of :class:`cep.search.optimize.Search`, but without moves it goes on for the time.
+        As of :class:`cep.search.search.Search`, but without moves it goes on for the time.
     path_error_px : float
         Rms error of the path where it is an estimate: the verdict counts it, the search does not.
     progress : callable, optional

@@ -17,8 +17,8 @@ import numpy as np
 from cep.optics.camera import Camera
 from cep.search.objective import Objective
 from cep.search.objectives import OBJECTIVES
-from cep.search.optimize import Search, search
 from cep.search.problem import SearchProblem, open_range_of_duty
+from cep.search.search import Search, search
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 

@@ -15,9 +15,9 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import mtf
 from cep.search.annealing import anneal
-from cep.search.optimize import Search
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import MOST_SCENARIOS, class_scenarios
+from cep.search.search import Search
 from lab.class_code import check_class, draw_motions, optimize_class, per_motion_db
 from motdiff.gyro import GyroTrace
 from motdiff.trajectory import Trajectory

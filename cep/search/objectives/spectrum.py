@@ -41,7 +41,7 @@ class MinMtf(Criterion):
 
         The sum is smooth and the loops can stop early within it, as within a mean.
         """
-        flat = columns.weight[None] * 0.0
+        flat = columns.weight[None] * 0.0  # no weights: the smallest term alone counts
         return flat + columns.chips**-2, flat + LEAST_X
 
 

@@ -13,7 +13,7 @@ from cep.codes.published import DCE_CODE, published
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.dnf import dnf_problem
-from cep.search.light import best_snapshot, best_strobe, random_codes
+from cep.search.light import best_snapshot, best_strobe, median_random_code
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.recipe import search_code
@@ -167,7 +167,7 @@ def design_code(
             raise ValueError(f"chips: a strobe needs at least 3, got {chips}")
         return best
     if design == "random":
-        return random_codes(Objective(problem, oversampling=8), _RANDOM_CODES, rng=rng).middle
+        return median_random_code(Objective(problem, oversampling=8), _RANDOM_CODES, rng=rng)
     return _searched(problem, steps=steps, rng=rng)
 
 

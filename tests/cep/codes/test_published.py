@@ -10,7 +10,6 @@ from cep.codes import published as module
 from cep.codes.published import (
     CLAIMS,
     PUBLISHED,
-    best_for,
     best_rotation,
     for_chips,
     legendre,
@@ -154,10 +153,6 @@ def test_lookup():
         "legendre-31",
     }
     assert for_chips(33) == ()
-    assert best_for(33) is None
-    best = best_for(64)
-    assert best is not None
-    assert best.name == "merl-64-t192"
     assert published("bdinr-8").code == ShutterCode("11100101")
 
 

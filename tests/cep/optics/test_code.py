@@ -18,7 +18,6 @@ def test_runs_spell_the_code(code):
     assert "".join(str(bit) * length for bit, length in code.runs) == code.bits
     assert sum(length for bit, length in code.runs if bit) == code.open_chips == code.array.sum()
     assert code.pulses == (np.diff(code.array, prepend=0) > 0).sum()
-    assert code.longest_run == max(length for _, length in code.runs)
     assert code.duty == code.open_chips / code.chips
 
 

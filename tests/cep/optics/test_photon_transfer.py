@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from cep.optics.camera import Camera
-from cep.optics.photon_transfer import CodeRange, FramePair, find_code_range, photon_transfer
+from cep.optics.frame_pairs import CodeRange, FramePair, find_code_range
+from cep.optics.photon_transfer import photon_transfer
 from motdiff.simulate import to_display, to_linear
 
 LEVELS_E = (300, 1000, 3000, 6000, 9000)

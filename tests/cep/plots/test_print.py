@@ -8,7 +8,8 @@ import pytest
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.optics.photon_transfer import CodeRange, FramePair, photon_transfer
+from cep.optics.frame_pairs import CodeRange, FramePair
+from cep.optics.photon_transfer import photon_transfer
 from cep.plots import code_strips, mtf_figure, save, trajectory_figure
 from cep.plots.advice import advice_figure
 from cep.plots.camera import photon_transfer_figure

@@ -15,12 +15,13 @@ from cep.optics.band import band_samples
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
-from cep.search.advise import advise, verdict
-from cep.search.expected import WORTH_DB, expected_psnr_db, light_noise
+from cep.search.advise import advise
+from cep.search.expected import WORTH_DB, ExpectedPsnr, light_noise
 from cep.search.frames import frames_verdict, optimize_frames
 from cep.search.limits import RunLimits
-from cep.search.optimize import Search
 from cep.search.problem import SearchProblem
+from cep.search.search import Search
+from cep.search.verdict import verdict
 from hw.device import DeviceProfile
 from lab.fronts.run import pareto
 from motdiff.motions import boracchi_foi
@@ -29,6 +30,10 @@ from motdiff.trajectory import Trajectory
 NOISY = Camera(photons_full_scale=10_000, read_noise_e=50)
 QUIET = Camera(photons_full_scale=10_000, read_noise_e=2)
 STRAIGHT = Trajectory.straight(24.0)
+
+
+def expected_psnr_db(problem, codes, *, noise, path_error_px=0.0):
+    return ExpectedPsnr(problem, path_error_px=path_error_px).psnr_db(codes, noise=noise)
 
 
 def along(path=STRAIGHT, chips=24, **options):
@@ -253,7 +258,7 @@ def test_a_path_known_less_exactly_is_judged_on_every_single_exposure():
 
 def test_at_equal_light_the_best_exposure_is_another():
     found = advise(along(camera=NOISY), levels=[]).here
-    shortest = found.best("snapshot", equal_light=True)
+    shortest = found.best("snapshot", by="equal_light_db")
     assert shortest.code.open_chips < found.best("snapshot").code.open_chips
     assert (
         found.equal_light_gains_db["snapshot"]

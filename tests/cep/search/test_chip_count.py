@@ -5,7 +5,7 @@ import pytest
 
 from cep.optics.camera import Camera
 from cep.search import ways
-from cep.search.chip_count import choose_chips, suited_chips
+from cep.search.chip_count import choose_chips
 from cep.search.expected import WORTH_DB
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
@@ -26,12 +26,12 @@ def test_the_number_of_chips_is_the_smallest_that_is_as_good():
         made[count] = along(count)
         return made[count]
 
-    count, gains = suited_chips(problem_of, (6, 12, 24, 48))
+    choice = choose_chips(problem_of, (6, 12, 24, 48)).uninterrupted()
     assert set(made) == {6, 12, 24}
-    assert set(gains) == set(made) - {count}
-    assert all(gain <= WORTH_DB for gain in gains.values())
+    assert set(choice.gains_db) == set(made) - {choice.chips}
+    assert all(gain <= WORTH_DB for gain in choice.gains_db.values())
     with pytest.raises(ValueError, match="chips: too many"):
-        suited_chips(problem_of, (48,))
+        choose_chips(problem_of, (48,))
 
 
 def test_the_time_ends_the_choice_with_the_first_number():
@@ -67,7 +67,7 @@ def test_an_interrupt_keeps_the_best_code_so_far(monkeypatch, number):
     assert found.code.chips == found.chips
     assert along(found.chips).allows(found.code)
     with pytest.raises(KeyboardInterrupt):
-        suited_chips(along, (6, 12, 24))
+        choose_chips(along, (6, 12, 24)).uninterrupted()
 
 
 def test_an_interrupt_before_any_search_leaves_no_code(monkeypatch):

@@ -9,9 +9,13 @@ import pytest
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import chip_noise_db
 from cep.proofs.measure import measure
-from cep.search.dnf import dnf_code, dnf_problem
+from cep.search.dnf import dnf_problem, dnf_search
 from cep.search.limits import RunLimits
 from motdiff.trajectory import Trajectory
+
+
+def dnf_code(length_px, chips, **options):
+    return dnf_search(length_px, chips, **options).code
 
 
 def noise_db(bits, length_px):

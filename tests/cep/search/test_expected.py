@@ -14,7 +14,6 @@ from cep.proofs.measure import measure, measure_worst
 from cep.search.expected import (
     ExpectedPsnr,
     equal_light_noise,
-    expected_psnr_db,
     joint_psnr_db,
     light_noise,
 )
@@ -27,6 +26,10 @@ from motdiff.trajectory import Trajectory
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
 CODES = [ShutterCode("110100011"), ShutterCode("1" * 9), ShutterCode("000011000")]
 CAMERA = Camera(photons_full_scale=2_000, read_noise_e=20)
+
+
+def expected_psnr_db(problem, codes, *, noise, path_error_px=0.0):
+    return ExpectedPsnr(problem, path_error_px=path_error_px).psnr_db(codes, noise=noise)
 
 
 def problem(path=BENT, chips=9, **options):

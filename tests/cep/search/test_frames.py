@@ -9,8 +9,8 @@ from cep.files.files import read_code
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.frames import frames_verdict, optimize_frames
-from cep.search.optimize import Search
 from cep.search.problem import SearchProblem
+from cep.search.search import Search
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5]])

@@ -10,18 +10,15 @@ from hypothesis import strategies as st
 
 from cep.optics.code import ShutterCode
 from cep.search import sampling
-from cep.search.limits import (
-    Limits,
-    RunLimits,
+from cep.search.feasibility import (
     _fewest_free_pulses,
     _fewest_pulses,
     check_feasible,
-    checked_mask,
     conflicting,
     feasible,
-    fixed_mask,
     nearest,
 )
+from cep.search.limits import Limits, RunLimits, checked_mask, fixed_mask
 from cep.search.sampling import draw
 
 
@@ -211,7 +208,7 @@ def test_too_large_a_table_tilts_towards_fewer_pulses_and_keeps_the_limits(
         RunLimits(max_pulses=most, fixed=fixed_mask(40, first_open=True, last_open=True), **runs),
     )
     exact = draw(limits, 400, rng=np.random.default_rng(0))
-    monkeypatch.setattr(sampling, "_MOST_NUMBERS", 5000)
+    monkeypatch.setattr(sampling, "MOST_NUMBERS", 5000)
     codes = draw(limits, 400, rng=np.random.default_rng(0))
     assert all(keeps(bits, limits) for bits in text_of(codes))
     pulses = [

@@ -13,7 +13,8 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
 from cep.optics.response import ShutterResponse
 from cep.proofs.measure import measure, worst_of
-from cep.search.limits import Limits, RunLimits, feasible, fixed_mask
+from cep.search.feasibility import feasible
+from cep.search.limits import Limits, RunLimits, fixed_mask
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario, drifted
 from motdiff.trajectory import Trajectory

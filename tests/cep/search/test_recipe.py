@@ -14,10 +14,10 @@ from cep.optics.response import ShutterResponse
 from cep.search import recipe
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
-from cep.search.optimize import Search, search
 from cep.search.problem import OBJECTIVES, SearchProblem
 from cep.search.recipe import baselines, search_code
 from cep.search.scenarios import Scenario
+from cep.search.search import Search, search
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
@@ -113,7 +113,7 @@ def test_what_the_baselines_take_is_off_the_time_but_for_half_of_it(monkeypatch)
     assert limits == [8.0, 5.0]
 
 
-@pytest.mark.parametrize("at", ["best_snapshot", "dnf_search", "random_codes"])
+@pytest.mark.parametrize("at", ["best_snapshot", "dnf_search", "median_random_code"])
 def test_ctrl_c_among_the_baselines_returns_the_best_so_far(monkeypatch, at):
     def interrupted(*_arguments, **_options):
         raise KeyboardInterrupt

@@ -5,11 +5,15 @@ import pytest
 
 from cep.optics.camera import Camera
 from cep.search.annealing.anneal import anneal
-from cep.search.expected import expected_psnr_db, light_noise
+from cep.search.expected import ExpectedPsnr, light_noise
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.ways import WayFinder
 from motdiff.trajectory import Trajectory
+
+
+def expected_psnr_db(problem, codes, *, noise, path_error_px=0.0):
+    return ExpectedPsnr(problem, path_error_px=path_error_px).psnr_db(codes, noise=noise)
 
 
 def test_a_code_of_a_long_motion_is_found_on_fewer_samples():

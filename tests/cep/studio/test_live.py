@@ -5,9 +5,9 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf, mtf
-from cep.search.advise import verdict
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
+from cep.search.verdict import verdict
 from cep.studio.catalogue import example_motion
 from cep.studio.live import MAP_COLUMNS, MAP_ROWS, LiveBench, LiveScene, broken_limits
 from hw.device import load_profile

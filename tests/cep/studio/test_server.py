@@ -15,7 +15,7 @@ from starlette.requests import ClientDisconnect
 
 import cep
 from cep.files.images import RAW_SUFFIXES, encode_image, read_image
-from cep.search.advise import verdict
+from cep.search.verdict import verdict
 from cep.studio import server
 from cep.studio.jobs import BusyError
 from cep.studio.server import bound_socket
