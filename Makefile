@@ -8,15 +8,18 @@ PHOTO ?=
 BENCH ?= out/bench
 DATA ?=
 QUICK ?= --quick
+# each worker takes a half of the tests as they stand, so that what a module's tests share is made once; whoever is ready helps
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 STUDIES = $(filter-out __init__ inputs,$(notdir $(basename $(wildcard lab/studies/*.py))))
 
-.PHONY: help demo docs test test-lab lint bench benchmarks firmware clean
+.PHONY: help demo docs test test-slow test-lab lint bench benchmarks firmware clean
 
 help:
 	@echo "make demo             the whole chain on a bundled photo, to $(OUT)/report.html"
 	@echo "make demo PHOTO=path  the same on a blurred photo of your own"
 	@echo "make docs             the site of the documentation, to docs/_build/html/index.html"
-	@echo "make test             the tests of what is installed: cep, motdiff, hw"
+	@echo "make test             the quick tests of what is installed: cep, motdiff, hw"
+	@echo "make test-slow        its slow tests: searches, trainings, notebooks, a browser"
 	@echo "make test-lab         the tests of the laboratory, lab/"
 	@echo "make lint             ruff, strict mypy and the rules on imports"
 	@echo "make bench            the paper's tables at their quick size, to $(BENCH)/README.md"
@@ -32,10 +35,13 @@ docs: $(READY)
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build/html
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 2
+	$(PYTEST) -m "not slow"
+
+test-slow: $(READY)
+	$(PYTEST) -m slow
 
 test-lab: $(READY)
-	$(BIN)/python -m pytest -n 2 tests/lab lab
+	$(PYTEST) tests/lab lab
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from documented_commands import command_line, commands_in
 
-README = (Path(__file__).resolve().parent.parent / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def blocks(language):
@@ -38,7 +39,19 @@ def test_the_tour_shows_every_command():
     }  # it has its own place
 
 
-@pytest.mark.parametrize("target", ["demo", "test", "test-lab", "lint", "bench"])
+@pytest.mark.parametrize("target", ["demo", "test", "test-slow", "test-lab", "lint", "bench"])
 def test_make_targets_exist(target):
-    makefile = (Path(__file__).resolve().parent.parent / "Makefile").read_text(encoding="utf-8")
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     assert re.search(rf"^{target}: \$\(READY\)$", makefile, re.MULTILINE)
+
+
+def test_continuous_integration_leaves_no_test_out():
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    chosen = dict(re.findall(r"^(test[\w-]*): .*\n\t\$\(PYTEST\)(.*)$", makefile, re.MULTILINE))
+    assert chosen == {
+        "test": ' -m "not slow"',
+        "test-slow": " -m slow",
+        "test-lab": " tests/lab lab",
+    }
+    run = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert set(re.findall(r"^make (test[\w-]*)", run, re.MULTILINE)) == set(chosen)
