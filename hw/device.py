@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from hw._files import content
+from hw.files import content
 from hw.program import Program
 
 _SCHEMA = "hw.device/1"

@@ -137,15 +137,15 @@ class ClassOptimum:
         code = self.code
         rivals = self.rows[1:]
         if self.unsearched:
-            ended = (
+            ending_clause = (
                 "Ctrl-C ended it"
                 if self.found.stopped == "interrupted"
                 else f"{self.how.limit_s:g} s passed"
             )
             return (
-                f"Nothing was searched: {ended} before the first move. This code is only the best"
-                " of those that it is compared with; give the search more time by --time, or"
-                " moves by --steps."
+                f"Nothing was searched: {ending_clause} before the first move. This code is only"
+                " the best of those that it is compared with; give the search more time by --time,"
+                " or moves by --steps."
             )
         where = f"in the mean over {self.others or self.motions} motions"
         where += " that the search has not seen" if self.others else ""
@@ -159,19 +159,19 @@ class ClassOptimum:
         ]
         better = min(rivals, key=lambda row: row.behind_db, default=None)
         if better is not None and better.behind_db < 0:
-            kept = f": {' and '.join(gains)}" if gains else ""
+            gain_text = f": {' and '.join(gains)}" if gains else ""
             return (
                 f"Use {_in_words(better.code, better.name)} instead if the limits can be loosened:"
                 f" it is {_amount(better)} better than this code, {where}. Within the limits use"
-                f" this code{kept}."
+                f" this code{gain_text}."
             )
-        said = f": {' and '.join(gains)}, {where}" if gains else ""
+        clause = f": {' and '.join(gains)}, {where}" if gains else ""
         if code.pulses == 1:
             return (
-                f"A short exposure is best, {_in_words(code, 'one opening')}{said}. No code that"
+                f"A short exposure is best, {_in_words(code, 'one opening')}{clause}. No code that"
                 " was found beats it."
             )
-        return f"Use this code{said}."
+        return f"Use this code{clause}."
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -189,8 +189,8 @@ class ClassOptimum:
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``python -m lab design-class --json`` prints them."""
         code = self.code
-        found = self.found
-        own = self.rows[0]
+        result = self.found
+        class_row = self.rows[0]
         return {
             "verdict": self.verdict,
             "bits": code.bits,
@@ -201,12 +201,12 @@ class ClassOptimum:
             "objective": self.problem.objective,
             "motions": self.motions,
             "other_motions": self.others,
-            "mean_db": own.mean_db,
-            "others_db": own.others_db,
-            "seconds": found.seconds,
-            "steps": found.steps,
-            "stopped": found.stopped,
-            "interrupted": found.stopped == "interrupted",
+            "mean_db": class_row.mean_db,
+            "others_db": class_row.others_db,
+            "seconds": result.seconds,
+            "steps": result.steps,
+            "stopped": result.stopped,
+            "interrupted": result.stopped == "interrupted",
             "baselines": {row.name: row.to_dict() for row in self.rows[1:]},
         }
 
@@ -292,11 +292,11 @@ def motion_class(
             f"CLASS: must be {WALKS}, a gyro recording or a folder, and there is no file {kind}"
         )
     gyro = None if kind == WALKS else read_gyro(kind)
-    drawn = []
+    motions = []
     for number, size in enumerate((count or DRAWN, OTHERS)):
         rng = np.random.default_rng([seed, 4, number])
         try:
-            drawn.append(
+            motions.append(
                 draw_motions(size, length_px=length_px, rng=rng, gyro=gyro, exposure_s=exposure_s)
             )
         except ValueError as error:  # only a recording's
@@ -304,7 +304,7 @@ def motion_class(
                 f"{kind}: {str(error).partition(': ')[2]}; --exposure says how long a shake is"
             ) from None
     source = {"folder": None, "class": {"kind": kind, "length_px": length_px}}
-    return MotionClass(drawn[0], drawn[1], source, () if gyro is None else gyro.warnings)
+    return MotionClass(motions[0], motions[1], source, () if gyro is None else gyro.warnings)
 
 
 def motions_in(folder: Path | str) -> dict[str, Path]:
@@ -359,14 +359,14 @@ def draw_motions(
         If the length is not positive, or the recording is too short or too still.
     """
     if gyro is None:
-        drawn = [boracchi_foi(rng, max_length_px=length_px) for _ in range(count)]
+        walks = [boracchi_foi(rng, max_length_px=length_px) for _ in range(count)]
     else:
         assert exposure_s is not None
-        drawn = [
+        walks = [
             random_gyro_motion(gyro, rng, exposure_s=exposure_s, extent_px=length_px)
             for _ in range(count)
         ]
-    return tuple(path.thinned(_TOLERANCE_PX) for path in drawn)
+    return tuple(path.thinned(_TOLERANCE_PX) for path in walks)
 
 
 def check_class(problem: SearchProblem) -> None:
@@ -380,7 +380,7 @@ def check_class(problem: SearchProblem) -> None:
     """
     for criterion, _ in problem.criteria:
         if not criterion.averages:
-            names = [name for name, other in OBJECTIVES.items() if other.averages]
+            names = [name for name, objective in OBJECTIVES.items() if objective.averages]
             raise ValueError(
                 f"objective: a class is searched by {' or '.join(names)} alone, got"
                 f" {criterion.name}"
@@ -443,29 +443,29 @@ def optimize_class(
         problem, scenarios=class_scenarios(motions), rule="mean", direction="forward"
     )
     check_class(problem)
-    found = search(
+    result = search(
         problem,
         how,
         threads=threads,
         progress=lambda share, best: progress(_SEARCH_SHARE * share, f"{best.open_chips} open"),
     )
-    code = replace(found.code, chip_ns=problem.chip_ns)
+    code = replace(result.code, chip_ns=problem.chip_ns)
     if reason := unplayable(code.bits, problem.device, code.chip_ns):
         raise ValueError(reason)
-    on_found(StoredCode(code, problem=described_search(problem, how, found)))
+    on_found(StoredCode(code, problem=described_search(problem, how, result)))
     rivals = {
-        one.name: (ShutterCode(one.code.bits, problem.chip_ns), one.within_limits)
-        for one in found.baselines
+        baseline.name: (ShutterCode(baseline.code.bits, problem.chip_ns), baseline.within_limits)
+        for baseline in result.baselines
     }
     if problem.response is None and not any(name.startswith(_PUBLISHED) for name in rivals):
         rivals[_PUBLISHED + _STANDARD] = (_standard_code(problem), False)
-    codes = [code, *(one for one, _ in rivals.values())]
-    seen = _judged(problem, motions, codes)
+    codes = [code, *(rival for rival, _ in rivals.values())]
+    class_figures = _judged(problem, motions, codes)
     progress(0.9, "judging on other motions" if others else "")
-    judged = _judged(problem, others, codes) if others else seen
-    means = judged.mean(axis=0)
-    kept = [0, *(index for index, (_, within) in enumerate(rivals.values(), 1) if within)]
-    best = min(kept, key=means.__getitem__)
+    figures = _judged(problem, others, codes) if others else class_figures
+    means = figures.mean(axis=0)
+    allowed = [0, *(index for index, (_, within) in enumerate(rivals.values(), 1) if within)]
+    best = min(allowed, key=means.__getitem__)
     order = [best, *range(1, len(codes))]
     names = ["this code", *rivals]
     rows = tuple(
@@ -473,14 +473,14 @@ def optimize_class(
             names[place],
             codes[index],
             place == 0 or rivals[names[place]][1],
-            float(seen[:, index].mean()),
+            float(class_figures[:, index].mean()),
             float(means[index]) if others else None,
-            *_mean_and_error(judged[:, index] - judged[:, best]),
+            *_mean_and_error(figures[:, index] - figures[:, best]),
         )
         for place, index in enumerate(order)
     )
     progress(1.0, "")
-    return ClassOptimum(problem, how, found, rows, len(motions), len(others))
+    return ClassOptimum(problem, how, result, rows, len(motions), len(others))
 
 
 def per_motion_db(
@@ -543,16 +543,16 @@ def _in_words(code: ShutterCode, name: str) -> str:
 def _each_db(
     problem: SearchProblem, paths: Sequence[Trajectory], chips: NDArray[np.int8]
 ) -> list[FloatArray]:
-    ways = [class_scenarios([path]) for path in paths]
-    scenarios = tuple(one for both in ways for one in both)
+    scenario_lists = [class_scenarios([path]) for path in paths]
+    scenarios = tuple(scenario for scenario_list in scenario_lists for scenario in scenario_list)
     objective = Objective(
         replace(problem, scenarios=scenarios, rule="mean", direction="forward"),
         oversampling=16,
         dtype=np.float64,
     )
     rows = objective.each_cost_of(chips)
-    ends = np.cumsum([len(both) for both in ways])
-    return [np.asarray(piece.mean(axis=0)) for piece in np.split(rows, ends[:-1])]
+    bounds = np.cumsum([len(scenario_list) for scenario_list in scenario_lists])
+    return [np.asarray(piece.mean(axis=0)) for piece in np.split(rows, bounds[:-1])]
 
 
 def _mean_and_error(values: FloatArray) -> tuple[float, float]:

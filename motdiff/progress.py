@@ -65,3 +65,17 @@ class Progress:
             self._share = 1.0
             self._left = 0.0
             self._tell(1.0)
+
+
+def in_words(time_s: float) -> str:
+    """Word a time in the largest unit that it fills.
+
+    Examples
+    --------
+    >>> in_words(90), in_words(12)
+    ('1.5 min', '12 s')
+    """
+    for unit, size_s in (("h", 3600.0), ("min", 60.0)):
+        if time_s >= size_s:
+            return f"{time_s / size_s:.1f} {unit}"
+    return f"{time_s:.0f} s"

@@ -22,9 +22,10 @@ from motdiff.trajectory import Trajectory
 class Program:
     """Runs a program in the current process; what it printed and its exit code are kept."""
 
-    def __init__(self, capfd, main):
+    def __init__(self, capfd, main, *, name):
         self._capfd = capfd
         self._main = main
+        self._name = name
         self.code = 0
         self.out = ""
         self.err = ""
@@ -51,7 +52,7 @@ class Program:
         self(*arguments)
         assert self.code == 2, (self.code, self.out, self.err)
         assert self.out == ""
-        assert self.err.startswith("cep: ")
+        assert self.err.startswith(f"{self._name}: ")
         assert self.err.count("\n") == 1
         assert "Traceback" not in self.err
         return self.err
@@ -61,7 +62,7 @@ class Program:
         self(*arguments)
         assert self.code == 1, (self.code, self.out, self.err)
         assert self.out == ""
-        assert self.err.startswith("cep: ")
+        assert self.err.startswith(f"{self._name}: ")
         assert self.err.count("\n") == 1
         assert "Traceback" not in self.err
         return self.err
@@ -78,12 +79,12 @@ def commands_built_once():
 
 @pytest.fixture
 def cep(capfd, commands_built_once):
-    return Program(capfd, main)
+    return Program(capfd, main, name="cep")
 
 
 @pytest.fixture
 def lab(capfd, commands_built_once):
-    return Program(capfd, lab_main)
+    return Program(capfd, lab_main, name="lab")
 
 
 @pytest.fixture(scope="session")

@@ -35,6 +35,7 @@ from motdiff.files.json_files import plain
 from motdiff.files.outputs import claim_folder, new_files, write_text
 from motdiff.files.plugins import is_reference
 from motdiff.processes import end_with_parent
+from motdiff.progress import in_words
 from motdiff.threads import one_thread
 
 NOT_REACHED = "left out"
@@ -247,7 +248,7 @@ class _Run:
                     self._write(*in_hand)
                     left_s = (time.monotonic() - started) / number * (len(waiting) - number)
                     finished = count - len(waiting) + number
-                    note = f"{finished} of {count} photos, about {_in_words(left_s)} left"
+                    note = f"{finished} of {count} photos, about {in_words(left_s)} left"
                     self._progress(finished / count, note)
         except KeyboardInterrupt:
             # an estimate that was being written is finished: it took longer than its writing does
@@ -423,13 +424,6 @@ def _code_of(method: str) -> str:
     if spec is None or spec.origin is None:
         return ""
     return _content(Path(spec.origin))
-
-
-def _in_words(left_s: float) -> str:
-    for unit, size_s in (("h", 3600.0), ("min", 60.0)):
-        if left_s >= size_s:
-            return f"{left_s / size_s:.1f} {unit}"
-    return f"{left_s:.0f} s"
 
 
 def _csv(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from motdiff.files.outputs import Outputs
 
+_program = "cep"  # of lines on stderr, see lines_of()
+
 FAILURE = 1
 BAD_INPUT = 2  # as click and most Unix tools have it
 INTERRUPTED = 130  # 128 + SIGINT, the shells' convention
@@ -184,14 +186,26 @@ def print_page(items: Page) -> None:
         console.print(Text(printable(item)) if isinstance(item, str) else item)
 
 
+@contextmanager
+def lines_of(program: str) -> Iterator[None]:
+    """Let warnings and errors begin with the name of a program: ``cep`` or ``lab``."""
+    global _program
+    outer = _program
+    _program = program
+    try:
+        yield
+    finally:
+        _program = outer
+
+
 def warn(message: str) -> None:
     """Print one warning line on stderr."""
-    _print_line(f"cep: warning: {message}")
+    _print_line(f"{_program}: warning: {message}")
 
 
 def complain(message: str) -> None:
     """Print one error line on stderr."""
-    _print_line(f"cep: {message}")
+    _print_line(f"{_program}: {message}")
 
 
 def explain(error: BaseException) -> int:

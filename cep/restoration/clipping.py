@@ -12,13 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from cep.restoration.blur import (
-    Blur,
-    channels_first,
-    channels_last,
-    gradient_power,
-    trimmed_psf,
-)
+from cep.restoration.blur import Blur, channels_first, channels_last, gradient_power, trimmed_psf
 from cep.restoration.tv import divergence, forward_differences
 from motdiff.crops import CLIPPED_LEVEL
 from motdiff.threads import side_by_side

@@ -8,14 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.optics.camera import Camera
-from cep.restoration.blur import (
-    SMALLEST_POWER,
-    Blur,
-    Border,
-    channels_last,
-    normalised,
-    power_law,
-)
+from cep.restoration.blur import SMALLEST_POWER, Blur, Border, channels_last, normalised, power_law
 from cep.restoration.noise import check_noise, fit_spectrum
 from motdiff.types import FloatArray
 

@@ -76,8 +76,9 @@ class Controller:
             If the port cannot be opened or is no controller, or with ``"auto"`` there is none, or
             more than one.
         """
-        name = _only_controller() if port == "auto" else port
-        link, hello = open_link(name, timeout_s=timeout_s, attempts=attempts, hello_s=hello_s)
+        if port == "auto":
+            port = _only_controller()
+        link, hello = open_link(port, timeout_s=timeout_s, attempts=attempts, hello_s=hello_s)
         return cls(link, hello)
 
     @property
@@ -107,10 +108,8 @@ class Controller:
             return problems
         if profile.closed_level:
             problems += (
-                (
-                    f"{profile.name}: closed at a high level, but this controller rests low; put"
-                    " an inverter between"
-                ),
+                f"{profile.name}: closed at a high level, but this controller rests low; put an"
+                " inverter between",
             )
         return problems + profile.check(program)
 
@@ -398,9 +397,6 @@ def _warnings(profile: DeviceProfile | None) -> tuple[str, ...]:
     if profile is None or not profile.on_bias_ns:
         return ()
     return (
-        (
-            f"{profile.name} makes every opening {profile.on_bias_ns} ns longer, which a"
-            " controller of whole chips cannot take back; the camera recipe (cep export --format"
-            " camera) does"
-        ),
+        f"{profile.name} makes every opening {profile.on_bias_ns} ns longer, which a controller of"
+        " whole chips cannot take back; the camera recipe (cep export --format camera) does",
     )

@@ -86,10 +86,8 @@ class PulsePal(WriteOnlyDevice):
         """Warnings for the user about this device, one sentence each."""
         if self.link.firmware == 20:
             return (
-                (
-                    "firmware 20 has a fault in gated triggers, which are not used here: update"
-                    " the Pulse Pal to 21"
-                ),
+                "firmware 20 has a fault in gated triggers, which are not used here: update the"
+                " Pulse Pal to 21",
             )
         return ()
 

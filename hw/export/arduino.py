@@ -154,14 +154,7 @@ class ArduinoSketch(Exporter):
         ValueError
             If the chip is no whole number of ticks or out of range, or there are too many chips.
         """
-        ticks, remainder = divmod(program.chip_ns, self.tick_ns)
-        if remainder or not _LEAST_TICKS <= ticks <= _MOST_TICKS:
-            nearest_ns = min(max(ticks, _LEAST_TICKS), _MOST_TICKS) * self.tick_ns
-            raise ValueError(
-                f"chip of {program.chip_ns} ns cannot be played by the sketch: it must be a multiple"
-                f" of {self.tick_ns} ns in {_LEAST_TICKS * self.tick_ns}.."
-                f"{_MOST_TICKS * self.tick_ns} ns; {nearest_ns} ns would do"
-            )
+        ticks = self.ticks(program, "the sketch", least=_LEAST_TICKS, most=_MOST_TICKS)
         if program.chips > _MOST_CHIPS:
             raise ValueError(
                 f"code of {program.chips} chips is too long for the sketch: at most {_MOST_CHIPS}"

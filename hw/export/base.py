@@ -143,6 +143,18 @@ class Exporter(ABC):
                 )
         return program
 
+    def ticks(self, program: Program, player: str, *, least: int, most: int) -> int:
+        """Return the chip time in the format's ticks; ValueError where `player` cannot play it."""
+        ticks, remainder = divmod(program.chip_ns, self.tick_ns)
+        if remainder or not least <= ticks <= most:
+            nearest_ns = min(max(ticks, least), most) * self.tick_ns
+            raise ValueError(
+                f"chip of {program.chip_ns} ns cannot be played by {player}: it must be a multiple"
+                f" of {self.tick_ns} ns in {least * self.tick_ns}..{most * self.tick_ns} ns;"
+                f" {nearest_ns} ns would do"
+            )
+        return ticks
+
     def few_chips(self, chips: int) -> int:
         """Return a number of chips that is at most :data:`MOST_CHIPS`."""
         if chips > MOST_CHIPS:
@@ -159,6 +171,11 @@ def integer(text: str, item: str) -> int:
     if not _INTEGER.fullmatch(text):
         raise ValueError(f"{item} is {text[:40]!r}: a whole number is needed")
     return int(text)
+
+
+def microseconds(time_ns: int) -> str:
+    """Microseconds with three digits: decimal text keeps each nanosecond, a float would not."""
+    return f"{time_ns // 1000}.{time_ns % 1000:03d}"
 
 
 def closed_at(level: int, *, on_bias_ns: int = 0) -> DeviceProfile:

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 from hw.device import DeviceProfile
-from hw.export.base import GENERIC, Exporter, closed_at, item_rows
+from hw.export.base import GENERIC, Exporter, closed_at, item_rows, microseconds
 from hw.program import Program
 
 _FORMAT = "hw.camera/1"
@@ -58,7 +58,7 @@ class CameraRecipe(Exporter):
         return f"""\
 # Multi-exposure recipe written by coded-exposure: {program.chips} chips of {program.chip_ns} ns, all in one frame.
 # Apply the pulses to the camera's trigger input; it exposes while the input is {active}. The chips are read out once.
-# Every width is {_us(bias)} us shorter than its opening, since the camera adds that by itself, and every gap longer.
+# Every width is {microseconds(bias)} us shorter than its opening, since the camera adds that by itself, and every gap longer.
 format = "{_FORMAT}"
 code_crc32 = "0x{program.code_crc32:08x}"
 chip_ns = {program.chip_ns}
@@ -67,11 +67,11 @@ chips = {program.chips}
 [pulses]
 count = {pulses}
 active_level = {1 - device.closed_level}
-on_bias_us = {_us(bias)}
-first_delay_us = {_us(times[0])}
+on_bias_us = {microseconds(bias)}
+first_delay_us = {microseconds(times[0])}
 widths_us = [{_list(widths)}]
 gaps_us = [{_list(gaps)}]  # from the end of a pulse to the start of the next
-last_delay_us = {_us(program.duration_ns - times[-1])}  # closed chips behind the last opening
+last_delay_us = {microseconds(program.duration_ns - times[-1])}  # closed chips behind the last opening
 
 [flir]  # FLIR, Point Grey: trigger mode 5, multiple exposure pulse width; set the input pin in bits 8-10
 register = "0x830"
@@ -123,18 +123,16 @@ def _matrix_vision(widths_ns: list[int]) -> str:
     return f"""\
 [matrix_vision]  # Balluff, MATRIX VISION: GenICam names, each pulse starts one exposure
 ExposureMode = "Timed"
-ExposureTime = {_us(widths_ns[0])}
+ExposureTime = {microseconds(widths_ns[0])}
 mvMultiExposureCount = {len(widths_ns)}
 """
 
 
-def _us(time_ns: int) -> str:
-    return f"{time_ns // 1000}.{time_ns % 1000:03d}"
-
-
 def _list(times_ns: list[int]) -> str:
-    rows = item_rows([_us(time_ns) for time_ns in times_ns], per_line=8)
-    return f"\n{rows},\n" if times_ns else ""
+    if not times_ns:
+        return ""
+    rows = item_rows([microseconds(time_ns) for time_ns in times_ns], per_line=8)
+    return f"\n{rows},\n"
 
 
 def _ns(value: Any, label: str) -> int:

@@ -5,12 +5,7 @@ from __future__ import annotations
 import re
 
 from hw.device import DeviceProfile
-from hw.export.base import (
-    GENERIC,
-    MOST_CHIPS,
-    Exporter,
-    integer,
-)
+from hw.export.base import GENERIC, MOST_CHIPS, Exporter, integer, microseconds
 from hw.program import Program
 
 _COLUMNS = "time_us,level"
@@ -40,7 +35,7 @@ class CsvEdges(Exporter):
             rows.append((program.duration_ns, 0))
         values = (_FORMAT, program.chip_ns, program.chips, f"0x{program.code_crc32:08x}")
         header = [f"# {key}: {value}" for key, value in zip(_HEADER, values, strict=True)]
-        body = [f"{time_ns // 1000}.{time_ns % 1000:03d},{level}" for time_ns, level in rows]
+        body = [f"{microseconds(time_ns)},{level}" for time_ns, level in rows]
         return "\n".join([*header, _COLUMNS, *body]) + "\n"
 
     def parse_back(self, text: str, /) -> Program:

@@ -5,11 +5,7 @@ from __future__ import annotations
 import re
 
 from hw.device import DeviceProfile
-from hw.export.base import (
-    GENERIC,
-    Exporter,
-    integer,
-)
+from hw.export.base import GENERIC, Exporter, integer
 from hw.program import Program
 
 _COLUMNS = "exposure_us,dark_us"

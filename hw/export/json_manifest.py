@@ -6,10 +6,7 @@ import json
 from typing import Any
 
 from hw.device import DeviceProfile
-from hw.export.base import (
-    GENERIC,
-    Exporter,
-)
+from hw.export.base import GENERIC, Exporter
 from hw.program import Program
 
 _SCHEMA = "hw.program/1"

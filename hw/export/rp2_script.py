@@ -106,14 +106,7 @@ class Rp2Script(Exporter):
             If the chip is no whole number of 8 ns or below 1 us, or the code does not fit the
             state machine's queue.
         """
-        cycles, remainder = divmod(program.chip_ns, self.tick_ns)
-        if remainder or not _LEAST_CYCLES <= cycles <= _MOST_CYCLES:
-            nearest_ns = min(max(cycles, _LEAST_CYCLES), _MOST_CYCLES) * self.tick_ns
-            raise ValueError(
-                f"chip of {program.chip_ns} ns cannot be played by the rp2 script: it must be a"
-                f" multiple of {self.tick_ns} ns in {_LEAST_CYCLES * self.tick_ns}.."
-                f"{_MOST_CYCLES * self.tick_ns} ns; {nearest_ns} ns would do"
-            )
+        cycles = self.ticks(program, "the rp2 script", least=_LEAST_CYCLES, most=_MOST_CYCLES)
         if program.chips > _MOST_CHIPS:
             raise ValueError(
                 f"code of {program.chips} chips is too long for the rp2 script: its queue holds"

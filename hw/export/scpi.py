@@ -5,11 +5,7 @@ from __future__ import annotations
 import re
 
 from hw.device import DeviceProfile
-from hw.export.base import (
-    GENERIC,
-    Exporter,
-    closed_at,
-)
+from hw.export.base import GENERIC, Exporter, closed_at
 from hw.program import Program
 
 WAVEFORM = "SHUTTER"

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import codecs
+import re
 from pathlib import Path
 
-from hw._files import content, decoded
+from hw.files import content
 from hw.recordings.saleae import is_saleae, parse_saleae
 from hw.recordings.trace import Recording
 from hw.recordings.vcd import parse_vcd
+
+_MARKS = {
+    codecs.BOM_UTF8: "utf-8",
+    codecs.BOM_UTF32_LE: "utf-32-le",  # begins like the mark of UTF-16
+    codecs.BOM_UTF32_BE: "utf-32-be",
+    codecs.BOM_UTF16_LE: "utf-16-le",
+    codecs.BOM_UTF16_BE: "utf-16-be",
+}
+_BINARY = re.compile(r"[\0-\x08\x0e-\x1a\x1c-\x1f]")
 
 
 def read_capture(path: str | Path) -> Recording:
@@ -37,3 +48,28 @@ def read_capture(path: str | Path) -> Recording:
     if Path(path).suffix.lower() == ".csv" or is_saleae(text):
         return parse_saleae(text, source=str(path))
     return parse_vcd(text, source=str(path))
+
+
+def decoded(data: bytes) -> str:
+    """Decode UTF-8, -16 or -32, with a mark or without, else Windows-1252.
+
+    Raises
+    ------
+    UnicodeDecodeError
+        If it is neither UTF-8 nor text at all.
+    """
+    mark = next((mark for mark in _MARKS if data.startswith(mark)), b"")
+    if mark:
+        # a cut end is the parser's to tell
+        text = data.removeprefix(mark).decode(_MARKS[mark], errors="replace")
+    # ASCII in UTF-16 has a zero in every second byte.
+    elif len(data) > 1 and 0 in data[:2]:
+        text = data.decode("utf-16-le" if data[0] else "utf-16-be", errors="replace")
+    else:
+        try:
+            text = data.decode("utf-8")
+        except UnicodeDecodeError:
+            text = data.decode("cp1252", errors="replace")
+            if _BINARY.search(text):
+                raise
+    return text.replace("\r\n", "\n").replace("\r", "\n")

@@ -60,13 +60,13 @@ def _jobs(request: Request, *, gyro: Path | None, search_s: float) -> dict[str, 
     if request.quick:
         names = _QUICK_CODES
         time_s = _QUICK_SEARCH_S
-    alone = replace(_in_folder(request, "speed"), engine=Engine(request.engine.cache))
+    speed_request = replace(_in_folder(request, "speed"), engine=Engine(request.engine.cache))
     # its command has neither --data nor --quick
     codes = replace(_in_folder(request, "codes"), data=None, quick=False)
     jobs = {
         "codes": codes_job(codes, names=names, time_s=time_s, seed=0),
         # before the blind table, whose cells these are: a cost is measured while nothing else runs
-        "speed": speed_job(alone),
+        "speed": speed_job(speed_request),
     }
     for protocol in _PROTOCOLS:
         name = f"blind-{protocol}"
@@ -105,7 +105,7 @@ def write_index(
     """
     machines: list[Mapping[str, Any]] = []
     for report in reports:
-        machines += [machine for machine in report.made.machines if machine not in machines]
+        machines += [machine for machine in report.provenance.machines if machine not in machines]
     head = [
         "# The paper's tables",
         "",
@@ -127,10 +127,10 @@ def write_index(
 def _section(folder: Path, report: Report) -> str:
     places = {name: file.relative_to(folder).as_posix() for name, file in report.files.items()}
     notes = [
-        *report.made.warnings,
+        *report.provenance.warnings,
         *(f"failed: {label}: {reason}" for label, reason in report.outcome.reasons.items()),
     ]
-    blocks = [f"## {report.title}", in_code_span(report.made.command)]
+    blocks = [f"## {report.title}", in_code_span(report.provenance.command)]
     if notes:
         blocks.append("\n".join(f"- {markdown_text(note)}" for note in notes))
     blocks.append(report.summary.rstrip("\n"))

@@ -233,7 +233,7 @@ def codes_table(rows: Sequence[CodeRow]) -> list[dict[str, Any]]:
 
 
 def codes_report(
-    rows: Sequence[CodeRow], made: Provenance, outcome: Outcome, *, time_s: float
+    rows: Sequence[CodeRow], provenance: Provenance, outcome: Outcome, *, time_s: float
 ) -> Report:
     """Lay out the table; ``time_s`` is that of each search."""
     lines = code_lines(rows)
@@ -241,16 +241,16 @@ def codes_report(
     markdown = [
         "# Published codes",
         "",
-        f"Made by {in_code_span(made.command)}, seed {made.seed}, on",
+        f"Made by {in_code_span(provenance.command)}, seed {provenance.seed}, on",
         "",
-        machines_markdown(made.machines) or "- no machine",
+        machines_markdown(provenance.machines) or "- no machine",
         "",
         (
             "Straight uniform motion: the smallest |P| over the unit circle, in chips, and the"
             f" noise of deconvolution relative to DC. Ours is searched for {time_s:g} s at the"
             " same number of chips, as many of them open, one code for both."
         ),
-        *warning_lines(made.warnings),
+        *warning_lines(provenance.warnings),
         "",
         markdown_table(CODE_HEAD, lines),
         f"\nBetter on both: {better} of {len(rows)}.\n",
@@ -259,9 +259,9 @@ def codes_report(
         "\n".join(markdown),
         latex([Sheet("Published codes", CODE_HEAD, lines)]),
         _csv(rows),
-        made_json({"codes": codes_table(rows)}, made),
+        made_json({"codes": codes_table(rows)}, provenance),
     )
-    shown = TextTable(
+    text_table = TextTable(
         f"smallest |P|, and noise relative to DC; {time_s:g} s each",
         CODE_HEAD,
         lines,
@@ -269,10 +269,10 @@ def codes_report(
     )
     return Report(
         "Published codes",
-        made,
+        provenance,
         outcome,
         {"codes": codes_table(rows)},
-        [shown],
+        [text_table],
         markdown_table(CODE_HEAD, lines),
         dict(zip(TABLE_ENDINGS, texts, strict=True)),
     )
@@ -326,8 +326,8 @@ def codes_job(
             for (name,), figures in outcome.figures.items()
             if figures
         ]
-        made = Provenance(command, seed, outcome.machines, outcome_warnings(outcome))
-        return codes_report(rows, made, outcome, time_s=time_s)
+        provenance = Provenance(command, seed, outcome.machines, outcome_warnings(outcome))
+        return codes_report(rows, provenance, outcome, time_s=time_s)
 
     return Job(request, CODE_FILES, {"folder": request.output, "seed": seed}, measure)
 

@@ -45,10 +45,10 @@ def bundled_photos() -> tuple[Path, ...]:
     """Ten photos of scikit-image, for a run without a folder: too few and too unusual for a
     claim.
     """
-    found = find_spec("skimage")
-    assert found is not None
-    assert found.origin is not None
-    folder = Path(found.origin).parent / "data"
+    spec = find_spec("skimage")
+    assert spec is not None
+    assert spec.origin is not None
+    folder = Path(spec.origin).parent / "data"
     return tuple(folder / name for name in _BUNDLED)
 
 
@@ -111,7 +111,7 @@ def photo_folder(folder: Path | str) -> tuple[Path, ...]:
         return _sharp_of_gopro(root)
     if layout == "rsblur":
         paired = next(root.rglob("real_blur.png"), None) is not None
-        found = (
+        photos = (
             [sharp for _, sharp in rsblur_pairs(root)]
             if paired
             else sorted(root.rglob("gt/gt_sharp.png"))
@@ -122,11 +122,11 @@ def photo_folder(folder: Path | str) -> tuple[Path, ...]:
             f"{root}: is the blurred half of GoPro's layout; give the folder above it"
         )
     else:
-        found = _photos(root.rglob("*"))
+        photos = _photos(root.rglob("*"))
         what = "photos (.png, .jpg or .tif)"
-    if not found:
+    if not photos:
         raise ValueError(f"{root}: holds no {what}")
-    return tuple(found)
+    return tuple(photos)
 
 
 def pick(photos: Sequence[Path], count: int, *, least_px: int) -> tuple[Path, ...]:
@@ -227,16 +227,16 @@ def _sharp_of_gopro(root: Path) -> tuple[Path, ...]:
                 f"{sequence}: has {blurred[0].name} but no folder sharp beside it, as GoPro's"
                 " layout has"
             )
-        found = {path.name: path for path in _photos((sequence / "sharp").glob("*"))}
+        sharp_files = {path.name: path for path in _photos((sequence / "sharp").glob("*"))}
         for half in blurred:
-            others = {path.name: path for path in _photos(half.glob("*"))}
-            if odd := sorted(found.keys() ^ others.keys()):
+            blurred_files = {path.name: path for path in _photos(half.glob("*"))}
+            if odd := sorted(sharp_files.keys() ^ blurred_files.keys()):
                 raise ValueError(
                     f"{sequence}: {odd[0]} is in only one of {half.name} and sharp, which must be"
                     " pairs"
                 )
-            pairs += [(others[name], found[name]) for name in found]
-        sharp += found.values()
+            pairs += [(blurred_files[name], sharp_files[name]) for name in sharp_files]
+        sharp += sharp_files.values()
     if not sharp:
         raise ValueError(f"{root}: its folders sharp hold no photos (.png, .jpg or .tif)")
     _check_some(root, pairs)
@@ -327,10 +327,10 @@ def rsblur_pairs(root: Path) -> list[tuple[Path, Path]]:
     listed = root / RSBLUR_LIST
     if listed.is_file():
         by_name = {"/".join(place.absolute().parts[-2:]): place for place in places}
-        wanted = _listed(listed)
-        if absent := [name for name in wanted if name not in by_name]:
+        names = _listed(listed)
+        if absent := [name for name in names if name not in by_name]:
             raise ValueError(f"{listed}: names {absent[0]}, which is not in this folder")
-        places = sorted(by_name[name] for name in wanted)
+        places = sorted(by_name[name] for name in names)
     return [(blurred[place], sharp[place]) for place in places]
 
 
@@ -360,9 +360,9 @@ def koehler_pairs(root: Path) -> list[tuple[Path, Path | None]]:
     Koehler et al., "Recording and playback of camera shake", ECCV 2012.
     """
     shots = {
-        (int(found[1]), int(found[2])): path
+        (int(match[1]), int(match[2])): path
         for path in root.glob("Blurry*_*.png")
-        if (found := _SHOT.fullmatch(path.name))
+        if (match := _SHOT.fullmatch(path.name))
     }
     frames = {key: _frames(root / f"Image{key[0]}" / f"Kernel{key[1]}") for key in shots}
     without = [key for key in sorted(shots) if not frames[key]]
@@ -384,9 +384,9 @@ def _listed(path: Path) -> list[str]:
     for number, line in enumerate(
         path.read_text(encoding="utf-8", errors="replace").splitlines(), 1
     ):
-        found = _LINE.fullmatch(line.strip())
-        if found is not None and found[1] == found[2]:
-            names.append(found[1])
+        match = _LINE.fullmatch(line.strip())
+        if match is not None and match[1] == match[2]:
+            names.append(match[1])
         elif line.strip():
             raise ValueError(
                 f"{path}: line {number}: wanted 0001/000022/{_SHARP}"
@@ -398,12 +398,12 @@ def _listed(path: Path) -> list[str]:
 
 
 def _frames(folder: Path) -> list[Path]:
-    found = [
+    frames = [
         (int(match[1]), path)
         for path in folder.glob("*.png")
         if (match := _FRAME.fullmatch(path.name))
     ]
-    return [path for _, path in sorted(found)]
+    return [path for _, path in sorted(frames)]
 
 
 @dataclass(frozen=True)
@@ -456,4 +456,4 @@ def labels_of(photos: Sequence[Path]) -> tuple[str, ...]:
         return tuple(stems)
     parts = [path.absolute().parts for path in photos]
     shared = next(i for i, level in enumerate(zip(*parts, strict=False)) if len(set(level)) > 1)
-    return tuple("/".join(part[shared:]) for part in parts)
+    return tuple("/".join(parts_of_path[shared:]) for parts_of_path in parts)

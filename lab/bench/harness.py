@@ -72,8 +72,8 @@ class Request:
         options : mapping from an option, empty for arguments, to its value
             Empty values are left out.
         """
-        named = {"--data": self.data and self.data.resolve().name, **options}
-        words = [f"{option} {value}".strip() for option, value in named.items() if value]
+        values = {"--data": self.data and self.data.resolve().name, **options}
+        words = [f"{option} {value}".strip() for option, value in values.items() if value]
         quick = ["--quick"] if self.quick else []
         return " ".join(filter(None, ["python -m lab bench", table, *words, *quick]))
 
@@ -85,7 +85,7 @@ class Report:
     Attributes
     ----------
     title : str
-    made : Provenance
+    provenance : Provenance
     outcome : Outcome
     tables : mapping from a table's title to its figures, ready for JSON
     shown : sequence of Table or TextTable
@@ -99,7 +99,7 @@ class Report:
     """
 
     title: str
-    made: Provenance
+    provenance: Provenance
     outcome: Outcome
     tables: Mapping[str, Any]
     shown: Sequence[Table | TextTable]
@@ -161,7 +161,7 @@ def report_of_means(
     title: str,
     tables: Sequence[Table],
     *,
-    made: Provenance,
+    provenance: Provenance,
     outcome: Outcome,
     introduction: Sequence[str],
     below: str = "",
@@ -175,7 +175,7 @@ def report_of_means(
     title : str
     tables : sequence of Table
         The first is the summary.
-    made : Provenance
+    provenance : Provenance
     outcome : Outcome
     introduction : sequence of str
         Lines of Markdown above the tables.
@@ -186,10 +186,10 @@ def report_of_means(
     figure : Figure, optional
     """
     markdown = "\n".join([*introduction, "", ""]) + tables_markdown(tables) + below
-    texts = (markdown, tables_latex(tables), tables_csv(tables), tables_json(tables, made))
+    texts = (markdown, tables_latex(tables), tables_csv(tables), tables_json(tables, provenance))
     return Report(
         title,
-        made,
+        provenance,
         outcome,
         {table.title: _figures(table) for table in tables},
         tables,

@@ -105,6 +105,6 @@ def _is_ours(path: Path, *schemas: str) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as stream:
-        found = _HEAD.match(stream.read(_HEAD_BYTES))
+        match = _HEAD.match(stream.read(_HEAD_BYTES))
     kinds = {schema.partition("/")[0].encode() for schema in schemas}
-    return found is not None and found[1].partition(b"/")[0] in kinds
+    return match is not None and match[1].partition(b"/")[0] in kinds

@@ -25,9 +25,9 @@ def psf_from_text(text: str) -> FloatArray:
     ValueError
         If it is something else.
     """
-    size, _, rest = text.partition(":")
+    size, _, digits = text.partition(":")
     try:
-        data = np.frombuffer(zlib.decompress(base64.b64decode(rest, validate=True)), dtype="<f2")
+        data = np.frombuffer(zlib.decompress(base64.b64decode(digits, validate=True)), dtype="<f2")
         psf = data.reshape(int(size), int(size)).astype(np.float64)
     except (ValueError, binascii.Error, zlib.error):
         raise ValueError(f"psf: must be a text of psf_to_text, got {text[:20]!r}") from None

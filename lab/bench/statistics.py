@@ -72,13 +72,13 @@ def summarized(values: Iterable[float]) -> Summary:
     """Sum up values that are not NaN; an infinite one makes the mean infinite and the spread
     NaN.
     """
-    known = np.array(list(values), dtype=float)
-    if known.size == 0:
+    numbers = np.array(list(values), dtype=float)
+    if numbers.size == 0:
         return Summary(0, *(float("nan"),) * 5)
     with np.errstate(invalid="ignore"):  # infinite less infinite
-        sd = float(known.std(ddof=1)) if known.size > 1 else float("nan")
-    q05, median, q95 = (_quantile(np.sort(known), share) for share in (0.05, 0.5, 0.95))
-    return Summary(known.size, float(known.mean()), median, sd, q05, q95)
+        sd = float(numbers.std(ddof=1)) if numbers.size > 1 else float("nan")
+    q05, median, q95 = (_quantile(np.sort(numbers), share) for share in (0.05, 0.5, 0.95))
+    return Summary(numbers.size, float(numbers.mean()), median, sd, q05, q95)
 
 
 def mean_interval(
@@ -184,8 +184,8 @@ def crossed_interval(
     scarcest = min(counts)
     if scarcest < _FEWEST_CLUSTERS:
         return Interval(mean, -np.inf, np.inf, level, x.size, scarcest)
-    both = _clustered(x - mean, list(zip(clusters, others, strict=True)))[1]
-    error = float(np.sqrt(max(sum(variances) - both, *variances)))
+    joint = _clustered(x - mean, list(zip(clusters, others, strict=True)))[1]
+    error = float(np.sqrt(max(sum(variances) - joint, *variances)))
     reach = float(stats.t.ppf((1 + level) / 2, scarcest - 1)) * error
     return Interval(mean, mean - reach, mean + reach, level, x.size, scarcest)
 
@@ -231,8 +231,8 @@ def _draws(count: int, size: int, rng: np.random.Generator) -> FloatArray:
     """Return how often each of ``count`` clusters is in each of ``size`` draws of as many:
     ``(size, count)``.
     """
-    drawn = rng.integers(0, count, (size, count)) + count * np.arange(size)[:, None]
-    return np.bincount(drawn.ravel(), minlength=size * count).reshape(size, count).astype(float)
+    indices = rng.integers(0, count, (size, count)) + count * np.arange(size)[:, None]
+    return np.bincount(indices.ravel(), minlength=size * count).reshape(size, count).astype(float)
 
 
 def _pivots(draws: FloatArray, sums: FloatArray, sizes: FloatArray, offset: float) -> FloatArray:

@@ -65,7 +65,7 @@ def machines_markdown(machines: Sequence[Mapping[str, Any]]) -> str:
     lines = []
     for machine in machines:
         versions = ", ".join(
-            f"{name} {found}" for name, found in machine["versions"].items() if found
+            f"{name} {version}" for name, version in machine["versions"].items() if version
         )
         memory = f", {machine['memory_gib']:g} GiB" if machine["memory_gib"] else ""
         lines.append(
@@ -118,7 +118,7 @@ class Provenance:
     warnings: Sequence[str]
 
 
-def tables_json(tables: Sequence[Table], made: Provenance) -> str:
+def tables_json(tables: Sequence[Table], provenance: Provenance) -> str:
     """Lay out tables as JSON (schema ``cep.bench/1``)."""
     content = [
         {
@@ -136,17 +136,17 @@ def tables_json(tables: Sequence[Table], made: Provenance) -> str:
         }
         for table in tables
     ]
-    return made_json({"tables": content}, made)
+    return made_json({"tables": content}, provenance)
 
 
-def made_json(content: Mapping[str, Any], made: Provenance) -> str:
+def made_json(content: Mapping[str, Any], provenance: Provenance) -> str:
     """Lay out a table's content as JSON (schema ``cep.bench/1``)."""
     about = {
-        "command": made.command,
-        "seed": made.seed,
+        "command": provenance.command,
+        "seed": provenance.seed,
         "engine": ENGINE,
-        "machines": made.machines,
-        "warnings": made.warnings,
+        "machines": provenance.machines,
+        "warnings": provenance.warnings,
     }
     return json_text({"schema": TABLES_SCHEMA, **about, **content})
 

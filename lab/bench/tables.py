@@ -198,7 +198,7 @@ def tabulate(
                 f"figures: labels {row} and {cluster} are wanted of every name, got {name}"
             )
     labels = list(dict.fromkeys(name[row] for name in figures))
-    made: dict[str, list[Entry]] = {label: [] for label in labels}
+    cells_by_label: dict[str, list[Entry]] = {label: [] for label in labels}
     for column in columns:
         by_row = {label: _values(figures, column.figure, row, label) for label in labels}
         entries = {}
@@ -210,8 +210,8 @@ def tabulate(
         if column.better is not None and column.middle == "mean":
             entries |= _best(by_row, entries, column.better, shared, rng, level)
         for label in labels:
-            made[label].append(entries[label])
-    rows = {label: tuple(entries_) for label, entries_ in made.items()}
+            cells_by_label[label].append(entries[label])
+    rows = {label: tuple(entries_) for label, entries_ in cells_by_label.items()}
     cells = {label: [name for name in figures if name[row] == label] for label in labels}
     counts = {
         head: {label: len({name[place] for name in names}) for label, names in cells.items()}
@@ -242,13 +242,16 @@ def differences(
     """
     if reference not in (name[row] for name in figures):
         raise ValueError(f"reference: must be one of the rows, got {reference!r}")
-    found: dict[Name, dict[str, Figure]] = {}
-    for name, own in figures.items():
+    gains: dict[Name, dict[str, Figure]] = {}
+    for name, row_figures in figures.items():
         if name[row] == reference:
             continue
-        other = figures.get((*name[:row], reference, *name[row + 1 :]), {})
-        found[name] = {key: _difference(other.get(key), figure) for key, figure in own.items()}
-    return found
+        reference_figures = figures.get((*name[:row], reference, *name[row + 1 :]), {})
+        gains[name] = {
+            key: _difference(reference_figures.get(key), figure)
+            for key, figure in row_figures.items()
+        }
+    return gains
 
 
 def _values(figures: Figures, figure: str, row: int, label: str) -> dict[Name, float]:
@@ -256,8 +259,8 @@ def _values(figures: Figures, figure: str, row: int, label: str) -> dict[Name, f
     out.
     """
     values = {}
-    for name, own in figures.items():
-        value = own.get(figure) if name[row] == label else None
+    for name, row_figures in figures.items():
+        value = row_figures.get(figure) if name[row] == label else None
         if isinstance(value, str):
             raise ValueError(f"columns: {figure} is no number, got {value!r}")
         if value is not None and not math.isnan(value):
@@ -299,9 +302,11 @@ def _best(
         rng,
         level,
     )
-    whole = len(shared) == len(by_row[second])
+    is_complete = len(shared) == len(by_row[second])
     entry = entries[best]
-    return {best: Entry(entry.summary, entry.interval, lead, second, bold=whole and lead.low > 0)}
+    return {
+        best: Entry(entry.summary, entry.interval, lead, second, bold=is_complete and lead.low > 0)
+    }
 
 
 def _interval(
@@ -319,9 +324,9 @@ def _in_words(entry: Entry, column: Column, cells: int) -> str | Bold:
         return "–"
     digits = column.digits
     text = f"{column.shown(entry):.{digits}f}"
-    rest = ""
+    suffix = ""
     if (interval := entry.finite_interval) is not None:
-        rest = f" ({interval.low:.{digits}f}..{interval.high:.{digits}f})"
+        suffix = f" ({interval.low:.{digits}f}..{interval.high:.{digits}f})"
     if entry.summary.n != cells:
-        rest += f", {entry.summary.n} of {cells}"
-    return Bold(text, rest) if entry.bold else text + rest
+        suffix += f", {entry.summary.n} of {cells}"
+    return Bold(text, suffix) if entry.bold else text + suffix

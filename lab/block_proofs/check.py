@@ -229,12 +229,12 @@ def _check_survivors(
     for number, record in enumerate(records):
         progress(0.2 * number / len(records), "survivors")
         codes = record["survivors"].split()
-        stated = record["minima"].split()
-        if len(codes) != len(stated):
+        recorded = record["minima"].split()
+        if len(codes) != len(recorded):
             raise RefusedError(
-                f"block {record['first']}: {len(codes)} survivors with {len(stated)} minima"
+                f"block {record['first']}: {len(codes)} survivors with {len(recorded)} minima"
             )
-        for bits, text in zip(codes, stated, strict=True):
+        for bits, text in zip(codes, recorded, strict=True):
             is_core = (
                 set(bits) <= {"0", "1"}
                 and bits[0] == bits[-1] == "1"
@@ -282,20 +282,20 @@ def _check_block(
         raise RefusedError(
             f"the block of prefixes {record['first']} holds {int((splits * orbits).sum())} codes"
         )
-    stated: dict[tuple[int, ...], set[str]] = {}
+    recorded: dict[tuple[int, ...], set[str]] = {}
     for bits in record["survivors"].split():
-        stated.setdefault(tuple(_canonical(_fold(bits, header["ring"]))), set()).add(bits)
+        recorded.setdefault(tuple(_canonical(_fold(bits, header["ring"]))), set()).add(bits)
     # the folds of survivors first: those the search must not miss
     order = rng.permutation(len(folds)).tolist()
-    order.sort(key=lambda row: tuple(folds[row].tolist()) not in stated)
+    order.sort(key=lambda row: tuple(folds[row].tolist()) not in recorded)
     judged_folds = judged_codes = 0
     for row in order:
         if judged_codes >= budget:
             break
         fold = tuple(folds[row].tolist())
         survivors, codes = _judge_fold(np.array(fold), header["chips"], float(record["bound"]))
-        if survivors != stated.get(fold, set()):
-            bits = sorted(survivors ^ stated.get(fold, set()))[0]
+        if survivors != recorded.get(fold, set()):
+            bits = sorted(survivors ^ recorded.get(fold, set()))[0]
             raise RefusedError(
                 f"block {record['first']}: {bits} is a survivor in one count and none in the other"
             )
@@ -336,20 +336,20 @@ def _judge_fold(fold: NDArray[np.int64], chips: int, bound: float) -> tuple[set[
     set of str, int
         Cores of the codes that reach the bound, and the number of rings judged.
     """
-    least = bound * (1 - 1e-9) - 1e-9
+    limit = bound * (1 - 1e-9) - 1e-9
     quarter = fold.size
-    if np.abs(np.fft.fft(fold))[1:].min() < least:
+    if np.abs(np.fft.fft(fold))[1:].min() < limit:
         return set(), 0
     front = np.array(list(product(*(_SPLITS[value] for value in fold.tolist()))), dtype=np.int64)
     halves = np.concatenate([front, fold - front], axis=1)
     # a turn by a quarter of the ring swaps the two halves
     halves = halves[_numbers(halves[:, :quarter], 3) >= _numbers(halves[:, quarter:], 3)]
     survivors: set[str] = set()
-    judged = 0
+    judged_codes = 0
     odd = np.arange(1, 2 * quarter, 2)
     for row in range(0, len(halves), _ROWS):
         batch = halves[row : row + _ROWS]
-        batch = batch[np.abs(np.fft.fft(batch, axis=1))[:, 1:].min(axis=1) >= least]
+        batch = batch[np.abs(np.fft.fft(batch, axis=1))[:, 1:].min(axis=1) >= limit]
         for half in batch:
             single = np.flatnonzero(half == 1)
             double = np.flatnonzero(half == 2)
@@ -360,14 +360,14 @@ def _judge_fold(fold: NDArray[np.int64], chips: int, bound: float) -> tuple[set[
                 index = np.arange(low, min(low + _ROWS, 2 ** (single.size - 1)))
                 # the last single chip is always in the second half: half a turn is free
                 in_front = (index[:, None] >> np.arange(single.size)) & 1
-                judged += len(index)
+                judged_codes += len(index)
                 sums = (2.0 * in_front - 1) @ waves.real, (2.0 * in_front - 1) @ waves.imag
-                for chosen in in_front[np.hypot(*sums).min(axis=1) >= least]:
+                for chosen in in_front[np.hypot(*sums).min(axis=1) >= limit]:
                     ring = np.zeros(4 * quarter, dtype=np.int64)
                     ring[double] = ring[double + 2 * quarter] = 1
                     ring[single + 2 * quarter * (1 - chosen)] = 1
                     survivors |= _judge_ring(ring, chips, bound)
-    return survivors, judged
+    return survivors, judged_codes
 
 
 def _judge_ring(ring: NDArray[np.int64], chips: int, bound: float) -> set[str]:
@@ -376,8 +376,8 @@ def _judge_ring(ring: NDArray[np.int64], chips: int, bound: float) -> set[str]:
     codes = codes[~codes[:, chips:].any(axis=1)]
     if not len(codes):
         return set()
-    least = np.abs(np.fft.rfft(codes, 8 * ring.size, axis=1)).min(axis=1)
-    codes = codes[least >= bound * (1 - 1e-9) - 1e-9]
+    minima = np.abs(np.fft.rfft(codes, 8 * ring.size, axis=1)).min(axis=1)
+    codes = codes[minima >= bound * (1 - 1e-9) - 1e-9]
     cores = ("".join(map(str, code)).rstrip("0") for code in codes.tolist())
     return {max(bits, bits[::-1]) for bits in cores if _minimum(bits) >= bound * (1 - 1e-8)}
 

@@ -129,23 +129,23 @@ def _images(packed: int, quarter: int) -> int:
     """
     mask = (1 << (3 * quarter)) - 1
     mirror = 0
-    rest = packed
+    remaining = packed
     for _ in range(quarter):
-        mirror = (mirror << 3) | (rest & 7)
-        rest >>= 3
+        mirror = (mirror << 3) | (remaining & 7)
+        remaining >>= 3
     same = 0
-    turned = packed
+    rotated = packed
     for _ in range(quarter):
-        turned = ((turned << 3) | (turned >> (3 * (quarter - 1)))) & mask
-        if turned > packed:
+        rotated = ((rotated << 3) | (rotated >> (3 * (quarter - 1)))) & mask
+        if rotated > packed:
             return 0
-        same += turned == packed
-    turned = mirror
+        same += rotated == packed
+    rotated = mirror
     for _ in range(quarter):
-        turned = ((turned << 3) | (turned >> (3 * (quarter - 1)))) & mask
-        if turned > packed:
+        rotated = ((rotated << 3) | (rotated >> (3 * (quarter - 1)))) & mask
+        if rotated > packed:
             return 0
-        same += turned == packed
+        same += rotated == packed
     return 2 * quarter // same
 
 
@@ -174,12 +174,12 @@ def _codes_of(g: Counts, ways: Counts, fewest: int, most: int) -> int:
 
     ``ways`` has the number of four chips with each sum.
     """
-    opened = 0
+    open_chips = 0
     packed = 0
     for i in range(g.size):
-        opened += g[i]
+        open_chips += g[i]
         packed = (packed << 3) | g[i]
-    if opened < fewest or opened > most:
+    if open_chips < fewest or open_chips > most:
         return 0
     codes = _images(packed, g.size)
     if codes == 0:
@@ -195,7 +195,7 @@ def codes_by_prefix(quarter: int, prefix: int, fewest: int, most: int) -> Counts
     int64.
     """
     total = np.zeros(5**prefix, np.int64)
-    ways = np.array([1, 4, 6, 4, 1])
+    binomials = np.array([1, 4, 6, 4, 1])
     g = np.zeros(quarter, np.int64)
     suffix = quarter - prefix
     for p in range(total.size):
@@ -203,7 +203,7 @@ def codes_by_prefix(quarter: int, prefix: int, fewest: int, most: int) -> Counts
             continue
         for s in range(5**suffix):
             _letters(s, suffix, g, prefix)
-            total[p] += _codes_of(g, ways, fewest, most)
+            total[p] += _codes_of(g, binomials, fewest, most)
     return total
 
 
@@ -368,20 +368,20 @@ def _turns(
     limit2 = fold.limit2
     # a length known only at run time: such loops become vector instructions
     lanes = sums.shape[1]
-    opened = 0
+    open_chips = 0
     for q in range(lanes):
         sums[0, q] = np.float32(0)
         sums[1, q] = np.float32(0)
     for i in range(ring):
         if (code >> np.uint64(i)) & np.uint64(1):
-            places[opened] = i
-            opened += 1
+            places[open_chips] = i
+            open_chips += 1
             for q in range(lanes):
                 sums[0, q] += between[0, i, 0, q]
                 sums[1, q] += between[0, i, 1, q]
-    for index in range(opened):
+    for index in range(open_chips):
         at = places[index]
-        before = places[index - 1] if index > 0 else places[opened - 1] - ring
+        before = places[index - 1] if index > 0 else places[open_chips - 1] - ring
         # closed chips after the last open one are no part of the code
         if at - before > ring - fold.chips:
             counts[6] += 1
@@ -389,12 +389,12 @@ def _turns(
             for q in range(lanes):
                 below += sums[0, q] * sums[0, q] + sums[1, q] * sums[1, q] < limit2
             if below == 0:
-                turned = _turned(code, at, ring)
-                if _reaches(turned, ring, between, limit2, more):
+                rotated = _turned(code, at, ring)
+                if _reaches(rotated, ring, between, limit2, more):
                     counts[7] += 1
                     if number == found.size:
                         return -1
-                    found[number] = turned
+                    found[number] = rotated
                     number += 1
         # this chip moves behind the others, where the wave has the other sign
         for q in range(lanes):
@@ -430,7 +430,7 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
     limit2 = fold.limit2
     half = 2 * quarter
     suffix = quarter - prefix
-    ways = np.array([1, 4, 6, 4, 1])
+    binomials = np.array([1, 4, 6, 4, 1])
     g = np.zeros(quarter, np.int64)
     f = np.zeros(half, np.int64)
     d_places = np.zeros(quarter, np.int64)
@@ -454,7 +454,7 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
     sums = np.zeros((2, LANES), np.float32)
     more = np.zeros((2, LANES), np.float32)
     opened_at = np.zeros(4 * quarter, np.int64)
-    one = np.uint64(1)
+    unit = np.uint64(1)
     one_code = np.int64(1)
     number = 0
     for p in range(first, until):
@@ -462,7 +462,7 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
             continue
         for s in range(5**suffix):
             _letters(s, suffix, g, prefix)
-            codes = _codes_of(g, ways, fold.fewest, fold.most)
+            codes = _codes_of(g, binomials, fold.fewest, fold.most)
             if codes == 0:
                 continue
             counts[0] += 1
@@ -537,7 +537,7 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
                     base = np.uint64(0)
                     for i in range(half):
                         if f[i] == 2:
-                            base |= (one << np.uint64(i)) | (one << np.uint64(i + half))
+                            base |= (unit << np.uint64(i)) | (unit << np.uint64(i + half))
                         elif f[i] == 1:
                             e_places[e_count] = i
                             e_count += 1
@@ -557,12 +557,12 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
                                 e_outer[1, q] += sign * fold.e_waves[at, 1, q]
                         e_left = _kept(e_outer, e_table, e_blocks, e_size, limit2, keep, e_kept)
                         counts[5] += e_left
-                        for each in range(e_left):
+                        for survivor in range(e_left):
                             # the sign of the first is free, as the ring may be turned by a half
-                            bits = base | (one << np.uint64(e_places[0]))
-                            rest = e_kept[each] | (around << (within - 1))
+                            bits = base | (unit << np.uint64(e_places[0]))
+                            rest = e_kept[survivor] | (around << (within - 1))
                             for i in range(1, e_count):
-                                bits |= one << np.uint64(e_places[i] + (0 if rest & 1 else half))
+                                bits |= unit << np.uint64(e_places[i] + (0 if rest & 1 else half))
                                 rest >>= 1
                             number = _turns(
                                 bits, fold, opened_at, sums, more, found, number, counts

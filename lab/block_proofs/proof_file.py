@@ -151,8 +151,8 @@ def _read(path: Path, plan: BlockPlan) -> tuple[list[dict[str, Any]], int]:
             f"{header.get('chips')} chips, {header.get('fewest_open')} to"
             f" {header.get('most_open')} open"
         )
-        asked = f"{plan.chips} chips, {plan.fewest} to {plan.most} open"
-        raise ValueError(f"{path}: a proof for {stored}, not for {asked}; give another folder")
+        request = f"{plan.chips} chips, {plan.fewest} to {plan.most} open"
+        raise ValueError(f"{path}: a proof for {stored}, not for {request}; give another folder")
     return lines[1:], whole_bytes
 
 

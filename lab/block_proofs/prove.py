@@ -160,8 +160,8 @@ def best_survivor(plan: BlockPlan, records: Iterable[Mapping[str, Any]]) -> str:
         )
     if not minima:
         return ""
-    least = max(minima.values()) * (1 - _TIE)
-    equal = [bits for bits, minimum in minima.items() if minimum >= least]
+    limit = max(minima.values()) * (1 - _TIE)
+    equal = [bits for bits, minimum in minima.items() if minimum >= limit]
     return max(equal, key=lambda bits: (bits.count("1"), -len(bits), bits)).ljust(plan.chips, "0")
 
 

@@ -321,7 +321,7 @@ def everything(options: AllOptions) -> None:
         "warnings": [
             f"{name}: {warning}"
             for name, report in reports.items()
-            for warning in report.made.warnings
+            for warning in report.provenance.warnings
         ],
     }
 

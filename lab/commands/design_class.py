@@ -128,7 +128,7 @@ def design_class(options: DesignClassOptions) -> None:
         as_json=options.as_json,
         page=_page(best, options.output),
         outputs=outputs,
-        save=lambda made: best.save(made[options.output], source=motions.source),
+        save=lambda staged: best.save(staged[options.output], source=motions.source),
         tables=options.tables,
         summary=best.code.bits,
     )
@@ -137,11 +137,11 @@ def design_class(options: DesignClassOptions) -> None:
 def _page(best: ClassOptimum, file: Path) -> Page:
     """Print a class code for people."""
     code = best.code
-    found = best.found
+    result = best.found
     yield best.verdict
     yield f"{file}: {code.bits}"
     light = f"{code.open_chips} of {code.chips} chips open, {openings(code)}"
-    yield f"{light}; {found.seconds:.1f} s, {ending(found.stopped, found.steps)}"
+    yield f"{light}; {result.seconds:.1f} s, {ending(result.stopped, result.steps)}"
     unseen = best.others > 0
     rows = [
         (

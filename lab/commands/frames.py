@@ -87,7 +87,7 @@ def frames(options: FramesOptions) -> None:
         as_json=options.as_json,
         page=_page(best, files),
         outputs=outputs,
-        save=lambda made: best.save([made[file] for file in files], source=source),
+        save=lambda staged: best.save([staged[file] for file in files], source=source),
         tables=options.tables,
         summary=in_bits(best.found.codes),
     )

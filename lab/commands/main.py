@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import typer
 
 from cep.commands.commands import Command, Group
+from cep.commands.console import lines_of
 from cep.commands.main import run_app
 from lab.commands import bench, design_class, frames, pareto, prove
 
@@ -53,8 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         The command line without the program's name; that of this process when omitted.
     """
-    return run_app(
-        app,
-        list(sys.argv[1:] if arguments is None else arguments) or ["--help"],
-        name="python -m lab",
-    )
+    if arguments is None:
+        arguments = sys.argv[1:]
+    with lines_of("lab"):
+        return run_app(app, list(arguments) or ["--help"], name="python -m lab")

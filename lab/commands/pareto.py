@@ -136,32 +136,32 @@ def pareto(options: ParetoOptions) -> None:
         as_json=options.as_json,
         page=_page(front, output, picture),
         outputs=outputs,
-        save=lambda made: front.save(made[output], made[picture], source=source),
+        save=lambda staged: front.save(staged[output], staged[picture], source=source),
         tables=options.tables,
         summary=in_bits(point.code for point in front.front.points),
     )
 
 
-def _page(found: FrontComparison, output: Path, picture: Path) -> Page:
+def _page(comparison: FrontComparison, output: Path, picture: Path) -> Page:
     from cep.optics.mtf import HOPELESS_DB
 
-    front = found.front
-    named = found.knees
-    if found.verdict is None:
+    front = comparison.front
+    knees = comparison.knees
+    if comparison.verdict is None:
         yield (
             "Whether to code at all depends on the motion and the camera: cep advise --linear PX"
             " says it."
         )
     else:
-        yield found.verdict.sentence
-    ended = f"{front.seconds:.1f} s, {ending(front.stopped, front.steps)}"
-    yield f"{output}, {picture}: {len(front.points)} codes that none found beats; {ended}"
-    least = {"chips": "min |P|, chips", "light-true": "min MTF"}.get(
+        yield comparison.verdict.sentence
+    ending_text = f"{front.seconds:.1f} s, {ending(front.stopped, front.steps)}"
+    yield f"{output}, {picture}: {len(front.points)} codes that none found beats; {ending_text}"
+    minimum_name = {"chips": "min |P|, chips", "light-true": "min MTF"}.get(
         front.unit, "min MTF, sampled"
     )
-    others = {f"published: {name}": point for name, point in found.published.items()}
-    if found.single is not None:
-        others = {"best single exposure": found.single, **others}
+    references = {f"published: {name}": point for name, point in comparison.published.items()}
+    if comparison.single is not None:
+        references = {"best single exposure": comparison.single, **references}
     rows = [
         (
             name,
@@ -170,9 +170,9 @@ def _page(found: FrontComparison, output: Path, picture: Path) -> Page:
             point.noise_db if point.noise_db <= HOPELESS_DB else f"> {HOPELESS_DB:.0f}",
             point.mse_db,
         )
-        for name, point in (*named.items(), *others.items())
+        for name, point in (*knees.items(), *references.items())
     ]
-    columns = ("code", "open", least, "noise gain, dB", "MSE, dB")
+    columns = ("code", "open", minimum_name, "noise gain, dB", "MSE, dB")
     yield Table(f"{front.problem.chips} chips", columns, rows)
-    for name, point in named.items():
+    for name, point in knees.items():
         yield f"{name}: {point.code.bits}"

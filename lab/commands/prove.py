@@ -129,8 +129,8 @@ def _check(options: ProveOptions, file: Path) -> None:
         "--workers": options.workers,
         "--dask": options.dask,
     }
-    for name, given in refused.items():
-        if given is not None:
+    for name, reason in refused.items():
+        if reason is not None:
             raise ValueError(f"{name}: not valid with --check, the file says it")
     output = options.output
     outputs = claim([] if output is None else [output], force=options.force, inputs=[file])
@@ -182,5 +182,5 @@ def _page_verdict(verdict: ProofVerdict) -> Page:
         yield f"  {reason}"
 
 
-def _open_range(fewest: int, most: int) -> str:
-    return str(most) if fewest == most else f"{fewest} to {most}"
+def _open_range(fewest: int, largest: int) -> str:
+    return str(largest) if fewest == largest else f"{fewest} to {largest}"

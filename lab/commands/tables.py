@@ -127,7 +127,7 @@ def _finish_table(about: Mapping[str, object], report: Report, *, as_json: bool)
         "tables": report.tables,
         "failures": report.outcome.reasons,
         "missing": missing,
-        "warnings": report.made.warnings,
+        "warnings": report.provenance.warnings,
     }
 
     def page() -> Page:

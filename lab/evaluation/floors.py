@@ -94,5 +94,5 @@ def floors(mean: FloatArray | None = None) -> dict[str, FloatArray]:
     mean : (S, S) float, optional
         :func:`mean_psf` of other motions of the kind.
     """
-    known = {"delta": delta(), "gaussian": gaussian()}
-    return known if mean is None else {**known, "mean-kernel": mean}
+    values = {"delta": delta(), "gaussian": gaussian()}
+    return values if mean is None else {**values, "mean-kernel": mean}

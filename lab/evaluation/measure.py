@@ -13,13 +13,7 @@ from lab.evaluation.sets import Case
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.from_kernel import as_estimate
-from motdiff.metrics import (
-    laid_on,
-    mnc,
-    mnc_subpixel,
-    path_distance_px,
-    psnr_ssim_up_to_shift,
-)
+from motdiff.metrics import laid_on, mnc, mnc_subpixel, path_distance_px, psnr_ssim_up_to_shift
 from motdiff.psf_frame import PSF_PX
 from motdiff.types import FloatArray
 
@@ -130,20 +124,23 @@ def measure_estimator(case: Case, estimator: Estimator, *, restore: bool = True)
         If the estimator finds no motion, or none that can be measured.
     """
     began_s = time.process_time()
-    found = estimator.estimate(case.photo)
+    motionresult = estimator.estimate(case.photo)
     cpu_s = time.process_time() - began_s
-    estimate = as_estimate(found, type(estimator).__name__)
+    estimate = as_estimate(motionresult, type(estimator).__name__)
     cpu_s += _earlier_cpu_s(estimate)
     kernel = measure_psf(case, estimate.psf, restore=restore)
     path_mnc, path_px = _path_figures(case, estimate)
-    whole = replace(
+    photo_case = replace(
         kernel, path_mnc=path_mnc, path_px=path_px, confidence=estimate.confidence, cpu_s=cpu_s
     )
     if len(estimate.draws) < 2:
-        return whole
-    drawn = measure_draws(estimate.draws, case.psf)
+        return photo_case
+    draw_figures = measure_draws(estimate.draws, case.psf)
     return replace(
-        whole, best_draw=drawn.best, draws_alike=drawn.alike, covered=float(drawn.covered)
+        photo_case,
+        best_draw=draw_figures.best,
+        draws_alike=draw_figures.alike,
+        covered=float(draw_figures.covered),
     )
 
 
@@ -198,9 +195,9 @@ def _earlier_cpu_s(estimate: MotionEstimate) -> float:
 
 def _path_figures(case: Case, estimate: MotionEstimate) -> tuple[float, float]:
     path = estimate.trajectories[0]
-    own = path.psf(path.frame_size(PSF_PX))
+    path_psf = path.psf(path.frame_size(PSF_PX))
     distance_px = _NAN if case.trajectory is None else path_distance_px(path, case.trajectory)
-    return mnc_subpixel(own, case.psf), distance_px
+    return mnc_subpixel(path_psf, case.psf), distance_px
 
 
 def _restoration(case: Case, psf: FloatArray) -> tuple[float, float]:

@@ -110,7 +110,7 @@ class NetworkAlone:
         if self._network.physics is not None or self._correction is not None:
             classical = quick_search(grey[None], sigma=sigma)
         generator = torch.Generator().manual_seed(self._seed)
-        drawn = draw_psfs(
+        psfs = draw_psfs(
             self._network,
             grey[None],
             classical,
@@ -120,15 +120,15 @@ class NetworkAlone:
             method=self._sampler,
         )
         if self._correction is not None:
-            others = list(classical[:2])
+            conditions = list(classical[:2])
             method = "networks"
             better = [
-                corrected_kernel(self._correction, grey[None], psf, others, sigma=sigma)
-                for psf in drawn
+                corrected_kernel(self._correction, grey[None], psf, conditions, sigma=sigma)
+                for psf in psfs
             ]
-            drawn = in_frame(np.stack(better))
-        psf = drawn[0]
-        draws = tuple(drawn) if len(drawn) > 1 else ()
+            psfs = in_frame(np.stack(better))
+        psf = psfs[0]
+        draws = tuple(psfs) if len(psfs) > 1 else ()
         return MotionEstimate(
             method, (simplest_trajectory(psf),), (1.0,), psf, confidence=0.0, draws=draws
         )
@@ -220,18 +220,18 @@ def _selfdeblur(iterations: str) -> Estimator:
 
 
 def _of_network(method: str, weights: Path | None) -> Estimator:
-    alone = partial(NetworkAlone, weights, corrected=method.startswith("networks"))
+    network = partial(NetworkAlone, weights, corrected=method.startswith("networks"))
     match method.split(":"):
         case ["network" | "networks"]:
-            return alone()
+            return network()
         case ["network" | "networks", sampler, steps] if steps.isdigit():
-            return alone(sampler=sampler, steps=int(steps))
+            return network(sampler=sampler, steps=int(steps))
         case ["network" | "networks", sampler, steps, count] if (
             steps.isdigit() and count.isdigit() and int(count) > 0
         ):
-            return alone(sampler=sampler, steps=int(steps), count=int(count))
-    known = (
+            return network(sampler=sampler, steps=int(steps), count=int(count))
+    options = (
         "network, network:SAMPLER:STEPS or network:SAMPLER:STEPS:DRAWS, or networks with the same"
         " additions"
     )
-    raise ValueError(f"method: must be {known}, got {method!r}")
+    raise ValueError(f"method: must be {options}, got {method!r}")

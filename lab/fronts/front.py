@@ -197,20 +197,20 @@ class Judge:
 
     def exact(self, codes: Codes) -> FloatArray:
         """(R, 2) minimum, dB, and the negative of the noise; -inf for a zero."""
-        found = self._figures(self._fine[:2], codes)
+        figures = self._figures(self._fine[:2], codes)
         if not self.sampled_only:
             with np.errstate(divide="ignore"):
-                found[:, 0] = 20 * np.log10(
+                figures[:, 0] = 20 * np.log10(
                     [self._minimum(ShutterCode.from_array(code)) for code in codes]
                 )
-        return found
+        return figures
 
     def points(self, codes: Sequence[Codes]) -> tuple[FrontPoint, ...]:
         """Judge codes in every figure."""
         if not len(codes):
             return ()
-        every = np.array(codes, dtype=np.int8)
-        mse_db = self._figures(self._fine[2:], every)[:, 0]
+        array = np.array(codes, dtype=np.int8)
+        mse_db = self._figures(self._fine[2:], array)[:, 0]
         unit = 1.0 if self._problem.scenarios else float(self._problem.chips)
         return tuple(
             FrontPoint(
@@ -223,7 +223,7 @@ class Judge:
                 -mse,
             )
             for code, (low, quiet), mse in zip(
-                every, self.exact(every).tolist(), mse_db.tolist(), strict=True
+                array, self.exact(array).tolist(), mse_db.tolist(), strict=True
             )
         )
 
@@ -231,17 +231,21 @@ class Judge:
         step = max(1, _NUMBERS // objectives[0].rows[0, 0].size)
         parts = []
         for batch in (codes[i : i + step] for i in range(0, len(codes), step)):
-            given = (
+            arguments = (
                 objectives[0].otf(batch),
                 objectives[0].duty(batch),
                 objectives[0].noise_of(batch),
             )
-            parts.append(np.stack([-objective.cost(*given) for objective in objectives], axis=1))
+            parts.append(
+                np.stack([-objective.cost(*arguments) for objective in objectives], axis=1)
+            )
         return np.concatenate(parts) if parts else np.empty((0, len(objectives)))
 
     def _minimum(self, code: ShutterCode) -> float:
         problem = self._problem
-        return min(continuum_minimum(problem, way, code) for way in problem.ways() or (None,))
+        return min(
+            continuum_minimum(problem, scenario, code) for scenario in problem.ways() or (None,)
+        )
 
 
 class Archive:
@@ -296,15 +300,15 @@ class Archive:
         if code is None:
             return False
         self._looked_around.add(code.tobytes())
-        opened = np.flatnonzero(code)
-        closed = np.flatnonzero(code == 0)
-        pairs = np.arange(opened.size * closed.size)
+        open_chips = np.flatnonzero(code)
+        closed_chips = np.flatnonzero(code == 0)
+        pairs = np.arange(open_chips.size * closed_chips.size)
         if pairs.size > _SWAPS:
             pairs = rng.choice(pairs, _SWAPS, replace=False)
         swapped = np.repeat(code[None], pairs.size, axis=0)
         if pairs.size:
-            swapped[np.arange(pairs.size), opened[pairs // closed.size]] = 0
-            swapped[np.arange(pairs.size), closed[pairs % closed.size]] = 1
+            swapped[np.arange(pairs.size), open_chips[pairs // closed_chips.size]] = 0
+            swapped[np.arange(pairs.size), closed_chips[pairs % closed_chips.size]] = 1
         self.offer(swapped)
         return True
 
@@ -316,11 +320,11 @@ class Archive:
         new = np.array(list(fresh.values()))
         values = self.judge.exact(new)
         sound = np.isfinite(values).all(axis=1) & (values[:, 1] > -HOPELESS_DB)
-        every = np.concatenate([self.values, values[sound]])
+        all_values = np.concatenate([self.values, values[sound]])
         codes_of = np.concatenate([self.codes, new[sound]])
-        counted = np.round(every[:, self._first :] / EQUAL_DB)
+        counted = np.round(all_values[:, self._first :] / EQUAL_DB)
         keep = np.flatnonzero(non_dominated(counted))
         # of equal ones the first found
         keep = keep[np.sort(np.unique(counted[keep], axis=0, return_index=True)[1])]
-        self.values = every[keep]
+        self.values = all_values[keep]
         self.codes = codes_of[keep]

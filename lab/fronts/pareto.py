@@ -153,7 +153,7 @@ class _Search:
 
     def begin(self) -> None:
         """Find first codes for every count, from the middle outwards."""
-        done: list[int] = []
+        begun_counts: list[int] = []
         published = np.array(
             [entry.code.array for entry in for_chips(self.problem.chips)], dtype=np.int8
         )
@@ -162,13 +162,13 @@ class _Search:
             archive.offer(archive.problem.random_codes(_RANDOM, rng=self.rng).astype(np.int8))
             if len(published):
                 archive.offer(published)
-            if done:
+            if begun_counts:
                 archive.offer(
                     self._relit(
-                        self.archives[min(done, key=lambda k: abs(k - count))].codes, count
+                        self.archives[min(begun_counts, key=lambda k: abs(k - count))].codes, count
                     )
                 )
-            done.append(count)
+            begun_counts.append(count)
             self._settle(count, _FIRST_LOOKS)
 
     def rounds(self, shares: tuple[float, ...]) -> None:
@@ -235,28 +235,28 @@ class _Search:
 
     def _settle(self, count: int, looks: int | None) -> None:
         """Evaluate the swaps of the count's codes, up to a number of codes."""
-        done = 0
+        settled = 0
         more = True
-        while more and (looks is None or done < looks):
+        while more and (looks is None or settled < looks):
             self._tick(f"{count} open")
             more = self.archives[count].look_around(self.rng)
-            done += 1
+            settled += 1
 
     def _anneal(self, count: int, share: float, moves: int) -> None:
         """Run chains from the count's codes, from neighbours' and from random ones, and offer
         their codes.
         """
         archive = self.archives[count]
-        found = list[Codes]()
-        near = sorted((k for k in self.archives if k != count), key=lambda k: (abs(k - count), k))[
-            :2
-        ]
-        relit = [self._relit(self.archives[k].codes, count, variants=1) for k in near]
-        drawn = archive.problem.random_codes(_CHAINS, rng=self.rng).astype(np.int8)
+        codes = list[Codes]()
+        neighbours = sorted(
+            (k for k in self.archives if k != count), key=lambda k: (abs(k - count), k)
+        )[:2]
+        relit = [self._relit(self.archives[k].codes, count, variants=1) for k in neighbours]
+        random_codes = archive.problem.random_codes(_CHAINS, rng=self.rng).astype(np.int8)
         pool = np.concatenate([archive.codes, *relit])
         pool = pool[archive.problem.satisfied(pool)]
         good = self.rng.permutation(pool)[: _CHAINS // 4]
-        starts = np.concatenate([good, drawn])
+        starts = np.concatenate([good, random_codes])
         tables, hot = self._tables_of(share)
         seeds = [int(seed) for seed in self.rng.integers(1, 2**62, _CHAINS)]
         walks = (
@@ -268,7 +268,9 @@ class _Search:
             Cooling(code, hot * (REHEATED if place < len(good) else 1), hot / COOLING, moves, seed)
             for place, (code, seed) in enumerate(zip(starts, seeds[walks:], strict=False))
         ]
-        plans += [Walks(pool if len(pool) else drawn, moves, seed) for seed in seeds[:walks]]
+        plans += [
+            Walks(pool if len(pool) else random_codes, moves, seed) for seed in seeds[:walks]
+        ]
 
         def tick(made: int) -> bool:
             self.moves += made
@@ -277,10 +279,10 @@ class _Search:
 
         try:
             Crew(archive.problem, tables, self._free, threads=self._threads).run(
-                plans, tick, found.append
+                plans, tick, codes.append
             )
         finally:
-            archive.offer(np.concatenate([*found, archive.codes[:0]]))
+            archive.offer(np.concatenate([*codes, archive.codes[:0]]))
 
     def _tables_of(self, share: float) -> tuple[Tables, float]:
         """Tables of a mix for the compiled loops, cached, and the first temperature of its chains,
@@ -308,11 +310,11 @@ class _Search:
         return relit
 
     def _tick(self, note: str) -> None:
-        used = (time.monotonic() - self._began) / self.time_s
+        time_share = (time.monotonic() - self._began) / self.time_s
         if self._progress is not None:
-            done = 0.0 if not self.steps else self.moves / self.steps
-            self._progress(min(1.0, max(used, done)), note)
-        if used >= 1:
+            move_share = 0.0 if not self.steps else self.moves / self.steps
+            self._progress(min(1.0, max(time_share, move_share)), note)
+        if time_share >= 1:
             raise _TimeIsUp
 
 
@@ -337,8 +339,12 @@ def _problems_by_count(
             narrowed[count] = replace(problem, open_range=(count, count))
         except ValueError:
             continue
-    kept = np.array(list(narrowed))
-    chosen = kept[
-        np.unique(np.linspace(0, kept.size - 1, min(kept.size, _MOST_COUNTS)).round().astype(int))
+    open_counts = np.array(list(narrowed))
+    chosen = open_counts[
+        np.unique(
+            np.linspace(0, open_counts.size - 1, min(open_counts.size, _MOST_COUNTS))
+            .round()
+            .astype(int)
+        )
     ]
     return {int(count): narrowed[int(count)] for count in chosen}

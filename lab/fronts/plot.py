@@ -66,7 +66,7 @@ def pareto_figure(
         if point not in front.points and (front.sampled or count in counts)
     ]
     limit_db = min(p.noise_db for p in front.points) + _WIDEST_DB
-    drawn = [p for p in front.points if p.noise_db <= limit_db]
+    in_view = [p for p in front.points if p.noise_db <= limit_db]
     colours = _colours(front)
     _lines(axes, front, colours)
     beaten = [p for p in beaten if p.noise_db <= limit_db]
@@ -83,14 +83,14 @@ def pareto_figure(
         "zorder": 4,
         "label": "beaten by none found",
     }
-    for points, style in ((beaten, small), (drawn, large)):
+    for points, style in ((beaten, small), (in_view, large)):
         if points:
             x, y = _place(front, points)
             bar = axes.scatter(x, y, c=[colours.of(p) for p in points], **colours.style, **style)
-    others = published or {}
-    shown = {name: p for name, p in others.items() if p.noise_db <= limit_db}
-    if shown:
-        x, y = _place(front, list(shown.values()))
+    references = published or {}
+    visible = {name: p for name, p in references.items() if p.noise_db <= limit_db}
+    if visible:
+        x, y = _place(front, list(visible.values()))
         axes.scatter(
             x, y, marker="x", s=60, color=COLOURS[1], linewidth=1.8, zorder=5, label="published"
         )
@@ -99,10 +99,10 @@ def pareto_figure(
     axes.margins(0.09, 0.09)
     figure.colorbar(bar, ax=axes, label=colours.label, pad=0.02)
     figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=least_pt(_WIDTH_IN))
-    hidden = [f"{name} ({_db(p)})" for name, p in others.items() if name not in shown]
+    hidden = [f"{name} ({_db(p)})" for name, p in references.items() if name not in visible]
     hidden += (
-        [f"{len(front.points) - len(drawn)} codes of the front"]
-        if len(drawn) < len(front.points)
+        [f"{len(front.points) - len(in_view)} codes of the front"]
+        if len(in_view) < len(front.points)
         else []
     )
     axes.set_title(plot_text(title) or _title(front), pad=18 if hidden else None)
@@ -118,16 +118,16 @@ def pareto_figure(
             fontsize=least_pt(_WIDTH_IN),
             color="0.35",
         )
-    named = [
+    labelled = [
         (_names(point, front), point, "0.1")
         for point in dict.fromkeys(knees(front).values())
-        if point in drawn
+        if point in in_view
     ]
     _label(
         figure,
         axes,
         front,
-        [*named, *((name, point, COLOURS[1]) for name, point in shown.items())],
+        [*labelled, *((name, point, COLOURS[1]) for name, point in visible.items())],
         beaten,
     )
     return figure
@@ -213,12 +213,14 @@ def _label(
     """
     figure.draw_without_rendering()
     frame = axes.get_window_extent()
-    everything = [*front.points, *dots, *(point for _, point, _ in labels)]
-    taken = axes.transData.transform(np.column_stack(_place(front, everything)))
-    ways = [axes.transData.transform(line.get_xydata()) for line in axes.lines]
+    all_points = [*front.points, *dots, *(point for _, point, _ in labels)]
+    occupied = axes.transData.transform(np.column_stack(_place(front, all_points)))
+    lines = [axes.transData.transform(line.get_xydata()) for line in axes.lines]
     steps = np.linspace(0, 1, 24)[:, None]
     along = [
-        way[:-1, None] + (way[1:] - way[:-1])[:, None] * steps for way in ways if len(way) > 1
+        polyline[:-1, None] + (polyline[1:] - polyline[:-1])[:, None] * steps
+        for polyline in lines
+        if len(polyline) > 1
     ]
     crossed = np.concatenate([np.empty((0, 2)), *(points.reshape(-1, 2) for points in along)])
     boxes: list[FloatArray] = []
@@ -244,15 +246,16 @@ def _label(
         for shift in _shifts(half, figure.dpi):
             box = np.array([at + shift - half, at + shift + half])
             outside = (box[0] < frame.min).any() or (box[1] > frame.max).any()
-            hits = 1000 * outside + 3 * _within(box, taken) + 0.2 * _within(box, crossed)
+            hits = 1000 * outside + 3 * _within(box, occupied) + 0.2 * _within(box, crossed)
             leader = at + shift * np.linspace(0, 1, 12)[:, None]
-            near = (
-                np.hypot(*(leader[:, None] - taken[None]).transpose(2, 0, 1)).min(axis=0)
+            candidates = (
+                np.hypot(*(leader[:, None] - occupied[None]).transpose(2, 0, 1)).min(axis=0)
                 < _NEAR_PX
             )
-            hits += 2 * int((near & (np.hypot(*(taken - at).T) > _NEAR_PX)).sum())
+            hits += 2 * int((candidates & (np.hypot(*(occupied - at).T) > _NEAR_PX)).sum())
             hits += 100 * sum(
-                bool(((box[0] <= other[1]) & (other[0] <= box[1])).all()) for other in boxes
+                bool(((box[0] <= rival_box[1]) & (rival_box[0] <= box[1])).all())
+                for rival_box in boxes
             )
             if hits < fewest:
                 best = shift

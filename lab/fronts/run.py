@@ -79,11 +79,11 @@ class FrontComparison:
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``python -m lab pareto --json`` prints them."""
         front = self.front
-        judged = self.verdict
+        front_verdict = self.verdict
         return {
-            "verdict": None if judged is None else judged.sentence,
-            "choice": None if judged is None else judged.choice,
-            "gains_db": None if judged is None else judged.gains_db,
+            "verdict": None if front_verdict is None else front_verdict.sentence,
+            "choice": None if front_verdict is None else front_verdict.choice,
+            "gains_db": None if front_verdict is None else front_verdict.gains_db,
             "unit": front.unit,
             "points": _listed(front.points),
             "knees": _named(self.knees),
@@ -136,9 +136,9 @@ class FrontComparison:
         """
         document = Path(path)
         figure = Path(plot)
-        with new_files([document, figure]) as made:
-            write_text(made[document], json_text(self.stored(source)))
-            save(pareto_figure(self.front, self.published), made[figure])
+        with new_files([document, figure]) as staged:
+            write_text(staged[document], json_text(self.stored(source)))
+            save(pareto_figure(self.front, self.published), staged[figure])
 
 
 def pareto(
@@ -197,10 +197,12 @@ def pareto(
     published = dict(zip((entry.name for entry in entries), points, strict=True))
     if not problem.scenarios:
         return FrontComparison(how, front, published)
-    judged = verdict(problem, *(point.code for point in front.points), path_error_px=path_error_px)
-    single = judged.best("snapshot")
+    front_verdict = verdict(
+        problem, *(point.code for point in front.points), path_error_px=path_error_px
+    )
+    single = front_verdict.best("snapshot")
     beside = [] if single is None else front_points(problem, [single.code])
-    return FrontComparison(how, front, published, judged, next(iter(beside), None))
+    return FrontComparison(how, front, published, front_verdict, next(iter(beside), None))
 
 
 def _listed(points: Iterable[FrontPoint]) -> list[dict[str, Any]]:

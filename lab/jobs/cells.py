@@ -146,10 +146,10 @@ def pinned(cells: Iterable[Cell]) -> list[dict[str, Any]]:
     OSError
         If a file cannot be read.
     """
-    known: dict[Path, str] = {}
+    digests: dict[Path, str] = {}
     return [
         {
-            key: _Pinned(item, _digest(item, known)) if isinstance(item, Path) else item
+            key: _Pinned(item, _digest(item, digests)) if isinstance(item, Path) else item
             for key, item in cell.arguments.items()
         }
         for cell in cells
@@ -171,15 +171,15 @@ def worked(work: Callable[..., Mapping[str, Figure]], arguments: Mapping[str, An
     """
     began_s = time.perf_counter()
     try:
-        given = {
+        file_arguments = {
             key: item.checked() if isinstance(item, _Pinned) else item
             for key, item in arguments.items()
         }
-        figures = _flat(work(**given))
+        figures = _flat(work(**file_arguments))
         failure = ""
     except Exception as error:
-        named = isinstance(error, ValueError | RuntimeError) and bool(str(error))
-        text = str(error) if named else f"{type(error).__name__}: {error}".removesuffix(": ")
+        is_plain = isinstance(error, ValueError | RuntimeError) and bool(str(error))
+        text = str(error) if is_plain else f"{type(error).__name__}: {error}".removesuffix(": ")
         figures = {}
         failure = " ".join(text.split())
     return Finished(figures, failure, time.perf_counter() - began_s, machine())
@@ -216,14 +216,14 @@ def fingerprints(cells: Iterable[Cell]) -> list[str]:
     OSError
         If a file among the arguments cannot be read.
     """
-    known: dict[Path, str] = {}
-    return [_fingerprint(cell, known) for cell in cells]
+    digests: dict[Path, str] = {}
+    return [_fingerprint(cell, digests) for cell in cells]
 
 
-def _digest(path: Path, known: dict[Path, str]) -> str:
-    if path not in known:  # a photo shared by all cells is read once
-        known[path] = _read_digest(path)
-    return known[path]
+def _digest(path: Path, digests: dict[Path, str]) -> str:
+    if path not in digests:  # a photo shared by all cells is read once
+        digests[path] = _read_digest(path)
+    return digests[path]
 
 
 @lru_cache(maxsize=4096)  # a worker is asked once per cell
@@ -236,11 +236,11 @@ def _read_digest(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _fingerprint(cell: Cell, known: dict[Path, str]) -> str:
+def _fingerprint(cell: Cell, digests: dict[Path, str]) -> str:
     parts: dict[str, Any] = {}
     for key, value in cell.arguments.items():
         if isinstance(value, Path):
-            parts[key] = ("file", _digest(value, known))
+            parts[key] = ("file", _digest(value, digests))
         else:
             parts[key] = ("value", value)
     digest = hashlib.sha256()
@@ -282,9 +282,9 @@ def _encoded(value: object, where: str) -> bytes:
         pairs = (
             (_encoded(key, where), _encoded(value[key], f"{where}.{key}")) for key in sorted(value)
         )
-        return _tagged("mapping", *(part for pair in pairs for part in pair))
+        return _tagged("mapping", *(member for pair in pairs for member in pair))
     if is_dataclass(value) and not isinstance(value, type):
-        inside = {part.name: getattr(value, part.name) for part in fields(value)}
+        inside = {member.name: getattr(value, member.name) for member in fields(value)}
         return _tagged("dataclass", _class_name(value).encode(), _encoded(inside, where))
     hint = (
         "give a file as an argument of its own"
@@ -296,7 +296,7 @@ def _encoded(value: object, where: str) -> bytes:
 
 
 def _tagged(kind: str, *parts: bytes) -> bytes:
-    lengths = ",".join(str(len(part)) for part in parts)
+    lengths = ",".join(str(len(item)) for item in parts)
     return b"".join((f"{kind}:{lengths};".encode(), *parts))
 
 

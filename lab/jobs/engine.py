@@ -15,6 +15,7 @@ from lab.jobs.cache import Cache
 from lab.jobs.cells import Cell, Figure, Finished, Result, fingerprints, pinned, worked
 from lab.jobs.executors import Tasks, in_processes, on_cluster
 from lab.jobs.machine import machine
+from motdiff.progress import in_words
 
 
 @dataclass(frozen=True)
@@ -60,14 +61,15 @@ class Outcome:
         """
         counts: list[tuple[int, Mapping[str, Any]]] = []
         for result in self.results:
-            known = next(
-                (i for i, (_, one) in enumerate(counts) if one == result.finished.machine), None
+            index = next(
+                (i for i, (_, machine) in enumerate(counts) if machine == result.finished.machine),
+                None,
             )
-            if known is None:
+            if index is None:
                 counts.append((1, result.finished.machine))
             else:
-                counts[known] = (counts[known][0] + 1, counts[known][1])
-        return [one for _, one in sorted(counts, key=lambda item: -item[0])]
+                counts[index] = (counts[index][0] + 1, counts[index][1])
+        return [machine for _, machine in sorted(counts, key=lambda item: -item[0])]
 
 
 def run_cells(
@@ -175,21 +177,21 @@ def _run(
     alike: dict[str, list[Cell]] = {key: [] for key in by_key}
     for key, cell in zip(keys, cells, strict=True):
         alike[key].append(cell)
-    found = {key: known for key in by_key if (known := store.find(key)) is not None}
-    cached = frozenset(found)
-    left = {key: cell for key, cell in by_key.items() if key not in found}
+    stored_results = {key: stored for key in by_key if (stored := store.find(key)) is not None}
+    cached = frozenset(stored_results)
+    missing = {key: cell for key, cell in by_key.items() if key not in stored_results}
     waiting = {
-        key: (cell.work, given)
-        for (key, cell), given in zip(left.items(), pinned(left.values()), strict=True)
+        key: (cell.work, pinned_cell)
+        for (key, cell), pinned_cell in zip(missing.items(), pinned(missing.values()), strict=True)
     }
 
     def tell(key: str) -> None:
         for cell in alike[key]:
-            finished(Result(cell, found[key], key in cached))
+            finished(Result(cell, stored_results[key], key in cached))
 
     try:
         progress(0.0, f"0 of {len(by_key)} cells")
-        for count, key in enumerate(found, 1):
+        for count, key in enumerate(stored_results, 1):
             tell(key)
             progress(count / len(by_key), f"{count} of {len(by_key)} cells")
         began_s = time.monotonic()
@@ -197,27 +199,27 @@ def _run(
             for key, came in stream:
                 if not came.failure:
                     store.keep(key, by_key[key], came)
-                found[key] = came
+                stored_results[key] = came
                 tell(key)
                 left_s = (
                     (time.monotonic() - began_s)
-                    / (len(found) - len(cached))
-                    * (len(by_key) - len(found))
+                    / (len(stored_results) - len(cached))
+                    * (len(by_key) - len(stored_results))
                 )
                 progress(
-                    len(found) / len(by_key),
-                    f"{len(found)} of {len(by_key)} cells, about {_in_words(left_s)} left",
+                    len(stored_results) / len(by_key),
+                    f"{len(stored_results)} of {len(by_key)} cells, about {in_words(left_s)} left",
                 )
     except KeyboardInterrupt:  # it may have come between the writing of a cell and its entry here
-        found |= {
-            key: known
-            for key in left
-            if key not in found and (known := store.find(key)) is not None
+        stored_results |= {
+            key: stored
+            for key in missing
+            if key not in stored_results and (stored := store.find(key)) is not None
         }
     results = tuple(
-        Result(cell, found[key], key in cached)
+        Result(cell, stored_results[key], key in cached)
         for key, cell in zip(keys, cells, strict=True)
-        if key in found
+        if key in stored_results
     )
     return Outcome(results, len(cells) - len(results), tuple(store.warnings))
 
@@ -255,10 +257,3 @@ def run_tasks(
     else:
         for key, task in waiting.items():
             yield key, worked(*task)
-
-
-def _in_words(left_s: float) -> str:
-    for unit, size_s in (("h", 3600.0), ("min", 60.0)):
-        if left_s >= size_s:
-            return f"{left_s / size_s:.1f} {unit}"
-    return f"{left_s:.0f} s"

@@ -98,8 +98,8 @@ def on_cluster(tasks: Tasks, address: str) -> Generator[tuple[str, Finished]]:
         ) from None
     with _unlogged("distributed.client"):  # an error is one line, not a traceback of Dask's thread
         try:
-            with ThreadPoolExecutor(1) as other:  # a notebook's thread has an event loop already
-                other.submit(asyncio.run, _greeting(address)).result()
+            with ThreadPoolExecutor(1) as pool:  # a notebook's thread has an event loop already
+                pool.submit(asyncio.run, _greeting(address)).result()
             client = Client(address, timeout=_CONNECT_S, set_as_default=False)
         except (
             Exception
@@ -165,10 +165,10 @@ def _refuse_other_sources(client: Any) -> None:
     reported = {
         worker: state for worker, state in states.items() if not isinstance(state, OSError)
     }
-    if others := sorted(worker for worker, state in reported.items() if state != all_sources()):
+    if outdated := sorted(worker for worker, state in reported.items() if state != all_sources()):
         raise ValueError(
-            f"dask: the worker at {others[0]} has another state of this program ({len(others)} of"
-            f" {len(states)} workers): {_INSTALL}"
+            f"dask: the worker at {outdated[0]} has another state of this program ({len(outdated)}"
+            f" of {len(states)} workers): {_INSTALL}"
         )
 
 

@@ -37,15 +37,15 @@ def source_version(
     OSError
         If a file cannot be read.
     """
-    seen: set[str] = set()
+    visited: set[str] = set()
     waiting = list(modules)
     while waiting:
         name = waiting.pop()
-        if name not in seen:
-            seen.add(name)
+        if name not in visited:
+            visited.add(name)
             waiting += _imports(name)
     digest = hashlib.sha256()
-    for name in sorted(seen | set(alone)):
+    for name in sorted(visited | set(alone)):
         digest.update(f"{name}:{_meaning(name)};".encode())
     for path in files:
         digest.update(hashlib.sha256(path.read_bytes()).digest())
@@ -68,10 +68,10 @@ def all_sources() -> str:
         init = _file(package)
         if init is None:
             continue  # the laboratory is not installed
-        found = (
+        files = (
             path for path in init.parent.rglob("*") if path.suffix in _COUNTING and path.is_file()
         )
-        for path in sorted(found, key=Path.as_posix):  # the same order on every system
+        for path in sorted(files, key=Path.as_posix):  # the same order on every system
             name = f"{package}/{path.relative_to(init.parent).as_posix()}"
             digest.update(f"{name}:{hashlib.sha256(path.read_bytes()).hexdigest()};".encode())
     return digest.hexdigest()
@@ -109,9 +109,9 @@ def _source(name: str) -> Path:
 def _imports(name: str) -> frozenset[str]:
     """Names of the project's modules that a module imports, also within functions."""
     tree = _tree(name)
-    named = () if tree is None else _imported(tree)
+    names = () if tree is None else _imported(tree)
     return frozenset(
-        found for found in named if found.split(".")[0] in _OURS and _file(found) is not None
+        module for module in names if module.split(".")[0] in _OURS and _file(module) is not None
     )
 
 
@@ -127,9 +127,9 @@ def _imported(tree: ast.Module) -> Iterator[str]:
 
 @cache
 def _meaning(name: str) -> str:
-    if (whole := _tree(name)) is None:
+    if (syntax := _tree(name)) is None:
         return hashlib.sha256(_source(name).read_bytes()).hexdigest()
-    tree = ast.parse(ast.unparse(whole))
+    tree = ast.parse(ast.unparse(syntax))
     for node in ast.walk(tree):
         if isinstance(
             node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef

@@ -135,7 +135,7 @@ class BlindDpsEstimator:
                 window - blurred(_to_linear((image_signal[0] + 1) / 2), _kernel_of(kernel_signal))
             )
 
-        drawn = sample_jointly(
+        samples = sample_jointly(
             (image, kernel),
             residual,
             alpha_bar=linear_alpha_bar(),
@@ -143,9 +143,9 @@ class BlindDpsEstimator:
             generator=torch.Generator().manual_seed(self._seed),
             progress=self._progress,
         )
-        details = {"misfit": float(residual(*drawn).square().mean().sqrt()) / 2, "crop_px": size}
+        details = {"misfit": float(residual(*samples).square().mean().sqrt()) / 2, "crop_px": size}
         return estimate_from_kernel(
-            "blinddps", _kernel_of(drawn[1]).double().cpu().numpy(), details
+            "blinddps", _kernel_of(samples[1]).double().cpu().numpy(), details
         )
 
 
@@ -262,23 +262,24 @@ def sample_jointly(
 
     noisy = [noise(prior) for prior in priors]
     for t in reversed(range(len(alpha_bar))):
-        now = alpha_bar[t]
+        alpha_bar_t = alpha_bar[t]
         before = alpha_bar[t - 1] if t else 1.0
         with torch.enable_grad():
             noisy = [signal.requires_grad_() for signal in noisy]
             clean = [
-                _guess(prior, signal, t, now) for prior, signal in zip(priors, noisy, strict=True)
+                _guess(prior, signal, t, alpha_bar_t)
+                for prior, signal in zip(priors, noisy, strict=True)
             ]
             distance = torch.linalg.vector_norm(residual(clean[0], clean[1]))
             pulls = torch.autograd.grad(distance, noisy)
-        kept = math.sqrt(now / before) * (1 - before) / (1 - now)
-        shown = math.sqrt(before) * (1 - now / before) / (1 - now)
-        spread = math.sqrt((1 - before) / (1 - now) * (1 - now / before))
+        weight_x_t = math.sqrt(alpha_bar_t / before) * (1 - before) / (1 - alpha_bar_t)
+        weight_x_0 = math.sqrt(before) * (1 - alpha_bar_t / before) / (1 - alpha_bar_t)
+        spread = math.sqrt((1 - before) / (1 - alpha_bar_t) * (1 - alpha_bar_t / before))
         noisy = [
-            kept * signal.detach()
-            + shown * guess.detach()
+            weight_x_t * signal.detach()
+            + weight_x_0 * guess.detach()
             + spread * noise(prior)
-            - strength * math.sqrt(now) * pull
+            - strength * math.sqrt(alpha_bar_t) * pull
             for prior, signal, guess, pull in zip(priors, noisy, clean, pulls, strict=True)
         ]
         if progress is not None:

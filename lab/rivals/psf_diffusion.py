@@ -63,7 +63,7 @@ class PsfDiffusionEstimator:
 
         with torch.no_grad():
             condition = self._network.condition(None, conditioning_maps(photo))
-            drawn = sample_paths(
+            samples = sample_paths(
                 self._network,
                 condition,
                 count=1,
@@ -71,5 +71,5 @@ class PsfDiffusionEstimator:
                 steps=self._steps,
                 generator=torch.Generator().manual_seed(self._seed),
             )
-            psf = psfs_of_signals(drawn.path[0, 0].double()).numpy()
+            psf = psfs_of_signals(samples.path[0, 0].double()).numpy()
         return estimate_from_kernel("psf-diffusion", psf, {"steps": self._steps})

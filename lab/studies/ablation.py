@@ -39,18 +39,18 @@ Scores = dict[tuple[int, str], np.ndarray]
 
 def rows(base: TrainingConfig) -> dict[str, TrainingConfig]:
     """Name every row of the table, each one change away from ``base``."""
-    known = {
+    settings = {
         _COMPLETE: base,
         "plain denoising loss": replace(base, loss=replace(base.loss, kind="denoising")),
         "without STPD": replace(base, loss=replace(base.loss, stpd=0.0)),
     }
     if base.network.backbone == "none":
-        return known
+        return settings
     scales = {
         f"{name} only": replace(base, network=replace(base.network, features=name))
         for name in ("f2", "f4")
     }
-    return {**known, **scales}
+    return {**settings, **scales}
 
 
 def paper(photos: str) -> TrainingConfig:
@@ -95,8 +95,8 @@ def measured(config: TrainingConfig, folder: Path) -> np.ndarray:
 
 def read_rows(file: Path, *, samples: int) -> Scores:
     """Read the finished rows of a budget."""
-    found = [row for row in kept_rows(file) if row["samples"] == samples] if file.exists() else []
-    return {(row["seed"], row["row"]): np.array(row["mnc"]) for row in found}
+    rows = [row for row in kept_rows(file) if row["samples"] == samples] if file.exists() else []
+    return {(row["seed"], row["row"]): np.array(row["mnc"]) for row in rows}
 
 
 def table(scores: Scores) -> Iterator[str]:
@@ -111,8 +111,8 @@ def table(scores: Scores) -> Iterator[str]:
     for (seed, name), row in scores.items():
         difference = ""
         if name != _COMPLETE and (seed, _COMPLETE) in scores:
-            found = mean_interval(row - scores[seed, _COMPLETE], rng=np.random.default_rng(0))
-            difference = f"{found.mean:+.3f} [{found.low:+.3f}, {found.high:+.3f}]"
+            interval = mean_interval(row - scores[seed, _COMPLETE], rng=np.random.default_rng(0))
+            difference = f"{interval.mean:+.3f} [{interval.low:+.3f}, {interval.high:+.3f}]"
         yield f"| {seed} | {name} | {row.mean():.3f} | {difference} |"
 
 
@@ -141,22 +141,22 @@ def main() -> None:
     kind = "physics" if options.physics else "paper"
     base = physics(*options.data) if options.physics else paper(*options.data)
     file = options.runs / f"{kind}.jsonl"
-    known = read_rows(file, samples=options.samples)
+    measurements = read_rows(file, samples=options.samples)
     for seed in range(options.seeds):
         for name, config in rows(budgeted(base, samples=options.samples, seed=seed)).items():
-            if (seed, name) in known:
+            if (seed, name) in measurements:
                 continue
             folder = options.runs / kind / f"{options.samples}-{seed}-{name.replace(' ', '-')}"
-            found = known[seed, name] = measured(config, folder)
+            scores = measurements[seed, name] = measured(config, folder)
             line = {
                 "seed": seed,
                 "row": name,
                 "samples": options.samples,
-                "mnc": found.round(5).tolist(),
+                "mnc": scores.round(5).tolist(),
             }
             with file.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(line) + "\n")
-    print("\n".join(table(known)))
+    print("\n".join(table(measurements)))
 
 
 if __name__ == "__main__":

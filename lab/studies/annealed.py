@@ -25,10 +25,10 @@ CHIPS = (40, 41, 42, 43, 44, 45, 46, 47, 48, 52)
 
 def annealed(problem: SearchProblem, seconds: float, seed: int) -> SearchResult:
     """Anneal for ``seconds`` of the processor: the wall clock counts what other processes do."""
-    began = time.process_time()
+    started = time.process_time()
 
     def stop_at_the_end(_share: float, _code: ShutterCode) -> None:
-        if time.process_time() - began > seconds:
+        if time.process_time() - started > seconds:
             raise KeyboardInterrupt
 
     rng = np.random.default_rng(seed)
@@ -56,14 +56,14 @@ def main() -> None:
             proven = proven_optimum(problem)
             if proven is None:
                 raise SystemExit(f"--chips: no proof for {chips} chips, see docs/optima.md")
-            began = time.process_time()
-            found = annealed(problem, options.seconds, seed)
-            seconds = time.process_time() - began
-            lowest = min_chip(found.code)
+            started = time.process_time()
+            result = annealed(problem, options.seconds, seed)
+            seconds = time.process_time() - started
+            lowest = min_chip(result.code)
             share = 100 * lowest / proven.minimum.upper
             print(
-                f"| {chips} | {found.code.open_chips} | {proven.minimum.upper:.4f} | {lowest:.4f}"
-                f" | {share:.1f} | {found.steps / 1e6:,.0f} | {seconds:.1f} | {seed} |",
+                f"| {chips} | {result.code.open_chips} | {proven.minimum.upper:.4f} | {lowest:.4f}"
+                f" | {share:.1f} | {result.steps / 1e6:,.0f} | {seconds:.1f} | {seed} |",
                 flush=True,
             )
 

@@ -149,10 +149,10 @@ def thumbnail(photo: FloatArray) -> FloatArray:
     """Middle 300 x 300 px, padded when smaller."""
     rows, columns = photo.shape[:2]
     top = max(0, (rows - 300) // 2)
-    left = max(0, (columns - 300) // 2)
-    part = photo[top : top + 300, left : left + 300]
-    pad = [(0, 300 - part.shape[0]), (0, 300 - part.shape[1])] + [(0, 0)] * (part.ndim - 2)
-    return np.pad(np.clip(part, 0, 1), pad)
+    column = max(0, (columns - 300) // 2)
+    crop = photo[top : top + 300, column : column + 300]
+    pad = [(0, 300 - crop.shape[0]), (0, 300 - crop.shape[1])] + [(0, 0)] * (crop.ndim - 2)
+    return np.pad(np.clip(crop, 0, 1), pad)
 
 
 def main() -> None:
@@ -168,14 +168,21 @@ def main() -> None:
     parser.add_argument("--gamma", default="srgb")
     parser.add_argument("--method", choices=blind_methods(), default="pmp")
     parser.add_argument("-o", "--out", type=Path, default=Path("out/blind"))
-    given = parser.parse_args()
-    if given.folder is None and given.what == "photos":
-        parser.error(f"{given.what} needs a folder")
-    estimator = make_method(given.method, {}).make()
-    if given.what == "seconds":
-        wall_times(given.folder, given.gyro_trace, given.count, given.sigma, given.seed, estimator)
+    options = parser.parse_args()
+    if options.folder is None and options.what == "photos":
+        parser.error(f"{options.what} needs a folder")
+    estimator = make_method(options.method, {}).make()
+    if options.what == "seconds":
+        wall_times(
+            options.folder,
+            options.gyro_trace,
+            options.count,
+            options.sigma,
+            options.seed,
+            estimator,
+        )
     else:
-        photos(given.folder, given.out, given.gamma, estimator)
+        photos(options.folder, options.out, options.gamma, estimator)
 
 
 if __name__ == "__main__":

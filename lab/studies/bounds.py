@@ -48,22 +48,22 @@ def problems() -> dict[str, SearchProblem]:
 
 def row(name: str, problem: SearchProblem, seconds: float, *, noise: bool) -> None:
     for goal in ("min-mtf", "noise") if noise else ("min-mtf",):
-        asked = replace(problem, objective=goal)
+        goal_problem = replace(problem, objective=goal)
         cells = []
         for effort in ("quick", "sdp"):
-            began = time.perf_counter()
-            found = bound(asked, effort=effort)
-            took = time.perf_counter() - began
-            figure = found.noise if goal == "noise" else found.min_mtf * problem.chips
-            winner = found.method["noise" if goal == "noise" else "min_mtf"]
-            checked = all(proof.check() for proof in found.proofs)
+            started = time.perf_counter()
+            result = bound(goal_problem, effort=effort)
+            took = time.perf_counter() - started
+            figure = result.noise if goal == "noise" else result.min_mtf * problem.chips
+            winner = result.method["noise" if goal == "noise" else "min_mtf"]
+            checked = all(proof.check() for proof in result.proofs)
             cells.append(
                 f"{figure:8.4f} {winner:17s}{took:6.2f} s{'' if checked else ' PROOF FAILS'}"
             )
-        code = anneal(asked, rng=np.random.default_rng(0), steps=None, time_s=seconds).code
+        code = anneal(goal_problem, rng=np.random.default_rng(0), steps=None, time_s=seconds).code
         metrics = problem.measure(code, budget=0)
         if not problem.scenarios:
-            reached = Objective(asked, oversampling=64, dtype=np.float64).exact_cost(code)
+            reached = Objective(goal_problem, oversampling=64, dtype=np.float64).exact_cost(code)
             reached = reached if goal == "noise" else 10 ** (-reached / 20) * problem.chips
         else:
             reached = metrics.noise_gain_db if goal == "noise" else metrics.min_mtf * problem.chips

@@ -1,12 +1,11 @@
-"""How well sets of calibration codes tell orders in time, and how exact blind kernels are in the
-band compared.
+"""Separation of orders by sets of calibration codes, and the error of blind kernels in that band.
 
 Run with ``python -m lab.studies.calibration_set separation`` or ``... blind``.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Sequence
 
 import numpy as np
@@ -40,22 +39,22 @@ def separation() -> None:
     rng = np.random.default_rng(0)
     design = OrderSeparation(ordered_walks(DESIGN_WALKS, rng=rng), chips=CHIPS)
     test = OrderSeparation(ordered_walks(TEST_WALKS, rng=np.random.default_rng(1)), chips=CHIPS)
-    whole = np.ones(CHIPS)
+    open_shutter = np.ones(CHIPS)
     half = 1 - gray_planes(1, CHIPS)[0]
     raskar = published("raskar-52").code.array
     de_bruijn = np.array(list("00010111"), dtype=float)[np.arange(CHIPS) * 8 // CHIPS]
-    drawn = rng.random((3, CHIPS)).argsort(axis=1) < CHIPS // 2
+    random_codes = rng.random((3, CHIPS)).argsort(axis=1) < CHIPS // 2
     rows: dict[str, Sequence[ArrayLike]] = {
         "Raskar-52": [raskar],
         "first half": [half],
-        "open, Raskar-52": [whole, raskar],
-        "open, first half": [whole, half],
-        "open, de Bruijn 8": [whole, de_bruijn],
-        "open, Raskar-52, first half": [whole, raskar, half],
-        "open, Gray 2": [whole, *gray_planes(2, CHIPS)],
-        "open, three random": [whole, *drawn],
-        "open, Gray 3": [whole, *gray_planes(3, CHIPS)],
-        "open, Gray 4": [whole, *gray_planes(4, CHIPS)],
+        "open, Raskar-52": [open_shutter, raskar],
+        "open, first half": [open_shutter, half],
+        "open, de Bruijn 8": [open_shutter, de_bruijn],
+        "open, Raskar-52, first half": [open_shutter, raskar, half],
+        "open, Gray 2": [open_shutter, *gray_planes(2, CHIPS)],
+        "open, three random": [open_shutter, *random_codes],
+        "open, Gray 3": [open_shutter, *gray_planes(3, CHIPS)],
+        "open, Gray 4": [open_shutter, *gray_planes(4, CHIPS)],
     }
     for count in (1, 2, 3, 4):
         for most_open in (CHIPS, CHIPS - 1) if count > 1 else (CHIPS,):
@@ -116,17 +115,22 @@ def blind() -> None:
     )
 
 
-def _error(psf: FloatArray, found: FloatArray, grid_px: int = 240) -> float:
-    """Energy of the difference within the band, the kernels laid on each other as they fit
-    best.
-    """
+def _error(psf: FloatArray, kernel_estimate: FloatArray, grid_px: int = 240) -> float:
+    """Energy of the difference within the band, the kernels aligned as they fit best."""
     f = np.fft.fftfreq(grid_px)
     band = np.hypot(f[:, None], f) <= BAND_CY_PX
-    true, other = (np.fft.fft2(one / one.sum(), (grid_px, grid_px)) * band for one in (psf, found))
-    alike = np.fft.ifft2(true * other.conj()).real.max() * grid_px**2
-    energy = [(np.abs(one) ** 2).sum() for one in (true, other)]
+    otfs = [
+        np.fft.fft2(kernel / kernel.sum(), (grid_px, grid_px)) * band
+        for kernel in (psf, kernel_estimate)
+    ]
+    alike = np.fft.ifft2(otfs[0] * otfs[1].conj()).real.max() * grid_px**2
+    energy = [(np.abs(otf) ** 2).sum() for otf in otfs]
     return float((sum(energy) - 2 * alike) / energy[0])
 
 
+STUDIES = {"separation": separation, "blind": blind}
+
 if __name__ == "__main__":
-    {"separation": separation, "blind": blind}[sys.argv[1]]()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("study", choices=STUDIES, help="what is measured")
+    STUDIES[parser.parse_args().study]()

@@ -70,8 +70,8 @@ def snapshot_psf(path: Trajectory) -> np.ndarray:
     high = 0.5
     for _ in range(40):
         half = 0.5 * (low + high)
-        moved = np.ptp(path.at(np.linspace(0.5 - half, 0.5 + half, 101)), axis=0).max()
-        low, high = (half, high) if moved <= SHARP_PX else (low, half)
+        extent_px = np.ptp(path.at(np.linspace(0.5 - half, 0.5 + half, 101)), axis=0).max()
+        low, high = (half, high) if extent_px <= SHARP_PX else (low, half)
     return path.slice_psfs((0.5 - low, 0.5 + low), PSF_PX)[0]
 
 
@@ -111,7 +111,7 @@ def main() -> None:
     estimate = estimator(options.estimate)
     shifted = options.estimate != "true"
     light_range = open_range_of_duty(
-        options.chips, *(float(part) for part in options.duty.split(":"))
+        options.chips, *(float(share) for share in options.duty.split(":"))
     )
     results: dict[float, dict[str, list[float]]] = {level: defaultdict(list) for level in LIGHT}
     overview = defaultdict(list)
@@ -123,9 +123,9 @@ def main() -> None:
         path = boracchi_foi(rng)
         truth = visible(sharp, PSF_PX)
         open_psf = path.psf(PSF_PX)
-        found = estimate(capture(sharp, open_psf, camera=Camera(), rng=rng), path)
+        estimated_path = estimate(capture(sharp, open_psf, camera=Camera(), rng=rng), path)
         problem = SearchProblem.along(
-            found,
+            estimated_path,
             chips=options.chips,
             objective=options.objective,
             direction="unknown",
@@ -133,17 +133,17 @@ def main() -> None:
         )
         code: ShutterCode = anneal(problem, rng=search_rng, time_s=options.seconds).code
         frame = max(
-            PSF_PX, found.frame_size(), found.reversed().frame_size()
+            PSF_PX, estimated_path.frame_size(), estimated_path.reversed().frame_size()
         )  # a lost estimate can be large
         true_psf = coded_psf(path, code, PSF_PX)
         flash = snapshot_psf(path)
-        ways = [coded_psf(p, code, frame) for p in (found, found.reversed())]
-        if mnc_subpixel(ways[1], true_psf) > mnc_subpixel(ways[0], true_psf):
-            ways.reverse()  # an estimate may run backwards; the first is now the right one
+        psfs = [coded_psf(p, code, frame) for p in (estimated_path, estimated_path.reversed())]
+        if mnc_subpixel(psfs[1], true_psf) > mnc_subpixel(psfs[0], true_psf):
+            psfs.reverse()  # an estimate may run backwards; the first is now the right one
         overview["duty"].append(code.duty)
         overview["pulses"].append(float(code.pulses))
         overview["snapshot"].append(float(flash.sum()))
-        overview["mnc"].append(mnc_subpixel(found.psf(frame), open_psf))
+        overview["mnc"].append(mnc_subpixel(estimated_path.psf(frame), open_psf))
         for level in LIGHT:
             # a raw file's pedestal of 6 sigma: without it, clipped read noise would brighten the
             # darkest photos
@@ -151,11 +151,15 @@ def main() -> None:
                 photons_full_scale=level, black_level=min(1.0, 6 * READ_NOISE_E / level)
             )
             coded = capture(sharp, true_psf, camera=camera, rng=rng)
-            tested = compare_psfs(coded, *ways)
+            tested = compare_psfs(coded, *psfs)
             scores = {}
             for name, photo, psf in (
-                ("uncoded", capture(sharp, open_psf, camera=camera, rng=rng), found.psf(frame)),
-                ("coded", coded, ways[0]),
+                (
+                    "uncoded",
+                    capture(sharp, open_psf, camera=camera, rng=rng),
+                    estimated_path.psf(frame),
+                ),
+                ("coded", coded, psfs[0]),
                 ("tested", coded, tested.psf),
                 ("snapshot", capture(sharp, flash, camera=camera, rng=rng), flash),
             ):

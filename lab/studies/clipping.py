@@ -56,7 +56,7 @@ def main() -> None:
     argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     ).parse_args()
-    found: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
+    scores: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
     likeness: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for number, name in enumerate((*SCENES, "page")):
         rng = np.random.default_rng([7, number])
@@ -67,26 +67,26 @@ def main() -> None:
         if name != "page":
             dark = 0.7 * scene / scene.max()
             kinds = {"lights": with_lights(dark, rng), "no lights": dark, "3 % clipped": scene}
-        for kind, one in kinds.items():
-            blurred = blur_valid(one, psf)
+        for kind, kind_scene in kinds.items():
+            blurred = blur_valid(kind_scene, psf)
             if kind == "3 % clipped":
-                one = one / np.quantile(blurred, 0.97)
+                kind_scene = kind_scene / np.quantile(blurred, 0.97)
                 blurred = blurred / np.quantile(blurred, 0.97)
             photo = np.clip(blurred + SIGMA * rng.standard_normal(blurred.shape), 0, 1)
             inner = (slice(BORDER_PX, -BORDER_PX),) * 2
-            truth = np.clip(visible(one, PSF_PX), 0, 1)[inner]
+            truth = np.clip(visible(kind_scene, PSF_PX), 0, 1)[inner]
             filled = fill_clipped(photo, psf)
             for method, registered in METHODS.items():
                 pair = [
                     psnr(np.clip(registered.function(image, psf), 0, 1)[inner], truth)
                     for image in (photo, filled)
                 ]
-                found[kind, method].append((pair[0], pair[1]))
+                scores[kind, method].append((pair[0], pair[1]))
             estimate = PmpEstimator().estimate(photo)
-            stated = float(str(estimate.details["psf_confidence"]))
-            likeness[kind].append((mnc_subpixel(psf, estimate.psf), stated))
+            confidence = float(str(estimate.details["psf_confidence"]))
+            likeness[kind].append((mnc_subpixel(psf, estimate.psf), confidence))
             print(f"{name}, {kind}: {100 * clipped_mask(photo).mean():.1f} % clipped", flush=True)
-    for (kind, method), pairs in found.items():
+    for (kind, method), pairs in scores.items():
         without, with_fill = np.array(pairs).T
         gain = with_fill - without
         print(
@@ -94,10 +94,10 @@ def main() -> None:
             f" {gain.min():5.2f}"
         )
     for kind, values in likeness.items():
-        mnc, stated = np.array(values).T
+        mnc, confidence = np.array(values).T
         print(
             f"{kind:12} MNC of pmp {mnc.mean():.3f}, least {mnc.min():.3f}, stated"
-            f" {stated.mean():.2f}"
+            f" {confidence.mean():.2f}"
         )
 
 

@@ -30,11 +30,11 @@ from motdiff.trajectory import Trajectory
 
 
 def chip_row(name: str, code: ShutterCode, seconds: float) -> None:
-    found = chip_minimum(code)
+    minimum = chip_minimum(code)
     noise = chip_noise_db(code)
     print(
-        f"{name:22s} {code.chips:4d} {code.open_chips:4d} {found.upper:8.4f} {found.lower:8.4f}"
-        f" {found.upper / code.open_chips:7.4f} {noise:8.2f}"
+        f"{name:22s} {code.chips:4d} {code.open_chips:4d} {minimum.upper:8.4f} {minimum.lower:8.4f}"
+        f" {minimum.upper / code.open_chips:7.4f} {noise:8.2f}"
         f" {noise + 20 * np.log10(code.open_chips):8.2f}  {seconds:.1f} s"
     )
 
@@ -47,29 +47,31 @@ def league(file: Path | None) -> None:
     claimed = []
     for name in names():
         code = published(name).code
-        found = chip_minimum(code)
+        minimum = chip_minimum(code)
         noise = chip_noise_db(code)
         grid = np.abs(np.fft.fft(code.array)).min()
-        shown = "inf", "inf"
-        if found.upper > 0:
-            shown = f"{noise:.2f}", f"{noise + 20 * np.log10(code.open_chips):.2f}"
-        proven = f"{found.lower:.4f} .. {found.upper:.4f}"
+        noise_figures = "inf", "inf"
+        if minimum.upper > 0:
+            noise_figures = f"{noise:.2f}", f"{noise + 20 * np.log10(code.open_chips):.2f}"
+        proven = f"{minimum.lower:.4f} .. {minimum.upper:.4f}"
         measured.append(
             (
                 name,
                 code.chips,
                 code.open_chips,
                 proven,
-                f"{found.upper / code.open_chips:.4f}",
+                f"{minimum.upper / code.open_chips:.4f}",
                 f"{grid:.4f}",
-                *shown,
+                *noise_figures,
             )
         )
     for name, (points, claim) in CLAIMS.items():
         code = published(name).code
-        found = chip_minimum(code)
-        true = f"{found.upper / code.open_chips:.4f}"
-        claimed.append((name, points, f"{claim:.6f}", true, f"{found.at[0]:.6f}", found.method))
+        minimum = chip_minimum(code)
+        true = f"{minimum.upper / code.open_chips:.4f}"
+        claimed.append(
+            (name, points, f"{claim:.6f}", true, f"{minimum.at[0]:.6f}", minimum.method)
+        )
     heads = (
         "code",
         "n",
@@ -80,7 +82,7 @@ def league(file: Path | None) -> None:
         "noise, dB",
         "noise / DC, dB",
     )
-    others = (
+    opponents = (
         "code",
         "points of the grid",
         "claimed min / DC",
@@ -90,12 +92,12 @@ def league(file: Path | None) -> None:
     )
     sheets = [
         Sheet("Published codes, measured again", heads, measured),
-        Sheet("Minima that their authors claim", others, claimed),
+        Sheet("Minima that their authors claim", opponents, claimed),
     ]
     print(
         "\n".join(
-            f"{markdown_table(one.columns, [list(map(str, row)) for row in one.rows])}\n"
-            for one in sheets
+            f"{markdown_table(sheet.columns, [list(map(str, row)) for row in sheet.rows])}\n"
+            for sheet in sheets
         )
     )
     if file is not None:
@@ -110,13 +112,13 @@ def certificates() -> None:
         f" {'check':>7}  method, verdict"
     )
     shakes = [boracchi_foi(np.random.default_rng(seed), max_length_px=60.0) for seed in range(3)]
-    drawn = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     rows: list[tuple[str, ShutterCode, Trajectory | None]] = [
         (name, published(name).code, None) for name in ("raskar-52", "merl-31-t62", "jeon-200")
     ]
-    rows.append(("random, 1024 chips", random_code(drawn, 1024), None))
+    rows.append(("random, 1024 chips", random_code(rng, 1024), None))
     rows += [
-        (f"random, 52 chips, shake {shake}", random_code(drawn, 52), path)
+        (f"random, 52 chips, shake {shake}", random_code(rng, 52), path)
         for shake, path in enumerate(shakes)
         for _ in range(5)
     ]
@@ -126,21 +128,21 @@ def certificates() -> None:
         rows += [
             (
                 f"random, 52 chips, shake {shake} at 5 px",
-                random_code(drawn, 52),
+                random_code(rng, 52),
                 path.scaled(1 / 12),
             )
             for _ in range(2)
         ]
     certify(ShutterCode("1101"), shakes[0])
     for name, code, path in rows:
-        began = time.process_time()
-        found = certify(code, path)
+        started = time.process_time()
+        certificate = certify(code, path)
         proven = time.process_time()
-        verdict = verify(found.to_dict(), bits=code.bits)
+        verdict = verify(certificate.to_dict(), bits=code.bits)
         checked = time.process_time()
         print(
-            f"{name:36s} {found.lower:12.8f} {found.upper:12.8f} {found.relative_width:8.1e}"
-            f" {proven - began:7.3f} {checked - proven:7.3f}  {found.method},"
+            f"{name:36s} {certificate.lower:12.8f} {certificate.upper:12.8f} {certificate.relative_width:8.1e}"
+            f" {proven - started:7.3f} {checked - proven:7.3f}  {certificate.method},"
             f" {'confirmed' if verdict.holds else verdict.reasons[-1]}"
         )
 
@@ -158,12 +160,12 @@ def straight(seconds: float) -> None:
     for objective in ("min-mtf", "noise"):
         problem = SearchProblem.along(chips=52, open_range=(26, 26), objective=objective)
         start = [entry.code for entry in for_chips(52)]
-        found = anneal(
+        result = anneal(
             problem, rng=np.random.default_rng(0), steps=None, time_s=seconds, start=start
         )
-        chip_row(f"anneal {objective}", found.code, found.seconds)
+        chip_row(f"anneal {objective}", result.code, result.seconds)
         print(
-            f"  {found.code.bits}  {found.steps / found.seconds:,.0f} moves/s; no code of 26 ones"
+            f"  {result.code.bits}  {result.steps / result.seconds:,.0f} moves/s; no code of 26 ones"
             f" exceeds min |P| {bound(problem).min_chip:.2f}"
         )
 
@@ -192,10 +194,12 @@ def curved(seconds: float, motions: int) -> None:
             code = anneal(
                 problem, rng=np.random.default_rng(seed), steps=None, time_s=seconds
             ).code
-            ways = [measure(way, code, budget=0) for way in (path, path.reversed())]
-            lowest.append(max(way.min_mtf for way in ways))
+            metrics = [measure(ordered, code, budget=0) for ordered in (path, path.reversed())]
+            lowest.append(max(ordered.min_mtf for ordered in metrics))
             gains += (
-                ways if direction == "forward" else [max(ways, key=lambda way: way.noise_gain_db)]
+                metrics
+                if direction == "forward"
+                else [max(metrics, key=lambda ordered: ordered.noise_gain_db)]
             )
         row = [(gain.noise_gain_db, gain.dnf_db) for gain in gains]
         table.append(row)
@@ -216,7 +220,7 @@ def main() -> None:
     chosen = parser.parse_args()
     if chosen.table is not None:
         check_table_name(chosen.table)
-    began = time.monotonic()
+    started = time.monotonic()
     if chosen.only in (None, "league"):
         league(chosen.table)
     if chosen.only in (None, "certificates"):
@@ -225,7 +229,7 @@ def main() -> None:
         straight(chosen.seconds)
     if chosen.only in (None, "curved"):
         curved(chosen.curved_seconds, chosen.motions)
-    print(f"\n{time.monotonic() - began:.0f} s")
+    print(f"\n{time.monotonic() - started:.0f} s")
 
 
 if __name__ == "__main__":

@@ -98,8 +98,8 @@ def main() -> None:
     def line(label: str, chosen: list[tuple[str, int, bool, float]]) -> None:
         if chosen:
             right = np.mean([r[2] for r in chosen])
-            sure = [r[2] for r in chosen if r[3] > 0.9]
-            tail = f"{100 * np.mean(sure):5.1f} % of {len(sure)}" if sure else "-"
+            confident = [r[2] for r in chosen if r[3] > 0.9]
+            tail = f"{100 * np.mean(confident):5.1f} % of {len(confident)}" if confident else "-"
             print(f"{label:<22}{len(chosen):>7}{100 * right:>9.1f} %   {tail}")
 
     print(f"{'':<22}{'photos':>7}{'right':>11}   right when confidence > 0.9")

@@ -61,7 +61,7 @@ def trajectories(network: torch.nn.Module, photo: np.ndarray, seed: int) -> dict
     searched = quick_search(crops, sigma=sigma)
     with torch.no_grad():
         maps = physics_maps(light, torch.from_numpy(searched.astype(np.float32))[None])
-        drawn = sample_paths(
+        samples = sample_paths(
             network,
             network.condition(None, maps),
             count=1,
@@ -69,10 +69,10 @@ def trajectories(network: torch.nn.Module, photo: np.ndarray, seed: int) -> dict
             steps=1,
             generator=torch.Generator().manual_seed(seed),
         )
-    psf = drawn.psfs()[0, 0].double().numpy()
+    psf = samples.psfs()[0, 0].double().numpy()
     odd = without_faint_light(in_frame(psf[None], PSF_PX - 1), below=0.02)[0]
     sharpened = refined(crops, odd / odd.sum(), sigma)
-    chances = drawn.path[0, 0].numpy()
+    chances = samples.path[0, 0].numpy()
     path = trace_map(
         chances > min(0.5, 0.5 * float(chances.max()))
     )  # a lost guess is sure of no pixel
@@ -103,37 +103,37 @@ def main() -> None:
     parser.add_argument("--photos", type=Path)
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    scenes = [light for _, light in photos(given.photos) if min(light.shape[:2]) >= SIDE_PX]
+    options = parser.parse_args()
+    scenes = [light for _, light in photos(options.photos) if min(light.shape[:2]) >= SIDE_PX]
     network = load_network()
-    found: dict[str, dict[str, list[tuple[float, float, float]]]] = {}
-    for number in range(given.count):
-        rng = np.random.default_rng([given.seed, number])
+    scores: dict[str, dict[str, list[tuple[float, float, float]]]] = {}
+    for number in range(options.count):
+        rng = np.random.default_rng([options.seed, number])
         scene = scenes[number % len(scenes)]
         scene = scene.mean(axis=2) if scene.ndim == 3 else scene
-        top, left = (int(rng.integers(side - SIDE_PX + 1)) for side in scene.shape)
-        scene = scene[top : top + SIDE_PX, left : left + SIDE_PX]
+        top, column = (int(rng.integers(side - SIDE_PX + 1)) for side in scene.shape)
+        scene = scene[top : top + SIDE_PX, column : column + SIDE_PX]
         for kind, truth in motions(rng).items():
             photo = photograph(scene, truth.psf(), rng=rng)
             least_db = error_db(truth, searched(truth, number))
-            for way, path in trajectories(network, photo, number).items():
+            for variant, path in trajectories(network, photo, number).items():
                 psf = in_frame(path.psf(max(PSF_PX, path.frame_size())), PSF_PX)
                 figures = (
                     mnc_subpixel(psf, truth.psf()),
                     ordered_distance_px(path.xy, truth.xy),
                     error_db(truth, searched(path, number)) - least_db,
                 )
-                found.setdefault(kind, {}).setdefault(way, []).append(figures)
+                scores.setdefault(kind, {}).setdefault(variant, []).append(figures)
     print("| motions | way | photos | MNC | in order, px | code worse by, dB |")
     print("|---|---|---|---|---|---|")
-    for kind, by_way in found.items():
-        for way in WAYS:
-            table = np.array(by_way[way])
+    for kind, by_way in scores.items():
+        for variant in WAYS:
+            table = np.array(by_way[variant])
             error = table.std(axis=0) / len(table) ** 0.5
             cells = " | ".join(
                 f"{m:.3f} ({e:.3f})" for m, e in zip(table.mean(axis=0), error, strict=True)
             )
-            print(f"| {kind} | {way} | {len(table)} | {cells} |")
+            print(f"| {kind} | {variant} | {len(table)} | {cells} |")
 
 
 if __name__ == "__main__":

@@ -19,24 +19,24 @@ from lab.block_proofs.blocks import judge_block, plan_blocks
 
 
 def timed(problem: SearchProblem, threads: int) -> tuple[ExactResult, float]:
-    began = time.process_time()
-    found = exact(problem, threads=threads)
-    return found, time.process_time() - began
+    started = time.process_time()
+    result = exact(problem, threads=threads)
+    return result, time.process_time() - started
 
 
-def free(most: int, threads: int) -> None:
+def free(longest: int, threads: int) -> None:
     print(
         "| n | largest min &#124;P&#124; | k | length | code | codes | cpu s"
         " |\n|--:|--:|--:|--:|:--|--:|--:|"
     )
-    for chips in range(8, most + 1):
-        found, seconds = timed(SearchProblem.along(chips=chips), threads)
-        core = found.code.bits.strip("0")
-        codes = sum(entry.codes for entry in found.proof.lengths)
+    for chips in range(8, longest + 1):
+        result, seconds = timed(SearchProblem.along(chips=chips), threads)
+        core = result.code.bits.strip("0")
+        codes = sum(entry.codes for entry in result.proof.lengths)
         row = (
             chips,
-            f"{found.proof.upper:.6f}",
-            found.code.open_chips,
+            f"{result.proof.upper:.6f}",
+            result.code.open_chips,
             len(core),
             f"`{core}`",
             f"{codes:.3g}",
@@ -45,31 +45,33 @@ def free(most: int, threads: int) -> None:
         print("| " + " | ".join(str(cell) for cell in row) + " |", flush=True)
 
 
-def by_open(most: int, threads: int) -> None:
-    print("\n| n | " + " | ".join(f"k={opened}" for opened in range(3, most + 1)) + " |")
-    print("|--:|" + "--:|" * (most - 2))
+def by_open(longest: int, threads: int) -> None:
+    print(
+        "\n| n | " + " | ".join(f"k={open_chips}" for open_chips in range(3, longest + 1)) + " |"
+    )
+    print("|--:|" + "--:|" * (longest - 2))
     codes: dict[int, str] = {}
-    for chips in range(8, most + 1):
-        cells = [""] * (most - 2)
-        for opened in range(3, chips + 1):
-            found, _ = timed(
-                SearchProblem.along(chips=chips, open_range=(opened, opened)), threads
+    for chips in range(8, longest + 1):
+        cells = [""] * (longest - 2)
+        for open_chips in range(3, chips + 1):
+            result, _ = timed(
+                SearchProblem.along(chips=chips, open_range=(open_chips, open_chips)), threads
             )
-            cells[opened - 3] = f"{found.proof.upper:.4f}"
-            codes[opened] = found.code.bits.strip("0")
+            cells[open_chips - 3] = f"{result.proof.upper:.4f}"
+            codes[open_chips] = result.code.bits.strip("0")
         print(f"| {chips} | " + " | ".join(cells) + " |", flush=True)
-    print(f"\n| k | best code of at most {most} chips |\n|--:|:--|")
-    for opened, bits in sorted(codes.items()):
-        print(f"| {opened} | `{bits}` |")
+    print(f"\n| k | best code of at most {longest} chips |\n|--:|:--|")
+    for open_chips, bits in sorted(codes.items()):
+        print(f"| {open_chips} | `{bits}` |")
 
 
 def speed(threads: int) -> None:
     for chips in (28, 32, 36):
-        found, seconds = timed(SearchProblem.along(chips=chips), threads)
-        judged = sum(entry.judged for entry in found.proof.lengths)
+        result, seconds = timed(SearchProblem.along(chips=chips), threads)
+        judged_codes = sum(entry.judged for entry in result.proof.lengths)
         print(
-            f"n = {chips}: {found.seconds:.2f} s, {seconds:.2f} cpu s with {threads} thread(s), "
-            f"{judged / seconds / 1e9:.2f} G codes a cpu second (each mirror pair counted once)"
+            f"n = {chips}: {result.seconds:.2f} s, {seconds:.2f} cpu s with {threads} thread(s), "
+            f"{judged_codes / seconds / 1e9:.2f} G codes a cpu second (each mirror pair counted once)"
         )
 
 
@@ -78,16 +80,16 @@ def compare(chips: int) -> None:
     optimum as bound.
     """
     problem = SearchProblem.along(chips=chips)
-    known, seconds = timed(problem, 1)
+    result, seconds = timed(problem, 1)
     plan = plan_blocks(chips, 1, chips)
     records = [
         judge_block(
-            plan.chips, plan.fewest, plan.most, block.first, block.until, known.proof.lower
+            plan.chips, plan.fewest, plan.most, block.first, block.until, result.proof.lower
         )
         for block in plan.blocks
     ]
     assert sum(record["codes"] for record in records) == plan.codes
-    assert known.code.bits.strip("0") in " ".join(str(record["survivors"]) for record in records)
+    assert result.code.bits.strip("0") in " ".join(str(record["survivors"]) for record in records)
     folded = sum(float(record["seconds"]) for record in records)
     print(f"n = {chips}: bit tables {seconds:.2f} cpu s, folds {folded:.2f} cpu s", flush=True)
 

@@ -57,40 +57,46 @@ def motion_of(index: int, rng: np.random.Generator) -> Trajectory:
 
 
 def scenes() -> list[FloatArray]:
-    found = []
+    images = []
     for _, photo in photos(None):
         grey = luminance(photo)
         if min(grey.shape) >= SCENE_PX:
             row, column = pick_crops(grey, size=SCENE_PX, count=1)[0]
-            found.append(grey[row : row + SCENE_PX, column : column + SCENE_PX])
-    return found
+            images.append(grey[row : row + SCENE_PX, column : column + SCENE_PX])
+    return images
 
 
-def figures_of(given: argparse.Namespace, index: int, noise: float) -> Row:
-    rng = np.random.default_rng([given.seed, index])
+def figures_of(options: argparse.Namespace, index: int, noise: float) -> Row:
+    rng = np.random.default_rng([options.seed, index])
     path = motion_of(index, rng)
-    other = motion_of(index + 1, rng)
-    shown = scenes()
-    count = given.photos + given.strangers
+    stranger_path = motion_of(index + 1, rng)
+    scene_list = scenes()
+    count = options.photos + options.strangers
     which = (
-        [int(rng.integers(len(shown)))] * count
-        if given.same_scene
-        else rng.permutation(len(shown))[:count]
+        [int(rng.integers(len(scene_list)))] * count
+        if options.same_scene
+        else rng.permutation(len(scene_list))[:count]
     )
-    taken = []
+    blurred = []
     for i, scene in enumerate(which):
-        own = np.random.default_rng([given.seed, index, i])
-        moved = path if i < given.photos else other
-        moved = moved.scaled(1 + own.uniform(-given.scaled, given.scaled))
-        taken.append(photograph(shown[scene], moved.psf(FRAME_PX), rng=own, read_sigma=noise))
-    alone = [estimate_motion(photo, method=given.method) for photo in taken[: given.photos]]
-    fused = estimate_motion(taken, method=given.method)
+        photo_rng = np.random.default_rng([options.seed, index, i])
+        photo_path = path if i < options.photos else stranger_path
+        photo_path = photo_path.scaled(1 + photo_rng.uniform(-options.scaled, options.scaled))
+        blurred.append(
+            photograph(
+                scene_list[scene], photo_path.psf(FRAME_PX), rng=photo_rng, read_sigma=noise
+            )
+        )
+    estimates = [
+        estimate_motion(photo, method=options.method) for photo in blurred[: options.photos]
+    ]
+    fused = estimate_motion(blurred, method=options.method)
     truth = path.psf(FRAME_PX)
-    singles = tuple(mnc_subpixel(one.psf, truth) for one in alone)
+    singles = tuple(mnc_subpixel(estimate.psf, truth) for estimate in estimates)
     left_out = tuple(fused.details["left_out"])
     return Row(
         singles,
-        singles[int(np.argmax([one.confidence for one in alone]))],
+        singles[int(np.argmax([estimate.confidence for estimate in estimates]))],
         mnc_subpixel(fused.psf, truth),
         int(fused.details["seen_in"]),
         left_out,
@@ -113,19 +119,19 @@ def main() -> None:
     parser.add_argument("--strangers", type=int, default=0, help="photos of another motion")
     parser.add_argument("--same-scene", action="store_true")
     parser.add_argument("--seed", type=int, default=7)
-    given = parser.parse_args()
-    for noise in given.noise:
+    options = parser.parse_args()
+    for noise in options.noise:
         rows = []
-        for index in range(given.count):
-            rows.append(row := figures_of(given, index, noise))
-            singles = " ".join(f"{one:.3f}" for one in row.singles)
+        for index in range(options.count):
+            rows.append(row := figures_of(options, index, noise))
+            singles = " ".join(f"{mnc:.3f}" for mnc in row.singles)
             print(
                 f"{index} {noise:g}: {singles} fused {row.fused:.3f} seen {row.seen_in} without"
                 f" {row.left_out}",
                 flush=True,
             )
-        strangers = set(range(given.photos + 1, given.photos + given.strangers + 1))
-        found = sum(len(strangers & set(row.left_out)) for row in rows)
+        strangers = set(range(options.photos + 1, options.photos + options.strangers + 1))
+        detected = sum(len(strangers & set(row.left_out)) for row in rows)
         wrong = sum(len(set(row.left_out) - strangers) for row in rows)
         mean, best = (np.mean([pick(row.singles) for row in rows]) for pick in (np.mean, np.max))
         surest, fused = (
@@ -137,7 +143,7 @@ def main() -> None:
         )
         print(
             f"| {100 * noise:g} % | {mean:.3f} | {surest:.3f} | {best:.3f} | {fused:.3f} "
-            f"| {found} of {len(strangers) * len(rows)} | {wrong} of {given.photos * len(rows)} |",
+            f"| {detected} of {len(strangers) * len(rows)} | {wrong} of {options.photos * len(rows)} |",
             flush=True,
         )
 

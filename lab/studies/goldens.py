@@ -1215,13 +1215,13 @@ class Recorder:
 
     def _record(self, case: Case, folder: Path) -> None:
         before = digests(folder)
-        began = time.monotonic()
+        started = time.monotonic()
         if case.emulator:
             with self._emulator(folder):
                 outcome = self._run(case, folder)
         else:
             outcome = self._run(case, folder)
-        self.seconds[case.name] = round(time.monotonic() - began, 1)
+        self.seconds[case.name] = round(time.monotonic() - started, 1)
         self._store(case, folder, outcome, before)
 
     def _run(self, case: Case, folder: Path) -> Outcome:
@@ -1352,7 +1352,7 @@ def record(root: Path, target: Path, *, inputs: Path | None, only: str) -> None:
         Pattern of the names of cases to run; all when empty.
     """
     target.mkdir(parents=True)
-    began = time.monotonic()
+    started = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="goldens-") as temporary:
         recorder = Recorder(root.resolve(), target, Path(temporary).resolve())
         if inputs is None or not only:
@@ -1368,7 +1368,7 @@ def record(root: Path, target: Path, *, inputs: Path | None, only: str) -> None:
     (target / "seconds.json").write_text(
         json.dumps(recorder.seconds, indent=1) + "\n", encoding="utf-8"
     )
-    print(f"{len(recorder.seconds)} cases in {time.monotonic() - began:.0f} s: {target}")
+    print(f"{len(recorder.seconds)} cases in {time.monotonic() - started:.0f} s: {target}")
 
 
 # Comparison
@@ -1521,13 +1521,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     comparing.add_argument("before", type=Path)
     comparing.add_argument("after", type=Path)
     comparing.add_argument("--lines", type=int, default=40, help="lines to print of a case")
-    given = parser.parse_args(arguments)
-    if given.verb == "record":
-        if given.out.exists():
-            parser.error(f"{given.out}: exists")
-        record(given.root, given.out, inputs=given.inputs, only=given.only)
+    options = parser.parse_args(arguments)
+    if options.verb == "record":
+        if options.out.exists():
+            parser.error(f"{options.out}: exists")
+        record(options.root, options.out, inputs=options.inputs, only=options.only)
         return 0
-    return 0 if compare(given.before, given.after, most_lines=given.lines) else 1
+    return 0 if compare(options.before, options.after, most_lines=options.lines) else 1
 
 
 if __name__ == "__main__":

@@ -28,10 +28,10 @@ def load_times_s(loads: int) -> list[float]:
     times = []
     with EmulatedUno() as uno, Controller.open(uno.port) as controller:
         for _ in range(loads):
-            began = time.perf_counter()
+            started = time.perf_counter()
             controller.load(program)
             controller.verify(program)
-            times.append(time.perf_counter() - began)
+            times.append(time.perf_counter() - started)
     return sorted(times)
 
 
@@ -45,9 +45,9 @@ def trigger_latencies(triggers: int) -> list[int]:
             uno.trigger()
             while controller.status().state is not State.DONE:
                 pass
-        opened = [cycle for cycle, level in uno.edges() if level]
-        given = [cycle for cycle, level in uno.edges("trigger") if level]
-    return sorted(after - before for before, after in zip(given, opened, strict=True))
+        openings = [cycle for cycle, level in uno.edges() if level]
+        trigger_cycles = [cycle for cycle, level in uno.edges("trigger") if level]
+    return sorted(after - before for before, after in zip(trigger_cycles, openings, strict=True))
 
 
 def edge_errors(codes: int) -> tuple[list[int], int]:
@@ -79,19 +79,19 @@ def main() -> None:
     parser.add_argument("--loads", type=int, default=200)
     parser.add_argument("--triggers", type=int, default=400)
     parser.add_argument("--codes", type=int, default=60)
-    wanted = parser.parse_args()
+    options = parser.parse_args()
     try:
         build_board()
     except EmulationError as error:
         print(f"left out: {error}")
         return
-    times = load_times_s(wanted.loads)
+    times = load_times_s(options.loads)
     print(
         f"load and verify, 52 chips: median {statistics.median(times) * 1e3:.1f} ms, worst"
         f" {times[-1] * 1e3:.1f} ms"
     )
-    cycles = trigger_latencies(wanted.triggers)
-    told = [
+    cycles = trigger_latencies(options.triggers)
+    lines = [
         f"{name} {at * CYCLE_NS / 1e3:.2f} us"
         for name, at in (
             ("median", statistics.median(cycles)),
@@ -99,8 +99,8 @@ def main() -> None:
             ("most", cycles[-1]),
         )
     ]
-    print(f"trigger input to first chip, {len(cycles)} triggers: {', '.join(told)}")
-    errors, chips = edge_errors(wanted.codes)
+    print(f"trigger input to first chip, {len(cycles)} triggers: {', '.join(lines)}")
+    errors, chips = edge_errors(options.codes)
     print(
         f"edges: {len(errors)} of {chips} chips are {min(errors):+d}..{max(errors):+d} cycles of"
         " 62.5 ns off"

@@ -63,8 +63,8 @@ def reference_rows(folder: Path | None, pairs: int, trace: GyroTrace, seed: int)
         psf = motion.psf(motion.frame_size() | 1)
         angle_rad = rng.uniform(0, 2 * np.pi)
         offset = MISREGISTRATION_PX * np.array([np.sin(angle_rad), np.cos(angle_rad)])
-        moved = ndimage.shift(scene, (*offset, 0)[: scene.ndim], order=5, mode="reflect")
-        sharp = np.clip(moved + SIGMA * rng.standard_normal(scene.shape), 0, 1)
+        shifted = ndimage.shift(scene, (*offset, 0)[: scene.ndim], order=5, mode="reflect")
+        sharp = np.clip(shifted + SIGMA * rng.standard_normal(scene.shape), 0, 1)
         photo = photograph(scene, psf, rng=rng, read_sigma=SIGMA)
         start = time.process_time()
         estimate = ReferenceEstimator(sharp).estimate(photo)
@@ -80,13 +80,13 @@ def reference_rows(folder: Path | None, pairs: int, trace: GyroTrace, seed: int)
     print(f"\n{'reference, MNC':24s} mean   std    min    p10    median p90")
     for kind, values in scores.items():
         print(f"{kind:24s} {spread(values)}  n={len(values)}")
-    everything = [value for values in scores.values() for value in values]
+    all_scores = [value for values in scores.values() for value in values]
     print(
-        f"{'all':24s} {spread(everything)}  n={len(everything)}  {np.mean(seconds):.1f} CPU-s a"
+        f"{'all':24s} {spread(all_scores)}  n={len(all_scores)}  {np.mean(seconds):.1f} CPU-s a"
         " pair"
     )
     print(
-        f"confidence against MNC: correlation {np.corrcoef(confidences, everything)[0, 1]:.2f}\n"
+        f"confidence against MNC: correlation {np.corrcoef(confidences, all_scores)[0, 1]:.2f}\n"
     )
 
 

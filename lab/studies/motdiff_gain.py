@@ -114,9 +114,9 @@ class PmpCorrected(PmpEstimator):
         best = max(chosen, key=lambda i: probabilities[i])
         return FoundKernels(tuple(kernels), probabilities, best, {})
 
-    def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:
+    def corrected(self, crops: FloatArray, kernels: FoundKernels) -> FoundKernels:
         """Correct the kernels as ``motdiff`` does."""
-        return corrected_choice(self._correction, crops, found, count=_REFINED)
+        return corrected_choice(self._correction, crops, kernels, count=_REFINED)
 
 
 class Uncorrected(MotDiffEstimator):
@@ -124,9 +124,9 @@ class Uncorrected(MotDiffEstimator):
 
     method = "uncorrected"
 
-    def corrected(self, crops: FloatArray, found: FoundKernels) -> FoundKernels:  # noqa: ARG002
+    def corrected(self, crops: FloatArray, kernels: FoundKernels) -> FoundKernels:  # noqa: ARG002
         """Leave the kernel as it is."""
-        return found
+        return kernels
 
 
 class SharedSearch:
@@ -155,8 +155,8 @@ class SharedSearch:
             self.spared_s += self._found[key][1]
         else:
             began_s = time.process_time()
-            found = self._search(estimator, crops, **options)
-            self._found[key] = found, time.process_time() - began_s
+            searched = self._search(estimator, crops, **options)
+            self._found[key] = searched, time.process_time() - began_s
         return list(self._found[key][0])
 
     def forget(self) -> None:
@@ -218,14 +218,14 @@ def row_of(photo: Photo, methods: dict[str, Estimator], shared: SharedSearch) ->
     row["detail"] = float(np.sqrt(max(np.mean(gradients**2) - 2 * sigma**2, 0.0)))
     for name, estimator in methods.items():
         shared.spared_s, began_s = 0.0, time.process_time()
-        found = estimator.estimate(photo.light)
+        estimate = estimator.estimate(photo.light)
         cpu_s = time.process_time() - began_s + shared.spared_s
-        mnc = mnc_subpixel(found.psf, photo.psf)
+        mnc = mnc_subpixel(estimate.psf, photo.psf)
         row[name] = {
             "mnc": mnc,
-            "confidence": found.confidence,
+            "confidence": estimate.confidence,
             "cpu_s": cpu_s,
-            **_chosen(found.details),
+            **_chosen(estimate.details),
         }
     shared.forget()
     return row
@@ -245,7 +245,7 @@ def drawn(
     """
     figures: dict[str, object] = {}
     crops = luminance(photo.light)[None]
-    others = list(photo.conditions[:2])
+    conditions = list(photo.conditions[:2])
     for steps in _STEPS:
         draws = draw_psfs(
             network,
@@ -256,39 +256,43 @@ def drawn(
             generator=torch.Generator().manual_seed(number),
         )
         better = [
-            corrected_kernel(correction, crops, draw, others, sigma=shared_sigma(crops))
+            corrected_kernel(correction, crops, draw, conditions, sigma=shared_sigma(crops))
             for draw in draws
         ]
         for name, kernels in (
             (f"ddim:{steps}", list(draws)),
             (f"ddim:{steps}, corrected", better),
         ):
-            found = measure_draws(kernels, photo.psf)
+            draw_figures = measure_draws(kernels, photo.psf)
             mncs = [mnc_subpixel(kernel, photo.psf) for kernel in kernels]
             figures[name] = {
                 "mnc": mncs,
-                "best": found.best,
-                "alike": found.alike,
-                "covered": found.covered,
+                "best": draw_figures.best,
+                "alike": draw_figures.alike,
+                "covered": draw_figures.covered,
             }
     return figures
 
 
 def write_rows(file: Path, photos: Iterable[Photo], draws: int) -> None:
     """Append the rows that ``file`` lacks."""
-    there = {row["name"]: row for row in read_rows([file])} if file.exists() else {}
+    earlier = {row["name"]: row for row in read_rows([file])} if file.exists() else {}
     shared = SharedSearch(PmpEstimator.kernels)
     # the methods compared share each photo's search; type: pmp's own class is changed, for this
     # process alone
-    PmpEstimator.kernels = lambda *given, **options: shared.kernels(*given, **options)  # type: ignore[method-assign]
+    PmpEstimator.kernels = lambda *arguments, **options: shared.kernels(*arguments, **options)  # type: ignore[method-assign]
     methods = estimators()
     network = load_network()
     correction = load_correction()
     with torch.no_grad(), one_thread():
         for number, photo in enumerate(photos):
-            known = there.get(photo.name, {})
-            missing = {name: estimator for name, estimator in methods.items() if name not in known}
-            draws_missing = photo.conditions is not None and draws > 1 and _LAST_DRAWS not in known
+            figures = earlier.get(photo.name, {})
+            missing = {
+                name: estimator for name, estimator in methods.items() if name not in figures
+            }
+            draws_missing = (
+                photo.conditions is not None and draws > 1 and _LAST_DRAWS not in figures
+            )
             if not missing and not draws_missing:
                 continue
             row = row_of(photo, missing, shared)
@@ -331,12 +335,12 @@ def groups(rows: list[dict]) -> Iterator[tuple[str, list[dict]]]:
 def difference(rows: list[dict], first: str, second: str) -> str:
     """Mean paired difference with its 95 % interval, photos of one scene drawn together."""
     less = [row[first]["mnc"] - row[second]["mnc"] for row in rows]
-    found = mean_interval(
+    interval = mean_interval(
         less, rng=np.random.default_rng(0), clusters=[row["scene"] for row in rows]
     )
-    if found.clusters < _LEAST_SCENES or not np.isfinite(found.low):
-        return f"{found.mean:.3f}"
-    return f"{found.mean:.3f} [{found.low:.3f}, {found.high:.3f}]"
+    if interval.clusters < _LEAST_SCENES or not np.isfinite(interval.low):
+        return f"{interval.mean:.3f}"
+    return f"{interval.mean:.3f} [{interval.low:.3f}, {interval.high:.3f}]"
 
 
 def line(name: str, rows: list[dict]) -> str:
@@ -346,7 +350,7 @@ def line(name: str, rows: list[dict]) -> str:
     means = " | ".join(
         format(np.mean([row[method]["mnc"] for row in rows]), ".3f") for method in METHODS
     )
-    less = " | ".join(difference(rows, "motdiff", other) for other in METHODS[:-1])
+    less = " | ".join(difference(rows, "motdiff", rival) for rival in METHODS[:-1])
     change = np.array([row["motdiff"]["mnc"] - row["pmp"]["mnc"] for row in rows])
     changed = f"{np.sum(change > _CHANGED)}, {np.sum(change < -_CHANGED)}"
     return f"| {name} | {len(rows)} | {means} | {less} | {changed} |"
@@ -354,30 +358,30 @@ def line(name: str, rows: list[dict]) -> str:
 
 def table(rows: list[dict]) -> Iterator[str]:
     """Lines of the tables: sub-pixel MNC by group, and draws of the networks."""
-    whole = [row for row in rows if all(name in row for name in METHODS)]
-    if len(whole) < len(rows):
-        yield f"left out: {len(rows) - len(whole)} photos that lack a method\n"
-    if not whole:
+    complete = [row for row in rows if all(name in row for name in METHODS)]
+    if len(complete) < len(rows):
+        yield f"left out: {len(rows) - len(complete)} photos that lack a method\n"
+    if not complete:
         return
-    others = " | ".join(f"less {name}" for name in METHODS[:-1])
-    yield f"| photos | n | {' | '.join(METHODS)} | {others} | won, lost |"
+    rivals = " | ".join(f"less {name}" for name in METHODS[:-1])
+    yield f"| photos | n | {' | '.join(METHODS)} | {rivals} | won, lost |"
     yield f"|---|{'---:|' * (len(METHODS) + 1)}{'---|' * (len(METHODS) - 1)}---:|"
-    for name, some in groups(whole):
-        if some:
-            yield line(name, some)
-    known = [row for row in rows if _LAST_DRAWS in row]
+    for name, group in groups(complete):
+        if group:
+            yield line(name, group)
+    with_draws = [row for row in rows if _LAST_DRAWS in row]
     for name in (
         [f"ddim:{steps}{ending}" for steps in _STEPS for ending in ("", ", corrected")]
-        if known
+        if with_draws
         else ()
     ):
-        of = [row[name] for row in known]
-        one, best, alike, covered = (
+        of = [row[name] for row in with_draws]
+        single, best, alike, covered = (
             np.mean([np.mean(figures[key]) for figures in of])
             for key in ("mnc", "best", "alike", "covered")
         )
         yield (
-            f"\nDraws, {name}, {len(of)} photos: one draw {one:.3f}, best of {len(of[0]['mnc'])}"
+            f"\nDraws, {name}, {len(of)} photos: one draw {single:.3f}, best of {len(of[0]['mnc'])}"
             f" {best:.3f}, two draws alike {alike:.3f}, truth among them {covered:.3f}"
         )
 

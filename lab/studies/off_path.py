@@ -51,17 +51,19 @@ def off(
     return Trajectory.from_samples(np.stack(xy, axis=1), t=times, direction="known")
 
 
-def restored_db(true: Trajectory, given: Trajectory, code: ShutterCode) -> tuple[float, float]:
+def restored_db(true: Trajectory, assumed: Trajectory, code: ShutterCode) -> tuple[float, float]:
     """Error of a Wiener filter with a path that is off: with the camera's noise, and with what
     noise suits it best.
     """
     samples = band_samples(true)
-    passed, taken = (coded_otf(path, code, samples.fx, samples.fy) for path in (true, given))
+    passed, assumed_otf = (
+        coded_otf(path, code, samples.fx, samples.fy) for path in (true, assumed)
+    )
     inverse = inverse_scene(samples)[:, 0]
     noise = noise_variance(Camera(), code.duty)
 
-    def error_db(told: float) -> float:
-        gain = np.conj(taken) / (np.abs(taken) ** 2 + told * inverse)
+    def error_db(stated_db: float) -> float:
+        gain = np.conj(assumed_otf) / (np.abs(assumed_otf) ** 2 + stated_db * inverse)
         lost = np.abs(1 - gain * passed) ** 2 / inverse + np.abs(gain) ** 2 * noise
         return float(10 * np.log10(samples.weight @ lost))
 
@@ -69,12 +71,14 @@ def restored_db(true: Trajectory, given: Trajectory, code: ShutterCode) -> tuple
 
 
 def figures(
-    path: Trajectory, given: Trajectory, row: str, error_px: float, seed: int, steps: int
+    path: Trajectory, assumed: Trajectory, row: str, error_px: float, seed: int, steps: int
 ) -> list[float]:
-    name, _, many = row.partition(" x")
+    name, _, samples_text = row.partition(" x")
     rng = np.random.default_rng([seed, 9])
     paths = (
-        [off(given, error_px, rng, exactly=False) for _ in range(int(many))] if many else [given]
+        [off(assumed, error_px, rng, exactly=False) for _ in range(int(samples_text))]
+        if samples_text
+        else [assumed]
     )
     problem = SearchProblem.along(
         *paths,
@@ -84,17 +88,17 @@ def figures(
         direction="forward",
         rule="mean",
     )
-    began = time.process_time()
+    started = time.process_time()
     code = anneal(problem, rng=np.random.default_rng(1), steps=steps, time_s=600, threads=1).code
-    seconds = time.process_time() - began
+    seconds = time.process_time() - started
     judge = Objective(
         SearchProblem.along(path, chips=_CHIPS, objective="noise", direction="forward"),
         oversampling=16,
         dtype=np.float64,
     )
     bits = code.array[None].astype(np.int8)
-    along = [float(one.cost_of(bits)[0]) for one in (judge, judge.instead("mse"))]
-    return [*along, *restored_db(path, given, code), seconds]
+    along = [float(objective.cost_of(bits)[0]) for objective in (judge, judge.instead("mse"))]
+    return [*along, *restored_db(path, assumed, code), seconds]
 
 
 def main() -> None:
@@ -106,26 +110,26 @@ def main() -> None:
         "--errors", type=float, nargs="+", default=[0.0, 0.1, 0.25, 0.5, 1.0], metavar="PX"
     )
     parser.add_argument("--steps", type=int, default=150_000)
-    given = parser.parse_args()
-    walks = draw_motions(given.walks, length_px=60.0, rng=np.random.default_rng(8))
-    for error_px in given.errors:
-        found: dict[str, NDArray[np.float64]] = {}
+    options = parser.parse_args()
+    walks = draw_motions(options.walks, length_px=60.0, rng=np.random.default_rng(8))
+    for error_px in options.errors:
+        results: dict[str, NDArray[np.float64]] = {}
         for row in ROWS if error_px else ("noise", "mse"):
-            each = []
+            runs = []
             for index, path in enumerate(walks):
                 rng = np.random.default_rng([index, round(1000 * error_px)])
                 wrong = off(path, error_px, rng, exactly=True) if error_px else path
-                each.append(figures(path, wrong, row, error_px, index, given.steps))
-            found[row] = np.array(each)
-            means = "  ".join(f"{value:7.2f}" for value in found[row].mean(axis=0)[:4])
-            less = found[row] - found[row.split(" ")[0]]
+                runs.append(figures(path, wrong, row, error_px, index, options.steps))
+            results[row] = np.array(runs)
+            means = "  ".join(f"{value:7.2f}" for value in results[row].mean(axis=0)[:4])
+            less = results[row] - results[row.split(" ")[0]]
             spread = 1.96 * less.std(axis=0, ddof=1) / np.sqrt(len(less))
             compared = "  ".join(
                 f"{m:+.2f} +- {s:.2f}" for m, s in zip(less.mean(axis=0)[:4], spread, strict=False)
             )
             print(
                 f"{error_px:5.2f} px  {row:9} {means}   {compared}  "
-                f" {found[row][:, 4].mean():.1f} s",
+                f" {results[row][:, 4].mean():.1f} s",
                 flush=True,
             )
 

@@ -121,10 +121,10 @@ def wobbled(path: Trajectory, wobble_px: float, rng: np.random.Generator) -> Tra
 
 @cache
 def photo_files(folder: str) -> tuple[Path, ...]:
-    found = sorted(path for path in Path(folder).rglob("*") if path.suffix.lower() in SUFFIXES)
-    if not found:
+    files = sorted(path for path in Path(folder).rglob("*") if path.suffix.lower() in SUFFIXES)
+    if not files:
         raise SystemExit(f"error: --photos: {folder} has no photos")
-    return tuple(found)
+    return tuple(files)
 
 
 @cache
@@ -163,14 +163,14 @@ def photos_of(case: Case) -> tuple[Trajectory, list[FloatArray]]:
     rng = np.random.default_rng([case.seed, MOTIONS.index(case.motions), case.index])
     path = motion_of(case, rng)
     scene = scene_of(case, rng)
-    own = [
+    own_scenes = [
         np.random.default_rng([case.seed, MOTIONS.index(case.motions), case.index, photo])
         for photo in range(len(case.codes))
     ]
     shifts_px = []
     motions = []
     light = []
-    for rng in own:
+    for rng in own_scenes:
         shifts_px.append(rng.uniform(-case.moved_px, case.moved_px, 2))
         factor = 1 + rng.uniform(-case.scaled, case.scaled)
         light.append(np.exp(rng.uniform(-case.brightness, case.brightness)))
@@ -182,13 +182,13 @@ def photos_of(case: Case) -> tuple[Trajectory, list[FloatArray]]:
     margin = (2 * case.side_px - (case.side_px + frame - 1)) // 2
     if margin < 0:
         raise SystemExit(f"error: --side: {case.side_px} px do not hold a blur of {frame} px")
-    part = slice(margin, margin + case.side_px + frame - 1)
+    window = slice(margin, margin + case.side_px + frame - 1)
     scenes = [spot(scene, psf) if case.light else scene for psf in psfs]
-    taken = [
-        photograph(scene[part, part], level * psf, rng=rng, read_sigma=case.noise)
-        for scene, psf, level, rng in zip(scenes, psfs, light, own, strict=True)
+    photos = [
+        photograph(scene[window, window], level * psf, rng=rng, read_sigma=case.noise)
+        for scene, psf, level, rng in zip(scenes, psfs, light, own_scenes, strict=True)
     ]
-    return path, taken
+    return path, photos
 
 
 # -- one case
@@ -199,26 +199,31 @@ def figures_of(case: Case) -> dict[str, object]:
     from motdiff.estimators.coded.trail_estimator import TrailEstimator
 
     estimator = TrailEstimator if case.light else CodedEstimator
-    path, taken = photos_of(case)
-    began = time.perf_counter()
+    path, photos = photos_of(case)
+    started = time.perf_counter()
     began_cpu = time.process_time()
     row: dict[str, object]
     try:
-        found = estimator(case.codes, seed=case.index).estimate_from(taken)
+        estimate = estimator(case.codes, seed=case.index).estimate_from(photos)
     except ValueError as refusal:
         row = {"refused": str(refusal)}
     else:
         row = {
-            "error_px": timed_distance_px(found.best, path),
-            "reversed_px": timed_distance_px(found.best.reversed(), path),
-            "best_of_all_px": min(timed_distance_px(one, path) for one in found.trajectories),
-            "confidence": found.confidence,
-            "stated_px": found.details["path_uncertainty_px"],
-            "misfit": found.details["misfit"],
-            "searches_agreeing": found.details["searches_agreeing"],
-            "kernels": found.details.get("kernel_confidences", []),
+            "error_px": timed_distance_px(estimate.best, path),
+            "reversed_px": timed_distance_px(estimate.best.reversed(), path),
+            "best_of_all_px": min(
+                timed_distance_px(candidate, path) for candidate in estimate.trajectories
+            ),
+            "confidence": estimate.confidence,
+            "stated_px": estimate.details["path_uncertainty_px"],
+            "misfit": estimate.details["misfit"],
+            "searches_agreeing": estimate.details["searches_agreeing"],
+            "kernels": estimate.details.get("kernel_confidences", []),
         }
-    return row | {"seconds": time.perf_counter() - began, "cpu_s": time.process_time() - began_cpu}
+    return row | {
+        "seconds": time.perf_counter() - started,
+        "cpu_s": time.process_time() - began_cpu,
+    }
 
 
 def is_right(row: dict[str, object]) -> bool:
@@ -258,8 +263,8 @@ def measured(cases: Sequence[Case], workers: int) -> Iterator[tuple[Case, dict[s
     )
     try:
         running = {pool.submit(figures_of, case): case for case in cases}
-        for done in as_completed(running):
-            yield running[done], done.result()
+        for future in as_completed(running):
+            yield running[future], future.result()
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -290,13 +295,13 @@ def order_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
             for case, row in rows
             if (case.motions, case.noise, case.set) == (motions, noise, name)
         ]
-        found = [row for row in chosen if "error_px" in row]
+        finished_rows = [row for row in chosen if "error_px" in row]
         right = np.mean([is_right(row) for row in chosen])
         line = f"| {motions} | {100 * noise:g} % | {name} | {len(chosen)} | {right:.2f} "
-        if found:
-            errors = numbers(found, "error_px")
-            best = numbers(found, "best_of_all_px")
-            backwards = np.mean(numbers(found, "reversed_px") < errors)
+        if finished_rows:
+            errors = numbers(finished_rows, "error_px")
+            best = numbers(finished_rows, "best_of_all_px")
+            backwards = np.mean(numbers(finished_rows, "reversed_px") < errors)
             line += (
                 f"| {np.median(errors):.2f} | {np.percentile(errors, 90):.2f} | {backwards:.2f} "
             )
@@ -312,10 +317,12 @@ def order_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
 def confidence_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
     print("\n| set | stated confidence | motions | mean stated | right |\n|---|---|---|---|---|")
     for name in sorted({case.set for case, _ in rows}):
-        found = [row for case, row in rows if case.set == name and "error_px" in row]
+        finished_rows = [row for case, row in rows if case.set == name and "error_px" in row]
         for low in (0, 0.25, 0.5, 0.75):
             within = [
-                row for row in found if low <= row["confidence"] < low + 0.25 + (low == 0.75)
+                row
+                for row in finished_rows
+                if low <= row["confidence"] < low + 0.25 + (low == 0.75)
             ]
             if within:
                 right = np.mean([is_right(row) for row in within])
@@ -335,11 +342,11 @@ def uncertainty_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
     for name in sorted({case.set for case, _ in rows}):
         right = [row for case, row in rows if case.set == name and is_right(row)]
         if right:
-            stated = numbers(right, "stated_px")
+            stated_px = numbers(right, "stated_px")
             true = numbers(right, "error_px")
-            ratio = true / np.maximum(stated, 1e-3)
+            ratio = true / np.maximum(stated_px, 1e-3)
             print(
-                f"| {name} | {len(right)} | {np.median(stated):.2f} | {np.median(true):.2f} |"
+                f"| {name} | {len(right)} | {np.median(stated_px):.2f} | {np.median(true):.2f} |"
                 f" {np.median(ratio):.2f} | {np.percentile(ratio, 90):.2f} |"
             )
 
@@ -396,10 +403,11 @@ def main() -> None:
     )
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    options = parser.parse_args()
     try:
         sets = {
-            name: codes_of_set(name.replace("one", "raskar-52"), given.chips) for name in given.set
+            name: codes_of_set(name.replace("one", "raskar-52"), options.chips)
+            for name in options.set
         }
     except ValueError as refusal:
         parser.error(f"--set: {refusal}")
@@ -410,28 +418,28 @@ def main() -> None:
             motions=motions,
             index=index,
             noise=noise,
-            moved_px=given.moved,
-            brightness=given.brightness,
-            scaled=given.scaled,
-            wobble_px=given.wobble,
-            side_px=given.side,
-            seed=given.seed,
-            photos=given.photos,
-            gyro=given.gyro if motions == "gyro" else "",
-            light=given.light,
+            moved_px=options.moved,
+            brightness=options.brightness,
+            scaled=options.scaled,
+            wobble_px=options.wobble,
+            side_px=options.side,
+            seed=options.seed,
+            photos=options.photos,
+            gyro=options.gyro if motions == "gyro" else "",
+            light=options.light,
         )
-        for index in range(given.count)
-        for motions in given.motions
-        for noise in given.noise
+        for index in range(options.count)
+        for motions in options.motions
+        for noise in options.noise
         for name, codes in sets.items()
     ]
-    known = finished(given.results)
-    rows = [(case, known[key(asdict(case))]) for case in cases if key(asdict(case)) in known]
-    missing = [case for case in cases if key(asdict(case)) not in known]
+    earlier = finished(options.results)
+    rows = [(case, earlier[key(asdict(case))]) for case in cases if key(asdict(case)) in earlier]
+    missing = [case for case in cases if key(asdict(case)) not in earlier]
     print(f"{len(cases)} motions x sets, {len(rows)} of them known", flush=True)
     try:
-        for case, row in measured(missing, given.workers):
-            keep(given.results, case, row)
+        for case, row in measured(missing, options.workers):
+            keep(options.results, case, row)
             rows.append((case, row))
             verdict = "right" if is_right(row) else "wrong"
             figures = "  ".join(

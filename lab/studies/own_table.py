@@ -55,26 +55,26 @@ def main() -> None:
     parser.add_argument("--problems", type=int, default=14)
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    rng = np.random.default_rng(given.seed)
+    options = parser.parse_args()
+    rng = np.random.default_rng(options.seed)
     print(
         "chips  objective   code, dB   lost, dB  to                               lost free,"
         " dB  to"
     )
     losses = []
-    for index in range(given.problems):
+    for index in range(options.problems):
         problem = random_problem(rng)
-        found = search(problem, Search(steps=given.steps, seed=index), threads=1)
+        result = search(problem, Search(steps=options.steps, seed=index), threads=1)
         fine = Objective(problem, oversampling=64, dtype=np.float64)
-        own = fine.exact_cost(found.code)
-        costs = {row.name: fine.exact_cost(row.code) for row in found.baselines}
-        within = {row.name for row in found.baselines if problem.allows(row.code)}
-        kept = min(within, key=costs.__getitem__)
+        path_cost = fine.exact_cost(result.code)
+        costs = {row.name: fine.exact_cost(row.code) for row in result.baselines}
+        within = {row.name for row in result.baselines if problem.allows(row.code)}
+        best = min(within, key=costs.__getitem__)
         free = min(costs, key=costs.__getitem__)
-        losses.append((own - costs[kept], own - costs[free]))
+        losses.append((path_cost - costs[best], path_cost - costs[free]))
         print(
-            f"{problem.chips:5d}  {problem.objective!s:10s} {own:9.3f}  {losses[-1][0]:9.3f} "
-            f" {kept:31s}  {losses[-1][1]:13.3f}  {free}",
+            f"{problem.chips:5d}  {problem.objective!s:10s} {path_cost:9.3f}  {losses[-1][0]:9.3f} "
+            f" {best:31s}  {losses[-1][1]:13.3f}  {free}",
             flush=True,
         )
     table = np.array(losses)

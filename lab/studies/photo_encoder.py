@@ -41,13 +41,13 @@ _STEPS = (1, 10)
 def rows(base: TrainingConfig) -> dict[str, TrainingConfig]:
     """Name every row of the table."""
     encoder = replace(base, network=replace(base.network, backbone="b0", photo_pool=2))
-    alone = replace(encoder, data=replace(base.data, physics_dropout=_BLANKED))
+    without_maps = replace(encoder, data=replace(base.data, physics_dropout=_BLANKED))
     wide = replace(base, network=replace(base.network, denoiser_view=1))
     return {
         "physics maps": base,
         "photo and physics maps": encoder,
         "global view": wide,
-        "photo": alone,
+        "photo": without_maps,
     }
 
 
@@ -60,10 +60,10 @@ def held_out(config: TrainingConfig) -> dict[str, list[Batch]]:
     batches = {}
     for kind in sorted(set(kinds)):
         at = torch.from_numpy(np.flatnonzero(kinds == kind))
-        some = Samples(
+        held_samples = Samples(
             *(getattr(samples, name)[at] for name in ("photos", "kernels", "x0", "dwell"))
         )
-        source = PreparedSource(some, photo=True, physics=True, seed=0, symmetries=False)
+        source = PreparedSource(held_samples, photo=True, physics=True, seed=0, symmetries=False)
         batches[kind] = source.batch(0, len(at)).split(_BATCH)
     return batches
 
@@ -82,29 +82,33 @@ def measured(trainer: Trainer, batches: list[Batch]) -> tuple[float, np.ndarray]
     blank = trainer.config.data.physics_dropout == _BLANKED
     losses: list[float] = []
     scores: list[list[list[float]]] = [[] for _ in _STEPS]
-    for number, whole in enumerate(batches):
-        photo = None if network.photo is None else whole.photo
+    for number, batch in enumerate(batches):
+        photo = None if network.photo is None else batch.photo
         physics = (
-            torch.zeros_like(whole.physics)
-            if blank and whole.physics is not None
-            else whole.physics
+            torch.zeros_like(batch.physics)
+            if blank and batch.physics is not None
+            else batch.physics
         )
-        seen = Batch(photo, physics, whole.x0, whole.dwell)
+        conditions = Batch(photo, physics, batch.x0, batch.dwell)
         generator = torch.Generator().manual_seed(number)
         loss = [
             loss_of(
-                network, seen, trainer.config.loss, schedule=trainer.schedule, generator=generator
+                network,
+                conditions,
+                trainer.config.loss,
+                schedule=trainer.schedule,
+                generator=generator,
             )
             for _ in range(4)
         ]
-        losses += len(seen) * [float(torch.stack([path for path, _ in loss]).mean())]
-        truth = psfs_of_maps(seen.dwell[:, 0]).double().numpy()
+        losses += len(conditions) * [float(torch.stack([path for path, _ in loss]).mean())]
+        truth = psfs_of_maps(conditions.dwell[:, 0]).double().numpy()
         for score, steps in zip(scores, _STEPS, strict=True):
             generator = torch.Generator().manual_seed(number)
-            drawn = drawn_psfs(
-                sampler, seen, schedule=trainer.schedule, steps=steps, generator=generator
+            psfs = drawn_psfs(
+                sampler, conditions, schedule=trainer.schedule, steps=steps, generator=generator
             )
-            score.append([mnc(a, b) for a, b in zip(drawn.double().numpy(), truth, strict=True)])
+            score.append([mnc(a, b) for a, b in zip(psfs.double().numpy(), truth, strict=True)])
     return float(np.mean(losses)), np.array([np.concatenate(score) for score in scores])
 
 
@@ -121,8 +125,8 @@ def main() -> None:
         return
     base = read_config(options.config)
     steps = {"steps": options.updates, "warm_up": options.updates // 8, "rate": 4e-4, "ema": 0.98}
-    whole = {"start": str(DEFAULT_WEIGHTS), "window": 64, "precision": "bf16"}
-    base = replace(base, optimiser=replace(base.optimiser, **steps, **whole))
+    fields = {"start": str(DEFAULT_WEIGHTS), "window": 64, "precision": "bf16"}
+    base = replace(base, optimiser=replace(base.optimiser, **steps, **fields))
     batches = held_out(base)
     reference: dict[str, np.ndarray] = {}
     print("| row | motions | photos | loss | MNC, one step | ten steps | more than the start |")
@@ -134,8 +138,8 @@ def main() -> None:
             if config is None
             else train(config, folder, pace=Pace(validate_steps=options.updates))
         )
-        for kind, some in batches.items():
-            loss, scores = measured(trainer, some)
+        for kind, kind_batches in batches.items():
+            loss, scores = measured(trainer, kind_batches)
             gain = scores - reference.setdefault(kind, scores)
             error = gain.std(axis=1) / math.sqrt(gain.shape[1])
             means = " | ".join(f"{mean:.3f}" for mean in scores.mean(axis=1))

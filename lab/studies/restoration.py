@@ -57,14 +57,14 @@ def alike(path: Trajectory, rng: np.random.Generator) -> Trajectory:
             xy + share * np.ptp(xy, axis=0).max() * bend, t=times / times[-1]
         )
 
-    least = 0.0
-    most = 0.3
+    low = 0.0
+    high = 0.3
     for _ in range(14):
-        middle = (least + most) / 2
-        found = bent(middle)
-        likeness = mnc_subpixel(found.psf(found.frame_size(PSF_PX)), path.psf(PSF_PX))
-        least, most = (middle, most) if likeness > ALIKE else (least, middle)
-    return bent(least)
+        middle = (low + high) / 2
+        bent_path = bent(middle)
+        likeness = mnc_subpixel(bent_path.psf(bent_path.frame_size(PSF_PX)), path.psf(PSF_PX))
+        low, high = (middle, high) if likeness > ALIKE else (low, middle)
+    return bent(low)
 
 
 def main() -> None:
@@ -74,20 +74,22 @@ def main() -> None:
     parser.add_argument("photos", type=Path)
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--turns", type=int, default=2, help="motions per photo, 1 to 3")
-    given = parser.parse_args()
+    options = parser.parse_args()
     side = PROTOCOL.crop_px + PSF_PX - 1
     motions = drawn_motions(PROTOCOL)
-    found: dict[tuple[bool, float, str], list[tuple[float, float, float]]] = defaultdict(list)
+    scores: dict[tuple[bool, float, str], list[tuple[float, float, float]]] = defaultdict(list)
     whose: list[int] = []  # photo of each figure
-    for number, path in enumerate(pick(photo_folder(given.photos), given.count, least_px=side)):
+    for number, path in enumerate(
+        pick(photo_folder(options.photos), options.count, least_px=side)
+    ):
         scene = luminance(crop(path, side, np.random.default_rng([0, 5, number]), gamma="srgb"))
         truth = visible(scene, PSF_PX)
-        for turn in range(given.turns):
+        for turn in range(options.turns):
             index = 3 * (number % 3) + (number + turn) % 3
             wrong = alike(motions[index], np.random.default_rng([9, number, index]))
             for which, code in enumerate(CODES):
                 psf = coded_psf(motions[index], code, PSF_PX)
-                other = coded_psf(wrong, code, wrong.frame_size(PSF_PX))
+                wrong_psf = coded_psf(wrong, code, wrong.frame_size(PSF_PX))
                 whose.append(number)
                 for level in LEVELS:
                     camera = PROTOCOL.camera(level)
@@ -97,20 +99,20 @@ def main() -> None:
                         camera=camera,
                         rng=np.random.default_rng([8, number, index, which]),
                     )
-                    for is_true, assumed in ((True, psf), (False, other)):
+                    for is_true, assumed in ((True, psf), (False, wrong_psf)):
                         for name in COMPARED:
-                            told = {"camera": camera} if name in TOLD_THE_NOISE else {}
+                            noise_options = {"camera": camera} if name in TOLD_THE_NOISE else {}
                             started = time.process_time()
-                            restored = METHODS[name].function(photo, assumed, **told)
+                            restored = METHODS[name].function(photo, assumed, **noise_options)
                             seconds = time.process_time() - started
                             psnr_db, ssim = psnr_ssim_up_to_shift(
                                 np.clip(restored, 0, 1), truth, crop_px=BORDER_PX
                             )
-                            found[is_true, level, name].append((psnr_db, ssim, seconds))
+                            scores[is_true, level, name].append((psnr_db, ssim, seconds))
     print("PSF    electrons  method   PSNR dB   SSIM  CPU-s  pnp less it, dB")
-    for (is_true, level, name), figures in found.items():
+    for (is_true, level, name), figures in scores.items():
         psnr_db, ssim, seconds = np.mean(figures, axis=0)
-        gains = np.subtract(found[is_true, level, "pnp"], figures)[:, 0]
+        gains = np.subtract(scores[is_true, level, "pnp"], figures)[:, 0]
         interval = mean_interval(gains, rng=np.random.default_rng(0), clusters=whose)
         gain = (
             ""

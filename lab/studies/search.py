@@ -43,8 +43,8 @@ def figures(code: ShutterCode) -> tuple[float, float]:
 
 def search(problem: SearchProblem, seconds: float, seed: int) -> tuple[ShutterCode, float]:
     started = time.perf_counter()
-    found = anneal(problem, rng=np.random.default_rng(seed), steps=None, time_s=seconds)
-    return found.code, time.perf_counter() - started
+    result = anneal(problem, rng=np.random.default_rng(seed), steps=None, time_s=seconds)
+    return result.code, time.perf_counter() - started
 
 
 def frontier(seconds: float, seed: int) -> None:
@@ -83,12 +83,12 @@ def proven(seconds: float, seed: int) -> None:
     exact(SearchProblem.along(chips=21))  # compiling
     for chips in (20, 24, 28, 32, 36, 39):
         problem = SearchProblem.along(chips=chips)
-        found = exact(problem)
+        result = exact(problem)
         count = codes_to_count(problem)
-        rate = count / found.seconds / 1e9
+        rate = count / result.seconds / 1e9
         print(
-            f"| {chips} | {found.minimum.lower:.6f} | {found.code.open_chips} | {count:.3g} |"
-            f" {found.seconds:.2f} | {rate:.3g} |",
+            f"| {chips} | {result.minimum.lower:.6f} | {result.code.open_chips} | {count:.3g} |"
+            f" {result.seconds:.2f} | {rate:.3g} |",
             flush=True,
         )
     print("first code with min P > 2:")
@@ -111,17 +111,17 @@ def speed(seconds: float, seed: int) -> None:
     print(f"| {columns} frequencies, one core | moves/s |\n|---|---|")
     for moves in (10_000, 1_000_000):
         started = time.thread_time()
-        made = 0
+        steps = 0
         best = code
         for count, codes in crew._cooling(Cooling(code, 0.3, 0.1, moves, 1)):
-            made = made + count
+            steps = steps + count
             best = codes[0]
-    print(f"| annealing | {made / (time.thread_time() - started):.3g} |")
+    print(f"| annealing | {steps / (time.thread_time() - started):.3g} |")
     started = time.thread_time()
-    made = 0
+    steps = 0
     for count, _ in crew._cooling(Cooling(best, 0.05, 0.04, 1_000_000, 1)):
-        made += count
-    print(f"| annealing, cold, at a good code | {made / (time.thread_time() - started):.3g} |")
+        steps += count
+    print(f"| annealing, cold, at a good code | {steps / (time.thread_time() - started):.3g} |")
     started = time.thread_time()
     flips = np.repeat(best[None], 52, axis=0) ^ np.eye(52, dtype=np.int8)
     for _ in range(20):
@@ -131,7 +131,7 @@ def speed(seconds: float, seed: int) -> None:
 
 def direction(seconds: float, seed: int) -> None:
     del seed
-    each = min(seconds, 10.0)
+    search_s = min(seconds, 10.0)
     rows = []
     for shake in range(SHAKES):
         path = boracchi_foi(np.random.default_rng(shake))
@@ -139,10 +139,10 @@ def direction(seconds: float, seed: int) -> None:
             path, chips=52, open_range=(1, 52), objective="noise", direction="unknown"
         )
         one_way = replace(problem, direction="forward")
-        forward, _ = search(one_way, each, shake)
-        robust, _ = search(problem, each, shake)
+        forward, _ = search(one_way, search_s, shake)
+        robust, _ = search(problem, search_s, shake)
         gains = [
-            [measure(way, code, budget=0) for way in (path, path.reversed())]
+            [measure(ordered, code, budget=0) for ordered in (path, path.reversed())]
             for code in (ShutterCode("1" * 52), forward, robust)
         ]
         line = [gains[0][0].noise_gain_db, gains[1][0].noise_gain_db, gains[1][1].noise_gain_db]

@@ -88,10 +88,10 @@ def main() -> None:
     ]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert server.stdout is not None
-    told = ""
-    while not told.rstrip().endswith("}"):
-        told += server.stdout.readline()
-    home = urlsplit(json.loads(told)["address"])
+    output = ""
+    while not output.rstrip().endswith("}"):
+        output += server.stdout.readline()
+    home = urlsplit(json.loads(output)["address"])
     cookie = send(home.netloc, "GET", f"/?{home.query}", {}, [])[1]["set-cookie"].split(";")[
         0
     ]  # the key works once
@@ -118,16 +118,16 @@ def in_browser(netloc: str, cookie: str, changes: int, peak: Peak) -> None:
         page = context.new_page()
         page.goto(address)
         wait(page)
-        begun = time.perf_counter()
+        started = time.perf_counter()
         page.goto(address)
         paint = page.evaluate(
             "performance.getEntriesByName('first-contentful-paint')[0]?.startTime"
         )
         wait(page)
-        whole = time.perf_counter() - begun
+        elapsed_s = time.perf_counter() - started
         print(
             f"page: first paint {paint or float('nan'):.0f} ms, all of its first state"
-            f" {1000 * whole:.0f} ms"
+            f" {1000 * elapsed_s:.0f} ms"
         )
         for name, state in STATES.items():
             page.evaluate("state => { location.hash = state; }", state)
@@ -140,12 +140,12 @@ def in_browser(netloc: str, cookie: str, changes: int, peak: Peak) -> None:
         wait(page)
         page.evaluate(SEARCH)
         time.sleep(4)
-        other = context.new_page()
-        other.goto(f"{address}#motion=example:shake")
-        wait(other)
+        second_page = context.new_page()
+        second_page.goto(f"{address}#motion=example:shake")
+        wait(second_page)
         row(
             "flip a chip on a second page while the first one searches",
-            other,
+            second_page,
             FLIPS,
             changes,
             peak.pid,
@@ -178,14 +178,14 @@ def large_photo(page: object, peak: Peak) -> None:
         file = Path(folder) / "large.jpg"
         file.write_bytes(encode_image(photo, ".jpg"))
         peak.reset()
-        begun = time.perf_counter()
+        started = time.perf_counter()
         page.locator("#photo-file").set_input_files(file)  # type: ignore[attr-defined]
         while "motion=path:" not in page.url:  # type: ignore[attr-defined]
             time.sleep(0.1)
             failed = page.locator(".error[data-for=photo]").inner_text()  # type: ignore[attr-defined]
             assert not failed, failed
         megapixels = photo.shape[0] * photo.shape[1] / 1e6
-        seconds = time.perf_counter() - begun
+        seconds = time.perf_counter() - started
         print(
             f"photo of {megapixels:.1f} MP: motion after {seconds:.1f} s, memory at most"
             f" {peak.most:.0f} MB"
@@ -263,13 +263,13 @@ def left() -> set[str]:
 
 
 def wait(page: object) -> None:
-    ends = time.monotonic() + 120
+    deadline = time.monotonic() + 120
     names = (
         "['picture', 'photo', 'verdict'].every((one) => document.body.dataset[one] ==="
         " document.body.dataset.asked)"
     )
     while not page.evaluate(f"document.body.dataset.asked !== undefined && {names}"):  # type: ignore[attr-defined]
-        assert time.monotonic() < ends
+        assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
@@ -280,8 +280,8 @@ def row(name: str, page: object, script: str, changes: int, server: int) -> None
     before = cpu_s(server)
     median, high = np.percentile(page.evaluate(script, changes), [50, 95])  # type: ignore[attr-defined]
     took = [
-        1000 * (after - begun) / changes
-        for begun, after in zip(before, cpu_s(server), strict=True)
+        1000 * (after - start_s) / changes
+        for start_s, after in zip(before, cpu_s(server), strict=True)
     ]
     print(
         f"{name}: median {median:.0f} ms, p95 {high:.0f} ms; processor {took[0]:.0f} ms in the"
@@ -315,10 +315,10 @@ def family(root: int) -> list[int]:
             )
         except (OSError, ValueError):
             continue
-    found = [root]
-    for pid in found:
-        found += [child for child, parent in parents.items() if parent == pid]
-    return found
+    pids = [root]
+    for pid in pids:
+        pids += [child for child, parent in parents.items() if parent == pid]
+    return pids
 
 
 class Peak:

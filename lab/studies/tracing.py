@@ -37,10 +37,10 @@ def draws_the_same(path: np.ndarray, hr_map: np.ndarray) -> bool:
     on_path = MAP_CENTRE + MAP_PITCH * np.stack(
         [np.interp(fine, steps, path[:, axis]) for axis in (0, 1)], axis=-1
     )
-    drawn = np.argwhere(hr_map)[:, ::-1]
+    map_pixels = np.argwhere(hr_map)[:, ::-1]
     reach = 1.5
-    missed = spatial.cKDTree(on_path).query(drawn)[0] > reach
-    invented = spatial.cKDTree(drawn).query(on_path)[0] > reach
+    missed = spatial.cKDTree(on_path).query(map_pixels)[0] > reach
+    invented = spatial.cKDTree(map_pixels).query(on_path)[0] > reach
     return bool(missed.mean() < 0.02 and invented.mean() < 0.02)
 
 
@@ -122,8 +122,8 @@ def dwell_table(motions: int, trace: GyroTrace, seed: int) -> None:
             noisy = np.maximum(psf + rng.normal(0, NOISE * psf.max(), psf.shape), 0)
             path = trace_map(hr_map)
 
-            def score(found: Trajectory, psf: np.ndarray = psf) -> float:
-                return mnc_subpixel(found.psf(found.frame_size(FRAME)), psf)
+            def score(trajectory: Trajectory, psf: np.ndarray = psf) -> float:
+                return mnc_subpixel(trajectory.psf(trajectory.frame_size(FRAME)), psf)
 
             bare = mnc_subpixel(
                 hr_map.reshape(PSF_PX, MAP_PITCH, PSF_PX, MAP_PITCH).mean(axis=(1, 3)), psf

@@ -54,7 +54,7 @@ def gains_over_light(case: tuple[str, int, float, float]) -> list[float]:
         path_error_px=error_px,
         threads=1,
     )
-    return [one.code_gain_db or 0.0 for one in advice.levels]
+    return [level.code_gain_db or 0.0 for level in advice.levels]
 
 
 def walk(seed: int) -> Trajectory:
@@ -75,9 +75,11 @@ def make_map(walks: int, image: Path, run: Callable[..., Iterable[list[float]]])
         for e in READ_NOISE
         for seed in seeds
     ]
-    found = iter(run(gains_over_light, cases))
+    gains_by_case = iter(run(gains_over_light, cases))
     tables = {
-        name: np.array([np.median([next(found) for _ in seeds], axis=0) for _ in READ_NOISE])
+        name: np.array(
+            [np.median([next(gains_by_case) for _ in seeds], axis=0) for _ in READ_NOISE]
+        )
         for name, (_, seeds, _) in zip(
             (
                 f"straight motion of {STRAIGHT_PX:g} px",
@@ -101,7 +103,7 @@ def make_map(walks: int, image: Path, run: Callable[..., Iterable[list[float]]])
     figure = new_figure(11.5, 3.9)
     panels = figure.subplots(1, len(tables), sharey=True)
     for axes, (name, gains) in zip(panels, tables.items(), strict=True):
-        shown = axes.imshow(
+        mesh = axes.imshow(
             np.maximum(gains, 0), cmap="Greens", vmin=0, vmax=5, origin="lower", aspect="auto"
         )
         for (i, j), gain in np.ndenumerate(gains):
@@ -122,7 +124,7 @@ def make_map(walks: int, image: Path, run: Callable[..., Iterable[list[float]]])
         axes.set_title(name, fontsize=10)
         axes.set_xlabel("photo-electrons at full scale", fontsize=9)
     panels[0].set_ylabel("read noise, electrons", fontsize=9)
-    figure.colorbar(shown, ax=panels, label="gain of a code, dB (\u2013: expose for less)")
+    figure.colorbar(mesh, ax=panels, label="gain of a code, dB (\u2013: expose for less)")
     save(figure, image)
     print(f"\n{image}")
 
@@ -163,14 +165,15 @@ def checked(case: tuple[int, int]) -> tuple[float, float, float]:
     """
     index, captures = case
     _, path, camera = check_cases()[index]
-    known = replace(path, direction="known")
-    advice = advise(SearchProblem.along(known, chips=24, camera=camera), levels=[], threads=1)
+    known_path = replace(path, direction="known")
+    advice = advise(SearchProblem.along(known_path, chips=24, camera=camera), levels=[], threads=1)
     snapshot = advice.here.best("snapshot")
     code = advice.here.best("code")
     assert snapshot is not None
     assert code is not None
     errors = [
-        squared_errors(known, way.code, camera, captures, seed=index) for way in (snapshot, code)
+        squared_errors(known_path, design.code, camera, captures, seed=index)
+        for design in (snapshot, code)
     ]
     gain = 10 * np.log10(errors[0].mean() / errors[1].mean())
     spread = np.std(errors[0] / errors[0].mean() - errors[1] / errors[1].mean()) / np.sqrt(
@@ -185,10 +188,10 @@ def squared_errors(
     """Mean square error of each restored capture; the scenes are the same for every code."""
     frequency = np.fft.fftfreq(SIDE)
     fx, fy = (grid.ravel() for grid in np.meshgrid(frequency, frequency))
-    here = BandSamples(
+    samples = BandSamples(
         fx, fy, np.full(fx.size, 1 / fx.size), (fx**2 + fy**2)[:, None], np.ones((fx.size, 1))
     )
-    inverse = inverse_scene(here)[:, 0].reshape(SIDE, SIDE)
+    inverse = inverse_scene(samples)[:, 0].reshape(SIDE, SIDE)
     otf = coded_otf(path, code, fx, fy).reshape(SIDE, SIDE)
     noise = noise_variance(camera, code.duty, integration_s=code.integration_ns * 1e-9)
     wiener = np.conj(otf) / (np.abs(otf) ** 2 + noise * inverse)
@@ -202,11 +205,11 @@ def squared_errors(
     for _ in range(captures):
         spectrum = np.fft.fft2(draw(scenes) - SCENE_MEAN)
         blurred = np.maximum(np.fft.ifft2(spectrum * otf).real + SCENE_MEAN * code.duty, 0)
-        taken = capture.poisson(
+        photo = capture.poisson(
             photons * blurred
         ) / photons + read_sigma * capture.standard_normal(blurred.shape)
-        taken += (capture.poisson(dark_e, blurred.shape) - dark_e) / photons
-        restored = np.fft.fft2(taken - SCENE_MEAN * code.duty) * wiener
+        photo += (capture.poisson(dark_e, blurred.shape) - dark_e) / photons
+        restored = np.fft.fft2(photo - SCENE_MEAN * code.duty) * wiener
         errors.append((np.abs(restored - spectrum) ** 2).mean() / SIDE**2)
     return np.array(errors)
 
@@ -237,10 +240,10 @@ def check(captures: int, run: Callable[..., Iterable[tuple[float, float, float]]
     )
     print("|---|---:|---:|---:|---:|---:|---:|")
     worst = 0.0
-    for (name, _, camera), found in zip(
+    for (name, _, camera), result in zip(
         cases, run(checked, [(i, captures) for i in range(len(cases))]), strict=True
     ):
-        expected, gain, spread = found
+        expected, gain, spread = result
         worst = max(worst, abs(gain - expected))
         print(
             f"| {name} | {camera.photons_full_scale:,.0f} | {camera.read_noise_e:g} | "
@@ -260,12 +263,12 @@ def main() -> None:
     parser.add_argument("--captures", type=int, default=1_000, help="of each way and case")
     parser.add_argument("--image", type=Path, default=Path("docs/images/verdict-map.png"))
     parser.add_argument("--workers", type=int, default=1)
-    given = parser.parse_args()
-    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
-        if given.what == "map":
-            make_map(given.walks, given.image, pool.map)
+    options = parser.parse_args()
+    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+        if options.what == "map":
+            make_map(options.walks, options.image, pool.map)
         else:
-            check(given.captures, pool.map)
+            check(options.captures, pool.map)
 
 
 if __name__ == "__main__":

@@ -19,9 +19,9 @@ def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None
         Exit code: 0 done, 2 for bad input, 1 for a failure, 130 after Ctrl-C. All but 0 print one
         line to stderr.
     """
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        given.command(given)
+        options.command(options)
     except (ValueError, FileNotFoundError, NotADirectoryError) as error:
         return _failed(error, 2)
     except (OSError, FloatingPointError) as error:

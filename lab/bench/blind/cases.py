@@ -53,9 +53,9 @@ class Shot:
         """Make the generators of the crop and of the noise."""
         if self.generator is None:
             return np.random.default_rng(self.crop_seed), np.random.default_rng(self.noise_seed)
-        both = np.random.default_rng()
-        both.bit_generator.state = self.generator
-        return both, both
+        rng = np.random.default_rng()
+        rng.bit_generator.state = self.generator
+        return rng, rng
 
 
 def shot_of(
@@ -143,10 +143,10 @@ def real_photos(folder: Path | str, count: int) -> tuple[RealPhoto, ...]:
     """
     root = Path(folder)
     layout = layout_of(folder)
-    found = _LISTED[layout](root) if layout in _LISTED else []
-    number = min(count, len(found))
+    photos = _LISTED[layout](root) if layout in _LISTED else []
+    number = min(count, len(photos))
     # from the first to the last: four of Levin's sixteen are then four scenes with four shakes
-    return tuple(found[i * (len(found) - 1) // max(number - 1, 1)] for i in range(number))
+    return tuple(photos[i * (len(photos) - 1) // max(number - 1, 1)] for i in range(number))
 
 
 def check_real(photos: Sequence[RealPhoto], crop_px: int) -> None:

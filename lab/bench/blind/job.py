@@ -52,14 +52,14 @@ def blind_job(
     title = f"Blind, {plan.protocol.name}"
     truth = [name for name in CEILINGS[-1:] if any(cell.name[0] == name for cell in plan.cells)]
 
-    def report(outcome: Outcome, made: Provenance) -> Report:
+    def report(outcome: Outcome, provenance: Provenance) -> Report:
         return blind_report(
             "blind",
             title,
             blind_tables(outcome.figures, plan.lights, title=title, seed=plan.protocol.seed),
             plan=plan,
             outcome=outcome,
-            made=made,
+            provenance=provenance,
             pictured=(*names, *truth),
             unmeasured={} if methods else UNUSUAL,
         )
@@ -84,14 +84,14 @@ def speed_job(
     plan = one_cell_each(plan)
     title = f"One estimate from a photo of {plan.protocol.crop_px} px, {plan.protocol.name}"
 
-    def report(outcome: Outcome, made: Provenance) -> Report:
+    def report(outcome: Outcome, provenance: Provenance) -> Report:
         return blind_report(
             "speed",
             title,
             speed_tables(outcome.figures, title=title, seed=plan.protocol.seed),
             plan=plan,
             outcome=outcome,
-            made=made,
+            provenance=provenance,
             unmeasured={} if methods else UNUSUAL,
         )
 
@@ -110,8 +110,8 @@ def _job(
     def measure(progress: Progress) -> Report:
         outcome = request.engine.run(plan.cells, progress=progress)
         warnings = [*plan.warnings, *outcome_warnings(outcome)]
-        made = Provenance(command, plan.protocol.seed, outcome.machines, warnings)
-        return report(outcome, made)
+        provenance = Provenance(command, plan.protocol.seed, outcome.machines, warnings)
+        return report(outcome, provenance)
 
     about = {"folder": request.output, "protocol": plan.protocol, "methods": methods}
     return Job(request, files, about, measure)

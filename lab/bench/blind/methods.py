@@ -74,8 +74,8 @@ def select_methods(names: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
         twice = next(label for label in labels if labels.count(label) > 1)
         raise ValueError(f"methods: every one must come once, {twice} comes twice")
     for name in names:
-        own = split_weights(name)[1]
-        if own is None and (path := _weights(name)) is not None and not path.is_file():
+        weights = split_weights(name)[1]
+        if weights is None and (path := _weights(name)) is not None and not path.is_file():
             raise ValueError(
                 f"methods: {name} has no weights in this package ({path.name} is missing)"
             )
@@ -129,24 +129,24 @@ def version_of(method: str) -> str:
         counts, and what of ours that module imports.
     """
     followed = ["lab.evaluation.measure"]
-    alone = list(_TAKING)
+    modules = list(_TAKING)
     if method in (*FLOORS, *CEILINGS):
-        return source_version([*followed, "lab.evaluation.floors"], alone=alone)
+        return source_version([*followed, "lab.evaluation.floors"], alone=modules)
     first = split_weights(method)[0].split(":")[0]
-    own = first not in METHODS and is_reference(method)
-    followed.append(first if own else _FOLLOWED.get(first, f"motdiff.estimators.{first}"))
+    user_defined = first not in METHODS and is_reference(method)
+    followed.append(first if user_defined else _FOLLOWED.get(first, f"motdiff.estimators.{first}"))
     weights = _weights(method)
     if folder := _folder(method):
         files = sorted(path for path in Path(folder).rglob("*") if path.is_file())
     else:
         files = [] if weights is None else [weights]
         files += [CORRECTION_WEIGHTS] if first in _CORRECTED else []
-    return source_version(followed, alone=[*alone, "lab.evaluation.methods"], files=files)
+    return source_version(followed, alone=[*modules, "lab.evaluation.methods"], files=files)
 
 
 def _weights(method: str) -> Path | None:
-    name, own = split_weights(method)
-    return own or _WEIGHTS.get(name.split(":")[0])
+    name, weights = split_weights(method)
+    return weights or _WEIGHTS.get(name.split(":")[0])
 
 
 def _folder(method: str) -> str:

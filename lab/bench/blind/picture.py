@@ -78,8 +78,8 @@ def shown(results: Sequence[Result], *, methods: Sequence[str], most: int = 4) -
             by_photo.setdefault(photo, {}).setdefault((shake, light), {})[method] = result
     lines = []
     for index, groups in enumerate(list(by_photo.values())[:most]):
-        found = list(groups.values())[index % len(groups)]  # not the same motion in every line
-        cell = next(iter(found.values())).cell
+        group = list(groups.values())[index % len(groups)]  # not the same motion in every line
+        cell = next(iter(group.values())).cell
         sharp, blurred, truth = _photos(cell)
         lines.append(
             Shown(
@@ -88,9 +88,9 @@ def shown(results: Sequence[Result], *, methods: Sequence[str], most: int = 4) -
                 truth,
                 {
                     method: psf_from_text(str(result.finished.figures["psf"]))
-                    for method, result in found.items()
+                    for method, result in group.items()
                 },
-                {method: _score(result) for method, result in found.items()},
+                {method: _score(result) for method, result in group.items()},
                 _gamma(cell),
             )
         )
@@ -139,18 +139,21 @@ def blind_figure(lines: Sequence[Shown], methods: Sequence[str]) -> Figure:
 
 
 def _photos(cell: Cell) -> tuple[FloatArray | None, FloatArray, FloatArray | None]:
-    given = cell.arguments
+    arguments = cell.arguments
     if cell.work in (measure_simulated, measure_levin):
         levins = cell.work is measure_levin
         case = (
-            levin_photo(given["photo"])
+            levin_photo(arguments["photo"])
             if levins
-            else make_case(given["photo"], given["motion"], given["shot"])
+            else make_case(arguments["photo"], arguments["motion"], arguments["shot"])
         )
         return case.sharp, case.photo, case.psf
-    photo = RealPhoto("", "", given["blurred"], given["sharp"])
+    photo = RealPhoto("", "", arguments["blurred"], arguments["sharp"])
     blurred, sharp = real_pair(
-        photo, crop_px=given["crop_px"], gamma=given["gamma"], crop_seed=given["crop_seed"]
+        photo,
+        crop_px=arguments["crop_px"],
+        gamma=arguments["gamma"],
+        crop_seed=arguments["crop_seed"],
     )
     return sharp, blurred, None
 

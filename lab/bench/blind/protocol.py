@@ -181,8 +181,8 @@ class Protocol:
         OSError
             If the file cannot be read.
         """
-        known = str(name_or_path) in NAMES
-        path = _FOLDER / f"{name_or_path}.toml" if known else Path(name_or_path)
+        is_bundled = str(name_or_path) in NAMES
+        path = _FOLDER / f"{name_or_path}.toml" if is_bundled else Path(name_or_path)
         if path.suffix != ".toml":
             raise ValueError(
                 f"protocol: must be {', '.join(NAMES)}, or a .toml file, got {str(name_or_path)!r}"
@@ -217,13 +217,13 @@ def _section(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     return section
 
 
-def _typed(values: Mapping[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+def _typed(values: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any]:
     """Check entries against the types of the fields; whole numbers may stand for others."""
     typed: dict[str, Any] = {}
     for key, value in values.items():
-        if key not in known:
-            raise ValueError(f"{key}: is not known; known are {', '.join(known)}")
-        kind = str(known[key].type)
+        if key not in types:
+            raise ValueError(f"{key}: is not known; known are {', '.join(types)}")
+        kind = str(types[key].type)
         number = isinstance(value, int | float) and not isinstance(value, bool)
         numbers = isinstance(value, list) and all(type(item) in (int, float) for item in value)
         if kind in ("int", "bool") and type(value).__name__ == kind:
@@ -306,25 +306,25 @@ def paired_shakes(
     """
     from motdiff.training.motion_bank import MotionMix, draw_motion
 
-    wanted = protocol.motion
-    low_px, high_px = wanted.extent_px
+    range_px = protocol.motion
+    low_px, high_px = range_px.extent_px
     mix = MotionMix(
-        boracchi_foi=wanted.boracchi_foi,
-        gyro=wanted.gyro,
-        max_length_px=wanted.max_length_px,
-        min_length_px=min(MotionMix.min_length_px, wanted.max_length_px),
+        boracchi_foi=range_px.boracchi_foi,
+        gyro=range_px.gyro,
+        max_length_px=range_px.max_length_px,
+        min_length_px=min(MotionMix.min_length_px, range_px.max_length_px),
         min_extent_px=low_px,
         max_extent_px=high_px,
-        exposure_s=wanted.exposure_s,
+        exposure_s=range_px.exposure_s,
         gyro_trace="trace",  # is given to draw_motion
     )
-    if trace is None and wanted.gyro > 0:
+    if trace is None and range_px.gyro > 0:
         trace = synthetic_trace()
-    drawn = []
+    shakes = []
     for i in range(others or protocol.motions):
         rng = np.random.default_rng([_OTHER_PAIRS if others else _PAIRS, protocol.seed, i])
-        drawn.append((draw_motion(mix, rng, trace), rng.bit_generator.state))
-    return tuple(drawn)
+        shakes.append((draw_motion(mix, rng, trace), rng.bit_generator.state))
+    return tuple(shakes)
 
 
 def synthetic_trace(seed: int = 0) -> GyroTrace:
@@ -341,18 +341,18 @@ def synthetic_trace(seed: int = 0) -> GyroTrace:
 
 
 def _drawn(protocol: Protocol, trace: GyroTrace | None, rng: np.random.Generator) -> Trajectory:
-    wanted = protocol.motion
-    share = wanted.gyro / (wanted.gyro + wanted.boracchi_foi)
+    range_px = protocol.motion
+    share = range_px.gyro / (range_px.gyro + range_px.boracchi_foi)
     for _ in range(_TRIES):
         if trace is not None and rng.random() < share:
             motion = random_gyro_motion(
                 trace,
                 rng,
-                exposure_s=rng.uniform(*wanted.exposure_s),
-                extent_px=rng.uniform(*wanted.extent_px),
+                exposure_s=rng.uniform(*range_px.exposure_s),
+                extent_px=rng.uniform(*range_px.extent_px),
             )
         else:
-            motion = boracchi_foi(rng, max_length_px=wanted.max_length_px)
+            motion = boracchi_foi(rng, max_length_px=range_px.max_length_px)
         if motion.frame_size() <= protocol.psf_px:
             return motion
     raise ValueError(

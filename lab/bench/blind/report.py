@@ -56,7 +56,7 @@ def blind_report(
     *,
     plan: Plan,
     outcome: Outcome,
-    made: Provenance,
+    provenance: Provenance,
     pictured: Sequence[str] = (),
     unmeasured: Mapping[str, str] | None = None,
 ) -> Report:
@@ -70,7 +70,7 @@ def blind_report(
     tables : sequence of Table
     plan : Plan
     outcome : Outcome
-    made : Provenance
+    provenance : Provenance
         With all warnings, the plan's included.
     pictured : sequence of methods
     unmeasured : mapping from method to reason
@@ -87,30 +87,32 @@ def blind_report(
     return report_of_means(
         title,
         tables,
-        made=made,
+        provenance=provenance,
         outcome=outcome,
-        introduction=_introduction(name, plan, tables, made),
+        introduction=_introduction(name, plan, tables, provenance),
         below=below,
         cells=(CELLS, cells_csv(outcome.figures, outcome.failures)),
         figure=figure,
     )
 
 
-def _introduction(name: str, plan: Plan, tables: Sequence[Table], made: Provenance) -> list[str]:
-    machines = "; ".join(_machine_text(machine) for machine in made.machines)
+def _introduction(
+    name: str, plan: Plan, tables: Sequence[Table], provenance: Provenance
+) -> list[str]:
+    machines = "; ".join(_machine_text(machine) for machine in provenance.machines)
     restored = any(column.figure == "psnr_db" for table in tables for column in table.columns)
     return [
         f"# The {name} table",
         "",
         (
-            f"Made by {in_code_span(made.command)}, protocol {in_code_span(plan.protocol.name)},"
-            f" seed {plan.protocol.seed}, on"
+            f"Made by {in_code_span(provenance.command)},"
+            f" protocol {in_code_span(plan.protocol.name)}, seed {plan.protocol.seed}, on"
         ),
         f"{machines or 'no machine'}.",
         f"{_counts(plan)}.",
         means_in_words(tables),
         *(_RESTORED if restored else ()),
-        *warning_lines(made.warnings),
+        *warning_lines(provenance.warnings),
     ]
 
 
@@ -203,10 +205,12 @@ def cells_csv(figures: Figures, failures: Mapping[tuple[str, ...], str]) -> str:
 
 def _table(title: str, figures: Figures, columns: Sequence[Column], seed: int) -> Table:
     # leave out a column that no cell has, such as PSNR without a sharp photo
-    used = [
+    used_columns = [
         column
         for column in columns
         if any(cell.get(column.figure) is not None for cell in figures.values())
     ]
     # every photo has the same motions: cluster by both
-    return tabulate(title, figures, used, rng=np.random.default_rng(seed), row=0, cluster=(1, 2))
+    return tabulate(
+        title, figures, used_columns, rng=np.random.default_rng(seed), row=0, cluster=(1, 2)
+    )

@@ -102,18 +102,18 @@ def one_cell_each(plan: Plan) -> Plan:
         photo: list(dict.fromkeys(c.name[2] for c in plan.cells if c.name[1] == photo))
         for photo in photos
     }
-    wanted = {
+    first_cases = {
         photo: shakes[photo][index % len(shakes[photo])] for index, photo in enumerate(photos)
     }
-    kept = [
+    cells = [
         cell
         for cell in plan.cells
         for method, photo, shake, light in (cell.name,)
         if method not in (*FLOORS, *CEILINGS)
-        and shake == wanted[photo]
+        and shake == first_cases[photo]
         and light == plan.lights[0]
     ]
-    return replace(plan, cells=tuple(kept), lights=plan.lights[:1])
+    return replace(plan, cells=tuple(cells), lights=plan.lights[:1])
 
 
 def _of_real(
@@ -135,22 +135,26 @@ def _of_real(
 def _of_sharp(
     protocol: Protocol, methods: Sequence[str], folder: Path | None, trace: GyroTrace | None
 ) -> Plan:
-    found = bundled_photos() if folder is None else photo_folder(folder)
-    photos = pick(found, protocol.photos, least_px=protocol.least_px)
+    photo_files = bundled_photos() if folder is None else photo_folder(folder)
+    photos = pick(photo_files, protocol.photos, least_px=protocol.least_px)
     listed = tuple(zip(labels_of(photos), photos, strict=True))
     if protocol.pairs == "each":
-        taken: list[tuple[str, Path, int, Trajectory, Mapping[str, Any] | None]] = [
+        exposures: list[tuple[str, Path, int, Trajectory, Mapping[str, Any] | None]] = [
             (*listed[index % len(listed)], index, motion, generator)
             for index, (motion, generator) in enumerate(paired_shakes(protocol, trace))
         ]
-        others = tuple(motion for motion, _ in paired_shakes(protocol, trace, others=_OTHERS))
+        other_motions = tuple(
+            motion for motion, _ in paired_shakes(protocol, trace, others=_OTHERS)
+        )
     else:
         motions = drawn_shakes(protocol, trace)
-        taken = [
+        exposures = [
             (*item, index, motion, None) for index, motion in enumerate(motions) for item in listed
         ]
-        others = drawn_shakes(replace(protocol, motions=_OTHERS), trace, stream=_OTHER_STREAM)
-    mean = mean_psf([motion.psf(protocol.psf_px) for motion in others])
+        other_motions = drawn_shakes(
+            replace(protocol, motions=_OTHERS), trace, stream=_OTHER_STREAM
+        )
+    mean = mean_psf([motion.psf(protocol.psf_px) for motion in other_motions])
     versions = {method: version_of(method) for method in (*FLOORS, *methods, *CEILINGS)}
     noise = f"noise {protocol.read_sigma:g}" if protocol.read_sigma else "no noise"
     lights = {
@@ -171,7 +175,7 @@ def _of_sharp(
             version=version,
         )
         for level in lights
-        for label, photo, index, motion, generator in taken
+        for label, photo, index, motion, generator in exposures
         for method, version in versions.items()
     ]
     warnings = []

@@ -108,13 +108,13 @@ def measure_real(
     photo, target = real_pair(
         RealPhoto("", "", blurred, sharp), crop_px=crop_px, gamma=gamma, crop_seed=tuple(crop_seed)
     )
-    known = floors().get(method)
+    floor = floors().get(method)
     case = Case(photo, floors()["delta"])
     with one_thread():
         figures = (
             _of_estimator(method, case, restore=False)
-            if known is None
-            else {"psf": psf_to_text(known)}
+            if floor is None
+            else {"psf": psf_to_text(floor)}
         )
         # figures that need a true kernel
         figures |= dict.fromkeys(
@@ -167,8 +167,8 @@ def _of_estimator(method: str, case: Case, *, restore: bool) -> dict[str, Figure
 
 def _figures(measured: Measured) -> dict[str, Figure]:
     values = {name: getattr(measured, name) for name in FIGURES}
-    known = {name: None if math.isnan(value) else value for name, value in values.items()}
-    return {**known, "psf": psf_to_text(measured.psf)}
+    figures = {name: None if math.isnan(value) else value for name, value in values.items()}
+    return {**figures, "psf": psf_to_text(measured.psf)}
 
 
 _CLEAR = Path("/proc/self/clear_refs")
@@ -196,11 +196,11 @@ class TimedEstimator:
         _give_back()
         before = _status_mib("VmRSS") if _forget_peak() else None
         began_s = time.perf_counter()
-        found = self.estimator.estimate(photo)
+        motion = self.estimator.estimate(photo)
         self.wall_s = time.perf_counter() - began_s
         peak = _status_mib("VmHWM")
         self.memory_mib = None if before is None or peak is None else max(peak - before, 0.0)
-        return found
+        return motion
 
 
 def _give_back() -> None:

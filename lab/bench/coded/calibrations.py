@@ -67,9 +67,9 @@ def codes_of_set(name: str, chips: int) -> tuple[str, ...]:
     ('11111111', '00001111', '00111100')
     """
     sources: list[str] = []
-    for part in name.split("+"):
-        kind = part.rstrip("0123456789")
-        count = part.removeprefix(kind)
+    for name_part in name.split("+"):
+        kind = name_part.rstrip("0123456789")
+        count = name_part.removeprefix(kind)
         if kind == "gray" and count:
             sources += [ShutterCode(plane).bits for plane in gray_planes(int(count), chips)]
         elif kind == "designed" and count:
@@ -79,10 +79,10 @@ def codes_of_set(name: str, chips: int) -> tuple[str, ...]:
                 code.bits
                 for code in calibration_set(int(count), chips=chips, rng=_design_rng()).codes
             ]
-        elif part == "half":
+        elif name_part == "half":
             sources.append("1" * (chips // 2) + "0" * (chips - chips // 2))
         else:
-            sources.append(part)
+            sources.append(name_part)
     codes = tuple(code.bits for code in load_codes(sources))
     check_codes(codes)
     return codes
@@ -120,13 +120,13 @@ def moved_psfs(
     2``
     """
     shifts = np.asarray(shifts_px, dtype=np.float64)
-    moved = [
+    shifted = [
         path.xy - 0.5 * (path.xy.min(axis=0) + path.xy.max(axis=0)) + shift
         for path, shift in zip(paths, shifts, strict=True)
     ]
-    frame = 2 * int(np.ceil(max(np.abs(xy).max() for xy in moved))) + 3
+    frame = 2 * int(np.ceil(max(np.abs(xy).max() for xy in shifted))) + 3
     psfs = []
-    for path, xy, bits in zip(paths, moved, codes, strict=True):
+    for path, xy, bits in zip(paths, shifted, codes, strict=True):
         chips = slice_psfs(path.t, xy, np.linspace(0, 1, len(bits) + 1), frame)
         psfs.append(np.tensordot(ShutterCode(bits).array, chips, axes=1))
     return np.stack(psfs)
@@ -162,13 +162,13 @@ def calibration_photos(
     """
     shifts_px = rng.uniform(-_SHIFT_PX, _SHIFT_PX, (len(codes), 2))
     psfs = moved_psfs([path] * len(codes), codes, shifts_px)
-    taken = (
+    exposures = (
         capture(
             scene, psf if light_true else psf / psf.sum(), camera=camera, rng=rng, borders=borders
         )
         for psf in psfs
     )
-    return [np.clip(photo, 0, 1) for photo in taken]
+    return [np.clip(photo, 0, 1) for photo in exposures]
 
 
 def motion_from_codes(
@@ -256,13 +256,13 @@ def _textured(photo: Path, side_px: int, gamma: Literal["linear", "srgb"]) -> Fl
 
 
 def _figures(estimate: MotionEstimate, truth: Trajectory, cpu_s: float) -> dict[str, float | str]:
-    found = estimate.best
-    size = max(found.frame_size(), truth.frame_size())
-    ways = (found,) if found.direction == "known" else (found, found.reversed())
+    path = estimate.best
+    size = max(path.frame_size(), truth.frame_size())
+    directions = (path,) if path.direction == "known" else (path, path.reversed())
     return {
         "paths": paths_to(estimate.trajectories, estimate.weights),
-        "mnc": mnc_subpixel(found.psf(size), truth.psf(size)),
-        "error_px": min(timed_distance_px(way, truth) for way in ways),
+        "mnc": mnc_subpixel(path.psf(size), truth.psf(size)),
+        "error_px": min(timed_distance_px(directed, truth) for directed in directions),
         "confidence": estimate.confidence,
         "cpu_s": cpu_s,
     }

@@ -172,13 +172,13 @@ def design_code(
 
 
 def _searched(problem: SearchProblem, *, steps: int, rng: np.random.Generator) -> ShutterCode:
-    found = search_code(
+    result = search_code(
         problem, rng=rng, steps=steps, time_s=math.inf, threads=1
     )  # other cells run beside
-    if found.stopped == "interrupted":
+    if result.stopped == "interrupted":
         # an interrupted search had a smaller budget than the others, and cells are cached
         raise KeyboardInterrupt
-    return found.code
+    return result.code
 
 
 def _problem(
@@ -190,14 +190,16 @@ def _problem(
     objective: str,
     camera: Camera,
 ) -> SearchProblem:
-    kept = len(prior.paths) if design == "posterior" else 1
+    path_count = len(prior.paths) if design == "posterior" else 1
     one_way = design == "one-way" or DESIGNS[design].path == "class"
     scenarios = (
         class_scenarios(prior.paths)
         if DESIGNS[design].path == "class"
         else tuple(
             Scenario(path, weight=weight)
-            for path, weight in zip(prior.paths[:kept], prior.weights[:kept], strict=True)
+            for path, weight in zip(
+                prior.paths[:path_count], prior.weights[:path_count], strict=True
+            )
             if weight > 0
         )
     )

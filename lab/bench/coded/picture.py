@@ -53,20 +53,22 @@ def coded_figure(
         empty.set_axis_off()
     for column, name in enumerate(names, 1):
         arguments = pictured[name]
-        taken = pictures_of(**arguments)
+        pictures = pictures_of(**arguments)
         code = ShutterCode(arguments["bits"])
         motion = paths_from(arguments["motion"])[0][0]
         if column == 1:  # every design has the same photo and motion
-            _show(axes[0, 0], taken.target, linear=linear)
+            _show(axes[0, 0], pictures.target, linear=linear)
             axes[0, 0].set_title(
                 in_lines("photo, and PSF without a code", tile_in, size_pt),
                 fontsize=size_pt,
                 pad=14,
             )
             show_inset(axes[0, 0], motion.psf(PSF_PX), share=_INSET, cmap="inferno")
-        light_true = taken.photo / max(code.duty, 1e-3) if arguments["light_true"] else taken.photo
+        light_true = (
+            pictures.photo / max(code.duty, 1e-3) if arguments["light_true"] else pictures.photo
+        )
         _show(axes[0, column], light_true, linear=linear)
-        _show(axes[1, column], taken.restored, linear=linear)
+        _show(axes[1, column], pictures.restored, linear=linear)
         axes[0, column].set_title(
             in_lines(plot_text(design_of(name).label), tile_in, size_pt), fontsize=size_pt, pad=14
         )
@@ -81,7 +83,7 @@ def coded_figure(
         )
         strip.set_xticks([])
         strip.set_yticks([])
-        show_inset(axes[0, column], taken.psf, share=_INSET, cmap="inferno")
+        show_inset(axes[0, column], pictures.psf, share=_INSET, cmap="inferno")
         axes[1, column].set_xlabel(scores.get(name, ""), fontsize=size_pt)
         frequency, modulus = mtf_curve(motion, code)
         axes[2, column].plot(frequency, modulus / code.duty, linewidth=0.9)

@@ -118,11 +118,11 @@ class CodedProtocol:
     quick_photons: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        for name, (least, most) in _WHOLE.items():
+        for name, (low, high) in _WHOLE.items():
             value = getattr(self, name)
-            if type(value) is not int or not least <= value <= most:
+            if type(value) is not int or not low <= value <= high:
                 raise ValueError(
-                    f"{name}: must be a whole number within {least}..{most}, got {value!r}"
+                    f"{name}: must be a whole number within {low}..{high}, got {value!r}"
                 )
         for name, allowed in _ALLOWED.items():
             if getattr(self, name) not in allowed:
@@ -233,27 +233,31 @@ def coded_protocol(name: str, changes: Sequence[str] = ()) -> CodedProtocol:
             f"protocol: must be one of {', '.join(PROTOCOLS)} or a .toml file, got {name[:40]!r}"
         )
     table = read_toml(path)
-    known = {field.name for field in fields(CodedProtocol)}
-    for what, names in (("unknown", set(table) - known), ("missing", known - set(table))):
+    field_names = {field.name for field in fields(CodedProtocol)}
+    for what, names in (
+        ("unknown", set(table) - field_names),
+        ("missing", field_names - set(table)),
+    ):
         if names:
             raise ValueError(
                 f"{name}: field {min(names)[:40]!r} is {what}; the fields are"
-                f" {', '.join(sorted(known))}"
+                f" {', '.join(sorted(field_names))}"
             )
     for change in changes:
-        table |= _change(change, known)
+        table |= _change(change, field_names)
     try:
         return CodedProtocol(**table)
     except ValueError as error:
         raise ValueError(f"{name}: {one_line(error)}") from None
 
 
-def _change(text: str, known: Collection[str]) -> dict[str, Any]:
+def _change(text: str, field_names: Collection[str]) -> dict[str, Any]:
     """Read a field and its value from a line of TOML; a bare word is a text."""
-    field, _, value = (part.strip() for part in text.partition("="))
-    if field not in known:
+    field, _, value = (piece.strip() for piece in text.partition("="))
+    if field not in field_names:
         raise ValueError(
-            f"set: must be FIELD=VALUE with one of {', '.join(sorted(known))}, got {text[:40]!r}"
+            f"set: must be FIELD=VALUE with one of {', '.join(sorted(field_names))}, got"
+            f" {text[:40]!r}"
         )
     try:
         read = {} if "\n" in value else tomllib.loads(f"{field} = {value}")
@@ -321,8 +325,8 @@ def class_motions(protocol: CodedProtocol) -> tuple[Trajectory, ...]:
     """Draw other motions of the protocol's kind, from a seed of their own, for codes that know
     nothing but the kind.
     """
-    others = drawn_motions(replace(protocol, motions=_CLASS), stream=6)
-    return tuple(path.thinned(_TOLERANCE_PX) for path in others)
+    motions = drawn_motions(replace(protocol, motions=_CLASS), stream=6)
+    return tuple(path.thinned(_TOLERANCE_PX) for path in motions)
 
 
 def _fitting(draw: Callable[[], Trajectory]) -> Trajectory:

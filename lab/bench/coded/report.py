@@ -42,7 +42,7 @@ _RIGHT_PX = 1.0
 _PICTURED = ("calibrated-4", "both-ways", "parametric", "dce", "dnf", "snapshot", "open")
 
 
-def coded_report(measured: CodedTable, made: Provenance) -> Report:
+def coded_report(measured: CodedTable, provenance: Provenance) -> Report:
     """Lay out the table, with a picture where anything was measured."""
     tables = coded_tables(measured)
     figure = None
@@ -53,9 +53,9 @@ def coded_report(measured: CodedTable, made: Provenance) -> Report:
     return report_of_means(
         f"Coded exposure, {measured.protocol.name}",
         tables,
-        made=made,
+        provenance=provenance,
         outcome=measured.outcome,
-        introduction=_introduction(measured, tables, made),
+        introduction=_introduction(measured, tables, provenance),
         below=below,
         cells=(_PHOTOS, shots_csv(measured)),
         figure=figure,
@@ -131,7 +131,9 @@ def _estimate_quality(measured: CodedTable) -> list[str]:
     return lines
 
 
-def _introduction(measured: CodedTable, tables: Sequence[Table], made: Provenance) -> list[str]:
+def _introduction(
+    measured: CodedTable, tables: Sequence[Table], provenance: Provenance
+) -> list[str]:
     protocol = measured.protocol
     photos = len({shot.photo for shot in measured.shots})
     user_codes = dict.fromkeys(
@@ -140,7 +142,7 @@ def _introduction(measured: CodedTable, tables: Sequence[Table], made: Provenanc
     counts = {name: harmed(measured, name) for name in ("both-ways", "one-way", *user_codes)}
     machines = "; ".join(
         f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}"
-        for machine in made.machines
+        for machine in provenance.machines
     )
     lent = ""
     if not protocol.photons:
@@ -152,8 +154,9 @@ def _introduction(measured: CodedTable, tables: Sequence[Table], made: Provenanc
         "# The coded-exposure table",
         "",
         (
-            f"Made by {in_code_span(made.command)}, protocol {in_code_span(protocol.name)}, seed"
-            f" {protocol.seed}, on {machines or 'no machine'}."
+            f"Made by {in_code_span(provenance.command)},"
+            f" protocol {in_code_span(protocol.name)}, seed {protocol.seed},"
+            f" on {machines or 'no machine'}."
         ),
         (
             f"{photos} photos, {protocol.motions} motions each{_light(protocol)}. {protocol.chips}"
@@ -169,7 +172,7 @@ def _introduction(measured: CodedTable, tables: Sequence[Table], made: Provenanc
             " noise gain is infinite where the MTF has a zero on a line, as an open shutter's has"
             " on straight motion."
         ),
-        *warning_lines(made.warnings),
+        *warning_lines(provenance.warnings),
         *_estimate_quality(measured),
         *(
             f"\n{markdown_text(name)}: noise gain in the worse direction above the open shutter's"

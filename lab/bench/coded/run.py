@@ -438,10 +438,10 @@ Estimates = Mapping[tuple[str, str, int], Mapping[str, Figure]]
 
 def kinds_needed(protocol: CodedProtocol, designs: Sequence[str]) -> list[str]:
     """List the kinds of estimates and calibrations that designs or their restoration need."""
-    wanted = {design_of(name).path for name in designs}
+    kinds = {design_of(name).path for name in designs}
     if protocol.restored_by == "estimate":
-        wanted |= {_restored_by(name) for name in designs}
-    return [kind for kind in (*ESTIMATORS, *CALIBRATIONS, POINT) if kind in wanted]
+        kinds |= {_restored_by(name) for name in designs}
+    return [kind for kind in (*ESTIMATORS, *CALIBRATIONS, POINT) if kind in kinds]
 
 
 def motion_prior(
@@ -540,8 +540,8 @@ def motion_version(kind: str) -> str:
 
 def kernel_version() -> str:
     """Cache version of the kernels found in the photos themselves."""
-    used = ["cep.restoration.blind", "motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
-    return source_version(used, alone=_EXPOSED)
+    modules = ["cep.restoration.blind", "motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
+    return source_version(modules, alone=_EXPOSED)
 
 
 def code_version(design: str) -> str:
@@ -559,6 +559,6 @@ def photo_version(restoration: str) -> str:
     Of a restoration of the user's own, the module that it names counts, and what of ours that
     module imports.
     """
-    used = ["cep.restoration", "cep.proofs.measure", "motdiff.metrics", "motdiff.simulate"]
-    used += [restoration.partition(":")[0]] if is_reference(restoration) else []
-    return source_version(used, alone=_EXPOSED, files=[_DENOISER])
+    modules = ["cep.restoration", "cep.proofs.measure", "motdiff.metrics", "motdiff.simulate"]
+    modules += [restoration.partition(":")[0]] if is_reference(restoration) else []
+    return source_version(modules, alone=_EXPOSED, files=[_DENOISER])

@@ -45,38 +45,11 @@ def take_photo(
     motion: str,
     assumed: str | None,
     *,
-    kernel: str | None = None,
     bits: str,
-    borders: str,
     light_true: bool,
-    restoration: str,
-    border_rounds: int,
-    camera: Mapping[str, Any],
-    seed: int,
+    **options: Any,
 ) -> dict[str, float]:
-    """Take the coded photo along the true motion, restore it, and compare it with the scene.
-
-    Parameters
-    ----------
-    scene : (H, W) array_like, linear light 0..1
-    motion : str
-        True path.
-    assumed : str or None
-        Path given to the restoration, of unknown direction unless stated otherwise; None: the true
-        PSF is given.
-    kernel : str, optional
-        Kernel given to the restoration instead, as of :func:`find_kernel`.
-    bits : str
-    borders : {"real", "symmetric"}
-    light_true : bool
-        Whether the photo has the code's light, or as much as with an open shutter.
-    restoration : str
-        The Wiener filter has the camera's noise; a function of the user's own has the photo and
-        the PSF alone.
-    border_rounds : int
-        Rounds of reblurring outside the photo's borders.
-    camera : mapping
-    seed : int
+    """Compare the restored photo of :func:`photographed`, whose parameters these are.
 
     Returns
     -------
@@ -84,23 +57,11 @@ def take_photo(
     ``reversed_noise_gain_db`` (along the true motion and against it, at the light that the photo
     has; infinite on a straight, even motion whose MTF has a zero), and ``min_mtf`` (light-true)
     """
-    taken = photographed(
-        scene,
-        motion,
-        assumed,
-        kernel=kernel,
-        bits=bits,
-        borders=borders,
-        light_true=light_true,
-        restoration=restoration,
-        border_rounds=border_rounds,
-        camera=camera,
-        seed=seed,
-    )
+    photo = photographed(scene, motion, assumed, bits=bits, light_true=light_true, **options)
     along, against = _both_ways(motion, bits)
     code = ShutterCode(bits)
     lent_db = 0.0 if light_true else 20 * math.log10(code.duty)
-    psnr_db, ssim = psnr_ssim_up_to_shift(taken.restored, taken.target, crop_px=_CROP_PX)
+    psnr_db, ssim = psnr_ssim_up_to_shift(photo.restored, photo.target, crop_px=_CROP_PX)
     return {
         "psnr_db": psnr_db,
         "ssim": ssim,
@@ -123,11 +84,9 @@ def _both_ways(motion: str, bits: str) -> tuple[CodeMetrics, CodeMetrics]:
 def _gain_db(metrics: CodeMetrics) -> float:
     # on a line of zeros, as an open shutter has on straight motion, samples near it would give any
     # figure
-    return (
-        math.inf
-        if metrics.min_chip is not None and metrics.min_mtf < _ZERO
-        else metrics.noise_gain_db
-    )
+    if metrics.min_chip is not None and metrics.min_mtf < _ZERO:
+        return math.inf
+    return metrics.noise_gain_db
 
 
 @dataclass(frozen=True)
@@ -154,38 +113,61 @@ def photographed(
     camera: Mapping[str, Any],
     seed: int,
 ) -> Taken:
-    """Take and restore the photo of :func:`take_photo`, whose parameters these are."""
+    """Take a coded photo along the true motion, and restore it.
+
+    Parameters
+    ----------
+    scene : (H, W) array_like, linear light 0..1
+    motion : str
+        True path.
+    assumed : str or None
+        Path given to the restoration, of unknown direction unless stated otherwise; None: the true
+        PSF is given.
+    kernel : str, optional
+        Kernel given to the restoration instead, as of :func:`find_kernel`.
+    bits : str
+    borders : {"real", "symmetric"}
+    light_true : bool
+        Whether the photo has the code's light, or as much as with an open shutter.
+    restoration : str
+        The Wiener filter has the camera's noise; a function of the user's own has the photo and
+        the PSF alone.
+    border_rounds : int
+        Rounds of reblurring outside the photo's borders.
+    camera : mapping
+    seed : int
+    """
     truth = paths_from(motion)[0][0]
     code = ShutterCode(bits)
     psf = coded_psf(truth, code, PSF_PX)
     scale = 1.0 if light_true else 1 / code.duty
-    shown = np.asarray(scene, dtype=np.float64)
+    light = np.asarray(scene, dtype=np.float64)
     sensor = Camera.from_dict(camera)
-    photo = _photo_through(shown, scale * psf, borders=borders, camera=sensor, seed=seed)
+    photo = _photo_through(light, scale * psf, borders=borders, camera=sensor, seed=seed)
     rest_px = np.zeros(2)
     if kernel is not None:
-        used = scale * code.duty * laid_on(psf, psf_from_text(kernel))
+        restoration_psf = scale * code.duty * laid_on(psf, psf_from_text(kernel))
     else:
-        found = (
-            psf
-            if assumed is None
-            else _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
-        )
+        estimate = psf
+        if assumed is not None:
+            estimate = _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
         # A photo does not determine the position of its scene: on a straight path a short exposure
         # at the end has the PSF of one at the start, displaced. Restored with either, the scene
         # has the same quality at another position.
-        away_px = _displacement_px(found, psf)
+        away_px = _displacement_px(estimate, psf)
         whole_px = np.round(away_px).astype(int)
-        used = scale * moved(found, down_px=whole_px[0], right_px=whole_px[1])
+        restoration_psf = scale * moved(estimate, down_px=whole_px[0], right_px=whole_px[1])
         rest_px = whole_px - away_px
-    options: dict[str, Any] = {} if is_reference(restoration) else {"border_rounds": border_rounds}
+    options: dict[str, Any] = {}
+    if not is_reference(restoration):
+        options["border_rounds"] = border_rounds
     if restoration == "wiener":
         options["camera"] = sensor
-    restored = restore(photo, used, method=restoration, **options).image
+    restored = restore(photo, restoration_psf, method=restoration, **options).image
     if rest_px.any():
         restored = ndimage.shift(restored, rest_px, order=5, mode="nearest")
     restored = np.clip(restored, 0, 1)
-    return Taken(photo, psf, restored, visible(shown, PSF_PX, borders=borders))
+    return Taken(photo, psf, restored, visible(light, PSF_PX, borders=borders))
 
 
 def _photo_through(
@@ -206,8 +188,7 @@ def find_kernel(
     camera: Mapping[str, Any],
     seed: int,
 ) -> dict[str, float | str]:
-    """Find the kernel in the photo of :func:`take_photo`, whose parameters these are, as ``cep
-    deblur`` does.
+    """Find the kernel in the photo of :func:`photographed` as ``cep deblur`` does.
 
     Returns
     -------
@@ -227,23 +208,23 @@ def find_kernel(
     )
     started = time.process_time()
     with one_thread():
-        found = find_psf(
-            photo, code if light_true else None
-        )  # None: as much light as an open shutter has
+        # a photo of as much light as through an open shutter has its kernel's sum
+        blind = find_psf(photo, ShutterCode(bits if light_true else "1"))
     return {
-        "psf": psf_to_text(found.psf),
-        "mnc": mnc_subpixel(found.psf, psf),
-        "confidence": found.confidence,
+        "psf": psf_to_text(blind.psf),
+        "mnc": mnc_subpixel(blind.psf, psf),
+        "confidence": blind.confidence,
         "cpu_s": time.process_time() - started,
     }
 
 
-def _displacement_px(psf: FloatArray, other: FloatArray) -> FloatArray:
-    """Displacement of the centroid of ``other`` from that of ``psf``, (2,): down and right."""
-    of_one, of_other = (
-        np.array(ndimage.center_of_mass(one)) - np.array(one.shape) // 2 for one in (psf, other)
+def _displacement_px(psf: FloatArray, moved_psf: FloatArray) -> FloatArray:
+    """Displacement of the centroid of ``moved_psf`` from that of ``psf``, (2,): down and right."""
+    start, end = (
+        np.array(ndimage.center_of_mass(kernel)) - np.array(kernel.shape) // 2
+        for kernel in (psf, moved_psf)
     )
-    return np.asarray(of_other - of_one, dtype=np.float64)
+    return np.asarray(end - start, dtype=np.float64)
 
 
 def _assumed_psf(photo: FloatArray, path: Trajectory, code: ShutterCode) -> FloatArray:
@@ -263,9 +244,7 @@ def choose_code(
     steps: int,
     seed: int,
 ) -> dict[str, float | str]:
-    """Choose the code of a design (:mod:`lab.bench.coded.designs`); returns ``bits`` and
-    ``cpu_s``.
-    """
+    """Choose the code of a design of :mod:`lab.bench.coded.designs`: ``bits`` and ``cpu_s``."""
     started = time.process_time()
     code = design_code(
         design,
@@ -320,10 +299,10 @@ def estimate_motion(
     result = estimator.estimate(np.clip(photo, 0, 1))
     seconds = time.process_time() - started
     estimate = as_estimate(result, method)
-    found = estimate.trajectories[0]
+    path = estimate.trajectories[0]
     return {
         "paths": paths_to(estimate.trajectories, estimate.weights),
-        "mnc": mnc_subpixel(found.psf(found.frame_size(PSF_PX)), truth.psf(PSF_PX)),
+        "mnc": mnc_subpixel(path.psf(path.frame_size(PSF_PX)), truth.psf(PSF_PX)),
         "cpu_s": seconds,
     }
 

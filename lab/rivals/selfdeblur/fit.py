@@ -72,16 +72,16 @@ class JointFit:
         for group, rate in zip(self._adam.param_groups, self._rates.values(), strict=True):
             group["lr"] = rate * config.decay(self.iteration)
         jitter = torch.randn(self._noise.shape, generator=self._generator)
-        made = self._networks["image"](
+        image = self._networks["image"](
             (self._noise + config.input_noise * jitter).to(self._photo.device)
         )[0, 0]
-        again = blurred(
-            made[: self._shape[0], : self._shape[1]], self._networks["kernel"](self._kernel_noise)
+        reblurred = blurred(
+            image[: self._shape[0], : self._shape[1]], self._networks["kernel"](self._kernel_noise)
         )
         if self.iteration < config.structure_from:
-            loss = functional.mse_loss(again, self._photo)
+            loss = functional.mse_loss(reblurred, self._photo)
         else:
-            loss = 1 - structural_similarity(again, self._photo)
+            loss = 1 - structural_similarity(reblurred, self._photo)
         self._adam.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         self._adam.step()
@@ -91,8 +91,8 @@ class JointFit:
     def kernel(self) -> Tensor:
         """Kernel (k, k) on the CPU: non-negative, sum 1, anywhere in its frame."""
         with torch.no_grad():
-            found: Tensor = self._networks["kernel"](self._kernel_noise)
-        return found.cpu()
+            raw_kernel: Tensor = self._networks["kernel"](self._kernel_noise)
+        return raw_kernel.cpu()
 
     def save(self, folder: Path | str, *, cpu_s: float = 0.0) -> None:
         """Write the exact state, and the processor time it took, as a checkpoint folder.

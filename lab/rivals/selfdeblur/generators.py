@@ -107,11 +107,11 @@ class _NonLocal(nn.Module):
         self.back = nn.Sequential(nn.Conv2d(inner, channels, 1), norm)
 
     def forward(self, features: Tensor) -> Tensor:
-        asked, offered, content = (
-            part(features).flatten(2) for part in (self.asked, self.offered, self.content)
+        query, key, content = (
+            layer(features).flatten(2) for layer in (self.asked, self.offered, self.content)
         )  # (1, inner, places)
-        # (asked^T offered) content^T, summed over places first: no matrix of places by places
-        gathered = (content @ offered.transpose(1, 2)) @ asked / features[0, 0].numel()
+        # (query^T key) content^T, summed over places first: no matrix of places by places
+        gathered = (content @ key.transpose(1, 2)) @ query / features[0, 0].numel()
         added: Tensor = self.back(gathered.unflatten(2, features.shape[2:]))
         return features + added
 

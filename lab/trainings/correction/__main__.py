@@ -70,7 +70,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return run_command(parser, arguments)
 
 
-def _prepare(given: argparse.Namespace) -> None:
+def _prepare(options: argparse.Namespace) -> None:
     import torch
 
     from lab.trainings.correction.samples import prepare
@@ -79,42 +79,42 @@ def _prepare(given: argparse.Namespace) -> None:
     from motdiff.weights.correction import load_correction
 
     torch.set_num_threads(1)  # the arrays are small: more threads are slower
-    shards = shard_range(given.shards)
-    source = read_source(given.config, held_out=given.held_out)
+    shards = shard_range(options.shards)
+    source = read_source(options.config, held_out=options.held_out)
     prepare(
-        given.out,
+        options.out,
         scenes=source.scenes,
         mix=source.mix,
         photography=source.photography,
         shards=shards,
         seed=source.seed,
-        network=None if given.weights is None else load_correction(given.weights),
+        network=None if options.weights is None else load_correction(options.weights),
         on_shard=lambda shard: print(
             f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True
         ),
     )
 
 
-def _train(given: argparse.Namespace) -> None:
+def _train(options: argparse.Namespace) -> None:
     from lab.trainings.correction.samples import read_kernels
     from lab.trainings.correction.training import Settings, train
 
-    settings = Settings(steps=given.steps, seed=given.seed)
+    settings = Settings(steps=options.steps, seed=options.seed)
     train(
-        read_kernels(*given.kernels),
-        given.out,
+        read_kernels(*options.kernels),
+        options.out,
         settings=settings,
         report=partial(print, file=sys.stderr, flush=True),
     )
 
 
-def _evaluate(given: argparse.Namespace) -> None:
+def _evaluate(options: argparse.Namespace) -> None:
     from lab.trainings.correction.samples import read_kernels
     from lab.trainings.correction.training import corrected_mnc
     from motdiff.weights.correction import CORRECTION_WEIGHTS, load_correction
 
-    kernels = read_kernels(given.kernels)
-    before, after = corrected_mnc(kernels, load_correction(given.weights or CORRECTION_WEIGHTS))
+    kernels = read_kernels(options.kernels)
+    before, after = corrected_mnc(kernels, load_correction(options.weights or CORRECTION_WEIGHTS))
     print(f"{len(kernels)} kernels: MNC {before:.3f} -> {after:.3f}")
 
 

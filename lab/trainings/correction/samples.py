@@ -78,18 +78,20 @@ def searched(samples: Samples, *, network: CorrectionNetwork | None = None) -> K
     with torch.no_grad(), one_thread_a_call():
         for photo, dwell in zip(samples.photos.mean(dim=1), samples.dwell, strict=True):
             grey = photo.double().numpy()
-            found = [in_frame(kernel) for kernel in PmpEstimator().kernels(grey[None])]
-            kernels = torch.from_numpy(np.stack(found)).float()
-            others = torch.stack([kernels.roll(-i, 0)[[1, -1]] for i in range(len(kernels))])
+            searched_kernels = [in_frame(kernel) for kernel in PmpEstimator().kernels(grey[None])]
+            kernels = torch.from_numpy(np.stack(searched_kernels)).float()
+            neighbours = torch.stack([kernels.roll(-i, 0)[[1, -1]] for i in range(len(kernels))])
             path = dwell.expand(len(kernels), -1, -1, -1)
             laid = psfs_of_maps(shifted(path, registration(kernels[:, None], path))[:, 0])
-            kept = alike(kernels, laid) >= LEAST_ALIKE
+            is_alike = alike(kernels, laid) >= LEAST_ALIKE
             sigma = noise_sigma(grey)
-            seen = correction_maps(photo[None], kernels, others, sigma=sigma)
+            correction = correction_maps(photo[None], kernels, neighbours, sigma=sigma)
             if network is not None:
-                seen = correction_maps(photo[None], corrected(network, seen), others, sigma=sigma)
-            maps.append(seen[kept].half())
-            truth.append(laid[kept].half())
+                correction = correction_maps(
+                    photo[None], corrected(network, correction), neighbours, sigma=sigma
+                )
+            maps.append(correction[is_alike].half())
+            truth.append(laid[is_alike].half())
     return Kernels(torch.cat(maps), torch.cat(truth))
 
 
@@ -147,7 +149,8 @@ def read_kernels(*folders: Path | str) -> Kernels:
     missing = "kernels_*.npz; write them with: python -m lab.trainings.correction prepare"
     parts = [load_shards(folder, name=_NAME, load=_kernels, missing=missing) for folder in folders]
     maps, truth = (
-        torch.cat([getattr(part, name) for part in chain(*parts)]) for name in ("maps", "truth")
+        torch.cat([getattr(samples, name) for samples in chain(*parts)])
+        for name in ("maps", "truth")
     )
     if not len(maps):
         raise ValueError(

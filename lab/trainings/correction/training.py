@@ -82,9 +82,9 @@ class Trainer:
         torch.autograd.backward(loss)
         nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_GRADIENT)
         self._adam.step()
-        kept = min(_AVERAGED, (self.step + 1) / (self.step + 10))
+        decay = min(_AVERAGED, (self.step + 1) / (self.step + 10))
         for name, value in self.network.state_dict().items():
-            self.average[name].lerp_(value, 1 - kept)
+            self.average[name].lerp_(value, 1 - decay)
         self.step += 1
         return float(loss.detach())
 
@@ -130,19 +130,24 @@ def train(
         Called with a line of progress at every file.
     """
     trainer = Trainer(kernels, settings)
-    began = saved = clock()
+    started = saved = clock()
     while trainer.step < settings.steps:
         loss = trainer.update()
-        now = clock()
-        if now - saved >= save_s or trainer.step == settings.steps:
-            about = {"kernels": len(kernels), "steps": trainer.step, "seconds": round(now - began)}
+        moment = clock()
+        if moment - saved >= save_s or trainer.step == settings.steps:
+            about = {
+                "kernels": len(kernels),
+                "steps": trainer.step,
+                "seconds": round(moment - started),
+            }
             write_correction(
                 trainer.average, target, about={**about, "settings": asdict(settings)}
             )
             report(
-                f"{trainer.step} of {settings.steps} updates, {now - began:.0f} s, loss {loss:.4f}"
+                f"{trainer.step} of {settings.steps} updates, {moment - started:.0f} s,"
+                f" loss {loss:.4f}"
             )
-            saved = now
+            saved = moment
 
 
 def corrected_mnc(kernels: Kernels, network: CorrectionNetwork) -> tuple[float, float]:
@@ -152,9 +157,14 @@ def corrected_mnc(kernels: Kernels, network: CorrectionNetwork) -> tuple[float, 
         for maps, truth in zip(
             torch.split(kernels.maps, 1), torch.split(kernels.truth, 1), strict=True
         ):
-            found = corrected(network, maps.float())
+            corrected_kernels = corrected(network, maps.float())
             pairs.append(
-                torch.cat([alike(each, truth.float()) for each in (maps[:, 0].float(), found)])
+                torch.cat(
+                    [
+                        alike(estimate, truth.float())
+                        for estimate in (maps[:, 0].float(), corrected_kernels)
+                    ]
+                )
             )
     before, after = torch.stack(pairs).mean(dim=0).tolist()
     return before, after

@@ -67,43 +67,43 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return run_command(parser, arguments)
 
 
-def _train(given: argparse.Namespace) -> None:
+def _train(options: argparse.Namespace) -> None:
     from lab.trainings.dce.samples import Samples, motion_mix
     from lab.trainings.dce.training import START, Settings, Trainer, train
     from motdiff.psf_frame import PSF_PX
     from motdiff.training.photos import load_photos
 
-    settings = Settings(start=given.start or START, seed=given.seed)
-    photos = load_photos(given.photos, least_px=settings.crop_px + PSF_PX - 1)
-    mix = motion_mix(given.gyro)
+    settings = Settings(start=options.start or START, seed=options.seed)
+    photos = load_photos(options.photos, least_px=settings.crop_px + PSF_PX - 1)
+    mix = motion_mix(options.gyro)
     chips = len(settings.start)
     samples = Samples(photos, mix, chips=chips, crop_px=settings.crop_px, seed=settings.seed)
-    train(Trainer(settings), samples, given.out, steps=given.steps, minutes=given.minutes)
+    train(Trainer(settings), samples, options.out, steps=options.steps, minutes=options.minutes)
 
 
-def _export(given: argparse.Namespace) -> None:
+def _export(options: argparse.Namespace) -> None:
     from lab.trainings.dce.weights import export_weights
     from motdiff.files.inputs import read_json
 
-    notes = None if given.notes is None else read_json(given.notes)
+    notes = None if options.notes is None else read_json(options.notes)
     if not isinstance(notes, dict | None):
-        raise ValueError(f"{given.notes}: must hold a JSON object")
-    size = export_weights(given.run / "checkpoint", given.out, notes=notes)
-    print(f"{given.out}: {size / 2**20:.1f} MiB", file=sys.stderr)
+        raise ValueError(f"{options.notes}: must hold a JSON object")
+    size = export_weights(options.run / "checkpoint", options.out, notes=notes)
+    print(f"{options.out}: {size / 2**20:.1f} MiB", file=sys.stderr)
 
 
-def _evaluate(given: argparse.Namespace) -> None:
+def _evaluate(options: argparse.Namespace) -> None:
     from lab.trainings.dce.evaluation import evaluate, scenes_of
     from lab.trainings.dce.samples import motion_mix
     from lab.trainings.dce.weights import WEIGHTS
 
     rows = evaluate(
-        scenes_of(given.photos),
-        motion_mix(given.gyro),
-        count=given.count,
-        seed=given.seed,
-        sigma=given.sigma,
-        weights=given.weights or WEIGHTS,
+        scenes_of(options.photos),
+        motion_mix(options.gyro),
+        count=options.count,
+        seed=options.seed,
+        sigma=options.sigma,
+        weights=options.weights or WEIGHTS,
     )
     for row in rows:
         print(json.dumps(asdict(row) | {"code": row.code.bits}))

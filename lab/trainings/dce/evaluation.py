@@ -56,14 +56,14 @@ def scenes_of(photos: Path) -> list[FloatArray]:
     """Green channel, linear light, of the middle (at most 319 x 319 px) of every photo of a
     folder, large enough.
     """
-    found = []
+    scenes = []
     for photo in load_photos(photos, least_px=_LEAST_PX):
         green = photo[1].numpy() / 255
         rows, columns = (
             slice(max(0, (n - _MOST_PX) // 2), (n + _MOST_PX) // 2) for n in green.shape
         )
-        found.append(to_linear(green[rows, columns]))
-    return found
+        scenes.append(to_linear(green[rows, columns]))
+    return scenes
 
 
 def evaluate(
@@ -110,7 +110,7 @@ def evaluate(
         "open shutter": ShutterCode("1" * card.code.chips),
     }
     trace = read_gyro(mix.gyro_trace) if mix.gyro > 0 else None
-    found: dict[str, list[tuple[float, float, float]]] = {name: [] for name in codes}
+    scores: dict[str, list[tuple[float, float, float]]] = {name: [] for name in codes}
     for number in range(count):
         scene = scenes[number % len(scenes)]
         motion = draw_motion(mix, np.random.default_rng([seed, number]), trace)
@@ -123,21 +123,21 @@ def evaluate(
             )  # not clipped, as in training
             by_wiener = wiener(photo, psf, noise_variance=sigma**2)
             by_network = restore(photo, code=code, path=weights)
-            found[name].append(
+            scores[name].append(
                 (
                     _psnr(photo / code.duty, sharp),
                     _psnr(by_network, sharp),
                     _psnr(by_wiener, sharp),
                 )
             )
-    return tuple(_row(name, codes[name], np.array(figures)) for name, figures in found.items())
+    return tuple(_row(name, codes[name], np.array(figures)) for name, figures in scores.items())
 
 
 def _row(name: str, code: ShutterCode, figures: FloatArray) -> EvaluationRow:
-    taken, network, by_wiener = figures.mean(axis=0).tolist()
+    photo, network, by_wiener = figures.mean(axis=0).tolist()
     gains = figures[:, 1] - figures[:, 0]
     error = float(gains.std(ddof=1) / np.sqrt(gains.size)) if gains.size > 1 else float("nan")
-    return EvaluationRow(name, code, taken, network, by_wiener, error)
+    return EvaluationRow(name, code, photo, network, by_wiener, error)
 
 
 def _psnr(image: FloatArray, sharp: FloatArray) -> float:

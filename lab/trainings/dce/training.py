@@ -147,28 +147,28 @@ class Trainer:
         ValueError
             If it is another run's.
         """
-        found = read_checkpoint(folder)
-        if found is None:
+        checkpoint = read_checkpoint(folder)
+        if checkpoint is None:
             return
-        if (settings := asdict(self.settings)) != found.config:
-            name = next(name for name in settings if settings[name] != found.config.get(name))
+        if (settings := asdict(self.settings)) != checkpoint.config:
+            name = next(name for name in settings if settings[name] != checkpoint.config.get(name))
             raise ValueError(
-                f"{name}: the run in {folder} has {found.config.get(name)!r}, got"
+                f"{name}: the run in {folder} has {checkpoint.config.get(name)!r}, got"
                 f" {settings[name]!r}"
             )
-        self.network.load_state_dict(found.under("model."))
+        self.network.load_state_dict(checkpoint.under("model."))
         with torch.no_grad():
-            self.weights.copy_(found.tensors["code"])
+            self.weights.copy_(checkpoint.tensors["code"])
         for kind, adam in (("adam.", self._adam), ("code_adam.", self._code_adam)):
             state: dict[int, dict[str, Tensor]] = {}
-            for name, value in found.under(kind).items():
+            for name, value in checkpoint.under(kind).items():
                 number, entry = name.split(".", 1)
                 state.setdefault(int(number), {})[entry] = value
             adam.load_state_dict(
                 {"state": state, "param_groups": adam.state_dict()["param_groups"]}
             )
-        self.step = found.step
-        self.seconds = found.seconds
+        self.step = checkpoint.step
+        self.seconds = checkpoint.seconds
 
 
 def photos_of(batch: Batch, chips: Tensor) -> Tensor:
@@ -212,22 +212,22 @@ def train(
         raise ValueError(f"steps: must be at least 1, got {steps}")
     folder.mkdir(parents=True, exist_ok=True)
     trainer.resume(folder / "checkpoint")
-    began = saved = now = time.monotonic()
+    started = saved = moment = time.monotonic()
     smooth = math.nan
     before = trainer.seconds
-    while trainer.step < steps and now - began < 60 * minutes:
+    while trainer.step < steps and moment - started < 60 * minutes:
         progress = trainer.step / steps
         loss = trainer.update(
             samples.batch(trainer.step, trainer.settings.batch), progress=progress
         )
         smooth = loss if math.isnan(smooth) else _SMOOTH * smooth + (1 - _SMOOTH) * loss
-        now = time.monotonic()
-        trainer.seconds = before + now - began
+        moment = time.monotonic()
+        trainer.seconds = before + moment - started
         if trainer.step % _LOG_STEPS == 0:
             _log(folder / "log.csv", trainer, smooth)
-        if now - saved >= save_s:
+        if moment - saved >= save_s:
             trainer.save(folder / "checkpoint")
-            saved = now
+            saved = moment
     trainer.save(folder / "checkpoint")
 
 

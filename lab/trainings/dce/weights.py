@@ -134,16 +134,16 @@ def export_weights(
     ValueError
         If there is no checkpoint, or float16 cannot hold its weights.
     """
-    found = read_checkpoint(checkpoint)
-    if found is None:
+    stored = read_checkpoint(checkpoint)
+    if stored is None:
         raise ValueError(f"{checkpoint}: holds no checkpoint")
     card = {
-        "bits": code_of(found.tensors["code"]).bits,
-        "settings": found.config,
-        "steps": found.step,
-        "seconds": round(found.seconds),
+        "bits": code_of(stored.tensors["code"]).bits,
+        "settings": stored.config,
+        "steps": stored.step,
+        "seconds": round(stored.seconds),
         "notes": dict(notes or {}),
     }
     return write_with_card(
-        found.under("model."), target, schema=SCHEMA, card=card, source=checkpoint
+        stored.under("model."), target, schema=SCHEMA, card=card, source=checkpoint
     )

@@ -42,28 +42,28 @@ def run(arguments: Sequence[str] | None = None) -> int:
     return run_command(parser, arguments)
 
 
-def _train(given: argparse.Namespace) -> None:
+def _train(options: argparse.Namespace) -> None:
     from lab.trainings.denoiser.training import Settings, train
     from motdiff.training.photos import load_photos
 
-    settings = Settings(seed=given.seed)
-    photos = load_photos(given.photos, least_px=settings.crop_px)
+    settings = Settings(seed=options.seed)
+    photos = load_photos(options.photos, least_px=settings.crop_px)
     train(
         photos,
-        given.out,
-        minutes=given.minutes,
+        options.out,
+        minutes=options.minutes,
         settings=settings,
         report=lambda line: print(line, file=sys.stderr),
     )
 
 
-def _evaluate(given: argparse.Namespace) -> None:
+def _evaluate(options: argparse.Namespace) -> None:
     from cep.restoration.denoiser.weights import SHIPPED, load_denoiser
     from lab.trainings.denoiser.evaluation import denoising_gains
     from motdiff.training.photos import load_photos
 
-    denoise = load_denoiser(given.weights or SHIPPED)
-    for sigma, before, after in denoising_gains(load_photos(given.photos, least_px=64), denoise):
+    denoise = load_denoiser(options.weights or SHIPPED)
+    for sigma, before, after in denoising_gains(load_photos(options.photos, least_px=64), denoise):
         print(f"sigma {sigma:g}: {before:.2f} dB -> {after:.2f} dB")
 
 

@@ -78,9 +78,9 @@ class Trainer:
         loss.backward()
         nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_GRADIENT)
         self._adam.step()
-        kept = min(_AVERAGED, (self.step + 1) / (self.step + 10))
+        decay = min(_AVERAGED, (self.step + 1) / (self.step + 10))
         for name, value in self.network.state_dict().items():
-            self.average[name].lerp_(value, 1 - kept)
+            self.average[name].lerp_(value, 1 - decay)
         self.step += 1
         return float(loss.detach())
 
@@ -120,8 +120,8 @@ def train(
     if not 0 < minutes < math.inf:
         raise ValueError(f"minutes: must be above 0, got {minutes}")
     trainer = Trainer(settings)
-    began = saved = now = clock()
-    while now - began < 60 * minutes:
+    started = saved = moment = clock()
+    while moment - started < 60 * minutes:
         batch = draw(
             photos,
             trainer.step,
@@ -129,15 +129,15 @@ def train(
             side_px=settings.crop_px,
             seed=settings.seed,
         )
-        loss = trainer.update(batch, progress=(now - began) / (60 * minutes))
-        now = clock()
-        if now - saved >= save_s or now - began >= 60 * minutes:
+        loss = trainer.update(batch, progress=(moment - started) / (60 * minutes))
+        moment = clock()
+        if moment - saved >= save_s or moment - started >= 60 * minutes:
             about = {
                 "steps": trainer.step,
-                "seconds": round(now - began),
+                "seconds": round(moment - started),
                 "settings": asdict(settings),
             }
             write_weights(trainer.average, target, about=about)
-            report(f"{trainer.step} updates, {now - began:.0f} s, loss {loss:.4f}")
-            saved = now
+            report(f"{trainer.step} updates, {moment - started:.0f} s, loss {loss:.4f}")
+            saved = moment
     return trainer.step

@@ -84,7 +84,7 @@ def test_a_failed_cell_is_named_and_the_exit_code_tells(lab, tables, monkeypatch
     mend = failing(monkeypatch, ValueError("code: too short"))
     lab(*ALL, "--json")
     assert lab.code == FAILURE
-    assert lab.err == f"cep: 1 cells failed: out/{INDEX} names them\n"
+    assert lab.err == f"lab: 1 cells failed: out/{INDEX} names them\n"
     assert lab.json["failures"] == {"second": {"barker-13": "code: too short"}}
     assert len(lab.json["tables"]["first"]["codes"]) == 1
     assert "- failed: barker-13: code: too short" in Path("out", INDEX).read_text()
@@ -97,7 +97,7 @@ def test_stopped_it_writes_what_is_there_and_goes_on_later(lab, tables, monkeypa
     monkeypatch.setitem(NAMES, "second", "bdinr-8")
     mend = failing(monkeypatch, KeyboardInterrupt())
     lab(*ALL, "--json")
-    assert (lab.code, lab.err) == (INTERRUPTED, "cep: interrupted\n")
+    assert (lab.code, lab.err) == (INTERRUPTED, "lab: interrupted\n")
     assert (lab.json["missing"], lab.json["unmade"]) == ({"first": 1}, ["second"])
     text = Path("out", INDEX).read_text()
     assert "stopped early" in text
@@ -143,7 +143,7 @@ def test_options_alone_run_and_no_arguments_help(lab, tables):
     for option in (("--quick",), ("-o", "out"), ("--workers", "2")):
         line = lab.refuses("bench", *option, "codes", "bdinr-8")
         assert re.fullmatch(
-            r"cep: (-\S+): belongs after the table's name: python -m lab bench codes \1\n", line
+            r"lab: (-\S+): belongs after the table's name: python -m lab bench codes \1\n", line
         )
     assert not Path("out").exists()
 

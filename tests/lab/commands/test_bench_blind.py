@@ -231,7 +231,7 @@ def test_what_keeps_figures_from_a_claim_is_told(lab, studio, guesses):
         assert text.count(f"- {said}") == 1
     assert "2 photos, each with 1 motion.\n" in text
     lab(*carried, "-o", "out", "--force")
-    assert lab.err.splitlines() == [f"cep: warning: {warning}" for warning in found["warnings"]]
+    assert lab.err.splitlines() == [f"lab: warning: {warning}" for warning in found["warnings"]]
 
 
 def test_what_keeps_figures_from_a_claim_is_told_of_costs_and_of_real_photos(lab, studio, guesses):
@@ -271,7 +271,7 @@ def test_all_tables_in_one_folder_tell_it_too(lab, studio, guesses, monkeypatch)
             w for w in found["warnings"] if w.startswith(name)
         ]
     lab(*command, "--force")
-    assert lab.err.splitlines() == [f"cep: warning: {warning}" for warning in found["warnings"]]
+    assert lab.err.splitlines() == [f"lab: warning: {warning}" for warning in found["warnings"]]
 
 
 def test_cells_of_another_engine_are_made_again_and_told(lab, studio, guesses):
@@ -286,7 +286,7 @@ def test_cells_of_another_engine_are_made_again_and_told(lab, studio, guesses):
 def test_stopped_it_writes_what_is_there_and_goes_on_later(lab, studio, guesses):
     guesses.stops = 3
     lab(*BLIND, "-o", "out", "--json")
-    assert (lab.code, lab.err) == (INTERRUPTED, "cep: interrupted\n")
+    assert (lab.code, lab.err) == (INTERRUPTED, "lab: interrupted\n")
     assert lab.json["missing"] > 0
     assert any(
         "stopped early" in warning and "--force goes on" in warning

@@ -150,7 +150,7 @@ def test_stopped_in_a_search_it_goes_on_later(lab, studio, monkeypatch):
     one_light = TINY.replace("quick_photons = []", "quick_photons = [300.0]")
     Path("tiny.toml").write_text(one_light.replace("quick_motions = 1", "quick_motions = 2"))
     lab(*CEP, *options, "--json")
-    assert (lab.code, lab.err) == (INTERRUPTED, "cep: interrupted\n")
+    assert (lab.code, lab.err) == (INTERRUPTED, "lab: interrupted\n")
     assert (lab.json["missing"], lab.json["tables"]) == (1, {})
     assert any(
         "stopped early" in warning and "--force goes on" in warning

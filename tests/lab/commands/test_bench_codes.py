@@ -103,7 +103,7 @@ def test_half_a_search_is_not_kept(lab, workplace, monkeypatch):
     command = ("bench", "codes", "bdinr-8", "--time", "0.1", "-o", "codes")
     monkeypatch.setattr("lab.bench.codes.anneal", interrupted)
     lab(*command, "--json")
-    assert (lab.code, lab.err) == (INTERRUPTED, "cep: interrupted\n")
+    assert (lab.code, lab.err) == (INTERRUPTED, "lab: interrupted\n")
     assert (lab.json["missing"], lab.json["tables"]) == (1, {"codes": []})
     assert any("--force goes on" in warning for warning in lab.json["warnings"])
     assert Path("codes/codes.md").is_file()
