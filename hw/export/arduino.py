@@ -154,7 +154,7 @@ class ArduinoSketch(Exporter):
         ValueError
             If the chip is no whole number of ticks or out of range, or there are too many chips.
         """
-        ticks = self.ticks(program, "the sketch", least=_LEAST_TICKS, most=_MOST_TICKS)
+        ticks = self.ticks(program, "the sketch", min_ticks=_LEAST_TICKS, max_ticks=_MOST_TICKS)
         if program.chips > _MOST_CHIPS:
             raise ValueError(
                 f"code of {program.chips} chips is too long for the sketch: at most {_MOST_CHIPS}"

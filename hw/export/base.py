@@ -143,14 +143,14 @@ class Exporter(ABC):
                 )
         return program
 
-    def ticks(self, program: Program, player: str, *, least: int, most: int) -> int:
+    def ticks(self, program: Program, player: str, *, min_ticks: int, max_ticks: int) -> int:
         """Return the chip time in the format's ticks; ValueError where `player` cannot play it."""
         ticks, remainder = divmod(program.chip_ns, self.tick_ns)
-        if remainder or not least <= ticks <= most:
-            nearest_ns = min(max(ticks, least), most) * self.tick_ns
+        if remainder or not min_ticks <= ticks <= max_ticks:
+            nearest_ns = min(max(ticks, min_ticks), max_ticks) * self.tick_ns
             raise ValueError(
                 f"chip of {program.chip_ns} ns cannot be played by {player}: it must be a multiple"
-                f" of {self.tick_ns} ns in {least * self.tick_ns}..{most * self.tick_ns} ns;"
+                f" of {self.tick_ns} ns in {min_ticks * self.tick_ns}..{max_ticks * self.tick_ns} ns;"
                 f" {nearest_ns} ns would do"
             )
         return ticks

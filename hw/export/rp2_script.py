@@ -106,7 +106,9 @@ class Rp2Script(Exporter):
             If the chip is no whole number of 8 ns or below 1 us, or the code does not fit the
             state machine's queue.
         """
-        cycles = self.ticks(program, "the rp2 script", least=_LEAST_CYCLES, most=_MOST_CYCLES)
+        cycles = self.ticks(
+            program, "the rp2 script", min_ticks=_LEAST_CYCLES, max_ticks=_MOST_CYCLES
+        )
         if program.chips > _MOST_CHIPS:
             raise ValueError(
                 f"code of {program.chips} chips is too long for the rp2 script: its queue holds"
