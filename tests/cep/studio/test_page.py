@@ -399,7 +399,7 @@ def test_two_pages_keep_to_themselves(studio):
 
 def test_a_photo_gives_a_path_with_its_confidence(studio, tmp_path):
     rng = np.random.default_rng(0)
-    scene = 0.1 + 0.8 * np.kron(rng.random((40, 44)), np.ones((7, 7)))
+    scene = 0.1 + 0.8 * np.kron(rng.random((28, 32)), np.ones((7, 7)))
     path = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
     photo = tmp_path / "../blurred.png"
     photo.write_bytes(encode_image(blur_valid(scene, path.psf(25)), ".png"))
