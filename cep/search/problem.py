@@ -235,7 +235,8 @@ class SearchProblem:
     def on_circle(self) -> bool:
         """Whether the code's polynomial alone decides: one uniform straight motion, no ramps.
 
-        |H| is then |sinc| of a chip times |P|, and zeros of the sinc are no fault of the code.
+        ``abs H`` is then ``abs sinc`` of a chip times ``abs P``, and zeros of the sinc are no
+        fault of the code.
         """
         if len(self.scenarios) != 1 or self.response is not None:
             return False

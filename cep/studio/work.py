@@ -66,7 +66,8 @@ def run(kind: str, order: Order, pipe: Connection) -> None:
         nonlocal last
         stop_if_asked()
         time_s = time.monotonic()
-        if more or time_s - last > _EVERY_S:
+        # a call that only looks for a stop must not take the place of the next share
+        if more or (share is not None and time_s - last > _EVERY_S):
             last = time_s
             message = {"share": share, "note": note, **more}
             pipe.send({name: plain(value) for name, value in message.items() if value is not None})

@@ -207,6 +207,7 @@ def test_an_estimator_of_ones_own(plugin, tmp_path):
         package.estimate_motion(photo, method=f"{plugin}:number")
 
 
+@pytest.mark.slow  # eight commands
 def test_commands_take_them(cep, workplace, plugin):
     Path(workplace / f"{plugin}.py").write_text(PLUGIN)
     sharp = cep.succeeds(

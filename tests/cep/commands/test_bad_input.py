@@ -180,6 +180,7 @@ def test_good_photos_of_unusual_kinds_are_taken(cep, workplace):
         assert written.ndim == min(image.ndim, 3)
 
 
+@pytest.mark.slow  # a photo of 40 megapixels
 def test_forty_megapixels_by_gyroscope(cep, workplace):
     """A full frame goes through; the estimators look at crops of it."""
     large = np.zeros((5476, 7304), np.uint8)

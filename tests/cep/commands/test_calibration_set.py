@@ -26,6 +26,7 @@ def test_it_writes_the_codes_and_how_to_use_them(cep):
     assert Path("again.csv").read_text() == Path("set/code_2.csv").read_text()
 
 
+@pytest.mark.slow  # the search of a set
 def test_people_read_first_what_the_set_resolves(cep):
     assert (
         cep("calibration-set", "--photos", 1, "--chips", 8, "--format", "rp2", "-o", "set").code

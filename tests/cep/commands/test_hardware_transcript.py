@@ -13,6 +13,7 @@ from emulators.tools import require_simavr
 from shell_transcripts import ROOT, run_transcript, transcript_of
 
 
+@pytest.mark.slow  # a search and an emulated board
 def test_from_the_search_to_the_shutters_edges(tmp_path):
     require_simavr()
     run_transcript(transcript_of(ROOT / "docs" / "hardware.md"), tmp_path)

@@ -166,6 +166,7 @@ def test_the_share_of_a_calibration_rises_to_one(cep, workplace, told, quick_bli
     assert max(np.diff(shares)) < 0.6
 
 
+@pytest.mark.slow  # a search
 @pytest.mark.parametrize(
     "options",
     [

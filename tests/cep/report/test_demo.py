@@ -57,11 +57,12 @@ def test_where_it_does_not_the_snapshot_is_better(plain):
     assert gains["snapshot"] > max(gains["open"], gains["coded"])
 
 
+@pytest.mark.slow  # the whole demo
 def test_the_error_of_the_calibration_counts(calibrated, coded, tmp_path):
     """In the verdict of the page, and for who runs its commands on the motion that lies beside
     it."""
-    assert coded.advice.path_error_px == 0
-    assert calibrated.advice.path_error_px == calibrated.contrast.path_error_px == 0.2
+    assert coded.advice.here.path_error_px == 0
+    assert calibrated.advice.here.path_error_px == calibrated.contrast.here.path_error_px == 0.2
     assert "a path known to 0.2 px" in calibrated.advice.sentence
     write_demo(tmp_path / "demo", calibrated)
     path = tmp_path / "demo" / "trajectory.json"
@@ -92,6 +93,7 @@ def test_no_code_outside_the_devices_limits(plain):
     assert "mechanical-fast" in html(chain)
 
 
+@pytest.mark.slow  # a calibration of four photos
 def test_a_set_of_photos_tells_the_order(tmp_path):
     """The bundled motion is found from photos through codes, to a fraction of a pixel at equal
     times."""
@@ -121,6 +123,7 @@ def test_knowing_the_order_is_worth_it(calibrated):
     assert calibrated.advised_shot.psnr_db > calibrated.shot_from_open.psnr_db + 0.1
 
 
+@pytest.mark.slow  # a blind calibration
 def test_ones_own_photo_has_no_truth(coded):
     scene = Scene("mine.jpg", coded.scene.photo, warnings=("The transparency was dropped.",))
     told = []
@@ -148,6 +151,7 @@ def test_a_featureless_photo_is_refused():
 # -- files ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # the whole demo
 def test_files_and_figures(coded, tmp_path):
     figures = write_demo(tmp_path / "out", coded)
     written = {item.name for item in (tmp_path / "out").iterdir()}
@@ -175,6 +179,7 @@ def test_files_and_figures(coded, tmp_path):
     write_demo(tmp_path / "out", coded, force=True)
 
 
+@pytest.mark.slow  # the whole demo of a set
 def test_files_of_a_set(calibrated, tmp_path):
     figures = write_demo(tmp_path, calibrated)
     assert figures["calibration_codes"] == ["1111", "0110"]
@@ -183,6 +188,7 @@ def test_files_of_a_set(calibrated, tmp_path):
     write_demo(tmp_path, calibrated, force=True)
 
 
+@pytest.mark.slow  # the whole demo
 def test_no_code_is_written_where_none_is_advised(coded, plain, tmp_path):
     write_demo(tmp_path, coded)
     figures = write_demo(tmp_path, plain, force=True)  # the code of the first run goes

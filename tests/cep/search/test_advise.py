@@ -237,6 +237,7 @@ def test_limits_that_leave_only_codes():
     assert advice.crossover == ((None, None),)
 
 
+@pytest.mark.slow  # fifty paths
 def test_a_path_known_less_exactly_is_judged_on_every_single_exposure():
     """The best snapshot of an exact path need not be the best of one that is known to 1 px."""
     path = boracchi_foi(np.random.default_rng(2), max_length_px=40, samples=60)
@@ -287,6 +288,7 @@ def test_limits_of_the_shutter_rule_what_is_advised():
     assert "If the limits can be loosened, a single exposure" in found.sentence
 
 
+@pytest.mark.slow  # fifty paths
 def test_an_error_of_the_path_turns_the_verdict():
     problem = along(camera=NOISY)
     assert advise(problem, levels=[]).choice == "code"

@@ -175,6 +175,7 @@ def test_published_numbers():
     )
 
 
+@pytest.mark.slow  # codes of 600 chips
 @pytest.mark.parametrize("chips", [200, 600])
 @pytest.mark.parametrize(
     "mask", [None, {"first_open": True, "last_open": True, "forced_closed": range(40, 60)}]

@@ -307,6 +307,7 @@ def test_the_divider_compares_two_photos(studio):
     )
 
 
+@pytest.mark.slow  # fifty paths
 def test_the_error_of_the_path_counts_in_the_verdict(studio):
     page = studio(
         state="code=1101000111010110&motion=straight:16:0&camera=video-8bit&photons=2000"
@@ -397,6 +398,7 @@ def test_two_pages_keep_to_themselves(studio):
     assert (bits(one), bits(two)) == ("11110001", "1111")
 
 
+@pytest.mark.slow  # a photo is searched
 def test_a_photo_gives_a_path_with_its_confidence(studio, tmp_path):
     rng = np.random.default_rng(0)
     scene = 0.1 + 0.8 * np.kron(rng.random((28, 32)), np.ones((7, 7)))

@@ -501,6 +501,7 @@ def cut_after(device, writes, *, arrives):
     return port.left
 
 
+@pytest.mark.slow  # every place of a cut
 @pytest.mark.parametrize("arrives", [False, True])
 def test_a_link_cut_between_any_two_commands_leaves_a_code_that_ends(arrives):
     with Device() as device:

@@ -250,6 +250,7 @@ class CutWire:
         pass
 
 
+@pytest.mark.slow  # every place of a cut
 def test_a_link_cut_between_any_two_messages_leaves_nothing_that_runs_without_a_trigger():
     device = Awg()
     device._server.close()

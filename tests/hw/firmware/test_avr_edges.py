@@ -51,6 +51,7 @@ def simavr_plays():
         return check_codes(uno, CODES)
 
 
+@pytest.mark.slow  # 60 codes on an emulator
 def test_60_random_codes_on_simavr(simavr_plays):
     assert len(simavr_plays) == 60
     assert sum(len(code.bits) for code in CODES) > 10_000
@@ -61,6 +62,7 @@ def test_60_random_codes_on_simavr(simavr_plays):
     )
 
 
+@pytest.mark.slow  # 60 codes on an emulator
 def test_the_same_60_codes_on_avr8js_have_the_same_edges(simavr_plays):
     require_node_module("avr8js")
     with Avr8jsUno(HEX) as uno:

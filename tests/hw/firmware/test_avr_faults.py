@@ -58,6 +58,7 @@ def check_usable(uno):
         check_edges(played(uno, controller, code), code)
 
 
+@pytest.mark.slow  # 300 loads over an emulated line
 def test_300_loads_are_all_verified_at_1_percent_of_bytes_spoilt_each_way():
     rng = random.Random(4)
     with (

@@ -193,6 +193,7 @@ def test_limits_of_the_shutter(tmp_path):
         )
 
 
+@pytest.mark.slow  # an emulated board that restarts
 def test_a_play_cut_short_is_owed_after_a_reset_too(tmp_path):
     """A register that only the loss of power clears holds the closed time; resets themselves are
     not emulated."""

@@ -136,6 +136,7 @@ def test_closed_at_boot(board):
     assert board.edges() == []
 
 
+@pytest.mark.slow  # 60 codes on an emulator
 def test_sixty_random_codes(board):
     rng = random.Random(20)
     for _ in range(60):

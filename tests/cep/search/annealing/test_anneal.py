@@ -50,6 +50,7 @@ def brute_force(problem):
     return best
 
 
+@pytest.mark.slow  # brute force
 @pytest.mark.parametrize("objective", [*OBJECTIVES, (("noise", 1.0), ("min-mtf", 0.5))])
 @pytest.mark.parametrize("where", ["circle", "straight", "limits", "long runs", "fast pulses"])
 def test_agrees_with_brute_force(objective, where):

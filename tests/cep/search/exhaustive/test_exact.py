@@ -112,6 +112,7 @@ def test_bit_tables_lose_no_code(options):
     assert last.left_by_samples <= last.kept_runs <= last.left_by_tables < last.judged / 4
 
 
+@pytest.mark.slow  # brute force
 @given(
     st.integers(8, 13),
     st.integers(1, 3),
@@ -169,6 +170,7 @@ def test_a_period_is_not_kept_by_mirror_images():
     )
 
 
+@pytest.mark.slow  # brute force
 @given(
     st.text("01", min_size=1, max_size=24),
     st.integers(1, 3),
@@ -236,6 +238,7 @@ def test_published_values_by_number_of_ones(opened, chips, value):
     assert found.proof.lower == pytest.approx(value, abs=2e-6)
 
 
+@pytest.mark.slow  # brute force
 @pytest.mark.parametrize("chips", [9, 12])
 @pytest.mark.parametrize("direction", ["forward", "unknown"])
 def test_along_a_path_it_is_the_best_of_all_codes_at_the_samples(chips, direction):

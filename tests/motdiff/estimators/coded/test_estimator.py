@@ -93,6 +93,7 @@ def test_a_lone_photo_needs_no_number() -> None:
 # -- from given kernels ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # fits of a path in time
 @SLOW
 def test_order_and_direction_are_found(shots, gray_codes) -> None:
     path = loop_path()
@@ -111,6 +112,7 @@ def test_order_and_direction_are_found(shots, gray_codes) -> None:
     assert told[-1] == pytest.approx(1)
 
 
+@pytest.mark.slow  # fits of a path in time
 @SLOW
 def test_brightness_shifts_and_the_order_of_the_photos_do_not_matter(shots, gray_codes) -> None:
     path = loop_path()
@@ -127,6 +129,7 @@ def test_brightness_shifts_and_the_order_of_the_photos_do_not_matter(shots, gray
     assert found.details["misfit"] == pytest.approx(1, abs=0.25)
 
 
+@pytest.mark.slow  # fits of a path in time
 @SLOW
 def test_a_path_backwards_is_found_backwards(shots, gray_codes) -> None:
     path = loop_path().reversed()
@@ -173,6 +176,7 @@ def test_a_path_lost_in_its_error_is_doubted(shots) -> None:
     assert any("may not have moved" in warning for warning in found.warnings)
 
 
+@pytest.mark.slow  # fits of a path in time
 @SLOW
 def test_the_seed_alone_decides(shots) -> None:
     # one photo, whose kernel leaves many paths: the quickest search
@@ -184,6 +188,7 @@ def test_the_seed_alone_decides(shots) -> None:
     assert np.abs(first.best.xy - other.best.xy).max() > 0
 
 
+@pytest.mark.slow  # fits of a path in time
 @SLOW
 def test_photos_of_another_motion_are_doubted(shots, gray_codes) -> None:
     path = loop_path()
