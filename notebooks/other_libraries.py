@@ -85,7 +85,7 @@ def mirrored_wiener(photo, psf):
 
 views = {
     "coded photo": bright,
-    "ours, Wiener": cep.restore(noisy, psf, camera=camera).image,
+    "ours, Wiener": cep.restore(noisy, psf, method="wiener", camera=camera).image,
     "scikit-image, Wiener": mirrored_wiener(noisy, psf),
     "scikit-image, Richardson-Lucy": restoration.richardson_lucy(bright, unit, num_iter=30),
 }

@@ -59,7 +59,8 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
             metavar="NAME",
             help=(
                 ", ".join(f"{method.name} ({method.about})" for method in METHODS.values())
-                + ", or module:name; auto is wiener, and of a photo alone what suits it."
+                + ", or module:name; auto is pnp for a motion known in time, and tv for one found"
+                " in a photo."
             ),
         ),
     ] = "auto"
@@ -81,7 +82,7 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
 
     def check(self) -> None:
         """Refuse options that contradict each other, and unknown methods."""
-        method = self.method.replace("auto", "wiener")
+        method = self.method.replace("auto", "pnp")
         find_method(method)
         if sum(source is not None for source in (self.trajectory, self.linear, self.psf)) > 1:
             raise ValueError(

@@ -125,8 +125,53 @@ class Blur:
         extended = membrane_extension(photo, self.grid_shape)
         if rounds <= 0:
             return extended
-        H = self.H
         penalty = noise_to_scene * power_law(self.grid_shape)
+        start = np.conj(self.H) * self.spectrum(extended)
+        start /= np.maximum(np.abs(self.H) ** 2 + penalty, SMALLEST_POWER)
+        data = np.conj(self.H) * self.spectrum(photo)
+        extended = self.image(self.H * self._least_squares(data, penalty, start, rounds))
+        # the measured pixels stay: only the surroundings are the model's
+        extended[: self.photo_shape[0], : self.photo_shape[1]] = photo
+        return extended
+
+    def nearest(
+        self, photo: FloatArray, z: FloatArray, a: float, *, rounds: int = 5
+    ) -> FloatArray:
+        """Scene x of least ``|A x - y|^2 + a |x - z|^2``, the proximal step of the data.
+
+        On a periodic grid in closed form. At real borders by conjugate gradients, started from
+        the x that is right if z is right outside the frame.
+
+        Parameters
+        ----------
+        photo : (H, W) float
+        z : (H', W') float
+        a : float
+        rounds : int
+            Conjugate-gradient steps. Five gain 0.1 to 0.3 dB of a whole photo over none, and 20
+            gain 0.1 dB over five (docs/decisions/restoration.md).
+        """
+        Z = self.spectrum(z)
+        periodic = self.grid_shape == self.photo_shape
+        seen = photo
+        if not periodic:
+            seen = self.image(self.H * Z)
+            self.crop(seen)[:] = photo
+        X = np.conj(self.H) * self.spectrum(seen) + a * Z
+        X /= np.maximum(np.abs(self.H) ** 2 + a, SMALLEST_POWER)
+        if not periodic:
+            data = np.conj(self.H) * self.spectrum(photo) + a * Z
+            X = self._least_squares(data, np.full(self.H.shape, a), X, rounds)
+        return self.image(X)
+
+    def _least_squares(
+        self, data: ComplexArray, penalty: FloatArray, X: ComplexArray, rounds: int
+    ) -> ComplexArray:
+        """Solve ``(A^T A + penalty) x = data`` by conjugate gradients from X, all as spectra.
+
+        They are preconditioned as if the grid were the frame.
+        """
+        H = self.H
         preconditioner = 1 / np.maximum(np.abs(H) ** 2 + penalty, SMALLEST_POWER)
         # inner products of real images from half their spectra: each column but that of f = 0,
         # and of the Nyquist frequency where there is one, stands for two
@@ -141,8 +186,7 @@ class Blur:
         def dot(a: ComplexArray, b: ComplexArray) -> float:
             return float(((a.real * b.real + a.imag * b.imag) * weight).sum())
 
-        X = preconditioner * np.conj(H) * self.spectrum(extended)
-        residual = np.conj(H) * self.spectrum(photo) - normal_equations(X)
+        residual = data - normal_equations(X)
         direction = preconditioner * residual
         energy = dot(residual, direction)
         for _ in range(rounds):
@@ -158,10 +202,7 @@ class Blur:
             previous = energy
             energy = dot(residual, preconditioned)
             direction = preconditioned + (energy / previous) * direction
-        extended = self.image(H * X)
-        # the measured pixels stay: only the surroundings are the model's
-        extended[: self.photo_shape[0], : self.photo_shape[1]] = photo
-        return extended
+        return X
 
 
 def normalised(photo: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, FloatArray, float]:

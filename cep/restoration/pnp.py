@@ -31,10 +31,10 @@ def pnp(
 ) -> FloatArray:
     """Minimise ``|A x - y|^2 / 2N + 0.4 R(z)`` with x = z: noise N, the prior R a denoiser's.
 
-    Eight times, x is found in closed form in the Fourier domain, ``|A x - y|^2 + a |x - z|^2``
-    with ``a = 0.4 N / s^2``, and z is x denoised at the level s, which falls log-evenly from 0.1
-    to the photo's noise. The first x is the Wiener filter's. Photo and PSF are first divided by
-    the PSF's sum.
+    Eight times, x minimises ``|A x - y|^2 + a |x - z|^2`` with ``a = 0.4 N / s^2``, and z is x
+    denoised at the level s, which falls log-evenly from 0.1 to the photo's noise. The first x is
+    the Wiener filter's. The scene outside a real border is unknown, and restored as well. Photo
+    and PSF are first divided by the PSF's sum.
 
     Parameters
     ----------
@@ -94,21 +94,14 @@ def pnp(
         N = max(spectrum.noise, _SMALLEST_VARIANCE)
         ratio = N / spectrum.scene
         extended = blur.extend(channel, noise_to_scene=ratio, rounds=border_rounds)
-        out[:] = blur.crop(_split(extended, blur, N, ratio, denoiser))
+        noise_sigma = float(np.sqrt(N))
+        first, *later = np.geomspace(max(_FIRST_SIGMA, noise_sigma), noise_sigma, _STEPS)
+        # the first step has no z yet: the Wiener filter stands in
+        power = np.abs(blur.H) ** 2 + ratio * power_law(blur.grid_shape)
+        X = np.conj(blur.H) * blur.spectrum(extended) / np.maximum(power, SMALLEST_POWER)
+        z = denoiser(blur.image(X), float(first))
+        for sigma in later:
+            x = blur.nearest(channel, z, _PRIOR * N / sigma**2)
+            z = denoiser(x, float(sigma))
+        out[:] = blur.crop(z)
     return channels_last(restored)
-
-
-def _split(photo: FloatArray, blur: Blur, N: float, ratio: float, denoise: Denoiser) -> FloatArray:
-    """Restore one periodic channel."""
-    power = np.abs(blur.H) ** 2
-    data = np.conj(blur.H) * blur.spectrum(photo)
-    # the first step has no z yet: the scene's spectrum stands in
-    X = data / np.maximum(power + ratio * power_law(blur.grid_shape), SMALLEST_POWER)
-    noise_sigma = float(np.sqrt(N))
-    first, *later = np.geomspace(max(_FIRST_SIGMA, noise_sigma), noise_sigma, _STEPS)
-    z = denoise(blur.image(X), float(first))
-    for sigma in later:
-        a = _PRIOR * N / sigma**2
-        X = (data + a * blur.spectrum(z)) / np.maximum(power + a, SMALLEST_POWER)
-        z = denoise(blur.image(X), float(sigma))
-    return z

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cep.optics.band import uniform_length_px
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.blind import find_psf
@@ -18,12 +19,13 @@ from cep.restoration.clipping import fill_clipped
 from cep.restoration.direction import DirectionResult, detect_direction
 from cep.restoration.registry import find_method, is_registered
 from cep.restoration.result import Restoration, misfit
-from cep.restoration.sharpen import FEW_CLIPPED, sharpen
+from cep.restoration.sharpen import FEW_CLIPPED, LARGE_PX, restore_chosen, sharpen
 from motdiff.crops import clipped_mask
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
+_ALL_LIGHT = 0.999  # below it a light-true PSF was closed for a part of the exposure
 _FULL_LIGHT = 1.001  # 1, but for rounding
 _SEARCH_SHARE = 0.9  # of the time of a blind restoration
 _ESTIMATE_SHARE = 0.75  # of the time where the motion is estimated by the network
@@ -35,7 +37,7 @@ def restore(
     *,
     trajectory: Trajectory | None = None,
     code: ShutterCode | None = None,
-    method: str | Callable[..., ArrayLike] = "wiener",
+    method: str | Callable[..., ArrayLike] = "auto",
     seed: int = 0,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
     **options: Any,
@@ -60,8 +62,10 @@ def restore(
         A name of :data:`cep.restoration.registry.METHODS`: "wiener", "inverse", "tv", "l0",
         "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser); or a function of your
         own, or its ``module:name``, that takes (photo, psf) and returns the restored photo, or a
-        Restoration. "auto" is "wiener", and where nothing but the photo is given what suits it:
-        see :func:`cep.restoration.sharpen.sharpen`.
+        Restoration. "auto" is "pnp" where the motion in time is known, by a code or a trajectory
+        of known direction, and "tv", which trusts the PSF less, where it was found in a photo; of
+        more than 4 megapixels "wiener", for the time. Where nothing but the photo is given see
+        :func:`cep.restoration.sharpen.sharpen`.
     seed : int
         Of what is drawn at random, with "auto".
     progress : callable, optional
@@ -83,14 +87,14 @@ def restore(
     >>> path = Trajectory.straight(9.0)
     >>> photo = np.clip(blur_valid(scene, path.psf(11)), 0, 1)
     >>> sharp = restore(photo, trajectory=path)
-    >>> sharp.image.shape, sharp.residual < 0.001
-    ((70, 70), True)
+    >>> sharp.image.shape, sharp.method
+    ((70, 70), 'pnp')
     """
     if method == "auto":
         if psf is None and trajectory is None and code is None and not options:
             return _restore_alone(photo, seed=seed, progress=progress)
-        method = "wiener"
-    label, apply = find_method(method)
+    elif method != "auto":
+        find_method(method)  # before the work
     if psf is not None and trajectory is not None:
         raise ValueError("trajectory and psf: give one of them at most")
     if psf is not None and code is not None:
@@ -130,6 +134,16 @@ def restore(
     assert psf is not None
     progress(searched, "restoring")
     kernel = trimmed_psf(psf)
+    is_doubtful = False
+    if method == "auto":
+        is_coded = code is not None or kernel.sum() < _ALL_LIGHT
+        is_known = trajectory is not None and (
+            trajectory.direction == "known" or uniform_length_px(trajectory) is not None
+        )
+        is_doubtful = psf_source == "photo" or not (is_coded or is_known)
+        # ahead in every row of our tables with a known motion: docs/decisions/restoration.md
+        method = "pnp" if channels[0].size <= LARGE_PX else "wiener"
+    label, apply = find_method(method)
     if trajectory is None:
         _check_reach("psf", len(kernel), channels)
         if kernel.sum() > _FULL_LIGHT:
@@ -152,7 +166,10 @@ def restore(
             f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x"
             f" {channels.shape[1]} px"
         )
-    image = _checked_image(apply(light, psf, **options), np.shape(photo), label)
+    if is_doubtful:
+        image, label = restore_chosen(photo, psf)
+    else:
+        image = _checked_image(apply(light, psf, **options), np.shape(photo), label)
     progress(1.0, "restoring")
     return Restoration(
         image=image,

@@ -196,7 +196,8 @@ def restore_chosen(photo: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, str]:
     Parameters
     ----------
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1
-    psf : (S, S) array_like, sum 1
+    psf : (S, S) array_like
+        Light-true.
 
     Returns
     -------
@@ -204,7 +205,8 @@ def restore_chosen(photo: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, str]:
     """
     channels = channels_first(fill_clipped(photo, psf))
     if channels[0].size <= LARGE_PX:
-        weight = _tv_weight(noise_sigma(channels.mean(axis=0)))
+        # TV divides the photo by the light that came in, and its noise with it
+        weight = _tv_weight(noise_sigma(channels.mean(axis=0)) / float(np.sum(psf)))
         jobs = [partial(tv, channel, psf, weight=weight) for channel in channels]
         return channels_last(np.stack(side_by_side(jobs))), "tv"
     side = 2 * _CROP_PX

@@ -79,3 +79,30 @@ def test_the_extension_solves_the_masked_least_squares():
 def test_a_periodic_photo_needs_no_extension():
     photo = np.random.default_rng(0).random((40, 50))
     assert Blur(PSF, photo.shape, "periodic").extend(photo, rounds=10) is photo
+
+
+@pytest.mark.parametrize("border", ["real", "periodic"])
+def test_the_nearest_scene_solves_the_normal_equations(border):
+    """``(A^T A + a) x = A^T y + a z`` holds, as a small case shows with the operator itself."""
+    rng = np.random.default_rng(0)
+    psf = Trajectory.straight(3.0).psf(7)
+    blur = Blur(psf, (9, 10), border)
+    photo = rng.random((9, 10))
+    z = rng.random(blur.grid_shape)
+    x = blur.nearest(photo, z, 0.05, rounds=200)
+    residual = blur.A_adjoint(blur.A(x) - photo) + 0.05 * (x - z)
+    np.testing.assert_allclose(residual, 0, atol=1e-8)
+
+
+def test_five_rounds_are_nearer_than_none():
+    rng = np.random.default_rng(0)
+    scene = ndimage.gaussian_filter(rng.random((80, 80)), 2)
+    blur = Blur(PSF, (48, 48), "real")
+    photo = blur_valid(scene, PSF)
+    z = np.zeros(blur.grid_shape)
+
+    def cost(rounds):
+        x = blur.nearest(photo, z, 0.01, rounds=rounds)
+        return np.sum((blur.A(x) - photo) ** 2) + 0.01 * np.sum(x**2)
+
+    assert cost(5) < cost(0)
