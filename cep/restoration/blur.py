@@ -153,11 +153,11 @@ class Blur:
         """
         Z = self.spectrum(z)
         periodic = self.grid_shape == self.photo_shape
-        seen = photo
+        guess = photo
         if not periodic:
-            seen = self.image(self.H * Z)
-            self.crop(seen)[:] = photo
-        X = np.conj(self.H) * self.spectrum(seen) + a * Z
+            guess = self.image(self.H * Z)
+            self.crop(guess)[:] = photo
+        X = np.conj(self.H) * self.spectrum(guess) + a * Z
         X /= np.maximum(np.abs(self.H) ** 2 + a, SMALLEST_POWER)
         if not periodic:
             data = np.conj(self.H) * self.spectrum(photo) + a * Z

@@ -50,12 +50,12 @@ def main() -> None:
     )
     parser.add_argument("photos", type=Path)
     parser.add_argument("--count", type=int, default=6)
-    given = parser.parse_args()
-    photos = load_photos(given.photos, least_px=SIDE_PX, most_px=4096)
-    step = max(1, len(photos) // given.count)
+    arguments = parser.parse_args()
+    photos = load_photos(arguments.photos, least_px=SIDE_PX, most_px=4096)
+    step = max(1, len(photos) // arguments.count)
     scenes = [
         centre_crop(luminance(to_linear(photo.numpy().transpose(1, 2, 0) / 255)), SIDE_PX, SIDE_PX)
-        for photo in photos[::step][: given.count]
+        for photo in photos[::step][: arguments.count]
     ]
     paths = {
         "straight 25 px": Trajectory.straight(25.0),

@@ -1,0 +1,1 @@
+"""Gains of codes as photographs show them, beside those that the program promises."""

@@ -1,0 +1,69 @@
+"""Power spectra of photographs in linear light, and how much they differ.
+
+    python -m lab.studies.scene [PHOTOS]
+
+PHOTOS is a folder of sharp photographs; those of lab.photo_gains when omitted. Prints the mean and
+the spread of each band's level over the photographs (their middle 300 x 300 px, Hann window), the
+least-squares fit of ``S(f) = A f^-g (1 + f^2 / f_k^2)^-h`` with the knee at f_k = 0.25 cycles/px, and
+how much of the variance between photographs is one common level.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from lab.photo_gains.photographs import photographs
+from motdiff.crops import centre_crop, luminance
+from motdiff.simulate import to_linear
+from motdiff.training.photos import load_photos
+from motdiff.types import FloatArray
+
+SIDE_PX = 300
+BANDS = np.geomspace(1 / 64, 0.5, 14)
+KNEE_CY_PX = 0.25
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("photos", type=Path, nargs="?")
+    arguments = parser.parse_args()
+    scenes = list(photographs())
+    if arguments.photos is not None:
+        photos = load_photos(arguments.photos, least_px=SIDE_PX, most_px=4096)
+        grey = (luminance(to_linear(p.numpy().transpose(1, 2, 0) / 255)) for p in photos)
+        scenes = [centre_crop(scene, SIDE_PX, SIDE_PX) for scene in grey]
+    f = np.sqrt(BANDS[1:] * BANDS[:-1])
+    levels = np.array([band_levels(scene) for scene in scenes])
+    for centre, mean, spread in zip(f, levels.mean(axis=0), levels.std(axis=0), strict=True):
+        print(f"{centre:.3f} cy/px: {mean:6.1f} dB, spread {spread:.1f} dB")
+    columns = np.column_stack(
+        [np.ones(f.size), -10 * np.log10(f), -10 * np.log10(1 + (f / KNEE_CY_PX) ** 2)]
+    )
+    (level, g, h), *_ = np.linalg.lstsq(columns, levels.mean(axis=0), rcond=None)
+    variance = np.linalg.svd(levels - levels.mean(axis=0), compute_uv=False) ** 2
+    light = np.mean([scene.mean() for scene in scenes])
+    print(
+        f"{len(scenes)} photographs, mean light {light:.2f}: g = {g:.2f}, h = {h:.2f},"
+        f" {level + 10 * g:.1f} dB at 0.1 cy/px without the knee; a common level is"
+        f" {variance[0] / variance.sum():.0%} of the variance, the next term"
+        f" {variance[1] / variance.sum():.0%}"
+    )
+
+
+def band_levels(grey: FloatArray) -> FloatArray:
+    """``10 log10`` of the mean periodogram in each band, (13,)."""
+    window = np.outer(*(np.hanning(side + 2)[1:-1] for side in grey.shape))
+    mean = float((grey * window).sum() / window.sum())
+    density = np.abs(np.fft.fft2((grey - mean) * window)) ** 2 / (window**2).sum()
+    f = np.hypot(*np.meshgrid(*(np.fft.fftfreq(side) for side in grey.shape), indexing="ij"))
+    band = np.digitize(f, BANDS)
+    return np.array([10 * np.log10(density[band == i].mean()) for i in range(1, BANDS.size)])
+
+
+if __name__ == "__main__":
+    main()
