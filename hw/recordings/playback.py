@@ -130,7 +130,7 @@ def align(
 def _closed_at(
     trace: Trace, program: Program, trigger: Trace | None, *, closed_level: int
 ) -> tuple[Verification, ...]:
-    """Compare a signal that is closed at the level `rest` with the program."""
+    """Compare a signal that is closed at the level ``closed_level`` with the program."""
     level = trace.level ^ closed_level
     raw = [(time_ns, new_level ^ closed_level) for time_ns, new_level in trace.edges]
     if level:

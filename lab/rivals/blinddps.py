@@ -3,11 +3,9 @@
 Nothing here ships a diffusion prior of photos. A folder of weights holds two files of
 :func:`write_prior`:
 
-================== ============================
-==================================================================== image.safetensors  (1, C, S,
-S), C = 1 or 3     photos as 2 v - 1 of their display values v (sRGB), such as FFHQ's
-kernel.safetensors (1, 1, K, K), K < S          kernels as 2 k / max(k) - 1 ==================
-============================ ====================================================================
+- ``image.safetensors``, of (1, C, S, S), C = 1 or 3: photos as ``2 v - 1`` of their display values
+  v (sRGB), such as FFHQ's;
+- ``kernel.safetensors``, of (1, 1, K, K), K < S: kernels as ``2 k / max(k) - 1``.
 
 Each is a network ``eps(x, t)`` that predicts the noise in ``x`` (float32) at timestep ``t`` ((1,)
 int64, 0..999) of the linear schedule of :func:`linear_alpha_bar`; further output channels, such as

@@ -1,8 +1,11 @@
 """Blind estimation: wall time of an estimate, and contact sheets of real photos without truth.
 
-    OMP_NUM_THREADS=2 taskset -c 0,1 python -m lab.studies.blind seconds [DIR]   # on two cores,
-    256 x 256 px python -m lab.studies.blind photos DIR -o OUT   # contact sheet of the estimates
-    ... --method motdiff                           # pmp when omitted
+    OMP_NUM_THREADS=2 taskset -c 0,1 python -m lab.studies.blind seconds [DIR]
+    python -m lab.studies.blind photos DIR -o OUT
+    ... --method motdiff
+
+The first form takes photos of 256 x 256 px, on two cores; the second draws the contact sheet. The
+method is pmp when omitted.
 
 Without a folder the sharp photos are scikit-image's own, without a trace the hand shake is
 synthetic. What estimates are worth where the motion is known is measured by ``python -m lab bench

@@ -1,9 +1,10 @@
-"""What the two networks add to ``pmp`` in ``cep calibrate``: paired MNC, by motion, noise and
-detail.
+"""What the two networks add to ``pmp`` in ``cep calibrate``, by motion, noise and detail.
 
-    python -m lab.studies.motdiff_gain rows FILE --prepared CONFIG [--draws 8]       # held-out
-    photos of a run python -m lab.studies.motdiff_gain rows FILE --data DIR --protocol NAME [--gyro
-    RECORDING] python -m lab.studies.motdiff_gain table FILE...
+    python -m lab.studies.motdiff_gain rows FILE --prepared CONFIG [--draws 8]
+    python -m lab.studies.motdiff_gain rows FILE --data DIR --protocol NAME [--gyro RECORDING]
+    python -m lab.studies.motdiff_gain table FILE...
+
+The first form takes the held-out photos of a run. The figures are paired differences of MNC.
 
 Each photo is estimated by ``pmp``, by ``motdiff``, and by two others, which each lack one of its
 networks. ``pmp+`` is ``pmp`` with the refinement and the correction of ``motdiff``: all of it but

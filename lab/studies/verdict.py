@@ -1,9 +1,7 @@
-"""When coding pays: the map over light and read noise, and expected gains beside simulated
-captures.
+"""When coding pays: the map over light and read noise, and expected gains beside simulated ones.
 
-    python -m lab.studies.verdict map [--walks 5] [--workers 2] [--image
-    docs/images/verdict-map.png] python -m lab.studies.verdict check [--captures 1000] [--workers
-    2]
+    python -m lab.studies.verdict map [--walks 5] [--workers 2] [--image FILE]
+    python -m lab.studies.verdict check [--captures 1000] [--workers 2]
 
 `map`: gain of the best code over the best single exposure, dB, 40 chips, direction known, along a
 straight motion of 40 px and along random walks of 60 px (the median of so many), known exactly or

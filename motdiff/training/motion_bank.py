@@ -47,7 +47,7 @@ class MotionMix:
     exposure_s : (float, float), seconds
         Range of exposures of gyro-driven motion.
     gyro_trace : str
-        Gyroscope recording, see :func:`motdiff.gyro.read_gyro`; "" for none.
+        Gyroscope recording, see :func:`motdiff.files.gyro_tables.read_gyro`; "" for none.
     """
 
     boracchi_foi: float = 1.0

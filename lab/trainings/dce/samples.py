@@ -48,7 +48,7 @@ def motion_mix(gyro: Path | None) -> MotionMix:
     Parameters
     ----------
     gyro : path, optional
-        A gyroscope recording (:func:`motdiff.gyro.read_gyro`); without one there is no hand shake
+        A gyroscope recording (:func:`motdiff.files.gyro_tables.read_gyro`); without one there is no hand shake
         among them.
     """
     shake = {} if gyro is None else {"gyro": 0.25, "gyro_trace": str(gyro)}
