@@ -48,8 +48,8 @@ def motion_mix(gyro: Path | None) -> MotionMix:
     Parameters
     ----------
     gyro : path, optional
-        A gyroscope recording (:func:`motdiff.files.gyro_tables.read_gyro`); without one there is no hand shake
-        among them.
+        A gyroscope recording (:func:`motdiff.files.gyro_tables.read_gyro`); without one there is
+        no hand shake among them.
     """
     shake = {} if gyro is None else {"gyro": 0.25, "gyro_trace": str(gyro)}
     return MotionMix(boracchi_foi=0.25, boracchi_foi_short=0.25, straight=0.25, **shake)  # type: ignore[arg-type]
