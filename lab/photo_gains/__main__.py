@@ -22,7 +22,7 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 CHIPS = 40
-LENGTHS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 28)  # of the single exposures, chips
+LENGTHS = (1, 2, 3, 4, 5, 6, 8, 12, 20)  # of the single exposures, chips
 LIGHT = ((2.0, 10_000.0), (10.0, 3_000.0), (50.0, 10_000.0), (200.0, 100_000.0))
 SIDE_PX = 300
 ABOUT = """For each motion, read noise and light: the gain of the best code over the best

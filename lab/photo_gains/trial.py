@@ -18,8 +18,12 @@ from motdiff.threads import side_by_side
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
-JUDGED_PX = 144
-"""Side of the middle of each photo that is judged: its border leans on what is not seen."""
+JUDGED_PX = 128
+"""Side of the middle of each photo that is judged."""
+
+# left out around it, besides the reach of the PSF: a border costs a code 2 dB at 20 px and nothing
+# at 60 px (docs/decisions/restoration.md), and most of a photo of some megapixels is farther in
+_BORDER_PX = 40
 
 
 class Trial:
@@ -75,7 +79,7 @@ class Trial:
         psf = self._psf(path, code)
         true_psf = self._psf(true_path, code)
         camera = self._problem.camera.with_dark_noise(code.integration_ns * 1e-9)
-        photo_px = JUDGED_PX + 2 * (len(psf) // 2)
+        photo_px = JUDGED_PX + 2 * (len(psf) // 2 + _BORDER_PX)
         scene = _middle(self._scenes[number], photo_px + len(true_psf) - 1)
         photo = photograph(
             scene,
