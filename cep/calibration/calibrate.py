@@ -70,6 +70,7 @@ class Calibration(MotionEstimate):
     @classmethod
     def of(cls, estimate: MotionEstimate, photo: FloatArray) -> Calibration:
         """Join an estimate and the photo that it is shown with."""
+        # not dataclasses.asdict, which would turn the trajectories into dicts too
         values = {key.name: getattr(estimate, key.name) for key in fields(MotionEstimate)}
         return cls(**values, photo=photo)
 
@@ -332,6 +333,7 @@ def _check_number(photos: Sequence[ArrayLike], method: Method) -> None:
     """Refuse photos that are more than the method takes, or not as many as its codes."""
     codes: tuple[str, ...] | None = getattr(method, "codes", None)
     if codes is not None:
+        # a stack of three photos would pass for one in colour
         if len(photos) == 1 < len(codes) and np.ndim(photos[0]) >= 3:
             raise ValueError(
                 "photo: give the photos of several codes as a list or tuple, not as one array"

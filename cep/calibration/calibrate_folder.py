@@ -106,6 +106,7 @@ class _Task:
                 options[name] = _content(value)
         code = _code_of(self.method)
         photo = _content(self.photo)
+        # another version may estimate otherwise
         parts = [__version__, photo, self.method, code, options, self.gamma, self.seed]
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
@@ -189,6 +190,7 @@ def calibrate_folder(
         if folder.name in ("", ".."):  # "." has no name of its own
             folder = folder.resolve()
         output = folder.with_name(f"{folder.name}_motion")
+    # all of them before any work: one in the way must not show up hours later
     claim_folder(output, [_SUMMARY], force=force)
     for photo in photos:
         claim_folder(output / photo.stem, CALIBRATION_FILES, force=force)
@@ -205,6 +207,7 @@ def calibrate_folder(
     run = _Run(output, tasks, failures, force=force, progress=progress)
     run.run(workers or cpu_count())
     if force:
+        # the files of an earlier run would pass for this one's
         for label in run.failures:
             _discard(output / by_label[label].stem)
     return run.results(list(by_label))
@@ -243,9 +246,11 @@ class _Run:
         started = time.monotonic()
         in_hand: tuple[str, _Estimated] | None = None
         try:
+            # closing ends the processes, also when Ctrl-C or a full disk ends the loop
             with closing(_estimates(waiting, workers)) as estimates:
                 for number, in_hand in enumerate(estimates, 1):
                     self._write(*in_hand)
+                    # by this run alone: photos finished by an earlier one took no time
                     left_s = (time.monotonic() - started) / number * (len(waiting) - number)
                     finished = count - len(waiting) + number
                     note = f"{finished} of {count} photos, about {in_words(left_s)} left"
@@ -299,7 +304,7 @@ class _Run:
             self._folder / task.photo.stem,
             source={"image": str(task.photo), "seed": task.seed},
             force=self._force,
-            bits=min(photo.bits, 16),
+            bits=min(photo.bits, 16),  # a PNG has no floating point
             gamma=task.gamma,
         )
         result = calibration.to_dict(files, seconds=estimated.seconds, warnings=estimated.warnings)
@@ -350,7 +355,7 @@ def _estimates(
                     yield label, estimated
         except TerminatedWorkerError:
             # one of the photos that were handed out ended its process: each alone shows which
-            for label in list(islice(waiting, 2 * workers)):
+            for label in list(islice(waiting, 2 * workers)):  # as many as pre_dispatch hands out
                 task = waiting.pop(label)
                 try:
                     yield from _in_processes({label: task}, workers)
@@ -406,6 +411,7 @@ def _estimated(task: _Task) -> _Estimated:
         text = str(error)
         if not text or not isinstance(error, ValueError | RuntimeError):
             text = f"{type(error).__name__}: {error}".removesuffix(": ")
+        # one line without the photo's name, which stands in the table beside it
         return _Estimated(None, failure=" ".join(text.removeprefix(f"{task.photo}: ").split()))
     notes = [line.removeprefix(f"{task.photo}: ") for line in photo.warnings]
     return _Estimated(estimate, (*notes, *estimate.warnings), seconds)
@@ -421,7 +427,7 @@ def _code_of(method: str) -> str:
     if not is_reference(method):
         return ""
     spec = find_spec(method.partition(":")[0])
-    if spec is None or spec.origin is None:
+    if spec is None or spec.origin is None:  # no file to tell versions by
         return ""
     return _content(Path(spec.origin))
 

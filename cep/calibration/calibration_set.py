@@ -229,7 +229,7 @@ def calibration_set(
         raise ValueError(f"chips: must be {_LEAST_CHIPS} to {_MOST_CHIPS}, got {chips}")
     if isinstance(device, str):
         device = load_profile(device)
-    limits = Limits(chips, (1, chips))
+    limits = Limits(chips, (1, chips))  # all open too: the open shutter may be one of the photos
     if device is not None:
         playable = within_device(
             device, chips=chips, chip_ns=chip_ns, open_range=(1, chips), runs=RunLimits()
@@ -250,6 +250,7 @@ def calibration_set(
         progress=lambda share: progress(0.2 + 0.7 * share, "searching codes"),
     )
     progress(0.9, "measuring")
+    # squared errors add up over photos
     separations = np.sum([test.of(code) for code in codes], axis=0)
     return CalibrationSet(
         tuple(ShutterCode(code, chip_ns) for code in codes),

@@ -120,7 +120,7 @@ def estimate_camera(
         frames = _read_frame(first), _read_frame(second)
         warnings += [line for frame in frames for line in frame.warnings]
         kinds |= {(frame.file_bits, frame.raw) for frame in frames}
-        if len(kinds) > 1:
+        if len(kinds) > 1:  # their code values do not compare
             raise ValueError(
                 f"{second}: is of another kind than the frames before it: bits, black or white"
                 " differ"
@@ -129,6 +129,7 @@ def estimate_camera(
         progress((level + 1) / len(files))
     file_bits, raw = kinds.pop()
     if raw is not None:
+        # a RAW file states its white: there is nothing to find out, as there is of a PNG
         codes = CodeRange(bits or raw[1].bit_length(), top_dn=float(raw[1]))
         if black_dn is None:
             black_dn = raw[0]
@@ -143,7 +144,7 @@ def estimate_camera(
             response=response,
         )
     except ValueError as error:
-        raise ValueError(_with_files(str(error), files)) from None
+        raise ValueError(_with_files(str(error), files)) from None  # the curve counts pairs
     black = "a pair of dark frames" if dark else "no dark frames"
     source = (
         f"photon-transfer curve of {levels} pair{'s' if levels > 1 else ''} of flat frames and"

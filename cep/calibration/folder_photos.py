@@ -27,12 +27,14 @@ def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...
     root = Path(folder)
     photos = [
         path
-        for path in sorted(root.iterdir())
+        for path in sorted(root.iterdir())  # file systems have orders of their own
         if path.suffix.lower() in PHOTO_SUFFIXES
         and not path.name.startswith(".")
+        # as cep simulate writes it beside its photo
         and not (path.name.endswith("_psf.png") and path.with_suffix(".npy").is_file())
         # a link that leads nowhere is reported as a failure, not passed over
         and (path.is_file() or not path.exists())
+        # the sharp photo may lie among the blurred ones
         and not (but is not None and path.exists() and path.samefile(but))
     ]
     if not photos:

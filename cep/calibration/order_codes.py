@@ -80,11 +80,13 @@ def search_order_codes(
         progress(0.6 * i / len(candidates))
     chosen: list[Code] = []
     while len(open_codes) + len(chosen) < photos:
+        # greedy at first; the sweeps below revise each choice
         companions = [*open_codes, *chosen]
         chosen.append(search.best(candidates, companions))
     for sweep in range(searched * _SWEEPS):
         before = search.score([*open_codes, *chosen])
         for i in range(len(chosen)):
+            # one code at a time: sets of several are too many to be tried
             companions = [*open_codes, *chosen[:i], *chosen[i + 1 :]]
             chosen[i] = search.best([chosen[i], *candidates], companions)
             chosen[i] = search.best([chosen[i], *search.neighbours(chosen[i])], companions)
@@ -118,6 +120,7 @@ class _Search:
         chips = self._limits.chips
         excess = max(0, longest_unseen(np.stack(codes)) - max(1, chips // _UNSEEN_PARTS))
         if all(map(_is_own_mirror, codes)):
+            # codes that are their own mirror image cannot tell a path from its reverse
             excess += chips
         # the worst order of each walk, but the mean over walks: a worst tenth fits the few walks
         # of the design
@@ -153,6 +156,7 @@ def gray_planes(planes: int, chips: int) -> Code:
     [0, 1, 1, 0, 0, 1, 1, 0]
     """
     number = _stretched(np.arange(2**planes), chips)
+    # n XOR n / 2 (Gray 1953): neighbouring bins differ in one plane alone
     return np.asarray((number ^ (number >> 1)) >> np.arange(planes)[::-1, None] & 1, dtype=np.int8)
 
 
@@ -192,7 +196,7 @@ def _random_codes(limits: Limits, rng: np.random.Generator) -> list[Code]:
 
 
 def _without_repeats(codes: Sequence[Code]) -> list[Code]:
-    return list({code.tobytes(): code for code in codes}.values())
+    return list({code.tobytes(): code for code in codes}.values())  # arrays have no hash
 
 
 def _is_own_mirror(code: Code) -> bool:

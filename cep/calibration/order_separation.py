@@ -99,13 +99,14 @@ class OrderSeparation:
     def of_each_motion(self, separations: FloatArray) -> FloatArray:
         """Smallest separation of each motion (M,), from those of all altered orders (P,)."""
         smallest = np.full(len(self._true), np.inf)
+        # indices repeat, which smallest[...] would miss
         np.minimum.at(smallest, self._of_motion, separations)
         return smallest
 
     def conditioning(self, codes: ArrayLike) -> FloatArray:
         """Smallest rms MTF of codes (I, n) within the band along each motion (M,); 1 at DC."""
         chips = np.asarray(codes, dtype=np.float32)
-        shares = chips / chips.mean(axis=1, keepdims=True)
+        shares = chips / chips.mean(axis=1, keepdims=True)  # of the light let through: 1 at DC
         power = sum(
             np.abs(np.tensordot(self._slices[self._true], share, (1, 0))) ** 2 for share in shares
         )
@@ -119,6 +120,7 @@ class OrderSeparation:
         grid = np.zeros((len(cross), _SHIFTS, _SHIFTS), dtype=np.complex64)
         down, right = self._at.T
         grid[:, down % _SHIFTS, right] = cross
+        # "forward" leaves the inverse unscaled: the sum over frequencies itself
         correlations = fft.ifft2(grid, norm="forward").real.reshape(len(cross), -1)
         best = correlations.argmax(axis=1)
         largest = correlations.max(axis=1).astype(np.float64)
@@ -132,7 +134,7 @@ class OrderSeparation:
             curvature = (shifted.real @ products).reshape(-1, 2, 2) + 1e-6 * np.eye(2)
             shift = shift - np.linalg.solve(curvature, (shifted.imag @ at)[..., None])[..., 0]
             reached = (cross * np.exp(1j * (shift @ at.T).astype(np.float32))).real.sum(axis=1)
-            largest = np.maximum(largest, reached)
+            largest = np.maximum(largest, reached)  # a Newton step may go astray
         return np.asarray(largest, dtype=np.float64)
 
 
@@ -160,7 +162,7 @@ def ordered_walks(
     for _ in range(count):
         walk = orders(boracchi_foi(rng, max_length_px=length_px), knots=_KNOTS, count=64)
         apart = walk[2:] - walk[0]
-        apart = apart - apart.mean(axis=1, keepdims=True)
+        apart = apart - apart.mean(axis=1, keepdims=True)  # a shift of all of it does no harm
         altered = 2 + np.flatnonzero(np.sqrt((apart**2).sum(axis=2).mean(axis=1)) >= _ALIKE_PX)
         chosen = rng.permutation(altered)[: _MOST_ALTERED - 1]
         walks.append(walk[[0, 1, *chosen]])

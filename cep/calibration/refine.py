@@ -148,6 +148,7 @@ def refine_motion(
     if best.values:
         chosen = best.given
         given_misfit = misfit = best.given_misfit
+        # misfits are means over so many values: their sum is what noise is compared with
         gain = (best.given_misfit - best.misfit) * best.values
         is_better = not is_unexplained and gain > NOISE_GAIN
     else:
@@ -160,7 +161,7 @@ def refine_motion(
         outcome = "refined"
         chosen = best.trajectory
         moved_px = timed_distance_px(best.trajectory, best.given)
-        uncertainty_px = min(best.deviation_px, uncertainty_px)
+        uncertainty_px = min(best.deviation_px, uncertainty_px)  # photos add knowledge
         if best.values:
             misfit = best.misfit
     warnings = []
@@ -217,6 +218,7 @@ def _best_by_test(
             test = compare_psfs(photo, *psfs)
             # the test names the likelier PSF; undecidable, it says nothing either way
             sign = {"forward": 1.0, "reverse": -1.0}.get(test.direction, 0.0)
+            # the photos' noise is independent, so that their odds multiply
             total += sign * float(np.log(test.confidence / (1 - test.confidence)))
         return total
 

@@ -163,7 +163,7 @@ def advise(options: AdviseOptions) -> None:
 
         output = options.output
         if output is not None:
-            check_figure_name(output)
+            check_figure_name(output)  # before minutes of work
         codes = options.codes()
         stored = options.load_motion()
         motion = stored.trajectory

@@ -224,12 +224,13 @@ def calibrate(options: CalibrateOptions) -> None:
             source["images"] = list(map(str, images))
         if codes is not None:
             source["codes"] = [code.bits for code in codes]
+        # a full disk must not cost the estimate: its error names the path
         with summary_on_failure(trajectory_text(calibration.best)):
             files = calibration.save(
                 folder,
                 source=source,
                 force=options.force,
-                bits=min(photos[0].bits, 16),
+                bits=min(photos[0].bits, 16),  # a PNG has no floating point
                 gamma=options.gamma,
             )
         tick(1.0)

@@ -92,6 +92,7 @@ def calibration_set(options: CalibrationSetOptions) -> None:
         as_json=options.as_json,
         page=_page(calibration, output),
         outputs=outputs,
+        # the set's folder is whole or not at all by itself: only tables are staged
         save=lambda _staged: calibration.save(
             output, file_format=options.file_format, force=options.force
         ),

@@ -183,6 +183,7 @@ def estimate(options: EstimateOptions) -> None:
     outputs = claim(
         [output, picture, *table_files(options.table)],
         force=options.force,
+        # never written over, not even with --force
         inputs=[*options.flats, *(options.dark or ())],
     )
     with progress("measuring") as tick:

@@ -83,6 +83,7 @@ def demo(options: DemoOptions) -> None:
 
         parse_gamma(options.gamma)
         if options.camera is None and options.photo is None:
+            # the bundled case is to show a code that pays; a photo of one's own is not
             options = replace(options, camera=STANDARD_CAMERA)
         camera = options.load_camera()
         exposure_s = exposure_seconds(options.exposure) or EXPOSURE_S

@@ -127,7 +127,7 @@ def _linked(link: Path | None, port: str) -> Iterator[None]:
     if link is None:
         yield
         return
-    link.unlink(missing_ok=True)
+    link.unlink(missing_ok=True)  # claim has seen to --force
     link.symlink_to(port)
     try:
         yield

@@ -49,6 +49,7 @@ def export(options: ExportOptions) -> None:
 
     exporter = find_exporter(options.file_format)
     program, stored = options.timed_program()
+    # chips last whole ticks of the format's clock, which may round them
     program, warnings = on_ticks(program, exporter.tick_ns)
     profile = options.checked_profile(program, stored)
     file = code_file(options.code)

@@ -88,6 +88,7 @@ def end(*, missing: int, failed: int) -> None:
     typer.Exit
         130 where Ctrl-C left parts out, else 1 where parts failed.
     """
+    # an interrupted run says so, whatever has failed before
     if missing:
         raise typer.Exit(INTERRUPTED)
     if failed:

@@ -167,6 +167,7 @@ def run_app(app: typer.Typer, arguments: Sequence[str], *, name: str) -> int:
         Of the program, for its help pages.
     """
     try:
+        # in standalone mode click would print errors in its own way, and exit
         outcome = app(args=list(arguments), prog_name=name, standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
         complain("interrupted")

@@ -133,7 +133,7 @@ def optimize(options: OptimizeOptions) -> None:
             "time_s": options.time_s,
             "seed": options.seed,
         }
-        Search(**how)
+        Search(**how)  # for its checks alone
         if isinstance(problem, SearchProblem):
             checked_motion(problem, stored.trajectory)
         outputs = claim(

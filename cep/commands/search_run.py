@@ -29,6 +29,7 @@ def saved_on_interrupt(outputs: Outputs) -> Iterator[Callable[[Mapping[Path, Sto
     except KeyboardInterrupt:
         if codes:
             summary = in_bits(stored.code for stored in codes.values())
+            # the code alone: the rest is not made yet
             with replace(outputs, paths=tuple(codes)).written(summary=summary) as staged:
                 for path, stored in codes.items():
                     write_code(staged[path], stored)

@@ -82,6 +82,7 @@ def simulate(options: SimulateOptions) -> None:
         claim(
             [target.with_name(name) for name in names], force=options.force, inputs=[options.sharp]
         )
+        # of Levin's .mat files x is the sharp image, y the blurred one
         photo = read_photo(options.sharp, gamma=options.gamma, variable="x")
         rng = np.random.default_rng(options.seed)
         coded = capture(photo.pixels, motion, shutter, camera, rng=rng)

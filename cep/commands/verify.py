@@ -143,7 +143,7 @@ def _verify_recording(options: VerifyOptions, capture: Path) -> None:
     rows = [
         (
             f"{index} at {play.start_ns / 1e6:.4f} ms",
-            -play.scale_ppm,
+            -play.scale_ppm,  # a play that lasts longer is of a slow clock
             play.jitter_ns,
             play.worst_ns,
             "yes" if play.same_bits else "no",

@@ -153,7 +153,7 @@ def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple
     stored = BytesIO()
     np.save(stored, kernel)  # written to a file, SciPy hides the error of a full disk
     matlab = BytesIO()
-    savemat(matlab, {"psf": kernel.astype(np.float64)})
+    savemat(matlab, {"psf": kernel.astype(np.float64)})  # MATLAB computes in double
     # SciPy puts the date there, and the same PSF must give the same file
     undated = _MAT_TEXT.ljust(_MAT_TEXT_BYTES) + matlab.getvalue()[_MAT_TEXT_BYTES:]
     contents = (stored.getvalue(), undated, cv2.imencode(".png", grey)[1].tobytes())

@@ -14,7 +14,9 @@ from motdiff.files.inputs import printable
 # what a spreadsheet takes for the beginning of a formula (OWASP, "CSV injection"); some fold the
 # full-width signs into the others
 _FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
+# numbers with a sign begin as a formula does, and are none
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|[-+]?(inf|nan)", re.IGNORECASE)
+# signs of CommonMark, and of GitHub's tables, strikethrough and formulas
 _MARKDOWN = re.compile(r"([\\`*_\[\]<|~$&#])")
 # what LaTeX reads as commands, or its fonts lack or take for others
 _LATEX = str.maketrans(

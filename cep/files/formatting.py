@@ -75,6 +75,7 @@ def seconds_of(text: str) -> float:
     (0.02, 0.02, 0.5)
     """
     figure = text.strip()
+    # "s" last, as the other units end with it
     unit = next((unit for unit in ("ns", "us", "ms") if figure.endswith(unit)), "s")
     over, slash, under = figure.removesuffix(unit).partition("/")
     try:
@@ -83,7 +84,7 @@ def seconds_of(text: str) -> float:
             value /= float(under)
         value *= _UNITS_S[unit]
     except (ValueError, ZeroDivisionError):
-        value = float("nan")
+        value = float("nan")  # refused below, as it compares as false
     if not 0 < value < float("inf"):
         raise ValueError(
             f"exposure: must be a time above 0 as 1/30, 0.02, 20ms or 500us, got {text!r}"

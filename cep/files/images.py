@@ -44,7 +44,7 @@ RAW_SUFFIXES = (
 )
 _RAW_OPTIONS: dict[str, Any] = {
     "gamma": (1, 1),  # linear light
-    "output_bps": 16,
+    "output_bps": 16,  # 8 are too coarse for linear light in the shadows
     "use_camera_wb": True,
     "no_auto_bright": True,  # which would stretch each photo differently
     "adjust_maximum_thr": 0.0,  # full scale is the sensor's, not the brightest pixel of this photo
@@ -198,7 +198,7 @@ def read_detail(
     small_codes = decoded
     if factor > 1:  # of the code values: of light, a full copy in floating point would be made
         size = (shrunk(width), shrunk(height))
-        small_codes = cv2.resize(decoded, size, interpolation=cv2.INTER_AREA)
+        small_codes = cv2.resize(decoded, size, interpolation=cv2.INTER_AREA)  # means: no aliasing
     small = linear(small_codes)
     rows = min(side_px, height)
     columns = min(side_px, width)
@@ -342,9 +342,9 @@ def encode_image(
         raise ValueError(f"image: must be finite, (H, W) or (H, W, 3), got shape {pixels.shape}")
     pixels = np.clip(pixels, 0, 1)
     if suffix in (".jpg", ".jpeg"):
-        bits = 8
+        bits = 8  # all that baseline JPEG has
     elif suffix == ".png":
-        bits = min(bits, 16)
+        bits = min(bits, 16)  # a PNG has no floating point
     samples: NDArray[Any]
     if bits == 32:
         samples = pixels.astype(np.float32)
@@ -413,7 +413,7 @@ def _checked_float(source: Path, decoded: NDArray[Any]) -> FloatArray:
         raise ValueError(
             f"{source}: {int((~np.isfinite(decoded)).sum())} samples are NaN or infinite"
         )
-    if low < -1e-6 or high > 1 + 1e-6:
+    if low < -1e-6 or high > 1 + 1e-6:  # rounding to single precision passes
         raise ValueError(f"{source}: samples run from {low:.4g} to {high:.4g}, scale them to 0..1")
     pixels: FloatArray = np.array(decoded, dtype=_precision(decoded), order="C")
     return np.clip(pixels, 0, 1, out=pixels)
@@ -446,6 +446,7 @@ def read_mosaic(path: Path | str) -> Mosaic:
                 f"{path}: holds colours that were interpolated, and not the sensor's own values"
             )
         colours = raw.raw_colors_visible
+        # LibRaw's 1 is a green filter; without filters there is one colour
         colour = 1 if (colours == 1).any() else int(colours.flat[0])
         blacks = raw.black_level_per_channel
         return Mosaic(

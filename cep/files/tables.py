@@ -90,6 +90,7 @@ def latex(sheets: Sequence[Sheet]) -> str:
       \end{tabular}
     \end{table}
     """
+    # as a comment: the table goes into a document, whose preamble needs the package
     return "\n".join(["% \\usepackage{booktabs}", *map(_latex_table, sheets)]) + "\n"
 
 

@@ -57,6 +57,7 @@ def white_level(codes: NDArray[Any]) -> WhiteLevel:
         return WhiteLevel(
             largest, f"{share:.1%} of its values are at its largest, {largest}: taken as saturated"
         )
+    # 8 bits leave none unused, and gaps are those of values already scaled to the file's range
     if full == 255 or gap > 1 or largest >= 2**_UNSURE_DEPTH:
         return WhiteLevel(full)
     bits = next((depth for depth in _DEPTHS if largest < 2**depth), None)

@@ -44,7 +44,7 @@ class Work:
     @property
     def authors(self) -> tuple[str, ...]:
         """Surnames, or the institution."""
-        if self.fields["author"].startswith("{"):
+        if self.fields["author"].startswith("{"):  # BibTeX's mark of a name that is no person's
             return (self.text("author"),)
         return tuple(name.split(",")[0] for name in self.text("author").split(" and "))
 

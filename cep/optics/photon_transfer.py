@@ -114,6 +114,7 @@ class PhotonTransfer:
             black_dn = self.black_dn
             gain_e_per_dn = _round(self.gain_e_per_dn)
         range_e = (self.codes.top_dn - black_dn) * self.gain_e_per_dn
+        # what is full first: the pixel or the code
         full_e = min(range_e, self.full_well_e or range_e)
         return Camera(
             photons_full_scale=_round(full_e),
@@ -232,7 +233,7 @@ def photon_transfer(
     # variance = signal / gain + read noise^2, both in code values: the light's noise is Poisson
     slope, floor, slope_error, floor_error, bent = _line(x, y, n)
     gain = 1 / slope
-    if floor < -4 * floor_error:
+    if floor < -4 * floor_error:  # 4 standard errors: no accident of noise
         raise ValueError(
             f"the noise at black would be below 0: black is not code value {black:g}; give dark"
             " frames or its value"
@@ -255,6 +256,7 @@ def photon_transfer(
         gain_e_per_dn=gain,
         gain_error=gain**2 * slope_error,  # of 1 / slope
         read_noise_e=gain * math.sqrt(noise_dn2),
+        # of a root: d sqrt(v) = dv / (2 sqrt(v))
         read_noise_error=gain * floor_error / (2 * math.sqrt(noise_dn2)),
         full_well_e=full_well,
         full_well_is=kind,
@@ -275,16 +277,18 @@ def _variance(
     """Variance over time at equal light, without the quantisation's, code values squared."""
     step = 1.0
     if response == "srgb":
+        # a step of a curved response holds more light where it is bright: its width at this mean
         half = 0.5 / codes.top_dn
         value = float(to_display(pair.mean / codes.spacing / codes.top_dn))
         low, high = to_linear(np.clip([value - half, value + half], 0, 1))
         step = float(high - low) * codes.top_dn
+    # rounding to steps of width q adds q^2 / 12 to a variance (EMVA 1288)
     return pair.variance(black) / codes.spacing**2 - step**2 / 12
 
 
 def _check_dark(dark: FramePair, variance_dn2: float) -> list[str]:
     """Warnings of dark frames; raises ValueError where they show no noise."""
-    at_zero = dark.histogram[0] / (2 * dark.pixels)
+    at_zero = dark.histogram[0] / (2 * dark.pixels)  # of both frames
     if at_zero > _BLACK_CLIPPED:
         raise ValueError(
             f"dark: {at_zero:.0%} of its pixels are at code value 0; raise the camera's black"
@@ -330,6 +334,7 @@ def _saturated(
 ) -> NDArray[np.bool_]:
     """Which pairs, by rising light, are clipped or have less noise than a darker one."""
     clipped = np.array([_is_clipped(pair, codes) for pair in order])
+    # a full pixel no longer shows the photons' noise: from there on the variance falls
     peak = int(np.argmax(np.where(clipped, -np.inf, variance)))
     scatter = 5 * math.sqrt(4 / min(pair.pixels for pair in order))  # of a ratio of two variances
     fallen = (np.arange(len(order)) > peak) & (
@@ -342,6 +347,7 @@ def _line(
     x: FloatArray, y: FloatArray, n: NDArray[np.int64]
 ) -> tuple[float, float, float, float, float]:
     """Fit ``y = slope x + floor`` to variances: both, their errors, and the worst misfit."""
+    # it takes two levels of light to tell slope and floor apart
     if x.size < 2 or np.ptp(x) < 0.1 * x.max():
         raise ValueError(
             "the frames have one level of light: give dark frames, or flats of other levels too"
@@ -353,6 +359,7 @@ def _line(
         weights = 1 / error**2
         covariance = np.linalg.inv(basis.T @ (weights[:, None] * basis))
         slope, floor = (float(value) for value in covariance @ (basis.T @ (weights * y)))
+        # a fit that crosses 0 near black would give its variances a weight without bound
         error = _scatter(np.maximum(basis @ (slope, floor), 0.1 * np.abs(y)), n)
     slope_error, floor_error = (float(value) for value in np.sqrt(np.diag(covariance)))
     # the slope is the gain's reciprocal: without photon noise there is none
@@ -379,6 +386,7 @@ def _scatter(variance: FloatArray, n: NDArray[np.int64]) -> FloatArray:
     """
     v = np.maximum(variance, 1e-3)
     rounding = (4 * v + 1 / np.pi**2) * np.exp(-2 * np.pi**2 * v)
+    # a variance v of n Gaussian samples scatters by v sqrt(2 / n)
     return np.asarray(np.hypot(v * np.sqrt(2 / n), rounding))
 
 

@@ -80,6 +80,7 @@ def photon_transfer_figure(transfer: PhotonTransfer) -> Figure:
             linestyle="-.",
             label=f"{what}: {transfer.full_well_e:.0f} e⁻",
         )
+    # on log axes the two terms part: read noise is level, photon noise rises (Janesick)
     variances = [point.variance_dn2 for point in transfer.points if point.use != "saturated"]
     axes.set(
         xscale="log",

@@ -72,6 +72,7 @@ def png_bytes(figure: Figure, *, dpi: int = _DPI) -> bytes:
     """Render a figure as PNG; the same figure gives the same bytes."""
     # the lowest compression takes half the time and an eighth more bytes
     quick = {"compress_level": 1}
+    # matplotlib would name its version in the file
     return _rendered(figure, format="png", dpi=dpi, metadata={"Software": None}, pil_kwargs=quick)
 
 
@@ -103,6 +104,7 @@ def undated(figure: Figure, kind: str, *, dpi: int = _DPI) -> bytes:
         return png_bytes(figure, dpi=dpi)
     dates = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
     with rc_context(
+        # without a salt an SVG's ids are random; type 42 and "none" keep text as text in print
         {"svg.hashsalt": "coded-exposure", "svg.fonttype": "none", "pdf.fonttype": 42}
     ):
         return _rendered(figure, format=kind, dpi=dpi, metadata=dates.get(kind))

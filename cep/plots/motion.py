@@ -122,6 +122,7 @@ def psf_figure(psfs: Mapping[str, ArrayLike]) -> Figure:
 def _coloured_by_time(points: FloatArray, t: FloatArray, *, width: float) -> Any:
     from matplotlib.collections import LineCollection
 
+    # the path's own corners, and enough between them for the colours to run smoothly
     times = np.union1d(t, np.linspace(0, 1, 201))
     fine = np.stack([np.interp(times, t, points[:, axis]) for axis in (0, 1)], axis=1)
     lines = LineCollection(

@@ -72,7 +72,9 @@ def write_demo(
     with new_folder(target, DEMO_FILES, force=force) as temporary:
         source = {"image": chain.scene.name, "seed": chain.seed}
         Calibration.of(chain.estimate, chain.scene.photo).save(temporary, source=source)
+        # no rounding on top of the camera's
         write_image(temporary / "blurred.png", chain.scene.photo, bits=16)
+        # the first photo is blurred.png; a user's own has no others
         for name, photo in zip(_SET, chain.motion.photos[1:], strict=False):
             write_image(temporary / name, photo, bits=16)
         restored = {shot.kind: shot.restored for shot in chain.shots}

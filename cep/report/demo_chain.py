@@ -237,6 +237,7 @@ def run_chain(
     shots = exposures.restored(possible, photos, estimate.best)
     shot_from_open = None
     if motion.from_open is not None:
+        # no levels: only the advice at the demo's own light is shown of it
         from_open = cep.advise(
             problem_along(motion.from_open, problem.chips), levels=(), seed=seed
         ).here
@@ -277,7 +278,7 @@ class _Exposures:
             crop = centre_crop(scene.photo, _LARGEST_SCENE_PX, _LARGEST_SCENE_PX)
             self._sharp = np.clip(cep.restore(crop, estimate.psf, method="tv").image, 0, 1)
             self._motion = estimate.best
-        self._frame = self._motion.frame_size() | 1
+        self._frame = self._motion.frame_size() | 1  # odd: its middle pixel is no displacement
         self.reference = visible(self._sharp, self._frame)
 
     def photos(self, exposures: Mapping[str, Way]) -> dict[str, FloatArray]:
@@ -327,6 +328,7 @@ class _Exposures:
         # all are compared where the least reliable of them is good, but on half the picture
         border = max(restoration.unreliable_px for restoration in restorations.values()) + 2
         border = min(border, min(self.reference.shape[:2]) // 4)
+        # compared up to a shift: where a path lies is a convention, no error of the picture
         reference = _grey(self.reference)
         return tuple(
             Shot(

@@ -129,13 +129,14 @@ def find_motion(
     if scene.sharp is None or scene.motion is None or not codes:
         return SceneMotion(estimate_from_open(0.0))
     frame = scene.motion.frame_size() | 1
-    rng = np.random.default_rng([seed, 4])
+    rng = np.random.default_rng([seed, 4])  # not the draws of the chain's photos, from 3
     photos = [scene.photo]
     for code in codes[1:]:
         psf = cep.coded_psf(scene.motion, code, frame)
         photos.append(cep.capture(scene.sharp, psf, camera=camera, rng=rng))
     row, column = pick_crops(scene.photo, size=_SET_PX, count=1)[0]
     estimate = cep.estimate_motion(
+        # the same crop of each: a set is of one scene
         [photo[row : row + _SET_PX, column : column + _SET_PX] for photo in photos],
         codes=codes,
         seed=seed,

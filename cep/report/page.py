@@ -115,7 +115,7 @@ def html(
     # autoescape on: names of files, cameras and devices come from others
     environment = Environment(
         autoescape=True,
-        undefined=StrictUndefined,
+        undefined=StrictUndefined,  # a misspelt name must not pass as a gap in the page
         trim_blocks=True,
         lstrip_blocks=True,
         finalize=lambda value: printable(value) if type(value) is str else value,
@@ -146,6 +146,7 @@ def html(
         guide=guide,
         versions=", ".join([*versions, f"Python {platform.python_version()}"]),
         script=Markup(script),
+        # by its hash, the page's Content-Security-Policy lets this script run and no other
         allowed=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
     )
 
@@ -234,7 +235,7 @@ def _open_time(code: cep.ShutterCode) -> str:
 
 def _cell(value: object) -> str:
     text = number(value) if isinstance(value, float) else str(value)
-    return text.replace("-", "−") if text[:1] in "+-" else text
+    return text.replace("-", "−") if text[:1] in "+-" else text  # as wide as a plus
 
 
 def _version(distribution: str) -> str:

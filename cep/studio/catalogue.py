@@ -77,6 +77,7 @@ def example_motions() -> tuple[Choice, ...]:
 def _drawn(name: str) -> Trajectory:
     t = np.linspace(0, 1, 33)
     if name == "shake":
+        # a fixed draw: pages and files store no more than the example's name
         shake = quadratic(
             np.random.default_rng(0), min_length_px=24, max_length_px=28, max_bend=1.5
         )

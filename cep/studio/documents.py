@@ -115,6 +115,7 @@ def extract(file: Path, folder: Path, *, force: bool = False) -> list[Path]:
 
 
 def _opened_code(stored: StoredCode) -> dict[str, Any]:
+    # whole ns, which no rounding changes on the way
     fields = {"bits": stored.code.bits, "exposure": f"{stored.code.duration_ns:d}ns"}
     profile = stored_device(stored, source="the file")
     if profile is None:

@@ -103,7 +103,7 @@ def is_text(value: object, longest: int) -> TypeGuard[str]:
 
 def is_number(value: object) -> TypeGuard[int | float]:
     """Whether a value is a number that a double holds."""
-    if not isinstance(value, int | float) or isinstance(value, bool):
+    if not isinstance(value, int | float) or isinstance(value, bool):  # True is an int too
         return False
     # JSON has integers of any size, and Python's reader takes NaN, which compares as False
     return abs(value) <= sys.float_info.max
@@ -114,7 +114,7 @@ def read_number(
 ) -> float | None:
     """Read a number within a range, None where there is none, or an empty text."""
     value = document.get(name)
-    if value is None or value == "":
+    if value is None or value == "":  # an input that was emptied
         return None
     if not is_number(value) or not low <= value <= high:
         raise FieldError(name, f"must be a number within {low:,.10g} to {high:,.10g} {unit}")

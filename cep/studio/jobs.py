@@ -80,6 +80,7 @@ class Jobs:
 
     def __init__(self) -> None:
         methods = multiprocessing.get_all_start_methods()
+        # not fork: this process has threads, whose locks a child would inherit as they are
         self._context: Any = multiprocessing.get_context(
             "forkserver" if "forkserver" in methods else "spawn"
         )
@@ -120,11 +121,12 @@ class Jobs:
             target=work.run, args=(kind, dict(order), theirs), daemon=True
         )
         process.start()
-        theirs.close()
+        theirs.close()  # else the pipe would not end with the process
         loop = asyncio.get_running_loop()
 
         def tell(message: Mapping[str, Any] | None) -> None:
             with suppress(RuntimeError):  # the loop is closed: the server has ended
+                # asyncio's queues belong to the thread of their loop
                 loop.call_soon_threadsafe(self._told, job, message)
 
         threading.Thread(target=_listen, args=(ours, tell), daemon=True).start()

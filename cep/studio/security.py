@@ -35,8 +35,8 @@ _HEADERS = {
         " connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     ),
     "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-    "Referrer-Policy": "no-referrer",
+    "X-Frame-Options": "DENY",  # for browsers that lack frame-ancestors
+    "Referrer-Policy": "no-referrer",  # the address may hold the token
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
@@ -60,7 +60,7 @@ _LEADING = """<!DOCTYPE html>
 
 
 def _secret() -> str:
-    return secrets.token_urlsafe(32)
+    return secrets.token_urlsafe(32)  # 256 bits: not to be guessed
 
 
 @dataclass
@@ -86,6 +86,7 @@ class Keys:
 
     def spend(self, token: str) -> bool:
         """Return whether this is the token, for the first time."""
+        # compare_digest takes as long for each wrong token: its time gives nothing away
         if self.is_used or not hmac.compare_digest(token.encode(), self.token.encode()):
             return False
         self.is_used = True
@@ -162,6 +163,7 @@ class Gate:
         keys = self._keys
         if headers.get("host", "") not in keys.hosts:
             return PlainTextResponse("403: this address is not the studio's", 403)
+        # browsers send it with each POST: a form on a foreign page gives itself away
         origin = headers.get("origin")
         writes = scope["method"] not in ("GET", "HEAD")
         if (writes or origin is not None) and origin not in {
@@ -198,9 +200,10 @@ class Gate:
 
     def _with_cookie(self, *, linked: bool) -> Response:
         """Lead on to the page, and give the browser its cookie."""
-        answer: Response = RedirectResponse("/", 303)
+        answer: Response = RedirectResponse("/", 303)  # takes the token out of the address bar
         if linked:  # redirected from another page's link, a browser would hold the cookie back
             answer = HTMLResponse(_leading("/"))
+        # no script can read it, and no request from another site carries it
         answer.set_cookie(
             self._keys.cookie, self._keys.session, httponly=True, samesite="strict", path="/"
         )

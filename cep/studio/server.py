@@ -342,6 +342,7 @@ def bound_socket(port: int) -> socket.socket:
     """
     bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
+        # a port can be had again at once after the server before
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         bound.bind(("127.0.0.1", port))
     except (OSError, OverflowError) as error:
@@ -357,7 +358,7 @@ async def _document(request: Request) -> Mapping[str, Any]:
     body = await request.body()
     try:
         document = json.loads(body)
-    except (ValueError, RecursionError):
+    except (ValueError, RecursionError):  # the latter of JSON that nests too deep
         raise FieldError("page", "the request is not JSON") from None
     if not isinstance(document, dict):
         raise FieldError("page", "the request must be a JSON object")

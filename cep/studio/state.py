@@ -221,6 +221,7 @@ class Setting:
         return [shlex.join(line) for line in lines]
 
 
+# each request of a page asks for it again
 @lru_cache(maxsize=32)
 def _camera(name: str) -> cep.Camera:
     return cep.Camera.load(name)
@@ -410,7 +411,7 @@ def _pins(pins: object) -> list[dict[str, str]]:
     ):
         raise FieldError("pins", "must be a list of codes with their name and bits")
     codes = read_codes({pin["name"]: pin.get("bits") for pin in pins}, "pins")
-    if len(codes) < len(pins):
+    if len(codes) < len(pins):  # a dict has kept one of each name
         raise FieldError("pins", "every code needs a name of its own")
     return [{"name": name, "bits": bits} for name, bits in codes.items()]
 

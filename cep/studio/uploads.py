@@ -50,6 +50,7 @@ class Uploads:
         partial = self.folder / f"{key}.part"
         try:
             head = await _streamed(chunks, partial)
+            # RAW files have no head in common: their suffix is believed, and LibRaw finds out
             kinds = [ending for ending in RAW_SUFFIXES if ending == suffix.lower()]
             kinds += [ending for ending, is_kind in _PHOTOS.items() if is_kind(head)]
             if not kinds:

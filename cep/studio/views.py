@@ -98,7 +98,7 @@ class Views:
                 "error": problem_error and problem_error.to_dict(),
             }
         ) | {
-            "curve": np.round(figures.curve, 5).tolist(),
+            "curve": np.round(figures.curve, 5).tolist(),  # finer than a screen shows
             "open_curve": np.round(open_figures.curve, 5).tolist(),
         }
 

@@ -217,7 +217,7 @@ class Controller:
             If the device is in another state; ABORT has then been sent.
         """
         payload = pack_arm(lease_ms)
-        before = self.status()
+        before = self.status()  # a trigger input may play it before the reply comes
         with self._closed_on_doubt():
             return self._armed(payload, before)
 
@@ -347,6 +347,7 @@ class Controller:
         try:
             yield
         except FrameError as error:
+            # what cannot be read verifies nothing
             raise VerifyError(f"{self.link.name}: {error}") from None
 
     @contextmanager

@@ -151,7 +151,7 @@ class Driver(Protocol):
     def play(self) -> Status | None:
         """Play the program once, now, and wait for its end."""
 
-    def status(self) -> Status | None:
+    def status(self) -> Status | None:  # None where the device cannot be asked
         """Ask for the state."""
 
     def abort(self) -> Status | None:

@@ -72,6 +72,7 @@ class PulsePal(WriteOnlyDevice):
         hello_s: float = 3.0,
     ) -> Self:
         """Open the Pulse Pal on a serial port; parameters as the class and `open_pulsepal`."""
+        # wrong options must not touch the device
         _check_options(channel, trigger_input, high_volts)
         link = open_pulsepal(port, timeout_s=timeout_s, hello_s=hello_s)
         return cls(link, channel=channel, trigger_input=trigger_input, high_volts=high_volts)
@@ -116,14 +117,16 @@ class PulsePal(WriteOnlyDevice):
             (Parameter.DELAY_CYCLES, train.delay_cycles),
         ):
             self.link.set(parameter, self.channel, value)
+        # the firmware looks one entry past the train: a closed guard has to lie there
         if len(train.onsets_cycles) < MAX_PULSES:  # behind a full train nothing was ever stored
             self.link.load_train((*train.onsets_cycles, train.guard_cycles), open_code)
         self.link.load_train(train.onsets_cycles, open_code)
+        # acknowledgements are single bytes: one too many would pass for the next one's
         self.link.check_in_step()
 
     def _arm(self) -> None:
         self.link.set(Parameter.TRIGGER_MODE, self.trigger_input, 0)
-        self.link.set(_LINKS[self.trigger_input], self.channel, 1)
+        self.link.set(_LINKS[self.trigger_input], self.channel, 1)  # last: nothing plays before it
 
     def _trigger(self) -> None:
         self.link.trigger(self.channel)

@@ -43,6 +43,7 @@ class Parameter(IntEnum):
     TRIGGER_MODE = 128  # of an input: 0 starts at a rising edge, others toggle or gate
 
 
+# parameters of more than one byte
 _FORMATS = {
     Parameter.PHASE_1_VOLTS: "<H",
     Parameter.PHASE_1_CYCLES: "<I",
@@ -210,6 +211,7 @@ class PulsePalLink:
             self._port.write(bytes([_MENU, _Op.HELLO]))
             retry_s = min(deadline, time.monotonic() + self.timeout_s)
             while _firmware(received) is None and time.monotonic() < retry_s:
+                # bounded: some other device may send without end
                 received = (received + self._port.read())[-4096:]
             if _firmware(received) is not None:
                 if attempt:

@@ -14,12 +14,14 @@ from hw.export.scpi import WAVEFORM, commands, sample_rate, samples
 from hw.port import LinkError, PortError, one_line
 from hw.program import Program
 
+# Keysight's series that share these commands: 33500, 33600, EDU33210
 _MODEL = re.compile(r"33[56]\d\d[A-Z]?|EDU3321\d[A-Z]?")
 _ON = re.compile("1|ON")
 _OFF = re.compile("0|OFF")
 _ONE_CODE_A_TRIGGER = {
     "FUNC?": re.compile("ARB"),
     "BURS:MODE?": re.compile("TRIG"),
+    # numbers come in any form of IEEE 488.2, as +1.0000E+00
     "BURS:NCYC?": re.compile(r"\+?1(\.0*)?(E\+?0+)?"),
     "TRIG:SOUR?": re.compile("EXT"),
     "BURS:STAT?": _ON,
@@ -27,7 +29,7 @@ _ONE_CODE_A_TRIGGER = {
 """Answers of an instrument that plays at a trigger only, and once: with any other it plays again
 and again."""
 _CLOCK = 1e-6  # clock error of such an instrument
-_NO_ERROR = re.compile(r"[+-]?0+\s*(,|$)")
+_NO_ERROR = re.compile(r"[+-]?0+\s*(,|$)")  # as +0,"No error"
 _LONGEST_QUEUE = 40  # of errors; an instrument that reports more is of another kind
 
 
@@ -96,6 +98,7 @@ class ScpiLink:
             If the connection is lost, or no answer comes.
         """
         self.send(command, data)
+        # all of the queue: an error left in it would be blamed on the next command
         errors: list[str] = []
         while (
             not _NO_ERROR.match(answer := self.ask("SYST:ERR?")) and len(errors) < _LONGEST_QUEUE
@@ -192,7 +195,7 @@ class ScpiAwg(WriteOnlyDevice):
         self.abort()
 
     def _lasts_ns(self, program: Program) -> int:
-        return len(samples(program)) * program.chip_ns
+        return len(samples(program)) * program.chip_ns  # with the closed samples around the code
 
     def _load(self, program: Program, *, profile: DeviceProfile) -> None:
         # From the least voltage on, no order of setting the levels makes them cross.
@@ -200,6 +203,7 @@ class ScpiAwg(WriteOnlyDevice):
             if command.startswith(f"DATA:ARB {WAVEFORM},"):
                 self.link.do("FORM:BORD SWAP")  # little-endian floats follow
                 self.link.do(f"DATA:ARB {WAVEFORM},", _block(samples(program, profile)))
+            # the list is the export format too: only arming opens the output
             elif not command.endswith("?") and command != "OUTP ON":
                 self.link.do(command)
         rate = float(sample_rate(program))
@@ -234,7 +238,7 @@ class ScpiAwg(WriteOnlyDevice):
         self.link.do("TRIG")  # works while an external trigger is waited for
 
     def _abort(self) -> None:
-        self._armed = False
+        self._armed = False  # first: whatever fails below, it needs to be armed anew
         # Without the error query of `do`: closing must not wait for it.
         self.link.send("OUTP OFF")
         self.link.send("*CLS")  # clear errors of earlier commands
@@ -282,6 +286,7 @@ def open_scpi(resource: str, *, backend: str = "@py", timeout_s: float = 3.0) ->
     except ImportError:
         raise PortError(f"{resource} needs an extra: pip install coded-exposure[visa]") from None
     try:
+        # VISA counts ms; on a socket nothing but a line feed ends a message
         instrument = pyvisa.ResourceManager(backend).open_resource(
             resource, timeout=1000 * timeout_s, read_termination="\n", write_termination="\n"
         )

@@ -40,6 +40,7 @@ class WriteOnlyDevice(ABC):
         self.name = name
         self._program: Program | None = None
         self._ends_s = 0.0  # of the last play, on the monotonic clock
+        # without a lease these devices would stay armed after Python has ended
         atexit.register(self._leave)
 
     @classmethod
@@ -91,7 +92,7 @@ class WriteOnlyDevice(ABC):
             raise ValueError("program cannot be played: " + "; ".join(problems))
         start_s = time.monotonic()
         retries = self._retries
-        self._program = None
+        self._program = None  # from here on it may hold neither the old one nor the new
         with self._aborted_on_error():
             self.abort()  # stored programs must not change under a running play
             self._load(program, profile=profile or DeviceProfile(name="generic"))
@@ -174,7 +175,7 @@ class WriteOnlyDevice(ABC):
             If the device does not acknowledge.
         """
         self._abort()
-        self._ends_s = 0.0
+        self._ends_s = 0.0  # after it: an abort not confirmed may leave a play going on
 
     def close(self) -> None:
         """Close the connection without sending anything; may be called again."""
@@ -237,6 +238,7 @@ class WriteOnlyDevice(ABC):
 
     def _abort_after(self, error: BaseException) -> None:
         note = f"{self.name} did not confirm ABORT: the shutter may still be open"
+        # nested contexts would say it twice
         if not self._aborts() and note not in getattr(error, "__notes__", ()):
             error.add_note(note)
 
@@ -244,7 +246,7 @@ class WriteOnlyDevice(ABC):
         try:
             self.abort()
         except Exception:
-            return False
+            return False  # the error that led here is the one to be reported
         return True
 
     def _leave(self) -> None:
