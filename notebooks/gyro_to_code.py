@@ -152,9 +152,8 @@ assert cep.verify(result.certificate)
 # ## What it gains
 #
 # The same light and camera, for two scenes: shutter open, the best single exposure, and the code.
-# The verdict is for a mean scene without borders. In a small photo it is the shorter blur that
-# loses less at the borders: of the second scene the single exposure comes out ahead, and both beat
-# the open shutter.
+# The verdict is for a mean scene without borders, and scenes differ: of the first one the code
+# gains 0.8 dB over the single exposure, of the second 0.3 dB.
 
 
 # %%
@@ -183,8 +182,7 @@ for row, (title, light) in zip(axes, scenes.items(), strict=True):
         view.imshow(picture, cmap="gray", vmin=0, vmax=1)
         view.set(title=f"{name}: {psnr_db[name]:.1f} dB", xticks=[], yticks=[])
     assert psnr_db["code"] > psnr_db["open shutter"] + 0.4
-    best = "code" if title == "camera man" else "best single exposure"
-    assert max(psnr_db, key=psnr_db.get) == best
+    assert max(psnr_db, key=psnr_db.get) == "code"
 
 # %% [markdown]
 # From files: `cep calibrate blurred.jpg --method gyro --gyro gyro.csv --focal 1600 --start 0.20
