@@ -175,7 +175,7 @@ ways = {
 }
 scenes = {"camera man": scene, "astronaut": data.astronaut()[60:380, 60:380].mean(axis=2) / 255}
 figure, axes = plt.subplots(2, 3, figsize=(10, 7), layout="constrained")
-for row, (title, light) in zip(axes, scenes.items(), strict=True):
+for row, light in zip(axes, scenes.values(), strict=True):
     psnr_db = {}
     for view, (name, code) in zip(row, ways.items(), strict=True):
         picture, psnr_db[name] = restored(light, code)
