@@ -91,9 +91,11 @@ def restore(
     ((70, 70), 'pnp')
     """
     if method == "auto":
+        if unknown := sorted(set(options) - {"camera"}):
+            raise ValueError(f"{unknown[0]}: not valid without a method that takes it")
         if psf is None and trajectory is None and code is None and not options:
             return _restore_alone(photo, seed=seed, progress=progress)
-    elif method != "auto":
+    else:
         find_method(method)  # before the work
     if psf is not None and trajectory is not None:
         raise ValueError("trajectory and psf: give one of them at most")

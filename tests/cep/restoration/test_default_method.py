@@ -91,3 +91,8 @@ def test_a_camera_is_welcome_where_it_is_not_needed(scene):
     np.testing.assert_array_equal(
         restore(photo, trajectory=CURVED, camera=camera).image, plain.image
     )
+
+
+def test_an_option_of_a_method_needs_its_method(scene):
+    with pytest.raises(ValueError, match="weight: not valid without a method that takes it"):
+        restore(scene[:64, :64], np.full((1, 3), 1 / 3), weight=1e-2)
