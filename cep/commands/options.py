@@ -129,7 +129,7 @@ ReadNoise = Annotated[
 def command(options: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
     """Declare a command's arguments and options by the dataclass that they fill.
 
-    Typer wants them as parameters of the function; so many of one function nobody can read, and
+    Typer wants them as parameters of the function; a function of so many is hard to read, and
     commands could not share them.
 
     Parameters

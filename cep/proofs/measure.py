@@ -209,7 +209,7 @@ def own_figures(
     >>> own_figures({"light": lambda path, code: code.duty}, path, ShutterCode("10"))
     {'light': 0.5}
     """
-    # both are listed: of such a figure nobody knows whether higher is better
+    # both are listed: whether a figure of the user's is better high or low is not known
     paths = [replace(path, direction="known") for path in paths_by_direction(trajectory).values()]
     by_name: dict[str, OwnFigure] = {}
     for name, figure in figures.items():

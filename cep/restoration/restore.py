@@ -155,11 +155,10 @@ def restore(
             )
     reach = len(kernel) // 2
     clipped = float(clipped_mask(photo).mean())
+    fills = is_registered(apply)  # a user-defined function gets the photo as it is
     meaning = "expect ringing around them"
-    light: ArrayLike = photo
-    if is_registered(apply):  # a user-defined function gets the photo as it is
+    if fills:
         meaning = "their light was inferred from the other pixels"
-        light = fill_clipped(photo, psf)
     if clipped > FEW_CLIPPED:
         notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: {meaning}")
     # borders that are a guess then take half of the shorter side
@@ -169,8 +168,9 @@ def restore(
             f" {channels.shape[1]} px"
         )
     if is_doubtful:
-        image, label = restore_chosen(photo, psf)
+        image, label = restore_chosen(photo, psf)  # it fills the clipped pixels itself
     else:
+        light = fill_clipped(photo, psf) if fills else photo
         image = _checked_image(apply(light, psf, **options), np.shape(photo), label)
     progress(1.0, "restoring")
     return Restoration(

@@ -13,13 +13,10 @@ from cep.optics.code import ShutterCode
 from cep.restoration.registry import METHODS, find_method
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict
-from lab.photo_gains.photographs import photographs
+from lab.photo_gains.photographs import load_scenes, photographs
 from lab.photo_gains.trial import Trial
-from motdiff.crops import centre_crop, luminance
 from motdiff.motions import quadratic
-from motdiff.simulate import to_linear
 from motdiff.trajectory import Trajectory
-from motdiff.types import FloatArray
 
 CHIPS = 40
 LENGTHS = (1, 2, 3, 4, 5, 6, 8, 12, 20)  # of the single exposures, chips
@@ -39,9 +36,9 @@ def main() -> None:
     parser.add_argument("--method", choices=[*METHODS], default="pnp", help="restoration")
     parser.add_argument("--count", type=int, default=12, help="photos at most")
     arguments = parser.parse_args()
-    scenes = (
-        photographs() if arguments.photos is None else _loaded(arguments.photos, arguments.count)
-    )
+    scenes = photographs()
+    if arguments.photos is not None:
+        scenes = load_scenes(arguments.photos, side_px=SIDE_PX, count=arguments.count)
     _, restore = find_method(arguments.method)
     print(f"{len(scenes)} photographs, {arguments.method}")
     print(
@@ -83,15 +80,6 @@ def centred(length: int) -> ShutterCode:
     """Return a single opening of so many chips in the middle of the exposure."""
     before = (CHIPS - length) // 2
     return ShutterCode("0" * before + "1" * length + "0" * (CHIPS - length - before))
-
-
-def _loaded(folder: Path, count: int) -> tuple[FloatArray, ...]:
-    from motdiff.training.photos import load_photos
-
-    photos = load_photos(folder, least_px=SIDE_PX, most_px=4096)
-    photos = photos[:: max(1, len(photos) // count)][:count]
-    grey = (luminance(to_linear(photo.numpy().transpose(1, 2, 0) / 255)) for photo in photos)
-    return tuple(centre_crop(scene, SIDE_PX, SIDE_PX) for scene in grey)
 
 
 if __name__ == "__main__":

@@ -7,13 +7,14 @@ from functools import partial
 
 import numpy as np
 
+from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.blur import trimmed_psf
 from cep.search.problem import SearchProblem
+from motdiff.crops import centre_crop
 from motdiff.metrics import psnr, psnr_up_to_shift
 from motdiff.motions import with_smooth_error
-from motdiff.simulate import photograph
 from motdiff.threads import side_by_side
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -81,14 +82,7 @@ class Trial:
         camera = self._problem.camera.with_dark_noise(code.integration_ns * 1e-9)
         photo_px = JUDGED_PX + 2 * (len(psf) // 2 + _BORDER_PX)
         scene = _middle(self._scenes[number], photo_px + len(true_psf) - 1)
-        photo = photograph(
-            scene,
-            true_psf,
-            rng=np.random.default_rng([number, 2]),
-            borders="real",
-            record=camera.quantise,
-            **camera.noise,
-        )
+        photo = capture(scene, true_psf, camera=camera, rng=np.random.default_rng([number, 2]))
         restored = _middle(np.clip(self._restore(photo, psf, camera=camera), 0, 1), JUDGED_PX)
         truth = _middle(scene, JUDGED_PX)
         if true_path is path:
@@ -104,5 +98,4 @@ def _middle(image: FloatArray, side_px: int) -> FloatArray:
     """Middle of an image, which is mirrored at its borders where it is too small."""
     missing = max(0, side_px - min(image.shape))
     wide = np.pad(image, (missing + 1) // 2, mode="symmetric")
-    row, column = ((side - side_px) // 2 for side in wide.shape)
-    return wide[row : row + side_px, column : column + side_px]
+    return centre_crop(wide, side_px, side_px)

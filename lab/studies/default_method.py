@@ -23,12 +23,10 @@ from cep.optics.exposure import coded_psf
 from cep.restoration.pnp import pnp
 from cep.restoration.sharpen import restore_chosen
 from cep.restoration.wiener import wiener
-from motdiff.crops import centre_crop, luminance
+from lab.photo_gains.photographs import load_scenes
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.motions import boracchi_foi, with_smooth_error
-from motdiff.simulate import to_linear
 from motdiff.threads import side_by_side
-from motdiff.training.photos import load_photos
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
@@ -51,12 +49,7 @@ def main() -> None:
     parser.add_argument("photos", type=Path)
     parser.add_argument("--count", type=int, default=6)
     arguments = parser.parse_args()
-    photos = load_photos(arguments.photos, least_px=SIDE_PX, most_px=4096)
-    step = max(1, len(photos) // arguments.count)
-    scenes = [
-        centre_crop(luminance(to_linear(photo.numpy().transpose(1, 2, 0) / 255)), SIDE_PX, SIDE_PX)
-        for photo in photos[::step][: arguments.count]
-    ]
+    scenes = load_scenes(arguments.photos, side_px=SIDE_PX, count=arguments.count)
     paths = {
         "straight 25 px": Trajectory.straight(25.0),
         "walk 40 px": boracchi_foi(np.random.default_rng(3), max_length_px=40.0),

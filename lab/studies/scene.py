@@ -15,10 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lab.photo_gains.photographs import photographs
-from motdiff.crops import centre_crop, luminance
-from motdiff.simulate import to_linear
-from motdiff.training.photos import load_photos
+from lab.photo_gains.photographs import load_scenes, photographs
 from motdiff.types import FloatArray
 
 SIDE_PX = 300
@@ -32,11 +29,9 @@ def main() -> None:
     )
     parser.add_argument("photos", type=Path, nargs="?")
     arguments = parser.parse_args()
-    scenes = list(photographs())
+    scenes = photographs()
     if arguments.photos is not None:
-        photos = load_photos(arguments.photos, least_px=SIDE_PX, most_px=4096)
-        grey = (luminance(to_linear(p.numpy().transpose(1, 2, 0) / 255)) for p in photos)
-        scenes = [centre_crop(scene, SIDE_PX, SIDE_PX) for scene in grey]
+        scenes = load_scenes(arguments.photos, side_px=SIDE_PX)
     f = np.sqrt(BANDS[1:] * BANDS[:-1])
     levels = np.array([band_levels(scene) for scene in scenes])
     for centre, mean, spread in zip(f, levels.mean(axis=0), levels.std(axis=0), strict=True):

@@ -1,4 +1,4 @@
-"""What restores a photo when nobody names a method."""
+"""The restoration that is chosen where no method is named."""
 
 import numpy as np
 import pytest

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 import cep
+from cep.files.images import write_image
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.restoration.wiener import wiener
 from cep.search.problem import SearchProblem
 from lab.photo_gains.__main__ import measured_row
-from lab.photo_gains.photographs import photographs
+from lab.photo_gains.photographs import load_scenes, photographs
 from lab.photo_gains.trial import JUDGED_PX, Trial
 from motdiff.trajectory import Trajectory
 
@@ -25,6 +26,14 @@ def test_the_photographs_are_twelve_in_linear_light():
     assert len(scenes) == 12
     assert {scene.shape for scene in scenes} == {(300, 300)}
     assert 0.15 < np.mean([scene.mean() for scene in scenes]) < 0.3
+
+
+def test_a_folder_s_photos_are_read_in_linear_light(tmp_path):
+    for number, level in enumerate((0.1, 0.2, 0.3)):
+        write_image(tmp_path / f"{number}.png", np.full((40, 50, 3), level))
+    scenes = load_scenes(tmp_path, side_px=32, count=2)
+    assert [scene.shape for scene in scenes] == [(32, 32)] * 2
+    np.testing.assert_allclose([scene.mean() for scene in scenes], [0.1, 0.2], atol=0.003)
 
 
 def test_without_motion_and_noise_the_photo_is_the_scene():
