@@ -38,7 +38,10 @@ def main() -> None:
     arguments = parser.parse_args()
     scenes = photographs()
     if arguments.photos is not None:
-        scenes = load_scenes(arguments.photos, side_px=SIDE_PX, count=arguments.count)
+        try:
+            scenes = load_scenes(arguments.photos, side_px=SIDE_PX, count=arguments.count)
+        except ValueError as error:
+            parser.error(f"--photos: {error}")
     _, restore = find_method(arguments.method)
     print(f"{len(scenes)} photographs, {arguments.method}")
     print(
