@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 from cep.codes.published import for_chips
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import COOLING, MOST_SWAPS, REHEATED, Stopped, hottest_db
-from cep.search.annealing.chains import Cooling, Crew, Walks
+from cep.search.annealing.chains import Crew
+from cep.search.annealing.cooling import Cooling
+from cep.search.annealing.tabu import Walks
 from cep.search.annealing.terms import Tables, lay_out
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem

@@ -99,7 +99,8 @@ def proven(seconds: float, seed: int) -> None:
 
 def speed(seconds: float, seed: int) -> None:
     del seconds
-    from cep.search.annealing.chains import Cooling, Crew
+    from cep.search.annealing.chains import Crew
+    from cep.search.annealing.cooling import Cooling
     from cep.search.annealing.terms import lay_out
 
     path = boracchi_foi(np.random.default_rng(seed))

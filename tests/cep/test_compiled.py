@@ -131,11 +131,11 @@ def test_without_a_folder_that_can_be_written(tmp_path, settings, kept):
 
 @pytest.mark.skipif("NUMBA_CACHE_DIR" in os.environ, reason="numba was told another folder")
 def test_compiled_loops_are_kept_under_their_sources_name():
-    from cep.search.annealing import chains
+    from cep.search.annealing import cooling
 
     folder = kept_folder(
         Path(cep.__file__).parent, otherwise=Path.home() / ".cache" / "coded-exposure"
     )
-    dispatchers = [value for value in vars(chains).values() if hasattr(value, "_cache")]
+    dispatchers = [value for value in vars(cooling).values() if hasattr(value, "_cache")]
     assert dispatchers
     assert all(str(folder) in dispatcher._cache.cache_path for dispatcher in dispatchers)

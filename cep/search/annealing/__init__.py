@@ -1,1 +1,1 @@
-"""Annealing chains and tabu walks on compiled loops."""
+"""Annealing chains, tabu walks and sweeps on compiled loops."""

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from cep.optics.band import straight_axis
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import CodeMetrics
-from cep.search.annealing.chains import Cooling, Crew, Walks
+from cep.search.annealing.chains import Crew
+from cep.search.annealing.cooling import Cooling
 from cep.search.annealing.polish import Polished, judging_objective, polish
 from cep.search.annealing.sweeps import Sweeps, sweep_tables, swept
+from cep.search.annealing.tabu import Walks
 from cep.search.annealing.terms import lay_out
 from cep.search.objective import Objective, sample_count
 from cep.search.problem import SearchProblem

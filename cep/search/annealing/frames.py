@@ -36,10 +36,10 @@ from cep.search.annealing.anneal import (
     Stopped,
     hottest_db,
 )
-from cep.search.annealing.chains import cool
+from cep.search.annealing.cooling import cool
 from cep.search.annealing.polish import BATCH, GAIN_DB, judging_objective, neighbours, otf_nearby
 from cep.search.annealing.proposals import Limits
-from cep.search.annealing.states import Chain, found_by, new_chain, own_tables, refresh
+from cep.search.annealing.states import Chain, best_codes, new_chain, own_tables, refresh
 from cep.search.annealing.terms import BLOCK, Tables, lay_out
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
@@ -257,8 +257,8 @@ def _round(
                 break
     finally:
         for _, chain in runs:
-            best_codes = found_by(chain)
-            elites.offer(best_codes.reshape(len(best_codes), joint.frames, -1))
+            chain_codes = best_codes(chain)
+            elites.offer(chain_codes.reshape(len(chain_codes), joint.frames, -1))
 
 
 def _as_codes(codes: Codes) -> tuple[ShutterCode, ...]:

@@ -15,15 +15,17 @@ Floats = NDArray[np.float32]
 
 
 class Chain(NamedTuple):
-    """State of a chain, changed in place.
+    """State of a chain, changed in place: single numbers are arrays of one for that.
 
     Attributes
     ----------
     code, best, deepest : (chips,) int8
         Where it is, the cheapest code seen, and the one with the largest smallest |P|.
     otf : (frames, nb, 2, 64) float32
-    cost : (3,) float64
-        Of ``code`` and of ``best`` in dB, and the smallest |P|^2 of ``deepest``.
+    cost, best_cost : (1,) float64, dB
+        Of ``code`` and of ``best``.
+    deepest_power : (1,) float64
+        Smallest |P|^2 of ``deepest``, 0 before there is one.
     random : (1,) uint64
         State of the random numbers, not 0.
     """
@@ -33,6 +35,8 @@ class Chain(NamedTuple):
     deepest: NDArray[np.int8]
     otf: NDArray[np.float32]
     cost: NDArray[np.float64]
+    best_cost: NDArray[np.float64]
+    deepest_power: NDArray[np.float64]
     random: NDArray[np.uint64]
 
 
@@ -99,12 +103,7 @@ def total_cost(tables: Any, chips: int, code: NDArray[np.int8], otf: Floats) -> 
     sums = np.empty((len(tables.kinds), len(tables.layout), 2))
     open_chips = int(code.sum())
     sums_over(
-        tables.rows,
-        tables.layout,
-        tables.kinds,
-        tables.scale,
-        tables.offset,
-        tables.light,
+        tables,
         otf,
         np.zeros((2, 3), np.int64),
         0,
@@ -135,9 +134,16 @@ def smallest_power(tables: Any, otf: Floats) -> float:
 def new_chain(tables: Tables, code: NDArray[np.int8], seed: int, *, frames: int = 1) -> Chain:
     """Make a chain at a code, all frames' chips in a row; :func:`refresh` gives it its OTF."""
     otf = np.empty((frames, tables.rows.shape[2], 2, BLOCK), np.float32)
-    costs = np.array([np.inf, np.inf, 0.0])
-    random = np.array([seed | 1], dtype=np.uint64)  # a shift register never leaves 0
-    return Chain(code.copy(), code.copy(), code.copy(), otf, costs, random)
+    return Chain(
+        code=code.copy(),
+        best=code.copy(),
+        deepest=code.copy(),
+        otf=otf,
+        cost=np.array([np.inf]),
+        best_cost=np.array([np.inf]),
+        deepest_power=np.zeros(1),
+        random=np.array([seed | 1], dtype=np.uint64),  # a shift register never leaves 0
+    )
 
 
 def own_tables(tables: Tables) -> Tables:
@@ -152,12 +158,12 @@ def refresh(tables: Tables, chain: Chain, chips: int) -> None:
     fresh_otf(tables, chain.code, chips, chain.otf)
     worst_first(tables, chain.otf)
     chain.cost[0] = total_cost(tables, chips, chain.code, chain.otf)
-    if chain.cost[0] < chain.cost[1]:
-        chain.cost[1] = chain.cost[0]
+    if chain.cost[0] < chain.best_cost[0]:
+        chain.best_cost[0] = chain.cost[0]
         chain.best[:] = chain.code
 
 
-def found_by(chain: Chain) -> NDArray[np.int8]:
-    """Codes (R, n) that a chain found best; the deepest counts for the smallest |H| alone."""
+def best_codes(chain: Chain) -> NDArray[np.int8]:
+    """Best codes (R, n) of a chain; the deepest counts for the smallest |H| alone."""
     codes = np.stack([chain.best, chain.deepest])
-    return codes[: 1 + (chain.cost[2] > 0)]
+    return codes[: 1 + (chain.deepest_power[0] > 0)]

@@ -120,18 +120,20 @@ def _pair_sum(
 
 @inlined
 def _pair_sums(
-    rows: Floats,
-    layout: Ints,
+    tables: Any,
     otf: Floats,
-    scale: Floats,
-    offset: Floats,
-    light: np.float32,
-    steep: bool,
+    open_chips: int,
     picked: Ints,
     limit: float,
     sums: NDArray[np.float64],
 ) -> bool:
     """As :func:`sums_over` for the usual move."""
+    rows = tables.rows
+    layout = tables.layout
+    scale = tables.scale
+    offset = tables.offset
+    light = tables.light[0, open_chips]
+    steep = tables.kinds[0] == STEEP
     plain = np.float32(not steep)  # a branch would keep vector instructions away
     sharp = np.float32(steep)
     for band in range(layout.shape[0]):
@@ -146,12 +148,7 @@ def _pair_sums(
 
 @compiled
 def sums_over(
-    rows: Floats,
-    layout: Ints,
-    kinds: Ints,
-    scale: Floats,
-    offset: Floats,
-    lights: Floats,
+    tables: Any,
     otf: Floats,
     picked: Ints,
     count: int,
@@ -162,6 +159,11 @@ def sums_over(
     sums: NDArray[np.float64],
 ) -> bool:
     """Sum all terms of a changed code; False as soon as the first sum exceeds ``limit``."""
+    rows = tables.rows
+    layout = tables.layout
+    kinds = tables.kinds
+    scale = tables.scale
+    offset = tables.offset
     unit = np.float32(1)
     for band in range(layout.shape[0]):
         for o in range(kinds.size):
@@ -172,7 +174,7 @@ def sums_over(
             for o in range(kinds.size):
                 total = np.float32(0)
                 mean = np.float32(0)
-                light = lights[o, open_chips]
+                light = tables.light[o, open_chips]
                 if kinds[o] == STEEP:
                     for f in range(BLOCK):
                         term = unit / (scale[o, block, 0, f] * work[2, f] + offset[o, block, 0, f])
@@ -269,12 +271,7 @@ def turn(
 
 @inlined
 def judge(
-    rows: Floats,
-    layout: Ints,
-    kinds: Ints,
-    scale: Floats,
-    offset: Floats,
-    light: Floats,
+    tables: Any,
     otf: Floats,
     picked: Ints,
     count: int,
@@ -284,41 +281,11 @@ def judge(
     work: Floats | None,
     sums: NDArray[np.float64],
 ) -> bool:
-    """Sum the terms of a code changed by ``picked``; False as soon as a sum exceeds ``limit``.
-
-    The tables come one by one: taking them out of their tuple for every move would cost more than
-    the sums.
-    """
+    """Sum the terms of a code changed by ``picked``; False as soon as a sum exceeds ``limit``."""
     # without work space only the usual moves are compiled
     if work is None:
-        return _pair_sums(
-            rows,
-            layout,
-            otf,
-            scale,
-            offset,
-            light[0, open_chips],
-            kinds[0] == STEEP,
-            picked,
-            limit,
-            sums,
-        )
-    return sums_over(
-        rows,
-        layout,
-        kinds,
-        scale,
-        offset,
-        light,
-        otf,
-        picked,
-        count,
-        chips,
-        open_chips,
-        limit,
-        work,
-        sums,
-    )
+        return _pair_sums(tables, otf, open_chips, picked, limit, sums)
+    return sums_over(tables, otf, picked, count, chips, open_chips, limit, work, sums)
 
 
 @inlined

@@ -12,10 +12,17 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import open_path
 from cep.optics.response import ShutterResponse
 from cep.search.annealing.anneal import anneal
-from cep.search.annealing.chains import cool, walk
+from cep.search.annealing.cooling import cool
 from cep.search.annealing.frames import anneal_frames, joint_cost, joint_figures, joint_tables
 from cep.search.annealing.proposals import Limits
-from cep.search.annealing.states import Chain, fresh_otf, smallest_power, total_cost, worst_first
+from cep.search.annealing.states import (
+    fresh_otf,
+    new_chain,
+    smallest_power,
+    total_cost,
+    worst_first,
+)
+from cep.search.annealing.tabu import walk
 from cep.search.annealing.terms import BLOCK
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
@@ -232,17 +239,9 @@ def started(problem, frames, seed=0):
         20, frames, -1
     )
     code = drawn[np.argsort(joint_cost(coarse, drawn))[4]].astype(np.int8).ravel()
-    otf = np.empty((frames, tables.rows.shape[2], 2, BLOCK), np.float32)
-    chain = Chain(
-        code,
-        code.copy(),
-        code.copy(),
-        otf,
-        np.full(3, np.inf),
-        np.array([2 * seed + 1], np.uint64),
-    )
+    chain = new_chain(tables, code, 2 * seed + 1, frames=frames)
     fresh_otf(tables, chain.code, problem.chips, chain.otf)
-    chain.cost[:] = total_cost(tables, problem.chips, chain.code, chain.otf), np.inf, 0.0
+    chain.cost[0] = total_cost(tables, problem.chips, chain.code, chain.otf)
     return coarse, tables, chain
 
 
