@@ -17,7 +17,6 @@ _EXAMPLE = "Example: "
 _UNITS = ("_s", "_ms", "_ns", "_px", "_db", "_e", "_ppm", "_hz", "_dn")
 # options and arguments that set a parameter of another name: of those given, the first is meant
 _SET_BY = {
-    "axes": ("gyro_axes",),
     "bits": ("bits", "code", "codes"),
     "chip_ns": ("chip_ns", "exposure"),
     "chips": ("chips", "code", "codes"),

@@ -29,7 +29,7 @@ from cep.optics.exposure import coded_psf
 from cep.restoration.direction import compare_psfs
 from cep.restoration.wiener import wiener
 from cep.search.annealing.anneal import anneal
-from cep.search.problem import SearchProblem, open_range_of_duty
+from cep.search.problem import OBJECTIVES, SearchProblem, open_range_of_duty
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
 from motdiff.motions import boracchi_foi
 from motdiff.psf_frame import PSF_PX
@@ -104,7 +104,7 @@ def main() -> None:
     parser.add_argument("--shakes", type=int, default=10)
     parser.add_argument("--chips", type=int, default=52)
     parser.add_argument("--seconds", type=float, default=8.0, help="search time per shake")
-    parser.add_argument("--objective", default="mse", help="min-mtf, flatness, noise or mse")
+    parser.add_argument("--objective", default="mse", choices=OBJECTIVES)
     parser.add_argument("--duty", default="0.2:0.8", help="LOW:HIGH")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()

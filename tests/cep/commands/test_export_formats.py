@@ -67,7 +67,7 @@ def test_a_new_format_is_in_every_list(morse):
     assert "| `morse` | dots and dashes, for lamps | a lamp | 1000 ns | ITU-R M.1677-1 |" in page
     exported = export_code(ShutterCode("101", 1001), "morse")
     assert (exported.name, exported.text) == ("code.morse", "-... -.-")
-    with pytest.raises(ValueError, match="dmd, morse, got 'vhs'"):
+    with pytest.raises(ValueError, match=f"{', '.join(EXPORTERS)}, got 'vhs'"):
         export_code(ShutterCode("101"), "vhs")
 
 

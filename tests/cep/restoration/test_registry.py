@@ -31,9 +31,12 @@ def test_a_new_method_is_in_every_list():
         [sys.executable, "-c", DUMMY], capture_output=True, text=True, check=True, encoding="utf-8"
     )
     words = " ".join(run.stdout.replace("│", " ").split())
-    assert "pnp (a trained denoiser), dummy (as if sharp), or module:name" in words
-    assert "one of wiener, inverse, tv, l0, tv-ring, pnp, dummy, or module:name" in run.stderr
-    assert "--photons: not valid with --method tv; wiener, pnp and dummy use" in run.stderr
+    for method in METHODS.values():
+        assert f"{method.name} ({method.about}), " in words
+    assert "dummy (as if sharp), or module:name" in words
+    assert f"one of {', '.join(METHODS)}, dummy, or module:name" in run.stderr
+    with_camera = ", ".join(name for name, method in METHODS.items() if method.uses_camera)
+    assert f"--photons: not valid with --method tv; {with_camera} and dummy use" in run.stderr
     assert "['field1987'] dummy" in run.stdout
 
 
