@@ -1,11 +1,10 @@
 """Bounds over all codes: of the smallest |H| and |P| from above, of the noise gain from below.
 
-Each figure is the best of several arguments: the quick ones of
-:mod:`cep.search.bounding.motion_basis`, and those of :mod:`cep.search.bounding.proving`, for which
-the relaxation supplies multipliers. Every bound
-holds for each number of open chips alone, and a problem's bound is the weakest over its range.
-Limits on runs and single chips are ignored, so the bounds hold with them. A shutter with ramps is
-only bounded by its light: its |H|^2 is no quadratic form in the code.
+Each figure is the best of several arguments: those of :mod:`cep.search.bounding.quick_bounds`, and
+those of :mod:`cep.search.bounding.dual_proofs`, for which the relaxation supplies multipliers.
+Every bound holds for each number of open chips alone, and a problem's bound is the weakest over
+its range. Limits on runs and single chips are ignored, so the bounds hold with them. A shutter
+with ramps is only bounded by its light: its |H|^2 is no quadratic form in the code.
 """
 
 from __future__ import annotations
@@ -18,14 +17,9 @@ from numpy.typing import NDArray
 
 from cep.optics.band import BandSamples, band_samples, straight_axis
 from cep.optics.exposure import chip_basis, chip_parts
-from cep.search.bounding.motion_basis import (
-    MotionBasis,
-    chip_ceilings,
-    circle_grid,
-    mtf_ceilings,
-    noise_floors,
-)
-from cep.search.bounding.proving import DualProof, relaxed, tightened
+from cep.search.bounding.dual_proofs import DualProof, relaxed, tightened
+from cep.search.bounding.motion_basis import MotionBasis, circle_grid
+from cep.search.bounding.quick_bounds import chip_ceilings, mtf_ceilings, noise_floors
 from cep.search.bounding.relaxation import Relaxation
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory

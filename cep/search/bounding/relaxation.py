@@ -11,7 +11,7 @@ with ``g = sum a_f`` for the smallest |H|^2 (whose bound is k / g) and ``g = sum
 for the mean of 1/|H|^2 (whose bound is g^2 / k). Newton steps on its logarithmic barrier cost
 little, as each G_f has two or four columns, and the barrier's inverse matrix is the relaxed C. The
 result of a solver is only used as multipliers of a
-:class:`cep.search.bounding.proving.DualProof`.
+:class:`cep.search.bounding.dual_proofs.DualProof`.
 
 References
 ----------

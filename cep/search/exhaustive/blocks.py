@@ -1,4 +1,4 @@
-"""Blocks and tables of the exhaustive scan (:mod:`cep.search.exhaustive.exhaust`)."""
+"""Blocks and tables of the exhaustive scan (:mod:`cep.search.exhaustive.scan`)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.search.annealing.proposals import Limits
-from cep.search.exhaustive.exhaust import (
+from cep.search.exhaustive.scan import (
     BYTES,
     INNER,
     SHIFT,
-    Part,
+    ChipGroup,
     all_patterns,
     dot,
     fill_cells,
@@ -146,9 +146,9 @@ class Scanner:
         self.near_at = np.searchsorted(middle.sum(axis=1), np.arange(near_chips + 2)).astype(
             np.int64
         )
-        self.head = self._part(front, int(places[0]), tables.corner)
-        self.near = self._part(middle, int(places[1]))
-        self.tail = self._part(back, int(places[3]))
+        self.head = self._group(front, int(places[0]), tables.corner)
+        self.near = self._group(middle, int(places[1]))
+        self.tail = self._group(back, int(places[3]))
         # of a pair of mirror images, the one whose tail does not come after its head; ties go both
         # ways
         self.tails = np.full(len(front), len(back), dtype=np.int64)
@@ -179,7 +179,7 @@ class Scanner:
         counts: NDArray[np.int64],
         halt: NDArray[np.bool_],
     ) -> NDArray[np.uint64]:
-        """Scan from ``span[0]``, ``span[2]`` on by :func:`exhaust.scan`; returns the survivors."""
+        """Scan from ``span[0]``, ``span[2]`` on; returns the survivors."""
         tables = self.tables
         number = scan(
             self.head,
@@ -203,7 +203,9 @@ class Scanner:
         )
         return buffer[:number].copy()
 
-    def _part(self, patterns: Patterns, start: int, corner: ComplexArray | float = 0.0) -> Part:
+    def _group(
+        self, patterns: Patterns, start: int, corner: ComplexArray | float = 0.0
+    ) -> ChipGroup:
         """Lay out the patterns of the chips from ``start`` on; sums count from ``corner``."""
         tables = self.tables
         sums = dot(patterns, tables.used[start : start + patterns.shape[1]]) - corner
@@ -211,7 +213,7 @@ class Scanner:
             np.int32
         )
         rises = np.diff(patterns, axis=1, prepend=0) == 1
-        return Part(
+        return ChipGroup(
             _bits(patterns, start),
             fixed,
             patterns.sum(axis=1, dtype=np.int64),

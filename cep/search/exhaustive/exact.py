@@ -2,9 +2,9 @@
 
 On the unit circle a shift in time and the reversal change nothing, so the codes of n chips are
 those of every length up to n with both end chips open, one of each mirror pair, or both where the
-reversal may break the limit on the pulses' period. :mod:`.exhaust` discards nearly all of them,
-billions a second; the few that it leaves are judged here in float64, and the winner is certified
-over the continuum.
+reversal may break the limit on the pulses' period. :mod:`cep.search.exhaustive.scan` discards
+nearly all of them, billions a second. The few that it leaves are judged in float64
+(:mod:`cep.search.exhaustive.best_code`), and the winner is certified over the continuum.
 
 References
 ----------
@@ -26,33 +26,21 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.band import band_samples, circle_samples
 from cep.optics.code import ShutterCode
-from cep.optics.exposure import chip_basis
-from cep.proofs.certify.minimum import Minimum, chip_minimum, min_chip, mtf_minimum
+from cep.proofs.certify.minimum import Minimum
 from cep.search.annealing.proposals import Limits
+from cep.search.exhaustive.best_code import BestCode, packed
 from cep.search.exhaustive.blocks import MARGIN, Scanner, Tables
-from cep.search.exhaustive.exhaust import BYTES, INNER, dot
 from cep.search.exhaustive.proof import ExactResult, LengthLog, ProofLog
+from cep.search.exhaustive.scan import BYTES, INNER
 from cep.search.problem import SearchProblem
 
 Progress = Callable[[float, ShutterCode], None]
-Codes = NDArray[np.uint64]
-Patterns = NDArray[np.int8]
 _SLICE = 2**30  # codes between looks at Ctrl-C: a tenth of a second
 _SLICES = 128  # at least, of a long proof, so that a better code helps it
 # slices side by side, the next round twice as many: early ones find the better codes
 _FIRST_ROUND = 16
-# minima as close as this are equal: the brighter code wins, then the shorter, then the first bits
-_TIE = 1e-9
 _GROWTH = 1.01  # of the limit, at which the scan's tables are made again
-_RESTARTS = 16  # random codes from which the first limit is climbed to
-_CLIMBED = 20  # chips below which no climb is needed
-_SEEN = 256  # frequencies at which a climb judges: it only has to be good, the scan proves
-_OVERSAMPLING = 8  # frequencies per 1 / chips on the unit circle
-_BATCH = 2**13  # codes judged at once
-_DARK = 1e-9  # |H| at which no code passes anything
-_LEAST = 1e-6  # relative gain of a step
 
 
 def codes_to_count(problem: SearchProblem) -> int:
@@ -108,39 +96,33 @@ def exact(
         raise ValueError(
             "response: a proof needs a shutter that opens at once, leave the response out"
         )
-    proof = _Proof(problem, resume)
+    best = BestCode(problem)
+    proof = _Proof(best, resume)
     try:
-        proof.climb()
+        best.climb()
         proof.count(progress, threads or cpu_count() or 1)
     except KeyboardInterrupt:
         pass  # the log says what is missing
-    code, minimum, log = proof.outcome()
-    return ExactResult(code, minimum, log, time.monotonic() - start_s, log.complete)
+    if not best.bits:
+        raise KeyboardInterrupt
+    minimum = best.minimum()
+    log = proof.log(minimum)
+    seconds = time.monotonic() - start_s
+    return ExactResult(ShutterCode(best.bits), minimum, log, seconds, log.complete)
 
 
 class _Proof:
-    """State of a proof: the best code, the limit that it sets, and the finished ranges."""
+    """All codes of a problem, length by length: which ranges are finished, and their counts."""
 
-    def __init__(self, problem: SearchProblem, resume: ProofLog | None) -> None:
-        self.problem = problem
-        self.circle = not problem.scenarios
-        # shifts are as good as the code, and so are their mirror images that keep the limits
-        self.free = self.circle and problem.runs.fixed is None
-        self.basis = _basis(problem)
-        if np.abs(self.basis).sum(axis=0).min() < _DARK:
-            raise ValueError(
-                "scenarios: at some frequency no code passes anything, every minimum is 0"
-            )
-        self.limits = Limits.of(problem)
-        self.best = ""
-        self.value = -1.0  # minimum of the best code
-        self.limit = 0.0  # proven minimum below which codes are discarded
-        self.ceiling = 0.0  # largest minimum judged
+    def __init__(self, best: BestCode, resume: ProofLog | None) -> None:
+        self.best = best
+        self.problem = best.problem
+        self.limits = Limits.of(best.problem)
         self.tables: Tables | None = None
         self.lock = Lock()
-        n = problem.chips
+        n = best.problem.chips
         sizes = {n: 2**n - 1}
-        if self.free:  # of each length those with both ends open
+        if best.may_shift:  # of each length those with both ends open
             sizes = {m: 2 ** max(m - 2, 0) for m in range(1, n + 1)}
         self.logs = {length: LengthLog(length, codes) for length, codes in sizes.items()}
         if resume is not None:
@@ -150,57 +132,8 @@ class _Proof:
                     f" {resume.domain}"
                 )
             self.logs = {entry.length: entry for entry in resume.lengths}
-            self.ceiling = resume.ceiling
-            self.offer(_packed(resume.bits))
-
-    def offer(self, codes: Codes) -> None:
-        """Judge codes in float64; the best one sets the limit."""
-        for at in range(0, codes.size, _BATCH):
-            words = codes[at : at + _BATCH, None] >> np.arange(self.problem.chips, dtype=np.uint64)
-            bits = (words & np.uint64(1)).astype(np.int8)
-            bits = bits[self.problem.satisfied(bits)]
-            sampled = np.abs(dot(bits, self.basis)).min(axis=1)
-            for index in np.argsort(-sampled, kind="stable"):
-                if sampled[index] < self.limit * (1 - MARGIN):
-                    break  # all that follow are lower still
-                self._consider(bits[index], float(sampled[index]))
-
-    def _consider(self, bits: NDArray[np.int8], sampled: float) -> None:
-        name = _name(bits)
-        if self.free:
-            # at the start; of two mirror images the one that opens more and earlier
-            core = name.strip("0")
-            if self.problem.mirrors:
-                core = max(core, core[::-1])
-            name = core.ljust(bits.size, "0")
-        value = sampled
-        if self.circle:  # the minimum may lie between the samples
-            value = min(sampled, min_chip(ShutterCode(name)))
-        self.ceiling = max(self.ceiling, value)
-        tie = _TIE * max(value, 1e-3)
-        if value > self.value + tie or (
-            value > self.value - tie and _rank(name) > _rank(self.best)
-        ):
-            if value > self.value + tie:
-                limit = value
-                if self.circle:  # what discards others must be proven itself
-                    limit = chip_minimum(ShutterCode(name)).lower
-                self.limit = max(self.limit, limit)
-            self.best = name
-            self.value = max(value, self.value)
-
-    def climb(self) -> None:
-        """Climb from random codes, for a good limit from the start: the outcome is the same."""
-        if self.problem.chips < _CLIMBED:
-            return
-        rng = np.random.default_rng(0)
-        sample = self.basis[:, rng.permutation(self.basis.shape[1])[:_SEEN]]
-        # where few codes keep the limits, one pulse may be among them
-        single = np.eye(self.problem.chips, dtype=np.int8)[[0, self.problem.chips // 2]]
-        single = single[self.problem.satisfied(single)]
-        starts = [*self.problem.random_codes(_RESTARTS, rng=rng), *single]
-        for code in starts:
-            self.offer(_packed(_name(climbed(code, sample, self.problem.satisfied))))
+            best.ceiling = resume.ceiling
+            best.offer(packed(ShutterCode(resume.bits).array))
 
     def count(self, progress: Progress | None, threads: int) -> None:
         """Go through all codes, length by length."""
@@ -209,8 +142,8 @@ class _Proof:
         for length, entry in list(self.logs.items()):
 
             def report(share: float, before: int = before, codes: int = entry.codes) -> None:
-                if progress is not None and self.best:
-                    progress((before + share * codes) / total, ShutterCode(self.best))
+                if progress is not None and self.best.bits:
+                    progress((before + share * codes) / total, ShutterCode(self.best.bits))
 
             # shorter codes have no chips beside the inner block and the two ends
             if not entry.complete and length < INNER + 2:
@@ -222,9 +155,9 @@ class _Proof:
 
     def _list(self, length: int) -> None:
         codes = np.arange(1, 2**length, dtype=np.uint64)
-        if self.free:
+        if self.best.may_shift:
             codes = codes[((codes & np.uint64(1)) == 1) & ((codes >> np.uint64(length - 1)) == 1)]
-        self.offer(codes)
+        self.best.offer(codes)
         self.logs[length] = replace(
             self.logs[length], judged=codes.size, left_by_samples=codes.size, complete=True
         )
@@ -256,13 +189,13 @@ class _Proof:
 
     def _scanner(self, length: int) -> Scanner:
         if self.tables is None:
-            self.tables = Tables(self.basis, self.limits, self.limit)
-        elif self.limit > _GROWTH * self.tables.limit:
-            self.tables = self.tables.tightened(self.limit)
+            self.tables = Tables(self.best.basis, self.limits, self.best.limit)
+        elif self.best.limit > _GROWTH * self.tables.limit:
+            self.tables = self.tables.tightened(self.best.limit)
         return Scanner(
             self.tables,
             length,
-            ends_open=self.free,
+            ends_open=self.best.may_shift,
             mirrors=self.problem.mirrors,
             fixed=self.problem.runs.fixed,
         )
@@ -276,106 +209,35 @@ class _Proof:
         while span[0] < span[1] and not halt[0]:
             survivors = scanner.run(span, room, counts, halt)
             with self.lock:
-                self.offer(survivors)
+                self.best.offer(survivors)
         return counts
 
-    def outcome(self) -> tuple[ShutterCode, Minimum, ProofLog]:
-        """Code, certified minimum and log."""
-        if not self.best:
-            raise KeyboardInterrupt
-        code = ShutterCode(self.best)
-        problem = self.problem
-        if self.circle:
-            minimum = chip_minimum(code)
-        else:
-            minima = [
-                mtf_minimum(scenario.path(reversed_path=is_reversed), code, edges=scenario.edges)
-                for scenario, is_reversed in problem.ways()
-            ]
-            worst = min(minima, key=lambda minimum: minimum.upper)
-            minimum = replace(worst, lower=min(minimum.lower for minimum in minima))
-        high = problem.open_limits[1]
+    def log(self, minimum: Minimum) -> ProofLog:
+        """Log the proof, with the certified minimum of the best code."""
+        best = self.best
+        high = self.problem.open_limits[1]
         # until all is judged: mean |P|^2 is the number of open chips; |H| nowhere exceeds the duty
-        ceiling = float(np.sqrt(high)) if self.circle else high / problem.chips
+        upper = float(np.sqrt(high)) if best.on_circle else high / self.problem.chips
         if all(entry.complete for entry in self.logs.values()):
-            ceiling = self.ceiling
-        log = ProofLog(
-            problem.chips,
-            self._limits(),
-            self._domain(),
-            tuple(self.logs.values()),
-            MARGIN,
-            self.best,
-            minimum.lower if self.circle else self.value,
-            ceiling,
-            self.ceiling,
-            {name: version(name) for name in ("numpy", "numba")},
+            upper = best.ceiling
+        return ProofLog(
+            chips=self.problem.chips,
+            limits=self._limits(),
+            domain=self._domain(),
+            lengths=tuple(self.logs.values()),
+            margin=MARGIN,
+            bits=best.bits,
+            lower=minimum.lower if best.on_circle else best.value,
+            upper=upper,
+            ceiling=best.ceiling,
+            versions={name: version(name) for name in ("numpy", "numba")},
         )
-        return code, minimum, log
 
     def _limits(self) -> dict[str, int | str | None]:
         low, high = self.problem.open_limits
         return {"fewest_open": low, "most_open": high} | asdict(self.problem.runs)
 
     def _domain(self) -> str:
-        if self.circle:
+        if self.best.on_circle:
             return "the unit circle"
-        return f"{self.basis.shape[1]} band samples"
-
-
-def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
-    """Contribution of each chip at all frequencies, (n, Q): in chips on the circle."""
-    if not problem.scenarios:
-        samples = circle_samples(problem.chips, oversampling=_OVERSAMPLING)
-        phases = -2j * np.pi * np.arange(problem.chips)[:, None] * samples.fx
-        return np.asarray(np.exp(phases), dtype=np.complex128)
-    rows = []
-    for scenario, is_reversed in problem.ways():
-        path = scenario.path(reversed_path=is_reversed)
-        samples = band_samples(path)
-        rows.append(chip_basis(path, problem.chips, samples.fx, samples.fy, edges=scenario.edges))
-    return np.concatenate(rows, axis=1)
-
-
-def _name(bits: NDArray[np.int8]) -> str:
-    return "".join(str(int(bit)) for bit in bits)
-
-
-def _packed(bits: str) -> Codes:
-    return np.array([int(bits[::-1], 2)], dtype=np.uint64)
-
-
-def _rank(bits: str) -> tuple[int, int, str]:
-    """Sort codes of equal minima: brighter, then shorter, then those that open earlier."""
-    return bits.count("1"), -len(bits.strip("0")), bits
-
-
-def climbed(
-    code: Patterns,
-    basis: NDArray[np.complex128],
-    satisfied: Callable[[Patterns], NDArray[np.bool_]],
-) -> Patterns:
-    """Flip the one or two chips that raise the smallest |H| most, for as long as any do.
-
-    Parameters
-    ----------
-    code : (n,) int8
-    basis : (n, Q) complex
-        Contribution of each chip at each frequency.
-    satisfied : callable
-        Which of (R, n) codes may be visited.
-    """
-    first, second = np.triu_indices(code.size)
-    best = -1.0
-    while True:
-        neighbours = np.repeat(code[None], first.size, axis=0)
-        rows = np.arange(first.size)
-        neighbours[rows, first] ^= 1
-        # a pair of one chip and itself is a single flip
-        neighbours[rows, second] ^= (first != second).astype(np.int8)
-        neighbours = neighbours[satisfied(neighbours)]
-        lowest = np.abs(dot(neighbours, basis)).min(axis=1, initial=np.inf)
-        if not len(neighbours) or lowest.max() <= best + _LEAST * abs(best):
-            return code
-        code = neighbours[lowest.argmax()]
-        best = float(lowest.max())
+        return f"{self.best.basis.shape[1]} band samples"

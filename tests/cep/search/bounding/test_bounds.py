@@ -17,6 +17,7 @@ from cep.proofs.certify.minimum import min_chip
 from cep.proofs.measure import measure
 from cep.search.bounding import relaxation
 from cep.search.bounding.bounds import bound, relaxed_minimum
+from cep.search.bounding.dual_proofs import tightened
 from cep.search.bounding.motion_basis import (
     chip_ceilings,
     circle_average,
@@ -25,7 +26,6 @@ from cep.search.bounding.motion_basis import (
     largest_form,
     largest_forms,
 )
-from cep.search.bounding.proving import tightened
 from cep.search.bounding.relaxation import (
     Relaxation,
     cvxpy_solver,
@@ -144,7 +144,7 @@ PROBLEMS = {
 def test_no_code_passes_a_bound(name, monkeypatch):
     problem = PROBLEMS[name]
     # a mean over the whole band of a curve takes too long here
-    monkeypatch.setattr("cep.search.bounding.proving._MOST_FREQUENCIES", 300)
+    monkeypatch.setattr("cep.search.bounding.dual_proofs._MOST_FREQUENCIES", 300)
     lowest, noise = best_of_all(problem)
     quick, deep = (bound(problem, effort=effort) for effort in ("quick", "sdp"))
     for found in (quick, deep):

@@ -16,11 +16,11 @@ from cep.optics.exposure import chip_basis
 from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip
 from cep.search.annealing.proposals import Limits
-from cep.search.exhaustive import exact as module
+from cep.search.exhaustive.best_code import BestCode
 from cep.search.exhaustive.blocks import Tables
 from cep.search.exhaustive.exact import codes_to_count, exact
-from cep.search.exhaustive.exhaust import INNER, all_patterns, keeps_runs, possible
 from cep.search.exhaustive.proof import ProofLog
+from cep.search.exhaustive.scan import INNER, all_patterns, keeps_runs, possible
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario
@@ -283,7 +283,7 @@ def test_outcome_depends_neither_on_threads_nor_on_the_start(monkeypatch):
     problem = SearchProblem(chips=21)
     plain = exact(problem, threads=1)
     other = exact(problem, threads=3)
-    monkeypatch.setattr(module._Proof, "climb", lambda self: None)
+    monkeypatch.setattr(BestCode, "climb", lambda self: None)
     cold = exact(problem, threads=1)
     assert plain.code == other.code == cold.code
     assert plain.minimum == other.minimum == cold.minimum

@@ -32,7 +32,7 @@ Ints = NDArray[np.int32]
 Counts = NDArray[np.int64]
 
 
-class Part(NamedTuple):
+class ChipGroup(NamedTuple):
     """Patterns of some chips of the code, one a row.
 
     Attributes
@@ -165,9 +165,9 @@ def _reaches(code: np.uint64, dense: NDArray[np.float32], limit2: np.float32) ->
 
 @compiled
 def scan(
-    head: Part,
-    tail: Part,
-    middle: Part,
+    head: ChipGroup,
+    tail: ChipGroup,
+    middle: ChipGroup,
     tails: Counts,
     near_at: Counts,
     first_cell: Ints,
@@ -188,7 +188,7 @@ def scan(
 
     Parameters
     ----------
-    head, tail, middle : Part
+    head, tail, middle : ChipGroup
         Far chips at the start and the end, and near chips, the latter sorted by their open chips.
     tails : (R,) int64
         How many of the first rows of ``tail`` go with each head.
