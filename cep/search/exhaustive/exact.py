@@ -133,7 +133,7 @@ class _Proof:
                 )
             self.logs = {entry.length: entry for entry in resume.lengths}
             best.ceiling = resume.ceiling
-            best.offer(packed(ShutterCode(resume.bits).array))
+            best.offer(packed(np.array([*map(int, resume.bits)], dtype=np.int8)))
 
     def count(self, progress: Progress | None, threads: int) -> None:
         """Go through all codes, length by length."""

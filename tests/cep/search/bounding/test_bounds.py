@@ -19,13 +19,13 @@ from cep.search.bounding import relaxation
 from cep.search.bounding.bounds import bound, relaxed_minimum
 from cep.search.bounding.dual_proofs import tightened
 from cep.search.bounding.motion_basis import (
-    chip_ceilings,
     circle_average,
     form_matrix,
     gram,
     largest_form,
     largest_forms,
 )
+from cep.search.bounding.quick_bounds import chip_ceilings
 from cep.search.bounding.relaxation import (
     Relaxation,
     cvxpy_solver,
