@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.codes.published import PUBLISHED
-from cep.files.files import StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.search.limits import RunLimits

@@ -10,7 +10,7 @@ import typer
 from emulators.tools import give_up
 
 from cep.commands.main import main
-from cep.files.files import StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.files.images import write_image
 from cep.optics.code import ShutterCode
 from lab.commands.main import main as lab_main

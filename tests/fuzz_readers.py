@@ -76,7 +76,7 @@ def _trajectory_seeds():
 
 
 def _code(path):
-    from cep.files.files import read_code
+    from cep.files.code_files import read_code
 
     return read_code(path)
 
@@ -348,7 +348,7 @@ def _dng_seeds():
 
 
 def _psf(path):
-    from cep.files.files import read_psf
+    from cep.files.psf_files import read_psf
 
     return read_psf(path)
 

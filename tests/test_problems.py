@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from cep.optics.code import ShutterCode
 
 ROOT = Path(__file__).parents[1]

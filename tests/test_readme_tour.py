@@ -14,7 +14,7 @@ from skimage import data
 
 import cep
 from cep.commands.main import main
-from cep.files.files import StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.studio.state import read_setting
 from cep.studio.views import Views
 from motdiff.commands import run as motdiff

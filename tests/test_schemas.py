@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,11 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from cep.calibration.calibration_set import calibration_set
-from cep.files.files import StoredCode, read_code, read_json, write_code
+from cep.files.code_files import StoredCode, read_code, write_code
 from cep.optics.camera import Camera, camera_names
 from cep.optics.code import ShutterCode
 from cep.search.optimize import optimize
+from cep.studio.documents import read_document
 from hw.export import EXPORTERS, export_program
 from hw.program import Program
 from lab.bench.table_io import Provenance, made_json, tables_json
@@ -271,7 +271,7 @@ READERS = {
     "trajectory": (MOTION, read_motion),
     "code": (CODE, read_code),
     "camera": (CAMERA, read_camera),
-    "studio": (STUDIO, partial(read_json, schema="cep.studio/1")),
+    "studio": (STUDIO, read_document),
 }
 
 

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cep.files.files import write_psf
+from cep.calibration.photo_checks import (
+    check_all,
+    check_apart,
+    check_number,
+    check_texture,
+    check_times,
+)
 from cep.files.images import read_image, write_image
+from cep.files.psf_files import write_psf
 from cep.optics.code import ShutterCode
 from cep.plots import png_bytes, save, trajectory_figure
 from cep.restoration.sharpen import sharpen
-from motdiff.crops import check_size
 from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
-from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.from_kernel import as_estimate
 from motdiff.estimators.method import Method, command_options
-from motdiff.estimators.registry import METHODS, blind_methods, check_options, make_method
+from motdiff.estimators.registry import METHODS, check_options, make_method
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.files.outputs import new_folder
 from motdiff.files.plugins import is_reference
@@ -51,7 +55,6 @@ _OPTIONAL_DETAILS = (
     "left_out",
 )
 """Figures of some estimators alone."""
-_LEAST_CONTRAST = 2 / 255  # two steps of 8 bit: rounding alone makes one
 
 
 @dataclass(frozen=True)
@@ -232,8 +235,8 @@ def estimate_motion(
         raise ValueError(f"{set_options[0]}: not valid with an estimator of your own")
 
     if isinstance(method, Method):
-        _check_number(photos, method)
-        _check_all(photos, method)
+        check_number(photos, method)
+        check_all(photos, method)
         label = method.name
         estimator = method.load(seed=seed, progress=progress)
         is_together = hasattr(estimator, "estimate_from")
@@ -329,124 +332,9 @@ def _photo_list(photo: ArrayLike | Sequence[ArrayLike]) -> list[ArrayLike]:
     return [np.asarray(photo)]
 
 
-def _check_number(photos: Sequence[ArrayLike], method: Method) -> None:
-    """Refuse photos that are more than the method takes, or not as many as its codes."""
-    codes: tuple[str, ...] | None = getattr(method, "codes", None)
-    if codes is not None:
-        # a stack of three photos would pass for one in colour
-        if len(photos) == 1 < len(codes) and np.ndim(photos[0]) >= 3:
-            raise ValueError(
-                "photo: give the photos of several codes as a list or tuple, not as one array"
-            )
-        check_codes(codes, photos=len(photos))
-    elif len(photos) > 1 and not method.is_blind:
-        raise ValueError(
-            f"method: {method.name} takes one photo; several of one motion go with"
-            f" {' or '.join(blind_methods())}"
-        )
-
-
-def _check_all(photos: Sequence[ArrayLike], method: Method) -> None:
-    """Refuse photos that the method cannot search, before anything slow is loaded."""
-    if len(photos) == 1 and getattr(method, "codes", None) is None:
-        check_photo(photos[0], method.name)
-        return
-    check_photos(photos, method.name)
-    check_apart(photos)
-
-
-def check_apart(photos: Sequence[ArrayLike]) -> None:
-    """Refuse a photo given twice: its noise would count as agreement.
-
-    Raises
-    ------
-    ValueError
-        If two photos are equal.
-    """
-    for (i, first), (j, second) in combinations(enumerate(photos, 1), 2):
-        if np.array_equal(first, second):
-            raise ValueError(f"photo {j}: is the same as photo {i}; give each photo once")
-
-
-def check_times(codes: Sequence[ShutterCode]) -> None:
-    """Refuse codes that were played at different speeds: they divide one motion in different ways.
-
-    Raises
-    ------
-    ValueError
-        If the codes' chips last differently.
-    """
-    for i, code in enumerate(codes, 1):
-        if code.chip_ns != codes[0].chip_ns:
-            raise ValueError(
-                f"code {i}: its chips last {code.chip_ns} ns, those of the first one"
-                f" {codes[0].chip_ns} ns; photos of one motion need codes of one duration"
-            )
-
-
 def _as_light(photo: ArrayLike) -> FloatArray:
     """Return the photo as floating point: large ones come in single precision, and stay so."""
     pixels = np.asarray(photo)
     if pixels.dtype == np.float32:
         return pixels
     return pixels.astype(np.float64, copy=False)
-
-
-def check_photo(photo: ArrayLike, method: str) -> None:
-    """Refuse a photo that is too small for a method, or without texture.
-
-    Parameters
-    ----------
-    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
-    method : str
-        Name of a registered method.
-
-    Raises
-    ------
-    ValueError
-        If a side is too short, or the photo is constant, black or white.
-    """
-    check_size(photo, least_px=METHODS[method].smallest_px)
-    check_texture(photo)
-
-
-def check_photos(photos: Sequence[ArrayLike], method: str) -> None:
-    """Check each of several photos as :func:`check_photo` does.
-
-    Raises
-    ------
-    ValueError
-        Beginning with ``photo:``, where there are several with ``photo 2:``, what is wrong with
-        it.
-    """
-    names = ["photo"]
-    if len(photos) > 1:
-        names = [f"photo {i}" for i in range(1, len(photos) + 1)]
-    for name, photo in zip(names, photos, strict=True):
-        try:
-            check_photo(photo, method)
-        except ValueError as error:
-            raise ValueError(f"{name}: {str(error).removeprefix('photo: ')}") from None
-
-
-def check_texture(photo: ArrayLike) -> None:
-    """Refuse a photo that is constant, black or white.
-
-    Raises
-    ------
-    ValueError
-        If the photo's values span less than two steps of 8 bit.
-    """
-    pixels = np.asarray(photo)
-    darkest = float(pixels.min())  # not the mean: a lone light on a dark ground has texture
-    brightest = float(pixels.max())
-    if brightest - darkest >= _LEAST_CONTRAST:
-        return
-    shade = "the same"
-    if brightest < _LEAST_CONTRAST:
-        shade = "black"
-    elif darkest > 1 - _LEAST_CONTRAST:
-        shade = "white"
-    raise ValueError(
-        f"the photo is {shade} all over: motion shows only where the scene has texture"
-    )

@@ -2,41 +2,34 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
-import signal
 import time
-import warnings
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
-from importlib.util import find_spec
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from joblib import Parallel, cpu_count, delayed, parallel_config
-from joblib.externals.loky.process_executor import TerminatedWorkerError
+from joblib import cpu_count
 
 from cep.calibration.calibrate import (
     CALIBRATION_FILES,
     Calibration,
     check_method,
-    estimate_motion,
-    read_options,
 )
 from cep.calibration.folder_photos import photos_in, printable_name, sharp_of, unreadable
+from cep.calibration.folder_processes import (
+    PhotoEstimate,
+    PhotoTask,
+    content_hash,
+    estimate_photos,
+)
 from cep.files.images import parse_gamma, read_image, read_photo
 from cep.files.tables import csv_lines
-from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.registry import METHODS, blind_methods
+from motdiff.estimators.registry import METHODS
 from motdiff.files.json_files import plain
 from motdiff.files.outputs import claim_folder, new_files, write_text
-from motdiff.files.plugins import is_reference
-from motdiff.processes import end_with_parent
 from motdiff.progress import in_words
-from motdiff.threads import one_thread
 
 NOT_REACHED = "left out"
 """The ``failure`` of a photo that was not reached, after Ctrl-C."""
@@ -56,7 +49,6 @@ _COLUMNS = (
     "warnings",
     "failure",
 )
-_DIED = "its process died: not enough memory, or a crash in compiled code"
 
 
 @dataclass(frozen=True)
@@ -84,41 +76,6 @@ class FolderResults:
     rows: Sequence[Mapping[str, Any]]
     missing: int
     warnings: Sequence[str]
-
-
-@dataclass(frozen=True)
-class _Task:
-    """A photo and how its motion is estimated, as a process is given it."""
-
-    photo: Path
-    method: str
-    options: Mapping[str, Any]
-    gamma: str
-    seed: int
-
-    def key(self) -> str:
-        """Fingerprint of all that makes the estimate: files by their content."""
-        from cep import __version__
-
-        options = dict(self.options)
-        for name, value in options.items():
-            if isinstance(value, Path):
-                options[name] = _content(value)
-        code = _code_of(self.method)
-        photo = _content(self.photo)
-        # another version may estimate otherwise
-        parts = [__version__, photo, self.method, code, options, self.gamma, self.seed]
-        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
-
-
-@dataclass(frozen=True)
-class _Estimated:
-    """The motion in a photo with the warnings about both, or the reason why there is none."""
-
-    estimate: MotionEstimate | None
-    warnings: tuple[str, ...] = ()
-    seconds: float = 0.0
-    failure: str = ""
 
 
 def calibrate_folder(
@@ -203,7 +160,7 @@ def calibrate_folder(
         if label not in failures:
             if sharps:
                 set_options = set_options | {"sharp": sharps[photo]}
-            tasks[label] = _Task(photo, method, set_options, gamma, seed)
+            tasks[label] = PhotoTask(photo, method, set_options, gamma, seed)
     run = _Run(output, tasks, failures, force=force, progress=progress)
     run.run(workers or cpu_count())
     if force:
@@ -219,7 +176,7 @@ class _Run:
     def __init__(
         self,
         folder: Path,
-        tasks: Mapping[str, _Task],
+        tasks: Mapping[str, PhotoTask],
         failures: Mapping[str, str],
         *,
         force: bool,
@@ -244,10 +201,10 @@ class _Run:
         if self._finished:
             self._progress(len(self._finished) / count, f"{len(self._finished)} of {count} photos")
         started = time.monotonic()
-        in_hand: tuple[str, _Estimated] | None = None
+        in_hand: tuple[str, PhotoEstimate] | None = None
         try:
             # closing ends the processes, also when Ctrl-C or a full disk ends the loop
-            with closing(_estimates(waiting, workers)) as estimates:
+            with closing(estimate_photos(waiting, workers)) as estimates:
                 for number, in_hand in enumerate(estimates, 1):
                     self._write(*in_hand)
                     # by this run alone: photos finished by an earlier one took no time
@@ -274,7 +231,8 @@ class _Run:
                 label = record["photo"]
                 place = self._folder / self._tasks[label].photo.stem
                 is_whole = record["key"] == self._keys[label] and all(
-                    _content(place / name) == content for name, content in record["files"].items()
+                    content_hash(place / name) == content
+                    for name, content in record["files"].items()
                 )
             except (ValueError, KeyError, TypeError, OSError):
                 continue  # a line cut short, a photo that is gone, or a damaged or missing file
@@ -287,7 +245,7 @@ class _Run:
                 }
         return finished
 
-    def _write(self, label: str, estimated: _Estimated) -> None:
+    def _write(self, label: str, estimated: PhotoEstimate) -> None:
         """Write the motion in a photo as ``cep calibrate PHOTO`` does."""
         if estimated.estimate is None:
             self.failures[label] = estimated.failure
@@ -311,7 +269,7 @@ class _Run:
         record = {
             "photo": label,
             "key": self._keys[label],
-            "files": {name: _content(path) for name, path in files.items()},
+            "files": {name: content_hash(path) for name, path in files.items()},
             "result": plain(result),
         }
         # after the photo's files: a record stands for files that are whole
@@ -336,100 +294,6 @@ class _Run:
             f"{label}: {line}" for label, result in finished.items() for line in result["warnings"]
         ]
         return FolderResults(self._folder, summary, finished, rows, missing, lines)
-
-
-def _estimates(
-    tasks: Mapping[str, _Task], workers: int
-) -> Generator[tuple[str, _Estimated], None, None]:
-    """Yield the estimates as they are made, in this process or in others of one thread each."""
-    if workers == 1 or len(tasks) < 2:  # processes would cost the seconds of loading torch
-        for label, task in tasks.items():
-            yield label, _estimated(task)
-        return
-    waiting = dict(tasks)
-    while waiting:
-        try:
-            with closing(_in_processes(waiting, workers)) as estimates:
-                for label, estimated in estimates:
-                    del waiting[label]
-                    yield label, estimated
-        except TerminatedWorkerError:
-            # one of the photos that were handed out ended its process: each alone shows which
-            for label in list(islice(waiting, 2 * workers)):  # as many as pre_dispatch hands out
-                task = waiting.pop(label)
-                try:
-                    yield from _in_processes({label: task}, workers)
-                except TerminatedWorkerError:
-                    yield label, _Estimated(None, failure=_DIED)
-
-
-def _in_processes(
-    tasks: Mapping[str, _Task], workers: int
-) -> Generator[tuple[str, _Estimated], None, None]:
-    beginning = {"initializer": _begin_worker, "initargs": (os.getpid(),)}
-    with (
-        parallel_config("loky", n_jobs=workers, inner_max_num_threads=1, **beginning),
-        warnings.catch_warnings(),
-    ):
-        # loky restarts processes whose memory has grown, as PyTorch's does, and warns of it;
-        # joblib warns of the photos that Ctrl-C leaves out
-        warnings.simplefilter("ignore", UserWarning)
-        # one photo a batch: each is written as soon as its motion is found
-        run = Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=2 * workers)
-        stream = run(delayed(_in_folder)(Path.cwd(), label, task) for label, task in tasks.items())
-        try:
-            yield from stream
-        finally:
-            stream.close()
-
-
-def _begin_worker(parent: int) -> None:
-    # a terminal sends Ctrl-C to this process too; joblib ends it
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent(parent)
-
-
-def _in_folder(folder: Path, label: str, task: _Task) -> tuple[str, _Estimated]:
-    os.chdir(folder)  # joblib's processes may be those of an earlier run in another folder
-    return label, _estimated(task)
-
-
-def _estimated(task: _Task) -> _Estimated:
-    """Estimate the motion in a photo; an exception becomes the reason of a failure."""
-    # as many as there are workers run at once, and sums must not depend on how many do
-    threads: AbstractContextManager[None] = nullcontext()
-    if task.method in blind_methods():
-        threads = one_thread()
-    try:
-        photo = read_photo(task.photo, gamma=task.gamma)
-        values = read_options(task.method, task.options, gamma=task.gamma)
-        started = time.perf_counter()
-        with threads:
-            estimate = estimate_motion(photo.pixels, method=task.method, seed=task.seed, **values)
-        seconds = time.perf_counter() - started
-    except Exception as error:  # whatever a photo or a user-defined estimator raises
-        text = str(error)
-        if not text or not isinstance(error, ValueError | RuntimeError):
-            text = f"{type(error).__name__}: {error}".removesuffix(": ")
-        # one line without the photo's name, which stands in the table beside it
-        return _Estimated(None, failure=" ".join(text.removeprefix(f"{task.photo}: ").split()))
-    notes = [line.removeprefix(f"{task.photo}: ") for line in photo.warnings]
-    return _Estimated(estimate, (*notes, *estimate.warnings), seconds)
-
-
-def _content(path: Path) -> str:
-    """Fingerprint of a file's content."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _code_of(method: str) -> str:
-    """Fingerprint of a user-defined estimator's module; that of others is the version's."""
-    if not is_reference(method):
-        return ""
-    spec = find_spec(method.partition(":")[0])
-    if spec is None or spec.origin is None:  # no file to tell versions by
-        return ""
-    return _content(Path(spec.origin))
 
 
 def _csv(rows: Sequence[Mapping[str, Any]]) -> str:

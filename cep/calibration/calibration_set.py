@@ -12,7 +12,7 @@ import numpy as np
 
 from cep.calibration.order_codes import search_order_codes
 from cep.calibration.order_separation import BLIND_ERROR, OrderSeparation, ordered_walks
-from cep.files.files import StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.search.feasibility import check_feasible
 from cep.search.limits import Limits, RunLimits

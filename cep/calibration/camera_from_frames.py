@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.files.images import RAW_SUFFIXES, read_codes, read_mosaic
+from cep.files.images import read_codes
+from cep.files.raw_files import RAW_SUFFIXES, read_mosaic
 from cep.optics.camera import Camera
 from cep.optics.frame_pairs import CodeRange, FramePair, find_code_range
 from cep.optics.photon_transfer import PhotonTransfer, photon_transfer

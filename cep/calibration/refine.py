@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cep.calibration.calibrate import check_apart, check_photos, check_times
+from cep.calibration.photo_checks import check_apart, check_photos, check_times
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.optics.path_limits import check_resolved

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cep.codes.published import published
-from cep.files.files import StoredCode, read_code
+from cep.files.code_files import StoredCode, read_code
 from cep.optics.code import ShutterCode
 from motdiff.files.plugins import is_reference, load_object
 

@@ -24,7 +24,7 @@ from cep.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from cep.files.files import StoredCode
+    from cep.files.code_files import StoredCode
     from cep.optics.camera import Camera
     from cep.optics.code import ShutterCode
     from cep.plots.mtf_curves import MtfComparison

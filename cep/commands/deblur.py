@@ -139,8 +139,8 @@ def deblur(options: DeblurOptions) -> None:
         check_image_name(target)
         outputs = claim([target], force=options.force, inputs=[options.image])
 
-        from cep.calibration.calibrate import check_photo, check_texture
-        from cep.files.files import load_psf
+        from cep.calibration.photo_checks import check_photo, check_texture
+        from cep.files.psf_files import load_psf
         from cep.optics.path_limits import check_resolved
         from cep.restoration.restore import restore
 

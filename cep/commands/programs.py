@@ -10,7 +10,7 @@ import typer
 from cep.commands.options import ChipNs, CodeSource
 
 if TYPE_CHECKING:
-    from cep.files.files import StoredCode
+    from cep.files.code_files import StoredCode
     from hw.device import DeviceProfile
     from hw.drivers.cxp import Controller
     from hw.program import Program
@@ -82,7 +82,7 @@ class PlayableCode(TimedCode):
 
         A ValueError lists every limit of it that the program breaks.
         """
-        from cep.files.files import stored_device
+        from cep.files.code_files import stored_device
         from hw.device import load_profile
 
         if self.device is None:

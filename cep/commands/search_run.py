@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from cep.files.files import StoredCode
+    from cep.files.code_files import StoredCode
     from cep.optics.code import ShutterCode
     from motdiff.files.outputs import Outputs
 
@@ -21,7 +21,7 @@ def saved_on_interrupt(outputs: Outputs) -> Iterator[Callable[[Mapping[Path, Sto
     """
     from dataclasses import replace
 
-    from cep.files.files import write_code
+    from cep.files.code_files import write_code
 
     codes: dict[Path, StoredCode] = {}
     try:

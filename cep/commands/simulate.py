@@ -57,8 +57,8 @@ def simulate(options: SimulateOptions) -> None:
         import numpy as np
 
         from cep.codes.sources import load_code
-        from cep.files.files import PSF_SUFFIXES, write_psf
         from cep.files.images import check_image_name, parse_gamma, read_photo, write_image
+        from cep.files.psf_files import PSF_SUFFIXES, write_psf
         from cep.optics.capture import capture
         from cep.optics.code import ShutterCode
         from cep.optics.exposure import coded_psf

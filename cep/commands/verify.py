@@ -110,7 +110,7 @@ def _verify_stored(options: VerifyOptions) -> None:
 
 def _verify_recording(options: VerifyOptions, capture: Path) -> None:
     from cep.codes.sources import code_file
-    from cep.files.files import stored_device
+    from cep.files.code_files import stored_device
     from cep.shutter.playback import playback_files, read_playback
     from motdiff.files.outputs import Outputs, claim
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from cep.calibration.calibrate import CALIBRATION_FILES, Calibration
-from cep.files.files import DEMO_SCHEMA, StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.files.images import write_image
 from cep.report.demo_chain import Chain
 from cep.report.page import PICTURE_FILES, html, pictures
@@ -18,6 +18,7 @@ from hw.program import Program
 from motdiff.files.json_files import json_text
 from motdiff.files.outputs import new_folder, write_text
 
+DEMO_SCHEMA = "cep.demo/1"
 _PHOTOS = {"blurred.png": "open", "coded.png": "coded"}
 _SET = ("calibration_2.png", "calibration_3.png", "calibration_4.png")
 _RESTORED = {

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cep.files.files import StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import HOPELESS_DB
 from cep.proofs.measure import CodeMetrics

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cep.files.files import PSF_SUFFIXES, StoredCode, write_code, write_psf
+from cep.files.code_files import StoredCode, write_code
+from cep.files.psf_files import PSF_SUFFIXES, write_psf
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.optics.response import ShutterResponse

@@ -9,13 +9,19 @@ from typing import Any
 import numpy as np
 
 import cep
-from cep.files.files import StoredCode, read_code, read_json, stored_device
+from cep.files.code_files import StoredCode, read_code, stored_device
 from cep.files.formatting import seconds_of
 from cep.studio.catalogue import shutter_name
 from cep.studio.fields import FieldError, nameless
 from cep.studio.state import path_fields, read_state, saved_setting
 from cep.studio.views import STUDIO_SCHEMA, Views
-from motdiff.files.json_files import json_text, stated_schema
+from motdiff.files.json_files import (
+    fault,
+    json_text,
+    load_schema,
+    read_versioned,
+    stated_schema,
+)
 from motdiff.files.outputs import claim_folder, new_folder, write_text
 from motdiff.files.trajectories import read_motion, stated_uncertainty_px
 from motdiff.gyro import DEFAULT_AXES, trajectory_from_gyro
@@ -23,6 +29,14 @@ from motdiff.trajectory import check_length
 
 EXTRACTED = ("trajectory.json", "code.json", "commands.sh")  # by extract
 _PATH_PX = 0.01  # by which a motion may differ that another version of the library drew
+
+
+def read_document(path: Path | str) -> dict[str, Any]:
+    """Read a document that a page has saved, and check it against its schema."""
+    document = read_versioned(path, STUDIO_SCHEMA)
+    if (wrong := fault(document, load_schema("cep.files", "studio"))) is not None:
+        raise ValueError(f"{path}: {wrong}")
+    return document
 
 
 def opened_document(file: Path) -> dict[str, Any]:
@@ -97,7 +111,7 @@ def extract(file: Path, folder: Path, *, force: bool = False) -> list[Path]:
         If the file is no studio file, its trajectory or code is not the one of its state, or the
         folder holds such files and ``force`` is not given.
     """
-    document = read_json(file, schema=STUDIO_SCHEMA)
+    document = read_document(file)
     state = _checked(document["state"], file)
     claim_folder(folder, EXTRACTED, force=force)
     try:
@@ -132,7 +146,7 @@ def _opened_code(stored: StoredCode) -> dict[str, Any]:
 
 def stored_state(file: Path) -> dict[str, Any]:
     """Read the state of a page out of a studio file; ValueError where it is none."""
-    return _checked(read_json(file, schema=STUDIO_SCHEMA)["state"], file)
+    return _checked(read_document(file)["state"], file)
 
 
 def _checked(state: object, file: Path) -> dict[str, Any]:

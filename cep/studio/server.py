@@ -23,7 +23,7 @@ from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 from threadpoolctl import threadpool_limits
 
-from cep.files.images import RAW_SUFFIXES
+from cep.files.raw_files import RAW_SUFFIXES
 from cep.optics.camera import Camera
 from cep.studio import catalogue
 from cep.studio.documents import opened_document, opened_gyro

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 
-from cep.files.images import RAW_SUFFIXES
+from cep.files.raw_files import RAW_SUFFIXES
 from cep.studio.fields import FieldError, disk_error
 
 _KEPT = 8  # photos; the oldest goes first

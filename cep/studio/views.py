@@ -14,7 +14,7 @@ import numpy as np
 
 import cep
 from cep.codes.published import names
-from cep.files.files import StoredCode, code_document
+from cep.files.code_files import StoredCode, code_document
 from cep.files.formatting import duration
 from cep.files.images import encode_image
 from cep.optics.camera import camera_names

@@ -8,9 +8,12 @@ import sys
 from pathlib import Path
 
 from cep.calibration.calibrate import CALIBRATION_FILES
-from cep.files.files import CODE_SCHEMA, DEMO_SCHEMA, FRONT_SCHEMA, PSF_SUFFIXES
+from cep.files.code_files import CODE_SCHEMA
 from cep.files.images import PICTURE_SUFFIXES
+from cep.files.psf_files import PSF_SUFFIXES
+from cep.report.demo import DEMO_SCHEMA
 from lab.bench.table_io import TABLES_SCHEMA
+from lab.fronts.run import FRONT_SCHEMA
 from motdiff.files.trajectories import SCHEMA as MOTION_SCHEMA
 
 _FIGURED = (TABLES_SCHEMA, FRONT_SCHEMA)
@@ -88,7 +91,7 @@ def _has_motion(folder: Path) -> bool:
 
 
 def _has_psf(folder: Path, stem: str) -> bool:
-    """Whether there is a PSF in the formats of :func:`cep.files.files.write_psf`."""
+    """Whether there is a PSF in the formats of :func:`cep.files.psf_files.write_psf`."""
     if not all((folder / f"{stem}{suffix}").is_file() for suffix in PSF_SUFFIXES):
         return False
     path = folder / f"{stem}.mat"

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from cep.codes.published import for_chips
-from cep.files.files import FRONT_SCHEMA
 from cep.optics.mtf import HOPELESS_DB
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.plots.canvas import save
@@ -26,6 +25,8 @@ from lab.fronts.pareto import front_points, pareto_front
 from lab.fronts.plot import pareto_figure
 from motdiff.files.json_files import json_text
 from motdiff.files.outputs import new_files, write_text
+
+FRONT_SCHEMA = "cep.front/1"
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cep.commands.code_options import openings
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from cep.optics.band import band_samples
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode

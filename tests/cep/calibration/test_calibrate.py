@@ -10,13 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cep.calibration.calibrate import (
-    CALIBRATION_FILES,
-    Calibration,
-    estimate_motion,
-)
-from cep.files.files import read_psf
+from cep.calibration.calibrate import CALIBRATION_FILES, Calibration, estimate_motion
 from cep.files.images import read_image, write_image
+from cep.files.psf_files import read_psf
 from cep.optics.code import ShutterCode
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.method import is_needed

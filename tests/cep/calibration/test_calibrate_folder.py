@@ -14,8 +14,8 @@ from cep.calibration.calibrate_folder import calibrate_folder
 from cep.calibration.folder_photos import photos_in, sharp_of
 from cep.commands.console import FAILURE, INTERRUPTED
 from cep.files import images
-from cep.files.files import read_psf
 from cep.files.images import write_image
+from cep.files.psf_files import read_psf
 from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
@@ -323,7 +323,7 @@ def test_a_photo_that_goes_meanwhile_loses_no_other(cep, shots, guesses, monkeyp
             raise FileNotFoundError(2, "No such file or directory", str(path))
         return real(path, **options)
 
-    monkeypatch.setattr("cep.calibration.calibrate_folder.read_photo", vanishing)
+    monkeypatch.setattr("cep.calibration.folder_processes.read_photo", vanishing)
     cep(*REFERENCE, "--json")
     assert cep.code == FAILURE
     assert list(cep.json["failures"]) == ["b.tif"]

@@ -8,7 +8,7 @@ import pytest
 
 from cep.calibration.calibration_set import calibration_set, set_files
 from cep.codes.sources import load_codes
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from hw.device import load_profile
 from hw.export import EXPORTERS
 from hw.program import Program

@@ -1,7 +1,7 @@
 """Codes by their bits, files and names."""
 
 from cep.codes.sources import load_codes
-from cep.files.files import StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 
 

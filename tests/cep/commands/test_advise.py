@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cep.commands.code_options import exposure_seconds
-from cep.files.files import StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.files.images import read_image
 from cep.optics.code import ShutterCode
 from cep.search.chip_count import COUNTS

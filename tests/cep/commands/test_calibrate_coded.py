@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from cep.files.files import StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.files.images import write_image
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from fuzz_readers import dng
 
-from cep.files.images import read_mosaic, write_image
+from cep.files.images import write_image
+from cep.files.raw_files import read_mosaic
 from cep.optics.camera import Camera, camera_names
 
 GAIN = 2.5

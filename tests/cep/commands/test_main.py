@@ -18,8 +18,9 @@ from scipy.io import savemat
 from cep.codes.sources import load_code
 from cep.commands import console
 from cep.commands.main import app
-from cep.files.files import read_code, read_psf
+from cep.files.code_files import read_code
 from cep.files.images import read_image, read_photo, write_image
+from cep.files.psf_files import read_psf
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf, coded_psf
 from cep.proofs.measure import measure
@@ -628,7 +629,7 @@ def test_deblur_finds_the_reversed_direction(cep, workplace):
 
 
 def test_deblur_with_a_psf_and_without_a_code(cep, workplace):
-    from cep.files.files import write_psf
+    from cep.files.psf_files import write_psf
 
     write_psf(".", read_motion("trajectory.json").trajectory.psf())
     for method in ("wiener", "inverse", "tv", "l0", "pnp"):

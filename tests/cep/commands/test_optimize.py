@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from cep.commands.optimize import OptimizeOptions
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import standard_moves
 from cep.search.problem import SearchProblem

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from cep.report.demo import DEMO_FILES
 from motdiff.files.trajectories import read_motion
 
@@ -75,6 +75,7 @@ WORK = (
 
 BINDING = (
     "cep.calibration.calibrate_folder.",
+    "cep.calibration.folder_processes.",
     "cep.search.optimize.",
 )
 """Modules that bind some of these names when they are imported, which must not be while they are

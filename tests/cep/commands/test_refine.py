@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep.files.files import StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.files.images import read_image, write_image
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode

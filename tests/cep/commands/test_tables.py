@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cep.files.files import StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from emulators.cxp_controller import CxpController
 
-from cep.files.files import StoredCode, read_code, write_code
+from cep.files.code_files import StoredCode, read_code, write_code
 from cep.optics.code import ShutterCode
 from hw.device import DeviceProfile
 from hw.export import EXPORTERS

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from emulators.cxp_controller import CxpController
 
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from hw.program import Program
 
 CODE = ("110100100011", "--chip-ns", "200000")

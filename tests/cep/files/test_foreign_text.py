@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cep.commands.console import Table, complain, print_page, progress
-from cep.files.files import StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.files.foreign_text import (
     csv_text,
     in_code_span,

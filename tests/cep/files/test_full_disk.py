@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from full_disk import failing_rename, full_disk
 
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from cep.plots.canvas import new_figure
 from cep.search.problem import SearchProblem
 from lab.fronts import pareto

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from cep.files.images import read_photo
 from cep.optics.camera import Camera
 from cep.report.demo import DEMO_FILES, write_demo

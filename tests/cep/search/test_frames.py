@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.frames import frames_verdict, optimize_frames

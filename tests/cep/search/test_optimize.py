@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from cep.optics.camera import Camera
 from cep.proofs.verify.certificates import verify
 from cep.search.limits import RunLimits

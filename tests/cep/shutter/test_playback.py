@@ -4,7 +4,7 @@ or none."""
 import numpy as np
 import pytest
 
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.shutter.playback import playback_files, read_playback

@@ -14,7 +14,8 @@ from hostile_requests import hostile
 from starlette.requests import ClientDisconnect
 
 import cep
-from cep.files.images import RAW_SUFFIXES, encode_image, read_image
+from cep.files.images import encode_image, read_image
+from cep.files.raw_files import RAW_SUFFIXES
 from cep.search.verdict import verdict
 from cep.studio import server
 from cep.studio.jobs import BusyError

@@ -5,12 +5,14 @@ import pytest
 from scipy.io import savemat
 
 from cep.calibration.calibrate import CALIBRATION_FILES
-from cep.files.files import DEMO_SCHEMA, FRONT_SCHEMA, StoredCode, write_code, write_psf
+from cep.files.code_files import StoredCode, write_code
 from cep.files.images import read_image, write_image
+from cep.files.psf_files import write_psf
 from cep.optics.code import ShutterCode
-from cep.report.demo import DEMO_FILES
+from cep.report.demo import DEMO_FILES, DEMO_SCHEMA
 from lab.bench.datasets import bundled_photos, crop, layout_of, photo_folder, pick
 from lab.bench.table_io import Provenance, made_json
+from lab.fronts.run import FRONT_SCHEMA
 from motdiff.files.trajectories import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cep.commands.console import FAILURE, INTERRUPTED
-from cep.files.files import StoredCode, write_code
+from cep.files.code_files import StoredCode, write_code
 from cep.files.images import read_image, write_image
 from cep.optics.code import ShutterCode
 from cep.search import recipe

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from motdiff.files.trajectories import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep.files.files import read_code
+from cep.files.code_files import read_code
 from cep.optics.code import ShutterCode
 from cep.search.annealing.frames import joint_figures
 from cep.search.problem import SearchProblem

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cep.codes.published import PUBLISHED, names
-from cep.files.files import StoredCode, read_code, write_code
+from cep.files.code_files import StoredCode, read_code, write_code
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.certificate import BOTH, FORWARD, Certificate, certify
 from cep.proofs.verify.certificates import verify

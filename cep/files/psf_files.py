@@ -1,10 +1,8 @@
-"""Files of codes (``code.json``) and of PSFs."""
+"""PSF files: ``.npy``, ``.mat`` and pictures, in and out, and doubts about what they hold."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
@@ -14,17 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cep.files.images import read_photo
-from cep.optics.code import ShutterCode
-from hw.device import DeviceProfile, load_profile
 from motdiff.crops import luminance
 from motdiff.files.inputs import one_line, regular_file
-from motdiff.files.json_files import fault, json_text, load_schema, read_versioned
 from motdiff.files.mat_files import levin_psf, read_mat
-from motdiff.files.outputs import new_files, write_bytes, write_text
+from motdiff.files.outputs import new_files, write_bytes
 
-CODE_SCHEMA = "cep.code/1"
-DEMO_SCHEMA = "cep.demo/1"
-FRONT_SCHEMA = "cep.front/1"
 PSF_SUFFIXES = (".npy", ".mat", ".png")
 # how far a centre of mass may be off the middle without a doubt
 _OFF_MIDDLE_PX = 1.0  # of an open shutter's PSF
@@ -35,97 +27,6 @@ _VEIL = 0.05  # share of the light in it
 _VEIL_LEVEL = 0.5  # share of the peak
 _MAT_TEXT = b"MATLAB 5.0 MAT-file, written by coded-exposure"  # "MAT-File Format", MathWorks
 _MAT_TEXT_BYTES = 116
-
-
-@dataclass(frozen=True)
-class StoredCode:
-    """Content of a code file.
-
-    Attributes
-    ----------
-    code : ShutterCode
-    metrics : mapping
-        Figures of :func:`cep.proofs.measure.measure`.
-    problem : mapping
-        Search problem: trajectory, limits, objective, seed.
-    certificate : mapping
-        Proof of the minimum, where there is one.
-    """
-
-    code: ShutterCode
-    metrics: Mapping[str, Any] = field(default_factory=dict)
-    problem: Mapping[str, Any] = field(default_factory=dict)
-    certificate: Mapping[str, Any] = field(default_factory=dict)
-
-
-def write_code(path: Path | str, stored: StoredCode) -> None:
-    """Write ``stored`` as JSON (schema ``cep.code/1``), whole or not at all."""
-    write_text(path, json_text(code_document(stored)))
-
-
-def code_document(stored: StoredCode) -> dict[str, Any]:
-    """Return the content of a code file."""
-    return {
-        "schema": CODE_SCHEMA,
-        "bits": stored.code.bits,
-        "chip_ns": stored.code.chip_ns,
-        "metrics": stored.metrics,
-        "problem": stored.problem,
-        "certificate": stored.certificate,
-    }
-
-
-def read_code(path: Path | str) -> StoredCode:
-    """Read a code file; a ValueError names the file where it is none."""
-    document = read_versioned(path, CODE_SCHEMA)
-    bits: Any = document.get("bits")
-    chip_ns: Any = document.get("chip_ns")
-    if isinstance(chip_ns, float) and chip_ns.is_integer():
-        chip_ns = int(chip_ns)  # as some programs write whole numbers
-    code = None
-    try:
-        if isinstance(bits, str) and "chip_ns" in document:
-            code = ShutterCode(bits, chip_ns)
-    except (TypeError, ValueError) as error:  # says which chip is wrong, as a schema cannot
-        raise ValueError(f"{path}: {one_line(error)}") from None
-    if (wrong := fault(document, load_schema("cep.files", "code"))) is not None or code is None:
-        raise ValueError(f"{path}: {wrong}")
-    about = (document.get(name) or {} for name in ("metrics", "problem", "certificate"))
-    return StoredCode(code, *about)
-
-
-def stored_device(stored: StoredCode, *, source: str) -> DeviceProfile | None:
-    """Return the profile of the shutter that a code was searched for, None where there is none.
-
-    Parameters
-    ----------
-    stored : StoredCode
-    source : str
-        Its file, for messages.
-    """
-    device = stored.problem.get("device")
-    if device is None:
-        return None
-    try:
-        if isinstance(device, str):
-            return load_profile(device)
-        return DeviceProfile.from_dict(device, source="its device")
-    except ValueError as error:
-        raise ValueError(
-            f"{source}: {error}; --device NAME|FILE says which shutter it is for"
-        ) from None
-
-
-def read_json(path: Path | str, *, schema: str) -> dict[str, Any]:
-    """Read a JSON object, and check it against its schema in ``cep/files/schemas``."""
-    document = read_versioned(path, schema)
-    name = schema.removeprefix("cep.").partition("/")[0]
-    if (wrong := fault(document, load_schema("cep.files", name))) is not None:
-        raise ValueError(f"{path}: {wrong}")
-    return document
-
-
-# -- PSFs -----------------------------------------------------------------------------------------
 
 
 def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple[Path, Path, Path]:
