@@ -43,7 +43,8 @@ def test_children_of_a_background_job_can_be_interrupted(tmp_path):
                 ".",
             ],
             cwd=tmp_path,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])},
+            env=os.environ
+            | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests/helpers")])},
             capture_output=True,
             text=True,
             timeout=120,

@@ -24,7 +24,9 @@ class Cluster:
         contact = folder / "scheduler.json"
         environment = {
             **os.environ,
-            "PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "tests"))),
+            "PYTHONPATH": os.pathsep.join(
+                map(str, (ROOT, ROOT / "tests", ROOT / "tests/helpers"))
+            ),
         }
         self._folder = folder
         self._environment = environment
@@ -38,7 +40,9 @@ class Cluster:
         if root is not None:
             environment = {
                 **environment,
-                "PYTHONPATH": os.pathsep.join(map(str, (root, ROOT / "tests"))),
+                "PYTHONPATH": os.pathsep.join(
+                    map(str, (root, ROOT / "tests", ROOT / "tests/helpers"))
+                ),
             }
         options = (
             "--no-nanny",

@@ -47,6 +47,7 @@ _TAKING = (
     "lab.bench.datasets",  # the crop
     "motdiff.simulate",
     "cep.files.images",  # gamma
+    "cep.files.raw_files",
     "motdiff.files.decoding",
     "motdiff.threads",  # the one thread
 )

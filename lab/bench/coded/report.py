@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 from cep.files.foreign_text import in_code_span, markdown_text
 from lab.bench.coded.designs import DESIGNS
+from lab.bench.coded.estimates import ESTIMATORS
 from lab.bench.coded.picture import coded_figure
 from lab.bench.coded.protocol import CodedProtocol
-from lab.bench.coded.run import ESTIMATORS, CodedTable
+from lab.bench.coded.run import CodedTable
 from lab.bench.coded.tables import coded_tables, harmed, shots_csv
 from lab.bench.harness import Report, file_names, report_of_means, warning_lines
 from lab.bench.table_io import Provenance, means_in_words

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,30 +13,36 @@ import numpy as np
 from cep.optics.code import ShutterCode
 from lab.bench.coded.calibrations import (
     CALIBRATIONS,
-    POINT,
     motion_from_codes,
     motion_from_light,
     set_of_codes,
 )
-from lab.bench.coded.designs import DESIGNS, USUAL_DESIGNS, MotionPrior, design_of
+from lab.bench.coded.designs import DESIGNS, USUAL_DESIGNS, MotionPrior
+from lab.bench.coded.estimates import (
+    ESTIMATORS,
+    Estimates,
+    assumed_path,
+    kinds_needed,
+    motion_prior,
+)
 from lab.bench.coded.protocol import (
     CodedProtocol,
     class_motions,
     drawn_motions,
-    paths_from,
     paths_to,
 )
 from lab.bench.coded.stages import choose_code, kernel_of, motion_of, photo_of
+from lab.bench.coded.versions import (
+    code_version,
+    kernel_version,
+    motion_version,
+    photo_version,
+    set_version,
+)
 from lab.bench.datasets import Cut
 from lab.jobs.cells import Cell, Figure
 from lab.jobs.engine import Engine, Outcome
-from lab.jobs.fingerprint import source_version
-from lab.weights import PATH_WEIGHTS
-from motdiff.files.plugins import is_reference
 from motdiff.simulate import border_px
-from motdiff.tracing.quadratic import nearest_quadratic
-from motdiff.trajectory import Trajectory
-from motdiff.weights import MOTDIFF_FILES
 
 _NAME = re.compile(r"[\w.+-]+")
 _STAGES = {  # of the progress
@@ -338,7 +344,7 @@ def _cell_name(
 
 def _sets(protocol: CodedProtocol, kinds: Sequence[str], stages: _Stages) -> Mapping[str, str]:
     """Codes of each kind of calibration by coded photos; a kind whose set failed is left out."""
-    version = source_version(["cep.calibration.calibration_set"], alone=[_CALIBRATIONS])
+    version = set_version()
     cells = [
         Cell(
             ("set", kind),
@@ -427,138 +433,3 @@ def _seed(protocol: CodedProtocol, photo: str, index: int) -> int:
     return int(
         np.random.SeedSequence([protocol.seed, index, *photo.encode()]).generate_state(1)[0]
     )
-
-
-ESTIMATORS = {"ours": "motdiff", "parametric": "parametric"}
-"""Estimator behind each kind of path that is estimated from an open photo of the scene."""
-
-Estimates = Mapping[tuple[str, str, int], Mapping[str, Figure]]
-"""Figures of each estimate by kind, photo and motion; empty where it failed."""
-
-
-def kinds_needed(protocol: CodedProtocol, designs: Sequence[str]) -> list[str]:
-    """List the kinds of estimates and calibrations that designs or their restoration need."""
-    kinds = {design_of(name).path for name in designs}
-    if protocol.restored_by == "estimate":
-        kinds |= {_restored_by(name) for name in designs}
-    return [kind for kind in (*ESTIMATORS, *CALIBRATIONS, POINT) if kind in kinds]
-
-
-def motion_prior(
-    design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int
-) -> MotionPrior | None:
-    """Motion prior of a design for one motion; None where its estimate failed."""
-    path = DESIGNS[design].path
-    if path == "none":
-        return MotionPrior()
-    if path == "length":
-        return MotionPrior(length_px=truth.length_px)
-    if path == "true":
-        return MotionPrior((truth,), (1.0,))
-    if path == "parametric oracle":
-        return MotionPrior((nearest_quadratic(truth).trajectory(),), (1.0,))
-    figures = estimates[path, photo, index]
-    return MotionPrior(*paths_from(str(figures["paths"]))) if figures else None
-
-
-def assumed_path(
-    protocol: CodedProtocol,
-    design: str,
-    truth: Trajectory,
-    estimates: Estimates,
-    photo: str,
-    index: int,
-) -> str | None:
-    """Path given to the restoration; None when it has the true PSF or a kernel, empty when the
-    estimate failed.
-    """
-    if protocol.restored_by in ("psf", "blind") or design_of(design).path == "true":
-        return None
-    if protocol.restored_by == "path":
-        if design_of(design).uses_truth:
-            return None  # its code is made for one direction
-        return paths_to([replace(truth, direction="unknown")], [1.0])
-    path = _restored_by(design)
-    if path == "parametric oracle":
-        return paths_to([nearest_quadratic(truth).trajectory()], [1.0])
-    figures = estimates[path, photo, index]
-    return str(figures["paths"]) if figures else ""
-
-
-def _restored_by(design: str) -> str:
-    # designs without a path need an estimate for the restoration: the best one
-    path = design_of(design).path
-    return "ours" if path in ("none", "class", "length") else path
-
-
-_DENOISER = Path(__file__).parents[3] / "cep/restoration/denoiser/denoiser.safetensors"
-_HERE = "lab.bench.coded"
-_PATHS = f"{_HERE}.protocol"
-_CALIBRATIONS = f"{_HERE}.calibrations"
-_EXPOSED = (
-    _PATHS,
-    f"{_HERE}.stages",
-    "lab.bench.datasets",
-    "lab.bench.psf_text",
-    "cep.files.images",
-    "motdiff.files.decoding",
-    "motdiff.crops",
-)
-"""From the file to the photo."""
-_ESTIMATED: dict[str, tuple[str, tuple[Path, ...]]] = {
-    "motdiff": ("motdiff.estimators.motdiff", MOTDIFF_FILES),
-    "parametric": ("lab.rivals.parametric", (PATH_WEIGHTS,)),
-}
-_LIGHT = "cep.search.light"
-_PUBLISHED = "cep.codes.published"
-_SEARCHED = ("cep.search.annealing.anneal", _LIGHT, _PUBLISHED)  # searches start from both
-_CHOSEN = {
-    "open": ("cep.optics.code",),
-    "snapshot": (_LIGHT,),
-    "class-snapshot": (_LIGHT,),
-    "strobe": (_LIGHT,),
-    "random": (_LIGHT,),
-    "raskar-52": (_PUBLISHED,),
-    "dnf": ("cep.search.dnf", *_SEARCHED),
-    "dce": (_PUBLISHED,),
-}
-
-
-def motion_version(kind: str) -> str:
-    """Cache version of the motions: fingerprint of what finds a kind of path, estimated or
-    calibrated.
-    """
-    shared = ["motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
-    if kind in ESTIMATORS:
-        module, weights = _ESTIMATED[ESTIMATORS[kind]]
-        return source_version(
-            [module, *shared], alone=[*_EXPOSED, "lab.evaluation.methods"], files=weights
-        )
-    module = f"motdiff.estimators.coded.{'trail_estimator' if kind == POINT else 'estimator'}"
-    return source_version([module, *shared], alone=[*_EXPOSED, _CALIBRATIONS])
-
-
-def kernel_version() -> str:
-    """Cache version of the kernels found in the photos themselves."""
-    modules = ["cep.restoration.blind", "motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
-    return source_version(modules, alone=_EXPOSED)
-
-
-def code_version(design: str) -> str:
-    """Cache version of the codes: fingerprint of a design of
-    :data:`lab.bench.coded.designs.DESIGNS`.
-    """
-    return source_version(
-        _CHOSEN.get(design, _SEARCHED), alone=[_PATHS, f"{_HERE}.designs", f"{_HERE}.stages"]
-    )
-
-
-def photo_version(restoration: str) -> str:
-    """Cache version of the photos: fingerprint of capture, restoration and comparison.
-
-    Of a restoration of the user's own, the module that it names counts, and what of ours that
-    module imports.
-    """
-    modules = ["cep.restoration", "cep.proofs.measure", "motdiff.metrics", "motdiff.simulate"]
-    modules += [restoration.partition(":")[0]] if is_reference(restoration) else []
-    return source_version(modules, alone=_EXPOSED, files=[_DENOISER])

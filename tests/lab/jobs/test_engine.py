@@ -156,9 +156,9 @@ def test_interrupted_it_keeps_what_is_finished(cache):
 def test_a_key_press_stops_processes_quietly(cache, log):
     """A terminal sends Ctrl-C to the workers too: no traceback of theirs may appear."""
     code = (
-        f"import sys; sys.path[:0] = {[str(ROOT / 'tests'), str(ROOT)]!r}\nimport bench_work,"
-        " numpy as np; from lab.jobs.cells import Cell; from lab.jobs.engine import"
-        " run_cells\npixels = np.ones((2, 2))\ncells = [Cell((str(n),), bench_work.total,"
+        f"import sys; sys.path[:0] = {[str(ROOT / 'tests/helpers'), str(ROOT)]!r}\n"
+        "import bench_work, numpy as np; from lab.jobs.cells import Cell;"
+        " from lab.jobs.engine import run_cells\npixels = np.ones((2, 2))\ncells = [Cell((str(n),), bench_work.total,"
         f" {{'pixels': n * pixels, 'log': {str(log)!r}, 'slow_s': 0.3}}) for n in"
         f" range(200)]\noutcome = run_cells(cells, cache={str(cache)!r},"
         " workers=2)\nprint(len(outcome.results), outcome.missing)"

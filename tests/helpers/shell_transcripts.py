@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 PROMPTS = ("$ ", "> ")
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 NUMBER = re.compile(r"-?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?")
 SIGNED = re.compile(
     r"\b(gain|lose) N dB"

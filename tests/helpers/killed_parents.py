@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 _START_S = 120.0
 _END_S = 30.0
 
@@ -27,7 +27,7 @@ def outliving(program: str, *, busy: Path, least: int = 1) -> list[str]:
     least : int
         Processes that the program must have had at that moment.
     """
-    paths = f"import sys; sys.path[:0] = {[str(ROOT / 'tests'), str(ROOT)]!r}\n"
+    paths = f"import sys; sys.path[:0] = {[str(ROOT / 'tests/helpers'), str(ROOT)]!r}\n"
     parent = subprocess.Popen([sys.executable, "-c", paths + program], start_new_session=True)
     family = []
     try:

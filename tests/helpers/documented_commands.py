@@ -16,7 +16,7 @@ from cep.commands.main import app
 from lab.commands.main import app as lab_app
 from motdiff.commands import parser
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 GENERATED = {"command-line.md", "overview.md", "works.md"}
 """Pages that the build of the site writes, from the commands and from the README."""
 

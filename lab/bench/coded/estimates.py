@@ -1,0 +1,81 @@
+"""Which motion a design and its restoration know: estimated, calibrated, or the true one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from lab.bench.coded.calibrations import (
+    CALIBRATIONS,
+    POINT,
+)
+from lab.bench.coded.designs import DESIGNS, MotionPrior, design_of
+from lab.bench.coded.protocol import (
+    CodedProtocol,
+    paths_from,
+    paths_to,
+)
+from lab.jobs.cells import Figure
+from motdiff.tracing.quadratic import nearest_quadratic
+from motdiff.trajectory import Trajectory
+
+ESTIMATORS = {"ours": "motdiff", "parametric": "parametric"}
+"""Estimator behind each kind of path that is estimated from an open photo of the scene."""
+
+Estimates = Mapping[tuple[str, str, int], Mapping[str, Figure]]
+"""Figures of each estimate by kind, photo and motion; empty where it failed."""
+
+
+def kinds_needed(protocol: CodedProtocol, designs: Sequence[str]) -> list[str]:
+    """List the kinds of estimates and calibrations that designs or their restoration need."""
+    kinds = {design_of(name).path for name in designs}
+    if protocol.restored_by == "estimate":
+        kinds |= {_restored_by(name) for name in designs}
+    return [kind for kind in (*ESTIMATORS, *CALIBRATIONS, POINT) if kind in kinds]
+
+
+def motion_prior(
+    design: str, truth: Trajectory, estimates: Estimates, photo: str, index: int
+) -> MotionPrior | None:
+    """Motion prior of a design for one motion; None where its estimate failed."""
+    path = DESIGNS[design].path
+    if path == "none":
+        return MotionPrior()
+    if path == "length":
+        return MotionPrior(length_px=truth.length_px)
+    if path == "true":
+        return MotionPrior((truth,), (1.0,))
+    if path == "parametric oracle":
+        return MotionPrior((nearest_quadratic(truth).trajectory(),), (1.0,))
+    figures = estimates[path, photo, index]
+    return MotionPrior(*paths_from(str(figures["paths"]))) if figures else None
+
+
+def assumed_path(
+    protocol: CodedProtocol,
+    design: str,
+    truth: Trajectory,
+    estimates: Estimates,
+    photo: str,
+    index: int,
+) -> str | None:
+    """Path given to the restoration; None when it has the true PSF or a kernel, empty when the
+    estimate failed.
+    """
+    if protocol.restored_by in ("psf", "blind") or design_of(design).path == "true":
+        return None
+    if protocol.restored_by == "path":
+        if design_of(design).uses_truth:
+            return None  # its code is made for one direction
+        return paths_to([replace(truth, direction="unknown")], [1.0])
+    path = _restored_by(design)
+    if path == "parametric oracle":
+        return paths_to([nearest_quadratic(truth).trajectory()], [1.0])
+    figures = estimates[path, photo, index]
+    return str(figures["paths"]) if figures else ""
+
+
+def _restored_by(design: str) -> str:
+    # designs without a path need an estimate for the restoration: the best one
+    path = design_of(design).path
+    return "ours" if path in ("none", "class", "length") else path
