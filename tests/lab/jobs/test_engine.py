@@ -158,7 +158,8 @@ def test_a_key_press_stops_processes_quietly(cache, log):
     code = (
         f"import sys; sys.path[:0] = {[str(ROOT / 'tests/helpers'), str(ROOT)]!r}\n"
         "import bench_work, numpy as np; from lab.jobs.cells import Cell;"
-        " from lab.jobs.engine import run_cells\npixels = np.ones((2, 2))\ncells = [Cell((str(n),), bench_work.total,"
+        " from lab.jobs.engine import run_cells\npixels = np.ones((2, 2))\n"
+        "cells = [Cell((str(n),), bench_work.total,"
         f" {{'pixels': n * pixels, 'log': {str(log)!r}, 'slow_s': 0.3}}) for n in"
         f" range(200)]\noutcome = run_cells(cells, cache={str(cache)!r},"
         " workers=2)\nprint(len(outcome.results), outcome.missing)"
