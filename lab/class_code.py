@@ -223,7 +223,9 @@ class ClassOptimum:
         """
         about = {
             **(source or {}),
-            **described_search(self.problem, self.how, self.found),
+            **described_search(
+                self.problem, self.how, steps=self.found.steps, stopped=self.found.stopped
+            ),
             "proof": self.found.proof,
             "motions": self.motions,
             "mean_db": self.rows[0].mean_db,
@@ -452,7 +454,12 @@ def optimize_class(
     code = replace(result.code, chip_ns=problem.chip_ns)
     if reason := unplayable(code.bits, problem.device, code.chip_ns):
         raise ValueError(reason)
-    on_found(StoredCode(code, problem=described_search(problem, how, result)))
+    on_found(
+        StoredCode(
+            code,
+            problem=described_search(problem, how, steps=result.steps, stopped=result.stopped),
+        )
+    )
     rivals = {
         baseline.name: (ShutterCode(baseline.code.bits, problem.chip_ns), baseline.within_limits)
         for baseline in result.baselines

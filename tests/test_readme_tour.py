@@ -40,7 +40,7 @@ NOT_RUN = {
     "cep optimize --trajectory motion/trajectory.json --device": (
         "40 CPU-s; tests/cep/commands/test_optimize.py"
     ),
-    "python -m lab frames": "a minute; tests/cep/search/test_frames.py",
+    "python -m lab frames": "a minute; tests/lab/frames/test_optimum.py",
     "python -m lab design-class": "a minute; tests/lab/commands/test_design_class.py",
     "python -m lab pareto": "a minute; tests/lab/commands/test_pareto.py",
     "python -m lab prove": "a minute; tests/lab/block_proofs/test_prove.py",

@@ -171,7 +171,9 @@ class Optimum:
         """
         about = {
             **(source or {}),
-            **described_search(self.problem, self.how, self.found),
+            **described_search(
+                self.problem, self.how, steps=self.found.steps, stopped=self.found.stopped
+            ),
             "proof": self.found.proof,
         }
         write_code(
@@ -317,7 +319,7 @@ def optimize(
     # the limits already keep to the device: its own check has the last word
     if reason := unplayable(code.bits, problem.device, code.chip_ns):
         raise ValueError(reason)
-    about = described_search(problem, how, outcome)
+    about = described_search(problem, how, steps=outcome.steps, stopped=outcome.stopped)
     # what follows may take seconds: a caller can keep the code before
     on_found(StoredCode(code, problem={**about, "proof": outcome.proof}))
     tell(_SEARCH_SHARE, "comparing with other codes")

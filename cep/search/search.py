@@ -11,7 +11,6 @@ import numpy as np
 
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import standard_moves
-from cep.search.annealing.frames import FramesResult
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Found, prove_code, search_code
 
@@ -154,7 +153,7 @@ def search(
 
 
 def described_search(
-    problem: SearchProblem, how: Search, outcome: Found | FramesResult
+    problem: SearchProblem, how: Search, *, steps: int, stopped: str
 ) -> dict[str, Any]:
     """Describe a problem, how it was searched and how that ended, as a code file does."""
     return {
@@ -168,8 +167,8 @@ def described_search(
         "device": problem.device and problem.device.to_dict(),
         "method": how.method,
         "seed": how.seed,
-        "steps": outcome.steps,
-        "stopped": outcome.stopped,
+        "steps": steps,
+        "stopped": stopped,
     }
 
 

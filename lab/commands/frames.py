@@ -23,7 +23,7 @@ from cep.commands.search_run import in_bits, saved_on_interrupt
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cep.search.frames import FramesOptimum
+    from lab.frames.optimum import FramesOptimum
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +50,8 @@ def frames(options: FramesOptions) -> None:
     """
     with progress("searching") as tick:
         from cep.optics.path_limits import check_frame, check_resolved
-        from cep.search.frames import optimize_frames
         from cep.search.search import Search
+        from lab.frames.optimum import optimize_frames
         from motdiff.files.outputs import claim
 
         motion = options.load_motion().trajectory
@@ -89,13 +89,13 @@ def frames(options: FramesOptions) -> None:
         outputs=outputs,
         save=lambda staged: best.save([staged[file] for file in files], source=source),
         tables=options.tables,
-        summary=in_bits(best.found.codes),
+        summary=in_bits(best.search.codes),
     )
 
 
 def _page(best: FramesOptimum, files: Sequence[Path]) -> Page:
     """Print the codes and what they are worth together for people."""
-    codes = best.found.codes
+    codes = best.search.codes
     straight = best.problem.on_circle
     yield best.verdict.sentence
     for file, code in zip(files, codes, strict=True):
@@ -125,4 +125,4 @@ def _page(best: FramesOptimum, files: Sequence[Path]) -> Page:
         )
     yield Table("on this motion (worse direction where unknown)", columns, rows)
     yield "together: root of the sum of |H|^2, its minimum as sampled"
-    yield f"{best.found.seconds:.1f} s, {ending(best.found.stopped, best.found.steps)}"
+    yield f"{best.search.seconds:.1f} s, {ending(best.search.stopped, best.search.steps)}"

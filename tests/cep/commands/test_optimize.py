@@ -309,7 +309,7 @@ def budgets(monkeypatch):
 
         return search
 
-    for name in ("cep.search.recipe.anneal", "cep.search.frames.anneal_frames"):
+    for name in ("cep.search.recipe.anneal", "lab.frames.optimum.anneal_frames"):
         module, function = name.rsplit(".", 1)
         monkeypatch.setattr(name, hasty(getattr(importlib.import_module(module), function)))
     return seen

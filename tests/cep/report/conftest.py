@@ -7,6 +7,7 @@ import pytest
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
+from cep.report.demo import write_demo
 from cep.report.demo_chain import CONTRAST, STANDARD_CAMERA, run_chain
 from cep.report.demo_scene import SceneMotion, bundled_scene
 from motdiff.estimators.reference.estimator import ReferenceEstimator
@@ -59,6 +60,26 @@ def calibrated():
     codes = tuple(ShutterCode(bits) for bits in ("1111", "0110"))
     motion = SceneMotion(estimate, codes, (scene.photo, 0.5 * scene.photo), from_open)
     return run_chain(scene, CODING_CAMERA, motion=motion, levels=LEVELS, chips=16)
+
+
+@pytest.fixture(scope="session")
+def demo_of(tmp_path_factory):
+    """The folder of a chain's demo and its figures, written once; tests may not change it."""
+    demos = {}
+
+    def demo(chain):
+        if id(chain) not in demos:
+            folder = tmp_path_factory.mktemp("demo")
+            demos[id(chain)] = folder, write_demo(folder, chain)
+        return demos[id(chain)]
+
+    return demo
+
+
+@pytest.fixture
+def page_of(demo_of):
+    """The page of a chain's demo, as it was written."""
+    return lambda chain: (demo_of(chain)[0] / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.fixture(params=["coded", "plain", "calibrated"])

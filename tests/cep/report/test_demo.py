@@ -2,6 +2,7 @@
 scene."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -58,14 +59,13 @@ def test_where_it_does_not_the_snapshot_is_better(plain):
 
 
 @pytest.mark.slow  # the whole demo
-def test_the_error_of_the_calibration_counts(calibrated, coded, tmp_path):
+def test_the_error_of_the_calibration_counts(calibrated, coded, demo_of):
     """In the verdict of the page, and for who runs its commands on the motion that lies beside
     it."""
     assert coded.advice.here.path_error_px == 0
     assert calibrated.advice.here.path_error_px == calibrated.contrast.here.path_error_px == 0.2
     assert "a path known to 0.2 px" in calibrated.advice.sentence
-    write_demo(tmp_path / "demo", calibrated)
-    path = tmp_path / "demo" / "trajectory.json"
+    path = demo_of(calibrated)[0] / "trajectory.json"
     assert stated_uncertainty_px(read_motion(path), path) == 0.2
 
 
@@ -152,47 +152,45 @@ def test_a_featureless_photo_is_refused():
 
 
 @pytest.mark.slow  # the whole demo
-def test_files_and_figures(coded, tmp_path):
-    figures = write_demo(tmp_path / "out", coded)
-    written = {item.name for item in (tmp_path / "out").iterdir()}
+def test_files_and_figures(coded, demo_of):
+    folder, figures = demo_of(coded)
+    written = {item.name for item in folder.iterdir()}
     of_a_set = {name for name in DEMO_FILES if name.startswith("calibration")}
     assert written == set(DEMO_FILES) - of_a_set - {
         "shutter_code.pulsepal.toml"
     }  # its ticks are 50 us
-    stored = json.loads((tmp_path / "out/demo.json").read_text())
+    stored = json.loads((folder / "demo.json").read_text())
     assert stored["bits"] == coded.code.bits == figures["bits"]
     assert (stored["verdict"], stored["choice"]) == (coded.advice.here.sentence, "code")
     assert stored["gains_db"] == coded.advice.gains_db
     assert set(stored["psnr_db"]) == {"open", "snapshot", "coded"}
-    assert read_code(tmp_path / "out/code.json").code == coded.code
-    assert read_motion(tmp_path / "out/trajectory.json").trajectory.length_px == pytest.approx(
+    assert read_code(folder / "code.json").code == coded.code
+    assert read_motion(folder / "trajectory.json").trajectory.length_px == pytest.approx(
         coded.estimate.best.length_px
     )
     for name, suffix in (("c", ".h"), ("csv", ".csv"), ("json", ".json")):
-        text = (tmp_path / "out" / f"shutter_code{suffix}").read_text()
+        text = (folder / f"shutter_code{suffix}").read_text()
         assert EXPORTERS[name].parse_back(text).bits == coded.code.bits
-    assert read_photo(tmp_path / "out/coded.png").bits == 16
+    assert read_photo(folder / "coded.png").bits == 16
     for name in PICTURE_FILES:
-        assert (tmp_path / f"out/{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="use --force"):
-        write_demo(tmp_path / "out", coded)
-    write_demo(tmp_path / "out", coded, force=True)
+        write_demo(folder, coded)
 
 
 @pytest.mark.slow  # the whole demo of a set
-def test_files_of_a_set(calibrated, tmp_path):
-    figures = write_demo(tmp_path, calibrated)
+def test_files_of_a_set(calibrated, demo_of):
+    folder, figures = demo_of(calibrated)
     assert figures["calibration_codes"] == ["1111", "0110"]
     assert figures["open_photo_alone"]["psnr_db"] == calibrated.shot_from_open.psnr_db
-    assert {item.name for item in tmp_path.glob("calibration*")} == {"calibration_2.png"}
-    write_demo(tmp_path, calibrated, force=True)
+    assert {item.name for item in folder.glob("calibration*")} == {"calibration_2.png"}
 
 
 @pytest.mark.slow  # the whole demo
-def test_no_code_is_written_where_none_is_advised(coded, plain, tmp_path):
-    write_demo(tmp_path, coded)
-    figures = write_demo(tmp_path, plain, force=True)  # the code of the first run goes
-    names = {item.name for item in tmp_path.iterdir()}
+def test_no_code_is_written_where_none_is_advised(coded, plain, demo_of, tmp_path):
+    shutil.copytree(demo_of(coded)[0], tmp_path / "out")
+    figures = write_demo(tmp_path / "out", plain, force=True)  # the code of the first run goes
+    names = {item.name for item in (tmp_path / "out").iterdir()}
     assert not OF_A_CODE & names
     assert not any(name.startswith("shutter_code") for name in names)
     assert figures["bits"] is None

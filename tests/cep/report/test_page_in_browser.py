@@ -3,17 +3,13 @@ no wide page."""
 
 import pytest
 
-from cep.report.demo import write_demo
-
 PHONE = 380
 DESK = 1200
 
 
 @pytest.fixture(scope="module")
-def address(coded, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("page")
-    write_demo(folder / "demo", coded)
-    return (folder / "demo" / "report.html").as_uri()
+def address(coded, demo_of):
+    return (demo_of(coded)[0] / "report.html").as_uri()
 
 
 @pytest.fixture

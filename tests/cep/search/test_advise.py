@@ -17,12 +17,12 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
 from cep.search.advise import advise
 from cep.search.expected import WORTH_DB, ExpectedPsnr, light_noise
-from cep.search.frames import frames_verdict, optimize_frames
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from cep.search.search import Search
 from cep.search.verdict import verdict
 from hw.device import DeviceProfile
+from lab.frames.optimum import frames_verdict, optimize_frames
 from lab.fronts.run import pareto
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory

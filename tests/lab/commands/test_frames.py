@@ -7,8 +7,8 @@ import pytest
 
 from cep.files.code_files import read_code
 from cep.optics.code import ShutterCode
-from cep.search.annealing.frames import joint_figures
 from cep.search.problem import SearchProblem
+from lab.frames.annealing import joint_figures
 from motdiff.trajectory import Trajectory
 
 

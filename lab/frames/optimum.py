@@ -14,7 +14,6 @@ from cep.optics.code import ShutterCode
 from cep.optics.mtf import HOPELESS_DB
 from cep.proofs.measure import CodeMetrics
 from cep.search.annealing.anneal import Stopped
-from cep.search.annealing.frames import FramesResult, anneal_frames, joint_figures
 from cep.search.expected import equal_light_noise, joint_psnr_db, light_noise
 from cep.search.optimize import certificate_warnings
 from cep.search.playable import unplayable
@@ -29,6 +28,7 @@ from cep.search.search import (
 )
 from cep.search.verdict import Verdict
 from cep.search.ways import CODED, Choice, Way, WayFinder, best_possible, check_light, judged_ways
+from lab.frames.annealing import FramesResult, anneal_frames, joint_figures
 from motdiff.files.outputs import new_files
 
 
@@ -59,7 +59,7 @@ class FramesOptimum:
     ----------
     problem : SearchProblem
     how : Search
-    found : FramesResult
+    search : FramesResult
         What ended it may also have ended the search of the single code.
     metrics : tuple of CodeMetrics
         Of each code by itself.
@@ -76,7 +76,7 @@ class FramesOptimum:
 
     problem: SearchProblem
     how: Search
-    found: FramesResult
+    search: FramesResult
     metrics: tuple[CodeMetrics, ...]
     joint: Together
     single: ShutterCode
@@ -88,13 +88,13 @@ class FramesOptimum:
         """Warnings, one sentence each."""
         moves = self.how.moves(searched_problem(self.problem))
         return (
-            *ended_early(self.how, self.found.stopped, moves),
+            *ended_early(self.how, self.search.stopped, moves),
             *certificate_warnings(self.problem),
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``python -m lab frames --json`` prints them."""
-        outcome = self.found
+        outcome = self.search
         return {
             "verdict": self.verdict.sentence,
             "choice": self.verdict.choice,
@@ -129,13 +129,13 @@ class FramesOptimum:
         figures = [metrics.to_dict() for metrics in self.metrics]
         about = {
             **(source or {}),
-            **_described(self.problem, self.how, self.found),
+            **_described(self.problem, self.how, self.search),
             "joint": asdict(self.joint),
         }
         return [
             StoredCode(code, code_figures, {**about, "frame": number})
             for number, (code, code_figures) in enumerate(
-                zip(self.found.codes, figures, strict=True), 1
+                zip(self.search.codes, figures, strict=True), 1
             )
         ]
 
@@ -219,7 +219,7 @@ def optimize_frames(
 def _described(problem: SearchProblem, how: Search, outcome: FramesResult) -> dict[str, Any]:
     """Describe the search of all frames, as each one's code file does."""
     return {
-        **described_search(problem, how, outcome),
+        **described_search(problem, how, steps=outcome.steps, stopped=outcome.stopped),
         "frames": len(outcome.codes),
         "bits_of_frames": [code.bits for code in outcome.codes],
     }

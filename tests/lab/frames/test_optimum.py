@@ -8,9 +8,9 @@ import pytest
 from cep.files.code_files import read_code
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.search.frames import frames_verdict, optimize_frames
 from cep.search.problem import SearchProblem
 from cep.search.search import Search
+from lab.frames.optimum import frames_verdict, optimize_frames
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5]])
@@ -23,11 +23,11 @@ def test_frames_gain_at_least_what_the_single_code_repeated_gains(tmp_path):
     assert best.joint.noise_gain_db <= best.repeated.noise_gain_db + 1e-9
     assert best.joint.min_chip is None
     (codes,) = kept
-    assert [stored.code for stored in codes] == list(best.found.codes)
+    assert [stored.code for stored in codes] == list(best.search.codes)
     files = [tmp_path / "a.json", tmp_path / "b.json"]
     best.save(files)
     stored = [read_code(file) for file in files]
-    assert tuple(one.code for one in stored) == best.found.codes
+    assert tuple(one.code for one in stored) == best.search.codes
     assert [one.problem["frame"] for one in stored] == [1, 2]
     assert all(
         one.code.chip_ns == 5000 and one.problem["joint"]["min_mtf"] == best.joint.min_mtf
@@ -36,7 +36,7 @@ def test_frames_gain_at_least_what_the_single_code_repeated_gains(tmp_path):
 
 
 def test_the_method_is_checked_before_the_search(monkeypatch):
-    monkeypatch.setattr("cep.search.frames.search_code", None)  # not called
+    monkeypatch.setattr("lab.frames.optimum.search_code", None)  # not called
     with pytest.raises(ValueError, match=r"^frames: not valid with method='exact'"):
         optimize_frames(PROBLEM, Search(method="exact"), 2)
 
@@ -58,7 +58,7 @@ def test_the_verdict_on_frames_is_by_all_of_them_together():
 def test_frames_of_a_single_opening_each_are_called_a_shorter_exposure():
     quiet = SearchProblem.along(Trajectory.straight(24.0), chips=24, camera=Camera(read_noise_e=2))
     best = optimize_frames(replace(quiet, objective="mse"), Search(steps=2000), 2)
-    assert {code.pulses for code in best.found.codes} == {1}
+    assert {code.pulses for code in best.search.codes} == {1}
     assert best.to_dict()["choice"] == "snapshot"
     assert best.verdict.sentence.startswith("Coding does not pay here: expose 1/24 of the time")
     assert "no code that was tried is better" in best.verdict.sentence

@@ -13,7 +13,6 @@ from cep.optics.exposure import open_path
 from cep.optics.response import ShutterResponse
 from cep.search.annealing.anneal import anneal
 from cep.search.annealing.cooling import cool
-from cep.search.annealing.frames import anneal_frames, joint_cost, joint_figures, joint_tables
 from cep.search.annealing.proposals import Limits
 from cep.search.annealing.states import (
     fresh_otf,
@@ -27,6 +26,7 @@ from cep.search.annealing.terms import BLOCK
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, SearchProblem
+from lab.frames.annealing import anneal_frames, joint_cost, joint_figures, joint_tables
 from motdiff.trajectory import Trajectory
 
 MIX = (("noise", 1.0), ("flatness", 0.5))

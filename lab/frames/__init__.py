@@ -1,0 +1,1 @@
+"""Codes of several exposures of one scene that complement each other."""
