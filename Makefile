@@ -12,7 +12,7 @@ QUICK ?= --quick
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 STUDIES = $(filter-out __init__ inputs,$(notdir $(basename $(wildcard lab/studies/*.py))))
 
-.PHONY: help demo docs test test-slow test-lab lint bench benchmarks firmware clean
+.PHONY: help demo docs test test-slow test-all test-lab lint bench benchmarks firmware clean
 
 help:
 	@echo "make demo             the whole chain on a bundled photo, to $(OUT)/report.html"
@@ -20,6 +20,7 @@ help:
 	@echo "make docs             the site of the documentation, to docs/_build/html/index.html"
 	@echo "make test             the quick tests of what is installed: cep, motdiff, hw"
 	@echo "make test-slow        its slow tests: searches, trainings, notebooks, a browser"
+	@echo "make test-all         both of them in one run"
 	@echo "make test-lab         the tests of the laboratory, lab/"
 	@echo "make lint             ruff, strict mypy and the rules on imports"
 	@echo "make bench            the paper's tables at their quick size, to $(BENCH)/README.md"
@@ -39,6 +40,9 @@ test: $(READY)
 
 test-slow: $(READY)
 	$(PYTEST) -m slow
+
+test-all: $(READY)
+	$(PYTEST)
 
 test-lab: $(READY)
 	$(PYTEST) tests/lab lab
