@@ -7,8 +7,6 @@ kernel; from them a small network learns which faint parts continue a path.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import torch
 from torch import Tensor, nn
 
@@ -24,7 +22,7 @@ from motdiff.psf_frame import PSF_PX
 
 MAPS = 11
 """Maps of each kernel."""
-_WIDTH = 48  # of the U-Net, as its depth and patch; the published weights have these sizes
+_WIDTH = 64  # of the U-Net, as its depth and patch; the published weights have these sizes
 _DEPTH = 2
 _PATCH = 2
 _DROPOUT = 0.1
@@ -104,49 +102,63 @@ def correction_maps(crops: Tensor, kernels: Tensor, rivals: Tensor, *, sigma: fl
     ValueError
         If a side is shorter than 64 px.
     """
-    spectral = spectral_maps(crops[None])
-    blurred = salient_gradients(crops, crops.new_zeros(len(crops)))
-    maps = torch.stack([_photo_maps(crops, blurred, kernel, sigma=sigma) for kernel in kernels])
-    signed = torch.cat([kernels[:, None], rivals, maps], dim=1)
+    return photos_correction_maps(crops[None], kernels, rivals, sigma=sigma)
+
+
+def photos_correction_maps(
+    photos: Tensor, kernels: Tensor, rivals: Tensor, *, sigma: float
+) -> Tensor:
+    """Stack the maps of :func:`correction_maps` for one kernel of each of several photos.
+
+    Parameters
+    ----------
+    photos : (B or 1, C, H, W) float32, grey, linear light
+        As C crops each; a single one belongs to all kernels.
+    kernels : (B, 64, 64) float32, sum 1
+    rivals : (B, 2, 64, 64) float32, sum 1
+    sigma : float
+        Standard deviation of the noise in all of them.
+
+    Returns
+    -------
+    (B, 11, 64, 64) float32
+    """
+    signed = torch.cat([kernels[:, None], rivals, _photo_maps(photos, kernels, sigma)], dim=1)
     signed = signed / signed.abs().amax(dim=(-2, -1), keepdim=True).clamp(min=1e-9)
-    spectral = spectral.expand(len(kernels), -1, -1, -1)
+    spectral = spectral_maps(photos).expand(len(kernels), -1, -1, -1)
     return torch.cat([signed, spectral, autocorrelation(kernels[:, None])], dim=1)
 
 
-def _photo_maps(
-    crops: Tensor, blurred: tuple[Tensor, Tensor], kernel: Tensor, *, sigma: float
-) -> Tensor:
-    """Least-squares kernels, and the correlation with the residual, (5, 64, 64)."""
-    count, height, width = crops.shape
+def _photo_maps(photos: Tensor, kernels: Tensor, sigma: float) -> Tensor:
+    """Least-squares kernels, and the correlation with the residual, (B, 5, 64, 64)."""
+    count, height, width = photos.shape[1:]
+    flat = photos.flatten(0, 1)
     shape = (fast_size(height + PSF_PX - 1), fast_size(width + PSF_PX - 1))
-    wrapped = periodic_extension(crops, shape)
-    repeated = kernel.expand(count, -1, -1)
+    wrapped = periodic_extension(flat, shape).view(-1, count, *shape)
+    wrapped = wrapped.expand(len(kernels), -1, -1, -1).flatten(0, 1)
+    repeated = kernels.repeat_interleave(count, dim=0)
     frame = (fast_size(height - 1 + PSF_PX), fast_size(width - 1 + PSF_PX))
 
-    def gradient_spectra(restored: Tensor) -> list[Tensor]:
-        photo = restored[:, :height, :width].clamp(*_LATENT_RANGE)
-        return _spectra(salient_gradients(photo, crops.new_zeros(count)), frame)
+    def gradient_spectra(images: Tensor) -> Tensor:
+        gradients = salient_gradients(images, images.new_zeros(len(images)))
+        spectra = torch.fft.rfft2(torch.stack(gradients, dim=1), s=frame)  # (B C, 2, h, w)
+        by_photo: Tensor = spectra.view(-1, 2 * count, *spectra.shape[-2:])
+        return by_photo
 
-    B = _spectra(blurred, frame)
-    X = gradient_spectra(fine_latent(wrapped, repeated, sigma=sigma))
-    X_wiener = gradient_spectra(_wiener(wrapped, repeated, sigma))
-    H = psf_to_otf(kernel[None], frame)
-    residuals = [
-        torch.fft.irfft2(B_d - X_d * H, s=frame)[:, : height - 1, : width - 1]
-        for X_d, B_d in zip(X, B, strict=True)
-    ]
-    correlation = lags(torch.fft.irfft2(_cross(X, _spectra(residuals, frame))[None], s=frame))
+    def restored(latent: Tensor) -> Tensor:
+        return gradient_spectra(latent[:, :height, :width].clamp(*_LATENT_RANGE))
+
+    B = gradient_spectra(flat)
+    X = restored(fine_latent(wrapped, repeated, sigma=sigma))
+    H = psf_to_otf(kernels, frame)[:, None]
+    residuals = torch.fft.irfft2(B - X * H, s=frame)[..., : height - 1, : width - 1]
+    R = torch.fft.rfft2(residuals, s=frame)
+    correlation = lags(torch.fft.irfft2(_cross(X, R)[:, None], s=frame))
+    least_squares = _least_squares(X, B, _RIDGES, frame)
+    X = restored(_wiener(wrapped, repeated, sigma))
     return torch.cat(
-        [
-            _least_squares(X, B, _RIDGES, frame),
-            _least_squares(X_wiener, B, (_WIENER_RIDGE,), frame),
-            correlation,
-        ]
+        [least_squares, _least_squares(X, B, (_WIENER_RIDGE,), frame), correlation], dim=1
     )
-
-
-def _spectra(images: Iterable[Tensor], frame: tuple[int, int]) -> list[Tensor]:
-    return [torch.fft.rfft2(image, s=frame) for image in images]
 
 
 def _wiener(wrapped: Tensor, kernels: Tensor, sigma: float) -> Tensor:
@@ -162,16 +174,17 @@ def _wiener(wrapped: Tensor, kernels: Tensor, sigma: float) -> Tensor:
 
 
 def _least_squares(
-    X: list[Tensor], B: list[Tensor], ridges: tuple[float, ...], frame: tuple[int, int]
+    X: Tensor, B: Tensor, ridges: tuple[float, ...], frame: tuple[int, int]
 ) -> Tensor:
-    """Unconstrained kernels (R, 64, 64), ``X* B / (|X|^2 + ridge)``, of gradient spectra X, B."""
+    """Unconstrained kernels (B, R, 64, 64), ``X* B / (|X|^2 + ridge)``, of gradient spectra."""
     cross = _cross(X, B)
-    power = sum((X_d.abs().square().sum(dim=0) for X_d in X), torch.zeros_like(cross.real))
-    level = power.mean().clamp(min=1e-12)  # 0 where the latent photo is flat
-    K = torch.stack([cross / (power + ridge * level) for ridge in ridges])
+    power = X.abs().square().sum(dim=1)
+    # 0 where the latent photo is flat
+    level = power.mean(dim=(-2, -1), keepdim=True).clamp(min=1e-12)
+    K = torch.stack([cross / (power + ridge * level) for ridge in ridges], dim=1)
     return lags(torch.fft.irfft2(K, s=frame))
 
 
-def _cross(X: list[Tensor], Y: list[Tensor]) -> Tensor:
-    """Cross spectrum X* Y, (H, W // 2 + 1), summed over the crops and both directions."""
-    return torch.stack([(x.conj() * y).sum(dim=0) for x, y in zip(X, Y, strict=True)]).sum(dim=0)
+def _cross(X: Tensor, Y: Tensor) -> Tensor:
+    """Cross spectra X* Y, (B, H, W // 2 + 1), summed over the crops and both directions."""
+    return (X.conj() * Y).sum(dim=1)

@@ -62,7 +62,7 @@ def prepare(
         folder,
         shards,
         name=_NAME,
-        make=lambda shard: _arrays(simulated(shard)),
+        make=lambda shard: sample_arrays(simulated(shard)),
         on_shard=on_shard,
     )
 
@@ -137,7 +137,7 @@ def read_shards(folder: Path | str) -> Samples:
         If there are none.
     """
     missing = "prepared samples (shard_*.npz); write them with: python -m motdiff prepare"
-    shards = load_shards(folder, name=_NAME, load=_samples, missing=missing)
+    shards = load_shards(folder, name=_NAME, load=samples_of, missing=missing)
     return Samples(
         *(
             torch.cat([getattr(shard, name) for shard in shards])
@@ -146,7 +146,8 @@ def read_shards(folder: Path | str) -> Samples:
     )
 
 
-def _arrays(samples: Samples) -> dict[str, NDArray[np.generic]]:
+def sample_arrays(samples: Samples) -> dict[str, NDArray[np.generic]]:
+    """Make the arrays of a shard, see :func:`read_shards`."""
     # the root spreads 8 bits over the light evenly to the eye: without it, shadows would band
     grey = samples.photos.mean(dim=1, keepdim=True).clamp(0, 1).sqrt()
     path = samples.x0 > 0
@@ -158,7 +159,8 @@ def _arrays(samples: Samples) -> dict[str, NDArray[np.generic]]:
     }
 
 
-def _samples(stored: Mapping[str, NDArray[Any]]) -> Samples:
+def samples_of(stored: Mapping[str, NDArray[Any]]) -> Samples:
+    """Make the samples of a shard's arrays, as :func:`read_shards` returns them."""
     count = len(stored["photos"])
     path = np.unpackbits(stored["x0"], axis=1).reshape(count, 1, MAP_PX, MAP_PX)
     dwell = np.zeros(path.shape, np.float16)

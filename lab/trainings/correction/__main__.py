@@ -10,12 +10,10 @@ from pathlib import Path
 
 from lab.trainings.command_line import run_command
 
-_EXAMPLES = """a training like that of the shipped weights; CONFIG is motdiff/configs/cpu_encoder.toml, its paths set:
-  python -m lab.trainings.correction prepare CONFIG -o kernels --shards 0:60
-  python -m lab.trainings.correction prepare CONFIG -o held_out --shards 0:8 --held-out
-  OMP_NUM_THREADS=1 python -m lab.trainings.correction train kernels -o first.safetensors --steps 1000
-  python -m lab.trainings.correction prepare CONFIG -o again --shards 0:60 --weights first.safetensors
-  OMP_NUM_THREADS=1 python -m lab.trainings.correction train kernels again -o correction.safetensors
+_EXAMPLES = """a training like that of the shipped weights, in minutes on a GPU; CONFIG is motdiff/configs/gpu.toml, its paths set:
+  python -m lab.trainings.correction prepare CONFIG -o kernels --shards 0:84 --device cuda
+  python -m lab.trainings.correction prepare CONFIG -o held_out --shards 0:6 --held-out --device cuda
+  python -m lab.trainings.correction train kernels -o correction.safetensors --device cuda
   python -m lab.trainings.correction evaluate held_out --weights correction.safetensors
 """
 
@@ -29,7 +27,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     prepare = commands.add_parser(
-        "prepare", help="simulate photos and search their kernels; about 3 s a photo"
+        "prepare", help="simulate photos and search their kernels; about 3 s a photo on a CPU"
     )
     prepare.add_argument(
         "config", type=Path, help="TOML file of a run of MoTDiff (photos, motions, photography)"
@@ -42,21 +40,19 @@ def run(arguments: Sequence[str] | None = None) -> int:
         help="folder of the shards; existing ones are kept",
     )
     prepare.add_argument(
-        "--shards", default="0:10", metavar="FIRST:LAST[:STEP]", help="16 photos each"
+        "--shards", default="0:4", metavar="FIRST:LAST[:STEP]", help="128 photos each"
     )
     prepare.add_argument(
         "--held-out", action="store_true", help="of the photos held out for validation"
     )
-    prepare.add_argument(
-        "--weights", type=Path, help="correct the kernels with these: samples of the second pass"
-    )
     prepare.set_defaults(command=_prepare)
     train = commands.add_parser(
-        "train", help="train the correction; Ctrl-C keeps the weights of the last two minutes"
+        "train", help="train the correction; Ctrl-C keeps the weights of the last minute"
     )
-    train.add_argument("kernels", type=Path, nargs="+", help="folders of prepared kernels")
+    train.add_argument("kernels", type=Path, help="folder of prepared kernels")
     train.add_argument("-o", "--out", type=Path, required=True, help=".safetensors file")
-    train.add_argument("--steps", type=int, default=5000)
+    train.add_argument("--steps", type=int, default=2500)
+    train.add_argument("--batch", type=int, default=512, help="kernels in each update")
     train.add_argument("--seed", type=int, default=0)
     train.set_defaults(command=_train)
     evaluate = commands.add_parser(
@@ -67,6 +63,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     )
     evaluate.add_argument("--weights", type=Path, help="the shipped ones when omitted")
     evaluate.set_defaults(command=_evaluate)
+    for command in (prepare, train, evaluate):
+        command.add_argument("--device", default="cpu", help="cpu or cuda")
     return run_command(parser, arguments)
 
 
@@ -76,19 +74,14 @@ def _prepare(options: argparse.Namespace) -> None:
     from lab.trainings.correction.samples import prepare
     from motdiff.training.prepared import read_source
     from motdiff.training.shards import shard_range
-    from motdiff.weights.correction import load_correction
 
     torch.set_num_threads(1)  # the arrays are small: more threads are slower
     shards = shard_range(options.shards)
-    source = read_source(options.config, held_out=options.held_out)
     prepare(
         options.out,
-        scenes=source.scenes,
-        mix=source.mix,
-        photography=source.photography,
+        read_source(options.config, held_out=options.held_out),
         shards=shards,
-        seed=source.seed,
-        network=None if options.weights is None else load_correction(options.weights),
+        device=options.device,
         on_shard=lambda shard: print(
             f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True
         ),
@@ -96,26 +89,28 @@ def _prepare(options: argparse.Namespace) -> None:
 
 
 def _train(options: argparse.Namespace) -> None:
-    from lab.trainings.correction.samples import read_kernels
+    from lab.trainings.correction.samples import read_samples
     from lab.trainings.correction.training import Settings, train
 
-    settings = Settings(steps=options.steps, seed=options.seed)
+    settings = Settings(steps=options.steps, batch=options.batch, seed=options.seed)
     train(
-        read_kernels(*options.kernels),
+        read_samples(options.kernels),
         options.out,
         settings=settings,
+        device=options.device,
         report=partial(print, file=sys.stderr, flush=True),
     )
 
 
 def _evaluate(options: argparse.Namespace) -> None:
-    from lab.trainings.correction.samples import read_kernels
+    from lab.trainings.correction.samples import read_samples
     from lab.trainings.correction.training import corrected_mnc
     from motdiff.weights.correction import CORRECTION_WEIGHTS, load_correction
 
-    kernels = read_kernels(options.kernels)
-    before, after = corrected_mnc(kernels, load_correction(options.weights or CORRECTION_WEIGHTS))
-    print(f"{len(kernels)} kernels: MNC {before:.3f} -> {after:.3f}")
+    samples = read_samples(options.kernels)
+    network = load_correction(options.weights or CORRECTION_WEIGHTS)
+    searched, once, twice = corrected_mnc(samples, network, device=options.device)
+    print(f"{len(samples)} photos: MNC {searched:.3f}, corrected {once:.3f}, twice {twice:.3f}")
 
 
 if __name__ == "__main__":

@@ -1,14 +1,14 @@
 """Training samples: kernels that a search finds in simulated photos, what the photos tell of them,
 and the truth.
+
+Photos are searched in batches, on a GPU some sixty in a second.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import chain
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -17,33 +17,34 @@ from torch import Tensor
 from torch.nn import functional
 
 from motdiff.estimators.kernel_score import noise_sigma
-from motdiff.estimators.pmp.estimator import PmpEstimator
+from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
+from motdiff.estimators.pmp.estimator import STARTS, Start
 from motdiff.estimators.pmp.grids import shifted
-from motdiff.network.correction import CorrectionNetwork, corrected, correction_maps
+from motdiff.network.correction import CorrectionNetwork, corrected, photos_correction_maps
 from motdiff.network.sampling import psfs_of_maps
-from motdiff.psf_frame import in_frame
-from motdiff.threads import one_thread_a_call
-from motdiff.training.motion_bank import MotionMix
-from motdiff.training.prepared import simulated_shard
+from motdiff.psf_frame import margins
+from motdiff.training.prepared import Source, sample_arrays, samples_of, simulated_shard
 from motdiff.training.samples import Samples, registration
 from motdiff.training.shards import load_shards, write_shards
-from motdiff.training.simulation import Photography
 
-SHARD_PHOTOS = 16
-_NAME = "kernels"
+SHARD_PHOTOS = 128
+SEARCHES: tuple[Start, ...] = STARTS[:3]
+"""Searches of each photo, those that ``cep calibrate`` begins with."""
 LEAST_ALIKE = 0.4
 """A kernel less like the true one is lost: it says nothing about where the path lies."""
+_NAME = "searched"
 _SHIFT_PX = 2
+_CPU_BATCH = 8  # larger ones fall out of the cache
 
 
 @dataclass(frozen=True)
 class Kernels:
-    """Kernels found in photos.
+    """Kernels of photos, lost ones left out.
 
     Attributes
     ----------
     maps : (N, 11, 64, 64) float16
-        From :func:`motdiff.network.correction.correction_maps`; the first is the kernel itself.
+        From :func:`motdiff.network.correction.photos_correction_maps`; the first is the kernel.
     truth : (N, 64, 64) float16
         True PSFs, laid on the kernels to a quarter of a pixel.
     """
@@ -60,104 +61,168 @@ def alike(kernels: Tensor, truth: Tensor) -> Tensor:
     differentiable.
     """
     padded = functional.pad(kernels, (_SHIFT_PX,) * 4)
-    products = functional.conv2d(padded[None], truth[:, None], groups=len(truth))[0]
+    side = kernels.shape[-1]
+    lags = range(2 * _SHIFT_PX + 1)
+    products = torch.stack(
+        [
+            (padded[:, row : row + side, column : column + side] * truth).sum(dim=(1, 2))
+            for row in lags
+            for column in lags
+        ]
+    )
     norms = (kernels.square().sum(dim=(1, 2)) * truth.square().sum(dim=(1, 2))).sqrt()
-    return products.flatten(1).amax(dim=1) / norms.clamp(min=1e-9)
+    return products.amax(dim=0) / norms.clamp(min=1e-9)
 
 
-def searched(samples: Samples, *, network: CorrectionNetwork | None = None) -> Kernels:
-    """Search the kernels of simulated photos as ``cep calibrate`` does, and lay the true ones on
-    them.
+def searched(photos: Tensor, *, searches: tuple[Start, ...] = SEARCHES) -> Tensor:
+    """Kernels (B, K, 64, 64), sum 1, of photos (B, H, W), by a full search from each start.
 
-    Lost ones are left out. The two others of each are the next ones in the order of the search's
-    starts. With a ``network`` the kernels are those that it has corrected: samples of a second
-    pass.
+    Photos are searched in batches of similar noise, for which a search has one setting.
     """
-    maps = []
-    truth = []
-    with torch.no_grad(), one_thread_a_call():
-        for photo, dwell in zip(samples.photos.mean(dim=1), samples.dwell, strict=True):
-            grey = photo.double().numpy()
-            searched_kernels = [in_frame(kernel) for kernel in PmpEstimator().kernels(grey[None])]
-            kernels = torch.from_numpy(np.stack(searched_kernels)).float()
-            neighbours = torch.stack([kernels.roll(-i, 0)[[1, -1]] for i in range(len(kernels))])
-            path = dwell.expand(len(kernels), -1, -1, -1)
-            laid = psfs_of_maps(shifted(path, registration(kernels[:, None], path))[:, 0])
-            is_alike = alike(kernels, laid) >= LEAST_ALIKE
-            sigma = noise_sigma(grey)
-            correction = correction_maps(photo[None], kernels, neighbours, sigma=sigma)
-            if network is not None:
-                correction = correction_maps(
-                    photo[None], corrected(network, correction), neighbours, sigma=sigma
-                )
-            maps.append(correction[is_alike].half())
-            truth.append(laid[is_alike].half())
-    return Kernels(torch.cat(maps), torch.cat(truth))
+    noise = _noise(photos)
+    order = torch.from_numpy(np.argsort(noise)).to(photos.device)
+    size = {"cpu": _CPU_BATCH}.get(photos.device.type, len(photos))
+    rows = []
+    for batch in torch.split(order, size):
+        settings = PmpSettings.for_noise(float(np.median(noise[batch.cpu().numpy()])))
+        kernels = [
+            estimate_kernels(
+                photos[batch][:, None],
+                size=start.size,
+                settings=replace(
+                    settings, sparsity=start.sparsity, gradient_weight=start.gradient_weight
+                ),
+            )
+            for start in searches
+        ]
+        framed = [functional.pad(kernel, 2 * margins(kernel.shape[-1])) for kernel in kernels]
+        rows.append(torch.stack(framed, dim=1))
+    return torch.cat(rows)[order.argsort()]
 
 
 def prepare(
     folder: Path | str,
+    source: Source,
     *,
-    scenes: Sequence[Tensor],
-    mix: MotionMix,
-    photography: Photography,
     shards: range,
-    seed: int,
-    network: CorrectionNetwork | None = None,
+    device: str = "cpu",
     on_shard: Callable[[int], None] = lambda _shard: None,
 ) -> None:
-    """Write the missing ones of the ``shards`` (16 photos each); each depends on its number and
-    the seed only.
+    """Write the missing ones of the ``shards`` (128 photos each); each depends on its number and
+    the source's seed only.
 
     Parameters
     ----------
     folder : path, made when missing
-    scenes, mix, photography
-        As for :func:`motdiff.training.samples.simulate`.
+    source : Source
     shards : range
-    seed : int
-    network : CorrectionNetwork, optional
-        As for :func:`searched`.
+    device : str
+        Where photos are searched.
     on_shard : callable, optional
         Called with the number of every finished shard.
     """
 
-    def made(shard: int) -> dict[str, NDArray[np.generic]]:
+    def searched_arrays(shard: int) -> dict[str, NDArray[np.generic]]:
         samples = simulated_shard(
             shard,
             SHARD_PHOTOS,
-            scenes=scenes,
-            mix=mix,
-            photography=photography,
+            scenes=source.scenes,
+            mix=source.mix,
+            photography=source.photography,
             physics=False,
-            seed=seed,
+            seed=source.seed,
         )
-        kernels = searched(samples, network=network)
-        return {"maps": kernels.maps.numpy(), "truth": kernels.truth.numpy()}
+        with torch.no_grad():
+            kernels = searched(samples.photos.mean(dim=1).to(device), searches=SEARCHES)
+        return sample_arrays(replace(samples, kernels=kernels.cpu()))
 
-    write_shards(folder, shards, name=_NAME, make=made, on_shard=on_shard)
+    write_shards(folder, shards, name=_NAME, make=searched_arrays, on_shard=on_shard)
 
 
-def read_kernels(*folders: Path | str) -> Kernels:
-    """Read every shard of some folders into memory, 0.1 MB a kernel.
+def read_samples(folder: Path | str) -> Samples:
+    """Read every shard of a folder into memory, as :func:`motdiff.training.prepared.read_shards`.
 
     Raises
     ------
     ValueError
-        If a folder has none, or one is damaged.
+        If it has none, or one is damaged.
     """
-    missing = "kernels_*.npz; write them with: python -m lab.trainings.correction prepare"
-    parts = [load_shards(folder, name=_NAME, load=_kernels, missing=missing) for folder in folders]
-    maps, truth = (
-        torch.cat([getattr(samples, name) for samples in chain(*parts)])
-        for name in ("maps", "truth")
-    )
-    if not len(maps):
-        raise ValueError(
-            f"{', '.join(map(str, folders))}: every kernel was lost; prepare more shards"
+    missing = "searched_*.npz; write them with: python -m lab.trainings.correction prepare"
+    parts = load_shards(folder, name=_NAME, load=samples_of, missing=missing)
+    return Samples(
+        *(
+            torch.cat([getattr(shard, name) for shard in parts])
+            for name in ("photos", "kernels", "x0", "dwell")
         )
+    )
+
+
+def described(
+    samples: Samples, *, network: CorrectionNetwork | None = None, device: str = "cpu"
+) -> Kernels:
+    """Describe the searched kernels by their photos, and lay the true ones on them.
+
+    The two others of each are the next ones in the order of the searches. With a ``network``, on
+    the device, the kernels are those that it has corrected: samples of a second pass.
+
+    Raises
+    ------
+    ValueError
+        If every kernel is lost.
+    """
+    light = (samples.photos.float() / 255).square()
+    noise = _noise(light[:, 0])
+    parts = []
+    # photos of similar noise together: the maps of a batch have one setting
+    for batch in np.array_split(np.argsort(noise), -(-len(samples) // SHARD_PHOTOS)):
+        photos, kernels, dwell = (
+            tensor[batch].float().to(device) for tensor in (light, samples.kernels, samples.dwell)
+        )
+        sigma = float(np.median(noise[batch]))
+        parts.append(_described(photos, kernels, dwell, sigma=sigma, network=network))
+    maps, truth = (torch.cat(tensors) for tensors in zip(*parts, strict=True))
+    if not len(maps):
+        raise ValueError("samples: every kernel is lost; prepare more shards")
     return Kernels(maps, truth)
 
 
-def _kernels(stored: Mapping[str, NDArray[Any]]) -> Kernels:
-    return Kernels(torch.from_numpy(stored["maps"]), torch.from_numpy(stored["truth"]))
+@torch.no_grad()
+def _described(
+    photos: Tensor,
+    kernels: Tensor,
+    dwell: Tensor,
+    *,
+    sigma: float,
+    network: CorrectionNetwork | None,
+) -> tuple[Tensor, Tensor]:
+    maps = _maps(photos, kernels, sigma)
+    if network is not None:
+        kernels = corrected(network, maps.flatten(0, 1)).view_as(kernels)
+        maps = _maps(photos, kernels, sigma)
+    truth = torch.stack(
+        [
+            psfs_of_maps(shifted(dwell, registration(kernel[:, None], dwell))[:, 0])
+            for kernel in kernels.unbind(dim=1)
+        ],
+        dim=1,
+    )
+    is_alike = alike(kernels.flatten(0, 1), truth.flatten(0, 1)) >= LEAST_ALIKE
+    return maps.flatten(0, 1)[is_alike].half(), truth.flatten(0, 1)[is_alike].half()
+
+
+def _noise(photos: Tensor) -> NDArray[np.float64]:
+    """Estimate the standard deviation (B,) of the noise of photos (B, H, W)."""
+    return np.array([noise_sigma(photo.double().cpu().numpy()) for photo in photos])
+
+
+def _maps(photos: Tensor, kernels: Tensor, sigma: float) -> Tensor:
+    """Stack the maps (B, K, 11, 64, 64) of the kernels (B, K, 64, 64) of photos (B, 1, H, W)."""
+    return torch.stack(
+        [
+            photos_correction_maps(
+                photos, kernels[:, i], kernels.roll(-i, 1)[:, [1, -1]], sigma=sigma
+            )
+            for i in range(kernels.shape[1])
+        ],
+        dim=1,
+    )

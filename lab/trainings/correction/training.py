@@ -4,30 +4,34 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
-from lab.trainings.correction.samples import Kernels, alike
+from lab.trainings.correction.samples import Kernels, alike, described
 from motdiff.network.correction import CorrectionNetwork, corrected
 from motdiff.network.symmetry import SYMMETRIES, mirrored
+from motdiff.training.samples import Samples
 from motdiff.weights.correction import write_correction
 
-_WARM_UP_STEPS = 50
+_EVALUATED = 256  # kernels at a time
+_WARM_UP_STEPS = 100
 _LONGEST_GRADIENT = 1.0
-_AVERAGED = 0.997  # share of the old weights in the running average, once there are enough of them
+_AVERAGED = 0.998  # share of the old weights in the running average, once there are enough of them
 _DECAY = 1e-2
+_SECOND_PASS = 0.4  # share of the updates after which corrected kernels take part as well
 
 
 @dataclass(frozen=True)
 class Settings:
     """Settings of a run: updates, kernels in each, AdamW's step size, and the seed."""
 
-    steps: int = 5000
-    batch: int = 16
+    steps: int = 2500
+    batch: int = 512
     rate: float = 1.5e-3
     seed: int = 0
 
@@ -42,16 +46,16 @@ class Trainer:
 
     Parameters
     ----------
-    kernels : Kernels
     settings : Settings
+    device : str
     """
 
-    def __init__(self, kernels: Kernels, settings: Settings) -> None:
+    def __init__(self, settings: Settings, *, device: str = "cpu") -> None:
         self.settings = settings
-        self._kernels = kernels
-        with torch.random.fork_rng():
+        self._device = device
+        with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
-            self.network = CorrectionNetwork()
+            self.network = CorrectionNetwork().to(device)
         self._adam = torch.optim.AdamW(
             self.network.parameters(), lr=settings.rate, weight_decay=_DECAY
         )
@@ -61,8 +65,9 @@ class Trainer:
         }
         self.step = 0
 
-    def update(self) -> float:
-        """Make one update; returns the loss, 1 - MNC before negative values are cut.
+    def update(self, *passes: Kernels) -> float:
+        """Make one update on kernels of one pass or both; returns the loss, 1 - MNC before
+        negative values are cut.
 
         Raises
         ------
@@ -72,8 +77,10 @@ class Trainer:
         cosine = 0.5 * (1 + math.cos(math.pi * self.step / self.settings.steps))
         for group in self._adam.param_groups:
             group["lr"] = self.settings.rate * min(1.0, (self.step + 1) / _WARM_UP_STEPS) * cosine
-        maps, truth = self._batch()
-        loss = (1 - alike(self.network(maps), truth)).mean()
+        maps, truth = self._batch(passes)
+        with self._precision():
+            estimates = self.network(maps)
+        loss = (1 - alike(estimates.float(), truth)).mean()
         if not loss.isfinite():
             raise FloatingPointError(
                 f"loss: is {float(loss.detach())} at step {self.step}; train with a smaller rate"
@@ -88,40 +95,55 @@ class Trainer:
         self.step += 1
         return float(loss.detach())
 
-    def _batch(self) -> tuple[Tensor, Tensor]:
+    def averaged(self) -> CorrectionNetwork:
+        """Network of the averaged weights, in eval mode."""
+        network = CorrectionNetwork().to(self._device)
+        network.load_state_dict(self.average)
+        return network.eval()
+
+    def _precision(self) -> torch.autocast | nullcontext[None]:
+        if self._device.startswith("cuda"):
+            return torch.autocast("cuda", dtype=torch.bfloat16)
+        return nullcontext()
+
+    def _batch(self, passes: Sequence[Kernels]) -> tuple[Tensor, Tensor]:
         """Draw maps (B, 11, 64, 64) and true PSFs (B, 64, 64) at random, all turned or mirrored
         the same way.
         """
-        index = torch.randint(
-            len(self._kernels), (self.settings.batch,), generator=self._generator
-        )
-        symmetry, swapped = (
-            int(torch.randint(n, (1,), generator=self._generator)) for n in (SYMMETRIES, 2)
-        )
-        maps = self._kernels.maps[index].float()
-        truth = self._kernels.truth[index].float()
+        draw = self._generator
+        count = max(1, self.settings.batch // len(passes))
+        batches = [
+            (kernels.maps[index], kernels.truth[index])
+            for kernels in passes
+            for index in [torch.randint(len(kernels), (count,), generator=draw)]
+        ]
+        maps, truth = (torch.cat(tensors).float() for tensors in zip(*batches, strict=True))
+        symmetry, swapped = (int(torch.randint(n, (1,), generator=draw)) for n in (SYMMETRIES, 2))
         if swapped:  # the two other kernels have no order
             maps = maps[:, [0, 2, 1, *range(3, maps.shape[1])]]
         return mirrored(maps, symmetry, pitch=1), mirrored(truth[:, None], symmetry, pitch=1)[:, 0]
 
 
 def train(
-    kernels: Kernels,
+    samples: Samples,
     target: Path | str,
     *,
     settings: Settings = Settings(),
-    save_s: float = 120.0,
+    device: str = "cpu",
+    save_s: float = 60.0,
     clock: Callable[[], float] = time.monotonic,
     report: Callable[[str], None] = lambda _line: None,
 ) -> None:
-    """Train on the kernels.
+    """Train on searched kernels, and after a while on those as well that the network corrected.
 
     Parameters
     ----------
-    kernels : Kernels
+    samples : Samples
+        From :func:`~lab.trainings.correction.samples.read_samples`.
     target : path
         Weights file, written every ``save_s`` seconds and at the end, whole each time.
     settings : Settings
+    device : str
     save_s : float
         Seconds between files.
     clock : callable
@@ -129,16 +151,20 @@ def train(
     report : callable
         Called with a line of progress at every file.
     """
-    trainer = Trainer(kernels, settings)
+    trainer = Trainer(settings, device=device)
+    passes = [described(samples, device=device)]
     started = saved = clock()
     while trainer.step < settings.steps:
-        loss = trainer.update()
+        if len(passes) == 1 and trainer.step >= _SECOND_PASS * settings.steps:
+            passes.append(described(samples, network=trainer.averaged(), device=device))
+        loss = trainer.update(*passes)
         moment = clock()
         if moment - saved >= save_s or trainer.step == settings.steps:
             about = {
-                "kernels": len(kernels),
+                "kernels": len(passes[0]),
                 "steps": trainer.step,
                 "seconds": round(moment - started),
+                "device": device,
             }
             write_correction(
                 trainer.average, target, about={**about, "settings": asdict(settings)}
@@ -150,21 +176,23 @@ def train(
             saved = moment
 
 
-def corrected_mnc(kernels: Kernels, network: CorrectionNetwork) -> tuple[float, float]:
-    """Mean MNC of the kernels before and after their correction."""
-    pairs = []
-    with torch.no_grad():
-        for maps, truth in zip(
-            torch.split(kernels.maps, 1), torch.split(kernels.truth, 1), strict=True
-        ):
-            corrected_kernels = corrected(network, maps.float())
-            pairs.append(
-                torch.cat(
-                    [
-                        alike(estimate, truth.float())
-                        for estimate in (maps[:, 0].float(), corrected_kernels)
-                    ]
-                )
-            )
-    before, after = torch.stack(pairs).mean(dim=0).tolist()
-    return before, after
+def corrected_mnc(
+    samples: Samples, network: CorrectionNetwork, *, device: str = "cpu"
+) -> tuple[float, float, float]:
+    """Mean MNC of the searched kernels, and of these after one and after two corrections.
+
+    Lost kernels are left out of each.
+    """
+    mean_mnc = []
+    network = network.to(device)
+    for first_pass in (None, network):
+        kernels = described(samples, network=first_pass, device=device)
+        before, after = [], []
+        with torch.no_grad():
+            for first in range(0, len(kernels), _EVALUATED):
+                batch = slice(first, first + _EVALUATED)
+                maps, truth = (t[batch].float() for t in (kernels.maps, kernels.truth))
+                before.append(alike(maps[:, 0], truth))
+                after.append(alike(corrected(network, maps), truth))
+        mean_mnc += [float(torch.cat(before).mean()), float(torch.cat(after).mean())]
+    return mean_mnc[0], mean_mnc[1], mean_mnc[3]
