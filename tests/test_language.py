@@ -27,7 +27,6 @@ MOST = {
     "cep/shutter": 1,
     "lab/bench": 4,
     "lab/block_proofs": 29,
-    "lab/class_code.py": 4,
     "lab/fronts": 1,
     "lab/jobs": 2,
     "motdiff/estimators": 1,

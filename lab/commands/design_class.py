@@ -22,7 +22,7 @@ from cep.commands.options import MOTION, CommonOptions, TableFile, command, tabl
 from cep.commands.search_run import saved_on_interrupt
 
 if TYPE_CHECKING:
-    from lab.class_code import ClassOptimum
+    from lab.class_code.optimum import ClassOptimum
 
 _CHIP_S = 1e-3  # where no exposure is given
 
@@ -89,7 +89,8 @@ def design_class(options: DesignClassOptions) -> None:
         from cep.search.compare import as_designed
         from cep.search.scenarios import class_scenarios
         from cep.search.search import Search
-        from lab.class_code import motion_class, optimize_class
+        from lab.class_code.motions import motion_class
+        from lab.class_code.search import optimize_class
         from motdiff.files.outputs import claim
 
         stated_s = exposure_seconds(options.exposure)
@@ -114,7 +115,7 @@ def design_class(options: DesignClassOptions) -> None:
                 searched,
                 problem,
                 Search(steps=options.steps, time_s=options.time_s, seed=options.seed),
-                others=motions.others,
+                held_out=motions.held_out,
                 progress=tick,
                 on_found=lambda stored: keep({options.output: stored}),
             )
@@ -137,12 +138,12 @@ def design_class(options: DesignClassOptions) -> None:
 def _page(best: ClassOptimum, file: Path) -> Page:
     """Print a class code for people."""
     code = best.code
-    result = best.found
+    result = best.outcome
     yield best.verdict
     yield f"{file}: {code.bits}"
     light = f"{code.open_chips} of {code.chips} chips open, {openings(code)}"
     yield f"{light}; {result.seconds:.1f} s, {ending(result.stopped, result.steps)}"
-    unseen = best.others > 0
+    unseen = best.held_out > 0
     rows = [
         (
             row.label,
@@ -154,7 +155,10 @@ def _page(best: ClassOptimum, file: Path) -> Page:
         )
         for row in best.rows
     ]
-    where = [f"on the {best.motions} searched", *([f"on {best.others} others"] if unseen else [])]
+    where = [
+        f"on the {best.motions} searched",
+        *([f"on {best.held_out} others"] if unseen else []),
+    ]
     objective = best.problem.objective if isinstance(best.problem.objective, str) else "mix"
     yield Table(
         f"mean {objective} over the motions, dB, lower is better",

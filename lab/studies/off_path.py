@@ -25,7 +25,7 @@ from cep.optics.mtf import inverse_scene, noise_variance
 from cep.search.annealing.anneal import anneal
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
-from lab.class_code import draw_motions
+from lab.class_code.motions import draw_motions
 from motdiff.trajectory import Trajectory
 
 ROWS = ("noise", "noise x8", "mse", "mse x8")

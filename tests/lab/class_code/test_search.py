@@ -18,8 +18,8 @@ from cep.search.annealing import anneal
 from cep.search.problem import OBJECTIVES, SearchProblem
 from cep.search.scenarios import MOST_SCENARIOS, class_scenarios
 from cep.search.search import Search
-from lab.class_code import check_class, draw_motions, optimize_class, per_motion_db
-from motdiff.gyro import GyroTrace
+from lab.class_code.motions import draw_motions
+from lab.class_code.search import check_class, optimize_class, per_motion_db
 from motdiff.trajectory import Trajectory
 
 AVERAGED = " or ".join(name for name, known in OBJECTIVES.items() if known.averages)
@@ -81,9 +81,10 @@ def test_order_and_orientation_of_the_motions_do_not_matter():
 
 def test_rows_are_judged_on_motions_that_the_search_has_not_seen(tmp_path):
     unseen = draw_motions(4, length_px=15.0, rng=np.random.default_rng(2))
-    best = optimize_class(WALKS, PROBLEM, Search(steps=2000), others=unseen, threads=1)
+    best = optimize_class(WALKS, PROBLEM, Search(steps=2000), held_out=unseen, threads=1)
     assert (
-        best.found.code == optimize_class(WALKS, PROBLEM, Search(steps=2000), threads=2).found.code
+        best.outcome.code
+        == optimize_class(WALKS, PROBLEM, Search(steps=2000), threads=2).outcome.code
     )
     own, *others = best.rows
     assert (own.behind_db, own.behind_error_db) == (0, 0)
@@ -111,7 +112,7 @@ def test_the_verdict_recommends_nothing_that_loses_to_its_own_table():
     # up to some blur
     dim = replace(PROBLEM, objective="mse", camera=Camera(photons_full_scale=30.0))
     dark = optimize_class(
-        WALKS, replace(dim, open_range=(1, 2)), Search(steps=500), others=unseen, threads=1
+        WALKS, replace(dim, open_range=(1, 2)), Search(steps=500), held_out=unseen, threads=1
     )
     better = min(dark.rows, key=lambda row: row.behind_db)
     assert better.behind_db < 0
@@ -119,13 +120,13 @@ def test_the_verdict_recommends_nothing_that_loses_to_its_own_table():
     assert better.code.open_chips > 2
     assert dark.verdict.startswith(f"Use the {better.name} (open for {better.code.open_chips} of")
     free = optimize_class(
-        WALKS, replace(dim, open_range=None), Search(steps=500), others=unseen, threads=1
+        WALKS, replace(dim, open_range=None), Search(steps=500), held_out=unseen, threads=1
     )
     assert min(row.behind_db for row in free.rows) == 0
     assert free.code.pulses == 1
     assert free.verdict.startswith("A short exposure is best, one opening (open for ")
     noise = optimize_class(
-        WALKS, replace(PROBLEM, open_range=None), Search(steps=3000), others=unseen, threads=1
+        WALKS, replace(PROBLEM, open_range=None), Search(steps=3000), held_out=unseen, threads=1
     )
     assert noise.to_dict()["verdict"] == noise.verdict
     snapshot = next(row for row in noise.rows if row.name == "best snapshot")
@@ -142,8 +143,8 @@ def test_a_search_whose_samples_take_longer_than_its_time_makes_moves(monkeypatc
 
     monkeypatch.setattr(anneal, "Objective", slow)
     best = optimize_class(WALKS, PROBLEM, Search(time_s=0.4), threads=1)
-    assert best.found.stopped == "time"
-    assert best.found.steps > 0
+    assert best.outcome.stopped == "time"
+    assert best.outcome.steps > 0
     assert not best.unsearched
     assert "Nothing was searched" not in best.verdict
 
@@ -154,12 +155,14 @@ def test_a_search_whose_samples_take_longer_than_its_time_makes_moves(monkeypatc
 def test_where_no_move_was_made_the_verdict_recommends_nothing(stopped, said):
     best = optimize_class(WALKS, PROBLEM, Search(steps=500), threads=1)
     none = replace(
-        best, how=Search(time_s=7.0), found=replace(best.found, steps=0, stopped=stopped)
+        best, how=Search(time_s=7.0), outcome=replace(best.outcome, steps=0, stopped=stopped)
     )
     assert none.verdict.startswith(f"Nothing was searched: {said} before the first move.")
     assert "--time" in none.verdict
     # where there is one code only, nothing needs a search
-    assert "Nothing" not in replace(none, found=replace(none.found, stopped="complete")).verdict
+    assert (
+        "Nothing" not in replace(none, outcome=replace(none.outcome, stopped="complete")).verdict
+    )
 
 
 def test_one_opening_is_not_called_openings():
@@ -167,17 +170,6 @@ def test_one_opening_is_not_called_openings():
         "1 opening",
         "2 openings",
     ]
-
-
-def test_drawn_motions_are_of_the_length_asked_for():
-    rng = np.random.default_rng(0)
-    for path in draw_motions(3, length_px=25.0, rng=rng):
-        assert path.length_px == pytest.approx(25, abs=0.3)  # thinned
-    t = np.linspace(0, 2, 400)
-    trace = GyroTrace(t, np.column_stack([np.sin(9 * t), np.cos(7 * t), 0 * t]))
-    for path in draw_motions(3, length_px=25.0, rng=rng, gyro=trace, exposure_s=0.1):
-        assert path.extent_px == pytest.approx(25, abs=0.1)
-        assert path.direction == "known"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""One shutter code for a class of motions, by its mean decibels over them."""
