@@ -1,0 +1,1 @@
+"""Goldens: what every command prints and writes, recorded and compared."""
