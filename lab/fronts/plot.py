@@ -67,8 +67,8 @@ def pareto_figure(
     ]
     limit_db = min(p.noise_db for p in front.points) + _WIDEST_DB
     in_view = [p for p in front.points if p.noise_db <= limit_db]
-    colours = _colours(front)
-    _lines(axes, front, colours)
+    scales = _Scales(front)
+    _lines(axes, front, scales)
     beaten = [p for p in beaten if p.noise_db <= limit_db]
     small: dict[str, Any] = {
         "s": 12,
@@ -85,28 +85,30 @@ def pareto_figure(
     }
     for points, style in ((beaten, small), (in_view, large)):
         if points:
-            x, y = _place(front, points)
-            bar = axes.scatter(x, y, c=[colours.of(p) for p in points], **colours.style, **style)
+            x, y = scales.place(points)
+            bar = axes.scatter(x, y, c=[scales.colour(p) for p in points], **scales.style, **style)
     references = published or {}
     visible = {name: p for name, p in references.items() if p.noise_db <= limit_db}
     if visible:
-        x, y = _place(front, list(visible.values()))
+        x, y = scales.place(list(visible.values()))
         axes.scatter(
             x, y, marker="x", s=60, color=COLOURS[1], linewidth=1.8, zorder=5, label="published"
         )
-    axes.set(xlabel="noise gain, dB, light-true (left is better)", ylabel=_height_label(front))
+    axes.set(
+        xlabel="noise gain, dB, light-true (left is better)",
+        ylabel=f"{scales.height_label} (up is better)",
+    )
     axes.grid(color="0.92", linewidth=0.6)
     axes.margins(0.09, 0.09)
-    figure.colorbar(bar, ax=axes, label=colours.label, pad=0.02)
+    figure.colorbar(bar, ax=axes, label=scales.colour_label, pad=0.02)
     figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=least_pt(_WIDTH_IN))
     hidden = [f"{name} ({_db(p)})" for name, p in references.items() if name not in visible]
-    hidden += (
-        [f"{len(front.points) - len(in_view)} codes of the front"]
-        if len(in_view) < len(front.points)
-        else []
-    )
-    axes.set_title(plot_text(title) or _title(front), pad=18 if hidden else None)
+    if len(in_view) < len(front.points):
+        hidden.append(f"{len(front.points) - len(in_view)} codes of the front")
+    heading = f"{scales.title} that codes of {front.problem.chips} chips have together"
+    pad_pt = None
     if hidden:
+        pad_pt = 18  # the line of the hidden ones stands below the title
         text = f"noisier than shown: {', '.join(hidden)}"
         axes.text(
             1.0,
@@ -118,6 +120,7 @@ def pareto_figure(
             fontsize=least_pt(_WIDTH_IN),
             color="0.35",
         )
+    axes.set_title(plot_text(title) or heading, pad=pad_pt)
     labelled = [
         (_names(point, front), point, "0.1")
         for point in dict.fromkeys(knees(front).values())
@@ -127,69 +130,66 @@ def pareto_figure(
         figure,
         axes,
         front,
+        scales,
         [*labelled, *((name, point, COLOURS[1]) for name, point in visible.items())],
         beaten,
     )
     return figure
 
 
-class _Colours:
-    """Colour by light, or by the minimum where light is the height."""
-
-    def __init__(self, label: str, low: float, high: float, *, by_light: bool) -> None:
-        self.label = label
-        self._by_light = by_light
-        self.style: dict[str, Any] = {
-            "cmap": _COLOUR_MAP,
-            "vmin": low,
-            "vmax": high if high > low else low + 1,
-        }
-
-    def of(self, point: FrontPoint) -> float:
-        return float(point.open_chips if self._by_light else point.minimum)
+def _minimum(point: FrontPoint) -> float:
+    return point.minimum
 
 
-def _colours(front: Front) -> _Colours:
-    label = _UNITS[front.unit] if front.sampled else f"light, open chips of {front.problem.chips}"
-    values = [p.minimum if front.sampled else p.open_chips for p in front.points]
-    return _Colours(label, min(values), max(values), by_light=not front.sampled)
+def _light(point: FrontPoint) -> float:
+    return float(point.open_chips)
 
 
-def _lines(axes: Axes, front: Front, colours: _Colours) -> None:
+class _Scales:
+    """Which figure is the height, and which the colour.
+
+    Along curved paths the minimum is sampled alone: it is then the colour, which promises less.
+    """
+
+    def __init__(self, front: Front) -> None:
+        minimum = (_minimum, _UNITS[front.unit])
+        light = (_light, f"light, open chips of {front.problem.chips}")
+        self.height, self.height_label = minimum
+        self.colour, self.colour_label = light
+        self.title = "Minimum, noise and light"
+        if front.sampled:
+            self.height, self.height_label = light
+            self.colour, self.colour_label = minimum
+            self.title = "Noise and light"
+        values = [self.colour(point) for point in front.points]
+        low = min(values)
+        high = max(values)
+        if high <= low:  # a single colour, and matplotlib asks for a range
+            high = low + 1
+        self.style: dict[str, Any] = {"cmap": _COLOUR_MAP, "vmin": low, "vmax": high}
+
+    def place(self, points: Sequence[FrontPoint]) -> tuple[list[float], list[float]]:
+        """Return noise gains and heights."""
+        return [p.noise_db for p in points], [self.height(p) for p in points]
+
+
+def _lines(axes: Axes, front: Front, scales: _Scales) -> None:
     from matplotlib import colormaps
     from matplotlib.colors import Normalize
 
     thin: dict[str, Any] = {"linewidth": 0.8, "zorder": 1}
     if front.sampled:
-        axes.plot(*_place(front, front.points), color="0.6", **thin)
+        axes.plot(*scales.place(front.points), color="0.6", **thin)
         return
-    scale = Normalize(colours.style["vmin"], colours.style["vmax"], clip=True)
+    scale = Normalize(scales.style["vmin"], scales.style["vmax"], clip=True)
     counts = {p.open_chips for p in front.points}
     lines = list[Any]()
     for count, curve in front.curves.items():
         if count in counts and len(curve) > 1:
-            label = None if lines else "of equal light"
-            lines += axes.plot(
-                *_place(front, curve),
-                color=colormaps[_COLOUR_MAP](scale(count)),
-                label=label,
-                **thin,
-            )
-
-
-def _place(front: Front, points: Sequence[FrontPoint]) -> tuple[list[float], list[float]]:
-    heights = [float(p.open_chips) if front.sampled else p.minimum for p in points]
-    return [p.noise_db for p in points], heights
-
-
-def _height_label(front: Front) -> str:
-    what = f"light, open chips of {front.problem.chips}" if front.sampled else _UNITS[front.unit]
-    return f"{what} (up is better)"
-
-
-def _title(front: Front) -> str:
-    what = "noise and light" if front.sampled else "minimum, noise and light"
-    return f"{what[0].upper()}{what[1:]} that codes of {front.problem.chips} chips have together"
+            colour = colormaps[_COLOUR_MAP](scale(count))
+            lines += axes.plot(*scales.place(curve), color=colour, **thin)
+    if lines:
+        lines[0].set_label("of equal light")  # one entry of the legend for all of them
 
 
 def _names(point: FrontPoint, front: Front) -> str:
@@ -198,13 +198,16 @@ def _names(point: FrontPoint, front: Front) -> str:
 
 
 def _db(point: FrontPoint) -> str:
-    return f"{point.noise_db:.0f} dB" if point.noise_db <= HOPELESS_DB else "has a zero"
+    if point.noise_db > HOPELESS_DB:
+        return "has a zero"
+    return f"{point.noise_db:.0f} dB"
 
 
 def _label(
     figure: Figure,
     axes: Axes,
     front: Front,
+    scales: _Scales,
     labels: Sequence[tuple[str, FrontPoint, str]],
     dots: Sequence[FrontPoint],
 ) -> None:
@@ -214,7 +217,7 @@ def _label(
     figure.draw_without_rendering()
     frame = axes.get_window_extent()
     all_points = [*front.points, *dots, *(point for _, point, _ in labels)]
-    occupied = axes.transData.transform(np.column_stack(_place(front, all_points)))
+    occupied = axes.transData.transform(np.column_stack(scales.place(all_points)))
     lines = [axes.transData.transform(line.get_xydata()) for line in axes.lines]
     steps = np.linspace(0, 1, 24)[:, None]
     along = [
@@ -225,7 +228,7 @@ def _label(
     crossed = np.concatenate([np.empty((0, 2)), *(points.reshape(-1, 2) for points in along)])
     boxes: list[FloatArray] = []
     for text, point, colour in labels:
-        (x,), (y,) = _place(front, [point])
+        (x,), (y,) = scales.place([point])
         note = axes.annotate(
             text,
             (x, y),

@@ -1,12 +1,12 @@
 """Tables of the benchmarks on the console, at any width."""
 
 import numpy as np
+from console_tables import check, rendered
 
 from cep.commands.console import Table
 from lab.bench.blind.report import blind_tables
 from lab.bench.codes import CODE_HEAD
 from lab.commands.tables import table_page
-from tests.cep.commands.test_console_tables import check, rendered
 
 
 def test_the_tables_of_the_benchmarks_at_every_width():
