@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import ndimage
 
 from motdiff.types import FloatArray
 
@@ -22,6 +23,9 @@ MAP_PX = MAP_PITCH * PSF_PX
 MAP_CENTRE = MAP_PITCH * (PSF_PX // 2) + (MAP_PITCH - 1) / 2
 """Index of zero displacement in an HR map: the middle of the map pixels within the PSF's pixel of
 it."""
+
+_FAINT_SHARE = 0.05  # of the peak: noise of a fitted kernel, docs/decisions/tracing.md
+_SPECK_SHARE = 0.1  # of the light: a part with less is noise
 
 
 def margins(side: int, size: int = PSF_PX) -> tuple[int, int]:
@@ -71,3 +75,23 @@ def without_faint_light(kernels: ArrayLike, *, below: float) -> FloatArray:
     """Set kernels (..., H, W) to 0 below the share ``below`` of their peak; not renormalised."""
     light = np.asarray(kernels, dtype=np.float64)
     return np.where(light < below * light.max(axis=(-2, -1), keepdims=True), 0.0, light)
+
+
+def without_faint_parts(kernel: FloatArray) -> FloatArray:
+    """Drop values below 5 % of the peak, and specks, which add side branches to the path.
+
+    Parameters
+    ----------
+    kernel : (k, k) float
+        Non-negative, with some light.
+
+    Returns
+    -------
+    (k, k) float, sum 1
+    """
+    bright = without_faint_light(kernel, below=_FAINT_SHARE)
+    label, count = ndimage.label(bright, structure=np.ones((3, 3)))
+    light = ndimage.sum_labels(bright, label, np.arange(count + 1))
+    light[0] = 0  # the background's label
+    bright = np.where(light[label] >= min(light.max(), _SPECK_SHARE * bright.sum()), bright, 0.0)
+    return np.asarray(bright / bright.sum(), dtype=np.float64)

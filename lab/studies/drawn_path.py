@@ -26,14 +26,13 @@ from cep.search.recipe import search_code
 from lab.studies.inputs import photos, smooth_trace
 from motdiff.estimators.kernel_score import Judge
 from motdiff.estimators.motdiff.drawing import quick_search
-from motdiff.estimators.multiscale import without_faint_parts
 from motdiff.estimators.pmp.estimator import refined
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.network.diffusion import cosine_schedule
 from motdiff.network.physics_maps import physics_maps
 from motdiff.network.sampling import sample_paths
-from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
+from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light, without_faint_parts
 from motdiff.simulate import photograph
 from motdiff.tracing import fit_dwell, simplest_trajectory, trace_map
 from motdiff.trajectory import Trajectory

@@ -91,6 +91,10 @@ class FoundKernels:
     origins : tuple of K str
         Where each kernel comes from; the report gives that of the best (``chosen``), or nothing
         where this is empty.
+    path : Trajectory or None
+        Path whose PSF the best kernel is, where a simple motion explains the photo.
+    path_error_px : float or None, px
+        Its expected error, rms over time.
     """
 
     kernels: tuple[NDArray[np.float64], ...]
@@ -99,6 +103,8 @@ class FoundKernels:
     details: dict[str, object] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     origins: tuple[str, ...] = ()
+    path: Trajectory | None = None
+    path_error_px: float | None = None
 
     @property
     def confidence(self) -> float:

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.multiscale import without_faint_parts
-from motdiff.psf_frame import PSF_PX, centred, in_frame, without_faint_light
+from motdiff.psf_frame import PSF_PX, centred, in_frame, without_faint_light, without_faint_parts
 from motdiff.tracing import simplest_trajectory
 from motdiff.trajectory import Trajectory
 

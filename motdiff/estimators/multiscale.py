@@ -11,20 +11,19 @@ from typing import TypeVar
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from motdiff.crops import CROP_PX, best_windows, clipped_mask, exposure_gain, textured_luminance
 from motdiff.estimators.base import FoundKernels, MotionEstimate
+from motdiff.estimators.description import described
 from motdiff.estimators.doubts import doubted
 from motdiff.estimators.fusion import GOOD_MNC, Fusion, cut_alike, fuse
 from motdiff.estimators.kernel_score import uneven_blur_warning
 from motdiff.estimators.lights import MOST_LIGHTS, without_lights
-from motdiff.metrics import mnc_subpixel, path_distance_px
+from motdiff.metrics import path_distance_px
 from motdiff.progress import Progress
-from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
+from motdiff.psf_frame import without_faint_parts
 from motdiff.threads import one_thread_a_call
-from motdiff.tracing import is_tangled, simplest_trajectory
-from motdiff.trajectory import Trajectory
+from motdiff.tracing import simplest_trajectory
 from motdiff.types import FloatArray
 
 _Photo = TypeVar("_Photo")
@@ -33,25 +32,9 @@ _Result = TypeVar("_Result")
 _LEAST_HALVED_PX = 192  # halved it has 96, not much more than the largest kernel frame, 63
 _LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halved and tried again
 _FACTORS = (1, 2, 4)  # by which the photo is made smaller, one after the other
-_FAINT = 0.05  # share of the peak: noise of a fitted kernel, docs/decisions/tracing.md
-_SPECK_SHARE = 0.1  # of the light: a part with less is noise
-# less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
-_SAME_MOTION_MNC = 0.8
-_MOST_MOTIONS = 3  # the best, and alternatives
 _LOST = 0.5  # confidence: below, the kernel is likelier wrong than good
 _MOST_CROPS = 12  # of several photos together
-# kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px,
-# six
-_WEB_PX = 200.0
-_WEB_TURNS = 4.0
-_WEB_CONFIDENCE = 0.2
 _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
-# of paths whose kernel is good, the share that is right to within 1 px, in length and order: of
-# arcs, bends and tangles
-_BENT_TURNS = 1.3
-_ARC_RIGHT = 0.9
-_BENT_RIGHT = 0.3
-_TANGLED_RIGHT = 0.1
 
 
 class BlindEstimator(ABC):
@@ -78,6 +61,8 @@ class BlindEstimator(ABC):
     """Side of the largest frame that it searches, px."""
     smallest_px: int
     """Least side of a photo that it can search, px."""
+    plain_mnc = 0.86
+    """Likeness with the kernel from which on a quadratic path is taken for it."""
 
     def __init__(self, *, crops: int = 3, progress: Callable[[float], None] | None = None) -> None:
         if crops < 1:
@@ -178,7 +163,14 @@ class BlindEstimator(ABC):
                     best.crops, single_kernels, tested.candidates.kernels[corrected.best]
                 )
             outgrown = _outgrown(tested, self.largest_px)
-            estimate = _described(replace(best, candidates=corrected), self.method, uneven)
+            estimate = described(
+                corrected,
+                method=self.method,
+                factor=best.factor,
+                plain_mnc=self.plain_mnc,
+                uneven=uneven,
+                details={"crops": len(best.crops), **_repeatability(best)},
+            )
             estimate = doubted(
                 estimate, levels[0].photographed, uneven=uneven is not None, outgrown=outgrown
             )
@@ -302,81 +294,6 @@ def _outgrown(level: _Level, largest_px: int) -> bool:
     return bool(max(np.ptp(y), np.ptp(x)) + 1 > _LARGEST_EXTENT * largest_px)
 
 
-def _described(level: _Level, method: str, uneven: str | None) -> MotionEstimate:
-    kernels = level.candidates.kernels
-    candidates = level.candidates
-    chosen = [candidates.best]  # then those that show other motions, likeliest first
-    for i in np.argsort(-candidates.probabilities):
-        if len(chosen) < _MOST_MOTIONS and all(
-            mnc_subpixel(kernels[i], kernels[j]) < _SAME_MOTION_MNC for j in chosen
-        ):
-            chosen.append(int(i))
-    # a kernel's noise would lengthen its path
-    trajectories = [simplest_trajectory(without_faint_parts(kernels[i])) for i in chosen]
-    if level.factor > 1:
-        trajectories = [trajectory.scaled(level.factor) for trajectory in trajectories]
-    weights = candidates.probabilities[chosen] / candidates.probabilities[chosen].sum()
-    psf = path_psf = trajectories[0].psf(trajectories[0].frame_size(PSF_PX))
-    if level.factor == 1:
-        psf = in_frame(kernels[candidates.best], max(PSF_PX, len(kernels[candidates.best]) + 1))
-        psf = psf / psf.sum()
-    of_the_psf = list(candidates.warnings)
-    if uneven is not None:
-        of_the_psf.append(uneven)
-    warnings = list(of_the_psf)
-    confidence = candidates.confidence
-    length_px = trajectories[0].length_px
-    extent_px = trajectories[0].extent_px
-    tangled = is_tangled(trajectories[0].scaled(1 / level.factor))  # strands as searched
-    # the limit is in pixels of what was searched
-    if length_px > max(_WEB_PX * level.factor, _WEB_TURNS * extent_px):
-        confidence = min(confidence, _WEB_CONFIDENCE)
-        warnings.append(
-            f"the path found is {length_px:.0f} px long within {extent_px:.0f} px: more a web of"
-            " noise than a motion"
-        )
-    elif confidence >= _LOST and tangled:
-        warnings.append(
-            f"the path found is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a blur"
-            " kernel does not tell the order of crossing strands: a code searched along it may be"
-            " no better than a published one; the method gyro tells the order"
-        )
-    if confidence < _LOST:
-        warnings.append(
-            f"the blind estimate is probably lost (confidence {confidence:.2f}): "
-            "take a photo with more texture, or use the methods reference or point"
-        )
-    if level.factor > 1:
-        smaller = (
-            f"the motion was estimated on the photo at 1/{level.factor} of its size, where it"
-            " shows better"
-        )
-        warnings.append(smaller)
-        of_the_psf.append(smaller)
-    origin = {}
-    if candidates.origins:
-        origin["chosen"] = candidates.origins[candidates.best]
-    return MotionEstimate(
-        method=method,
-        trajectories=tuple(trajectories),
-        weights=tuple(float(w) for w in weights),
-        psf=psf,
-        confidence=confidence,
-        warnings=tuple(warnings),
-        details={
-            "crops": len(level.crops),
-            "scale": 1 / level.factor,
-            **candidates.details,
-            **origin,
-            "trajectory_psf_mnc": mnc_subpixel(psf, path_psf),
-            "psf_confidence": candidates.confidence,
-            "path_confidence": confidence * _path_share(trajectories[0], tangled=tangled),
-            **_repeatability(level),
-        },
-        psf_warnings=tuple(of_the_psf),
-    )
-
-
 def _repeatability(level: _Level) -> dict[str, object]:
     """Agreement of each of several photos with their shared motion, before correction."""
     fusion = level.fusion
@@ -398,32 +315,3 @@ def _repeatability(level: _Level) -> dict[str, object]:
         "repeatability_px": apart,
         "left_out": [i + 1 for i in fusion.left_out],
     }
-
-
-def _path_share(path: Trajectory, *, tangled: bool) -> float:
-    """Share of such paths that are right in length and order, where their kernels are good."""
-    if tangled:
-        return _TANGLED_RIGHT
-    if path.length_px > _BENT_TURNS * path.extent_px:
-        return _BENT_RIGHT
-    return _ARC_RIGHT
-
-
-def without_faint_parts(kernel: FloatArray) -> FloatArray:
-    """Drop values below 5 % of the peak, and specks, which add side branches to the path.
-
-    Parameters
-    ----------
-    kernel : (k, k) float
-        Non-negative, with some light.
-
-    Returns
-    -------
-    (k, k) float, sum 1
-    """
-    bright = without_faint_light(kernel, below=_FAINT)
-    label, count = ndimage.label(bright, structure=np.ones((3, 3)))
-    light = ndimage.sum_labels(bright, label, np.arange(count + 1))
-    light[0] = 0  # the background's label
-    bright = np.where(light[label] >= min(light.max(), _SPECK_SHARE * bright.sum()), bright, 0.0)
-    return np.asarray(bright / bright.sum(), dtype=np.float64)

@@ -240,6 +240,22 @@ def _overlap(
     return float(affinity.sum()) + 1e-300, -2 / width * pulled
 
 
+def plain_trajectory(psf: ArrayLike, *, least_mnc: float = _EXPLAINED_MNC) -> Trajectory | None:
+    """Quadratic path of an estimated PSF; None where none explains it.
+
+    Parameters
+    ----------
+    psf : (H, W) array_like
+        As :func:`quadratic_of_psf`.
+    least_mnc : float
+        With its PSF, of a path that explains it.
+    """
+    plain = quadratic_of_psf(psf).trajectory()
+    if mnc_subpixel(plain.psf(plain.frame_size(PSF_PX)), psf) < least_mnc:
+        return None
+    return plain
+
+
 def simplest_trajectory(psf: ArrayLike) -> Trajectory:
     """Trace an estimated PSF: a quadratic path where one explains it, else a walk.
 
@@ -252,9 +268,4 @@ def simplest_trajectory(psf: ArrayLike) -> Trajectory:
     psf : (H, W) array_like
         As :func:`motdiff.tracing.trace_psf`, which traces a PSF that no quadratic path explains.
     """
-    light = np.asarray(psf, dtype=np.float64)
-    plain = quadratic_of_psf(light).trajectory()
-    plain_psf = plain.psf(plain.frame_size(PSF_PX))
-    if mnc_subpixel(plain_psf, light) >= _EXPLAINED_MNC:
-        return plain
-    return trace_psf_to_trajectory(light)
+    return plain_trajectory(psf) or trace_psf_to_trajectory(psf)

@@ -115,7 +115,7 @@ class _Search(PhotoFit):
 
     def from_kernels(self) -> Tensor:
         """Candidates from all kinds of starts, fitted to the kernels."""
-        from motdiff.estimators.multiscale import without_faint_parts
+        from motdiff.psf_frame import without_faint_parts
         from motdiff.tracing import simplest_trajectory
 
         traced = simplest_trajectory(without_faint_parts(self.exposures.kernels[0]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from motdiff.estimators.motdiff.correcting import corrected_choice
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, planned, refined
+from motdiff.estimators.simple_motion import simple_motion
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
 from motdiff.network.sampling import DOUBT
@@ -53,7 +55,9 @@ class MotDiffEstimator(BlindEstimator):
     several motions. All are scored on the photo (:mod:`motdiff.estimators.kernel_score`), and the
     most likely ones are refined at full resolution. A second network corrects the best and up to
     two of the likeliest different ones (:mod:`motdiff.network.correction`), and the same score of
-    the photo alone chooses. The result may come from a classical kernel or from the draws.
+    the photo alone chooses. A simple motion that is as likely takes its place
+    (:mod:`motdiff.estimators.simple_motion`). The result may come from a classical kernel or from
+    the draws.
 
     Parameters
     ----------
@@ -83,6 +87,7 @@ class MotDiffEstimator(BlindEstimator):
     method = "motdiff"
     largest_px = _ODD_PX
     smallest_px = MotDiff.smallest_px
+    plain_mnc = 0.95  # less like, the photo has refused it
 
     def __init__(
         self,
@@ -171,13 +176,20 @@ class MotDiffEstimator(BlindEstimator):
         return refined(crops, kernel, shared_sigma(crops))
 
     def corrected(self, crops: FloatArray, candidates: FoundKernels) -> FoundKernels:
-        """Correct the best kernel and the likeliest different ones, and choose anew."""
+        """Correct the likeliest kernels, choose anew, and take a simple motion as likely."""
         if self._correction is None:
             return candidates
         # the first kernels are the draws themselves: they take no part
         better = corrected_choice(
             self._correction, crops, candidates, count=_REFINED, skip=self._samples
         )
+        motion = simple_motion(crops, better.kernels[better.best], sigma=shared_sigma(crops))
+        if motion is not None:
+            kernels = list(better.kernels)
+            kernels[better.best] = motion.psf
+            better = replace(
+                better, kernels=tuple(kernels), path=motion.path, path_error_px=motion.error_px
+            )
         self._progress.spend(_CORRECT_COST)
         return better
 

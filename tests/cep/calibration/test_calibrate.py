@@ -294,7 +294,7 @@ def test_a_photo_that_is_too_small_is_refused_before_anything_slow_is_loaded(
 
 def test_the_command_runs_a_network(cep, workplace, small_weights, monkeypatch):
     monkeypatch.setattr(
-        "motdiff.estimators.multiscale.simplest_trajectory", lambda psf: BENT
+        "motdiff.estimators.description.plain_trajectory", lambda psf, **_: BENT
     )  # noise is long to trace
     found = cep.succeeds("calibrate", "blurred.png", "--samples", "1", "-o", "motion")
     assert found["method"] == "motdiff"

@@ -183,8 +183,8 @@ def no_search(monkeypatch):
 @pytest.fixture
 def no_tracing(monkeypatch):
     """What a network that was never trained draws is no path, and long to trace."""
-    for place in ("motdiff.estimators.multiscale", "motdiff.tracing"):
-        monkeypatch.setattr(f"{place}.simplest_trajectory", lambda psf: STRAIGHT)
+    for name in ("description.plain_trajectory", "description.simplest_trajectory"):
+        monkeypatch.setattr(f"motdiff.estimators.{name}", lambda psf, **_: STRAIGHT)
 
 
 # ---- drawing
@@ -357,6 +357,7 @@ def test_an_oracle_s_motion_is_found(monkeypatch, no_search, shaken, refine):
     assert details.pop("path_confidence") == pytest.approx(0.9 * estimate.confidence)
     assert details.pop("steep_edges") > 20
     assert details.pop("sharpest_edges_px") > 2
+    assert details.pop("path_uncertainty_px", 0.1) < 0.5  # of a simple motion
     assert details == {"crops": 1, "scale": 1.0, "samples": 8, "classical": 3, "steps": 4}
 
 

@@ -1,0 +1,175 @@
+"""Motion estimate of a photo from the kernels found in it: paths, confidences and warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from motdiff.estimators.base import FoundKernels, MotionEstimate
+from motdiff.metrics import mnc_subpixel
+from motdiff.psf_frame import PSF_PX, in_frame, without_faint_parts
+from motdiff.tracing import (
+    is_tangled,
+    plain_trajectory,
+    simplest_trajectory,
+    smooth_path,
+    trace_psf_to_trajectory,
+)
+from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
+
+# less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
+_SAME_MOTION_MNC = 0.8
+_MOST_MOTIONS = 3  # the best, and alternatives
+_LOST = 0.5  # confidence: below, the kernel is likelier wrong than good
+# kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px,
+# six
+_WEB_PX = 200.0
+_WEB_TURNS = 4.0
+_WEB_CONFIDENCE = 0.2
+# of paths whose kernel is good, the share that is right to within 1 px, in length and order: of
+# plain arcs and bends, and of smooth paths by the margin to the next order
+# (docs/decisions/tracing.md)
+_PLAIN_RIGHT = 0.9
+_BENT_TURNS = 1.3
+_BENT_RIGHT = 0.3
+_CLEAR_MARGIN = 30.0
+_UNCLEAR_RIGHT = 0.1
+
+
+@dataclass(frozen=True)
+class _KernelPath:
+    """Path of a kernel, the trace of its lines, and the share of such paths that is right."""
+
+    path: Trajectory
+    trace: Trajectory
+    share: float
+
+
+def described(
+    candidates: FoundKernels,
+    *,
+    method: str,
+    factor: int,
+    plain_mnc: float,
+    uneven: str | None,
+    details: Mapping[str, object],
+) -> MotionEstimate:
+    """Describe the motion that kernels show.
+
+    Parameters
+    ----------
+    candidates : FoundKernels
+    method : str
+        Name of the estimator.
+    factor : int
+        By how much the photo was made smaller before the search.
+    plain_mnc : float
+        From this likeness with the kernel on, a quadratic path is taken for it.
+    uneven : str, optional
+        Warning that the blur differs across the photo.
+    details : mapping
+        Other figures for the report.
+    """
+    kernels = candidates.kernels
+    chosen = [candidates.best]  # then those that show other motions, likeliest first
+    for i in np.argsort(-candidates.probabilities):
+        if len(chosen) < _MOST_MOTIONS and all(
+            mnc_subpixel(kernels[i], kernels[j]) < _SAME_MOTION_MNC for j in chosen
+        ):
+            chosen.append(int(i))
+    best = _path_of(candidates, plain_mnc)
+    # a kernel's noise would lengthen its path
+    alternatives = [simplest_trajectory(without_faint_parts(kernels[i])) for i in chosen[1:]]
+    trajectories = [best.path, *alternatives]
+    trace = best.trace
+    tangled = is_tangled(trace)  # strands as searched
+    if factor > 1:
+        trajectories = [trajectory.scaled(factor) for trajectory in trajectories]
+        trace = trace.scaled(factor)
+    weights = candidates.probabilities[chosen] / candidates.probabilities[chosen].sum()
+    psf = path_psf = trajectories[0].psf(trajectories[0].frame_size(PSF_PX))
+    if factor == 1:
+        psf = in_frame(kernels[candidates.best], max(PSF_PX, len(kernels[candidates.best]) + 1))
+        psf = psf / psf.sum()
+    of_the_psf = list(candidates.warnings)
+    if uneven is not None:
+        of_the_psf.append(uneven)
+    warnings = list(of_the_psf)
+    confidence = candidates.confidence
+    length_px = trace.length_px
+    extent_px = trace.extent_px
+    # the limit is in pixels of what was searched
+    if length_px > max(_WEB_PX * factor, _WEB_TURNS * extent_px):
+        confidence = min(confidence, _WEB_CONFIDENCE)
+        warnings.append(
+            f"the path traced is {length_px:.0f} px long within {extent_px:.0f} px: more a web of"
+            " noise than a motion"
+        )
+    elif confidence >= _LOST and tangled:
+        warnings.append(
+            f"the path traced is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a"
+            " blur kernel does not tell the order of crossing strands: a code searched along it may"
+            " be no better than a published one; the method gyro tells the order"
+        )
+    if confidence < _LOST:
+        warnings.append(
+            f"the blind estimate is probably lost (confidence {confidence:.2f}): "
+            "take a photo with more texture, or use the methods reference or point"
+        )
+    if factor > 1:
+        smaller = (
+            f"the motion was estimated on the photo at 1/{factor} of its size, where it"
+            " shows better"
+        )
+        warnings.append(smaller)
+        of_the_psf.append(smaller)
+    figures = {**details, "scale": 1 / factor, **candidates.details}
+    if candidates.origins:
+        figures["chosen"] = candidates.origins[candidates.best]
+    if candidates.path_error_px is not None:
+        figures["path_uncertainty_px"] = candidates.path_error_px * factor
+    return MotionEstimate(
+        method=method,
+        trajectories=tuple(trajectories),
+        weights=tuple(float(w) for w in weights),
+        psf=psf,
+        confidence=confidence,
+        warnings=tuple(warnings),
+        details={
+            **figures,
+            "trajectory_psf_mnc": mnc_subpixel(psf, path_psf),
+            "psf_confidence": candidates.confidence,
+            "path_confidence": confidence * best.share,
+        },
+        psf_warnings=tuple(of_the_psf),
+    )
+
+
+def _path_of(candidates: FoundKernels, plain_mnc: float) -> _KernelPath:
+    """Path of the best kernel: its own simple motion, a plain path, or a smooth one."""
+    if candidates.path is not None:
+        return _KernelPath(candidates.path, candidates.path, _PLAIN_RIGHT)
+    kernel = candidates.kernels[candidates.best]
+    bright = without_faint_parts(kernel)
+    plain = plain_trajectory(bright, least_mnc=plain_mnc)
+    if plain is not None:
+        return _plain(plain)
+    return _smoothed(kernel, trace_psf_to_trajectory(bright))
+
+
+def _plain(path: Trajectory) -> _KernelPath:
+    share = _PLAIN_RIGHT
+    if path.length_px > _BENT_TURNS * path.extent_px:
+        share = _BENT_RIGHT
+    return _KernelPath(path, path, share)
+
+
+def _smoothed(kernel: FloatArray, trace: Trajectory) -> _KernelPath:
+    smooth = smooth_path(kernel, [trace])
+    share = _UNCLEAR_RIGHT
+    if smooth.margin >= _CLEAR_MARGIN and not is_tangled(trace):
+        share = _BENT_RIGHT
+    return _KernelPath(smooth.trajectory, trace, share)
