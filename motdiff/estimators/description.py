@@ -111,8 +111,8 @@ def described(
     elif confidence >= _LOST and tangled:
         warnings.append(
             f"the path traced is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a"
-            " blur kernel does not tell the order of crossing strands: a code searched along it may"
-            " be no better than a published one; the method gyro tells the order"
+            " blur kernel does not tell the order of crossing strands: a code searched along it"
+            " may be no better than a published one; the method gyro tells the order"
         )
     if confidence < _LOST:
         warnings.append(

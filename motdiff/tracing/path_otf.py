@@ -31,8 +31,8 @@ class PathOtf:
 
     def otf(self, points: FloatArray) -> NDArray[np.complex64]:
         """OTF (R, C) of nodes (K, 2), px, which :meth:`slope` differentiates next."""
-        self._rows = np.exp(self._slope_y[:, None] * points[:, 1].astype(np.float32))
-        self._columns = np.exp(self._slope_x[:, None] * points[:, 0].astype(np.float32))
+        self._rows = _phasors(self._slope_y.imag, points[:, 1])
+        self._columns = _phasors(self._slope_x.imag, points[:, 0])
         return np.asarray((self._rows * self._single_weight) @ self._columns.T)
 
     def slope(self, of_otf: ComplexArray | NDArray[np.complex64]) -> FloatArray:
@@ -90,6 +90,15 @@ def kernel_otf(kernel: ArrayLike, fy_cy_px: FloatArray, fx_cy_px: FloatArray) ->
     place = np.arange(len(light)) - len(light) // 2
     rows, columns = (np.exp(-2j * np.pi * np.outer(f, place)) for f in (fy_cy_px, fx_cy_px))
     return np.asarray(rows @ light @ columns.T, dtype=np.complex128)
+
+
+def _phasors(slope: NDArray[np.float32], place: FloatArray) -> NDArray[np.complex64]:
+    """``exp(i slope place)`` (N, K): cosine and sine are quicker than a complex exponential."""
+    angle_rad = slope[:, None] * place.astype(np.float32)
+    phasors = np.empty(angle_rad.shape, dtype=np.complex64)
+    phasors.real = np.cos(angle_rad)
+    phasors.imag = np.sin(angle_rad)
+    return phasors
 
 
 def _squared(otf: NDArray[np.complex64]) -> FloatArray:
