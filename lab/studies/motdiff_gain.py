@@ -42,7 +42,7 @@ from motdiff.estimators.kernel_score import distinct, noise_sigma, rank_kernels,
 from motdiff.estimators.motdiff.correcting import corrected_choice, corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
-from motdiff.estimators.pmp.estimator import PmpEstimator, refined
+from motdiff.estimators.pmp.estimator import PmpEstimator, Start, refined
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network import MotDiffNetwork
@@ -131,7 +131,7 @@ class Uncorrected(MotDiffEstimator):
 
 
 class SharedSearch:
-    """PMP's search, run once for the crops of a photo whatever the number of estimators that need
+    """PMP's search from a start, run once for a photo whatever the number of estimators that need
     it.
 
     Attributes
@@ -140,29 +140,27 @@ class SharedSearch:
         Processor time that repeated searches would have taken.
     """
 
-    def __init__(self, search: Callable[..., list[FloatArray]]) -> None:
+    def __init__(self, search: Callable[..., FloatArray]) -> None:
         self._search = search
-        self._found: dict[bytes, tuple[list[FloatArray], float]] = {}
+        self._kernels: dict[tuple[bytes, Start], tuple[FloatArray, float]] = {}
         self.spared_s = 0.0
 
-    def kernels(
-        self, estimator: PmpEstimator, crops: FloatArray, **options: object
-    ) -> list[FloatArray]:
-        """Search as :meth:`motdiff.estimators.pmp.estimator.PmpEstimator.kernels`, or give what was found
-        before.
-        """
-        key = crops.tobytes()
-        if key in self._found:
-            self.spared_s += self._found[key][1]
+    def kernel(
+        self, estimator: PmpEstimator, crops: FloatArray, start: Start, **options: object
+    ) -> FloatArray:
+        """Search the kernel of crops (C, H, W) from a start, or give that of before."""
+        key = crops.tobytes(), start
+        if key in self._kernels:
+            self.spared_s += self._kernels[key][1]
         else:
             began_s = time.process_time()
-            searched = self._search(estimator, crops, **options)
-            self._found[key] = searched, time.process_time() - began_s
-        return list(self._found[key][0])
+            kernel = self._search(estimator, crops, start, **options)
+            self._kernels[key] = kernel, time.process_time() - began_s
+        return self._kernels[key][0]
 
     def forget(self) -> None:
         """Forget the kernels, before another photo."""
-        self._found.clear()
+        self._kernels.clear()
 
 
 def prepared_photos(config_file: Path) -> Iterator[Photo]:
@@ -278,10 +276,10 @@ def drawn(
 def write_rows(file: Path, photos: Iterable[Photo], draws: int) -> None:
     """Append the rows that ``file`` lacks."""
     earlier = {row["name"]: row for row in read_rows([file])} if file.exists() else {}
-    shared = SharedSearch(PmpEstimator.kernels)
+    shared = SharedSearch(PmpEstimator._run)
     # the methods compared share each photo's search; type: pmp's own class is changed, for this
     # process alone
-    PmpEstimator.kernels = lambda *arguments, **options: shared.kernels(*arguments, **options)  # type: ignore[method-assign]
+    PmpEstimator._run = lambda *arguments, **options: shared.kernel(*arguments, **options)  # type: ignore[method-assign]
     methods = estimators()
     network = load_network()
     correction = load_correction()

@@ -95,6 +95,8 @@ class FoundKernels:
         Path whose PSF the best kernel is, where a simple motion explains the photo.
     path_error_px : float or None, px
         Its expected error, rms over time.
+    corrected : tuple of K (k, k) float
+        The kernels corrected, where the search needed that; else empty.
     """
 
     kernels: tuple[NDArray[np.float64], ...]
@@ -105,6 +107,7 @@ class FoundKernels:
     origins: tuple[str, ...] = ()
     path: Trajectory | None = None
     path_error_px: float | None = None
+    corrected: tuple[NDArray[np.float64], ...] = ()
 
     @property
     def confidence(self) -> float:

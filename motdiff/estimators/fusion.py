@@ -185,6 +185,7 @@ def _chosen(
         probabilities=probabilities,
         details=details,
         origins=tuple(origins),
+        corrected=(),
     )
 
 

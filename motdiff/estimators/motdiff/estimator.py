@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,11 +15,12 @@ from motdiff.estimators.kernel_score import (
     Judge,
     candidate_probabilities,
     distinct,
+    kernel_score,
     noise_sigma,
     shared_sigma,
 )
 from motdiff.estimators.motdiff import MotDiff
-from motdiff.estimators.motdiff.correcting import corrected_choice
+from motdiff.estimators.motdiff.correcting import corrected_choice, corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, planned, refined
@@ -42,6 +43,11 @@ _REFINE_COST = 0.45
 _SINGLE_COST = 0.35
 _CORRECT_COST = 0.6
 _TRACE_COST = 0.25
+# two corrected kernels are the photo's from this MNC on, and the probability of one to be good
+# grows with it: docs/decisions/network.md
+_AGREED_MNC = 0.85
+_AGREED_SLOPE = 15.0
+_AGREED_OFFSET = -10.5
 # of the search's starts, those that stand for the shortened ones the network was trained with; the
 # first two agreeing, the larger one stands for the one not run as well
 _CONDITIONS_OF_ALL = (2, 0, 1)
@@ -51,13 +57,14 @@ _CONDITIONS_OF_TWO = (1, 0, 1)
 class MotDiffEstimator(BlindEstimator):
     """Blind estimator with the conditional diffusion model MoTDiff.
 
-    Classical searches give kernels. The network, conditioned on up to three of them, samples
-    several motions. All are scored on the photo (:mod:`motdiff.estimators.kernel_score`), and the
-    most likely ones are refined at full resolution. A second network corrects the best and up to
-    two of the likeliest different ones (:mod:`motdiff.network.correction`), and the same score of
-    the photo alone chooses. A simple motion that is as likely takes its place
-    (:mod:`motdiff.estimators.simple_motion`). The result may come from a classical kernel or from
-    the draws.
+    Two classical searches give kernels, which a network corrects by what the photo tells of them
+    (:mod:`motdiff.network.correction`). Where these agree, the better one is chosen. Else the
+    photo leaves several motions: two more searches follow, and the diffusion network, conditioned
+    on three of the kernels, samples motions. All are scored on the photo
+    (:mod:`motdiff.estimators.kernel_score`), the most likely ones are refined at full resolution,
+    the best and up to two of the likeliest different ones corrected, and the same score of the
+    photo alone chooses: a classical kernel or a drawn one. A simple motion that is as likely takes
+    its place (:mod:`motdiff.estimators.simple_motion`).
 
     Parameters
     ----------
@@ -121,7 +128,21 @@ class MotDiffEstimator(BlindEstimator):
             after += _CORRECT_COST
         self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
         judge = Judge(crops, sigma=shared_sigma(crops))
-        classical, conditions = self._classical(crops)
+        settled: list[FoundKernels] = []
+
+        def agreed(pair: Sequence[FloatArray]) -> bool:
+            settled.extend(self._settled(crops, pair, judge))
+            return bool(settled)
+
+        kernels = PmpEstimator().kernels(
+            crops, progress=self._progress, agreed=agreed if self._refine else None
+        )
+        if settled:
+            self._progress.expect(
+                _CORRECT_COST + _TRACE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0)
+            )
+            return settled[0]
+        classical, conditions = _framed_classical(kernels)
         draws = draw_psfs(
             self._network,
             crops,
@@ -179,10 +200,13 @@ class MotDiffEstimator(BlindEstimator):
         """Correct the likeliest kernels, choose anew, and take a simple motion as likely."""
         if self._correction is None:
             return candidates
-        # the first kernels are the draws themselves: they take no part
-        better = corrected_choice(
-            self._correction, crops, candidates, count=_REFINED, skip=self._samples
-        )
+        if candidates.corrected:
+            better = replace(candidates, kernels=candidates.corrected)
+        else:
+            # the first kernels are the draws themselves: they take no part
+            better = corrected_choice(
+                self._correction, crops, candidates, count=_REFINED, skip=self._samples
+            )
         motion = simple_motion(crops, better.kernels[better.best], sigma=shared_sigma(crops))
         if motion is not None:
             kernels = list(better.kernels)
@@ -193,12 +217,41 @@ class MotDiffEstimator(BlindEstimator):
         self._progress.spend(_CORRECT_COST)
         return better
 
-    def _classical(self, crops: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Classical kernels (Q, 64, 64), and those that condition the network (3, 64, 64)."""
-        kernels = PmpEstimator().kernels(crops, progress=self._progress)
-        framed = np.stack([in_frame(kernel) for kernel in kernels])
-        conditions = _CONDITIONS_OF_ALL if len(kernels) > 2 else _CONDITIONS_OF_TWO
-        return framed, framed[list(conditions)]
+    def _settled(
+        self, crops: FloatArray, pair: Sequence[FloatArray], judge: Judge
+    ) -> list[FoundKernels]:
+        """Correct the kernels of two searches: the result where they then agree, else nothing."""
+        assert self._correction is not None
+        corrected = side_by_side(
+            [
+                partial(
+                    corrected_kernel, self._correction, crops, kernel, [rival], sigma=judge.sigma
+                )
+                for kernel, rival in (pair, pair[::-1])
+            ]
+        )
+        agreement = mnc_subpixel(*corrected)
+        if agreement < _AGREED_MNC:
+            return []
+        scores = kernel_score(judge.evidence(corrected))
+        probability = 1 / (1 + np.exp(-(_AGREED_SLOPE * agreement + _AGREED_OFFSET)))
+        return [
+            FoundKernels(
+                kernels=tuple(_in_odd_frames(np.stack([in_frame(kernel) for kernel in pair]))),
+                probabilities=np.full(2, probability),
+                best=int(np.argmax(scores)),
+                details={"samples": 0, "classical": 2, "agreement": agreement},
+                origins=("classical", "classical"),
+                corrected=tuple(corrected),
+            )
+        ]
+
+
+def _framed_classical(kernels: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Classical kernels (Q, 64, 64), and those that condition the network (3, 64, 64)."""
+    framed = np.stack([in_frame(kernel) for kernel in kernels])
+    conditions = _CONDITIONS_OF_ALL if len(kernels) > 2 else _CONDITIONS_OF_TWO
+    return framed, framed[list(conditions)]
 
 
 def _in_odd_frames(psfs: FloatArray) -> list[FloatArray]:

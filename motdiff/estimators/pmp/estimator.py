@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -60,6 +60,10 @@ _SINGLE_COST = 1.4
 _TRACE_COST = 0.25
 
 
+def _alike(pair: Sequence[FloatArray]) -> bool:
+    return mnc_subpixel(*pair) >= _AGREED_MNC
+
+
 class PmpEstimator(BlindEstimator):
     """Blind estimator with the patch-wise minimal pixels prior.
 
@@ -108,10 +112,17 @@ class PmpEstimator(BlindEstimator):
         details: dict[str, object] = {"starts": len(kernels), "agreement": ranking.agreement}
         return FoundKernels(tuple(kernels), ranking.probabilities, ranking.best, details)
 
-    def kernels(self, crops: FloatArray, *, progress: Progress | None = None) -> list[FloatArray]:
-        """Kernels (size, size), sum 1, of the starts on crops (C, H, W), or of two that agree.
+    def kernels(
+        self,
+        crops: FloatArray,
+        *,
+        progress: Progress | None = None,
+        agreed: Callable[[Sequence[FloatArray]], bool] | None = None,
+    ) -> list[FloatArray]:
+        """Search kernels (size, size), sum 1, of crops (C, H, W) from each start.
 
-        A start costs 1 of the ``progress``, :func:`planned` in all.
+        From the first two alone where their kernels have ``agreed``: when omitted, where they are
+        alike. A start costs 1 of the ``progress``, :func:`planned` in all.
         """
         progress = progress or Progress()
         jobs = [
@@ -120,9 +131,9 @@ class PmpEstimator(BlindEstimator):
         ]
         kernels = side_by_side(jobs[:2])
         if len(jobs) > 2:
-            agreed = mnc_subpixel(*kernels) >= _AGREED_MNC
-            progress.expect_more((2 if agreed else len(jobs)) - planned(len(jobs)))
-            if not agreed:
+            enough = (agreed or _alike)(kernels)
+            progress.expect_more((2 if enough else len(jobs)) - planned(len(jobs)))
+            if not enough:
                 kernels += side_by_side(jobs[2:])
         return kernels
 

@@ -9,7 +9,7 @@ import torch
 
 from lab.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.estimators.base import FoundKernels
-from motdiff.estimators.kernel_score import noise_sigma
+from motdiff.estimators.kernel_score import noise_sigma, shared_sigma
 from motdiff.estimators.motdiff import correcting, drawing
 from motdiff.estimators.motdiff import estimator as module
 from motdiff.estimators.motdiff.correcting import corrected_kernel
@@ -169,7 +169,7 @@ def no_search(monkeypatch):
         return kernels
 
     class NoPmp:
-        def kernels(self, crops, *, progress):
+        def kernels(self, crops, *, progress, agreed=None):
             progress.spend(planned(len(STARTS)))
             made = made_up(torch.zeros(1, *crops.shape), sigma=None, starts=QUICK_STARTS)
             return list(made[0].double().numpy())
@@ -475,7 +475,7 @@ class FakePmp:
     motions = (STRAIGHT,) * len(STARTS)
     asked = 0
 
-    def kernels(self, crops, *, progress):
+    def kernels(self, crops, *, progress, agreed=None):
         FakePmp.asked += 1
         progress.spend(planned(len(STARTS)) / 2)
         progress.spend(planned(len(STARTS)) / 2)
@@ -491,6 +491,45 @@ def classical(monkeypatch):
         monkeypatch.setattr(FakePmp, "motions", motions)
 
     return finds
+
+
+class TwoThenFour(FakePmp):
+    """Two searches, and two more where the first two have not agreed."""
+
+    def kernels(self, crops, *, progress, agreed):
+        kernels = super().kernels(crops, progress=progress)
+        return kernels[:2] if agreed(kernels[:2]) else kernels
+
+
+def test_where_two_corrected_searches_agree_nothing_more_is_searched_or_drawn(monkeypatch, shaken):
+    monkeypatch.setattr(module, "PmpEstimator", TwoThenFour)
+    monkeypatch.setattr(module, "draw_psfs", lambda *_, **__: pytest.fail("drew a motion"))
+    estimator = estimator_with(monkeypatch, Oracle(STRAIGHT))
+    candidates = estimator.search(shaken[None])
+    better = estimator.corrected(shaken[None], candidates)
+    assert len(candidates.kernels) == 2
+    assert mnc_subpixel(candidates.kernels[0], STRAIGHT.psf(63)) > 0.99  # as searched
+    pair = [STRAIGHT.psf(start.size) for start in STARTS[:2]]
+    np.testing.assert_array_equal(
+        better.kernels[1],
+        corrected_kernel(
+            load_correction(), shaken[None], pair[1], pair[:1], sigma=shared_sigma(shaken[None])
+        ),
+    )
+    assert better.confidence == candidates.confidence > 0.9
+
+
+def test_where_two_corrected_searches_differ_the_network_draws(monkeypatch, shaken):
+    monkeypatch.setattr(module, "PmpEstimator", TwoThenFour)
+    monkeypatch.setattr(FakePmp, "motions", (STRAIGHT, LOST[0], LOST[1], STRAIGHT))
+    monkeypatch.setattr(
+        module, "corrected_kernel", lambda _network, _crops, kernel, *_, **__: kernel
+    )
+    oracle = Oracle(STRAIGHT)
+    candidates = estimator_with(monkeypatch, oracle).search(shaken[None])
+    assert oracle.steps
+    assert candidates.details["classical"] == len(STARTS)
+    assert mnc_subpixel(candidates.kernels[candidates.best], STRAIGHT.psf(63)) > 0.9
 
 
 LOST = (Trajectory.straight(9.0, angle_rad=2.2), Trajectory.straight(20.0, angle_rad=1.4))
