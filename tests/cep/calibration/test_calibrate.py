@@ -298,7 +298,7 @@ def test_the_command_runs_a_network(cep, workplace, small_weights, monkeypatch):
     )  # noise is long to trace
     found = cep.succeeds("calibrate", "blurred.png", "--samples", "1", "-o", "motion")
     assert found["method"] == "motdiff"
-    assert found["details"]["samples"] == 1
+    assert found["details"]["samples"] in (0, 1)  # none where two searches agree
     assert found["details"]["classical"] in (2, 4)
     assert set(CALIBRATION_FILES) == {item.name for item in (workplace / "motion").iterdir()}
     assert read_psf(found["psf"]).sum() == pytest.approx(1, rel=1e-5)
