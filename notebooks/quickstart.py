@@ -18,8 +18,7 @@
 #
 # **Question.** How does one blurred photo lead to a shutter code, and what is the code worth?
 # **Answer.** In four calls: `estimate_motion`, `optimize`, `capture` and `restore`. Here the code
-# is expected to gain 1.7 dB over the open shutter in a mean scene. In the photo at hand it gains
-# 1.9 dB.
+# gains 0.4 dB over the open shutter on twelve photographs, and 0.2 dB in the photo at hand.
 #
 # A moving camera blurs a photo along its path. If the shutter opens and closes in a well-chosen
 # pattern while the camera moves, the blur keeps more of the detail and can be undone better. Which
@@ -80,7 +79,7 @@ result
 
 # %%
 assert result.verdict.choice == "code"
-assert abs(result.verdict.gains_db["code"] - 1.65) < 0.1
+assert abs(result.verdict.gains_db["code"] - 0.4) < 0.3
 assert problem.both_directions(estimate.best)
 
 # %% [markdown]
@@ -88,8 +87,8 @@ assert problem.both_directions(estimate.best)
 #
 # The same camera, the same motion, the same exposure time: once with the shutter open, once with
 # the code. The coded photo has less light, which is why the gain depends on the noise. Both are
-# restored along the estimated path, and compared with the scene. The expected gain is that of a
-# mean scene and a linear filter; scenes differ.
+# restored along the estimated path, and compared with the scene. The gain stated is the mean over
+# twelve photographs; scenes differ.
 
 # %%
 psnr_db = {}

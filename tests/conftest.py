@@ -68,6 +68,17 @@ class Program:
         return self.err
 
 
+@pytest.fixture(scope="session", autouse=True)
+def gains_of_the_model():
+    """Gains are those of the model, in a second: photographs take six.
+
+    Tests that measure them name their photographs; what runs in a process of its own measures too.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cep.photographs.scenes.photographs", tuple)
+        yield
+
+
 @pytest.fixture(scope="session")
 def commands_built_once():
     """Typer builds the parsers of all commands anew at every call, which takes longer than most

@@ -132,14 +132,19 @@ def advise(options: AdviseOptions) -> None:
     """Say whether to leave the shutter open, expose for a shorter time, pulse evenly or code.
 
     Each way may be open for any part of the exposure that the shutter's limits allow, and the
-    scene is as bright for all. What counts is the expected error of the restored photo, with the
-    camera's photon and read noise. A code is searched at each light level.
+    scene is as bright for all. At the camera's light the gains are measured: twelve photographs
+    are taken each way, with the camera's photon and read noise, and restored. At other light they
+    are about those of a model of photographs. A code is searched at each light level.
 
     Fields of --json that need a word:
 
     - choice: open, snapshot (one shorter exposure), strobe (even pulses) or code, at the camera's
       light.
     - gains_db: of the best of each kind over the open shutter; of code: even pulses included.
+    - photographs: on how many the gains were measured; 0 where they are the model's, as at other
+      light and for motions of more than 128 px. photo_psnr_db has each one's figure.
+    - code_gain_db: of the best code over the best of open shutter and single exposure.
+      code_gain_range_db: on the photographs, without the least and the greatest; null without.
     - open_saturates: whether the open shutter collects more than the camera can record. Its
       figures, which gains_db compares with, are then as if it could; ways that saturate are never
       advised.

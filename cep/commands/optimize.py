@@ -102,8 +102,8 @@ def optimize(options: OptimizeOptions) -> None:
     - within_limits, of each of baselines: whether it keeps the limits; the search could not return
       the others.
     - verdict: what to do and what it gains, in one or two sentences. choice: open, snapshot (one
-      shorter exposure), strobe (even pulses) or code. gains_db: expected gain of the best of each
-      over the open shutter; of code this one.
+      shorter exposure), strobe (even pulses) or code. gains_db: gain of the best of each over the
+      open shutter, on twelve photographs; of code this one.
     - other_chips_db, where --chips is omitted: what other numbers of chips would gain over the one
       chosen.
     - proven: no code is better, over the whole unit circle; or, unless one straight motion is all

@@ -14,8 +14,9 @@ from cep.optics.band import band_samples, uniform_length_px
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import open_path
-from cep.optics.mtf import HOPELESS_DB, noise_variance, wiener_mse
+from cep.optics.mtf import HOPELESS_DB, wiener_mse
 from cep.optics.response import ShutterResponse
+from cep.optics.scene import noise_variance
 from cep.proofs.certify.certificate import paths_by_direction
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from motdiff.files.inputs import one_line
@@ -53,8 +54,8 @@ class CodeMetrics:
     dnf_db : float
         The same relative to DC, 20 log10 of the deconvolution noise factor.
     mse_db : float
-        ``10 log10`` of the expected mean square error of the Wiener restoration of a 1/f^2 scene;
-        full scale is 1, so its negative is the expected PSNR.
+        ``10 log10`` of the mean square error of the Wiener restoration that a model of photographs
+        expects (:mod:`cep.optics.scene`); full scale is 1, so its negative is the expected PSNR.
     """
 
     min_mtf: float

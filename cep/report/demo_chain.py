@@ -32,7 +32,7 @@ _CONTRAST_LEVELS = (100.0, 1_000.0, 10_000.0, 100_000.0)  # photo-electrons at f
 _LEAST_CHIPS = 8
 _MOST_CHIPS = 64
 _LARGEST_SCENE_PX = 768  # of a user's photo: TV takes a minute on more
-_RESTORATION = "wiener"  # the one that the expected gains are those of
+_RESTORATION = "pnp"  # the one that the gains are those of
 # shares of the time when each is done
 _MOTION_SHARE = 0.68
 _ADVICE_SHARE = 0.82
@@ -219,7 +219,11 @@ def run_chain(
     if advice.choice in CODED:
         elsewhere = replace(problem, camera=cep.Camera.load(CONTRAST))
         contrast = cep.advise(
-            elsewhere, levels=_CONTRAST_LEVELS, path_error_px=error_px, seed=seed
+            elsewhere,
+            levels=_CONTRAST_LEVELS,
+            path_error_px=error_px,
+            photographs=(),  # a sentence beside the advice: the model will do
+            seed=seed,
         )
 
     tell(_ADVICE_SHARE, "exposing")
@@ -239,7 +243,7 @@ def run_chain(
     if motion.from_open is not None:
         # no levels: only the advice at the demo's own light is shown of it
         from_open = cep.advise(
-            problem_along(motion.from_open, problem.chips), levels=(), seed=seed
+            problem_along(motion.from_open, problem.chips), levels=(), photographs=(), seed=seed
         ).here
         kind = _kind(from_open.choice)
         possible = {"open": from_open.ways[0], kind: from_open.advised}

@@ -21,7 +21,7 @@ class Blur:
 
     The scene lives on a periodic grid, on which A is a product with the OTF; the photo is the
     grid's top left corner. At real borders the grid is larger than the photo by the reach of the
-    PSF, so that no light wraps around into it.
+    PSF along each axis, so that no light wraps around into it.
 
     Parameters
     ----------
@@ -63,9 +63,12 @@ class Blur:
         self.psf = trimmed_psf(psf)
         self.photo_shape = photo_shape[0], photo_shape[1]
         self.grid_shape = self.photo_shape
-        if border == "real":
-            self.grid_shape = extended_shape(self.photo_shape, len(self.psf))
         rows, columns = np.nonzero(self.psf)
+        if border == "real":
+            # a straight motion along an axis needs no gap across it
+            reaches = (int(np.abs(axis - self.reach_px).max()) for axis in (rows, columns))
+            height, width = (2 * reach + 1 for reach in reaches)
+            self.grid_shape = extended_shape(self.photo_shape, (height, width))
         wrapped = np.zeros(self.grid_shape)
         # np.add.at, since a PSF larger than a periodic photo wraps onto the same pixel twice
         np.add.at(

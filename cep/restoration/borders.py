@@ -10,10 +10,12 @@ from motdiff.types import FloatArray
 _SMALLEST_GAP_PX = 16  # a membrane over fewer pixels is a step at the seam, which rings
 
 
-def extended_shape(shape: tuple[int, int], psf_size: int) -> tuple[int, int]:
+def extended_shape(shape: tuple[int, int], psf_shape: tuple[int, int]) -> tuple[int, int]:
     """FFT-friendly size, with a gap of at least the PSF's reach on both sides of the photo."""
-    gap = max(psf_size - 1, _SMALLEST_GAP_PX)
-    rows, columns = (int(fft.next_fast_len(side + gap, real=True)) for side in shape)
+    rows, columns = (
+        int(fft.next_fast_len(side + max(psf_side - 1, _SMALLEST_GAP_PX), real=True))
+        for side, psf_side in zip(shape, psf_shape, strict=True)
+    )
     return rows, columns
 
 

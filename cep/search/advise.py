@@ -13,6 +13,7 @@ from cep.optics.camera import LIGHT_RANGE
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.search.expected import WORTH_DB
+from cep.search.measured import corrected, corrections_db, measured_ways
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict, check_codes
 from cep.search.ways import (
@@ -23,9 +24,12 @@ from cep.search.ways import (
     check_light,
     judged_ways,
 )
+from motdiff.types import FloatArray
 
 LEVELS = (100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
 """Photo-electrons at full scale at which the ways to expose are compared: starlight to studio."""
+
+_MODELLED_SHARE = 0.3  # of the time: then it is measured
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,7 @@ class Advice:
         finite = {light: gain_db for light, gain_db in finite.items() if math.isfinite(gain_db)}
         best_light = max(finite, key=finite.__getitem__)
         gain = f"{finite[best_light]:.2g} dB at most (at {best_light:,.0f})"
-        return f"Coding pays {where}, by {gain}."
+        return f"Coding pays {where}, by about {gain}."
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep advise --json`` prints them."""
@@ -133,6 +137,7 @@ def advise(
     *codes: ShutterCode,
     levels: Sequence[float] = LEVELS,
     path_error_px: float = 0.0,
+    photographs: Sequence[FloatArray] | None = None,
     seed: int = 0,
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
@@ -140,8 +145,10 @@ def advise(
     """Compare open shutter, best snapshot, best strobe and best code, over levels of light.
 
     Each way may be open for any part of the exposure within the problem's limits; the scene is as
-    bright for all. A code is searched at each level. Its gain is what the best linear restoration
-    of the reference scene is expected to gain (:class:`cep.search.expected.ExpectedPsnr`).
+    bright for all. A code is searched at each level. At the camera's light the gains are those
+    that photographs show, simulated and restored (:mod:`cep.search.measured`). At other levels
+    they are about those of a model of photographs (:class:`cep.search.expected.ExpectedPsnr`),
+    shifted towards what was measured.
 
     Parameters
     ----------
@@ -155,6 +162,9 @@ def advise(
     path_error_px : float
         Rms error of the path where it is an estimate. Every way is judged with it, the codes are
         searched without.
+    photographs : sequence of (H, W) float ndarrays, linear light, optional
+        On which the gains are measured; the twelve of :mod:`cep.photographs` when omitted. With
+        none at all every gain is the model's.
     seed : int
     threads : int, optional
         As many as there are cores when omitted; the outcome does not depend on it.
@@ -195,7 +205,7 @@ def advise(
     cameras = [camera for camera in cameras if can_record(replace(problem, camera=camera))]
     finder = WayFinder(problem)
     pool = list(codes)
-    parts = len(cameras) + 1
+    parts = (len(cameras) + 1) / _MODELLED_SHARE
     for index, camera in enumerate(cameras):
         progress(index / parts, f"{camera.photons_full_scale:,.0f} photo-electrons")
         # exposures of every length do not depend on the light: once is enough
@@ -205,22 +215,51 @@ def advise(
     progress(len(cameras) / parts, "judging")
     # every code is judged at every level: one found for another light may be better here
     judged_exposures = judged_ways(problem, cameras, pool, path_error_px=path_error_px)
-    verdicts = {
+    modelled = {
         camera.photons_full_scale: Verdict(camera, exposures, path_error_px=path_error_px)
         for camera, exposures in zip(cameras, judged_exposures, strict=True)
         if any(exposure.possible for exposure in exposures)
     }
-    if camera_light not in verdicts:
+    if camera_light not in modelled:
         raise ValueError(NONE_POSSIBLE)
+    at_camera = modelled[camera_light]
+    about = at_camera.sentence.partition(".")[0]
+    progress(_MODELLED_SHARE, about)
+    exposures = measured_ways(
+        problem,
+        at_camera.ways,
+        photographs=photographs,
+        own_codes=codes,
+        path_error_px=path_error_px,
+        seed=seed,
+        progress=lambda share: progress(
+            _MODELLED_SHARE + (1 - _MODELLED_SHARE) * share, f"measuring; {about}"
+        ),
+    )
+    shifts = corrections_db(at_camera.ways, exposures)
+    measured = replace(at_camera, ways=exposures)
+    levels_stated = tuple(
+        measured if at_level is at_camera else _shifted(at_level, shifts, camera_light)
+        for at_level in modelled.values()
+    )
     progress(1.0, "")
-    return Advice(problem, verdicts[camera_light], tuple(verdicts.values()))
+    return Advice(problem, measured, levels_stated)
+
+
+def _shifted(level: Verdict, shifts: dict[Choice, float], measured_light: float) -> Verdict:
+    """Shift a modelled verdict towards what was measured at another light."""
+    decades = abs(math.log10(level.camera.photons_full_scale / measured_light))
+    share = math.exp(-decades)  # what the model lacks grows with the light
+    return replace(
+        level, ways=tuple(corrected(exposure, shifts, share) for exposure in level.ways)
+    )
 
 
 def _range(low: float | None, high: float | None) -> str:
     """Range of light in words, its ends to two digits."""
     numbers = [f"{float(f'{end:.2g}'):,.0f}" for end in (low, high) if end is not None]
     if low is None:
-        return f"up to {numbers[0]}"
+        return f"up to about {numbers[0]}"
     if high is None:
-        return f"from {numbers[0]} on"
-    return f"from {numbers[0]} to {numbers[1]}"
+        return f"from about {numbers[0]} on"
+    return f"from about {numbers[0]} to {numbers[1]}"

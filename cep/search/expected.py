@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from cep.optics.band import BandSamples, band_samples, grid_samples, straight_axis
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import inverse_scene, noise_variance, wiener_mse
+from cep.optics.mtf import wiener_mse
 from cep.optics.response import ShutterResponse, open_time
+from cep.optics.scene import inverse_scene, noise_variance
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_rows
 from motdiff.motions import with_smooth_error
@@ -122,7 +123,7 @@ class ExpectedPsnr:
                 motion.keep()
 
     def psnr_db(self, codes: Sequence[ShutterCode], *, noise: ArrayLike) -> FloatArray:
-        """Return the PSNR, dB, of the best linear restoration of the reference scene, (codes, L).
+        """Return the PSNR, dB, of the best linear restoration of the scene, (codes, L).
 
         The worse direction counts.
 

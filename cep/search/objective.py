@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from cep.optics.band import ACROSS, BandSamples, band_samples, circle_samples
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import inverse_scene, noise_variance
 from cep.optics.response import open_time
+from cep.optics.scene import inverse_scene, noise_variance
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.search.objectives.criterion import Spectrum
 from cep.search.problem import SearchProblem

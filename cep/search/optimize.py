@@ -9,7 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from cep.files.code_files import StoredCode, write_code
+from cep.optics.camera import LIGHT_RANGE
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
@@ -17,6 +20,7 @@ from cep.proofs.measure import CodeMetrics, FigureOfMerit, own_figures
 from cep.search.chip_count import ChipCount, choose_chips
 from cep.search.compare import Comparison, as_designed, compare
 from cep.search.exhaustive.exact import codes_to_count
+from cep.search.objective import Objective
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Found, mean_length_px
@@ -29,12 +33,16 @@ from cep.search.search import (
     searched_problem,
 )
 from cep.search.verdict import Verdict, verdict
-from cep.search.ways import check_light
+from cep.search.ways import WayFinder, check_light
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
 _CHOOSING = 0.3  # of the time: the number of chips, where it is to be chosen
 _LEAST_LEFT = 0.1  # of the time, for the search after that choice
-_SEARCH_SHARE = 0.9  # of the time: comparing and certifying take the rest
+_SEARCH_SHARE = 0.5  # of the time: then it is measured
+_MEASURED_SHARE = 0.95  # of the time: comparing and certifying take the rest
+_LESS_LIGHT = (3, 10)  # factors of the light that rivals of the code are searched for
+_FINE = 64  # samples per 1 / extent: to judge
 _FEWER_TRIED = {
     "": [],
     "time": ["the time ended the choice of the number of chips: fewer numbers were tried"],
@@ -212,6 +220,7 @@ def optimize(
     start: Sequence[ShutterCode] = (),
     along: Trajectory | None = None,
     path_error_px: float = 0.0,
+    photographs: Sequence[FloatArray] | None = None,
     figures: Mapping[str, FigureOfMerit] | None = None,
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
@@ -221,8 +230,7 @@ def optimize(
     """Search the best code along a problem's motions, certify it, and compare it with others.
 
     No code of the comparison that keeps the problem's limits is better by its objective. Whether
-    to use the code at all is decided by the expected restoration, see
-    :class:`cep.search.verdict.Verdict`.
+    to use the code at all is decided by photographs, see :class:`cep.search.verdict.Verdict`.
 
     Parameters
     ----------
@@ -239,6 +247,10 @@ def optimize(
         polynomial alone decides, it is for the unit circle.
     path_error_px : float
         Rms error of the path where it is an estimate: the verdict counts it, the search does not.
+    photographs : sequence of (H, W) float ndarrays, linear light, optional
+        On which the verdict is measured, as of :func:`cep.search.advise.advise`. With the
+        objective "mse" the code is the best on them of those searched for its light, a third and a
+        tenth of it, unless a limit or Ctrl-C ended the search.
     figures : mapping from a name to a function, optional
         Figures of merit of the user's own for the comparison, taken along the same motion; see
         :func:`cep.proofs.measure.own_figures`. The search knows nothing of them.
@@ -315,16 +327,38 @@ def optimize(
     )
     if chosen is not None and chosen.early == "interrupted":
         outcome = replace(outcome, stopped="interrupted")
-    code = replace(outcome.code, chip_ns=problem.chip_ns)  # a search knows no times
-    # the limits already keep to the device: its own check has the last word
-    if reason := unplayable(code.bits, problem.device, code.chip_ns):
-        raise ValueError(reason)
-    about = described_search(problem, how, steps=outcome.steps, stopped=outcome.stopped)
-    # what follows may take seconds: a caller can keep the code before
-    on_found(StoredCode(code, problem={**about, "proof": outcome.proof}))
-    tell(_SEARCH_SHARE, "comparing with other codes")
+
+    def keep(searched_code: ShutterCode) -> ShutterCode:
+        code = replace(searched_code, chip_ns=problem.chip_ns)  # a search knows no times
+        # the limits already keep to the device: its own check has the last word
+        if reason := unplayable(code.bits, problem.device, code.chip_ns):
+            raise ValueError(reason)
+        about = described_search(problem, how, steps=outcome.steps, stopped=outcome.stopped)
+        on_found(StoredCode(code, problem={**about, "proof": outcome.proof}))
+        return code
+
+    code = keep(outcome.code)  # what follows takes seconds: a caller can keep the code before
+    tell(_SEARCH_SHARE, "measuring on photographs")
+    rivals: list[ShutterCode] = []
+    if problem.objective == "mse" and outcome.stopped == "steps":
+        rivals = _for_less_light(problem, outcome, seed=seed, threads=threads)
+    judgement = verdict(
+        problem,
+        code,
+        rivals=rivals,
+        path_error_px=path_error_px,
+        photographs=photographs,
+        progress=lambda share: tell(
+            _SEARCH_SHARE + (_MEASURED_SHARE - _SEARCH_SHARE) * share, "measuring on photographs"
+        ),
+    )
+    if judgement.user_code is not None and judgement.user_code.code.bits != code.bits:
+        bits = judgement.user_code.code.bits
+        cost_db = _costs_db(problem, [judgement.user_code.code])[0]
+        outcome = replace(outcome, code=ShutterCode(bits), objective=cost_db)
+        code = keep(outcome.code)
+    tell(_MEASURED_SHARE, "comparing with other codes")
     comparison = compare(problem, code, baselines=outcome.baselines, figures=figures, along=motion)
-    judgement = verdict(problem, code, path_error_px=path_error_px)
     path: Trajectory | None = designed
     if problem.on_circle:
         path = None  # the certificate is for |P|, whatever the speed of the motion
@@ -344,6 +378,43 @@ def optimize(
         *bounded,
         chip_count=chosen,
     )
+
+
+def _for_less_light(
+    problem: SearchProblem, outcome: Found, *, seed: int, threads: int | None
+) -> list[ShutterCode]:
+    """Search codes for less light, which stand more noise, and what is unknown beyond borders.
+
+    Only those that no baseline within the limits beats by the objective.
+    """
+    finder = WayFinder(problem)
+    camera = problem.camera
+    starts = [outcome.code]
+    for factor in _LESS_LIGHT:
+        darker = camera.at(max(camera.photons_full_scale / factor, LIGHT_RANGE[0]))
+        starts += finder.codes(darker, starts, seed=seed, threads=threads)
+    rivals = starts[1:]
+    highest_db = min(
+        (baseline.cost_db for baseline in outcome.baselines if baseline.within_limits),
+        default=math.inf,
+    )
+    costs_db = _costs_db(problem, rivals)
+    return [
+        code
+        for code, cost_db in zip(rivals, costs_db, strict=True)
+        if cost_db <= highest_db
+        and problem.allows(code)
+        and not unplayable(code.bits, problem.device, problem.chip_ns)
+    ]
+
+
+def _costs_db(problem: SearchProblem, codes: Sequence[ShutterCode]) -> list[float]:
+    """Cost of codes by the objective "mse", dB."""
+    if not codes:
+        return []
+    objective = Objective(problem, oversampling=_FINE, dtype=np.float64)
+    costs_db = objective.cost_of(np.array([code.array for code in codes]))
+    return [float(cost_db) for cost_db in costs_db]
 
 
 def checked_motion(problem: SearchProblem, along: Trajectory | None = None) -> Trajectory:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any, Literal
@@ -12,6 +12,7 @@ from cep.files.formatting import duration
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.expected import WORTH_DB
+from cep.search.measured import measured_ways
 from cep.search.problem import SearchProblem
 from cep.search.ways import (
     CODED,
@@ -25,6 +26,9 @@ from cep.search.ways import (
     judged_ways,
     simplest,
 )
+from motdiff.types import FloatArray
+
+_ENOUGH = 5  # photographs from which the least and the greatest gain are left out of a range
 
 Figure = Literal["psnr_db", "equal_light_db"]
 """Figure of a :class:`Way` by which the best one is chosen."""
@@ -63,6 +67,11 @@ class Verdict:
         return tuple(exposure for exposure in self.ways if exposure.possible)
 
     @property
+    def photographs(self) -> int:
+        """Photographs on which the gains were measured; 0 where they are a model's."""
+        return len(self.ways[0].photo_psnr_db)
+
+    @property
     def open_saturates(self) -> bool:
         """Whether the open shutter collects more than the camera can record."""
         return self.ways[0].saturates
@@ -94,7 +103,7 @@ class Verdict:
 
     @property
     def gains_db(self) -> dict[Choice, float]:
-        """Expected gain of the best possible way of each kind over the open shutter, dB.
+        """Gain of the best possible way of each kind over the open shutter, dB.
 
         An open shutter that saturates counts as if the pixel could hold its light.
         """
@@ -123,20 +132,29 @@ class Verdict:
         return code.psnr_db - max(plain_db, default=-math.inf)
 
     @property
+    def code_gain_range_db(self) -> tuple[float, float] | None:
+        """That gain's range over the photographs, as of :func:`gain_range_db`; None without."""
+        code = self.best("code")
+        plain = [exposure for exposure in self.possible if exposure.kind in PLAIN]
+        if code is None or not plain:
+            return None
+        return gain_range_db(code, max(plain, key=attrgetter("psnr_db")))
+
+    @property
     def sentence(self) -> str:
         """What to do and what it gains, then under which conditions."""
         sentences = [
             f"{self._recommendation}.",
-            f"Gains are those expected of the restored photo, {self._conditions}.",
+            f"{self._meaning} {self._conditions}.",
         ]
         if self._code is None:
             sentences.append("No code is possible.")
         if self.open_saturates:
             sentences.append("The open shutter saturates at this light.")
         if outside := self.outside:
+            more = _amount(outside.psnr_db - self.advised.psnr_db, self.photographs)
             sentences.append(
-                f"If the limits can be loosened, {_exposure_in_words(outside)} gains"
-                f" {_amount(outside.psnr_db - self.advised.psnr_db)} more."
+                f"If the limits can be loosened, {_exposure_in_words(outside)} gains {more} more."
             )
         return " ".join(sentences)
 
@@ -147,7 +165,10 @@ class Verdict:
             "choice": self.choice,
             "photons": self.camera.photons_full_scale,
             "open_saturates": self.open_saturates,
+            "photographs": self.photographs,
             "gains_db": self.gains_db,
+            "code_gain_db": self.code_gain_db if math.isfinite(self.code_gain_db or 0) else None,
+            "code_gain_range_db": self.code_gain_range_db,
             "equal_light_gains_db": self.equal_light_gains_db,
             "ways": {kind: best.to_dict() for kind, best in self._best_ways("psnr_db").items()},
             "outside_limits": outside and outside.to_dict(),
@@ -168,6 +189,16 @@ class Verdict:
         return {kind: figure(best) - open_db for kind, best in self._best_ways(by).items()}
 
     @property
+    def _meaning(self) -> str:
+        """What the gains are."""
+        if not self.photographs:
+            return "Gains are about those that a model of photographs expects"
+        spread = ""
+        if self.photographs >= _ENOUGH:
+            spread = " (in brackets: without the least and the greatest)"
+        return f"Gains are means over {_counted(self.photographs)}{spread}, restored"
+
+    @property
     def _recommendation(self) -> str:
         """What to do and what it gains."""
         advised = self.advised
@@ -184,7 +215,7 @@ class Verdict:
             if not self.code_name:
                 return f"{text}{_joined(', which ', gains)}; no code that was tried is better"
             if self._code:
-                gains.append(_gain(advised, self._code, self.code_name))
+                gains.append(_gain(advised, self._code, self.code_name, ranged=True))
             return text + _joined(", which ", gains)
         user_code = self.user_code
         if user_code == advised:
@@ -195,8 +226,8 @@ class Verdict:
         elif user_code:
             action += f" by {advised.code.bits}"
         if snapshot := self.best("snapshot"):
-            name = f"the best single exposure, {_share(snapshot.code)}"
-            gains.append(_gain(advised, snapshot, name))
+            over = _gain(advised, snapshot, "the best single exposure", ranged=True)
+            gains.append(f"{over}, {_share(snapshot.code)}")
         if user_code:
             gains.append(_gain(advised, user_code, self.code_name))
         return action + _joined(": that ", gains)
@@ -216,17 +247,28 @@ class Verdict:
         return f"{', '.join([light, *noise[:-1]])} and {noise[-1]}"
 
 
-def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 0.0) -> Verdict:
-    """Judge codes beside open shutter, best snapshot and best strobe, by expected restoration.
+def verdict(
+    problem: SearchProblem,
+    *codes: ShutterCode,
+    rivals: Sequence[ShutterCode] = (),
+    path_error_px: float = 0.0,
+    photographs: Sequence[FloatArray] | None = None,
+    progress: Callable[[float], None] = lambda _share: None,
+) -> Verdict:
+    """Judge codes beside open shutter, best snapshot and best strobe, by their restoration.
 
     Parameters
     ----------
     problem : SearchProblem
-        Its objective does not matter: the expected error with its camera does.
+        Its objective does not matter: the error of the restored photo with its camera does.
     *codes : ShutterCode
         Those of a single opening count as snapshots.
-    path_error_px : float
+    rivals : sequence of ShutterCode
+        Of one code: the best of all on photographs takes its place.
+    path_error_px, photographs
         As of :func:`cep.search.advise.advise`.
+    progress : callable, optional
+        Called with the finished share, 0..1.
 
     Raises
     ------
@@ -236,10 +278,32 @@ def verdict(problem: SearchProblem, *codes: ShutterCode, path_error_px: float = 
     """
     check_light(problem)
     check_codes(problem, codes)  # here, before seconds of work
-    ordinary = WayFinder(problem).ordinary(problem.camera, every_length=path_error_px > 0)
-    (exposures,) = judged_ways(
-        problem, [problem.camera], [*ordinary, *codes], path_error_px=path_error_px
+    finder = WayFinder(problem)
+    ordinary = finder.ordinary(problem.camera, every_length=path_error_px > 0)
+    (modelled,) = judged_ways(
+        problem, [problem.camera], [*ordinary, *codes, *rivals], path_error_px=path_error_px
     )
+    bits = {code.bits for code in (*codes, *rivals)}
+
+    def competing(exposures: Sequence[Way]) -> list[Way]:
+        return [
+            exposure
+            for exposure in exposures
+            if exposure.code.bits in bits and exposure.kind == "code" and exposure.possible
+        ]
+
+    compete = bool(rivals) and bool(competing(modelled))
+    exposures = measured_ways(
+        problem,
+        modelled,
+        own_codes=() if compete else codes,
+        path_error_px=path_error_px,
+        photographs=photographs,
+        progress=progress,
+    )
+    measured = bool(exposures[0].photo_psnr_db)
+    if compete and measured:
+        codes = (max(competing(exposures), key=attrgetter("psnr_db")).code,)
     return verdict_of(problem, exposures, codes, path_error_px=path_error_px)
 
 
@@ -282,19 +346,45 @@ def _joined(opening: str, gains: Sequence[str]) -> str:
     return opening + " and ".join([gains[0], *(gain.removeprefix(verb) for gain in gains[1:])])
 
 
-def _gain(advised: Way, alternative: Way, name: str) -> str:
+def gain_range_db(exposure: Way, alternative: Way) -> tuple[float, float] | None:
+    """Range of the gain of a way over another on photographs, dB; None where none was measured.
+
+    The least and the greatest gain are left out where there are five photographs or more.
+    """
+    pairs = zip(exposure.photo_psnr_db, alternative.photo_psnr_db, strict=False)
+    gains = sorted(psnr_db - alternative_db for psnr_db, alternative_db in pairs)
+    if len(gains) >= _ENOUGH:
+        gains = gains[1:-1]
+    return (gains[0], gains[-1]) if gains else None
+
+
+def _gain(advised: Way, alternative: Way, name: str, *, ranged: bool = False) -> str:
     """Say what is gained over another way to expose, or lost to it."""
     gain_db = advised.psnr_db - alternative.psnr_db
+    photographs = min(len(advised.photo_psnr_db), len(alternative.photo_psnr_db))
     if abs(gain_db) < WORTH_DB:
-        return f"restores as well as {name}"
-    if gain_db > 0:
-        return f"gains {_amount(gain_db)} over {name}"
-    return f"loses {_amount(gain_db)} to {name}"
+        text = f"restores as well as {name}"
+    elif gain_db > 0:
+        text = f"gains {_amount(gain_db, photographs)} over {name}"
+    else:
+        text = f"loses {_amount(gain_db, photographs)} to {name}"
+    # a loss is stated by its size
+    pair = (alternative, advised) if gain_db <= -WORTH_DB else (advised, alternative)
+    limits_db = gain_range_db(*pair)
+    if not ranged or limits_db is None:
+        return text
+    low, high = (round(limit_db, 1) + 0.0 for limit_db in limits_db)  # no -0.0
+    return f"{text} ({low:.1f} to {high:.1f} on {_counted(photographs)})"
 
 
-def _amount(gain_db: float) -> str:
+def _counted(photographs: int) -> str:
+    return f"{photographs} photograph{'s' if photographs > 1 else ''}"
+
+
+def _amount(gain_db: float, photographs: int) -> str:
     decimals = 1 if abs(gain_db) >= 0.95 else 2  # two digits that count
-    return f"{abs(gain_db):.{decimals}f} dB"
+    about = "" if photographs else "about "
+    return f"{about}{abs(gain_db):.{decimals}f} dB"
 
 
 def _exposure_in_words(exposure: Way) -> str:

@@ -51,6 +51,7 @@ _MOVES = 100_000  # of a search at one light level; four times as many gain less
 _MOST_RUNS = 1_000  # single exposures that are all judged where every length is asked for
 _LENGTHS = 24  # else so many lengths and starts
 _STARTS = 16
+_LENGTH_FACTORS = (0.7, 1.5, 2.0)  # of the model's best length, tried on photographs
 _ROUNDED = 1e-3  # relative: a camera's figures are stated to three digits
 
 
@@ -64,14 +65,17 @@ class Way:
     code : ShutterCode
         Chips that are open; a snapshot's are one run.
     psnr_db : float
-        Expected of the restored photo, with the light that the chips let in; as if the pixel could
-        hold it.
+        Of the restored photo, with the light that the chips let in; as if the pixel could hold it.
+        Expected by a model, or the mean over photographs.
     equal_light_db : float
-        The same where a brighter lamp makes up for the closed chips.
+        The model's where a brighter lamp makes up for the closed chips.
     within_limits : bool
         Whether it keeps the problem's limits.
     saturates : bool
         Whether a pixel of value 1 collects more than the camera can record.
+    photo_psnr_db : tuple of float
+        PSNR of each restored photograph; empty where none was measured. One that was left behind
+        has those of the first photographs, and ``psnr_db`` relative to the best of its kind.
     """
 
     kind: Choice
@@ -80,6 +84,7 @@ class Way:
     equal_light_db: float
     within_limits: bool = True
     saturates: bool = False
+    photo_psnr_db: tuple[float, ...] = ()
 
     @property
     def possible(self) -> bool:
@@ -107,6 +112,7 @@ class Way:
             "equal_light_psnr_db": self.equal_light_db,
             "within_limits": self.within_limits,
             "saturates": self.saturates,
+            "photo_psnr_db": list(self.photo_psnr_db),
         }
 
 
@@ -141,7 +147,8 @@ class WayFinder:
     def ordinary(self, camera: Camera, *, every_length: bool = False) -> list[ShutterCode]:
         """Return the best single exposures and even pulses that do not saturate, and others.
 
-        Of all, and within the limits. Also the shortest exposures, which may be the best with a
+        Of all, and within the limits. Also exposures somewhat shorter and longer than the best
+        one, which may be better on photographs, and the shortest, which may be the best with a
         brighter lamp; or exposures of every length, where they are judged otherwise: for a path
         not known exactly, or several frames.
         """
@@ -160,8 +167,28 @@ class WayFinder:
                     continue
                 codes.append(code)
                 if problem.allows(code):
+                    if single:
+                        codes += self._lengths_near(camera, code.open_chips)
                     break  # the best within the limits as well
         return codes + self._short_exposures(every_length)
+
+    def _lengths_near(self, camera: Camera, length: int) -> list[ShutterCode]:
+        """List the best single exposures within the limits of lengths near this one."""
+        problem = replace(self._fast.problem, camera=camera)
+        candidates = {
+            length - 1,
+            length + 1,
+            length + 2,
+            *(round(f * length) for f in _LENGTH_FACTORS),
+        }
+        lengths = sorted(chips for chips in candidates if 0 < chips < problem.chips)
+        objective = self._fast.for_problem(problem)
+        codes = [
+            best_snapshot(objective.for_problem(limited), within_limits=True)
+            for limited in (_with_open(problem, chips) for chips in lengths)
+            if limited is not None
+        ]
+        return [code for code in codes if code is not None]
 
     def _short_exposures(self, every_length: bool) -> list[ShutterCode]:
         """List the shortest single exposures, or those of every length, in any place."""
@@ -262,6 +289,17 @@ def recordable(problem: SearchProblem, *, single: bool) -> SearchProblem | None:
     try:
         return replace(problem, open_range=(low, most_open))
     except ValueError:  # the limits ask for more open chips
+        return None
+
+
+def _with_open(problem: SearchProblem, chips: int) -> SearchProblem | None:
+    """Problem with exactly so many open chips; None where its limits leave none."""
+    low, high = problem.open_limits
+    if not low <= chips <= high:
+        return None
+    try:
+        return replace(problem, open_range=(chips, chips))
+    except ValueError:
         return None
 
 

@@ -203,6 +203,7 @@ def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
         progress=lambda share, note: tell(share, note),
         on_best=best,
         path_error_px=setting.path_error_px,
+        photographs=(),  # beside the live figures, which are the model's
     )
     return {
         "bits": result.code.bits,
@@ -223,6 +224,7 @@ def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
         setting.problem(),
         setting.code(),
         path_error_px=setting.path_error_px,
+        photographs=(),  # beside the live figures, which are the model's
         threads=1,
         progress=lambda share, note: tell(share, note),
     )

@@ -199,7 +199,10 @@ def pareto(
     if not problem.scenarios:
         return FrontComparison(how, front, published)
     front_verdict = verdict(
-        problem, *(point.code for point in front.points), path_error_px=path_error_px
+        problem,
+        *(point.code for point in front.points),
+        path_error_px=path_error_px,
+        photographs=(),  # some twenty codes, by the model
     )
     single = front_verdict.best("snapshot")
     beside = [] if single is None else front_points(problem, [single.code])

@@ -21,7 +21,7 @@ from cep.optics.band import band_samples
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
-from cep.optics.mtf import inverse_scene, noise_variance
+from cep.optics.scene import inverse_scene, noise_variance
 from cep.search.annealing.anneal import anneal
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem

@@ -2,7 +2,7 @@
 
     python -m lab.studies.scene [PHOTOS]
 
-PHOTOS is a folder of sharp photographs; those of lab.photo_gains when omitted. Prints the mean and
+PHOTOS is a folder of sharp photographs; those of cep.photographs when omitted. Prints the mean and
 the spread of each band's level over the photographs (their middle 300 x 300 px, Hann window), the
 least-squares fit of ``S(f) = A f^-g (1 + f^2 / f_k^2)^-h`` with the knee at f_k = 0.25 cycles/px, and
 how much of the variance between photographs is one common level.
@@ -15,10 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from lab.photo_gains.photographs import load_scenes, photographs
+from cep.photographs.scenes import photographs
+from lab.photo_gains.photographs import load_scenes
 from motdiff.types import FloatArray
 
-SIDE_PX = 300
+SIDE_PX = 300  # of a folder's
 BANDS = np.geomspace(1 / 64, 0.5, 14)
 KNEE_CY_PX = 0.25
 

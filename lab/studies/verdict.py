@@ -25,7 +25,7 @@ from cep.optics.band import BandSamples
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
-from cep.optics.mtf import SCENE_MEAN, inverse_scene, noise_variance
+from cep.optics.scene import PHOTO, inverse_scene, noise_variance
 from cep.search.advise import advise
 from cep.search.problem import SearchProblem
 from motdiff.motions import boracchi_foi, quadratic
@@ -164,7 +164,12 @@ def checked(case: tuple[int, int]) -> tuple[float, float, float]:
     index, captures = case
     _, path, camera = check_cases()[index]
     known_path = replace(path, direction="known")
-    advice = advise(SearchProblem.along(known_path, chips=24, camera=camera), levels=[], threads=1)
+    advice = advise(
+        SearchProblem.along(known_path, chips=24, camera=camera),
+        levels=[],
+        photographs=(),
+        threads=1,
+    )
     snapshot = advice.here.best("snapshot")
     code = advice.here.best("code")
     assert snapshot is not None
@@ -201,13 +206,13 @@ def squared_errors(
     draw = scenes_of(inverse)
     errors = []
     for _ in range(captures):
-        spectrum = np.fft.fft2(draw(scenes) - SCENE_MEAN)
-        blurred = np.maximum(np.fft.ifft2(spectrum * otf).real + SCENE_MEAN * code.duty, 0)
+        spectrum = np.fft.fft2(draw(scenes) - PHOTO.mean)
+        blurred = np.maximum(np.fft.ifft2(spectrum * otf).real + PHOTO.mean * code.duty, 0)
         photo = capture.poisson(
             photons * blurred
         ) / photons + read_sigma * capture.standard_normal(blurred.shape)
         photo += (capture.poisson(dark_e, blurred.shape) - dark_e) / photons
-        restored = np.fft.fft2(photo - SCENE_MEAN * code.duty) * wiener
+        restored = np.fft.fft2(photo - PHOTO.mean * code.duty) * wiener
         errors.append((np.abs(restored - spectrum) ** 2).mean() / SIDE**2)
     return np.array(errors)
 
@@ -217,14 +222,14 @@ def scenes_of(inverse: FloatArray) -> Callable[[np.random.Generator], FloatArray
     reference scene's.
     """
     covariance = np.fft.ifft2(1 / inverse).real
-    log_spectrum = np.maximum(np.fft.fft2(np.log1p(covariance / SCENE_MEAN**2)).real, 0)
+    log_spectrum = np.maximum(np.fft.fft2(np.log1p(covariance / PHOTO.mean**2)).real, 0)
     variance = log_spectrum.mean()
 
     def draw(rng: np.random.Generator) -> FloatArray:
         normal = np.fft.ifft2(
             np.fft.fft2(rng.standard_normal(inverse.shape)) * np.sqrt(log_spectrum)
         ).real
-        return SCENE_MEAN * np.exp(normal - variance / 2)
+        return PHOTO.mean * np.exp(normal - variance / 2)
 
     return draw
 

@@ -3,7 +3,7 @@
 References
 ----------
 Wiener, "Extrapolation, Interpolation, and Smoothing of Stationary Time Series", 1949; Field,
-"Relations between the statistics of natural images", J. Opt. Soc. Am. A 4, 1987: scenes' 1/f^2.
+"Relations between the statistics of natural images", J. Opt. Soc. Am. A 4, 1987: a power law.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ from cep.commands.code_options import exposure_seconds
 from cep.files.code_files import StoredCode, write_code
 from cep.files.images import read_image
 from cep.optics.code import ShutterCode
+from cep.photographs.scenes import photographs
 from cep.search.chip_count import COUNTS
 
 ALONG = ("--linear", "12", "--chips", "12")
@@ -59,6 +60,18 @@ def test_json_holds_what_is_said(cep, workplace):
     assert found["gains_db"]["open"] == 0
     assert found["gains_db"]["code"] > found["gains_db"]["snapshot"]
     assert found["verdict"].startswith("Code this exposure")
+
+
+def test_the_gain_is_measured_on_photographs(cep, workplace, monkeypatch):
+    scenes = photographs()[:1]
+    monkeypatch.setattr("cep.photographs.scenes.photographs", lambda: scenes)
+    document = cep.succeeds("advise", "--linear", "6", "--chips", "4", "--read-noise", "50")
+    assert document["photographs"] == 1
+    assert " dB over the best single exposure (" in document["verdict"]
+    assert " on 1 photograph)" in document["verdict"]
+    assert document["gains_db"]["code"] == pytest.approx(
+        document["ways"]["code"]["photo_psnr_db"][0] - document["ways"]["open"]["photo_psnr_db"][0]
+    )
 
 
 def test_a_stated_error_of_the_path_counts(cep, workplace):

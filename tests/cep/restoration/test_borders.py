@@ -16,11 +16,11 @@ def photo():
     return ((data.camera() / 255.0) ** 2.2)[100:180, 90:190]
 
 
-@pytest.mark.parametrize("psf_size", [1, 17, 41])
-def test_extended_shape_leaves_a_gap_and_suits_the_fft(psf_size):
-    shape = extended_shape((97, 210), psf_size)
-    for side, size in zip((97, 210), shape, strict=True):
-        assert size - side >= psf_size - 1
+@pytest.mark.parametrize("psf_shape", [(1, 1), (17, 17), (1, 41), (41, 3)])
+def test_extended_shape_leaves_a_gap_and_suits_the_fft(psf_shape):
+    shape = extended_shape((97, 210), psf_shape)
+    for side, reach, size in zip((97, 210), psf_shape, shape, strict=True):
+        assert size - side >= reach - 1
         assert fft.next_fast_len(size, real=True) == size
 
 

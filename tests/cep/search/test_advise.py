@@ -169,7 +169,7 @@ def test_the_sentence_names_what_was_judged():
     gain = coded.advised.psnr_db - next(
         way.psnr_db for way in coded.ways if way.code.bits == "110100101011" * 2
     )
-    assert f" and {gain:.1f} dB over this code. " in coded.sentence
+    assert f" and about {gain:.1f} dB over this code. " in coded.sentence
 
 
 def test_the_sentence_says_under_which_conditions():
@@ -224,7 +224,7 @@ def test_nothing_is_called_better_by_less_than_nothing():
     """Limits that cost light: what they leave is worse than the open shutter, which is named."""
     found = verdict(along(Trajectory.straight(10.0), 20, camera=Camera(100.0), open_range=(2, 4)))
     assert found.gains_db["snapshot"] < 0
-    assert re.search(r"loses [\d.]+ dB to the open shutter", found.sentence)
+    assert re.search(r"loses about [\d.]+ dB to the open shutter", found.sentence)
     assert found.outside.kind in ("open", "snapshot")
     assert "If the limits can be loosened, " in found.sentence
 

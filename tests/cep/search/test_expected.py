@@ -9,7 +9,7 @@ from cep.optics.band import grid_samples
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
-from cep.optics.mtf import inverse_scene, noise_variance
+from cep.optics.scene import inverse_scene, noise_variance
 from cep.proofs.measure import measure, measure_worst
 from cep.search.expected import (
     ExpectedPsnr,

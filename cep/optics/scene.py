@@ -1,0 +1,75 @@
+"""Scene that codes are designed for: power spectrum and light of photographs, fitted to 580."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cep.optics.band import BandSamples
+from cep.optics.camera import Camera
+from motdiff.types import FloatArray
+
+_LOWEST_CY_PX = 1 / 256  # the power law stops here, or its variance would be infinite
+_LEVEL_AT_CY_PX = 0.1
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Mean power spectrum of scenes, in decibels, and their mean light.
+
+    ``S(f) = L ((f^2 + f0^2) / 0.1^2)^(-g / 2) (1 + f^2 / fk^2)^-h``, with f0 = 1/256 cycles/px.
+
+    Attributes
+    ----------
+    exponent : float
+        g.
+    knee_cy_px : float
+        fk, above which the spectrum falls faster: the lens's and the pixels' blur.
+    fall : float
+        h.
+    level_db : float
+        ``10 log10 L``. White noise of variance v has the level ``10 log10 v``.
+    spread_db : float
+        Standard deviation of the level from scene to scene.
+    mean : float
+        Mean linear light of an all-open exposure, of full scale.
+    """
+
+    exponent: float
+    knee_cy_px: float
+    fall: float
+    level_db: float
+    spread_db: float
+    mean: float
+
+    def power(self, radius2: ArrayLike) -> FloatArray:
+        """Power spectrum at (...) squared frequencies, (cycles/px)^2."""
+        f2 = np.asarray(radius2, dtype=np.float64)
+        law = ((f2 + _LOWEST_CY_PX**2) / _LEVEL_AT_CY_PX**2) ** (-self.exponent / 2)
+        knee = (1 + f2 / self.knee_cy_px**2) ** -self.fall
+        return np.asarray(10 ** (self.level_db / 10) * law * knee, dtype=np.float64)
+
+
+# python -m lab.studies.scene, of BSDS500, Sun-Hays and Urban100: docs/decisions/search.md
+PHOTO = Scene(exponent=2.16, knee_cy_px=0.25, fall=0.43, level_db=-12.5, spread_db=4.6, mean=0.23)
+"""Photographs in linear light."""
+
+
+def inverse_scene(samples: BandSamples) -> FloatArray:
+    """1 / S, (F, Q): the scene's inverse power spectrum at the samples."""
+    return 1 / PHOTO.power(samples.radius2)
+
+
+def noise_variance(
+    camera: Camera, duty: ArrayLike, *, integration_s: ArrayLike = 0.0
+) -> FloatArray:
+    """Variance per pixel of photos of the scene, open for (...) ``duty``.
+
+    Dark current counts for ``integration_s``, as :meth:`cep.optics.camera.Camera.noise_variance`
+    has it.
+    """
+    return camera.noise_variance(
+        PHOTO.mean * np.asarray(duty, dtype=np.float64), integration_s=integration_s
+    )

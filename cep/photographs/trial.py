@@ -1,0 +1,167 @@
+"""Photos of photographs, simulated along a motion, and the PSNR of their restoration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from cep.optics.camera import Camera
+from cep.optics.capture import capture
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.optics.response import ShutterResponse
+from cep.restoration.blur import trimmed_psf
+from cep.restoration.clipping import fill_clipped
+from cep.restoration.pnp import pnp
+from motdiff.crops import centre_crop
+from motdiff.metrics import psnr, psnr_up_to_shift
+from motdiff.motions import with_smooth_error
+from motdiff.threads import side_by_side
+from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
+
+JUDGED_PX = 96
+"""Side of the middle of each photo that is judged, for an estimate in seconds."""
+
+# Left out around it, besides the reach of the PSF along each axis: what lies beyond the border is
+# unknown, and that costs a sparse code 5 dB at 20 px and little at 60 px, a snapshot nothing.
+# Most of a photo of some megapixels is farther in.
+_LEAST_BORDER_PX = 8
+_MOST_BORDER_PX = 40
+_MOST_SHIFT_PX = 3.0  # of a photo restored along a path with an error
+
+
+class PhotoTrial:
+    """Photos of photographs along motions, each through any code, restored as by default.
+
+    The photographs are dealt to the motions. Noise and error of the path are the same for every
+    code, so that the differences between codes are the codes' own.
+
+    Parameters
+    ----------
+    motions : sequence of (Trajectory, edges)
+        Paths, with the chips' boundaries as fractions of the exposure or None.
+    photographs : sequence of (H, W) float ndarrays, linear light
+    camera : Camera
+    response : ShutterResponse, optional
+        Rise and fall of the shutter.
+    chip_ns : int
+        Duration of a chip, ns, for the dark current.
+    path_error_px : float
+        Rms error of the path that a photo is restored along.
+    seed : int
+        Of the noise and of the paths' errors.
+    judged_px : int
+        Side of the middle of each photo that is judged.
+    restore : callable, optional
+        Takes (photo, psf, camera=...); :func:`default_restoration` when omitted.
+    """
+
+    def __init__(
+        self,
+        motions: Sequence[tuple[Trajectory, FloatArray | None]],
+        photographs: Sequence[FloatArray],
+        *,
+        camera: Camera,
+        response: ShutterResponse | None = None,
+        chip_ns: int = 1_000_000,
+        path_error_px: float = 0.0,
+        seed: int = 0,
+        judged_px: int = JUDGED_PX,
+        restore: Callable[..., FloatArray] | None = None,
+    ) -> None:
+        self._motions = motions
+        self._photographs = photographs
+        self._camera = camera
+        self._response = response
+        self._chip_ns = chip_ns
+        self._path_error_px = path_error_px
+        self._seed = seed
+        self._judged_px = judged_px
+        self._restore = restore or default_restoration
+
+    def psnr_db(
+        self,
+        codes: Sequence[ShutterCode],
+        numbers: Sequence[int] | None = None,
+        *,
+        tell: Callable[[int], None] = lambda _finished: None,
+    ) -> FloatArray:
+        """PSNR, dB, of the restored photos in linear light, (codes, photographs).
+
+        Parameters
+        ----------
+        codes : sequence of ShutterCode
+        numbers : sequence of int, optional
+            Which photographs; all when omitted.
+        tell : callable
+            Called with the number of finished photos.
+        """
+        if numbers is None:
+            numbers = range(len(self._photographs))
+        jobs = [partial(self._measured, code, number) for code in codes for number in numbers]
+        return np.array(side_by_side(jobs, tell=tell)).reshape(len(codes), len(numbers))
+
+    def _measured(self, code: ShutterCode, number: int) -> float:
+        path, edges = self._motions[number % len(self._motions)]
+        psf = self._psf(path, edges, code)
+        true_psf = psf
+        if self._path_error_px > 0:
+            rng = np.random.default_rng([self._seed, number, 1])
+            true_path = with_smooth_error(path, self._path_error_px, rng=rng)
+            true_psf = self._psf(true_path, edges, code)
+        integration_ns = ShutterCode(code.bits, self._chip_ns).integration_ns
+        camera = self._camera.with_dark_noise(integration_ns * 1e-9)
+        scene_side = len(true_psf) - 1
+        side_px = self._judged_px
+        photo_shape = [side_px + 2 * _border_px(reach) for reach in _reaches_px(psf)]
+        scene = _middle(self._photographs[number], *(side + scene_side for side in photo_shape))
+        rng = np.random.default_rng([self._seed, number, 2])
+        photo = capture(scene, true_psf, camera=camera, rng=rng)
+        restored = np.clip(self._restore(photo, psf, camera=camera), 0, 1)
+        compared = _middle(restored, side_px, side_px)
+        truth = _middle(scene, side_px, side_px)
+        if true_psf is psf:
+            return psnr(compared, truth)
+        # a shift of the restored photo is no error
+        return psnr_up_to_shift(compared, truth, max_shift_px=_MOST_SHIFT_PX)
+
+    def _psf(self, path: Trajectory, edges: FloatArray | None, code: ShutterCode) -> FloatArray:
+        size = (path.frame_size() + 4) | 1  # the shutter's ramps may reach beyond the path
+        return trimmed_psf(coded_psf(path, code, size, response=self._response, edges=edges))
+
+
+def default_restoration(photo: FloatArray, psf: FloatArray, *, camera: Camera) -> FloatArray:
+    """Restore a photo as :func:`cep.restoration.restore.restore` does along a known motion."""
+    return pnp(fill_clipped(photo, psf), psf, camera=camera)
+
+
+def grid_px(paths: Sequence[Trajectory]) -> int:
+    """Pixels that a restoration of the largest photo has, of the open shutter along paths."""
+    sizes = []
+    for path in paths:
+        reaches = [int(np.ceil(np.abs(path.xy[:, axis]).max())) for axis in (1, 0)]
+        sides = [JUDGED_PX + 2 * (_border_px(reach) + reach) for reach in reaches]
+        sizes.append(sides[0] * sides[1])
+    return max(sizes)
+
+
+def _reaches_px(psf: FloatArray) -> tuple[int, int]:
+    """Farthest row and column of a PSF's light from its middle."""
+    rows, columns = (np.abs(axis - len(psf) // 2).max() for axis in np.nonzero(psf))
+    return int(rows), int(columns)
+
+
+def _border_px(reach_px: int) -> int:
+    return reach_px + min(_MOST_BORDER_PX, _LEAST_BORDER_PX + 2 * reach_px)
+
+
+def _middle(image: FloatArray, height: int, width: int) -> FloatArray:
+    """Middle of an image, which is mirrored at its borders where it is too small."""
+    rows, columns = (max(0, height - image.shape[0]), max(0, width - image.shape[1]))
+    if rows or columns:
+        paddings = [((missing + 1) // 2,) * 2 for missing in (rows, columns)]
+        image = np.pad(image, paddings, mode="symmetric")
+    return centre_crop(image, height, width)

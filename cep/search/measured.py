@@ -1,0 +1,221 @@
+"""Ways to expose, measured: simulated on photographs and restored, instead of a model's figure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from operator import attrgetter
+
+import numpy as np
+
+from cep.optics.code import ShutterCode
+from cep.photographs import scenes
+from cep.photographs.trial import PhotoTrial, grid_px
+from cep.search.expected import WORTH_DB
+from cep.search.problem import SearchProblem
+from cep.search.ways import Choice, Way
+from motdiff.types import FloatArray
+
+LONGEST_PX = 128.0
+"""Extent of a motion beyond which a measurement would take minutes, and the model is left."""
+
+_FIRST_ROUNDS = (3, 6)  # photographs after which half of the candidates is left, and one
+_LENGTHS = 6  # of single exposures, the best by the model, that are tried
+_CODES = 4  # of the search's, the best by the model, that are tried
+_OWN_CODES = 3  # of the user's that are all measured on every photograph
+_USUAL_PX = 4e4  # of a restored photo; larger ones are restored from fewer photographs
+_LEAST_PHOTOGRAPHS = 4
+
+
+def measured_ways(
+    problem: SearchProblem,
+    modelled: Sequence[Way],
+    *,
+    photographs: Sequence[FloatArray] | None = None,
+    own_codes: Iterable[ShutterCode] = (),
+    path_error_px: float = 0.0,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda _share: None,
+) -> tuple[Way, ...]:
+    """Measure the ways that may be the best of their kind on photographs.
+
+    These are the open shutter, single exposures of six lengths near the model's best, the best
+    even pulses and codes, the user's codes, and the best way outside the limits. Of several of a
+    kind half are left after 3 photographs and one after 6, which is measured on all. The others
+    are stated relative to it.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+    modelled : sequence of Way
+        As the model judges them at the problem's light, the open shutter first.
+    photographs : sequence of (H, W) float ndarrays, linear light, optional
+        Those of :func:`cep.photographs.scenes.photographs` when omitted.
+    own_codes : iterable of ShutterCode
+    path_error_px : float
+        As of :func:`cep.search.advise.advise`.
+    seed : int
+        Of the noise and the errors of the path.
+    progress : callable, optional
+        Called with the finished share, 0..1.
+
+    Returns
+    -------
+    tuple of Way
+        The open shutter first, then those that were measured. The ways themselves where there are
+        no photographs, or the motion is longer than :data:`LONGEST_PX`.
+    """
+    motions = [
+        (scenario.path(reversed_path=reversed_path), scenario.edges)
+        for scenario, reversed_path in problem.ways()
+    ]
+    longest_px = max(path.extent_px for path, _ in motions)
+    if photographs is None:
+        photographs = scenes.photographs()
+    if not photographs or longest_px > LONGEST_PX:
+        return tuple(modelled)
+    size = grid_px([path for path, _ in motions])
+    affordable = int(len(photographs) * _USUAL_PX / size)
+    count = min(len(photographs), max(affordable, _LEAST_PHOTOGRAPHS))
+    trial = PhotoTrial(
+        motions,
+        photographs[:count],
+        camera=problem.camera,
+        response=problem.response,
+        chip_ns=problem.chip_ns,
+        path_error_px=path_error_px,
+        seed=seed,
+    )
+    groups = _candidates(modelled, {code.bits for code in own_codes})
+    rounds = [*(number for number in _FIRST_ROUNDS if number < count), count]
+    # the number of photos of each group in each round is known before
+    planned = sum(_photos(len(group), rounds) for group in groups)
+    finished = 0
+
+    def measure(group: Sequence[Way], numbers: range) -> FloatArray:
+        nonlocal finished
+        levels = trial.psnr_db(
+            [exposure.code for exposure in group],
+            numbers,
+            tell=lambda photos: progress((finished + photos) / planned),
+        )
+        finished += levels.size
+        return levels
+
+    measured: dict[str, Way] = {}
+    for group in groups:
+        measured |= {exposure.code.bits: exposure for exposure in _halved(group, rounds, measure)}
+    return tuple(
+        measured[exposure.code.bits] for exposure in modelled if exposure.code.bits in measured
+    )
+
+
+def corrections_db(modelled: Iterable[Way], measured: Iterable[Way]) -> dict[Choice, float]:
+    """Return what the model lacks on photographs, dB, of the best way of each kind."""
+    model_db = {exposure.code.bits: exposure.psnr_db for exposure in modelled}
+    best: dict[Choice, Way] = {}
+    for exposure in sorted(measured, key=lambda exposure: exposure.psnr_db):
+        best[exposure.kind] = exposure
+    return {
+        kind: exposure.psnr_db - model_db[exposure.code.bits] for kind, exposure in best.items()
+    }
+
+
+def corrected(exposure: Way, corrections: dict[Choice, float], share: float) -> Way:
+    """Shift a way's modelled figures by a share of the correction of its kind."""
+    correction = corrections.get(exposure.kind)
+    if correction is None:  # a kind that was not measured: as the others, which leaves its gains
+        correction = float(np.mean([*corrections.values()] or [0.0]))
+    return replace(
+        exposure,
+        psnr_db=exposure.psnr_db + share * correction,
+        equal_light_db=exposure.equal_light_db + share * correction,
+    )
+
+
+def _candidates(modelled: Sequence[Way], own_bits: set[str]) -> list[list[Way]]:
+    """Return groups of ways that compete; a group of one is measured on all photographs."""
+    by_model = sorted(modelled[1:], key=lambda exposure: -exposure.psnr_db)
+    possible = [exposure for exposure in by_model if exposure.possible]
+    best_of_length: dict[int, Way] = {}
+    for exposure in possible:
+        if exposure.kind == "snapshot":
+            best_of_length.setdefault(exposure.code.open_chips, exposure)
+    snapshots = [*best_of_length.values()][:_LENGTHS]
+    # with a brighter lamp the best may be another
+    brightest = [exposure for exposure in possible if exposure.kind == "snapshot"]
+    if brightest:
+        lamp = max(brightest, key=attrgetter("equal_light_db"))
+        if lamp not in snapshots:
+            snapshots.append(lamp)
+    strobes = [exposure for exposure in possible if exposure.kind == "strobe"][:1]
+    codes = [exposure for exposure in possible if exposure.kind == "code"][:_CODES]
+    user_ways = [exposure for exposure in modelled if exposure.code.bits in own_bits]
+    groups = [[modelled[0]], snapshots, [*codes, *strobes]]
+    if len(user_ways) <= _OWN_CODES:
+        groups += [[exposure] for exposure in user_ways]
+    else:
+        groups.append(user_ways)
+    # what loosening the limits would gain
+    unlimited = [exposure for exposure in by_model if not exposure.saturates]
+    if unlimited and not unlimited[0].within_limits:
+        beyond_db = unlimited[0].psnr_db - (possible[0].psnr_db if possible else -np.inf)
+        if beyond_db > WORTH_DB:
+            groups.append(unlimited[:1])
+    distinct: set[str] = set()
+    for group in reversed(groups):  # the last groups are measured in full
+        group[:] = [exposure for exposure in group if exposure.code.bits not in distinct]
+        distinct |= {exposure.code.bits for exposure in group}
+    return [group for group in groups if group]
+
+
+def _remaining(candidates: int, number: int, rounds: Sequence[int]) -> int:
+    """How many candidates are left after a round of so many photographs."""
+    return -(-candidates // 2) if number == rounds[0] else 1
+
+
+def _photos(candidates: int, rounds: Sequence[int]) -> int:
+    """Count the photos that a group's competition takes."""
+    total = 0
+    before = 0
+    for number in rounds:
+        total += candidates * (number - before)
+        before = number
+        candidates = _remaining(candidates, number, rounds)
+    return total
+
+
+def _halved(
+    group: Sequence[Way],
+    rounds: Sequence[int],
+    measure: Callable[[Sequence[Way], range], FloatArray],
+) -> list[Way]:
+    """Measure a group, ever fewer of it on more photographs."""
+    remaining = list(group)
+    levels = np.empty((len(group), 0))
+    lost: list[tuple[Way, FloatArray, float]] = []  # with what it is behind the best of its round
+    for number in rounds:
+        levels = np.hstack([levels, measure(remaining, range(levels.shape[1], number))])
+        order = np.argsort(-levels.mean(axis=1), kind="stable")
+        keep = _remaining(len(remaining), number, rounds)
+        best_db = levels[order[0]].mean()
+        lost += [(remaining[i], levels[i], best_db - levels[i].mean()) for i in order[keep:]]
+        remaining = [remaining[i] for i in order[:keep]]
+        levels = levels[order[:keep]]
+    best = _stated(remaining[0], levels[0])
+    return [best] + [
+        _stated(exposure, photos, psnr_db=best.psnr_db - behind_db)
+        for exposure, photos, behind_db in lost
+    ]
+
+
+def _stated(modelled: Way, photos_db: FloatArray, psnr_db: float | None = None) -> Way:
+    """Way with its measured figures; the model's at equal light is shifted as much."""
+    if psnr_db is None:
+        psnr_db = float(photos_db.mean())
+    return replace(
+        modelled,
+        psnr_db=float(psnr_db),
+        equal_light_db=modelled.equal_light_db + float(psnr_db) - modelled.psnr_db,
+        photo_psnr_db=tuple(photos_db.tolist()),
+    )
