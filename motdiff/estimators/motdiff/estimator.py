@@ -43,9 +43,10 @@ _REFINE_COST = 0.45
 _SINGLE_COST = 0.35
 _CORRECT_COST = 0.6
 _TRACE_COST = 0.25
-# two corrected kernels are the photo's from this MNC on, and the probability of one to be good
-# grows with it: docs/decisions/network.md
+# two corrected kernels are the photo's from this MNC and score on, and the probability of one to
+# be good grows with the MNC: docs/decisions/network.md
 _AGREED_MNC = 0.85
+_AGREED_SCORE = 0.4
 _AGREED_SLOPE = 15.0
 _AGREED_OFFSET = -10.5
 # of the search's starts, those that stand for the shortened ones the network was trained with; the
@@ -58,13 +59,13 @@ class MotDiffEstimator(BlindEstimator):
     """Blind estimator with the conditional diffusion model MoTDiff.
 
     Two classical searches give kernels, which a network corrects by what the photo tells of them
-    (:mod:`motdiff.network.correction`). Where these agree, the better one is chosen. Else the
-    photo leaves several motions: two more searches follow, and the diffusion network, conditioned
-    on three of the kernels, samples motions. All are scored on the photo
-    (:mod:`motdiff.estimators.kernel_score`), the most likely ones are refined at full resolution,
-    the best and up to two of the likeliest different ones corrected, and the same score of the
-    photo alone chooses: a classical kernel or a drawn one. A simple motion that is as likely takes
-    its place (:mod:`motdiff.estimators.simple_motion`).
+    (:mod:`motdiff.network.correction`). Where these agree, with each other and with the photo, the
+    better one is chosen. Else the photo leaves several motions: two more searches follow, and the
+    diffusion network, conditioned on three of the kernels, samples motions. All are scored on the
+    photo (:mod:`motdiff.estimators.kernel_score`), the most likely ones are refined at full
+    resolution, the best and up to two of the likeliest different ones corrected, and the same
+    score of the photo alone chooses: a classical kernel or a drawn one. A simple motion that is as
+    likely takes its place (:mod:`motdiff.estimators.simple_motion`).
 
     Parameters
     ----------
@@ -220,7 +221,7 @@ class MotDiffEstimator(BlindEstimator):
     def _settled(
         self, crops: FloatArray, pair: Sequence[FloatArray], judge: Judge
     ) -> list[FoundKernels]:
-        """Correct the kernels of two searches: the result where they then agree, else nothing."""
+        """Correct the kernels of two searches: the result where they and the photo agree."""
         assert self._correction is not None
         corrected = side_by_side(
             [
@@ -234,6 +235,8 @@ class MotDiffEstimator(BlindEstimator):
         if agreement < _AGREED_MNC:
             return []
         scores = kernel_score(judge.evidence(corrected))
+        if scores.max() < _AGREED_SCORE:
+            return []
         probability = 1 / (1 + np.exp(-(_AGREED_SLOPE * agreement + _AGREED_OFFSET)))
         return [
             FoundKernels(
