@@ -250,7 +250,7 @@ def test_a_gpus_first_minute(photos, motdiff):
     (estimator,) = named_estimators(["motdiff@w.safetensors"]).values()
     estimate = estimator.estimate(photo[:96, :96] / 255)
     assert estimate.psf.sum() == pytest.approx(1)
-    assert estimate.details["samples"] == 8
+    assert estimate.details["samples"] in (0, 8)  # none where two searches agree
 
 
 def test_held_out_samples_are_of_other_photos(photos, motdiff, monkeypatch):
