@@ -264,7 +264,7 @@ def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
     agreement = np.ones(1)  # a lone kernel agrees with itself
     if count > 1:
         agreement = np.sort(alike, axis=1)[:, -top:].mean(axis=1)
-    probabilities = _probabilities(
+    probabilities = probability_good(
         kernel_score(Judge(photos).evidence(kernels), agreement), _SEARCHED
     )
     best = int(np.argmax(probabilities))
@@ -295,7 +295,7 @@ def candidate_probabilities(
     among_classical = alike[:, samples : samples + classical].sum(axis=1) / np.maximum(
         classical - is_classical, 1
     )
-    return _probabilities(kernel_score(evidence, (among_samples + among_classical) / 2), _DRAWN)
+    return probability_good(kernel_score(evidence, (among_samples + among_classical) / 2), _DRAWN)
 
 
 def distinct(
@@ -323,7 +323,8 @@ def distinct(
     return chosen
 
 
-def _probabilities(scores: FloatArray, calibration: tuple[float, float]) -> FloatArray:
+def probability_good(scores: FloatArray, calibration: tuple[float, float]) -> FloatArray:
+    """Probability (K,) to be good at scores (K,), by the slope and offset of its log odds."""
     slope, offset = calibration
     return np.asarray(1 / (1 + np.exp(-(slope * scores + offset))), dtype=np.float64)
 

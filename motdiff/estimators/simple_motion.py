@@ -18,7 +18,7 @@ from scipy import optimize
 from motdiff.estimators.photo_spectrum import PhotoSpectrum
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import centroid_px
-from motdiff.tracing.path_otf import KernelLikeness, PathOtf, kernel_otf
+from motdiff.tracing.path_otf import KernelLikeness, PathOtf, kernel_otf, power
 from motdiff.tracing.quadratic import QuadraticPath, quadratic_of_psf
 from motdiff.trajectory import Trajectory, bilinear_otf
 from motdiff.types import FloatArray
@@ -102,7 +102,7 @@ class _Fit:
         self._alike = KernelLikeness(kernel, spectra[0].fy, spectra[0].fx)
         self.kernel_cost = 0.5 * _KERNEL_COUNT * np.log(_KERNEL_ERROR)
         for spectrum in spectra:
-            blur = spectrum.smeared(_power(kernel_otf(kernel, spectrum.fy, spectrum.fx)))
+            blur = spectrum.smeared(power(kernel_otf(kernel, spectrum.fy, spectrum.fx)))
             self.kernel_cost += spectrum.misfit(blur, spectrum.scene(blur))[0]
 
     def climbed(self, start: QuadraticPath) -> tuple[FloatArray, float]:
@@ -141,7 +141,7 @@ class _Fit:
     def _scenes(self, values: FloatArray) -> list[NDArray[np.float32]]:
         points = self._points(values)
         return [
-            spectrum.scene(spectrum.smeared(_power(otf.otf(points) * hat)))
+            spectrum.scene(spectrum.smeared(power(otf.otf(points) * hat)))
             for spectrum, otf, hat in zip(self._spectra, self._otfs, self._hats, strict=True)
         ]
 
@@ -154,7 +154,7 @@ class _Fit:
         slope = np.zeros_like(points)
         for i, (spectrum, scene) in enumerate(zip(self._spectra, scenes, strict=True)):
             otf = self._otfs[i].otf(points) * self._hats[i]
-            misfit, by_power = spectrum.misfit(spectrum.smeared(_power(otf)), scene)
+            misfit, by_power = spectrum.misfit(spectrum.smeared(power(otf)), scene)
             cost += misfit
             by_otf = 2 * spectrum.smeared(by_power) * otf
             if i == 0:  # the kernel counts once
@@ -164,10 +164,6 @@ class _Fit:
                 by_otf = by_otf - _KERNEL_COUNT * cosine / error * by_cosine
             slope += self._otfs[i].slope(np.asarray(by_otf * self._hats[i], dtype=np.complex64))
         return cost, (self._shapes @ slope).ravel()
-
-
-def _power(otf: NDArray[np.complexfloating]) -> NDArray[np.float32]:
-    return np.asarray(otf.real**2 + otf.imag**2, dtype=np.float32)
 
 
 def _likeness(motion: QuadraticPath, kernel: FloatArray) -> float:

@@ -74,11 +74,11 @@ class KernelLikeness:
             np.float32
         )
         self.otf = _single(kernel_otf(kernel, fy_cy_px, fx_cy_px))
-        self._norm = float(np.sqrt((self._weight * _squared(self.otf)).sum()))
+        self._norm = float(np.sqrt((self._weight * power(self.otf)).sum()))
 
     def __call__(self, otf: NDArray[np.complex64]) -> tuple[float, NDArray[np.complex64]]:
         """Cosine, -1..1, for an OTF (R, C), and its slope (R, C) in it."""
-        norm = float(np.sqrt((self._weight * _squared(otf)).sum()))
+        norm = float(np.sqrt((self._weight * power(otf)).sum()))
         cosine = float((self._weight * (np.conj(self.otf) * otf).real).sum()) / (norm * self._norm)
         slope = self._weight * (self.otf / (norm * self._norm) - cosine / norm**2 * otf)
         return cosine, np.asarray(slope, dtype=np.complex64)
@@ -101,8 +101,9 @@ def _phasors(slope: NDArray[np.float32], place: FloatArray) -> NDArray[np.comple
     return phasors
 
 
-def _squared(otf: NDArray[np.complex64]) -> FloatArray:
-    return np.asarray(otf.real**2 + otf.imag**2)
+def power(otf: NDArray[np.complexfloating]) -> NDArray[np.float32]:
+    """Squared modulus of an OTF."""
+    return np.asarray(otf.real**2 + otf.imag**2, dtype=np.float32)
 
 
 def _single(values: NDArray[np.complexfloating]) -> NDArray[np.complex64]:

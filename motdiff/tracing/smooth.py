@@ -123,7 +123,7 @@ class _Fit:
         blur_px: float = 0.0,
         band_cy_px: float = 0.5,
     ) -> None:
-        side = max(_FRAME_PX, 2 * len(psf) if len(psf) > _FRAME_PX else _FRAME_PX)
+        side = 2 * len(psf) if len(psf) > _FRAME_PX else _FRAME_PX
         rows = np.sort(np.fft.fftfreq(side)).astype(np.float64)
         columns = np.fft.rfftfreq(side).astype(np.float64)
         fy, fx = rows[np.abs(rows) <= band_cy_px], columns[columns <= band_cy_px]

@@ -17,6 +17,7 @@ from motdiff.network.physics_maps import display_photo, physics_maps, spectral_m
 from motdiff.network.symmetry import SYMMETRIES, mirrored
 from motdiff.psf_frame import MAP_PITCH
 from motdiff.training.motion_bank import MotionBank
+from motdiff.training.prepared import light_of
 from motdiff.training.samples import Samples, simulate
 from motdiff.training.simulation import Photography
 
@@ -144,7 +145,7 @@ class PreparedSource:
         self._maps: tuple[Tensor, Tensor] | None = None
         if physics:
             chunks = torch.split(samples.photos, _SPECTRAL_BATCH)
-            spectral = torch.cat([spectral_maps(_light(photos)).half() for photos in chunks])
+            spectral = torch.cat([spectral_maps(light_of(photos)).half() for photos in chunks])
             self._maps = (spectral, samples.kernels)
         self._x0 = samples.x0
         self._dwell = samples.dwell
@@ -177,7 +178,7 @@ class PreparedSource:
     def _turned(self, index: Tensor, symmetry: int) -> Batch:
         photo = physics = None
         if self._photos is not None:
-            photo = display_photo(mirrored(_light(self._photos[index]), symmetry, pitch=0))
+            photo = display_photo(mirrored(light_of(self._photos[index]), symmetry, pitch=0))
         if self._maps is not None:
             spectral, kernels = (
                 mirrored(maps[index].float(), symmetry, pitch=1) for maps in self._maps
@@ -188,11 +189,6 @@ class PreparedSource:
             for maps in (self._x0, self._dwell)
         )
         return Batch(photo, physics, x0, dwell)
-
-
-def _light(stored: Tensor) -> Tensor:
-    """Light 0..1 of prepared photos, which hold ``255 sqrt(light)``."""
-    return stored.float().div(255).square()
 
 
 def _joined(batches: Sequence[Batch]) -> Batch:

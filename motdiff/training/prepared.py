@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -137,13 +137,19 @@ def read_shards(folder: Path | str) -> Samples:
         If there are none.
     """
     missing = "prepared samples (shard_*.npz); write them with: python -m motdiff prepare"
-    shards = load_shards(folder, name=_NAME, load=samples_of, missing=missing)
+    return joined(load_shards(folder, name=_NAME, load=samples_of, missing=missing))
+
+
+def joined(shards: Sequence[Samples]) -> Samples:
+    """Join the samples of several shards."""
     return Samples(
-        *(
-            torch.cat([getattr(shard, name) for shard in shards])
-            for name in ("photos", "kernels", "x0", "dwell")
-        )
+        *(torch.cat([getattr(shard, field.name) for shard in shards]) for field in fields(Samples))
     )
+
+
+def light_of(stored: Tensor) -> Tensor:
+    """Light 0..1 of the photos of a shard, which hold ``255 sqrt(light)``."""
+    return stored.float().div(255).square()
 
 
 def sample_arrays(samples: Samples) -> dict[str, NDArray[np.generic]]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cep.compiled import compiled
 from cep.search.annealing.proposals import Limits, draw_any, draw_blocks, uniform
-from cep.search.annealing.states import best_codes, new_chain, own_tables, refresh, smallest_power
+from cep.search.annealing.states import best_codes, new_chain, note_best, own_tables, refresh
 from cep.search.annealing.terms import (
     Tables,
     add_rows,
@@ -25,7 +25,6 @@ from cep.search.annealing.terms import (
     turn,
     work_space,
 )
-from cep.search.objectives.criterion import STEEP
 from cep.search.problem import SearchProblem
 
 Codes = NDArray[np.int8]
@@ -114,8 +113,6 @@ def cool(
     code = chain.code
     otf = chain.otf
     random = chain.random
-    best_cost = chain.best_cost
-    deepest_power = chain.deepest_power
     rows = tables.rows
     sums = np.empty((tables.kinds.size, tables.layout.shape[0], 2))
     changed = np.empty(len(code), np.int64)
@@ -125,7 +122,6 @@ def cool(
     may_change = np.zeros(len(code), np.bool_)
     may_change[free] = True
     early = one_sum_decides(tables)  # a move is then refused as soon as its sum is too large
-    steep = tables.kinds[0] == STEEP
     cooling = (temperatures[1] / temperatures[0]) ** (1.0 / moves)
     temperature = temperatures[0]
     open_chips = int(code.sum())
@@ -163,13 +159,5 @@ def cool(
         open_chips += more
         chain.cost[0] = cost
         add_rows(rows, otf, picked, count, limits.chips)
-        if cost < best_cost[0]:
-            best_cost[0] = cost
-            chain.best[:] = code
-        if steep:
-            # the sum leads, the plain minimum is what counts
-            lowest = smallest_power(tables, otf)
-            if lowest > deepest_power[0]:
-                deepest_power[0] = lowest
-                chain.deepest[:] = code
+        note_best(tables, chain)
     return accepted

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cep.compiled import compiled
 from cep.search.annealing.terms import BLOCK, SMALLEST, Tables, decibels, sums_over
-from cep.search.objectives.criterion import FLATNESS
+from cep.search.objectives.criterion import FLATNESS, STEEP
 
 Floats = NDArray[np.float32]
 
@@ -129,6 +129,20 @@ def smallest_power(tables: Any, otf: Floats) -> float:
             if tables.scale[0, block, 0, f] > 0 and power < lowest:
                 lowest = power
     return float(lowest)
+
+
+@compiled
+def note_best(tables: Any, chain: Any) -> None:
+    """Keep a chain's code where it costs least so far, or its smallest |P| is the largest."""
+    if chain.cost[0] < chain.best_cost[0]:
+        chain.best_cost[0] = chain.cost[0]
+        chain.best[:] = chain.code
+    if tables.kinds[0] == STEEP:
+        # the sum leads, the plain minimum is what counts
+        lowest = smallest_power(tables, chain.otf)
+        if lowest > chain.deepest_power[0]:
+            chain.deepest_power[0] = lowest
+            chain.deepest[:] = chain.code
 
 
 def new_chain(tables: Tables, code: NDArray[np.int8], seed: int, *, frames: int = 1) -> Chain:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cep.compiled import compiled
 from cep.search.annealing.proposals import Limits, keeps_runs, uniform
-from cep.search.annealing.states import best_codes, new_chain, own_tables, refresh, smallest_power
+from cep.search.annealing.states import best_codes, new_chain, note_best, own_tables, refresh
 from cep.search.annealing.terms import (
     Tables,
     add_rows,
@@ -31,7 +31,6 @@ from cep.search.annealing.terms import (
     turn,
     work_space,
 )
-from cep.search.objectives.criterion import STEEP
 from cep.search.problem import SearchProblem
 
 Codes = NDArray[np.int8]
@@ -155,7 +154,6 @@ def walk(
     otf = chain.otf
     random = chain.random
     best_cost = chain.best_cost
-    deepest_power = chain.deepest_power
     rows = tables.rows
     sums = np.empty((tables.kinds.size, tables.layout.shape[0], 2))
     changed = np.empty(2, np.int64)
@@ -163,7 +161,6 @@ def walk(
     best = np.zeros(2, np.int64)
     variants = rows.shape[1]
     early = one_sum_decides(tables)
-    steep = tables.kinds[0] == STEEP
     open_chips = int(code.sum())
     moves = 0
     for step in range(first, first + steps):
@@ -218,12 +215,5 @@ def walk(
         for c in range(best_count):
             tabu_until[best[c]] = step + _TENURE + int(uniform(random) * _SPREAD)
         chain.cost[0] = lowest
-        if lowest < best_cost[0]:
-            best_cost[0] = lowest
-            chain.best[:] = code
-        if steep:
-            deep = smallest_power(tables, otf)
-            if deep > deepest_power[0]:
-                deepest_power[0] = deep
-                chain.deepest[:] = code
+        note_best(tables, chain)
     return moves

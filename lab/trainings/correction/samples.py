@@ -23,7 +23,14 @@ from motdiff.estimators.pmp.grids import shifted
 from motdiff.network.correction import CorrectionNetwork, corrected, photos_correction_maps
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.psf_frame import margins
-from motdiff.training.prepared import Source, sample_arrays, samples_of, simulated_shard
+from motdiff.training.prepared import (
+    Source,
+    joined,
+    light_of,
+    sample_arrays,
+    samples_of,
+    simulated_shard,
+)
 from motdiff.training.samples import Samples, registration
 from motdiff.training.shards import load_shards, write_shards
 
@@ -148,13 +155,7 @@ def read_samples(folder: Path | str) -> Samples:
         If it has none, or one is damaged.
     """
     missing = "searched_*.npz; write them with: python -m lab.trainings.correction prepare"
-    parts = load_shards(folder, name=_NAME, load=samples_of, missing=missing)
-    return Samples(
-        *(
-            torch.cat([getattr(shard, name) for shard in parts])
-            for name in ("photos", "kernels", "x0", "dwell")
-        )
-    )
+    return joined(load_shards(folder, name=_NAME, load=samples_of, missing=missing))
 
 
 def described(
@@ -170,7 +171,7 @@ def described(
     ValueError
         If every kernel is lost.
     """
-    light = (samples.photos.float() / 255).square()
+    light = light_of(samples.photos)
     noise = _noise(light[:, 0])
     parts = []
     # photos of similar noise together: the maps of a batch have one setting

@@ -17,15 +17,17 @@ from motdiff.estimators.kernel_score import (
     distinct,
     kernel_score,
     noise_sigma,
+    probability_good,
     shared_sigma,
 )
 from motdiff.estimators.motdiff import MotDiff
 from motdiff.estimators.motdiff.correcting import corrected_choice, corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import BlindEstimator
-from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, planned, refined
+from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, alike, planned, refined
 from motdiff.estimators.simple_motion import simple_motion
 from motdiff.metrics import mnc_matrix, mnc_subpixel
+from motdiff.network.correction import CorrectionNetwork
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
 from motdiff.network.sampling import DOUBT
 from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
@@ -47,8 +49,7 @@ _TRACE_COST = 0.25
 # be good grows with the MNC: docs/decisions/network.md
 _AGREED_MNC = 0.85
 _AGREED_SCORE = 0.4
-_AGREED_SLOPE = 15.0
-_AGREED_OFFSET = -10.5
+_AGREED = (15.0, -10.5)
 # of the search's starts, those that stand for the shortened ones the network was trained with; the
 # first two agreeing, the larger one stands for the one not run as well
 _CONDITIONS_OF_ALL = (2, 0, 1)
@@ -129,25 +130,27 @@ class MotDiffEstimator(BlindEstimator):
             after += _CORRECT_COST
         self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
         judge = Judge(crops, sigma=shared_sigma(crops))
-        settled: list[FoundKernels] = []
+        settled: FoundKernels | None = None
 
         def agreed(pair: Sequence[FloatArray]) -> bool:
-            settled.extend(self._settled(crops, pair, judge))
-            return bool(settled)
+            nonlocal settled
+            if self._correction is None:
+                return alike(pair)
+            settled = _settled(self._correction, crops, pair, judge)
+            return settled is not None
 
-        kernels = PmpEstimator().kernels(
-            crops, progress=self._progress, agreed=agreed if self._refine else None
-        )
-        if settled:
+        searched = PmpEstimator().kernels(crops, progress=self._progress, agreed=agreed)
+        if settled is not None:
             self._progress.expect(
                 _CORRECT_COST + _TRACE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0)
             )
-            return settled[0]
-        classical, conditions = _framed_classical(kernels)
+            return settled
+        classical = _framed(searched)
+        conditions = _CONDITIONS_OF_ALL if len(classical) > 2 else _CONDITIONS_OF_TWO
         draws = draw_psfs(
             self._network,
             crops,
-            conditions,
+            classical[list(conditions)],
             count=self._samples,
             steps=self._steps,
             generator=torch.Generator().manual_seed(self._seed),
@@ -159,13 +162,13 @@ class MotDiffEstimator(BlindEstimator):
         mean = len(kernels) - 1
         groups = {"samples": len(draws), "classical": len(classical)}
         evidence = judge.evidence(kernels)
-        alike = mnc_matrix(kernels)
-        believed = candidate_probabilities(evidence, alike, **groups)
+        likeness = mnc_matrix(kernels)
+        believed = candidate_probabilities(evidence, likeness, **groups)
         self._progress.spend(_JUDGE_COST)
         best = int(np.argmax(believed))
         if self._refine:
             likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
-            chosen = distinct(alike, [likeliest, mean], np.argsort(-believed), count=_REFINED)
+            chosen = distinct(likeness, [likeliest, mean], np.argsort(-believed), count=_REFINED)
             sharpened = side_by_side(
                 [partial(refined, crops, kernels[i], judge.sigma) for i in chosen]
             )
@@ -218,43 +221,35 @@ class MotDiffEstimator(BlindEstimator):
         self._progress.spend(_CORRECT_COST)
         return better
 
-    def _settled(
-        self, crops: FloatArray, pair: Sequence[FloatArray], judge: Judge
-    ) -> list[FoundKernels]:
-        """Correct the kernels of two searches: the result where they and the photo agree."""
-        assert self._correction is not None
-        corrected = side_by_side(
-            [
-                partial(
-                    corrected_kernel, self._correction, crops, kernel, [rival], sigma=judge.sigma
-                )
-                for kernel, rival in (pair, pair[::-1])
-            ]
-        )
-        agreement = mnc_subpixel(*corrected)
-        if agreement < _AGREED_MNC:
-            return []
-        scores = kernel_score(judge.evidence(corrected))
-        if scores.max() < _AGREED_SCORE:
-            return []
-        probability = 1 / (1 + np.exp(-(_AGREED_SLOPE * agreement + _AGREED_OFFSET)))
-        return [
-            FoundKernels(
-                kernels=tuple(_in_odd_frames(np.stack([in_frame(kernel) for kernel in pair]))),
-                probabilities=np.full(2, probability),
-                best=int(np.argmax(scores)),
-                details={"samples": 0, "classical": 2, "agreement": agreement},
-                origins=("classical", "classical"),
-                corrected=tuple(corrected),
-            )
+
+def _settled(
+    network: CorrectionNetwork, crops: FloatArray, pair: Sequence[FloatArray], judge: Judge
+) -> FoundKernels | None:
+    """Correct the kernels of two searches; None where they or the photo disagree."""
+    corrected = side_by_side(
+        [
+            partial(corrected_kernel, network, crops, kernel, [rival], sigma=judge.sigma)
+            for kernel, rival in (pair, pair[::-1])
         ]
+    )
+    agreement = mnc_subpixel(*corrected)
+    if agreement < _AGREED_MNC:
+        return None
+    scores = kernel_score(judge.evidence(corrected))
+    if scores.max() < _AGREED_SCORE:
+        return None
+    return FoundKernels(
+        kernels=tuple(_in_odd_frames(_framed(pair))),
+        probabilities=probability_good(np.full(2, agreement), _AGREED),
+        best=int(np.argmax(scores)),
+        details={"samples": 0, "classical": 2, "agreement": agreement},
+        origins=("classical", "classical"),
+        corrected=tuple(corrected),
+    )
 
 
-def _framed_classical(kernels: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Classical kernels (Q, 64, 64), and those that condition the network (3, 64, 64)."""
-    framed = np.stack([in_frame(kernel) for kernel in kernels])
-    conditions = _CONDITIONS_OF_ALL if len(kernels) > 2 else _CONDITIONS_OF_TWO
-    return framed, framed[list(conditions)]
+def _framed(kernels: Sequence[FloatArray]) -> FloatArray:
+    return np.stack([in_frame(kernel) for kernel in kernels])
 
 
 def _in_odd_frames(psfs: FloatArray) -> list[FloatArray]:

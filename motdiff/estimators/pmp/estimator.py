@@ -60,7 +60,8 @@ _SINGLE_COST = 1.4
 _TRACE_COST = 0.25
 
 
-def _alike(pair: Sequence[FloatArray]) -> bool:
+def alike(pair: Sequence[FloatArray]) -> bool:
+    """Whether the unrefined kernels of two searches are alike."""
     return mnc_subpixel(*pair) >= _AGREED_MNC
 
 
@@ -117,12 +118,12 @@ class PmpEstimator(BlindEstimator):
         crops: FloatArray,
         *,
         progress: Progress | None = None,
-        agreed: Callable[[Sequence[FloatArray]], bool] | None = None,
+        agreed: Callable[[Sequence[FloatArray]], bool] = alike,
     ) -> list[FloatArray]:
         """Search kernels (size, size), sum 1, of crops (C, H, W) from each start.
 
-        From the first two alone where their kernels have ``agreed``: when omitted, where they are
-        alike. A start costs 1 of the ``progress``, :func:`planned` in all.
+        From the first two alone where their kernels have ``agreed``. A start costs 1 of the
+        ``progress``, :func:`planned` in all.
         """
         progress = progress or Progress()
         jobs = [
@@ -131,7 +132,7 @@ class PmpEstimator(BlindEstimator):
         ]
         kernels = side_by_side(jobs[:2])
         if len(jobs) > 2:
-            enough = (agreed or _alike)(kernels)
+            enough = agreed(kernels)
             progress.expect_more((2 if enough else len(jobs)) - planned(len(jobs)))
             if not enough:
                 kernels += side_by_side(jobs[2:])
