@@ -116,7 +116,7 @@ def _train(options: argparse.Namespace) -> None:
         train(
             read_config(options.config),
             options.out,
-            device=_device(options.device),
+            device=device_named(options.device),
             pace=Pace(
                 minutes=options.minutes,
                 save_s=options.save_every,
@@ -139,7 +139,14 @@ def _entries_of(config: Path) -> Iterator[None]:
         raise
 
 
-def _device(option: str) -> str:
+def device_named(option: str) -> str:
+    """Torch's name of the device that ``--device`` asks for, which is made the current one.
+
+    Raises
+    ------
+    ValueError
+        If there is no such device.
+    """
     import torch
 
     name = option or ("cuda" if torch.cuda.is_available() else "cpu")

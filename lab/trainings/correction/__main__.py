@@ -64,7 +64,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     evaluate.add_argument("--weights", type=Path, help="the shipped ones when omitted")
     evaluate.set_defaults(command=_evaluate)
     for command in (prepare, train, evaluate):
-        command.add_argument("--device", default="cpu", help="cpu or cuda")
+        command.add_argument("--device", default="cpu", help="cpu, cuda or cuda:NUMBER")
     return run_command(parser, arguments)
 
 
@@ -72,16 +72,18 @@ def _prepare(options: argparse.Namespace) -> None:
     import torch
 
     from lab.trainings.correction.samples import prepare
+    from motdiff.commands import device_named
     from motdiff.training.prepared import read_source
     from motdiff.training.shards import shard_range
 
+    device = device_named(options.device)
     torch.set_num_threads(1)  # the arrays are small: more threads are slower
     shards = shard_range(options.shards)
     prepare(
         options.out,
         read_source(options.config, held_out=options.held_out),
         shards=shards,
-        device=options.device,
+        device=device,
         on_shard=lambda shard: print(
             f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True
         ),
@@ -91,13 +93,15 @@ def _prepare(options: argparse.Namespace) -> None:
 def _train(options: argparse.Namespace) -> None:
     from lab.trainings.correction.samples import read_samples
     from lab.trainings.correction.training import Settings, train
+    from motdiff.commands import device_named
 
+    device = device_named(options.device)
     settings = Settings(steps=options.steps, batch=options.batch, seed=options.seed)
     train(
         read_samples(options.kernels),
         options.out,
         settings=settings,
-        device=options.device,
+        device=device,
         report=partial(print, file=sys.stderr, flush=True),
     )
 
@@ -105,11 +109,13 @@ def _train(options: argparse.Namespace) -> None:
 def _evaluate(options: argparse.Namespace) -> None:
     from lab.trainings.correction.samples import read_samples
     from lab.trainings.correction.training import corrected_mnc
+    from motdiff.commands import device_named
     from motdiff.weights.correction import CORRECTION_WEIGHTS, load_correction
 
+    device = device_named(options.device)
     samples = read_samples(options.kernels)
     network = load_correction(options.weights or CORRECTION_WEIGHTS)
-    searched, once, twice = corrected_mnc(samples, network, device=options.device)
+    searched, once, twice = corrected_mnc(samples, network, device=device)
     print(f"{len(samples)} photos: MNC {searched:.3f}, corrected {once:.3f}, twice {twice:.3f}")
 
 

@@ -229,6 +229,7 @@ def test_bad_input_gives_one_line(tmp_path, capsys):
     for command in (
         ["train", str(tmp_path / "nowhere"), "-o", str(tmp_path / "c.safetensors")],
         ["evaluate", str(tmp_path)],
+        ["evaluate", str(tmp_path), "--device", "tpu"],
         ["prepare", str(tmp_path / "no.toml"), "-o", str(tmp_path / "kernels")],
     ):
         assert run(command) == 2
