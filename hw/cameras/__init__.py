@@ -1,0 +1,1 @@
+"""Cameras: one protocol, and adapters that are loaded when they are named."""
