@@ -10,7 +10,11 @@ from hw.cameras.camera import Camera
 
 __all__ = ["CAMERAS", "Camera", "camera_class", "open_camera"]
 
-CAMERAS: Mapping[str, str] = MappingProxyType({})
+CAMERAS: Mapping[str, str] = MappingProxyType(
+    {
+        "pylon": "hw.cameras.pylon:PylonCamera",
+    }
+)
 """Kind of camera to ``module:Class`` of its adapter, which is imported when the kind is named.
 
 The module itself imports no vendor's library: ``Camera.open`` does.

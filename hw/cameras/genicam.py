@@ -1,0 +1,329 @@
+"""Cameras with GenICam features: exposure, trigger and pixel format set, and put back at close."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from types import TracebackType
+from typing import ClassVar, Protocol, Self
+
+from hw.cameras.camera import (
+    CameraError,
+    CameraSettings,
+    Frame,
+    FrameLostError,
+    Trigger,
+)
+from hw.cameras.pixel_formats import PixelFormat, deepest, pixel_format
+
+SETTLING_S = 0.1
+"""Wait after the start of acquisition, for cameras that do not state when they are ready."""
+_POLL_S = 0.002
+
+Value = str | float | bool
+
+
+class Features(Protocol):
+    """Features of a camera by their names in GenICam's standard (SFNC).
+
+    Every method raises CameraError if the camera refuses or is gone.
+    """
+
+    def available(self, name: str) -> bool:
+        """Whether the camera has the feature, in its present state."""
+
+    def get(self, name: str) -> Value:
+        """Value: an enumeration's as text."""
+
+    def set(self, name: str, value: Value) -> None:
+        """Change it."""
+
+    def entries(self, name: str) -> tuple[str, ...]:
+        """Values of an enumeration that can be set now."""
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Least and largest value of a number."""
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a number, as ``dB``; empty where none is stated."""
+
+    def execute(self, name: str) -> None:
+        """Run a command."""
+
+
+class GenicamCamera(ABC):
+    """An open GenICam camera; a subclass delivers its frames.
+
+    Every change is noted with the value before it, and undone in reverse order at close.
+
+    Parameters
+    ----------
+    features : Features
+    camera, serial : str
+        Model and serial number.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    triggers: ClassVar[frozenset[Trigger]] = frozenset(Trigger)
+
+    def __init__(self, features: Features, *, camera: str, serial: str) -> None:
+        self.features = features
+        self.camera = camera
+        self.serial = serial
+        self._changes: list[tuple[str, Value]] = []
+        self._settings: CameraSettings | None = None
+        self._format = PixelFormat("Mono8", 8, "", None)
+        self._armed_s: float | None = None
+
+    # -- what a subclass supplies -------------------------------------------------------------
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Start acquisition."""
+
+    @abstractmethod
+    def _stop(self) -> None:
+        """Stop acquisition, and drop what is queued."""
+
+    @abstractmethod
+    def _drop(self) -> None:
+        """Drop frames that have arrived and were not read; their ids leave a gap."""
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Close the device."""
+
+    @abstractmethod
+    def read(self, timeout_s: float) -> Frame:
+        """Wait for the frame of the last trigger; errors as the protocol."""
+
+    # -- the protocol -------------------------------------------------------------------------
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Set format, trigger, exposure and gain; return what the camera took.
+
+        Automatic exposure, gain and frame rate are switched off.
+        """
+        self._halt()
+        self._format = self._chosen_format(settings.pixel_format)
+        self._change("PixelFormat", self._format.name)
+        for name, value in (
+            ("ExposureAuto", "Off"),
+            ("GainAuto", "Off"),
+            ("AcquisitionFrameRateEnable", False),
+            ("AcquisitionMode", "Continuous"),
+        ):
+            if self.features.available(name):
+                self._change(name, value)
+        self._change_trigger(settings.trigger)
+        exposure_s = settings.exposure_s
+        if settings.trigger is not Trigger.WIDTH:
+            exposure_s = self._change_exposure(exposure_s)
+        self._settings = replace(
+            settings,
+            exposure_s=exposure_s,
+            gain_db=self._change_gain(settings.gain_db),
+            pixel_format=self._format.name,
+        )
+        return self._settings
+
+    def arm(self) -> None:
+        """Start acquisition where it does not run, and drop frames of earlier triggers."""
+        if self._settings is None:
+            raise ValueError("configure the camera before it is armed")
+        if self._armed_s is None:
+            self._start()
+            self._armed_s = time.monotonic()
+        else:
+            self._drop()
+
+    def wait_ready(self, timeout_s: float) -> None:
+        """Wait until the camera states that it awaits a trigger, or else has had time to settle.
+
+        Without either, a trigger right after the start of acquisition is lost now and then.
+        """
+        start_s = time.monotonic()
+        if self._armed_s is None:
+            raise ValueError("arm the camera before it can be ready")
+        selector = "AcquisitionStatusSelector"
+        if not self.features.available(selector) or "FrameTriggerWait" not in (
+            self.features.entries(selector)
+        ):
+            time.sleep(min(max(0.0, self._armed_s + SETTLING_S - start_s), timeout_s))
+            return
+        self._change(selector, "FrameTriggerWait")
+        while not self.features.get("AcquisitionStatus"):
+            if time.monotonic() - start_s > timeout_s:
+                raise self._not_ready(timeout_s)
+            time.sleep(_POLL_S)
+
+    def fire(self) -> None:
+        """Trigger by software."""
+        if self._settings is None or self._settings.trigger is not Trigger.SOFTWARE:
+            raise ValueError("trigger: the camera fires by itself with the software trigger only")
+        self.features.execute("TriggerSoftware")
+
+    def close(self) -> None:
+        """Stop, put back every setting in reverse order, and release the camera."""
+        with contextlib.suppress(CameraError):  # it may be gone
+            self._halt()
+        with contextlib.suppress(CameraError):
+            while self._changes:
+                self.features.set(*self._changes.pop())
+        self._changes.clear()
+        self._release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # -- settings -----------------------------------------------------------------------------
+
+    def _halt(self) -> None:
+        if self._armed_s is not None:
+            self._armed_s = None
+            self._stop()
+
+    def _change(self, name: str, value: Value) -> None:
+        before = self.features.get(name)
+        if before != value:
+            self.features.set(name, value)
+            self._changes.append((name, before))
+
+    def _chosen_format(self, name: str | None) -> PixelFormat:
+        names = self.features.entries("PixelFormat")
+        usable = ", ".join(filter(pixel_format, names)) or "none"
+        if name is None:
+            if (best := deepest(names)) is None:
+                raise ValueError(
+                    f"pixel_format: {self.camera} has {', '.join(names)}: none is monochrome or"
+                    " Bayer"
+                )
+            return best
+        layout = pixel_format(name)
+        if layout is None:
+            raise ValueError(
+                f"pixel_format: {name[:40]} is neither monochrome nor Bayer; {self.camera} has"
+                f" {usable}"
+            )
+        if name not in names:
+            raise ValueError(f"pixel_format: {self.camera} does not have {name}; it has {usable}")
+        return layout
+
+    def _change_trigger(self, trigger: Trigger) -> None:
+        features = self.features
+        if features.available("TriggerSelector"):
+            selectors = features.entries("TriggerSelector")
+            if "FrameStart" not in selectors:
+                raise ValueError(
+                    f"trigger: {self.camera} has no FrameStart trigger; it has"
+                    f" {', '.join(selectors)}"
+                )
+            for selector in selectors:
+                self._change("TriggerSelector", selector)
+                if selector != "FrameStart" and features.available("TriggerMode"):
+                    self._change("TriggerMode", "Off")  # it would hold FrameStart's back
+            self._change("TriggerSelector", "FrameStart")
+        self._change("TriggerMode", "On")
+        self._change("TriggerSource", self._trigger_source(trigger))
+        mode = "TriggerWidth" if trigger is Trigger.WIDTH else "Timed"
+        modes: tuple[str, ...] = ("Timed",)
+        if features.available("ExposureMode"):
+            modes = features.entries("ExposureMode")
+        if mode not in modes:
+            raise ValueError(
+                f"trigger: {self.camera} does not expose by {mode}, only by {', '.join(modes)}"
+            )
+        if features.available("ExposureMode"):
+            self._change("ExposureMode", mode)
+        if trigger is not Trigger.SOFTWARE and features.available("TriggerActivation"):
+            self._change("TriggerActivation", "RisingEdge")
+
+    def _trigger_source(self, trigger: Trigger) -> str:
+        sources = self.features.entries("TriggerSource")
+        prefix = "Software" if trigger is Trigger.SOFTWARE else "Line"
+        present = str(self.features.get("TriggerSource"))
+        fits = [source for source in sources if source.startswith(prefix)]
+        if trigger is Trigger.SOFTWARE:
+            fits = [source for source in fits if source == prefix]
+        if not fits:
+            raise ValueError(
+                f"trigger: {self.camera} has no trigger source {prefix}; it has"
+                f" {', '.join(sources)}"
+            )
+        return present if present in fits else fits[0]  # the input that the user had chosen
+
+    def _change_exposure(self, exposure_s: float) -> float:
+        names = ("ExposureTime", "ExposureTimeAbs")
+        name = next(filter(self.features.available, names), None)
+        if name is None:
+            raise ValueError(f"exposure: {self.camera} has no exposure time to set")
+        lower_us, upper_us = self.features.bounds(name)
+        if not lower_us <= exposure_s * 1e6 <= upper_us:
+            raise ValueError(
+                f"exposure: {self.camera} takes {lower_us * 1e-6:g} to {upper_us * 1e-6:g} s,"
+                f" got {exposure_s:g} s"
+            )
+        self._change(name, exposure_s * 1e6)
+        return float(self.features.get(name)) * 1e-6
+
+    def _change_gain(self, gain_db: float | None) -> float | None:
+        features = self.features
+        in_db = features.available("Gain") and features.unit("Gain").lower() in ("", "db")
+        if gain_db is not None:
+            if not in_db:
+                raise ValueError(f"gain: {self.camera} does not state its gain in dB")
+            lower, upper = features.bounds("Gain")
+            if not lower <= gain_db <= upper:
+                raise ValueError(
+                    f"gain: {self.camera} takes {lower:g} to {upper:g} dB, got {gain_db:g}"
+                )
+            self._change("Gain", float(gain_db))
+        return float(features.get("Gain")) if in_db else None
+
+    # -- frames -------------------------------------------------------------------------------
+
+    def _not_ready(self, timeout_s: float) -> FrameLostError:
+        return FrameLostError(f"{self.camera} is not ready for a trigger after {timeout_s:g} s")
+
+    def _no_frame(self, timeout_s: float) -> FrameLostError:
+        return FrameLostError(f"{self.camera}: no frame within {timeout_s:g} s of waiting")
+
+    def _frame(
+        self,
+        data: bytes | memoryview,
+        *,
+        shape: tuple[int, int],
+        padding: int,
+        frame_id: int,
+        timestamp_ns: int,
+    ) -> Frame:
+        """Unpack a frame's bytes; FrameLostError if there are too few."""
+        settings = self._settings
+        assert settings is not None
+        try:
+            values = self._format.unpack(data, shape, padding=padding)
+        except ValueError as error:
+            raise FrameLostError(f"{self.camera}: incomplete frame {frame_id}: {error}") from None
+        timed = settings.trigger is not Trigger.WIDTH
+        return Frame(
+            values=values,
+            bits=self._format.bits,
+            frame_id=frame_id,
+            camera=self.camera,
+            serial=self.serial,
+            bayer=self._format.bayer,
+            exposure_s=settings.exposure_s if timed else None,
+            gain_db=settings.gain_db,
+            timestamp_ns=timestamp_ns or None,  # 0 from cameras without a clock
+        )
