@@ -12,6 +12,7 @@ __all__ = ["CAMERAS", "Camera", "camera_class", "open_camera"]
 
 CAMERAS: Mapping[str, str] = MappingProxyType(
     {
+        "aravis": "hw.cameras.aravis:AravisCamera",
         "pylon": "hw.cameras.pylon:PylonCamera",
     }
 )

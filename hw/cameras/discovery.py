@@ -14,7 +14,7 @@ class ConnectedCamera:
     ----------
     model : str
     names : tuple of str
-        By which it can be named, the one that is unique first.
+        By which it can be named, its serial number first.
     """
 
     model: str
@@ -55,8 +55,13 @@ def choose_camera(kind: str, address: str, connected: Sequence[ConnectedCamera])
         raise ValueError(f"{kind}:{address[:80]}: there is no such camera; seen: {listed}")
     if len(fits) > 1:
         several = ", ".join(str(connected[index]) for index in fits)
-        right = connected[fits[0]].names[0]
+        names = connected[fits[0]].names
+        right = next((name for name in names if _owners(name, connected) == 1), names[0])
         raise ValueError(
             f"{kind}: {len(fits)} cameras fit: {several}; name one, as {kind}:{right}"
         )
     return fits[0]
+
+
+def _owners(name: str, connected: Sequence[ConnectedCamera]) -> int:
+    return sum(name in camera.names for camera in connected)

@@ -21,6 +21,7 @@ from hw.cameras.pixel_formats import PixelFormat, deepest, pixel_format
 SETTLING_S = 0.1
 """Wait after the start of acquisition, for cameras that do not state when they are ready."""
 _POLL_S = 0.002
+_BLOCKS = 65535  # numbers of frames in GigE Vision 1, which leaves out 0
 
 Value = str | float | bool
 
@@ -77,6 +78,8 @@ class GenicamCamera(ABC):
         self._settings: CameraSettings | None = None
         self._format = PixelFormat("Mono8", 8, "", None)
         self._armed_s: float | None = None
+        self._block: int | None = None  # of the latest frame since acquisition began
+        self._gone = False  # a camera that does not answer costs seconds at each question
 
     # -- what a subclass supplies -------------------------------------------------------------
 
@@ -135,6 +138,7 @@ class GenicamCamera(ABC):
         if self._settings is None:
             raise ValueError("configure the camera before it is armed")
         if self._armed_s is None:
+            self._block = None
             self._start()
             self._armed_s = time.monotonic()
         else:
@@ -168,11 +172,11 @@ class GenicamCamera(ABC):
 
     def close(self) -> None:
         """Stop, put back every setting in reverse order, and release the camera."""
-        with contextlib.suppress(CameraError):  # it may be gone
-            self._halt()
-        with contextlib.suppress(CameraError):
-            while self._changes:
-                self.features.set(*self._changes.pop())
+        with contextlib.suppress(CameraError):  # it may be gone by now
+            if not self._gone:
+                self._halt()
+                while self._changes:
+                    self.features.set(*self._changes.pop())
         self._changes.clear()
         self._release()
 
@@ -305,12 +309,19 @@ class GenicamCamera(ABC):
         *,
         shape: tuple[int, int],
         padding: int,
-        frame_id: int,
+        block: int,
         timestamp_ns: int,
     ) -> Frame:
-        """Unpack a frame's bytes; FrameLostError if there are too few."""
+        """Unpack a frame's bytes; FrameLostError if there are too few.
+
+        ``block`` is the camera's own number of the frame: GigE Vision's goes to 65535, and on from
+        1.
+        """
         settings = self._settings
         assert settings is not None
+        advance = 0 if self._block is None else self._block - block
+        frame_id = block + (advance + _BLOCKS // 2) // _BLOCKS * _BLOCKS
+        self._block = frame_id
         try:
             values = self._format.unpack(data, shape, padding=padding)
         except ValueError as error:

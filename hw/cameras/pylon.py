@@ -99,7 +99,8 @@ class PylonCamera(GenicamCamera):
                 round(timeout_s * 1e3), pylon.TimeoutHandling_Return
             )
             if not result.IsValid():
-                if self._device.IsCameraDeviceRemoved():
+                self._gone = self._device.IsCameraDeviceRemoved()
+                if self._gone:
                     raise CameraError(f"{self.camera} {self.serial} is gone: check its cable")
                 raise self._no_frame(timeout_s)
             with result:
@@ -112,7 +113,7 @@ class PylonCamera(GenicamCamera):
                     bytes(result.Buffer),
                     shape=(result.Height, result.Width),
                     padding=result.PaddingX,
-                    frame_id=result.BlockID,
+                    block=result.BlockID,
                     timestamp_ns=result.TimeStamp,
                 )
 
