@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from cep.search.problem import SearchProblem
     from cep.shutter.play import open_shutter
     from cep.shutter.playback import read_playback
+    from cep.shutter.shoot import shoot
     from hw.device import DeviceProfile
     from motdiff.files.gyro_tables import read_gyro
     from motdiff.trajectory import Trajectory
@@ -73,6 +74,7 @@ __all__ = [
     "read_playback",
     "refine_motion",
     "restore",
+    "shoot",
     "verify",
     "write_image",
 ]
@@ -102,6 +104,7 @@ _MODULES = {
     "read_playback": "cep.shutter.playback",
     "refine_motion": "cep.calibration.refine",
     "restore": "cep.restoration.restore",
+    "shoot": "cep.shutter.shoot",
     "verify": "cep.proofs.verify.certificates",
     "write_image": "cep.files.images",
 }

@@ -117,7 +117,12 @@ def deblur(options: DeblurOptions) -> None:
 
     The camera's figures are for the methods wiener and pnp.
 
+    A photo of cep shoot brings its code, motion and code values along, in the .json beside it; an
+    option replaces the file's.
+
     Example: cep deblur photo.jpg
+
+    Example: cep deblur shot/photo.tif
 
     Example: cep deblur coded.png --trajectory trajectory.json --code code.json -o sharp.png
 
@@ -141,10 +146,12 @@ def deblur(options: DeblurOptions) -> None:
 
         from cep.calibration.photo_checks import check_photo, check_texture
         from cep.files.psf_files import load_psf
+        from cep.files.shot_files import read_shot, record_beside
         from cep.optics.path_limits import check_resolved
         from cep.restoration.restore import restore
 
         options.check()
+        record = record_beside(options.image)
         inputs: dict[str, Any] = {}
         warnings: list[str] = []
         if options.has_camera:
@@ -156,17 +163,28 @@ def deblur(options: DeblurOptions) -> None:
         if options.psf is not None:
             inputs["psf"], doubts = load_psf(options.psf)
             warnings += doubts
-        photo = read_photo(options.image, gamma=options.gamma)
+        if record is None:
+            photo = read_photo(options.image, gamma=options.gamma)
+        else:
+            photo = read_shot(options.image, record)
+            warnings += [f"{options.image}: does not count: {text}" for text in record.problems]
+            if options.psf is None:
+                code = code or record.code
+                if not options.has_motion and record.trajectory is not None:
+                    inputs["trajectory"] = record.trajectory
+            if record.noise is not None and options.method in ("auto", "pnp", "wiener"):
+                inputs.setdefault("camera", record.noise)
+        is_blind = not inputs.keys() & {"trajectory", "psf"}
         try:
-            if options.is_photo_alone:
+            if options.is_photo_alone and record is None:
                 check_photo(photo.pixels, "motdiff")
-            elif options.is_blind:
+            elif is_blind:
                 check_photo(photo.pixels, "pmp")
             else:
                 check_texture(photo.pixels)
         except ValueError as error:
             raise ValueError(f"{options.image}: {str(error).removeprefix('photo: ')}") from None
-        tick(0.05, "searching the PSF" if options.is_blind else "restoring")
+        tick(0.05, "searching the PSF" if is_blind else "restoring")
         restored = restore(
             photo.pixels,
             code=code,

@@ -20,6 +20,7 @@ from cep.commands import (
     demo,
     hardware,
     optimize,
+    shoot,
     simulate,
     studio,
 )
@@ -123,6 +124,7 @@ app.command("simulate")(simulate.simulate)
 app.command("deblur")(deblur.deblur)
 app.command("export")(hardware.export)
 app.command("upload")(hardware.upload)
+app.command("shoot")(shoot.shoot)
 app.add_typer(camera.camera, name="camera", cls=Group)
 app.add_typer(controller.hw, name="hw", cls=Group)
 app.command("studio")(studio.studio)

@@ -14,7 +14,16 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "files.md"
 PACKAGES = {
     "motdiff.files": ("trajectory",),
-    "cep.files": ("code", "camera", "front", "bench", "calibration-set", "program", "studio"),
+    "cep.files": (
+        "code",
+        "camera",
+        "front",
+        "bench",
+        "calibration-set",
+        "photo",
+        "program",
+        "studio",
+    ),
     "lab.block_proofs": ("proof",),
 }
 _MARKED = re.compile(r"<!-- fields of (\S+) -->\n.*?<!-- end of fields -->", re.DOTALL)

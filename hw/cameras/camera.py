@@ -74,6 +74,8 @@ class Frame:
         By the camera's clock.
     camera, serial : str
         Model and serial number.
+    gamma : {"linear", "srgb"}
+        Curve of the code values: that of finished pictures, as a JPEG, is ``srgb``.
     """
 
     values: NDArray[np.uint8] | NDArray[np.uint16]
@@ -86,6 +88,7 @@ class Frame:
     exposure_s: float | None = None
     gain_db: float | None = None
     timestamp_ns: int | None = None
+    gamma: str = "linear"
 
 
 class Camera(Protocol):

@@ -73,19 +73,24 @@ def read_motion(path: Path | str) -> StoredMotion:
         If the file cannot be read.
     """
     document = read_versioned(path, SCHEMA)
-    if (wrong := fault(document, load_schema("motdiff.files", "trajectory"))) is not None:
-        raise ValueError(f"{path}: {wrong}")
-    direction = cast(Direction, document.get("direction", "unknown"))
     try:
-        alternatives = tuple(
-            (float(fields.get("weight", 1.0)), _trajectory(fields, direction))
-            for fields in document.get("alternatives", [])
-        )
-        main = _trajectory(document, direction)
-        weight = float(document.get("weight", 1.0))
-        return StoredMotion(main, weight, alternatives, document.get("source", {}))
+        return parse_motion(document)
     except ValueError as error:
         raise ValueError(f"{path}: {one_line(error)}") from None
+
+
+def parse_motion(document: Mapping[str, Any]) -> StoredMotion:
+    """Make a motion of its file's content; a ValueError says what is wrong."""
+    if (wrong := fault(document, load_schema("motdiff.files", "trajectory"))) is not None:
+        raise ValueError(wrong)
+    direction = cast(Direction, document.get("direction", "unknown"))
+    alternatives = tuple(
+        (float(fields.get("weight", 1.0)), _trajectory(fields, direction))
+        for fields in document.get("alternatives", [])
+    )
+    main = _trajectory(document, direction)
+    weight = float(document.get("weight", 1.0))
+    return StoredMotion(main, weight, alternatives, document.get("source", {}))
 
 
 def stated_uncertainty_px(motion: StoredMotion, path: Path | str) -> float | None:

@@ -40,6 +40,7 @@ COMMANDS = (
     "deblur",
     "export",
     "upload",
+    "shoot",
     "studio",
     "demo",
 )
@@ -145,7 +146,7 @@ def test_every_command_has_help_with_an_example_and_the_common_options(cep, comm
     )  # the studio writes a folder only when asked to
     for text in ("--json", "--force", output, "Example: cep " + command):
         assert text in page
-    draws_nothing = ("camera estimate", "export", "studio")
+    draws_nothing = ("camera estimate", "export", "shoot", "studio")
     assert ("--seed" in cep.out) == (command not in draws_nothing)
 
 

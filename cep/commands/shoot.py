@@ -1,0 +1,407 @@
+"""``cep shoot``: a photo through a code, by a camera and a shutter controller."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cep.commands.code_options import exposure_seconds
+from cep.commands.console import complain, finish, progress
+from cep.commands.options import (
+    ChipNs,
+    Force,
+    Json,
+    MotionOptions,
+    command,
+    output_option,
+)
+
+if TYPE_CHECKING:
+    from cep.optics.code import ShutterCode
+    from cep.shutter.shoot import Shot
+    from hw.cameras.camera import Frame
+
+_RUN = "Instead of one photo"
+_RELEASES = ("shutter", "camera", "external", "host")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShootOptions(MotionOptions):
+    """Options of ``cep shoot``."""
+
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            "--camera",
+            metavar="KIND:ADDRESS",
+            help="Camera, as pylon: or pylon:22845317; twin: is an emulated one, burst:VIDEO a"
+            " slow-motion video, folder:PATH the next photo that another program saves.",
+        ),
+    ] = None
+    port: Annotated[
+        str | None,
+        typer.Option(
+            "--port",
+            "-p",
+            help="Serial port of the shutter's controller, its USB serial number, or auto.",
+        ),
+    ] = None
+    code: Annotated[
+        str | None,
+        typer.Option(
+            "--code", metavar="CODE", help="Code of the exposure: bits, code.json or a name."
+        ),
+    ] = None
+    chip_ns: ChipNs = None
+    trigger: Annotated[
+        str | None,
+        typer.Option(
+            "--trigger",
+            metavar="WHO",
+            help="Who begins: shutter (its output busy triggers the camera), camera (its output"
+            " exposure active triggers the shutter), external (the machine triggers the shutter,"
+            " that the camera), host (this computer both, without a wire between them).",
+        ),
+    ] = None
+    lead_in: Annotated[
+        str,
+        typer.Option(
+            "--lead-in", metavar="TIME", help="Closed time before the code: the camera's delay."
+        ),
+    ] = "1ms"
+    exposure: Annotated[
+        str | None,
+        typer.Option(
+            "--exposure",
+            metavar="TIME",
+            help="Of the camera; the least that holds the code when omitted.",
+        ),
+    ] = None
+    gain: Annotated[float | None, typer.Option("--gain", metavar="DB", help="Of the camera.")] = (
+        None
+    )
+    wait: Annotated[
+        str,
+        typer.Option(
+            "--wait", metavar="TIME", help="For the machine's trigger, or another program's photo."
+        ),
+    ] = "10s"
+    repeat: Annotated[
+        int,
+        typer.Option(
+            "--repeat",
+            metavar="N",
+            min=1,
+            help="Take so many photos, and say how repeatable they are.",
+            rich_help_panel=_RUN,
+        ),
+    ] = 1
+    set_folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--set",
+            metavar="DIR",
+            help="Take all photos of a set of cep calibration-set, and calibrate.",
+            rich_help_panel=_RUN,
+        ),
+    ] = None
+    arm: Annotated[
+        str | None,
+        typer.Option(
+            "--arm",
+            metavar="N|always",
+            help="Without --camera: play on every trigger of a running belt, so many times.",
+            rich_help_panel=_RUN,
+        ),
+    ] = None
+    wiring: Annotated[
+        bool,
+        typer.Option(
+            "--wiring",
+            help="Say which pin goes where, and how long the camera has to expose.",
+            rich_help_panel=_RUN,
+        ),
+    ] = False
+    output: Annotated[
+        Path, output_option("Folder to write into, made when missing.", metavar="FOLDER")
+    ] = Path("shot")
+    force: Force = False
+    as_json: Json = False
+
+    def load_code(self) -> ShutterCode:
+        """Return the code of ``--code``."""
+        from cep.codes.sources import load_code
+
+        if self.code is None:
+            raise ValueError("--code: is needed: bits, a code.json or a published name")
+        return load_code(self.code, chip_ns=self.chip_ns)
+
+    def check(self) -> None:
+        """Refuse options that contradict each other."""
+        if self.trigger is not None and self.trigger not in _RELEASES:
+            raise ValueError(
+                f"--trigger: must be one of {', '.join(_RELEASES)}, got {self.trigger[:40]!r}"
+            )
+        runs = {"--set": self.set_folder, "--arm": self.arm, "--wiring": self.wiring or None}
+        options = [name for name, value in runs.items() if value is not None]
+        if len(options) > 1:
+            raise ValueError(f"{' and '.join(options)}: give one of them at most")
+        if self.set_folder is not None and (self.code is not None or self.repeat > 1):
+            raise ValueError("--code and --repeat: not valid with --set, which has the codes")
+        if self.arm is not None and (self.camera is not None or self.port is None):
+            raise ValueError(
+                "--arm: needs --port and no --camera; photos of a camera on a belt are --trigger"
+                " external --repeat N"
+            )
+        if self.arm is None and self.camera is None and not self.wiring:
+            raise ValueError("--camera: is needed, as pylon:, or twin: for an emulated one")
+
+    def rig(self) -> dict[str, Any]:
+        """Return the arguments of :func:`cep.shoot` that the options give."""
+        motion = self.load_motion().trajectory if self.has_motion else None
+        return {
+            "port": self.port,
+            "release": self.trigger,
+            "motion": motion,
+            "lead_in_s": exposure_seconds(self.lead_in),
+            "exposure_s": exposure_seconds(self.exposure),
+            "gain_db": self.gain,
+            "wait_s": exposure_seconds(self.wait),
+        }
+
+
+@command(ShootOptions)
+def shoot(options: ShootOptions) -> None:
+    """Take a photo through a code: upload, read back, arm, fire, read the frame, check, restore.
+
+    The strobe or shutter plays the code while the camera exposes once. Writes photo.tif, the
+    frame's own code values; photo.json, which holds all that cep deblur photo.tif needs; and,
+    where the motion is known, restored.png. A photo counts if the code was played once, without a
+    missed edge, within the exposure that the camera states, and if the camera gave one frame.
+
+    Whatever fails, the shutter is closed: by this computer, or, where it is gone, by the
+    controller within a second or at the code's end.
+
+    Words: exposure active is the camera's output that is high while it exposes (strobe out, flash
+    sync); trigger width an exposure as long as the trigger's level; blanking the closed time
+    between two exposures.
+
+    Example: cep shoot --camera twin: --code raskar-52 --chip-ns 200000 --linear 52 -o shot
+
+    Example: cep shoot --camera pylon: --port /dev/ttyACM0 --code code.json --trajectory
+    motion/trajectory.json -o shot
+
+    Example: cep shoot --camera burst:fall.mp4 --code code.json -o shot
+
+    Example: cep shoot --camera pylon: --wiring --code code.json
+
+    Example: cep shoot --camera pylon: --port auto --set set -o calibration
+    """
+    options.check()
+    if options.wiring:
+        _wiring(options)
+    elif options.arm is not None:
+        _arm(options, options.arm)
+    elif options.set_folder is not None:
+        _set(options, options.set_folder)
+    else:
+        _photos(options)
+
+
+def _photos(options: ShootOptions) -> None:
+    """Take one photo, or several of one code."""
+    code = options.load_code()
+    stems = ["photo"]
+    if options.repeat > 1:
+        stems = [f"photo_{number:03d}" for number in range(1, options.repeat + 1)]
+    shots, files, restored = _taken(options, [code], stems, count=options.repeat)
+    last = shots[-1]
+    lines = [_headline(files, shots)]
+    result: dict[str, object] = {"photos": files, **last.record.to_dict(), "restored": restored}
+    if len(shots) > 1:
+        from cep.shutter.repeatability import repeatability
+
+        alike = repeatability([shot.record.light(shot.frame.values) for shot in shots])
+        result["repeatability"] = alike
+        lines.append(f"{len(shots)} photos: {alike}")
+    lines.append(_next(files, restored))
+    result["warnings"] = [*dict.fromkeys(text for shot in shots for text in shot.warnings)]
+    finish(result, as_json=options.as_json, page=lines)
+    _end(files, shots)
+
+
+def _taken(
+    options: ShootOptions, codes: list[ShutterCode], stems: list[str], *, count: int = 1
+) -> tuple[list[Shot], list[Path], Path | None]:
+    """Take the photos, each of which is on the disk before the next; restore the first."""
+    from cep.files.shot_files import write_shot
+    from cep.restoration.restore import restore
+    from cep.shutter.shoot import shoot as take
+    from motdiff.files.outputs import claim_folder
+
+    folder = options.output
+    names = [f"{stem}{suffix}" for stem in stems for suffix in (".tif", ".json")]
+    claim_folder(folder, [*names, "restored.png"], force=options.force)
+    assert options.camera is not None
+    files: list[Path] = []
+    last_frame: list[Frame | None] = [None]
+    with progress("taking photos") as tick:
+
+        def keep(shot: Shot) -> None:
+            folder.mkdir(parents=True, exist_ok=True)
+            if shot.frame is last_frame[0]:  # it turned out not to count
+                write_shot(folder, files[-1].stem, shot.frame, shot.record, force=True)
+                return
+            stem = stems[len(files)]
+            files.append(write_shot(folder, stem, shot.frame, shot.record, force=options.force))
+            last_frame[0] = shot.frame
+            tick(len(files) / len(stems), str(files[-1]))
+
+        shots = list(take(options.camera, codes, count=count, keep=keep, **options.rig()))
+    record = shots[0].record
+    restored = None
+    if record.trajectory is not None and record.counts and len(codes) == 1:
+        restored = folder / "restored.png"
+        with progress("restoring") as tick:
+            sharp = restore(
+                record.light(shots[0].frame.values),
+                code=record.code,
+                trajectory=record.trajectory,
+                camera=record.noise,
+                progress=tick,
+            )
+            sharp.save(restored, bits=8 if record.bits <= 8 else 16)
+    return shots, files, restored
+
+
+def _headline(files: list[Path], shots: list[Shot]) -> str:
+    """Say what was taken, and whether it counts."""
+    from cep.files.formatting import duration
+
+    shot = shots[-1]
+    frame = shot.frame
+    about = shot.record.details
+    size = f"{frame.values.shape[1]} x {frame.values.shape[0]} px of {frame.bits} bits"
+    photos = f"{files[-1]}" if len(files) == 1 else f"{files[0]} to {files[-1].name}"
+    if not shot.counts:
+        return f"{photos}: the last does not count"
+    played = shot.record.code
+    time = f"{played.chips} chips of {duration(played.chip_ns * 1e-9)}"
+    if about.get("plays") is None:
+        return f"{photos}: counts: {size}, {time} summed from frames"
+    exposure = "an exposure that the camera does not state"
+    if frame.exposure_s is not None:
+        exposure = f"an exposure of {duration(frame.exposure_s)}"
+    return f"{photos}: counts: {size}; {time}, played once, no edge missed, within {exposure}"
+
+
+def _next(files: list[Path], restored: Path | None) -> str:
+    if restored is not None:
+        return f"{restored}: the photo restored along the motion that was given"
+    return f"then: cep deblur {files[0]}"
+
+
+def _end(files: list[Path], shots: list[Shot]) -> None:
+    if not shots[-1].counts:
+        problems = "; ".join(shots[-1].record.problems)
+        complain(
+            f"{files[-1]} does not count: {problems}; {len(shots) - 1} photos before it count"
+        )
+        raise typer.Exit(1)
+
+
+def _set(options: ShootOptions, folder: Path) -> None:
+    """Take the photos of a calibration set, and estimate the motion from them."""
+    from cep.calibration.calibrate import CALIBRATION_FILES, estimate_motion
+    from cep.calibration.calibration_set import SET_FILE, SET_SCHEMA
+    from cep.optics.code import ShutterCode
+    from motdiff.files.inputs import one_line
+    from motdiff.files.json_files import fault, load_schema, read_versioned
+    from motdiff.files.outputs import claim_folder
+
+    source = folder / SET_FILE
+    document = read_versioned(source, SET_SCHEMA)
+    if (wrong := fault(document, load_schema("cep.files", "calibration-set"))) is not None:
+        raise ValueError(f"{source}: {wrong}")
+    chip_ns = options.chip_ns or int(document["chip_ns"])
+    try:
+        codes = [ShutterCode(photo["bits"], chip_ns) for photo in document["photos"]]
+    except ValueError as error:
+        raise ValueError(f"{source}: {one_line(error)}") from None
+    motion_folder = options.output / "motion"
+    claim_folder(motion_folder, CALIBRATION_FILES, force=options.force)
+    stems = [f"P{number}" for number in range(1, len(codes) + 1)]
+    shots, files, _ = _taken(options, codes, stems)
+    result: dict[str, object] = {"photos": files, "counts": shots[-1].counts}
+    lines = [_headline(files, shots)]
+    if shots[-1].counts:
+        with progress("estimating the motion") as tick:
+            lights = [shot.record.light(shot.frame.values) for shot in shots]
+            calibration = estimate_motion(lights, codes=codes, progress=tick)
+            about = {"images": list(map(str, files)), "codes": [code.bits for code in codes]}
+            paths = calibration.save(motion_folder, source=about, force=options.force)
+        best = calibration.best
+        result |= {"trajectory": paths["trajectory.json"], "confidence": calibration.confidence}
+        lines = [
+            f"{motion_folder}: path of {best.length_px:.1f} px from {len(files)} photos, in this"
+            f" order in time with probability {calibration.confidence:.2f}",
+            *lines,
+            f"then: cep optimize --trajectory {paths['trajectory.json']} --chips"
+            f" {codes[0].chips} -o code.json",
+        ]
+    result["warnings"] = [*dict.fromkeys(text for shot in shots for text in shot.warnings)]
+    finish(result, as_json=options.as_json, page=lines)
+    _end(files, shots)
+
+
+def _arm(options: ShootOptions, count: str) -> None:
+    """Play on every trigger of a belt."""
+    import math
+
+    from cep.shutter.belt import play_on_triggers
+
+    assert options.port is not None
+    plays = None if count == "always" else int(count) if count.isdecimal() else 0
+    if plays == 0:
+        raise ValueError(f"--arm: must be a number of plays or always, got {count[:40]!r}")
+    with progress("playing on triggers") as tick:
+        belt = play_on_triggers(
+            options.port,
+            options.load_code(),
+            plays=plays,
+            wait_s=math.inf if plays is None else exposure_seconds(options.wait) or math.inf,
+            tell=lambda total: tick(total / plays if plays else 0.0, f"{total} plays"),
+        )
+    of = f" of {plays}" if plays else ""
+    line = (
+        f"{options.port}: played {belt.plays}{of} times in {belt.seconds:.1f} s,"
+        f" {belt.missed_edges} edges missed, shutter closed"
+    )
+    finish({"port": options.port, **vars(belt)}, as_json=options.as_json, page=[line])
+    if plays and belt.plays < plays:
+        complain(f"no trigger within {options.wait}: {plays - belt.plays} plays are missing")
+        raise typer.Exit(1)
+
+
+def _wiring(options: ShootOptions) -> None:
+    """Say which pin goes where."""
+    from cep.commands.programs import open_controller
+    from cep.shutter.shoot import Release
+    from cep.shutter.wiring import wiring
+
+    kind = (options.camera or "pylon:").partition(":")[0]
+    firmware = None
+    if options.port is not None:
+        with open_controller(options.port) as controller:
+            firmware = controller.announced.firmware
+    lines = wiring(
+        kind,
+        options.load_code(),
+        firmware=firmware,
+        release=None if options.trigger is None else Release(options.trigger),
+        lead_in_s=exposure_seconds(options.lead_in) or 0.0,
+    )
+    finish({"camera": kind, "wiring": lines}, as_json=options.as_json, page=lines)

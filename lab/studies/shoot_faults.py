@@ -1,0 +1,330 @@
+"""Faults of ``cep shoot``, 12 kinds, put into the twin and the emulated controller.
+
+    python -m lab.studies.shoot_faults [TIMES]
+
+Each runs the command itself. It passes when the shutter was closed within a second of the fault or
+at the code's end, the camera was released, the photos taken before are whole, the exit code is
+right, and one line says what counts.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+from unittest.mock import patch
+
+import numpy as np
+
+import cep.shutter.shoot as shooting
+from cep.commands.console import INTERRUPTED
+from cep.commands.main import main
+from cep.files.images import write_image
+from cep.files.shot_files import read_shot, record_beside
+from cep.shutter.twin import TwinCamera
+from hw.cameras.camera import CameraError, CameraSettings, Frame, FrameLostError
+from hw.cxp.protocol import Stored
+from hw.drivers.cxp import Controller
+from hw.emulation.uno import CLOCK_HZ, EmulatedUno
+
+CODE = "1011001110100110" * 4
+CHIP_NS = 400_000
+_CODE_S = len(CODE) * CHIP_NS * 1e-9
+_LATEST_S = 1.0  # after which the shutter has to be closed and disarmed
+_SHOTS = 3
+
+
+class FaultyTwin(TwinCamera):
+    """A twin with a fault in one of its photos, whose board outlives it."""
+
+    fault: ClassVar[str] = ""
+    photo: ClassVar[int] = 1
+    moment: ClassVar[float] = 0.5
+    boards: ClassVar[list[EmulatedUno]] = []
+    closings: ClassVar[int] = 0
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Let the board be known, as it outlives the camera."""
+        FaultyTwin.boards = [self.uno]
+        return super().configure(settings)
+
+    def close(self) -> None:
+        """Release the camera; the board runs on, as a real one does."""
+        FaultyTwin.closings += 1
+
+    def wait_ready(self, timeout_s: float) -> None:
+        """Set a fault off, before, while or after the code plays."""
+        super().wait_ready(timeout_s)
+        if self._is_due("never ready"):
+            raise FrameLostError("twin: it does not become ready")
+        if self._is_due("port unplugged"):
+            threading.Timer(self.moment * _CODE_S, self.uno.unplug).start()
+        if self._is_due("controller hangs"):
+            threading.Timer(self.moment * _CODE_S, self.uno.hang).start()
+        if self._is_due("Ctrl-C"):
+            threading.Timer(self.moment * _CODE_S, os.kill, (os.getpid(), signal.SIGINT)).start()
+
+    def read(self, timeout_s: float) -> Frame:
+        """Read a frame, or what a fault makes of it."""
+        if self._stale is not None:
+            frame, self._stale = self._stale, None
+            return frame
+        if self._armed_cycle is not None and self._is_due("camera unplugged"):
+            raise CameraError("twin: the camera is gone")
+        if self._armed_cycle is not None and self._is_due("frame lost"):
+            self._armed_cycle = None
+            raise FrameLostError("twin: no frame came")
+        frame = super().read(timeout_s)
+        if self._is_due("two frames", frame.frame_id):
+            self._stale = replace(frame, frame_id=frame.frame_id + 1)
+        if self._is_due("frame skipped", frame.frame_id):
+            self._frames += 1
+            return replace(frame, frame_id=self._frames)
+        if self._is_due("exposure too short", frame.frame_id):
+            return replace(frame, exposure_s=self.moment * _CODE_S)
+        return frame
+
+    _stale: Frame | None = None
+
+    def _is_due(self, fault: str, photo: int | None = None) -> bool:
+        return self.fault == fault and (photo or self._frames + 1) == self.photo
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a fault led to.
+
+    Attributes
+    ----------
+    code : int
+        Exit code.
+    lines : tuple of str
+        On standard error.
+    photos, expected : int
+        Photos on the disk that count, and that should.
+    open_s : float
+        For how long the shutter was open, or could have been opened, after the fault at most; the
+        time by which the emulated pins were at rest.
+    released : bool
+        Whether the camera was closed.
+    """
+
+    code: int
+    lines: tuple[str, ...]
+    photos: int
+    expected: int
+    open_s: float
+    released: bool
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing was lost and nothing stayed open."""
+        # Ctrl-C has a line of its own
+        one_line = len(self.lines) == (2 if self.code == INTERRUPTED else 1)
+        return (
+            self.code != 0
+            and one_line
+            and self.photos == self.expected
+            and self.open_s <= max(_LATEST_S, 1.1 * _CODE_S)
+            and self.released
+        )
+
+
+def scene(folder: Path) -> Path:
+    """Write the scene that the twin sees."""
+    rng = np.random.default_rng(0)
+    light = np.kron(rng.uniform(0.1, 0.8, (12, 12)), np.ones((8, 8)))
+    path = folder / "scene.png"
+    write_image(path, light, bits=16)
+    return path
+
+
+def run_twin(fault: str, folder: Path, rng: np.random.Generator) -> Outcome:
+    """Take three photos with a fault in one of them."""
+    photo = int(rng.integers(1, _SHOTS + 1))
+    if fault == "frame skipped":
+        photo = max(photo, 2)  # the first has nothing to be compared with
+    FaultyTwin.fault, FaultyTwin.photo = fault, photo
+    FaultyTwin.moment = float(rng.uniform(0.05, 0.9))
+    FaultyTwin.boards, FaultyTwin.closings = [], 0
+    shot = folder / "shot"
+    arguments = [
+        *("shoot", "--camera", f"faulty:scene={scene(folder)},seed={rng.integers(1000)}"),
+        *("--code", CODE, "--chip-ns", CHIP_NS, "--repeat", _SHOTS, "-o", shot),
+    ]
+    kinds = {**shooting.CAMERAS, "faulty": f"{FaultyTwin.__module__}:FaultyTwin"}
+    with patch.object(shooting, "CAMERAS", kinds), _put(fault, photo, shot), _stderr() as stderr:
+        code = main([str(argument) for argument in arguments])
+    ended_s = time.monotonic()
+    board = FaultyTwin.boards[0] if FaultyTwin.boards else None
+    open_s = _open_s(board, ended_s) if board is not None else 0.0
+    expected = 0 if fault == "wrong readback" else photo - 1
+    return Outcome(
+        code,
+        tuple(stderr.getvalue().splitlines()),
+        _whole(shot),
+        expected,
+        open_s,
+        FaultyTwin.closings == 1,
+    )
+
+
+def run_killed(_fault: str, folder: Path, rng: np.random.Generator) -> Outcome:
+    """Kill the host with signal 9 while the controller is armed, or plays."""
+    photos = folder / "photos"
+    photos.mkdir()
+    trigger = ("external", "shutter")[int(rng.integers(2))]
+    with EmulatedUno() as uno:
+        host = subprocess.Popen(
+            [
+                *(sys.executable, "-c", "from cep.commands.main import run; run()", "shoot"),
+                *("--camera", f"folder:{photos}"),
+                *("--port", uno.port, "--code", CODE, "--chip-ns", str(50 * CHIP_NS)),
+                *("--trigger", trigger, "-o", str(folder / "shot")),
+            ],
+            stderr=subprocess.DEVNULL,
+        )
+        pin = "busy" if trigger == "shutter" else "trigger"
+        if trigger == "external":
+            time.sleep(2.5 + rng.uniform(0, 0.5))
+        else:
+            while not uno.edges(pin) and host.poll() is None:
+                time.sleep(0.01)
+            time.sleep(float(rng.uniform(0.05, 0.5)))
+        killed = host.poll() is None
+        host.kill()
+        host.wait()
+        started_s = time.monotonic()
+        if trigger == "external":
+            time.sleep(_LATEST_S + 0.1)
+            uno.trigger()  # nobody may be let in any more
+            time.sleep(0.1)
+            open_s = 0.0 if not uno.edges() else 99.0
+        else:
+            code_s = 50 * _CODE_S
+            while (
+                uno.edges("busy")
+                and uno.edges("busy")[-1][1]
+                and time.monotonic() - started_s < 2 * code_s
+            ):
+                time.sleep(0.01)
+            is_closed = all(pin and not pin[-1][1] for pin in (uno.edges(), uno.edges("busy")))
+            open_s = 0.0 if is_closed else 99.0  # the firmware's own limit: the code's end
+    return Outcome(1 if killed else 0, ("killed",), 0, 0, open_s, released=True)
+
+
+FAULTS: dict[str, Callable[[str, Path, np.random.Generator], Outcome]] = {
+    "frame lost": run_twin,
+    "camera unplugged": run_twin,
+    "never ready": run_twin,
+    "two frames": run_twin,
+    "frame skipped": run_twin,
+    "exposure too short": run_twin,
+    "wrong readback": run_twin,
+    "port unplugged": run_twin,
+    "controller hangs": run_twin,
+    "Ctrl-C": run_twin,
+    "full disk": run_twin,
+    "kill -9": run_killed,
+}
+
+
+def run(fault: str, seed: int) -> Outcome:
+    """Run one fault at a moment that the seed chooses."""
+    rng = np.random.default_rng([seed, *fault.encode()])
+    with tempfile.TemporaryDirectory() as folder:
+        return FAULTS[fault](fault, Path(folder), rng)
+
+
+@contextlib.contextmanager
+def _put(fault: str, photo: int, shot: Path) -> Iterator[None]:
+    """Put those faults in that are not the camera's."""
+    import tifffile
+
+    imwrite, read = tifffile.imwrite, Controller.read
+
+    def full(path: Path, *arguments: object, **options: object) -> None:
+        if Path(path).name in (f"photo_{photo:03d}.tif",) and shot.parent in Path(path).parents:
+            raise OSError(28, "No space left on device", str(path))
+        imwrite(path, *arguments, **options)
+
+    def other(controller: Controller) -> Stored:
+        stored = read(controller)
+        return replace(stored, bits="1" + stored.bits[1:])
+
+    with contextlib.ExitStack() as stack:
+        if fault == "full disk":
+            stack.enter_context(patch("tifffile.imwrite", full))
+        if fault == "wrong readback":
+            stack.enter_context(patch.object(Controller, "read", other))
+        yield
+
+
+@contextlib.contextmanager
+def _stderr() -> Iterator[io.StringIO]:
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as e:
+        yield e
+
+
+def _open_s(board: EmulatedUno, ended_s: float) -> float:
+    """Time after the command's end until no trigger opens the shutter; 0 if none did at once."""
+    trigger_cycle = board.cycle()
+    board.trigger()
+    time.sleep(0.05)
+    edges = [edge for edge in board.edges() if edge[0] >= trigger_cycle]
+    is_open = bool(board.edges()) and board.edges()[-1][1] == 1
+    if not edges and not is_open:
+        board.stop()
+        return 0.0
+    while board.edges()[-1][1] or board.edges("busy")[-1][1]:
+        time.sleep(0.01)
+        if time.monotonic() - ended_s > 10:
+            break
+    last_s = (board.edges()[-1][0] - trigger_cycle) / CLOCK_HZ
+    board.stop()
+    return last_s
+
+
+def _whole(shot: Path) -> int:
+    """Photos on the disk that count and can be read."""
+    photos = sorted(shot.glob("photo_*.tif"))
+    records = [(path, record_beside(path)) for path in photos]
+    for path, record in records:
+        if record is not None:
+            read_shot(path, record)
+    return sum(record is not None and record.counts for _path, record in records)
+
+
+def table(times: int) -> None:
+    """Print how many of each kind passed."""
+    total = 0
+    print("| fault | passed | shutter closed after, s, at most | line |")
+    print("|---|---|---|---|")
+    for fault in FAULTS:
+        outcomes = [run(fault, seed) for seed in range(times)]
+        passed = sum(outcome.passed for outcome in outcomes)
+        total += passed
+        worst_s = max(outcome.open_s for outcome in outcomes)
+        line = (outcomes[0].lines or ("",))[0]
+        print(f"| {fault} | {passed} of {times} | {worst_s:.2f} | {line} |", flush=True)
+        for outcome in outcomes:
+            if not outcome.passed:
+                print(outcome, file=sys.stderr)
+    print(f"\n{total} of {times * len(FAULTS)} passed")
+    for spare in Path(tempfile.gettempdir()).glob("cep-*"):
+        shutil.rmtree(spare)
+
+
+if __name__ == "__main__":
+    table(int(sys.argv[1]) if len(sys.argv) > 1 else 20)

@@ -1,0 +1,195 @@
+"""A camera and a shutter together, on the twin: the real protocol on a pseudo-terminal."""
+
+import numpy as np
+import pytest
+from emulators.tools import require_simavr
+
+from cep.files.images import write_image
+from cep.files.shot_files import read_shot, record_beside, write_shot
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.shutter.belt import play_on_triggers
+from cep.shutter.repeatability import repeatability
+from cep.shutter.shoot import Release, open_rig, shoot
+from cep.shutter.twin import code_values
+from cep.shutter.wiring import wiring
+from hw.cameras.camera import FrameLostError
+from hw.emulation.uno import CLOCK_HZ, EmulatedUno
+from lab.studies.shoot_faults import FAULTS, run
+from motdiff.simulate import blur_valid
+from motdiff.trajectory import Trajectory
+
+CODE = ShutterCode("1011001110100110", 400_000)
+PATH = Trajectory.straight(16.0, direction="known")
+
+
+@pytest.fixture(scope="module")
+def twin(tmp_path_factory):
+    require_simavr()
+    path = tmp_path_factory.mktemp("scene") / "scene.png"
+    blocks = np.random.default_rng(0).uniform(0.1, 0.8, (12, 12))
+    write_image(path, np.kron(blocks, np.ones((8, 8))), bits=16)
+    return f"twin:scene={path}"
+
+
+@pytest.mark.parametrize("release", [None, "shutter", "camera", "host"])
+def test_a_photo_counts_and_is_that_of_the_pins(twin, release):
+    with open_rig(twin) as rig:
+        camera = rig.camera
+        rig.prepare(
+            CODE,
+            release=release and Release(release),
+            motion=PATH,
+            lead_in_s=0.05 if release == "host" else 0.001,
+        )
+        shot = rig.shoot()
+        edges = camera.uno.edges()
+    assert shot.counts
+    assert shot.record.details["plays"] == 1
+    assert shot.frame.values.dtype == np.uint16
+    if release == "host":
+        return  # when it plays is not the twin's to know
+    # an oracle by the pins alone: the chips' bounds as they were, and the closed form of the PSF
+    cycles = np.array([cycle for cycle, _level in edges])
+    lead_s = shot.record.details["lead_in_ns"] * 1e-9
+    pin = "trigger" if release == "camera" else "busy"
+    trigger = next(cycle for cycle, level in camera.uno.edges(pin) if level)
+    bounds = ((cycles - trigger) / CLOCK_HZ - lead_s) / (CODE.duration_ns * 1e-9)
+    runs = ShutterCode("".join("10"[k % 2] for k in range(len(bounds) - 1)))
+    psf = coded_psf(PATH, runs, size=(PATH.frame_size() | 1) + 2, edges=bounds)
+    clean = blur_valid(camera.scene.light, psf)
+    assert camera.clean[1:-1, 1:-1] == pytest.approx(clean, abs=1e-9)
+    # and the frame is the twin's own bits
+    noise = camera.noise.with_dark_noise(shot.frame.exposure_s)
+    rng = np.random.default_rng([0, 0])
+    rng.standard_normal()  # the exposure's delay
+    assert (code_values(noise, noise.expose(camera.clean, rng=rng)) == shot.frame.values).all()
+
+
+def test_photos_of_a_series_are_counted_without_a_gap(twin):
+    taken = []
+    shots = shoot(twin, CODE, count=4, motion=PATH, keep=taken.append)
+    assert [shot.frame.frame_id for shot in shots] == [1, 2, 3, 4]
+    assert tuple(taken) == shots
+    assert all(shot.counts for shot in shots)
+    alike = repeatability([shot.record.light(shot.frame.values) for shot in shots])
+    assert alike.shift_px < 0.5
+    assert alike.brightness_spread < 0.01
+    assert 0 < alike.noise < 0.02
+
+
+def test_the_machine_may_trigger(twin):
+    shots = shoot(f"{twin},belt_hz=5", CODE, release="external", count=2, motion=PATH)
+    assert [shot.record.details["plays"] for shot in shots] == [1, 1]
+
+
+def test_without_a_trigger_nothing_is_taken_and_nothing_stays_armed(twin):
+    with open_rig(twin) as rig:
+        rig.prepare(CODE, release=Release.EXTERNAL)
+        with pytest.raises(FrameLostError, match="no trigger came within"):
+            rig.shoot(wait_s=0.3)
+        rig.camera.uno.trigger()
+        assert rig.controller.status().state.name == "LOADED"
+        assert rig.camera.uno.edges() == ()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"exposure_s": 0.005}, r"exposure: 5 ms is shorter than the code with its lead-in, 7.62"),
+        ({"exposure_s": 60}, "twin exposes for 1 us to 10 s"),
+        ({"lead_in_s": 5}, "lead_in: must be a time within 0..1 s"),
+        ({"lead_in_s": 0.9}, "code of .* chips is too long; at most 1024"),
+        ({"port": "/dev/ttyS9"}, "port: not valid with a twin"),
+        ({"count": 0}, "count: must be at least 1"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_is_armed(twin, options, words):
+    with pytest.raises(ValueError, match=words):
+        shoot(twin, CODE, **options)
+
+
+def test_a_camera_needs_a_controller(tmp_path):
+    with pytest.raises(ValueError, match="port: camera folder: needs a controller"):
+        shoot(f"folder:{tmp_path}", CODE)
+
+
+def test_a_folder_cannot_be_fired(tmp_path):
+    require_simavr()
+    with (
+        EmulatedUno() as uno,
+        pytest.raises(ValueError, match="cannot fire a camera folder:"),
+    ):
+        shoot(f"folder:{tmp_path}", CODE, port=uno.port, release="camera")
+
+
+def test_a_late_camera_loses_the_first_chips_and_the_lead_in_holds_them(twin):
+    def mean(lead_in_s):
+        (shot,) = shoot(f"{twin},delay_us=3000", CODE, motion=PATH, lead_in_s=lead_in_s)
+        return shot.record.light(shot.frame.values).mean()
+
+    # 3 ms late with 1 ms of lead-in: five chips are lost, of which three were open
+    assert mean(0.001) / mean(0.0035) == pytest.approx(6.5 / 9, abs=0.06)
+
+
+def test_the_record_gives_the_light_back(twin, tmp_path):
+    with open_rig(twin) as rig:
+        rig.prepare(CODE, motion=PATH)
+        shot = rig.shoot()
+        clean = rig.camera.clean
+    path = write_shot(tmp_path, "photo", shot.frame, shot.record, force=False)
+    record = record_beside(path)
+    assert record.code == CODE
+    assert record.trajectory.xy.tolist() == PATH.xy.tolist()
+    assert record.noise == shot.record.noise
+    light = read_shot(path, record).pixels
+    # noise of the model, 10000 electrons and 5 of read noise, and no offset
+    error = light - clean
+    assert abs(error.mean()) < 3e-4
+    expected = np.sqrt(shot.record.noise.noise_variance(clean).mean())
+    assert error.std() == pytest.approx(expected, rel=0.05)
+
+
+def test_a_belt_is_played_on_every_trigger_and_counted(twin):
+    require_simavr()
+    with EmulatedUno() as uno:
+        uno.trigger(pulses=1000, hertz=10)
+        counts = []
+        belt = play_on_triggers(uno.port, CODE, plays=3, tell=counts.append)
+        assert (belt.plays, belt.missed_edges) == (3, 0)
+        assert counts == [1, 2, 3]
+        edges = len(uno.edges())
+        assert edges == 3 * 2 * CODE.pulses
+        cycle = uno.cycle()
+        while uno.cycle() < cycle + 0.3 * CLOCK_HZ:
+            pass
+        assert len(uno.edges()) == edges, "it plays on without the host"
+
+
+def test_a_belt_without_triggers_ends():
+    require_simavr()
+    with EmulatedUno() as uno:
+        belt = play_on_triggers(uno.port, CODE, plays=3, wait_s=0.2)
+    assert belt.plays == 0
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_closes_the_shutter_and_keeps_what_was_taken(fault):
+    require_simavr()
+    outcome = run(fault, seed=1)
+    assert outcome.passed, outcome
+
+
+def test_wiring_names_pins_and_the_least_exposure():
+    lines = wiring("twin", CODE, lead_in_s=0.001)
+    assert any("D9" in line for line in lines)
+    assert any("A1" in line for line in lines)
+    # 20 us of the firmware, three chips of lead-in, sixteen of the code
+    assert any("least exposure: 7.62 ms" in line for line in lines)
+
+
+def test_a_pico_has_no_busy_output():
+    with pytest.raises(ValueError, match='no output "busy"'):
+        wiring("pylon", CODE, firmware="cxp-rp2040 1", release=Release.SHUTTER)
+    lines = wiring("pylon", CODE, firmware="cxp-rp2040 1")
+    assert any("GP14" in line and "exposure active" in line for line in lines)
