@@ -1,0 +1,209 @@
+"""``cep shoot`` and ``cep deblur`` of its photos, as a user types them."""
+
+import json
+from importlib import resources
+
+import cv2
+import numpy as np
+import pytest
+from emulators.tools import require_simavr
+
+from cep.files.images import read_image, write_image
+from cep.files.shot_files import ShotRecord
+from cep.optics.code import ShutterCode
+from hw.emulation.uno import EmulatedUno
+
+CODE = "1011001110100110"
+TIMED = ("--code", CODE, "--chip-ns", 400_000)
+
+
+@pytest.fixture
+def twin(tmp_path, monkeypatch):
+    require_simavr()
+    monkeypatch.chdir(tmp_path)
+    blocks = np.random.default_rng(0).uniform(0.1, 0.8, (12, 12))
+    write_image("scene.png", np.kron(blocks, np.ones((8, 8))), bits=16)
+    return "twin:scene=scene.png"
+
+
+def test_one_photo_brings_all_that_its_restoration_needs(cep, twin, tmp_path):
+    result = cep.succeeds("shoot", "--camera", twin, *TIMED, "--linear", 16)
+    assert result["counts"]
+    assert (result["plays"], result["missed_edges"], result["trigger"]) == (1, 0, "shutter")
+    assert result["exposure_s"] > 16 * 4e-4 + result["lead_in_ns"] * 1e-9 - 4e-4
+    record = json.loads((tmp_path / "shot" / "photo.json").read_text(encoding="utf-8"))
+    assert record["code"] == {"bits": CODE, "chip_ns": 400_000}
+    values = cv2.imread("shot/photo.tif", cv2.IMREAD_UNCHANGED)
+    assert values.dtype == np.uint16
+    assert 64 < values.max() <= 4095
+    again = cep.succeeds("deblur", "shot/photo.tif")
+    assert again["method"] == "pnp"
+    sharp, restored = (read_image(f"shot/{name}.png") for name in ("photo_sharp", "restored"))
+    assert (sharp == restored).all()
+
+
+def test_the_first_line_says_what_was_taken_and_whether_it_counts(cep, twin):
+    cep("shoot", "--camera", twin, *TIMED, "-o", "out")
+    assert cep.code == 0
+    first, last = cep.out.splitlines()
+    assert first.startswith("out/photo.tif: counts: 96 x 96 px of 12 bits; 16 chips of 400 us")
+    assert last == "then: cep deblur out/photo.tif"
+
+
+def test_an_option_replaces_what_the_record_says(cep, twin):
+    cep.succeeds("shoot", "--camera", twin, *TIMED, "--linear", 16)
+    cep("deblur", "shot/photo.tif", "--linear", 9, "--code", "1101", "-o", "other.png")
+    assert cep.code == 0, cep.err
+    assert (read_image("other.png") != read_image("shot/restored.png")).any()
+
+
+def test_a_photo_that_does_not_count_says_so_when_it_is_restored(cep, twin, tmp_path):
+    cep.succeeds("shoot", "--camera", twin, *TIMED, "--linear", 16)
+    path = tmp_path / "shot" / "photo.json"
+    record = json.loads(path.read_text(encoding="utf-8"))
+    record["problems"] = ["the code was played 2 times"]
+    path.write_text(json.dumps(record), encoding="utf-8")
+    warnings = cep.succeeds("deblur", "shot/photo.tif")["warnings"]
+    assert "shot/photo.tif: does not count: the code was played 2 times" in warnings
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"bits": 10}, "has code values up to"),
+        ({"bits": 17}, "bits: must be a whole number within 1..16"),
+        ({"black_level": 5000}, "black_level 5000 is not below white"),
+        ({"code": {"bits": "12", "chip_ns": 1}}, "code.bits"),
+        ({"bayer": "XYZW"}, "bayer"),
+        ({"trajectory": {"schema": "cep.trajectory/1", "t": [0, 1]}}, 'field "x" is missing'),
+    ],
+)
+def test_a_damaged_record_is_one_line(cep, twin, tmp_path, change, words):
+    cep.succeeds("shoot", "--camera", twin, *TIMED)
+    path = tmp_path / "shot" / "photo.json"
+    path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | change), encoding="utf-8")
+    assert words in cep.refuses("deblur", "shot/photo.tif")
+
+
+def test_several_photos_say_how_repeatable_they_are(cep, twin, tmp_path):
+    result = cep.succeeds("shoot", "--camera", twin, *TIMED, "--repeat", 3)
+    assert len(result["photos"]) == 3
+    assert result["repeatability"]["brightness_spread"] < 0.01
+    names = {path.name for path in (tmp_path / "shot").iterdir()}
+    assert names == {f"photo_00{k}{suffix}" for k in (1, 2, 3) for suffix in (".tif", ".json")}
+
+
+def test_a_calibration_set_is_taken_and_calibrated(cep, twin, tmp_path):
+    (tmp_path / "set").mkdir()
+    bits = ["1" * 16, CODE]
+    separation = {
+        "walks": 1,
+        "length_px": 1,
+        "resolved": 1,
+        "median": 1,
+        "worst_tenth": 1,
+        "conditioning": 1,
+    }
+    document = {
+        "schema": "cep.calibration-set/1",
+        "summary": "",
+        "photos": [
+            {
+                "photo": f"P{k}",
+                "code": "open" if k == 1 else "code_2.json",
+                "bits": text,
+                "open": text.count("1"),
+                "pulses": 1,
+            }
+            for k, text in enumerate(bits, 1)
+        ],
+        "command": "",
+        "chips": 16,
+        "chip_ns": 400_000,
+        "device": None,
+        "separation": separation,
+    }
+    (tmp_path / "set" / "set.json").write_text(json.dumps(document), encoding="utf-8")
+    picture = resources.files("cep.photographs") / "pictures" / "raccoon.jpg"
+    twin = f"twin:scene={picture}"  # motion is not searched well in blocks
+    result = cep.succeeds("shoot", "--camera", twin, "--set", "set", "--linear", 16, "-o", "taken")
+    assert result["counts"]
+    assert result["photos"] == ["taken/P1.tif", "taken/P2.tif"]
+    motion = json.loads((tmp_path / result["trajectory"]).read_text(encoding="utf-8"))
+    assert np.ptp(motion["x"]) == pytest.approx(16, abs=1.5)
+    assert np.ptp(motion["y"]) < 1.5
+
+
+def test_a_belt_is_played(cep, twin):
+    with EmulatedUno() as uno:
+        uno.trigger(pulses=1000, hertz=20)
+        result = cep.succeeds("shoot", "--arm", 2, "--port", uno.port, *TIMED)
+    assert (result["plays"], result["missed_edges"]) == (2, 0)
+
+
+def test_a_belt_that_stands_is_a_failure(cep, twin):
+    with EmulatedUno() as uno:
+        cep("shoot", "--arm", 2, "--port", uno.port, *TIMED, "--wait", "0.2")
+    assert cep.code == 1
+    assert cep.err == "cep: no trigger within 0.2: 2 plays are missing\n"
+
+
+def test_wiring_is_told_without_hardware(cep):
+    lines = cep.succeeds("shoot", "--wiring", "--camera", "pylon:", *TIMED)["wiring"]
+    assert any("D9" in line for line in lines)
+    assert any("GP15" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "--camera: is needed"),
+        (("--camera", "twin:"), "--code: is needed"),
+        (("--camera", "leica:", *TIMED), "--camera: kind 'leica' is not known; known are"),
+        (("--camera", "twin", *TIMED), "--camera: 'twin' has no colon"),
+        (("--camera", "twin:speed=1", *TIMED), "--camera: twin has no 'speed=1'"),
+        (("--camera", "twin:", *TIMED, "--trigger", "me"), "--trigger: must be one of shutter"),
+        (("--camera", "twin:", "--set", "x", "--arm", "2"), "--set and --arm: give one"),
+        (("--camera", "twin:", *TIMED, "--set", "x"), "--code and --repeat: not valid with --set"),
+        (("--arm", "2", *TIMED), "--arm: needs --port"),
+        (("--arm", "soon", "--port", "x", *TIMED), "--arm: must be a number of plays or always"),
+        (("--camera", "folder:.", *TIMED), "--port: camera folder: needs a controller"),
+        (("--camera", "folder:.", *TIMED, "--port", "/dev/no"), "/dev/no cannot be opened"),
+        (("--camera", "burst:no.mp4", *TIMED), "--camera: no.mp4: there is no such video"),
+        (("--wiring", "--camera", "folder:", *TIMED, "--trigger", "host"), "cannot fire"),
+    ],
+)
+def test_wrong_input_is_one_line(cep, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    assert words in cep.refuses("shoot", *arguments)
+    assert not (tmp_path / "shot").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--exposure", "5ms"), "--exposure: 5 ms is shorter than the code with its lead-in"),
+        (("--lead-in", "2"), "--lead-in: must be a time within 0..1 s"),
+        (("--lead-in", "900ms"), "is too long; at most 1024"),
+        (("--port", "/dev/ttyS9"), "--port: not valid with a twin"),
+    ],
+)
+def test_what_the_rig_cannot_do_is_one_line(cep, twin, tmp_path, options, words):
+    assert words in cep.refuses("shoot", "--camera", twin, *TIMED, *options)
+    assert not (tmp_path / "shot").exists()
+
+
+def test_photos_that_are_there_are_not_replaced(cep, twin):
+    cep.succeeds("shoot", "--camera", twin, *TIMED)
+    assert "exists already" in cep.refuses("shoot", "--camera", twin, *TIMED)
+    cep.succeeds("shoot", "--camera", twin, *TIMED, "--force")
+
+
+def test_a_mosaic_becomes_colours():
+    light = np.broadcast_to([0.2, 0.5, 0.8], (8, 8, 3))
+    mosaic = np.zeros((8, 8))
+    for row, column, colour in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+        mosaic[row::2, column::2] = light[row::2, column::2, colour]
+    record = ShotRecord(code=ShutterCode("1"), bits=16, bayer="RGGB", black_level=0.0)
+    colours = record.light(np.rint(mosaic * 65535).astype(np.uint16))
+    assert colours == pytest.approx(light, abs=1e-4)
