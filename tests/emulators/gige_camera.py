@@ -58,6 +58,14 @@ def serve(fill, *, address=ADDRESS, serial=SERIAL):
     return server, callback
 
 
+@contextlib.contextmanager
+def only_camera():
+    """Wait for tests of other processes: the port number is GigE Vision's own."""
+    with Path(tempfile.gettempdir(), "coded-exposure-gige-camera.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
 class GigeCamera:
     """The camera in a process of its own, which can be killed; one at a time on this machine."""
 
@@ -67,10 +75,7 @@ class GigeCamera:
         self.process = None
 
     def __enter__(self):
-        # its port number is GigE Vision's own: tests of other processes wait
-        lock = Path(tempfile.gettempdir(), "coded-exposure-gige-camera.lock").open("w")
-        self._resources.enter_context(lock)
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        self._resources.enter_context(only_camera())
         folder = Path(self._resources.enter_context(tempfile.TemporaryDirectory()))
         np.save(folder / "picture.npy", self._picture)
         self.process = subprocess.Popen(
