@@ -1,7 +1,7 @@
 """The twin behind Aravis's emulated GigE Vision camera: frames of its pins over the network.
 
-``python gige_twin.py SCENE LEAD_NS CODE_NS LENGTH_PX`` prints the controller's port and the side of
-the frames in px, and then the file of each frame's code values, until its standard input ends.
+``python gige_twin.py SCENE LEAD_NS CODE_NS LENGTH_PX`` prints the controller's port and the side
+of the frames in px, and then the file of each frame's code values, until its standard input ends.
 """
 
 import os

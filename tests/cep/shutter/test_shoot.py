@@ -1,8 +1,11 @@
 """A camera and a shutter together, on the twin: the real protocol on a pseudo-terminal."""
 
+import importlib.util
+import os
+
 import numpy as np
 import pytest
-from emulators.tools import require_simavr
+from emulators.tools import give_up, require_simavr
 
 from cep.files.images import write_image
 from cep.files.shot_files import read_shot, record_beside, write_shot
@@ -148,6 +151,21 @@ def test_the_record_gives_the_light_back(twin, tmp_path):
     assert abs(error.mean()) < 3e-4
     expected = np.sqrt(shot.record.noise.noise_variance(clean).mean())
     assert error.std() == pytest.approx(expected, rel=0.05)
+
+
+def test_baslers_emulated_camera_exposes_while_the_emulated_shutter_plays():
+    require_simavr()
+    if importlib.util.find_spec("pypylon") is None:
+        give_up("pypylon not installed: see .ci/tools")
+    os.environ["PYLON_CAMEMU"] = "2"  # read once, by whichever test is the first
+    # it has no lines that could be wired: this computer begins both
+    options = {"release": "host", "lead_in_s": 0.02, "exposure_s": 0.2}
+    with EmulatedUno() as uno:
+        shots = shoot("pylon:0815-0000", CODE, port=uno.port, count=3, **options)
+        assert len(uno.edges()) == 3 * 2 * CODE.pulses
+    assert [shot.record.problems for shot in shots] == [()] * 3
+    assert [shot.record.details["plays"] for shot in shots] == [1] * 3
+    assert shots[0].frame.exposure_s == pytest.approx(0.2)
 
 
 def test_a_belt_is_played_on_every_trigger_and_counted(twin):
