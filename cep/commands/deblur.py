@@ -59,11 +59,18 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
             metavar="NAME",
             help=(
                 ", ".join(f"{method.name} ({method.about})" for method in METHODS.values())
-                + ", or module:name; auto is pnp for a motion known in time, and tv for one found"
-                " in a photo."
+                + ", or module:name; auto is pnp for a coded photo along its motion, else pnp or"
+                " tv, as the photo shows how well the motion fits."
             ),
         ),
     ] = "auto"
+    anyway: Annotated[
+        bool,
+        typer.Option(
+            "--anyway",
+            help="Of a photo alone: restore it even where it would be kept as it is.",
+        ),
+    ] = False
     gamma: Gamma = "srgb"
     output: Annotated[
         Path | None, output_option("Restored photo; IMAGE_sharp.png when omitted.")
@@ -90,6 +97,11 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
             )
         if self.psf is not None and self.code is not None:
             raise ValueError("--code: not valid with --psf, whose file already holds the code")
+        if self.anyway and not self.is_photo_alone:
+            raise ValueError(
+                "--anyway: not valid here: only a photo that is given alone, without a motion,"
+                " PSF, code, camera or method, may be kept as it is"
+            )
         *names, last = (
             restoration.name for restoration in METHODS.values() if restoration.uses_camera
         )
@@ -108,7 +120,7 @@ def deblur(options: DeblurOptions) -> None:
 
     Of an ordinary photo alone the blur is estimated, and the photo restored with what suits it; a
     photo without motion blur, or one that no restoration improves, is written as it was, and the
-    first line says so.
+    first line says so; --anyway restores it all the same.
 
     Along a trajectory of unknown direction the orders in time that it may have had are tested, and
     it is said which fits: forward, reverse, or reordered where loops were run the other way round.
@@ -121,6 +133,8 @@ def deblur(options: DeblurOptions) -> None:
     option replaces the file's.
 
     Example: cep deblur photo.jpg
+
+    Example: cep deblur photo.jpg --anyway -o tried.png
 
     Example: cep deblur shot/photo.tif
 
@@ -146,6 +160,7 @@ def deblur(options: DeblurOptions) -> None:
 
         from cep.calibration.photo_checks import check_photo, check_texture
         from cep.files.psf_files import load_psf
+        from cep.files.raw_files import RAW_SUFFIXES
         from cep.files.shot_files import read_shot, record_beside
         from cep.optics.path_limits import check_resolved
         from cep.restoration.restore import restore
@@ -189,10 +204,22 @@ def deblur(options: DeblurOptions) -> None:
             photo.pixels,
             code=code,
             method=options.method,
+            anyway=options.anyway,
             seed=options.seed,
             progress=part(tick, 0.05, 0.98),
             **inputs,
         )
+        # a floating-point or RAW file is linear whatever is said of it; a PSF that was found in
+        # the photo fits the curve on which it was searched
+        is_curved = photo.bits < 32 and options.image.suffix.lower() not in RAW_SUFFIXES
+        if record is None and is_curved and options.gamma == "srgb" and not is_blind:
+            from cep.restoration.tone import looks_linear
+
+            if looks_linear(photo.pixels, restored.psf):
+                warnings.append(
+                    f"{options.image}: the motion fits better if its code values are light and not"
+                    " on the sRGB curve: if it is a linear file, give --gamma linear"
+                )
         with outputs.written() as folder:
             restored.save(folder[target], bits=photo.bits, gamma=options.gamma)
         tick(1.0)
@@ -215,7 +242,7 @@ def _page(restored: Restoration, target: Path) -> Page:
     # beyond its borders the scene is extrapolated
     border = f"the outer {restored.unreliable_px} px lean on a guess"
     if restored.kept:
-        return [f"{restored.summary}.", f"{target}"]
+        return [f"{restored.summary}; --anyway restores it all the same.", f"{target}"]
     if restored.summary:
         return [f"{restored.summary}.", f"{target}; {figures}, {border}"]
     if restored.psf_source == "photo":

@@ -19,8 +19,14 @@ from cep.restoration.clipping import fill_clipped
 from cep.restoration.direction import DirectionResult, detect_direction
 from cep.restoration.registry import find_method, is_registered
 from cep.restoration.result import Restoration, misfit
-from cep.restoration.sharpen import FEW_CLIPPED, LARGE_PX, restore_chosen, sharpen
-from motdiff.crops import clipped_mask
+from cep.restoration.sharpen import (
+    FEW_CLIPPED,
+    LARGE_PX,
+    is_possible_light,
+    restore_chosen,
+    sharpen,
+)
+from motdiff.crops import clipped_mask, exposure_gain
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -38,6 +44,7 @@ def restore(
     trajectory: Trajectory | None = None,
     code: ShutterCode | None = None,
     method: str | Callable[..., ArrayLike] = "auto",
+    anyway: bool = False,
     seed: int = 0,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
     **options: Any,
@@ -62,10 +69,13 @@ def restore(
         A name of :data:`cep.restoration.registry.METHODS`: "wiener", "inverse", "tv", "l0",
         "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser); or a function of your
         own, or its ``module:name``, that takes (photo, psf) and returns the restored photo, or a
-        Restoration. "auto" is "pnp" where the motion in time is known, by a code or a trajectory
-        of known direction, and "tv", which trusts the PSF less, where it was found in a photo; of
-        more than 4 megapixels "wiener", for the time. Where nothing but the photo is given see
+        Restoration. "auto" is "pnp" for a photo through a code whose motion is given. Else the
+        photo itself shows how far the PSF explains it, and decides between "pnp" and "tv", which
+        trusts the PSF less: :func:`cep.restoration.sharpen.restore_chosen`. Of more than 4
+        megapixels it is "wiener", for the time. Where nothing but the photo is given see
         :func:`cep.restoration.sharpen.sharpen`.
+    anyway : bool
+        Of a photo alone: whether one that would be kept is restored all the same.
     seed : int
         Of what is drawn at random, with "auto".
     progress : callable, optional
@@ -94,7 +104,7 @@ def restore(
         if unknown := sorted(set(options) - {"camera"}):
             raise ValueError(f"{unknown[0]}: not valid without a method that takes it")
         if psf is None and trajectory is None and code is None and not options:
-            return _restore_alone(photo, seed=seed, progress=progress)
+            return _restore_alone(photo, anyway=anyway, seed=seed, progress=progress)
     else:
         find_method(method)  # before the work
     if psf is not None and trajectory is not None:
@@ -136,13 +146,14 @@ def restore(
     assert psf is not None
     progress(searched, "restoring")
     kernel = trimmed_psf(psf)
-    is_doubtful = False
+    by_evidence = is_known = False
     if method == "auto":
         is_coded = code is not None or kernel.sum() < _ALL_LIGHT
         is_known = trajectory is not None and (
             trajectory.direction == "known" or uniform_length_px(trajectory) is not None
         )
-        is_doubtful = psf_source == "photo" or not (is_coded or is_known)
+        # a straight motion that was estimated looks like a known one: the photo shows how it fits
+        by_evidence = psf_source == "photo" or not is_coded
         # ahead in every row of our tables with a known motion: docs/decisions/restoration.md
         method = "pnp" if channels[0].size <= LARGE_PX else "wiener"
     label, apply = find_method(method)
@@ -167,8 +178,17 @@ def restore(
             f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x"
             f" {channels.shape[1]} px"
         )
-    if is_doubtful:
-        image, label = restore_chosen(photo, psf)  # it fills the clipped pixels itself
+    if by_evidence:
+        gain = exposure_gain(photo)
+        bright = np.asarray(photo) * gain
+        # it fills the clipped pixels itself
+        image, label = restore_chosen(bright, psf, trusted=is_known)
+        if not is_possible_light(image, bright, psf):
+            notes.append(
+                "the restored photo has dark and bright halos or stripes: the motion does not fit"
+                " this photo well"
+            )
+        image = image / gain
     else:
         light = fill_clipped(photo, psf) if fills else photo
         image = _checked_image(apply(light, psf, **options), np.shape(photo), label)
@@ -190,7 +210,7 @@ def restore(
 
 
 def _restore_alone(
-    photo: ArrayLike, *, seed: int, progress: Callable[[float, str], None]
+    photo: ArrayLike, *, anyway: bool, seed: int, progress: Callable[[float, str], None]
 ) -> Restoration:
     """Restore a photo with what suits it of the motion found in it, or keep it."""
     from motdiff.estimators.registry import METHODS as ESTIMATORS  # its import loads no torch
@@ -201,7 +221,7 @@ def _restore_alone(
     )
     estimate = estimator.estimate(np.asarray(photo))
     progress(_ESTIMATE_SHARE, "restoring")
-    restored = sharpen(photo, estimate)
+    restored = sharpen(photo, estimate, anyway=anyway)
     return replace(restored, seconds=time.perf_counter() - started)
 
 

@@ -373,7 +373,7 @@ def judged_ways(
     ]
     expected = expected or ExpectedPsnr(problem, path_error_px=path_error_px)
     psnr = expected.psnr_db(distinct, noise=noise).reshape(len(distinct), -1, 2)
-    kinds = [_kind(code) for code in distinct]
+    kinds = [kind_of(code) for code in distinct]
     allowed = [problem.allows(code) for code in distinct]
     judgements = []
     for index, camera in enumerate(cameras):
@@ -411,8 +411,8 @@ def _full_e(camera: Camera) -> float:
     return camera.saturation_e * (1 + _ROUNDED)
 
 
-def _kind(code: ShutterCode) -> Choice:
-    """Kind of a code by its openings: all, one, even ones, or others."""
+def kind_of(code: ShutterCode) -> Choice:
+    """Return the kind of a code by its openings: all, one, even ones, or others."""
     if code.open_chips == code.chips:
         return "open"
     if code.pulses == 1:

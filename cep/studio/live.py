@@ -26,10 +26,12 @@ from cep.proofs.measure import CodeMetrics
 from cep.restoration.wiener import wiener
 from cep.search.expected import ExpectedPsnr
 from cep.search.limits import Limits, RunLimits
+from cep.search.measured import corrected
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import coded_sum, distinct_rows, scenario_rows
 from cep.search.verdict import Verdict, verdict_of
-from cep.search.ways import Way, WayFinder, check_light, judged_ways
+from cep.search.ways import Way, WayFinder, check_light, judged_ways, kind_of
+from cep.studio.gain_table import shifts_db
 from hw.device import DeviceProfile
 from hw.program import Program
 from motdiff.simulate import valid_window
@@ -67,11 +69,14 @@ class LiveFigures:
         MTF along the motion's main axis, light-true, at :attr:`LiveBench.freq_cy_px`.
     band : (MAP_ROWS, MAP_COLUMNS) float
         MTF over half of the band.
+    psnr_db : float
+        About that of a restored photograph: the model's, shifted by what photographs show.
     """
 
     metrics: CodeMetrics
     curve: FloatArray
     band: FloatArray
+    psnr_db: float
 
 
 class LiveBench:
@@ -115,6 +120,8 @@ class LiveBench:
             self.along = scenario.trajectory
         self.freq_cy_px = np.linspace(0, 0.5, _CURVE)
         self.axis = main_axis(scenario.trajectory)
+        # what the model's gains lack on photographs, by the kind of exposure
+        self._shifts_db = shifts_db(scenario.trajectory, problem.camera)
         self._ways: tuple[float, tuple[Way, ...]] | None = None  # of the latest error of the path
         self._expected: tuple[float, ExpectedPsnr] | None = None  # of this error
         self._finding = threading.Lock()
@@ -129,9 +136,9 @@ class LiveBench:
         """
         metrics = with_proven_zero(code, self.along, self.problem.measure(code, budget=_BUDGET))
         modulus = np.abs(coded_sum(self._rows, code.array[None])[0]).astype(np.float64)
-        return LiveFigures(
-            metrics, modulus[:_CURVE], modulus[_CURVE:].reshape(MAP_ROWS, MAP_COLUMNS)
-        )
+        band = modulus[_CURVE:].reshape(MAP_ROWS, MAP_COLUMNS)
+        psnr_db = self._shifts_db[kind_of(code)] - metrics.mse_db
+        return LiveFigures(metrics, modulus[:_CURVE], band, psnr_db)
 
     @cached_property
     def _rows(self) -> NDArray[np.complex64]:
@@ -202,9 +209,10 @@ class LiveBench:
             self._expected = path_error_px, expected
         problem = self.problem
         expected = self._expected[1]
-        return judged_ways(
+        (exposures,) = judged_ways(
             problem, [problem.camera], codes, path_error_px=path_error_px, expected=expected
-        )[0]
+        )
+        return tuple(corrected(exposure, self._shifts_db, 1.0) for exposure in exposures)
 
     def psf(self, code: ShutterCode) -> FloatArray:
         """Light-true PSF of a code in the smallest odd frame that holds the motion."""

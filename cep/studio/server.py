@@ -126,6 +126,9 @@ class _Studio:
                 raise FieldError("method", f"the methods are {' and '.join(blind_methods())}")
             photo = self.uploads.path(document.get("photo"))
             order: dict[str, Any] = {"path": str(photo), "method": method}
+        elif kind == "sharpen":
+            photo = self.uploads.path(document.get("photo"))
+            order = {"path": str(photo), "anyway": document.get("anyway") is True}
         else:
             _setting(document).problem()
             steps, seed = read_search(document)
@@ -196,12 +199,15 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
         content = await studio.quickly(_bundled_photo)
         return JSONResponse({"photo": studio.uploads.add(content, ".png")})
 
-    async def preview(request: Request) -> Response:
-        photo = studio.uploads.path(request.path_params["key"])
-        file = photo.with_name(f"{photo.stem}_preview.jpg")
-        if not file.is_file():
-            raise HTTPException(404)
-        return FileResponse(file, media_type="image/jpeg")
+    def made_of_photo(ending: str, media_type: str) -> Endpoint:
+        async def endpoint(request: Request) -> Response:
+            photo = studio.uploads.path(request.path_params["key"])
+            file = photo.with_name(f"{photo.stem}_{ending}")
+            if not file.is_file():
+                raise HTTPException(404)
+            return FileResponse(file, media_type=media_type)
+
+        return endpoint
 
     async def start(_: Request) -> Response:
         return JSONResponse(await studio.quickly(start_view))
@@ -235,7 +241,9 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
         Route("/api/opened", opened_state),
         Route("/api/ports", ports),
         Route("/api/events", events),
-        Route("/api/photo/{key}", preview),
+        Route("/api/photo/{key}", made_of_photo("preview.jpg", "image/jpeg")),
+        Route("/api/photo/{key}/sharpened", made_of_photo("sharp_preview.jpg", "image/jpeg")),
+        Route("/api/photo/{key}/sharpened.png", made_of_photo("sharp.png", "image/png")),
         Route("/api/example-photo", example_photo, methods=["POST"]),
         Route("/api/upload/photo", upload_photo, methods=["POST"]),
         Route(

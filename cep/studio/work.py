@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -17,7 +18,9 @@ import numpy as np
 
 from cep.studio.fields import FieldError, disk_error, nameless
 from cep.studio.state import path_fields, read_search, read_setting
-from motdiff.files.json_files import plain
+from motdiff.estimators.base import MotionEstimate
+from motdiff.files.json_files import json_text, plain
+from motdiff.trajectory import Trajectory
 
 Order = Mapping[str, Any]
 Tell = Callable[..., None]
@@ -149,6 +152,10 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
         )
     except ValueError as error:
         raise FieldError("photo", str(error).removeprefix("photo: ")) from None
+    try:
+        _write_motion(file, motion)
+    except OSError as error:
+        raise disk_error("photo", error) from None
     tell(0.85, "restoring a part of the photo")
     scene = sharpen(centre_crop(pixels, _SCENE_PX, _SCENE_PX).astype(np.float64), motion)
     try:
@@ -173,9 +180,78 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
         "width": width,
         "height": height,
         "warnings": [*notes, *motion.warnings],
+        "doubts": [doubt for doubt in motion.warnings if doubt not in motion.psf_warnings],
         "summary": scene.summary,
+        "kept": scene.kept,
         "path_error": motion.path_error_px,
     }
+
+
+def _sharpen(order: Order, tell: Tell) -> Mapping[str, Any]:
+    from cep.files.images import encode_image, read_photo
+    from cep.restoration.sharpen import sharpen
+    from motdiff.files.outputs import write_bytes
+
+    file = Path(order["path"])
+    motion = _read_motion(file)
+    tell(0.0, "reading the photo")
+    try:
+        photo = read_photo(file)
+    except ValueError as error:
+        raise FieldError("photo", nameless(error, file, "the photo")) from None
+    tell(0.2, "restoring the whole photo")
+    restored = sharpen(photo.pixels, motion, anyway=order.get("anyway") is True)
+    tell(0.9, "writing it")
+    step = max(1, -(-max(photo.pixels.shape[:2]) // _PREVIEW_PX))
+    try:
+        restored.save(file.with_name(f"{file.stem}_sharp.png"), bits=photo.bits)
+        small = encode_image(restored.image[::step, ::step], ".jpg")
+        write_bytes(file.with_name(f"{file.stem}_sharp_preview.jpg"), small)
+    except OSError as error:
+        raise disk_error("photo", error) from None
+    return {"summary": restored.summary, "kept": restored.kept, "warnings": restored.warnings}
+
+
+def _write_motion(file: Path, motion: MotionEstimate) -> None:
+    """Keep what a restoration of the whole photo needs of the motion found in its part."""
+    about = {
+        "confidence": motion.confidence,
+        "warnings": motion.warnings,
+        "psf_warnings": motion.psf_warnings,
+        "details": {
+            name: motion.details[name]
+            for name in ("psf_confidence", "motion_blur")
+            if name in motion.details
+        },
+        "direction": motion.best.direction,
+    }
+    path = motion.best
+    np.savez(
+        file.with_name(f"{file.stem}_motion.npz"),
+        psf=motion.psf,
+        t=path.t,
+        xy=path.xy,
+        about=np.array(json_text(about)),
+    )
+
+
+def _read_motion(file: Path) -> MotionEstimate:
+    source = file.with_name(f"{file.stem}_motion.npz")
+    if not source.is_file():
+        raise FieldError("photo", "its motion has not been found yet")
+    with np.load(source, allow_pickle=False) as arrays:
+        about = json.loads(str(arrays["about"]))
+        path = Trajectory.from_samples(arrays["xy"], t=arrays["t"], direction=about["direction"])
+        return MotionEstimate(
+            "motdiff",
+            (path,),
+            (1.0,),
+            arrays["psf"],
+            about["confidence"],
+            tuple(about["warnings"]),
+            about["details"],
+            tuple(about["psf_warnings"]),
+        )
 
 
 def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
@@ -218,16 +294,18 @@ def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
 
 def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
+    from cep.studio.gain_table import shifted
 
     setting = read_setting(order["setting"])
     advice = cep.advise(
         setting.problem(),
         setting.code(),
         path_error_px=setting.path_error_px,
-        photographs=(),  # beside the live figures, which are the model's
+        photographs=(),  # the model's, shifted as the live figures are
         threads=1,
         progress=lambda share, note: tell(share, note),
     )
+    advice = shifted(advice)
     return advice.to_dict() | {"where": advice.where, "sentence": advice.here.sentence}
 
 
@@ -270,6 +348,7 @@ def _play(order: Order, tell: Tell) -> Mapping[str, Any]:
 
 KINDS: Mapping[str, Kind] = {
     "calibrate": Kind(_calibrate, "The search of a motion"),
+    "sharpen": Kind(_sharpen, "The restoration of a photo"),
     "search": Kind(_search, "A search", keeps_best=True),
     "advise": Kind(_advise, "The verdict over the light", gives_way=True),
     "play": Kind(_play, "An upload", needs_rest=True),

@@ -1,6 +1,8 @@
 // The strip of chips: a switch for each, toggled by click, painted by dragging, walked by the keyboard.
 
-const NARROWEST_PX = 7, ROW_PX = { one: null, many: 56 };
+const ROW_PX = 56;
+// a chip's least width: a finger covers more than a mouse points at
+const NARROWEST_PX = matchMedia("(pointer: coarse)").matches || innerWidth < 640 ? 24 : 7;
 
 export class Strip {
   /**
@@ -47,7 +49,7 @@ export class Strip {
     const rows = Math.max(1, Math.ceil((count * NARROWEST_PX) / width));
     this.box.style.gridTemplateColumns = `repeat(${Math.ceil(count / rows)}, 1fr)`;
     if (rows === 1) this.box.style.removeProperty("--chip-height");
-    else this.box.style.setProperty("--chip-height", `${ROW_PX.many}px`);
+    else this.box.style.setProperty("--chip-height", `${ROW_PX}px`);
   }
 
   indexOf(target) {

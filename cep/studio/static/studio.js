@@ -10,6 +10,8 @@ const page = named("studio-page", () => crypto.randomUUID().replaceAll("-", ""))
 const reloaded = performance.getEntriesByType("navigation")[0]?.type === "reload" ? remembered("studio-address") : null;
 let state = fromAddress(reloaded ?? location.hash);
 let revision = 0, shown = null, judged = null, advice = remembered("studio-advice"), openMap = null, estimate = remembered("studio-estimate"), job = null, known = null;
+let design = state.bits; // the code as the hand or a search has chosen it: a shorter motion shows fewer of its chips
+let refused = null; // settings of the last verdict that was refused, and its message
 const past = [], future = [];
 const strip = new Strip($("strip"), (bits, done) => {
   if (done) record();
@@ -86,7 +88,11 @@ const followPicture = follower(async () => {
     if (found.error) complain(new Refused(found.error.field, found.error.message), ["picture"]);
     shown = found;
     draw();
-  } catch (error) { complain(error, ["picture"]); }
+  } catch (error) {
+    shown = null; // figures of another motion say nothing of this one
+    complain(error, ["picture"]);
+  }
+  document.body.toggleAttribute("data-blank", !shown);
   document.body.dataset.picture = at;
 });
 
@@ -98,6 +104,7 @@ function verdictNow() {
 /** Expected PSNR of the code and of the open shutter: at once for a path that is known; one that may be off is judged
  *  once the hand rests, until then null. */
 function ownPsnr() {
+  if (!shown) return null;
   if (!state.path_error) return { psnr_db: shown.figures.psnr_db, open_psnr_db: shown.open.psnr_db };
   return verdictNow()?.bits === state.bits ? judged : null;
 }
@@ -143,9 +150,11 @@ const followVerdict = follower(async () => {
   const at = revision, key = adviceKey();
   try {
     judged = { ...await post("verdict", { setting: settingOf(state) }), key, bits: state.bits };
+    refused = null;
     calm("verdict");
   } catch (error) {
     judged = null;
+    refused = key;
     complain(error, ["verdict"]);
   }
   document.body.dataset.verdict = at;
@@ -155,25 +164,34 @@ const followVerdict = follower(async () => {
   if (state.left === "snapshot" || state.right === "snapshot") followPhotos();
 });
 
-/** First what to do, by the best code that was found at this light; then where it turns; then what this code is worth. */
+/** First what to do, by the best code that was found at this light; then where it turns; then what this code is worth.
+ *  Nothing is said to do before that code was searched: without it the advice may be the opposite. */
 function drawVerdict() {
-  const valid = advice && advice.key === adviceKey();
-  for (const id of ["sentence", "where", "gains"]) $(id).classList.toggle("stale", !valid);
+  const key = adviceKey(), valid = advice?.key === key;
+  $("sentence").classList.toggle("stale", !valid);
+  $("gains").classList.toggle("stale", !valid);
   if (valid) {
     const [head, conditions] = cut(advice.sentence);
     say("sentence", head);
     say("where", `${advice.where} ${conditions}`);
-  } else if (!judged) {
-    say("sentence", "No verdict: one of the inputs below needs a look.");
-    say("where", "");
   } else {
-    say("sentence", cut(judged.sentence)[0]);
-    const waits = job?.state === "running" && job.kind !== "advise";
-    say("where", waits ? "So far: the best code for this motion and light is looked for when this work is done." : "So far: the best code for this motion and light is being searched.");
+    const waits = job?.state === "running" ? WAITS[job.kind] : null;
+    say("sentence", refused === key ? "No verdict: one of the inputs below needs a look." : (waits ?? "Searching the best exposure for this motion and light…"));
+    say("where", job?.state === "running" && job.kind === "advise" ? `${Math.round(100 * job.share)} %` : "");
   }
-  say("own", judged ? ownLine(valid) : "");
+  say("own", verdictNow() ? ownLine(valid) : "");
   $("own").classList.toggle("stale", document.body.dataset.verdict !== document.body.dataset.asked);
+  const doubts = estimate && state.motion.kind === "path" && estimate.paths.some((path) => same(state.motion, path)) ? estimate.doubts ?? [] : [];
+  $("doubt").hidden = !doubts.length;
+  say("doubt", doubts.map(sentence).join(" "));
 }
+
+const WAITS = {
+  calibrate: "The verdict follows when the motion of the photo is found.",
+  search: "The verdict follows when the search is done.",
+  play: "The verdict follows when the code is played.",
+  sharpen: "The verdict follows when the photo is sharpened.",
+};
 
 /** What to do, and under which conditions. */
 function cut(text) {
@@ -182,11 +200,12 @@ function cut(text) {
 }
 
 function ownLine(valid) {
-  const beside = judged.ways.filter((way) => way.kind === "snapshot" && way.within_limits && !way.saturates).map((way) => [way.psnr_db, "the best single exposure"]);
+  const single = (valid && advice.ways.snapshot) || judged.ways.find((way) => way.kind === "snapshot" && way.within_limits && !way.saturates);
+  const beside = single ? [[single.psnr_db, "the best single exposure"]] : [];
   if (valid && advice.ways.code) beside.push([advice.ways.code.psnr_db, "the best code found"]);
   const gaps = beside.map(([psnr, name]) => {
     const gap = judged.psnr_db - psnr;
-    return Math.abs(gap) < 0.005 ? `as well as ${name}` : `${Math.abs(gap).toFixed(2)} dB ${gap > 0 ? "better" : "worse"} than ${name}`;
+    return Math.abs(gap) < 0.005 ? `as well as ${name}` : `about ${Math.abs(gap).toFixed(2)} dB ${gap > 0 ? "better" : "worse"} than ${name}`;
   });
   return gaps.length ? `The code below restores ${gaps.join(" and ")}.` : "";
 }
@@ -228,6 +247,11 @@ function change(part, { recorded = false } = {}) {
   if (!recorded) record();
   const before = state;
   state = { ...state, ...part };
+  if (part.bits) design = part.bits;
+  else if (part.motion) {
+    const bits = resized(design, Math.min(design.length, mostChips(state.motion)));
+    if (bits.length !== state.bits.length) state = { ...state, bits, open: null, search: null };
+  }
   keepAddress();
   if (before.bits !== state.bits || before.exposure !== state.exposure) $("played").hidden = true; // of another code
   fill();
@@ -421,6 +445,7 @@ let drawnEstimate = []; // estimate, motion and photo as they are drawn
 function drawEstimate() {
   $("drop").classList.toggle("filled", !$("photo-image").hidden);
   const now = [estimate, state.motion, state.photo];
+  drawSharpened();
   if (now.every((one, i) => one === drawnEstimate[i])) return;
   drawnEstimate = now;
   $("estimate").hidden = !estimate;
@@ -468,21 +493,29 @@ function heard(news) {
   job = news;
   const running = news?.state === "running";
   const mine = running && news.kind !== "advise";
-  $("job").hidden = !mine;
-  $("stop").hidden = !mine;
+  const ofPhoto = mine && (news.kind === "calibrate" || news.kind === "sharpen"); // shown where the photo is
+  $("job").hidden = !mine || ofPhoto;
+  $("stop").hidden = !mine || ofPhoto;
   $("search").hidden = mine;
   $("stop").textContent = news?.kind === "search" ? "Stop, keep the best" : "Cancel";
+  busyPhoto(ofPhoto ? news : null);
+  if (running && advice?.key !== adviceKey()) drawVerdict(); // it waits for this work
   if (!news) return;
-  $("job-share").value = news.share;
-  $("job-note").textContent = mine ? `${{ search: "Searching", calibrate: "Estimating the motion", play: "Uploading" }[news.kind]}${news.note ? `: ${news.note}` : ""}` : "";
+  const note = mine ? `${{ search: "Searching", calibrate: "Estimating the motion", sharpen: "Sharpening", play: "Uploading" }[news.kind]}${news.note ? `: ${news.note}` : ""}` : "";
+  $(ofPhoto ? "drop-share" : "job-share").value = news.share;
+  $(ofPhoto ? "drop-note" : "job-note").textContent = note;
   if (running && news.kind === "search" && news.best.bits && news.best.bits !== state.bits) change({ bits: news.best.bits, search: null }, { recorded: true });
   if (running && news.kind === "calibrate" && news.best.preview) showPhoto(`/api/photo/${state.photo}`);
   if (running || news.number <= handled) return;
   handled = news.number;
   remember("studio-handled", handled);
-  if (news.state === "failed") { complain(new Refused(news.error.field, news.error.message), ["job"]); return; }
+  if (news.state === "failed") {
+    if (news.kind === "advise") { refused = adviceAsked; drawVerdict(); }
+    complain(new Refused(news.error.field, news.error.message), ["job"]);
+    return;
+  }
   calm("job");
-  if (news.state === "done") ({ search: searched, calibrate: calibrated, advise: advised, play: played })[news.kind](news.result);
+  if (news.state === "done") ({ search: searched, calibrate: calibrated, sharpen: sharpened, advise: advised, play: played })[news.kind](news.result);
   if (news.kind !== "advise") { adviceAsked = ""; followAdvice(); }
 }
 
@@ -495,6 +528,32 @@ function calibrated(found) {
   estimate = found;
   remember("studio-estimate", estimate);
   change({ motion: pathOf(found.paths[0]), path_error: found.path_error ?? null });
+}
+
+/** Offer the whole photo, sharpened: what the estimate would do with it, and what was done. */
+function drawSharpened() {
+  $("sharpened").hidden = !(state.photo && estimate?.summary);
+  if ($("sharpened").hidden) return;
+  const { kept, summary, ready } = estimate.sharp ?? { kept: estimate.kept, summary: estimate.summary };
+  say("sharpened-line", sentence(summary));
+  say("sharpen", ready ? "Save it again" : kept ? "Sharpen and save it anyway" : "Save the sharpened photo");
+  $("sharpened-view").hidden = !ready;
+  say("sharpened-view", $("photo-image").src.endsWith("/sharpened") ? "Show the photo as taken" : "Show it sharpened");
+}
+
+function sharpened(found) {
+  estimate = { ...estimate, sharp: { ...found, ready: true } };
+  remember("studio-estimate", estimate);
+  showPhoto(`/api/photo/${state.photo}/sharpened`);
+  drawSharpened();
+  saveSharpened();
+}
+
+function saveSharpened() {
+  const link = document.createElement("a");
+  link.href = `/api/photo/${state.photo}/sharpened.png`;
+  link.download = "sharpened.png";
+  link.click();
 }
 
 function advised(found) {
@@ -525,13 +584,16 @@ let beginning = false; // a job is asked for and not heard of yet
 async function begin(kind, more = {}) {
   calm("job");
   beginning = true;
-  $("job").hidden = false;
-  $("job-note").textContent = "starting";
+  const ofPhoto = kind === "calibrate" || kind === "sharpen";
+  $("job").hidden = ofPhoto;
+  if (ofPhoto) busyPhoto({ share: 0 });
+  $(ofPhoto ? "drop-note" : "job-note").textContent = "starting";
   try {
     const begun = await post("job", { page, kind, setting: settingOf(state), ...more });
     if (job?.number !== begun.number) job = begun;
   } catch (error) {
     $("job").hidden = true;
+    busyPhoto(null);
     complain(error, ["job"]);
     adviceAsked = "";
     setTimeout(followAdvice);
@@ -541,6 +603,14 @@ async function begin(kind, more = {}) {
 }
 
 // -- photos, files ----------------------------------------------------------------------------------------------------------
+
+/** Show how far the work on the photo is, in its place; null when it is over. */
+function busyPhoto(news) {
+  $("drop-job").hidden = !news;
+  $("drop").classList.toggle("busy", Boolean(news));
+  $("sharpen").disabled = Boolean(news);
+  if (news) $("drop-share").value = news.share;
+}
 
 function showPhoto(address) {
   const image = $("photo-image");
@@ -555,6 +625,8 @@ async function takePhoto(file) {
   calm("photo");
   estimate = null;
   showPhoto(URL.createObjectURL(file));
+  busyPhoto({ share: 0 });
+  $("drop-note").textContent = "reading the photo";
   try {
     const suffix = /\.[a-z0-9]+$/i.exec(file.name)?.[0] ?? ""; // a RAW file is known by its name alone
     const { photo } = await ask(`/api/upload/photo?suffix=${encodeURIComponent(suffix)}`, { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: file });
@@ -563,6 +635,7 @@ async function takePhoto(file) {
   } catch (error) {
     $("photo-image").hidden = true;
     $("drop").classList.remove("filled");
+    busyPhoto(null);
     complain(error, ["photo"]);
   }
 }
@@ -619,8 +692,15 @@ function pinCode(name, bits) {
   change({ pins: [...state.pins, { name: free.replaceAll("=", " "), bits }].slice(-10) });
 }
 
-function resized(count) {
-  const { bits } = state, chips = Math.min(Math.max(Math.round(count) || 2, 2), 512);
+/** Chips that a motion tells apart, a quarter of a pixel each; any number where its length is not known here. */
+function mostChips({ kind, length, x, y }) {
+  const path = kind === "path" ? x.slice(1).reduce((sum, at, i) => sum + Math.hypot(at - x[i], y[i + 1] - y[i]), 0) : Number(length);
+  return Number.isFinite(path) && path > 0 ? Math.max(1, Math.floor(4 * path)) : 512;
+}
+
+function resized(bits, count) {
+  const chips = Math.min(Math.max(Math.round(count) || 2, 2), 512);
+  if (chips === bits.length) return bits;
   // every new chip shows what the old code had at its time
   const next = Array.from({ length: chips }, (_, i) => bits[Math.min(Math.floor(((i + 0.5) * bits.length) / chips), bits.length - 1)]).join("");
   return next.includes("1") ? next : `1${next.slice(1)}`;
@@ -633,7 +713,7 @@ function shuffled(bits) {
 }
 
 function wire() {
-  on("chips", "change", () => change({ bits: resized(number("chips")), open: null, search: null }));
+  on("chips", "change", () => change({ bits: resized(state.bits, number("chips")), open: null, search: null }));
   on("bits", "input", () => { const bits = $("bits").value.replace(/\s/g, ""); change({ bits, search: null }); });
   const edits = {
     invert: (bits) => { const other = [...bits].map((bit) => (bit === "1" ? "0" : "1")).join(""); return other.includes("1") ? other : bits; },
@@ -700,6 +780,13 @@ function wire() {
       await begin("calibrate", { photo });
     } catch (error) { complain(error, ["photo"]); }
   });
+  on("drop-stop", "click", () => post("stop", { page }).catch((error) => complain(error, ["photo"])));
+  on("sharpen", "click", () => { if (estimate.sharp?.ready) saveSharpened(); else begin("sharpen", { photo: state.photo, anyway: estimate.kept === true }); });
+  on("sharpened-view", "click", () => {
+    const seen = $("photo-image").src.endsWith("/sharpened");
+    showPhoto(`/api/photo/${state.photo}${seen ? "" : "/sharpened"}`);
+    drawSharpened();
+  });
   on("gyro-file", "change", () => { if ($("gyro-file").files[0]) openGyro($("gyro-file").files[0]); });
   on("open_file", "change", () => { if ($("open_file").files[0]) openFile($("open_file").files[0]); $("open_file").value = ""; });
   const drop = $("drop");
@@ -741,7 +828,7 @@ function wire() {
     $("copy").textContent = "Copied";
     setTimeout(() => { $("copy").textContent = "Copy address"; }, 1200);
   });
-  addEventListener("hashchange", () => { written = location.hash; remember("studio-address", written); state = fromAddress(location.hash); fill(); follow(); });
+  addEventListener("hashchange", () => { written = location.hash; remember("studio-address", written); state = fromAddress(location.hash); design = state.bits; fill(); follow(); });
   let resizing = 0;
   addEventListener("resize", () => { cancelAnimationFrame(resizing); resizing = requestAnimationFrame(() => { if (shown) draw(); if (advice) showAdvice(); }); });
 }
@@ -761,6 +848,7 @@ async function start() {
   $("published").append(...known.published.map((one) => new Option(`${one.name} (${one.bits.length})`, one.name)));
   for (const one of known.examples) $("motion-kind").append(new Option(`example: ${one.about}`, `example:${one.name}`));
   if (opened.state && !location.hash) state = { ...structuredClone(DEFAULTS), ...opened.state };
+  design = state.bits;
   if (advice) showAdvice();
   change({}, { recorded: true });
 }

@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
-from cep.files.images import read_photo
+from cep.files.images import read_photo, write_image
 from motdiff.files.trajectories import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory
 
@@ -37,6 +38,24 @@ def test_a_straight_motion_needs_its_length_only(cep, workplace):
         return np.sqrt(np.mean((image / scale - scene)[24:-24, 24:-24] ** 2))
 
     assert error(kept) < 0.5 * error(coded, duty)
+
+
+@pytest.mark.parametrize("curve", ["srgb", "linear"])
+def test_a_linear_file_read_as_srgb_is_noticed(cep, workplace, curve):
+    cep.succeeds("simulate", "sharp.png", "--linear", "16", "--code", CODE, "-o", "a.png")
+    write_image("coded.png", read_photo("a.png").pixels, gamma=curve)
+    result = cep.succeeds("deblur", "coded.png", "--linear", "16", "--code", CODE)
+    noticed = [warning for warning in result["warnings"] if "--gamma linear" in warning]
+    assert bool(noticed) == (curve == "linear")
+    again = cep.succeeds(
+        "deblur", "coded.png", "--linear", "16", "--code", CODE, "--gamma", curve, "-o", "b.png"
+    )
+    assert not any("--gamma" in warning for warning in again["warnings"])
+
+
+def test_a_photo_of_a_given_motion_is_never_kept(cep, workplace):
+    line = cep.refuses("deblur", "blurred.png", "--linear", "9", "--anyway")
+    assert line.startswith("cep: --anyway: not valid here")
 
 
 def test_one_source_of_the_motion(cep, workplace):

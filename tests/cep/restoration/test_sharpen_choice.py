@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from cep.restoration import sharpen as sharpen_module
+from cep.restoration.pnp import pnp
 from cep.restoration.sharpen import choose_psf, is_possible_light, restore_chosen
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.simulate import photograph, visible
@@ -53,13 +54,22 @@ def test_a_restored_photo_is_nearer_the_scene_in_every_colour():
     colours = np.stack([SCENE, 0.8 * SCENE, discs(260, seed=2)], axis=2)
     photo, sharp = taken(colours)
     image, method = restore_chosen(photo, RIGHT)
-    assert method == "tv"
+    assert method == "pnp"
     assert image.shape == photo.shape
     for channel in range(3):
         gain = psnr_up_to_shift(image[..., channel], sharp[..., channel]) - psnr_up_to_shift(
             photo[..., channel], sharp[..., channel]
         )
         assert gain > 3
+
+
+@pytest.mark.parametrize(("sigma", "scale"), [(0.001, 1.25), (0.01, 1.5)])
+def test_a_psf_that_does_not_explain_the_photo_is_not_trusted(sigma, scale):
+    photo, sharp = taken(sigma=sigma)
+    near = PATH.scaled(scale).psf(33)
+    image, method = restore_chosen(photo, near)
+    assert method == "tv"
+    assert psnr_up_to_shift(image, sharp) > psnr_up_to_shift(pnp(photo, near), sharp)
 
 
 def test_strong_noise_is_not_sharpened():

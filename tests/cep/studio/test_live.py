@@ -8,9 +8,11 @@ from cep.optics.exposure import coded_psf, mtf
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from cep.search.verdict import verdict
+from cep.studio import gain_table
 from cep.studio.catalogue import example_motion
 from cep.studio.live import MAP_COLUMNS, MAP_ROWS, LiveBench, LiveScene, broken_limits
 from hw.device import load_profile
+from motdiff.trajectory import Trajectory
 
 CAMERA = Camera.load("video-8bit").at(2000)
 CODE = ShutterCode("1101000111010110", 1_250_000)
@@ -46,7 +48,29 @@ def test_the_verdict_does_not_depend_on_what_was_judged_before():
     )
     bench = LiveBench(problem)
     for code in (ShutterCode("1100000000000001", 1_250_000), CODE):
-        assert bench.verdict(code).sentence == verdict(problem, code).sentence
+        assert bench.verdict(code).sentence == LiveBench(problem).verdict(code).sentence
+
+
+def test_gains_are_the_models_shifted_by_what_photographs_show():
+    problem = SearchProblem.along(
+        example_motion("shake"), chips=16, exposure_s=0.02, camera=CAMERA, objective="mse"
+    )
+    bench = LiveBench(problem)
+    shifts_db = gain_table.shifts_db(example_motion("shake"), CAMERA)
+    modelled = {way.code.bits: way for way in verdict(problem, CODE, photographs=()).ways}
+    for way in bench.verdict(CODE).ways:
+        expected_db = modelled[way.code.bits].psnr_db + shifts_db[way.kind]
+        assert way.psnr_db == pytest.approx(expected_db, abs=1e-4)
+    live = bench.figures(CODE)
+    assert live.psnr_db == pytest.approx(shifts_db["code"] - live.metrics.mse_db)
+
+
+def test_where_the_open_shutter_wins_the_best_single_exposure_is_a_long_one():
+    path = Trajectory.straight(10.0)
+    bench = LiveBench(SearchProblem.along(path, chips=40, camera=CAMERA.at(100)))
+    seen = bench.verdict(ShutterCode("10" * 20))
+    assert seen.choice == "open"
+    assert seen.best("snapshot").code.open_chips > 30
 
 
 @pytest.mark.parametrize("name", ["shake", "walk"])

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from cep.files.images import encode_image
+from cep.files.images import encode_image, read_image
 from cep.studio.state import saved_setting
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
@@ -198,8 +198,65 @@ def test_the_browser_that_is_led_by_the_file_has_the_page_and_nobody_else(browse
 def test_nothing_scrolls_sideways(studio, width, scheme):
     page = studio(width, color_scheme=scheme)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    assert page.locator("#sentence").inner_text().endswith(".")
+    assert page.locator("#sentence").inner_text().endswith((".", "…"))
     assert page.locator("#f-psnr").inner_text().endswith("dB")
+
+
+def sentence(page):
+    return page.locator("#sentence").inner_text()
+
+
+def decided(page):
+    """Wait for the verdict over the light."""
+    until(page, "!document.getElementById('sentence').classList.contains('stale')", 240)
+
+
+def test_a_short_motion_has_fewer_chips_and_a_longer_one_has_them_again(studio):
+    page = studio()
+    before = bits(page)
+    page.locator("#length").fill("7")
+    shown(page)
+    assert 2 <= len(bits(page)) <= 28  # a quarter of a pixel each
+    assert page.locator("#chips").input_value() == str(len(bits(page)))
+    assert page.locator(".error[data-for~=bits]").inner_text() == ""
+    page.locator("#length").fill("40")
+    shown(page)
+    assert bits(page) == before
+
+
+def test_nothing_is_said_to_do_before_the_best_code_was_searched(studio):
+    page = studio(state="code=1101000111010110&motion=straight:16:0&camera=video-8bit&photons=500")
+    seen = {sentence(page)}
+    while page.evaluate("document.getElementById('sentence').classList.contains('stale')"):
+        seen.add(sentence(page))
+    decided(page)
+    verdicts = {text for text in seen if not text.startswith(("Searching", "Starting"))}
+    assert verdicts <= {sentence(page)}
+
+
+def test_figures_of_another_motion_do_not_stay(studio):
+    page = studio(state="code=1101000111010110&motion=straight:16:0")
+    assert page.locator("#f-psnr").is_visible()
+    page.locator("#bits").evaluate("box => { box.closest('details').open = true; }")
+    page.locator("#bits").fill("10" * 60)  # more chips than the motion tells apart
+    until(page, "document.body.hasAttribute('data-blank')")
+    for place in ("#f-psnr", "#curve", "#compare"):
+        assert not page.locator(place).is_visible()
+    until(page, "document.getElementById('sentence').textContent.startsWith('No verdict')")
+    page.locator("#bits").fill("1101000111010110")
+    until(page, "!document.body.hasAttribute('data-blank')")
+    shown(page)
+    assert page.locator("#f-psnr").is_visible()
+
+
+def test_no_column_of_the_table_is_cut_off_on_a_phone(studio):
+    page = studio(PHONE, state="code=1101000111010110&motion=straight:16:0")
+    edges = page.locator("#pins :is(th, td)").evaluate_all(
+        "cells => cells.map((cell) => cell.getBoundingClientRect().right)"
+    )
+    assert max(edges) <= PHONE
+    assert page.locator("#pins").evaluate("table => table.scrollWidth <= table.clientWidth")
+    assert chip(page, 1).bounding_box()["width"] >= 20
 
 
 def test_a_click_a_drag_and_keys_change_the_code_and_the_address(studio):
@@ -407,11 +464,23 @@ def test_a_photo_gives_a_path_with_its_confidence(studio, tmp_path):
     photo.write_bytes(encode_image(blur_valid(scene, path.psf(25)), ".png"))
     page = studio()
     page.locator("#photo-file").set_input_files(photo)
+    until(page, "document.getElementById('drop-share').value > 0", 60)
+    assert page.locator("#drop-job").is_visible()  # where the photo is
+    assert page.locator("#job").is_hidden()
+    assert sentence(page).startswith("The verdict follows")
     until(page, "location.hash.includes('motion=path:')", 120)
     shown(page)
     assert re.fullmatch(r"\d+ %", page.locator("#confidence-text").inner_text())
     assert page.locator("#alternatives button").count() >= 1
     assert page.locator("#photo-path path").count() == 2
+    with page.expect_download(timeout=120_000) as saving:
+        page.locator("#sharpen").click()
+    saved = tmp_path / "sharpened.png"
+    saving.value.save_as(saved)
+    sharpened = read_image(saved)
+    assert sharpened.shape == read_image(photo).shape
+    until(page, "document.getElementById('photo-image').src.endsWith('/sharpened')")
+    page.locator("#sharpened-view").click()
     page.reload()
     shown(page)
     assert page.locator("#alternatives button").count() >= 1

@@ -16,8 +16,10 @@ from starlette.requests import ClientDisconnect
 import cep
 from cep.files.images import encode_image, read_image
 from cep.files.raw_files import RAW_SUFFIXES
-from cep.search.verdict import verdict
+from cep.search.measured import corrected
+from cep.search.verdict import verdict, verdict_of
 from cep.studio import server
+from cep.studio.gain_table import shifts_db
 from cep.studio.jobs import BusyError
 from cep.studio.server import bound_socket
 from cep.studio.state import read_setting
@@ -89,6 +91,15 @@ def test_figures_are_those_of_the_library(client, setting):
     assert found["code"]["chip_ns"] == 1_250_000
 
 
+def shifted_verdict(read):
+    """The verdict of the library's model, shifted by what photographs show."""
+    code, error_px = read.code(), read.path_error_px
+    modelled = verdict(read.problem(), code, path_error_px=error_px, photographs=())
+    shifts = shifts_db(read.trajectory, read.sensor)
+    ways = tuple(corrected(way, shifts, 1.0) for way in modelled.ways)
+    return verdict_of(read.problem(), ways, [code], path_error_px=error_px)
+
+
 @pytest.mark.parametrize("path_error", [None, 0.4])
 def test_the_verdict_is_that_of_the_library(client, setting, path_error):
     setting = {
@@ -99,7 +110,7 @@ def test_the_verdict_is_that_of_the_library(client, setting, path_error):
     }
     found = posted(client, "verdict", setting=setting)
     read = read_setting(setting)
-    expected = verdict(read.problem(), read.code(), path_error_px=path_error or 0.0)
+    expected = shifted_verdict(read)
     assert found["sentence"] == expected.sentence
     assert ("a path known to 0.4 px" in found["sentence"]) == (path_error is not None)
     assert found["gains_db"] == pytest.approx(
@@ -110,7 +121,7 @@ def test_the_verdict_is_that_of_the_library(client, setting, path_error):
         "bits": setting["bits"][1:] + "1",
     }  # the ways without a code are kept from the first one
     other = read_setting(turned)
-    again = verdict(other.problem(), other.code(), path_error_px=path_error or 0.0)
+    again = shifted_verdict(other)
     assert posted(client, "verdict", setting=turned)["sentence"] == again.sentence
     assert [way["name"] for way in found["ways"]][:2] == ["open shutter", "best single exposure"]
 
