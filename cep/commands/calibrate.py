@@ -188,7 +188,8 @@ def calibrate(options: CalibrateOptions) -> None:
             read_options,
         )
         from cep.codes.sources import load_codes
-        from cep.files.images import parse_gamma, read_photo
+        from cep.files.images import parse_gamma
+        from cep.files.shot_files import read_light
         from motdiff.files.outputs import claim_folder, summary_on_failure
         from motdiff.files.trajectories import trajectory_text
 
@@ -197,7 +198,7 @@ def calibrate(options: CalibrateOptions) -> None:
         parse_gamma(options.gamma)
         folder = options.output or images[0].with_name(f"{images[0].stem}_motion")
         claim_folder(folder, CALIBRATION_FILES, force=options.force)
-        photos = [read_photo(image, gamma=options.gamma) for image in images]
+        photos = [read_light(image, gamma=options.gamma) for image in images]
         values = read_options(method, method_options, gamma=options.gamma)
         started = time.perf_counter()
         is_blind = method in blind_methods()
@@ -357,7 +358,8 @@ def _refine(
     with progress("refining the motion") as tick:
         tick(0.0, "reading the photos")
         from cep.codes.sources import code_file, load_codes
-        from cep.files.images import parse_gamma, read_photo
+        from cep.files.images import parse_gamma
+        from cep.files.shot_files import read_light
         from motdiff.estimators.coded.codes import check_codes
         from motdiff.files.outputs import claim
         from motdiff.files.trajectories import (
@@ -376,7 +378,7 @@ def _refine(
         outputs = claim([target], force=options.force, inputs=[trajectory, *images, *code_files])
         stored = read_motion(trajectory)
         stated_px = stated_uncertainty_px(stored, trajectory)
-        photos = [read_photo(image, gamma=options.gamma) for image in images]
+        photos = [read_light(image, gamma=options.gamma) for image in images]
         tick(0.03, "loading the search")
 
         from cep.calibration.refine import USUAL_UNCERTAINTY_PX, refine_motion

@@ -291,7 +291,7 @@ def _headline(files: list[Path], shots: list[Shot]) -> str:
     played = shot.record.code
     time = f"{played.chips} chips of {duration(played.chip_ns * 1e-9)}"
     if about.get("plays") is None:
-        return f"{photos}: counts: {size}, {time} summed from frames"
+        return f"{photos}: counts: {size}; {time} summed from frames"
     exposure = "an exposure that the camera does not state"
     if frame.exposure_s is not None:
         exposure = f"an exposure of {duration(frame.exposure_s)}"

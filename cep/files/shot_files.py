@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cep.files.images import Photo, read_codes
+from cep.files.images import Photo, read_codes, read_photo
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from hw.cameras.camera import Frame
@@ -178,6 +178,20 @@ def read_shot(photo: Path | str, record: ShotRecord) -> Photo:
     if record.bayer is not None and values.ndim != 2:
         raise ValueError(f"{photo}: has colours, but its record says a mosaic, {record.bayer}")
     return Photo(record.light(values), 8 if record.bits <= 8 else 16, warnings)
+
+
+def read_light(photo: Path | str, *, gamma: str | float = "srgb") -> Photo:
+    """Read a photo as its record says, where there is one; else as `cep.files.images.read_photo`.
+
+    Raises
+    ------
+    ValueError, OSError
+        As these.
+    """
+    record = record_beside(photo)
+    if record is None:
+        return read_photo(photo, gamma=gamma)
+    return read_shot(photo, record)
 
 
 def _interpolated(mosaic: FloatArray, bayer: str) -> FloatArray:
