@@ -228,7 +228,7 @@ def _photos(options: ShootOptions) -> None:
         result["repeatability"] = alike
         lines.append(f"{len(shots)} photos: {alike}")
     lines.append(_next(files, restored))
-    result["warnings"] = [*dict.fromkeys(text for shot in shots for text in shot.warnings)]
+    result["warnings"] = _doubts(shots)
     finish(result, as_json=options.as_json, page=lines)
     _end(files, shots)
 
@@ -304,6 +304,13 @@ def _next(files: list[Path], restored: Path | None) -> str:
     return f"then: cep deblur {files[0]}"
 
 
+def _doubts(shots: list[Shot]) -> list[str]:
+    """Warnings of all photos, each once; none where one does not count, which is said instead."""
+    if not shots[-1].counts:
+        return []
+    return [*dict.fromkeys(text for shot in shots for text in shot.warnings)]
+
+
 def _end(files: list[Path], shots: list[Shot]) -> None:
     if not shots[-1].counts:
         problems = "; ".join(shots[-1].record.problems)
@@ -352,7 +359,7 @@ def _set(options: ShootOptions, folder: Path) -> None:
             f"then: cep optimize --trajectory {paths['trajectory.json']} --chips"
             f" {codes[0].chips} -o code.json",
         ]
-    result["warnings"] = [*dict.fromkeys(text for shot in shots for text in shot.warnings)]
+    result["warnings"] = _doubts(shots)
     finish(result, as_json=options.as_json, page=lines)
     _end(files, shots)
 

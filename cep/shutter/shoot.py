@@ -264,6 +264,22 @@ class Rig:
         )
         return True
 
+    def _doubts(self) -> tuple[str, ...]:
+        """Say what of the set-up is not checked by itself."""
+        if isinstance(self.camera, BurstCamera):
+            return self.camera.warnings
+        doubts = []
+        if self._release is Release.HOST:
+            doubts.append("no wire times the code: that the exposure held it is trusted")
+        elif self._release is not Release.CAMERA:
+            doubts.append(
+                "that the camera begins to expose within the lead-in is trusted, and lost chips"
+                " would not show: cep hw timing measures its delay"
+            )
+        if isinstance(self.camera, TwinCamera) and self.camera.scene.motion is None:
+            doubts.append("the twin's scene rests: --linear or --trajectory moves it")
+        return tuple(doubts)
+
     def _prepare_virtual(self, code: ShutterCode, motion: Trajectory | None) -> ShotRecord:
         if not isinstance(self.camera, BurstCamera):
             raise ValueError(f"port: camera {self.camera.name}: needs a controller, name its port")
@@ -337,8 +353,7 @@ class Rig:
         )
         if record.noise is not None:
             record = replace(record, noise=_at_white(record.noise, record))
-        doubts = self.camera.warnings if isinstance(self.camera, BurstCamera) else ()
-        return Shot(frame=frame, record=record, warnings=(*doubts, *_warnings(frame)))
+        return Shot(frame=frame, record=record, warnings=(*self._doubts(), *_warnings(frame)))
 
 
 def shoot(

@@ -69,6 +69,14 @@ def test_a_photo_counts_and_is_that_of_the_pins(twin, release):
     assert (code_values(noise, noise.expose(camera.clean, rng=rng)) == shot.frame.values).all()
 
 
+@pytest.mark.parametrize(
+    ("release", "words"), [("shutter", "cep hw timing"), ("host", "no wire"), ("camera", None)]
+)
+def test_what_is_trusted_is_said(twin, release, words):
+    (shot,) = shoot(twin, CODE, release=release, motion=PATH, lead_in_s=0.02)
+    assert [words in warning for warning in shot.warnings] == ([True] if words else [])
+
+
 def test_photos_of_a_series_are_counted_without_a_gap(twin):
     taken = []
     shots = shoot(twin, CODE, count=4, motion=PATH, keep=taken.append)
