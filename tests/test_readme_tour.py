@@ -30,6 +30,8 @@ NOT_RUN = {
         "needs a board; the transcripts of docs/hardware.md and the tutorial do it with the"
         " emulated one"
     ),
+    "cep shoot": "needs a camera; tests/cep/commands/test_shoot.py has the twin and a video",
+    "cep deblur shot/photo.tif": "a photo of cep shoot; as above",
     "cep studio": "serves until it is stopped; tests/cep/studio",
     "python -m lab bench": "takes minutes to days; .ci/run runs the quick one of all tables",
     "cep calibrate open.png coded.png": "40 CPU-s; tests/cep/commands/test_calibrate_coded.py",

@@ -93,6 +93,7 @@ def test_several_photos_say_how_repeatable_they_are(cep, twin, tmp_path):
     assert names == {f"photo_00{k}{suffix}" for k in (1, 2, 3) for suffix in (".tif", ".json")}
 
 
+@pytest.mark.slow(reason="40 CPU-s: the motion is searched in both photos and its order in time")
 def test_a_calibration_set_is_taken_and_calibrated(cep, twin, tmp_path):
     (tmp_path / "set").mkdir()
     bits = ["1" * 16, CODE]
