@@ -52,13 +52,14 @@ def demo(options: DemoOptions) -> None:
     """Say whether to code an exposure, and show it on one photo, to OUTPUT/report.html.
 
     The bundled photo is a public-domain picture blurred by a simulated hand shake, and taken with
-    8-bit video when no camera is named. With --photo the motion is estimated from your own blurred
-    photo, and what other exposures would have taken is simulated on its restoration. A code is
-    written only where no plainer exposure is as good.
+    8-bit video when no camera is named. With --photo your own blurred photo is sharpened first;
+    what other exposures along its motion would have taken is simulated on its restoration. A code
+    is written only where no plainer exposure is as good.
 
     Fields of --json that need a word:
 
     - choice, gains_db: as of cep advise, expected.
+    - sharpened: what was done with your own photo; sharpened.png where it was restored.
     - psnr_db: of the simulated and restored photos; snapshot is the best single exposure, coded
       the best code.
     - bits: of the code, or null where none is advised.
@@ -129,11 +130,17 @@ def demo(options: DemoOptions) -> None:
         f" {shot.psnr_db:.2f} dB"
         for shot in chain.shots
     ]
+    photo_lines = []
+    if chain.sharpened is not None:
+        photo_lines = [f"{chain.sharpened.summary}."]
+        if not chain.sharpened.kept:
+            photo_lines.append(f"{options.output / 'sharpened.png'}")
     finish(
         {**figures, "seconds": seconds},
         as_json=options.as_json,
         page=[
-            chain.advice.here.sentence,
+            *photo_lines,
+            chain.verdict,
             *shots,
             f"The report is {figures['report']} ({seconds:.0f} s)",
         ],

@@ -42,7 +42,7 @@ def before_after(
     chooser = list(pictures.values())[-1]
     if detail_of is not None:
         chooser = np.asarray(detail_of, dtype=np.float64)
-    row, column = _busiest(centre_crop(chooser, height, width), side)
+    row, column = busiest(centre_crop(chooser, height, width), side)
     width_in = 4.0
     figure = new_figure(width_in * len(pictures), width_in * (height / width + 1.0) + 0.4)
     grid = figure.subplots(2, len(pictures), squeeze=False, height_ratios=(height / width, 1.0))
@@ -66,8 +66,8 @@ def _frame(corner: Sequence[float], side: float) -> Any:
     )
 
 
-def _busiest(image: FloatArray, side: int) -> tuple[int, int]:
-    """Corner of the window with most gradient, clear of the restoration's borders."""
+def busiest(image: FloatArray, side: int) -> tuple[int, int]:
+    """Return the corner of the window with most gradient, clear of the restoration's borders."""
     grey = luminance(image)
     energy = sum(np.abs(gradient) for gradient in np.gradient(grey))
     # a window's sum from four entries of the summed-area table (Crow 1984)

@@ -126,7 +126,8 @@ def _figures(chain: Chain) -> dict[str, object]:
     psnr_db = {shot.kind: shot.psnr_db for shot in chain.shots}
     camera = chain.problem.camera
     return {
-        "verdict": verdict.sentence,
+        "sharpened": chain.sharpened and chain.sharpened.summary,
+        "verdict": chain.verdict,
         "choice": chain.choice,
         "gains_db": verdict.gains_db,
         "psnr_db": {kind: psnr_db.get(kind) for kind in ("open", "snapshot", "coded")},

@@ -11,7 +11,9 @@ import cep
 from cep.optics.path_limits import check_resolved
 from cep.proofs.certify.certificate import Certificate
 from cep.report.demo_scene import Scene, SceneMotion, find_motion
+from cep.restoration.blind import LEAST_CONFIDENCE
 from cep.restoration.result import Restoration
+from cep.restoration.sharpen import sharpen
 from cep.search.advise import LEVELS, Advice
 from cep.search.chip_count import choose_chips
 from cep.search.ways import CODED, Choice, Way
@@ -86,6 +88,8 @@ class Chain:
         Taken as advised along the motion estimated from the open photo alone.
     certificate : Certificate
         Smallest MTF of the exposure advised, along the motion as estimated.
+    sharpened : Restoration or None
+        A user's own photo, restored from itself or kept; None of the bundled one.
     """
 
     scene: Scene
@@ -99,6 +103,26 @@ class Chain:
     shots: tuple[Shot, ...]
     shot_from_open: Shot | None
     certificate: Certificate
+    sharpened: Restoration | None = None
+
+    @property
+    def verdict(self) -> str:
+        """What to do; of a user's photo how far its motion and its own scene bear that out."""
+        sentences = [self.advice.here.sentence]
+        if self.scene.sharp is None:
+            gain_db = self.gains_db()[_kind(self.choice)]
+            if self.choice != "open":
+                sentences.append(
+                    f"On the scene assumed from this photo the simulation shows {gain_db:+.1f} dB"
+                    " over the open shutter."
+                )
+            if self.estimate.confidence < LEAST_CONFIDENCE:
+                sentences.insert(
+                    0,
+                    "The motion of this photo was probably not found (confidence"
+                    f" {self.estimate.confidence:.2f}), so take this as an example at most.",
+                )
+        return " ".join(sentences)
 
     @property
     def estimate(self) -> MotionEstimate:
@@ -249,6 +273,10 @@ def run_chain(
         possible = {"open": from_open.ways[0], kind: from_open.advised}
         photos = exposures.photos(possible)
         shot_from_open = exposures.restored(possible, photos, motion.from_open.best)[-1]
+    sharpened = None
+    if scene.sharp is None:
+        tell(_PHOTOS_SHARE, "sharpening the photo")
+        sharpened = sharpen(scene.photo, estimate)
     tell(1.0, "done")
     return Chain(
         scene,
@@ -262,6 +290,7 @@ def run_chain(
         shots,
         shot_from_open,
         cep.certify(advice.here.advised.code, estimate.best),
+        sharpened,
     )
 
 

@@ -26,11 +26,13 @@ from cep.plots import (
     trajectory_figure,
 )
 from cep.plots.advice import advice_figure
+from cep.plots.canvas import thumbnail
 from hw.device import load_profile, profile_names
 from hw.program import Program
 from motdiff.files.inputs import printable
 from motdiff.metrics import mnc_subpixel, path_distance_px, timed_distance_px
 from motdiff.psf_frame import PSF_PX
+from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
     import cep
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
 
 # pictures of the page that are files as well; the code strip where a code is advised
 PICTURE_FILES = ("advice", "code_strip", "mtf", "photos", "scene_at_rest")
+_OWN_PX = 1600  # longest side of a user's photo on the page
 _NAMES = {"open": "open shutter", "snapshot": "best single exposure", "coded": "best code"}
 
 
@@ -76,7 +79,8 @@ def pictures(chain: Chain) -> dict[str, bytes]:
     figures = {
         "advice": advice_figure(chain.advice),
         "mtf": mtf_figure(path, {_NAMES[shot.kind]: shot.exposure.code for shot in shots}),
-        "photos": before_after(photos),
+        # of the photo taken: in a restored one noise may be the busiest
+        "photos": before_after(photos, detail_of=chain.shots[0].photo),
         "path": trajectory_figure(chain.scene.photo, path),
         "psfs": psf_figure(psfs),
     }
@@ -84,7 +88,14 @@ def pictures(chain: Chain) -> dict[str, bytes]:
         figures["code_strip"] = code_strips(
             {_NAMES[shot.kind]: shot.exposure.code for shot in shots if shot.kind != "open"}
         )
-    images = {
+    images: dict[str, FloatArray] = {}
+    if chain.sharpened is not None:
+        images["own_photo"] = thumbnail(chain.scene.photo, _OWN_PX)
+        if not chain.sharpened.kept:
+            images["own_sharpened"] = thumbnail(chain.sharpened.image, _OWN_PX)
+            pair = {"your photo": chain.scene.photo, "sharpened": chain.sharpened.image}
+            figures["own_detail"] = before_after(pair, detail_of=chain.scene.photo)
+    images |= {
         "blurred": chain.shots[0].photo,
         "scene_at_rest": chain.reference,
         **{f"restored_{shot.kind}": shot.restored for shot in _shown(chain)},
@@ -133,6 +144,7 @@ def html(
     }
     return environment.from_string(source).render(
         chain=chain,
+        sharpened=chain.sharpened,
         here=chain.advice.here,
         estimate=chain.estimate,
         advised=chain.advised_shot,

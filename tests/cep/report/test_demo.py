@@ -3,6 +3,7 @@ scene."""
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,6 +143,22 @@ def test_ones_own_photo_has_no_truth(coded):
     assert "stands in for the scene" in page
     assert "The transparency was dropped." in page
     assert "The true motion is known" not in page
+    # the photo itself comes first, then what was simulated of it, named so
+    first, last = (page.index(title) for title in ("Your photo, sharpened", "Simulated photos"))
+    assert first < page.index(mine.advice.here.sentence.partition(";")[0]) < last
+    assert "Blurred</h3>" not in page
+    assert mine.sharpened.method is not None
+    doubtful = replace(mine.motion.estimate, confidence=0.2)
+    lost = replace(mine, motion=replace(mine.motion, estimate=doubtful))
+    assert lost.verdict.startswith("The motion of this photo was probably not found")
+    assert "probably not found" not in mine.verdict
+    gain = f"{mine.gains_db()[mine.advised_shot.kind]:+.1f} dB over the open shutter"
+    assert (gain in mine.verdict) == (mine.choice != "open")
+
+
+def test_a_verdict_of_the_bundled_photo_stands_alone(coded):
+    assert coded.sharpened is None
+    assert coded.verdict == coded.advice.here.sentence
 
 
 def test_a_featureless_photo_is_refused():
