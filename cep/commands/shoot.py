@@ -238,6 +238,7 @@ def _taken(
 ) -> tuple[list[Shot], list[Path], Path | None]:
     """Take the photos, each of which is on the disk before the next; restore the first."""
     from cep.files.shot_files import write_shot
+    from cep.optics.path_limits import check_resolved
     from cep.restoration.restore import restore
     from cep.shutter.shoot import shoot as take
     from motdiff.files.outputs import claim_folder
@@ -245,6 +246,9 @@ def _taken(
     folder = options.output
     names = [f"{stem}{suffix}" for stem in stems for suffix in (".tif", ".json")]
     claim_folder(folder, [*names, "restored.png"], force=options.force)
+    rig = options.rig()
+    if rig["motion"] is not None:
+        check_resolved(rig["motion"], codes[0].chips)
     assert options.camera is not None
     files: list[Path] = []
     last_frame: list[Frame | None] = [None]
@@ -260,12 +264,14 @@ def _taken(
             last_frame[0] = shot.frame
             tick(len(files) / len(stems), str(files[-1]))
 
-        shots = list(take(options.camera, codes, count=count, keep=keep, **options.rig()))
+        shots = list(take(options.camera, codes, count=count, keep=keep, **rig))
     record = shots[0].record
-    restored = None
-    if record.trajectory is not None and record.counts and len(codes) == 1:
-        restored = folder / "restored.png"
-        with progress("restoring") as tick:
+    restored = folder / "restored.png"
+    if record.trajectory is None or not record.counts or len(codes) > 1:
+        restored.unlink(missing_ok=True)  # of other photos, which --force replaced
+        return shots, files, None
+    with progress("restoring") as tick:
+        try:
             sharp = restore(
                 record.light(shots[0].frame.values),
                 code=record.code,
@@ -274,6 +280,9 @@ def _taken(
                 progress=tick,
             )
             sharp.save(restored, bits=8 if record.bits <= 8 else 16)
+        except (OSError, ValueError) as error:
+            error.add_note(f"{files[0]} was taken, and counts")
+            raise
     return shots, files, restored
 
 

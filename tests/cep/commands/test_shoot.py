@@ -200,6 +200,19 @@ def test_photos_that_are_there_are_not_replaced(cep, twin):
     cep.succeeds("shoot", "--camera", twin, *TIMED, "--force")
 
 
+def test_a_restored_photo_does_not_outlive_its_photo(cep, twin, tmp_path):
+    cep.succeeds("shoot", "--camera", twin, *TIMED, "--linear", 16)
+    assert (tmp_path / "shot" / "restored.png").exists()
+    cep.succeeds("shoot", "--camera", twin, *TIMED, "--force")
+    assert not (tmp_path / "shot" / "restored.png").exists()
+
+
+def test_a_photo_that_cannot_be_restored_is_kept(cep, twin, tmp_path):
+    line = cep.refuses("shoot", "--camera", twin, *TIMED, "--linear", 60)
+    assert line.endswith("; shot/photo.tif was taken, and counts\n")
+    assert (tmp_path / "shot" / "photo.tif").exists()
+
+
 def test_a_mosaic_becomes_colours():
     light = np.broadcast_to([0.2, 0.5, 0.8], (8, 8, 3))
     mosaic = np.zeros((8, 8))
