@@ -133,8 +133,8 @@ def sheet(restored_cases: list[Case], file: Path) -> None:
     grid = figure.subplots(len(restored_cases), 5, squeeze=False)
     for axes, case in zip(grid, restored_cases, strict=True):
         side = min(_DETAIL_PX, *case.photo.shape[:2])
-        top, left = busiest(case.photo, side)  # of a restored photo it may be noise
-        window = (slice(top, top + side), slice(left, left + side))
+        row, column = busiest(case.photo, side)  # of a restored photo it may be noise
+        window = (slice(row, row + side), slice(column, column + side))
         state = "kept" if case.restored.kept else f"by {case.restored.method}"
         images = {
             case.name: thumbnail(case.photo, _SHOWN_PX),
