@@ -14,6 +14,7 @@ from cep.commands.console import Page, Table, finish, print_page, progress
 from cep.commands.emulate import emulate
 from cep.commands.options import Json, command
 from cep.commands.programs import Driver, Port, named_port, open_controller
+from cep.commands.timing import timing
 from cep.commands.verify import verify
 
 if TYPE_CHECKING:
@@ -189,6 +190,7 @@ def calibrate(options: CalibrateOptions) -> None:
     )
 
 
+hw.command("timing")(timing)
 hw.command("verify")(verify)
 hw.command("emulate")(emulate)
 

@@ -25,11 +25,15 @@ SCHEMA = "cep.camera/1"
 LIGHT_RANGE = (1.0, 1e7)
 """Light levels that can be asked for, photo-electrons at full scale."""
 
+_SIGMAS = 4.0  # of the jitter, on either side
 _LARGEST_PHOTONS = 1e9  # Poisson draws stay exact in float64 and int64 far above any full well
 _UNITS = {
     "read_noise_e": "electrons",
     "dark_current_e_s": "electrons a second",
     "least_exposure_s": "seconds",
+    "trigger_delay_s": "seconds",
+    "trigger_jitter_s": "seconds",
+    "readout_s": "seconds",
 }
 """Figures that are 0 or more, with their units in words."""
 _STATED = (
@@ -40,6 +44,10 @@ _STATED = (
     "gain_e_per_dn",
     "dark_current_e_s",
     "least_exposure_s",
+    "trigger_delay_s",
+    "trigger_jitter_s",
+    "readout_s",
+    "exposure_offset_s",
 )
 """Fields written only where they are stated: a camera without them keeps its document, which
 caches are keyed by."""
@@ -79,6 +87,13 @@ class Camera:
         as subtracted, but fills the well.
     least_exposure_s : float
         Shortest exposure of the camera's own shutter; 0 where that is not known.
+    trigger_delay_s, trigger_jitter_s : float
+        From the trigger to the start of the first row's exposure: mean, standard deviation.
+    readout_s : float
+        From the start of the first row's exposure to that of the last; 0 for a global shutter.
+    exposure_offset_s : float
+        By so much an exposure is longer than the camera states. ``cep hw timing`` measures these
+        four.
 
     Raises
     ------
@@ -106,9 +121,13 @@ class Camera:
     gain_e_per_dn: float | None = None
     dark_current_e_s: float = 0.0
     least_exposure_s: float = 0.0
+    trigger_delay_s: float = 0.0
+    trigger_jitter_s: float = 0.0
+    readout_s: float = 0.0
+    exposure_offset_s: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("photons_full_scale", "black_level", *_UNITS):
+        for name in ("photons_full_scale", "black_level", "exposure_offset_s", *_UNITS):
             object.__setattr__(self, name, _number(name, getattr(self, name)))
         for name in ("full_well_e", "gain_e_per_dn"):
             if (electrons := getattr(self, name)) is not None:
@@ -126,6 +145,8 @@ class Camera:
         for name, unit in _UNITS.items():
             if not (math.isfinite(value := getattr(self, name)) and value >= 0):
                 raise ValueError(f"{name}: must be 0 or more {unit}, got {value}")
+        if not abs(self.exposure_offset_s) < math.inf:
+            raise ValueError(f"exposure_offset_s: must be seconds, got {self.exposure_offset_s}")
         # bool is an int, and JSON's true would be a camera of one bit
         if (
             isinstance(self.bits, bool)
@@ -211,6 +232,16 @@ class Camera:
     def dark_e(self, integration_s: ArrayLike) -> FloatArray:
         """Electrons of dark current after (...) seconds: mean, and variance (Poisson)."""
         return np.asarray(self.dark_current_e_s * np.asarray(integration_s, dtype=np.float64))
+
+    @property
+    def lead_in_s(self) -> float:
+        """Closed time before a code, after which all rows are exposed; 0 where not measured."""
+        return self.trigger_delay_s + self.readout_s + _SIGMAS * self.trigger_jitter_s
+
+    def least_stated_s(self, duration_s: float) -> float:
+        """Return the exposure to set for a code that begins after the lead-in."""
+        margin_s = self.readout_s + 2 * _SIGMAS * self.trigger_jitter_s
+        return duration_s + margin_s - self.exposure_offset_s
 
     # -- noise ------------------------------------------------------------------------------------
 

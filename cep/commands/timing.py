@@ -1,0 +1,150 @@
+"""``cep hw timing``: when a camera exposes, by flashes of the controller's light."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cep.commands.code_options import exposure_seconds
+from cep.commands.console import Page, Table, finish, progress
+from cep.commands.options import Force, Json, PlotFile, command, output_option
+
+if TYPE_CHECKING:
+    from cep.shutter.exposure_fit import Interval
+    from cep.shutter.timing import TimedCamera
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimingOptions:
+    """Options of ``cep hw timing``."""
+
+    camera: Annotated[
+        str, typer.Option("--camera", metavar="KIND:ADDRESS", help="Camera, as in cep shoot.")
+    ]
+    port: Annotated[
+        str | None,
+        typer.Option("--port", "-p", help="Controller of the light, as in cep shoot."),
+    ] = None
+    exposure: Annotated[
+        str, typer.Option("--exposure", metavar="TIME", help="Exposure to set and to time.")
+    ] = "2ms"
+    gain: Annotated[float | None, typer.Option("--gain", metavar="DB", help="Of the camera.")] = (
+        None
+    )
+    trigger: Annotated[
+        str | None,
+        typer.Option(
+            "--trigger",
+            metavar="WHO",
+            help="shutter: the controller's output busy triggers the camera; camera: its output"
+            " exposure active triggers the controller.",
+        ),
+    ] = None
+    profile: Annotated[
+        str | None,
+        typer.Option(
+            "--profile",
+            metavar="NAME|FILE",
+            help="Camera whose noise figures are written with the times.",
+        ),
+    ] = None
+    output: Annotated[Path, output_option("Camera to write, .toml or .json.")] = Path(
+        "camera.toml"
+    )
+    plot: PlotFile = None
+    force: Force = False
+    as_json: Json = False
+
+
+@command(TimingOptions)
+def timing(options: TimingOptions) -> None:
+    """Measure when a camera exposes: delay, true length, jitter and row time, with intervals.
+
+    The controller flashes a light at swept delays after the camera's trigger, 40 frames in all.
+    Connect an LED in place of the shutter, at the controller's output, and point it at the bare
+    camera or at a white card; switch other light off. A liquid-crystal shutter adds its own delay.
+    Writes a camera file with the times, whose lead-in cep shoot needs.
+
+    Words: exposure start delay, trigger latency, rolling shutter, line time, strobe delay.
+
+    Example: cep hw timing --camera pylon: --port /dev/ttyACM0 -o camera.toml
+
+    Example: cep hw timing --camera twin:delay_us=300,row_us=15 --exposure 5ms
+    """
+    from cep.optics.camera import Camera
+    from cep.plots import check_figure_name
+    from cep.shutter.shoot import Release
+    from cep.shutter.timing import time_camera
+    from motdiff.files.outputs import claim
+
+    output = options.output
+    if output.suffix.lower() not in (".toml", ".json"):
+        raise ValueError(f"{output}: a camera file must end in .json or .toml")
+    if options.trigger not in (None, "shutter", "camera"):
+        raise ValueError(f"--trigger: must be shutter or camera, got {options.trigger[:40]!r}")
+    picture = options.plot or output.with_suffix(".png")
+    try:
+        check_figure_name(picture)
+    except ValueError as error:
+        raise ValueError(f"--plot: {error}") from None
+    noise = None if options.profile is None else Camera.load(options.profile)
+    exposure_s = exposure_seconds(options.exposure)
+    assert exposure_s is not None
+    outputs = claim([output, picture], force=options.force)
+    with progress("timing the exposure") as tick:
+        timed = time_camera(
+            options.camera,
+            port=options.port,
+            exposure_s=exposure_s,
+            gain_db=options.gain,
+            release=None if options.trigger is None else Release(options.trigger),
+            progress=tick,
+        )
+    profile = timed.profile(noise)
+
+    def save(staged: Mapping[Path, Path]) -> None:
+        profile.to_file(staged[output])
+        timed.save_figure(staged[picture])
+
+    finish(
+        {
+            "file": output,
+            "image": picture,
+            **timed.to_dict(),
+            "lead_in_ns": profile.lead_in_s * 1e9,
+        },
+        as_json=options.as_json,
+        page=_page(timed, output, picture, lead_in_s=profile.lead_in_s),
+        outputs=outputs,
+        save=save,
+    )
+
+
+def _page(timed: TimedCamera, output: Path, picture: Path, *, lead_in_s: float) -> Page:
+    figures = timed.timing
+    rows = [
+        ("delay", *_microseconds(figures.start)),
+        ("length", *_microseconds(figures.length)),
+        ("jitter", *_microseconds(figures.jitter)),
+        ("row time", *_microseconds(figures.row)),
+    ]
+    if timed.dead_s is not None:
+        rows.append(("dead time", "", "0", f"{1e6 * timed.dead_s:.0f}"))
+    offset_us = 1e6 * (figures.length.value - timed.stated_s)
+    return [
+        f"{timed.camera} exposes {1e6 * figures.start.value:.2f} us after its trigger, for"
+        f" {1e6 * figures.length.value:.2f} us: {abs(offset_us):.2f} us"
+        f" {'longer' if offset_us >= 0 else 'shorter'} than it states",
+        Table("us", ("", "estimate", "from", "to"), rows),
+        f"{output}: the camera with its times; a code wants --lead-in {1e6 * lead_in_s:.0f}us;"
+        f" the window is in {picture}",
+    ]
+
+
+def _microseconds(interval: Interval) -> tuple[str, str, str]:
+    values = (interval.value, interval.lower, interval.upper)
+    return tuple(f"{1e6 * value:.3f}" for value in values)  # type: ignore[return-value]
