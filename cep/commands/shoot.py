@@ -66,12 +66,23 @@ class ShootOptions(MotionOptions):
             " that the camera), host (this computer both, without a wire between them).",
         ),
     ] = None
-    lead_in: Annotated[
-        str,
+    profile: Annotated[
+        str | None,
         typer.Option(
-            "--lead-in", metavar="TIME", help="Closed time before the code: the camera's delay."
+            "--profile",
+            metavar="NAME|FILE",
+            help="The camera's file: its noise, for the restoration, and the times that cep hw"
+            " timing has measured.",
         ),
-    ] = "1ms"
+    ] = None
+    lead_in: Annotated[
+        str | None,
+        typer.Option(
+            "--lead-in",
+            metavar="TIME",
+            help="Closed time before the code, for the camera's delay: that of --profile, or 1ms.",
+        ),
+    ] = None
     exposure: Annotated[
         str | None,
         typer.Option(
@@ -161,11 +172,14 @@ class ShootOptions(MotionOptions):
 
     def rig(self) -> dict[str, Any]:
         """Return the arguments of :func:`cep.shoot` that the options give."""
+        from cep.optics.camera import Camera
+
         motion = self.load_motion().trajectory if self.has_motion else None
         return {
             "port": self.port,
             "release": self.trigger,
             "motion": motion,
+            "profile": None if self.profile is None else Camera.load(self.profile),
             "lead_in_s": exposure_seconds(self.lead_in),
             "exposure_s": exposure_seconds(self.exposure),
             "gain_db": self.gain,
@@ -405,9 +419,11 @@ def _arm(options: ShootOptions, count: str) -> None:
 def _wiring(options: ShootOptions) -> None:
     """Say which pin goes where."""
     from cep.commands.programs import open_controller
-    from cep.shutter.shoot import Release
+    from cep.shutter.shoot import LEAD_IN_S, Release
     from cep.shutter.wiring import wiring
 
+    rig = options.rig()
+    profile = rig["profile"]
     kind = (options.camera or "pylon:").partition(":")[0]
     firmware = None
     if options.port is not None:
@@ -418,6 +434,6 @@ def _wiring(options: ShootOptions) -> None:
         options.load_code(),
         firmware=firmware,
         release=None if options.trigger is None else Release(options.trigger),
-        lead_in_s=exposure_seconds(options.lead_in) or 0.0,
+        lead_in_s=rig["lead_in_s"] or (profile and profile.lead_in_s) or LEAD_IN_S,
     )
     finish({"camera": kind, "wiring": lines}, as_json=options.as_json, page=lines)

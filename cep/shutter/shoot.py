@@ -101,6 +101,7 @@ class Rig:
         self._exposure_s = 0.0
         self._play_s = 0.0
         self._wait_s = 0.0
+        self._is_timed = False
         self._frame_id: int | None = None
 
     def prepare(
@@ -109,7 +110,8 @@ class Rig:
         *,
         release: Release | None = None,
         motion: Trajectory | None = None,
-        lead_in_s: float = LEAD_IN_S,
+        profile: NoiseModel | None = None,
+        lead_in_s: float | None = None,
         exposure_s: float | None = None,
         gain_db: float | None = None,
     ) -> ShotRecord:
@@ -122,8 +124,12 @@ class Rig:
             The camera's own trigger input is preferred when omitted.
         motion : Trajectory, optional
             Of the image during the code.
-        lead_in_s : float
-            Closed time before the code, s, in whole chips: by so much the camera may be late.
+        profile : cep.optics.camera.Camera, optional
+            The camera's figures: its noise, for the restoration, and, where ``cep hw timing`` has
+            measured them, its times.
+        lead_in_s : float, optional
+            Closed time before the code, s, in whole chips: by so much the camera may be late. That
+            of the profile when omitted, or :data:`LEAD_IN_S`.
         exposure_s : float, optional
             The least that holds the code when omitted.
         gain_db : float, optional
@@ -134,8 +140,17 @@ class Rig:
             If the controller cannot play the code, or the camera cannot expose so long, or not by
             such a trigger. Nothing is armed.
         """
+        measured_s = 0.0 if profile is None else profile.lead_in_s
+        if lead_in_s is None:
+            lead_in_s = measured_s or LEAD_IN_S
         if not (math.isfinite(lead_in_s) and 0 <= lead_in_s <= 1):
             raise ValueError(f"lead_in: must be a time within 0..1 s, got {lead_in_s:g} s")
+        if lead_in_s < measured_s:
+            raise ValueError(
+                f"lead_in: {1e3 * lead_in_s:.6g} ms is less than the camera's delay,"
+                f" {1e3 * measured_s:.6g} ms by its profile"
+            )
+        self._is_timed = measured_s > 0
         if self.controller is None:
             return self._prepare_virtual(code, motion)
         self._release = checked_release(
@@ -152,6 +167,10 @@ class Rig:
         self._play_s = self._wait_s + 1e-9 * (lead_ns + code.duration_ns)
         margin_s = _HOST_MARGIN_S if self._release is Release.HOST else _MARGIN_S
         self._least_exposure_s = self._play_s * (1 + _CLOCK_SHARE) + margin_s
+        if profile is not None:
+            self._least_exposure_s = max(
+                self._least_exposure_s, profile.least_stated_s(self._play_s)
+            )
         asked_s = exposure_s or self._least_exposure_s
         trigger = Trigger.SOFTWARE
         if self._release in (Release.SHUTTER, Release.EXTERNAL):
@@ -171,7 +190,7 @@ class Rig:
             code=code,
             bits=16,
             trajectory=motion,
-            noise=self.camera.noise if isinstance(self.camera, TwinCamera) else None,
+            noise=self.camera.noise if isinstance(self.camera, TwinCamera) else _noise(profile),
             details={
                 "trigger": str(self._release),
                 "lead_in_ns": lead_ns,
@@ -271,10 +290,10 @@ class Rig:
         doubts = []
         if self._release is Release.HOST:
             doubts.append("no wire times the code: that the exposure held it is trusted")
-        elif self._release is not Release.CAMERA:
+        elif self._release is not Release.CAMERA and not self._is_timed:
             doubts.append(
                 "that the camera begins to expose within the lead-in is trusted, and lost chips"
-                " would not show: cep hw timing measures its delay"
+                " would not show: cep hw timing measures its delay, for --profile"
             )
         if isinstance(self.camera, TwinCamera) and self.camera.scene.motion is None:
             doubts.append("the twin's scene rests: --linear or --trajectory moves it")
@@ -364,7 +383,8 @@ def shoot(
     count: int = 1,
     release: Release | str | None = None,
     motion: Trajectory | None = None,
-    lead_in_s: float = LEAD_IN_S,
+    profile: NoiseModel | None = None,
+    lead_in_s: float | None = None,
     exposure_s: float | None = None,
     gain_db: float | None = None,
     wait_s: float = 10.0,
@@ -383,7 +403,7 @@ def shoot(
         Serial port of the controller, or ``auto``; a twin brings its own, a burst needs none.
     count : int
         Photos, one after the other; the first that does not count ends them.
-    release, motion, lead_in_s, exposure_s, gain_db
+    release, motion, profile, lead_in_s, exposure_s, gain_db
         As of :meth:`Rig.prepare`.
     wait_s : float
         As of :meth:`Rig.shoot`.
@@ -416,6 +436,7 @@ def shoot(
                 played,
                 release=chosen,
                 motion=motion,
+                profile=profile,
                 lead_in_s=lead_in_s,
                 exposure_s=exposure_s,
                 gain_db=gain_db,
@@ -491,6 +512,12 @@ def checked_release(
                 " without"
             )
     return release
+
+
+def _noise(profile: NoiseModel | None) -> NoiseModel | None:
+    """Return a profile that has more than times."""
+    is_known = profile is not None and (profile.gain_e_per_dn or profile.full_well_e)
+    return profile if is_known else None
 
 
 def _at_white(noise: NoiseModel, record: ShotRecord) -> NoiseModel:

@@ -9,6 +9,7 @@ from emulators.tools import give_up, require_simavr
 
 from cep.files.images import write_image
 from cep.files.shot_files import read_shot, record_beside, write_shot
+from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.shutter.belt import play_on_triggers
@@ -141,6 +142,19 @@ def test_a_late_camera_loses_the_first_chips_and_the_lead_in_holds_them(twin):
 
     # 3 ms late with 1 ms of lead-in: five chips are lost, of which three were open
     assert mean(0.001) / mean(0.0035) == pytest.approx(6.5 / 9, abs=0.06)
+
+
+def test_a_measured_camera_is_waited_for(twin):
+    profile = Camera(trigger_delay_s=3e-3, trigger_jitter_s=1e-5, readout_s=2e-3)
+    late = f"{twin},delay_us=3000,row_us=20"
+    (shot,) = shoot(late, CODE, motion=PATH, profile=profile)
+    assert shot.warnings == ()
+    assert shot.record.details["lead_in_ns"] >= 1e9 * profile.lead_in_s
+    (prompt,) = shoot(f"{twin},delay_us=0", CODE, motion=PATH)
+    means = [taken.record.light(taken.frame.values).mean() for taken in (shot, prompt)]
+    assert means[0] == pytest.approx(means[1], rel=0.005)
+    with pytest.raises(ValueError, match="less than the camera's delay"):
+        shoot(late, CODE, motion=PATH, profile=profile, lead_in_s=0.001)
 
 
 def test_the_record_gives_the_light_back(twin, tmp_path):
