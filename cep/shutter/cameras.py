@@ -12,6 +12,7 @@ CAMERAS: Mapping[str, str] = MappingProxyType(
     {
         **hardware.CAMERAS,
         "folder": "cep.shutter.folder:FolderCamera",
+        "gphoto2": "cep.shutter.gphoto2:Gphoto2Camera",
         "burst": "cep.shutter.burst:BurstCamera",
         "twin": "cep.shutter.twin:TwinCamera",
     }
