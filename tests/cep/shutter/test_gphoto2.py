@@ -8,13 +8,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from emulators.tools import give_up
+from emulators.tools import give_up, require_simavr
 
 from cep.files.images import read_codes
+from cep.optics.code import ShutterCode
 from cep.shutter.cameras import CAMERAS
 from cep.shutter.gphoto2 import Gphoto2Camera
+from cep.shutter.shoot import Release, Rig
 from hw.cameras import open_camera
 from hw.cameras.camera import CameraError, CameraSettings, FrameLostError, Trigger
+from hw.drivers.cxp import Controller
+from hw.emulation.uno import EmulatedUno
 
 
 @pytest.fixture
@@ -192,3 +196,19 @@ def test_a_bulb_that_does_not_close_is_an_error(photo):
         with pytest.raises(CameraError, match="does not end, switch it off"):
             camera.read(1)
     assert device.changes[-1][0] == "exit"
+
+
+def test_a_photo_through_a_code_counts(photo):
+    require_simavr()
+    code = ShutterCode("1011001110100110", 400_000)
+    with (
+        EmulatedUno() as uno,
+        Controller.open(uno.port) as controller,
+        open_camera("gphoto2:", CAMERAS) as camera,
+    ):
+        rig = Rig(camera, controller)
+        rig.prepare(code, release=Release.HOST, lead_in_s=0.05)
+        shot = rig.shoot()
+    assert shot.counts
+    assert shot.frame.exposure_s in (0.1, 1.0)  # the listed speeds that hold code and lead-in
+    np.testing.assert_array_equal(shot.frame.values, read_codes(photo)[0])
