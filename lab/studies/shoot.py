@@ -3,12 +3,14 @@
     python -m lab.studies.shoot [SHOTS]
 
 Prints: frames that are the twin's own bits, computed anew from the pins; lost, doubled and unnoticed
-frames; PSNR of restored photos against those of ``cep simulate``; and the time beside the exposure.
+frames; PSNR of restored photos against those of ``cep simulate``; the time beside the exposure; and
+how many triggers of a belt are obeyed.
 """
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
 
 import numpy as np
@@ -17,8 +19,10 @@ from cep.codes.sources import load_code
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.restoration.restore import restore
+from cep.shutter.belt import play_on_triggers
 from cep.shutter.shoot import Release, Rig, Shot, open_rig
 from cep.shutter.twin import TwinCamera, code_values, openings_s
+from hw.emulation.uno import EmulatedUno
 from motdiff.crops import centre_crop
 from motdiff.metrics import psnr
 from motdiff.trajectory import Trajectory
@@ -93,6 +97,16 @@ def run(release: Release, shots: int) -> None:
     )
 
 
+def belt(hertz: float, triggers: int = 100) -> None:
+    """Print how many triggers a code of 6.4 ms is played on, without a camera."""
+    code = ShutterCode("1011001110100110", 400_000)
+    with EmulatedUno() as uno:
+        start = threading.Timer(0.5, uno.trigger, kwargs={"pulses": triggers, "hertz": hertz})
+        start.start()
+        result = play_on_triggers(uno.port, code, plays=triggers, wait_s=1.0)
+    print(f"| {hertz:g} triggers a second | {result.plays} of {triggers} played |", flush=True)
+
+
 if __name__ == "__main__":
     wanted_shots = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     print(
@@ -102,3 +116,5 @@ if __name__ == "__main__":
     print("|---|---|---|---|---|---|---|---|")
     for who in (Release.SHUTTER, Release.CAMERA):
         run(who, wanted_shots)
+    for frequency_hz in (10, 30, 60, 80):
+        belt(frequency_hz)
