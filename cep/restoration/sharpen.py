@@ -52,9 +52,12 @@ _MOST_IMPOSSIBLE_BESIDE_LIGHTS = 0.075
 _WRONG_PSF = 20.0
 # Residual of TV, in standard deviations of the noise, up to which the PSF explains the photo: its
 # error is then less than the noise, and the denoiser may trust it. Beyond the second its error is
-# what rings. On simulated photos: docs/decisions/restoration.md
-_EXPLAINED = 1.7
-_WRONG = 2.5
+# what rings; one that is rather known than estimated gets more credit. On simulated photos:
+# docs/decisions/restoration.md
+_EXPLAINED = 1.5
+_WRONG = 2.0
+_CREDIT_RESIDUAL = 1.25
+_CREDIT_IMPOSSIBLE = 2.0
 _LITTLE_IMPOSSIBLE = 0.05  # of the photo's standard deviation: more is ringing
 _WRONG_TV = 3.0  # factor of TV's weight
 _PNP_PX = 1_500_000  # the denoiser takes ten times as long as TV
@@ -293,8 +296,11 @@ def _suitable_method(photo: ArrayLike, psf: ArrayLike, trusted: bool) -> tuple[s
     """Name of the method, and the factor of TV's weight, as the evidence of a crop has them."""
     evidence = _evidence(photo, psf)
     residual = evidence.residual / evidence.noise
-    limit = (2 if trusted else 1) * _LITTLE_IMPOSSIBLE
-    if residual > _WRONG or evidence.impossible > limit * evidence.contrast:
+    impossible = evidence.impossible / max(evidence.contrast, _LEAST_SIGMA)
+    if trusted:
+        residual /= _CREDIT_RESIDUAL
+        impossible /= _CREDIT_IMPOSSIBLE
+    if residual > _WRONG or impossible > _LITTLE_IMPOSSIBLE:
         return "tv", _WRONG_TV
     return ("pnp" if trusted or residual < _EXPLAINED else "tv"), 1.0
 
@@ -361,8 +367,10 @@ def is_possible_light(
     clipped = clipped_mask(photo)
     if clipped.mean() > FEW_CLIPPED:
         limit = min(limit, _MOST_IMPOSSIBLE_BESIDE_LIGHTS)
+    # of the grey: deep colours have hardly any light in one channel, and its ringing is not seen
     contrast = float(np.std(luminance(photo)))
-    return _impossible(lights_cut(restored, clipped, psf)) <= limit * contrast
+    grey = luminance(lights_cut(np.asarray(restored, dtype=np.float64), clipped, psf))
+    return _impossible(grey) <= limit * contrast
 
 
 def _impossible(restored: FloatArray) -> float:

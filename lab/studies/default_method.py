@@ -1,4 +1,5 @@
-"""Which restoration is the default: pnp, TV and the Wiener filter where the path is known so well.
+"""Which restoration is the default: pnp, TV, the Wiener filter, and the one that the photo's own
+evidence chooses, where the path is known so well.
 
     python -m lab.studies.default_method PHOTOS [--count 6]
 
@@ -22,6 +23,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.pnp import pnp
 from cep.restoration.sharpen import restore_chosen
+from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
 from lab.photo_gains.photographs import load_scenes
 from motdiff.metrics import psnr_up_to_shift
@@ -37,8 +39,9 @@ NOISE = ((2.0, 100_000.0), (2.0, 10_000.0), (20.0, 10_000.0))  # e-, photo-elect
 ERRORS_PX = (0.0, 0.3, 1.0)
 METHODS = {
     "pnp": pnp,
-    "tv": lambda photo, psf: restore_chosen(photo, psf)[0],
+    "tv": tv,
     "wiener": wiener,
+    "by evidence": lambda photo, psf: restore_chosen(photo, psf)[0],
 }
 
 
