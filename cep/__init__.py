@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from cep.shutter.play import open_shutter
     from cep.shutter.playback import read_playback
     from cep.shutter.shoot import shoot
+    from cep.shutter.timing import time_camera
     from hw.device import DeviceProfile
     from motdiff.files.gyro_tables import read_gyro
     from motdiff.trajectory import Trajectory
@@ -75,6 +76,7 @@ __all__ = [
     "refine_motion",
     "restore",
     "shoot",
+    "time_camera",
     "verify",
     "write_image",
 ]
@@ -105,6 +107,7 @@ _MODULES = {
     "refine_motion": "cep.calibration.refine",
     "restore": "cep.restoration.restore",
     "shoot": "cep.shutter.shoot",
+    "time_camera": "cep.shutter.timing",
     "verify": "cep.proofs.verify.certificates",
     "write_image": "cep.files.images",
 }

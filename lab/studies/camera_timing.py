@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cep.shutter.timing import Exposed, ExposureSweep, Flash, flash_program
+from cep.shutter.exposure_sweep import Exposed, ExposureSweep, Flash, flash_program
 from hw.cxp.protocol import Hello, ResetCause
 
 UNO = Hello(

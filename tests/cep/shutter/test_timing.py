@@ -8,7 +8,10 @@ from emulators.tools import require_simavr
 
 from cep.optics.camera import Camera
 from cep.shutter.exposure_fit import Flashes, Window, fit_exposure
-from cep.shutter.timing import BUSY_LATE_NS, ExposureSweep, Flash, flash_program
+from cep.shutter.exposure_sweep import ExposureSweep, Flash, flash_program
+from cep.shutter.shoot import open_rig
+from cep.shutter.timing import BUSY_LATE_NS, time_camera
+from cep.shutter.twin import TwinCamera
 from hw.cameras.camera import CameraError
 from hw.drivers.cxp import Controller
 from hw.emulation.uno import EmulatedUno
@@ -197,3 +200,31 @@ def test_bad_input_is_one_line(cep, tmp_path, monkeypatch, options, line):
     monkeypatch.chdir(tmp_path)
     assert line in cep.refuses("hw", "timing", *options)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("error", [CameraError("lost"), KeyboardInterrupt()])
+def test_the_shutter_is_closed_whatever_ends_a_frame(monkeypatch, error):
+    require_simavr()
+    boards = []
+    edges = []
+
+    def read(camera, timeout_s):
+        boards.append(camera.uno)
+        if len(boards) < 4:
+            return whole(camera, timeout_s)
+        raise error
+
+    def close(camera):
+        edges.extend(camera.uno.edges())
+        stop(camera)
+
+    whole, stop = TwinCamera.read, TwinCamera.close
+    monkeypatch.setattr(TwinCamera, "read", read)
+    monkeypatch.setattr(TwinCamera, "close", close)
+    with pytest.raises(type(error)):
+        time_camera("twin:")
+    assert len(boards) == 4
+    assert edges
+    assert edges[-1][1] == 0
+    with open_rig("twin:") as rig:  # and what was open is free again
+        assert rig.controller is not None
