@@ -69,9 +69,10 @@ def restore(
         A name of :data:`cep.restoration.registry.METHODS`: "wiener", "inverse", "tv", "l0",
         "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser); or a function of your
         own, or its ``module:name``, that takes (photo, psf) and returns the restored photo, or a
-        Restoration. "auto" is "pnp" for a photo through a code whose motion is given. Else the
-        photo itself shows how far the PSF explains it, and decides between "pnp" and "tv", which
-        trusts the PSF less: :func:`cep.restoration.sharpen.restore_chosen`. Of more than 4
+        Restoration. "auto" is "pnp" for a photo through a code whose motion is given, and for
+        a motion that is known in time unless the photo speaks against it. Else it is "tv", which
+        trusts the PSF less, as strong as the photo asks for:
+        :func:`cep.restoration.sharpen.restore_chosen`. Of more than 4
         megapixels it is "wiener", for the time. Where nothing but the photo is given see
         :func:`cep.restoration.sharpen.sharpen`.
     anyway : bool

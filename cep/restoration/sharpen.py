@@ -50,17 +50,14 @@ _MOST_IMPOSSIBLE = 0.15  # rms, of the photo's standard deviation
 _MOST_IMPOSSIBLE_BESIDE_LIGHTS = 0.075
 # an estimated PSF errs by more than the noise: factor of its variance for the Wiener filter
 _WRONG_PSF = 20.0
-# Residual of TV, in standard deviations of the noise, up to which the PSF explains the photo: its
-# error is then less than the noise, and the denoiser may trust it. Beyond the second its error is
-# what rings; one that is rather known than estimated gets more credit. On simulated photos:
+# Residual of TV, in standard deviations of the noise, beyond which the PSF's error is what rings;
+# a PSF that is rather known than estimated gets more credit. On simulated photos:
 # docs/decisions/restoration.md
-_EXPLAINED = 1.5
 _WRONG = 2.0
 _CREDIT_RESIDUAL = 1.25
 _CREDIT_IMPOSSIBLE = 2.0
 _LITTLE_IMPOSSIBLE = 0.05  # of the photo's standard deviation: more is ringing
 _WRONG_TV = 3.0  # factor of TV's weight
-_PNP_PX = 1_500_000  # the denoiser takes ten times as long as TV
 _TV_WEIGHT = 1e-3  # the default weight, good up to this noise; above it grows as the noise's power
 _TV_SIGMA = 0.007
 # mean advantage of the PSF found over that of the path traced through it:
@@ -235,9 +232,9 @@ def restore_chosen(
 ) -> tuple[FloatArray, str]:
     """Restore a whole photo by the method that suits it and the PSF, a large one by Wiener's.
 
-    A textured crop is restored by TV with a weight for its noise. A PSF that explains it leaves
-    little more than the noise, and no impossible light: pnp restores such a photo best. One that
-    leaves much more is wrong, and TV with a greater weight rings less.
+    A textured crop is restored by TV with a weight for its noise. A PSF that leaves much more than
+    the noise, or impossible light, is wrong: TV with a greater weight rings less. Else pnp is the
+    best for a PSF that is known, and TV for one that was estimated.
 
     Parameters
     ----------
@@ -245,7 +242,7 @@ def restore_chosen(
     psf : (S, S) array_like
         Light-true.
     trusted : bool
-        Whether the PSF is rather known than estimated: pnp then, unless the photo speaks clearly
+        Whether the PSF is rather known than estimated. The photo must then speak more clearly
         against it.
 
     Returns
@@ -255,7 +252,7 @@ def restore_chosen(
     channels = channels_first(fill_clipped(photo, psf))
     if channels[0].size <= LARGE_PX:
         method, factor = _suitable_method(photo, psf, trusted)
-        if method == "pnp" and channels[0].size <= _PNP_PX:
+        if method == "pnp":
             return pnp(channels_last(channels), psf), "pnp"
         # TV divides the photo by the light that came in, and its noise with it
         weight = factor * _tv_weight(noise_sigma(channels.mean(axis=0)) / float(np.sum(psf)))
@@ -302,7 +299,7 @@ def _suitable_method(photo: ArrayLike, psf: ArrayLike, trusted: bool) -> tuple[s
         impossible /= _CREDIT_IMPOSSIBLE
     if residual > _WRONG or impossible > _LITTLE_IMPOSSIBLE:
         return "tv", _WRONG_TV
-    return ("pnp" if trusted or residual < _EXPLAINED else "tv"), 1.0
+    return ("pnp" if trusted else "tv"), 1.0
 
 
 def unexplained(photo: ArrayLike, psf: ArrayLike) -> float:

@@ -7,6 +7,7 @@ import pytest
 from cep.restoration import sharpen as sharpen_module
 from cep.restoration.pnp import pnp
 from cep.restoration.sharpen import choose_psf, is_possible_light, restore_chosen
+from cep.restoration.tv import tv
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.simulate import photograph, visible
 from motdiff.trajectory import Trajectory
@@ -54,7 +55,7 @@ def test_a_restored_photo_is_nearer_the_scene_in_every_colour():
     colours = np.stack([SCENE, 0.8 * SCENE, discs(260, seed=2)], axis=2)
     photo, sharp = taken(colours)
     image, method = restore_chosen(photo, RIGHT)
-    assert method == "pnp"
+    assert method == "tv"
     assert image.shape == photo.shape
     for channel in range(3):
         gain = psnr_up_to_shift(image[..., channel], sharp[..., channel]) - psnr_up_to_shift(
@@ -70,6 +71,9 @@ def test_a_psf_that_does_not_explain_the_photo_is_not_trusted(sigma, scale):
     image, method = restore_chosen(photo, near)
     assert method == "tv"
     assert psnr_up_to_shift(image, sharp) > psnr_up_to_shift(pnp(photo, near), sharp)
+    assert psnr_up_to_shift(image, sharp) > psnr_up_to_shift(tv(photo, near), sharp)
+    assert restore_chosen(photo, RIGHT, trusted=True)[1] == "pnp"
+    assert restore_chosen(photo, PATH.scaled(1.8).psf(33), trusted=True)[1] == "tv"
 
 
 def test_strong_noise_is_not_sharpened():
