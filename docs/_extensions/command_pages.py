@@ -53,8 +53,10 @@ def _row(parameter: Any) -> str | None:
     else:
         names = ", ".join([*parameter.opts, *parameter.secondary_opts])
         value = "" if parameter.is_flag else f" {_metavar(parameter)}"
-    meaning = _escaped(parameter.help or "").replace("|", "\\|")
-    return f"| `{names}{value}` | {meaning} |".replace("\n", " ")
+    cells = (f"`{names}{value}`", _escaped(parameter.help or ""))
+    # a bar ends a cell, even within code
+    row = " | ".join(cell.replace("|", "\\|") for cell in cells)
+    return f"| {row} |".replace("\n", " ")
 
 
 def _metavar(parameter: Any) -> str:
