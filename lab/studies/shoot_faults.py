@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -21,6 +20,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 from unittest.mock import patch
@@ -170,10 +170,14 @@ def run_twin(fault: str, folder: Path, rng: np.random.Generator) -> Outcome:
     board = FaultyTwin.boards[0] if FaultyTwin.boards else None
     open_s = _open_s(board, ended_s) if board is not None else 0.0
     expected = 0 if fault == "wrong readback" else photo - 1
+    photos = _whole(shot)
+    for spare in folder.glob("cep-*"):  # what a full disk did not take
+        photos += _whole(spare)
+    expected += fault == "full disk"
     return Outcome(
         code,
         tuple(stderr.getvalue().splitlines()),
-        _whole(shot),
+        photos,
         expected,
         open_s,
         FaultyTwin.closings == 1,
@@ -247,7 +251,7 @@ def _put(fault: str, photo: int, shot: Path) -> Iterator[None]:
     imwrite, read = tifffile.imwrite, Controller.read
 
     def full(path: Path, *arguments: object, **options: object) -> None:
-        if Path(path).name in (f"photo_{photo:03d}.tif",) and shot.parent in Path(path).parents:
+        if Path(path).name == f"photo_{photo:03d}.tif" and "cep-" not in str(path):
             raise OSError(28, "No space left on device", str(path))
         imwrite(path, *arguments, **options)
 
@@ -255,9 +259,11 @@ def _put(fault: str, photo: int, shot: Path) -> Iterator[None]:
         stored = read(controller)
         return replace(stored, bits="1" + stored.bits[1:])
 
+    spare = partial(tempfile.mkdtemp, dir=shot.parent)
     with contextlib.ExitStack() as stack:
         if fault == "full disk":
             stack.enter_context(patch("tifffile.imwrite", full))
+            stack.enter_context(patch("cep.files.shot_files.mkdtemp", spare))
         if fault == "wrong readback":
             stack.enter_context(patch.object(Controller, "read", other))
         yield
@@ -314,8 +320,6 @@ def table(times: int) -> None:
             if not outcome.passed:
                 print(outcome, file=sys.stderr)
     print(f"\n{total} of {times * len(FAULTS)} passed")
-    for spare in Path(tempfile.gettempdir()).glob("cep-*"):
-        shutil.rmtree(spare)
 
 
 if __name__ == "__main__":
