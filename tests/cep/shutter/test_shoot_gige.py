@@ -49,17 +49,20 @@ def server(tmp_path_factory):
         process.stdin.close()
 
 
-def test_every_frame_is_the_twins_own_to_the_last_bit(server):
+@pytest.mark.parametrize(
+    "count", [3, pytest.param(200, marks=pytest.mark.slow(reason="200 exposures and readouts"))]
+)
+def test_every_frame_is_the_twins_own_to_the_last_bit(server, count):
     process, port, side_px = server
     with open_camera("aravis:") as camera, Controller.open(port) as controller:
         for name in ("Width", "Height"):
             camera.features.set(name, int(side_px))
         rig = Rig(camera, controller)
         rig.prepare(CODE, release=Release.CAMERA)
-        shots = rig.series(3, keep=lambda _shot: None)
+        shots = rig.series(count, keep=lambda _shot: None)
         own = [np.load(process.stdout.readline().strip()) for _ in shots]
-    assert [shot.record.problems for shot in shots] == [()] * 3
-    assert [shot.record.details["plays"] for shot in shots] == [1] * 3
+    assert [shot.record.problems for shot in shots] == [()] * count
+    assert [shot.record.details["plays"] for shot in shots] == [1] * count
     for shot, values in zip(shots, own, strict=True):
         np.testing.assert_array_equal(shot.frame.values, values)
     assert shots[0].frame.values.std() > 100
