@@ -28,7 +28,7 @@ TABLE = Path(__file__).with_name("gains.csv")
 # distances at which a case of the table counts e^-1/2: a third of a step between its cases
 _DECADES = 0.4  # of light and of read noise
 _OCTAVES = 0.5  # of the extent
-_BENT = 1.0  # of a bent path from a straight one
+_BENT = 2.0  # straight and bent paths count half a step apart
 
 
 @dataclass(frozen=True, kw_only=True)
