@@ -27,6 +27,7 @@ _DITHER = (0.0, -0.3, 0.3, -0.15, 0.15, 0.22, -0.22)  # of a flash
 _PLACES = (0.0, 0.5, 0.0, 1.0)  # of the readout, at which edges are timed
 _JITTER_SIGMAS = 8.0  # within a flash
 _JITTER_FRAMES = 6
+_SCATTERED_SHARE = 0.05  # of the rows: a readout leaves no gaps
 _COMMON_SHARE = 0.6  # of an exposure: a longer readout leaves no time that all rows share
 
 
@@ -203,7 +204,8 @@ class ExposureSweep:
 
     def _earliest_lit(self) -> tuple[float, float]:
         """Halve the time in which the first row begins: light up to its end shows, and the row."""
-        if not self._visible(self._lit_until(LATEST_S, within_s=LATEST_S)).any():
+        longest = self._lit_until(LATEST_S, within_s=LATEST_S)
+        if not self._visible(longest).any():
             raise CameraError(
                 f"no light of the controller's output reached the camera within"
                 f" {LATEST_S * 1e3:g} ms of its trigger: check the light, and the wire of the"
@@ -225,20 +227,40 @@ class ExposureSweep:
     def _read_out(self, upper_s: float, lower_s: float) -> Window:
         """Row time from the frames in which light ended before the last row began."""
         begin_s = (upper_s + lower_s) / 2
+        rows = len(self._black)
         ends_s, counts, downward = [begin_s], [0], True
-        for frame in self._search:
-            bright = np.flatnonzero(self._visible(frame))
-            rows = len(frame.brightness)
-            if 0 < len(bright) < 0.98 * rows:
+        for frame in self._search[1:]:
+            if (count := self._rows_begun(frame)) is not None:
                 ends_s.append(float(frame.pulses_s[-1, 1]))
-                counts.append(len(bright))
-                downward = bool(bright.mean() < rows / 2)
+                counts.append(abs(count))
+                downward = count > 0
         if len(counts) == 1:
             return Window(begin_s, self._length_s)
         row_s = float(np.polyfit(counts, ends_s, 1)[0])
         if downward:
             return Window(begin_s, self._length_s, row_s)
         return Window(begin_s + row_s * (rows - 1), self._length_s, -row_s)
+
+    def _rows_begun(self, frame: Exposed) -> int | None:
+        """Rows that a frame's light met, below 0 from the bottom; None if all or none did."""
+        light = frame.brightness - self._black
+        longest = self._search[0].brightness - self._black
+        bright = self._visible(frame)
+        if not bright.any():
+            return None
+        # of the rows alone that could be seen: dark parts of a scene are dark in any case
+        share = float(np.median(light[bright] / np.maximum(longest[bright], self._noise_dark)))
+        rows = np.flatnonzero(share * longest > 2 * _VISIBLE_SIGMAS * self._noise_dark)
+        met = bright[rows]
+        if met.all() or not met.any():
+            return None
+        half = len(rows) // 2
+        downward = met[:half].mean() > met[half:].mean()
+        count = rows[met].max() + 1 if downward else len(bright) - rows[met].min()
+        begun = rows < count if downward else rows >= len(bright) - count
+        if np.mean(met != begun) > _SCATTERED_SHARE:
+            return None
+        return int(count if downward else -count)
 
     def _first_row(self, window: Window) -> int:
         return 0 if window.row_s >= 0 else len(self._black) - 1

@@ -6,6 +6,7 @@ shipped Uno firmware's flashes of 50 us. The light differs by 0.3 % from flash t
 (docs/hardware.md).
 
     python -m lab.studies.camera_timing
+    python -m lab.studies.camera_timing --twin   # over the emulated board, which states its length
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cep.shutter.exposure_fit import ExposureTiming
 from cep.shutter.exposure_sweep import Exposed, ExposureSweep, Flash, flash_program
+from cep.shutter.timing import time_camera
 from hw.cxp.protocol import Hello, ResetCause
 
 UNO = Hello(
@@ -93,18 +96,31 @@ def random_camera(seed: int) -> tuple[SimulatedCamera, float]:
     ), stated_s
 
 
+def simulated(camera: SimulatedCamera, stated_s: float) -> ExposureTiming:
+    sweep = ExposureSweep(camera, length_s=stated_s, flash_s=50e-6, earliest_s=17.25e-6)
+    return sweep.run()[0]
+
+
+def on_twin(camera: SimulatedCamera, seed: int) -> ExposureTiming:
+    figures = {"delay": camera.start_s, "jitter": camera.jitter_s, "row": camera.row_s}
+    address = ",".join(f"{name}_us={1e6 * value!r}" for name, value in figures.items())
+    timed = time_camera(f"twin:{address},seed={seed}", exposure_s=camera.length_s)
+    camera.frames = timed.frames
+    return timed.timing
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cameras", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--twin", action="store_true")
     arguments = parser.parse_args()
     print("seed  start_us  err   length_us  err   jitter_us  est   row_us   err_%   frames  s  in")
     covered = np.zeros(4, dtype=int)
     for seed in range(arguments.first, arguments.first + arguments.cameras):
         camera, stated_s = random_camera(seed)
         begin = time.perf_counter()
-        sweep = ExposureSweep(camera, length_s=stated_s, flash_s=50e-6, earliest_s=17.25e-6)
-        timing, _ = sweep.run()
+        timing = on_twin(camera, seed) if arguments.twin else simulated(camera, stated_s)
         truths = (camera.start_s, camera.length_s, camera.jitter_s, camera.row_s)
         estimates = (timing.start, timing.length, timing.jitter, timing.row)
         inside = [truth in estimate for truth, estimate in zip(truths, estimates, strict=True)]

@@ -173,6 +173,14 @@ def test_the_command_times_a_twin(cep, tmp_path, row_us):
     assert cep.succeeds("camera", "list", file)["camera"]["readout_s"] == camera.readout_s
 
 
+def test_dark_parts_of_a_scene_are_no_readout():
+    require_simavr()
+    timed_twin = time_camera("twin:delay_us=145.04,jitter_us=1.51,seed=9", exposure_s=6.8035e-3)
+    assert timed_twin.timing.start.value == pytest.approx(145.04e-6, abs=TOLERANCE_S)
+    assert timed_twin.timing.row.value == pytest.approx(0, abs=5e-9)
+    assert timed_twin.dead_s > 0
+
+
 def test_an_exposure_holds_its_code_after_the_lead_in():
     camera = Camera(
         trigger_delay_s=1e-3, trigger_jitter_s=1e-5, readout_s=5e-3, exposure_offset_s=2e-5
