@@ -257,8 +257,8 @@ class ExposureSweep:
         half = len(rows) // 2
         downward = met[:half].mean() > met[half:].mean()
         count = rows[met].max() + 1 if downward else len(bright) - rows[met].min()
-        begun = rows < count if downward else rows >= len(bright) - count
-        if np.mean(met != begun) > _SCATTERED_SHARE:
+        expected = rows < count if downward else rows >= len(bright) - count
+        if np.mean(met != expected) > _SCATTERED_SHARE:
             return None
         return int(count if downward else -count)
 
