@@ -134,11 +134,13 @@ def _page(timed: TimedCamera, output: Path, picture: Path, *, lead_in_s: float) 
     ]
     if timed.dead_s is not None:
         rows.append(("dead time", "", "0", f"{1e6 * timed.dead_s:.0f}"))
-    offset_us = 1e6 * (figures.length.value - timed.stated_s)
+    start, length = (
+        f"{1e6 * value.value:.2f} ± {5e5 * (value.upper - value.lower):.2f} us"
+        for value in (figures.start, figures.length)
+    )
     return [
-        f"{timed.camera} exposes {1e6 * figures.start.value:.2f} us after its trigger, for"
-        f" {1e6 * figures.length.value:.2f} us: {abs(offset_us):.2f} us"
-        f" {'longer' if offset_us >= 0 else 'shorter'} than it states",
+        f"{timed.camera} exposes {start} after its trigger, for {length}; it states"
+        f" {1e6 * timed.stated_s:.2f} us",
         Table("us", ("", "estimate", "from", "to"), rows),
         f"{output}: the camera with its times; a code wants --lead-in {1e6 * lead_in_s:.0f}us;"
         f" the window is in {picture}",

@@ -29,6 +29,11 @@ _SHORTEST_FLASH_S = 50e-6
 _READY_S = 2.0
 _READOUT_S = 3.0
 _CLIPPED_SHARE = 1e-3  # of a row
+_BLACK_SHARE = 0.05
+_BLACK_CLIPPED = (
+    "dark pixels are cut at code value 0, which shortens the exposure: raise the camera's black"
+    " level, or take more light"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +53,7 @@ class TimedCamera:
         where the camera has no clock.
     camera, serial : str
     frames : int
+    warnings : tuple of str
     """
 
     timing: ExposureTiming
@@ -58,6 +64,7 @@ class TimedCamera:
     camera: str
     serial: str
     frames: int
+    warnings: tuple[str, ...] = ()
 
     def profile(self, measured: CameraProfile | None = None) -> CameraProfile:
         """Return a camera with the times, for ``--camera`` of the commands and ``--lead-in``."""
@@ -93,6 +100,7 @@ class TimedCamera:
             "light_energy_sigma": timing.energy,
             "release": self.release,
             "frames": self.frames,
+            "warnings": list(self.warnings),
         }
 
     def save_figure(self, path: Path) -> None:
@@ -176,6 +184,7 @@ def time_camera(
         camera=bench.camera,
         serial=bench.serial,
         frames=sweep.taken,
+        warnings=(_BLACK_CLIPPED,) if bench.black_share > _BLACK_SHARE else (),
     )
 
 
@@ -206,6 +215,7 @@ class _Bench:
         self.stated_s = settings.exposure_s
         self.starts_ns: list[int | None] = []
         self.camera = self.serial = ""
+        self.black_share = 0.0  # of the pixels at code value 0 in the first frame, a dark one
 
     def expose(self, flash: Flash, progress: Callable[[float, str], None]) -> Exposed:
         """Take a frame under a flash."""
@@ -225,6 +235,8 @@ class _Bench:
         except BaseException as error:
             controller.link.abort_after(error)
             raise
+        if not self.starts_ns:
+            self.black_share = float(np.mean(frame.values == 0))
         self.starts_ns.append(frame.timestamp_ns)
         self.camera, self.serial = frame.camera, frame.serial
         progress(len(self.starts_ns) / MOST_FRAMES, f"frame {len(self.starts_ns)}")

@@ -179,6 +179,9 @@ def test_dark_parts_of_a_scene_are_no_readout():
     assert timed_twin.timing.start.value == pytest.approx(145.04e-6, abs=TOLERANCE_S)
     assert timed_twin.timing.row.value == pytest.approx(0, abs=5e-9)
     assert timed_twin.dead_s > 0
+    assert not timed_twin.warnings
+    # 64 code values of pedestal are less than the read noise in so little light
+    assert "black level" in time_camera("twin:photons=300").warnings[0]
 
 
 def test_an_exposure_holds_its_code_after_the_lead_in():
