@@ -12,11 +12,11 @@ from cep.restoration.blur import SMALLEST_POWER, Blur, Border, channels_last, no
 from cep.restoration.noise import check_noise, fit_spectrum
 from motdiff.types import FloatArray
 
-Denoiser = Callable[[FloatArray, float], FloatArray]
-_STEPS = 8
-_FIRST_SIGMA = 0.1  # first level of the denoiser, of full scale: docs/decisions/restoration.md
-_PRIOR = 0.4  # weight of the prior; at the paper's 0.23 noise comes through more often
-_SMALLEST_VARIANCE = 1e-10  # keeps the levels apart from 0 on noise-free photos
+Denoiser = Callable[[FloatArray, FloatArray], FloatArray]
+STEPS = 6
+FIRST_SIGMA = 0.1  # first level of the denoiser, of full scale: docs/decisions/restoration.md
+PRIOR = 0.4  # weight of the prior; at the paper's 0.23 noise comes through more often
+_SMALLEST_VARIANCE = 1e-6  # keeps the levels apart from 0 on noise-free photos
 
 
 def pnp(
@@ -31,9 +31,10 @@ def pnp(
 ) -> FloatArray:
     """Minimise ``|A x - y|^2 / 2N + 0.4 R(z)`` with x = z: noise N, the prior R a denoiser's.
 
-    Eight times, x minimises ``|A x - y|^2 + a |x - z|^2`` with ``a = 0.4 N / s^2``, and z is x
-    denoised at the level s, which falls log-evenly from 0.1 to the photo's noise. The first x is
-    the Wiener filter's. The scene outside a real border is unknown, and restored as well. Photo
+    Six times, x minimises ``|A x - y|^2 + a |x - z|^2`` with ``a = 0.4 N / s^2``, and z is x
+    denoised at the level s, which falls log-evenly from 0.1 to the photo's noise. Noise below
+    0.001 is taken for that, the least that the network was trained on. The first x is the Wiener
+    filter's. The scene outside a real border is unknown, and restored as well. Photo
     and PSF are first divided by the PSF's sum.
 
     Parameters
@@ -47,8 +48,8 @@ def pnp(
     noise_variance : float, optional
         N itself, in full-scale units squared per pixel.
     denoiser : callable, optional
-        Takes an (H, W) image and the standard deviation of its white noise; the trained one of
-        :mod:`cep.restoration.denoiser` when omitted.
+        Takes images (C, H, W) and the standard deviations (C,) of their white noise; the trained
+        one of :mod:`cep.restoration.denoiser` when omitted.
     border, border_rounds
         As :class:`cep.restoration.blur.Blur` and its method ``extend``.
 
@@ -82,26 +83,28 @@ def pnp(
         from cep.restoration.denoiser.weights import load_denoiser
 
         denoiser = load_denoiser()
-    restored = np.empty_like(channels)
-    for channel, out in zip(channels, restored, strict=True):
-        N = noise_variance
+    frame = Blur(kernel, channels.shape[1:], "periodic")
+    N = np.empty(len(channels))
+    extended = np.empty((len(channels), *blur.grid_shape))
+    ratio = np.empty(len(channels))
+    for i, channel in enumerate(channels):
+        known = noise_variance
         if camera is not None:
-            N = float(camera.noise_variance(duty * channel).mean())
-        if N is not None:
-            N /= duty**2  # the channel was divided by the duty
-        frame = Blur(kernel, channel.shape, "periodic")
-        spectrum = fit_spectrum(channel, frame, noise_variance=N)
-        N = max(spectrum.noise, _SMALLEST_VARIANCE)
-        ratio = N / spectrum.scene
-        extended = blur.extend(channel, noise_to_scene=ratio, rounds=border_rounds)
-        noise_sigma = float(np.sqrt(N))
-        first, *later = np.geomspace(max(_FIRST_SIGMA, noise_sigma), noise_sigma, _STEPS)
-        # the first step has no z yet: the Wiener filter stands in
-        power = np.abs(blur.H) ** 2 + ratio * power_law(blur.grid_shape)
-        X = np.conj(blur.H) * blur.spectrum(extended) / np.maximum(power, SMALLEST_POWER)
-        z = denoiser(blur.image(X), float(first))
-        for sigma in later:
-            x = blur.nearest(channel, z, _PRIOR * N / sigma**2)
-            z = denoiser(x, float(sigma))
-        out[:] = blur.crop(z)
-    return channels_last(restored)
+            known = float(camera.noise_variance(duty * channel).mean())
+        if known is not None:
+            known /= duty**2  # the channel was divided by the duty
+        spectrum = fit_spectrum(channel, frame, noise_variance=known)
+        N[i] = max(spectrum.noise, _SMALLEST_VARIANCE)
+        ratio[i] = N[i] / spectrum.scene
+        extended[i] = blur.extend(channel, noise_to_scene=ratio[i], rounds=border_rounds)
+    # the first step has no z yet: the Wiener filter stands in
+    power = np.abs(blur.H) ** 2 + ratio[:, None, None] * power_law(blur.grid_shape)
+    X = np.conj(blur.H) * blur.spectrum(extended) / np.maximum(power, SMALLEST_POWER)
+    noise_sigma = np.sqrt(N)
+    first, *later = np.geomspace(np.maximum(FIRST_SIGMA, noise_sigma), noise_sigma, STEPS)
+    z = denoiser(blur.image(X), first)
+    for sigma in later:
+        a = PRIOR * N / sigma**2
+        x = np.stack([blur.nearest(*each) for each in zip(channels, z, a, strict=True)])
+        z = denoiser(x, sigma)
+    return channels_last(blur.crop(z))

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-WIDTHS = (32, 48, 64)
+WIDTHS = (48, 64, 96)
 _SHUFFLE = 2  # the finest features are at half the resolution: four times as quick
 
 

@@ -18,6 +18,7 @@ from motdiff.weights_io import filled, write_with_card
 SCHEMA = "cep.denoiser/1"
 SHIPPED = Path(__file__).with_name("denoiser.safetensors")
 """The weights in the package."""
+_WRAP_PX = 16
 
 
 def write_weights(
@@ -44,8 +45,11 @@ def read_card(path: Path | str = SHIPPED) -> dict[str, Any]:
     return weights_io.read_card(path, SCHEMA)
 
 
-def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], FloatArray]:
-    """Return a file's denoiser: a function of an (H, W) image and the sigma of its noise.
+def load_denoiser(
+    path: Path | str = SHIPPED,
+) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    """Return a file's denoiser: a function of images (C, H, W), each one period of its scene and
+    denoised by itself, and the standard deviations (C,) of their noise.
 
     Levels above the trained ones are equivalent to a darker photo, see :class:`DenoisingNetwork`.
 
@@ -55,12 +59,16 @@ def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, float], F
         If the file is not one of ours.
     """
     network = filled(DenoisingNetwork(), path, schema=SCHEMA)
+    # a quarter quicker on processors
+    network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def denoised(image: FloatArray, sigma: float) -> FloatArray:
+    def denoise(images: FloatArray, sigma: FloatArray) -> FloatArray:
+        # the network takes what lies outside for dark, and was not trained at its border
+        around = np.pad(images, ((0, 0), (_WRAP_PX, _WRAP_PX), (_WRAP_PX, _WRAP_PX)), mode="wrap")
+        batch, levels = (torch.from_numpy(array).float() for array in (around[:, None], sigma))
         with torch.inference_mode():
-            output = network(
-                torch.from_numpy(image[None, None]).float(), torch.tensor([float(sigma)])
-            )
-        return np.asarray(output[0, 0].numpy(), dtype=np.float64)
+            output = network(batch.contiguous(memory_format=torch.channels_last), levels)
+        inner = output[:, 0, _WRAP_PX:-_WRAP_PX, _WRAP_PX:-_WRAP_PX]
+        return np.asarray(inner.numpy(), dtype=np.float64)
 
-    return denoised
+    return denoise

@@ -69,7 +69,7 @@ def test_without_a_denoiser_the_wiener_filter_s_error_shrinks_by_a_closed_form(s
     transfer = otf(psf, photo.shape)
     duty = psf.sum()
     exact = np.fft.fft2(photo) / transfer
-    sigmas = np.geomspace(0.1, np.sqrt(variance) / duty, 8)
+    sigmas = np.geomspace(0.1, np.sqrt(variance) / duty, 6)
     weights = 0.4 * variance / duty**2 / sigmas[1:] ** 2
     shares = np.prod([a / (np.abs(transfer / duty) ** 2 + a) for a in weights], axis=0)
     expected = np.fft.ifft2(exact + shares * (np.fft.fft2(first) - exact)).real
@@ -114,7 +114,7 @@ def test_levels_fall_log_evenly_to_the_noise_at_full_exposure(scene):
     told = []
 
     def noted(image, sigma):
-        told.append(sigma)
+        told.append(float(sigma[0]))
         return image
 
     psf = coded_psf()
@@ -157,7 +157,7 @@ def test_scale_is_that_of_the_full_exposure_and_colour_is_per_channel(scene):
     assert result.image.shape == photo.shape
     np.testing.assert_allclose(result.image.mean(axis=(0, 1)), truth.mean(axis=(0, 1)), rtol=0.02)
     assert psnr(result.image, truth) > psnr(photo / psf.sum(), truth) + 5
-    np.testing.assert_allclose(result.image[..., 1], pnp(photo[..., 1], psf), atol=1e-9)
+    np.testing.assert_allclose(result.image[..., 1], pnp(photo[..., 1], psf), atol=1e-5)
 
 
 @pytest.mark.parametrize("photons", [1000, 20_000, 1e6])
