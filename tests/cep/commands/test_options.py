@@ -96,7 +96,10 @@ def refused(cep, workplace):
 
 
 def test_all_commands_are_walked():
-    assert {name for name in functions() if not name.startswith("hw ")} - {"upload"} == set(FINE)
+    assert {name for name in functions() if not name.startswith("hw ")} - {
+        "shoot",
+        "upload",
+    } == set(FINE)
     assert {"--steps", "--photons", "--focal", "--flips", "--workers"} <= {
         name for _, name, _ in numeric()
     }
