@@ -15,6 +15,7 @@ from motdiff.types import FloatArray
 Denoiser = Callable[[FloatArray, FloatArray], FloatArray]
 STEPS = 6
 FIRST_SIGMA = 0.1  # first level of the denoiser, of full scale: docs/decisions/restoration.md
+MOST_RATIO = 60  # of the first level to the last: larger steps leave a texture on even tones
 PRIOR = 0.4  # weight of the prior; at the paper's 0.23 noise comes through more often
 _SMALLEST_VARIANCE = 1e-6  # keeps the levels apart from 0 on noise-free photos
 
@@ -32,10 +33,10 @@ def pnp(
     """Minimise ``|A x - y|^2 / 2N + 0.4 R(z)`` with x = z: noise N, the prior R a denoiser's.
 
     Six times, x minimises ``|A x - y|^2 + a |x - z|^2`` with ``a = 0.4 N / s^2``, and z is x
-    denoised at the level s, which falls log-evenly from 0.1 to the photo's noise. Noise below
-    0.001 is taken for that, the least that the network was trained on. The first x is the Wiener
-    filter's. The scene outside a real border is unknown, and restored as well. Photo
-    and PSF are first divided by the PSF's sum.
+    denoised at the level s, which falls log-evenly from 0.1 (60 times the noise, where that is
+    less) to the photo's noise. Noise below 0.001 is taken for that, the least that the network was
+    trained on. The first x is the Wiener filter's. The scene outside a real border is unknown, and
+    restored as well. Photo and PSF are first divided by the PSF's sum.
 
     Parameters
     ----------
@@ -88,12 +89,12 @@ def pnp(
     extended = np.empty((len(channels), *blur.grid_shape))
     ratio = np.empty(len(channels))
     for i, channel in enumerate(channels):
-        known = noise_variance
+        variance = noise_variance
         if camera is not None:
-            known = float(camera.noise_variance(duty * channel).mean())
-        if known is not None:
-            known /= duty**2  # the channel was divided by the duty
-        spectrum = fit_spectrum(channel, frame, noise_variance=known)
+            variance = float(camera.noise_variance(duty * channel).mean())
+        if variance is not None:
+            variance /= duty**2  # the channel was divided by the duty
+        spectrum = fit_spectrum(channel, frame, noise_variance=variance)
         N[i] = max(spectrum.noise, _SMALLEST_VARIANCE)
         ratio[i] = N[i] / spectrum.scene
         extended[i] = blur.extend(channel, noise_to_scene=ratio[i], rounds=border_rounds)
@@ -101,10 +102,11 @@ def pnp(
     power = np.abs(blur.H) ** 2 + ratio[:, None, None] * power_law(blur.grid_shape)
     X = np.conj(blur.H) * blur.spectrum(extended) / np.maximum(power, SMALLEST_POWER)
     noise_sigma = np.sqrt(N)
-    first, *later = np.geomspace(np.maximum(FIRST_SIGMA, noise_sigma), noise_sigma, STEPS)
+    first_sigma = np.maximum(np.minimum(FIRST_SIGMA, MOST_RATIO * noise_sigma), noise_sigma)
+    first, *later = np.geomspace(first_sigma, noise_sigma, STEPS)
     z = denoiser(blur.image(X), first)
     for sigma in later:
         a = PRIOR * N / sigma**2
-        x = np.stack([blur.nearest(*each) for each in zip(channels, z, a, strict=True)])
+        x = np.stack(list(map(blur.nearest, channels, z, a)))
         z = denoiser(x, sigma)
     return channels_last(blur.crop(z))

@@ -233,8 +233,8 @@ def restore_chosen(
     """Restore a whole photo by the method that suits it and the PSF, a large one by Wiener's.
 
     A textured crop is restored by TV with a weight for its noise. A PSF that leaves much more than
-    the noise, or impossible light, is wrong: TV with a greater weight rings less. Else pnp is the
-    best for a PSF that is known, and TV for one that was estimated.
+    the noise, or impossible light, is wrong: TV with a greater weight rings less. With any
+    other pnp is the best.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def _suitable_method(photo: ArrayLike, psf: ArrayLike, trusted: bool) -> tuple[s
         impossible /= _CREDIT_IMPOSSIBLE
     if residual > _WRONG or impossible > _LITTLE_IMPOSSIBLE:
         return "tv", _WRONG_TV
-    return ("pnp" if trusted else "tv"), 1.0
+    return "pnp", 1.0
 
 
 def unexplained(photo: ArrayLike, psf: ArrayLike) -> float:

@@ -71,6 +71,9 @@ def restoration_rows(
 
 
 def _middle(scene: FloatArray) -> FloatArray:
-    height, width = (min(side, _SIDE_PX) for side in scene.shape[:2])
-    top, left = (scene.shape[0] - height) // 2, (scene.shape[1] - width) // 2
-    return scene[top : top + height, left : left + width]
+    height, width = scene.shape[:2]
+    rows, columns = (
+        slice((side - cut) // 2, (side + cut) // 2)
+        for side, cut in ((height, min(height, _SIDE_PX)), (width, min(width, _SIDE_PX)))
+    )
+    return scene[rows, columns]

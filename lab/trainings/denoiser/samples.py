@@ -84,8 +84,8 @@ class Photos:
         for dims in ((3,), (2,)):
             flipped = torch.rand(count, 1, 1, 1, generator=draw, device=device) < 0.5
             display = torch.where(flipped, display.flip(dims), display)
-        turned = torch.rand(count, 1, 1, 1, generator=draw, device=device) < 0.5
-        display = torch.where(turned, display.transpose(2, 3), display)
+        is_turned = torch.rand(count, 1, 1, 1, generator=draw, device=device) < 0.5
+        display = torch.where(is_turned, display.transpose(2, 3), display)
         return torch.where(
             display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055).clamp(min=0) ** 2.4
         )
@@ -110,9 +110,9 @@ def levels(bounds: tuple[float, float], count: int, draw: torch.Generator) -> Te
     return uniform((math.log(bounds[0]), math.log(bounds[1])), (count,), draw).exp()
 
 
-def white_noise(like: Tensor, sigma: Tensor, draw: torch.Generator) -> Tensor:
-    """Draw white noise of levels (B,), of the shape (B, 1, H, W) of ``like``."""
-    return column(sigma) * torch.randn(like.shape, generator=draw, device=like.device)
+def white_noise(images: Tensor, sigma: Tensor, draw: torch.Generator) -> Tensor:
+    """Draw white noise of levels (B,), of the shape (B, 1, H, W) of ``images``."""
+    return column(sigma) * torch.randn(images.shape, generator=draw, device=images.device)
 
 
 def psfs(paths: Tensor, count: int, draw: torch.Generator) -> tuple[Tensor, Tensor]:
@@ -134,8 +134,8 @@ def psfs(paths: Tensor, count: int, draw: torch.Generator) -> tuple[Tensor, Tens
     path = path * uniform((0.25, 1.0), (count, 1, 1), draw)
     signs = torch.randint(2, (count, 2, 1), generator=draw, device=device) * 2 - 1
     path = path * signs
-    turned = torch.rand(count, 1, 1, generator=draw, device=device) < 0.5
-    path = torch.where(turned, path.flip(1), path)
+    is_turned = torch.rand(count, 1, 1, generator=draw, device=device) < 0.5
+    path = torch.where(is_turned, path.flip(1), path)
     times = torch.linspace(0, 1, _TIMES, device=device)
     light = _codes(count, times, draw)
     modes = torch.arange(1, _ERROR_MODES + 1, device=device)

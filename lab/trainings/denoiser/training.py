@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from cep.restoration.denoiser.network import DenoisingNetwork
 from cep.restoration.denoiser.weights import write_weights
-from cep.restoration.pnp import FIRST_SIGMA, PRIOR, STEPS
+from cep.restoration.pnp import FIRST_SIGMA, MOST_RATIO, PRIOR, STEPS
 from lab.trainings.denoiser import samples
 from lab.trainings.denoiser.samples import Photos, column
 
@@ -125,7 +125,7 @@ class Trainer:
         N = sigma.square()
         wiener = power + column(N / strength) * _power_law(side, photos.device)
         X = H.conj() * Y / wiener.clamp(min=_SMALLEST_POWER)
-        first = sigma.clamp(min=FIRST_SIGMA)
+        first = torch.maximum((MOST_RATIO * sigma).clamp(max=FIRST_SIGMA), sigma)
         z = self._denoised(torch.fft.irfft2(X, (side, side)), first)
         for step in range(1, STEPS):
             level = first * (sigma / first) ** (step / (STEPS - 1))
