@@ -35,7 +35,7 @@ def photo_of(scene, path, code=None, *, seed=0, size=33):
     [
         (STRAIGHT, None, "pnp"),  # the same in both directions
         (CURVED.reversed(), CODE, "pnp"),
-        (CURVED, None, "tv"),
+        (CURVED, None, "pnp"),
         (Trajectory.from_samples(CURVED.xy, direction="known"), None, "pnp"),
     ],
 )

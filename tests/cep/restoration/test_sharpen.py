@@ -43,7 +43,7 @@ def still():
 def test_a_blurred_photo_is_restored_and_it_is_said_with_what():
     found = sharpen(PHOTO, FOUND)
     assert psnr_up_to_shift(found.image, SHARP) > psnr_up_to_shift(PHOTO, SHARP) + 3
-    assert (found.kept, found.method, found.psf_source) == (False, "tv", "photo")
+    assert (found.kept, found.method, found.psf_source) == (False, "pnp", "photo")
     assert (
         found.summary
         == "The photo was restored with the blur kernel found in it (confidence 0.90), by tv"
@@ -131,7 +131,7 @@ def test_deblur_of_a_photo_alone_writes_its_bits_and_says_first_what_it_did(
     write_image("photo.png", PHOTO, bits=16)
     estimated(FOUND)
     result = cep.succeeds("deblur", "photo.png")
-    assert (result["method"], result["psf_source"], result["kept"]) == ("tv", "photo", False)
+    assert (result["method"], result["psf_source"], result["kept"]) == ("pnp", "photo", False)
     assert read_photo("photo_sharp.png").bits == 16
     estimated(still())
     cep("deblur", "photo.png", "--force")
