@@ -302,8 +302,8 @@ def _suitable_method(photo: ArrayLike, psf: ArrayLike, trusted: bool) -> tuple[s
     return "pnp", 1.0
 
 
-def unexplained(photo: ArrayLike, psf: ArrayLike) -> float:
-    """Return the residual and the impossible light that a PSF leaves of a photo's contrast.
+def unexplained(photo: ArrayLike, psf: ArrayLike) -> tuple[float, bool]:
+    """Return what a PSF leaves of a photo's contrast, and whether it is little enough to be right.
 
     Parameters
     ----------
@@ -313,11 +313,19 @@ def unexplained(photo: ArrayLike, psf: ArrayLike) -> float:
 
     Returns
     -------
-    float
-        Their sum, rms, as a share of the standard deviation, of a textured crop.
+    share : float
+        Residual and impossible light, rms, as a share of the standard deviation of a textured
+        crop.
+    explains : bool
+        As of a PSF that is rather known than estimated.
     """
     evidence = _evidence(photo, psf)
-    return (evidence.residual + evidence.impossible) / max(evidence.contrast, _LEAST_SIGMA)
+    contrast = max(evidence.contrast, _LEAST_SIGMA)
+    explains = (
+        evidence.residual <= _CREDIT_RESIDUAL * _WRONG * evidence.noise
+        and evidence.impossible <= _CREDIT_IMPOSSIBLE * _LITTLE_IMPOSSIBLE * contrast
+    )
+    return (evidence.residual + evidence.impossible) / contrast, explains
 
 
 def _evidence(photo: ArrayLike, psf: ArrayLike) -> _Evidence:

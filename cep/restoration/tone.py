@@ -37,5 +37,6 @@ def looks_linear(photo: ArrayLike, psf: ArrayLike) -> bool:
     >>> looks_linear(light, kernel), looks_linear(to_linear(light), kernel)
     (False, True)
     """
-    as_light = unexplained(to_display(np.clip(photo, 0, 1)), psf)
-    return bool(unexplained(photo, psf) > np.exp(_CLEARLY) * as_light)
+    as_light, explains = unexplained(to_display(np.clip(photo, 0, 1)), psf)
+    as_read, _ = unexplained(photo, psf)
+    return explains and bool(as_read > np.exp(_CLEARLY) * as_light)  # a wrong PSF fits neither
