@@ -59,8 +59,8 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
             metavar="NAME",
             help=(
                 ", ".join(f"{method.name} ({method.about})" for method in METHODS.values())
-                + ", or module:name; auto is pnp for a coded photo along its motion, and for a"
-                " known motion that fits the photo, else tv."
+                + ", or module:name; auto is pnp for a coded photo along its motion, and where"
+                " the photo shows that the motion fits, else tv."
             ),
         ),
     ] = "auto"

@@ -70,8 +70,8 @@ def restore(
         "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser); or a function of your
         own, or its ``module:name``, that takes (photo, psf) and returns the restored photo, or a
         Restoration. "auto" is "pnp" for a photo through a code whose motion is given, and for
-        a motion that is known in time unless the photo speaks against it. Else it is "tv", which
-        trusts the PSF less, as strong as the photo asks for:
+        a motion that is known in time unless the photo speaks against it. Else the photo
+        shows how well the PSF fits, and decides between it and "tv", which trusts the PSF less:
         :func:`cep.restoration.sharpen.restore_chosen`. Of more than 4
         megapixels it is "wiener", for the time. Where nothing but the photo is given see
         :func:`cep.restoration.sharpen.sharpen`.

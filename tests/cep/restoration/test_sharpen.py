@@ -46,7 +46,7 @@ def test_a_blurred_photo_is_restored_and_it_is_said_with_what():
     assert (found.kept, found.method, found.psf_source) == (False, "pnp", "photo")
     assert (
         found.summary
-        == "The photo was restored with the blur kernel found in it (confidence 0.90), by tv"
+        == "The photo was restored with the blur kernel found in it (confidence 0.90), by pnp"
     )
     assert found.warnings == ("of the PSF",)
     assert found.psf_confidence == 0.9
