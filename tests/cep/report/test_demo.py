@@ -122,7 +122,7 @@ def test_no_set_through_a_device_that_cannot_play_it(coded, monkeypatch):
 def test_knowing_the_order_costs_little_where_the_path_is_exact(calibrated):
     # its code stands an error of the path of 0.2 px as well, which costs some of what the order
     # is worth on a path that is exact; that of the open photo alone stands none
-    assert calibrated.advised_shot.psnr_db > calibrated.shot_from_open.psnr_db - 0.3
+    assert calibrated.advised_shot.psnr_db > calibrated.shot_from_open.psnr_db - 0.5
 
 
 @pytest.mark.slow  # a blind calibration
