@@ -18,7 +18,7 @@
 #
 # **Question.** How does one blurred photo lead to a shutter code, and what is the code worth?
 # **Answer.** In four calls: `estimate_motion`, `optimize`, `capture` and `restore`. Here the code
-# gains 0.4 dB over the open shutter on twelve photographs, and 0.2 dB in the photo at hand.
+# gains 0.3 dB over the open shutter on twelve photographs, and 0.3 dB in the photo at hand.
 #
 # A moving camera blurs a photo along its path. If the shutter opens and closes in a well-chosen
 # pattern while the camera moves, the blur keeps more of the detail and can be undone better. Which
@@ -40,7 +40,7 @@ import cep
 
 rng = np.random.default_rng(2)
 scene = data.astronaut()[60:380, 60:380] / 255
-camera = cep.Camera(photons_full_scale=20_000, read_noise_e=50)
+camera = cep.Camera(photons_full_scale=20_000, read_noise_e=100)
 truth = cep.Trajectory.from_samples([[0, 0], [8, 2], [12, 9], [13, 16]])
 blurred = cep.capture(scene, truth, camera=camera, rng=rng)
 
@@ -79,7 +79,7 @@ result
 
 # %%
 assert result.verdict.choice == "code"
-assert abs(result.verdict.gains_db["code"] - 0.4) < 0.3
+assert abs(result.verdict.gains_db["code"] - 0.3) < 0.25
 assert problem.both_directions(estimate.best)
 
 # %% [markdown]

@@ -72,7 +72,7 @@ def test_refine_writes_a_trajectory_that_says_how_sure_it_is(cep, photos):
 @pytest.mark.slow(reason="a blind search")
 def test_deblur_without_a_trajectory_says_first_what_was_restored(cep, photos):
     cep("deblur", "one.png", "--code", CODES[0])
-    assert (cep.code, cep.err) == (0, "")
+    assert cep.code == 0
     assert cep.out.startswith("one_sharp.png: restored with the PSF found in this photo alone")
     assert read_image("one_sharp.png").shape == read_image("one.png").shape
 
