@@ -8,12 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from cep.optics.code import ShutterCode
-from cep.shutter.shoot import LEASE_MS
+from cep.shutter.shoot import HEARTBEAT_S, LEASE_MS
 from hw.cxp.protocol import State
 from hw.drivers.cxp import Controller
 from hw.program import Program
 
-_HEARTBEAT_S = LEASE_MS / 4000
 _LOOK_S = 0.001
 
 
@@ -81,7 +80,7 @@ def play_on_triggers(
                 if now_s - last_s >= wait_s:
                     break
                 is_over = status.state is not State.PLAY and (plays is None or count < plays)
-                if is_over and (status.state is not State.ARMED or now_s - beat_s > _HEARTBEAT_S):
+                if is_over and (status.state is not State.ARMED or now_s - beat_s > HEARTBEAT_S):
                     controller.arm(lease_ms=LEASE_MS)
                     beat_s = now_s
                 time.sleep(_LOOK_S)

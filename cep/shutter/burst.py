@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from types import TracebackType
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from cep.files.images import parse_gamma
 from cep.optics.code import ShutterCode
 from cep.shutter.cameras import path_and_settings
-from hw.cameras.camera import CameraError, CameraSettings, Frame, FrameLostError, Trigger
+from hw.cameras.camera import Camera, CameraError, CameraSettings, Frame, FrameLostError, Trigger
 from motdiff.files.decoding import decoder_output
 from motdiff.simulate import to_linear
 
@@ -22,7 +21,7 @@ _UNEVEN_SHARE = 0.05  # of the interval: frame times that vary by more are said
 _CLIPPED_SHARE = 0.01
 
 
-class BurstCamera:
+class BurstCamera(Camera):
     """A video as a camera with a shutter: each chip is a whole number of its frames.
 
     Parameters
@@ -150,17 +149,6 @@ class BurstCamera:
     def close(self) -> None:
         """Close the video."""
         self._video.release()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _doubts(self, intervals_ms: NDArray[Any], clipped: float) -> tuple[str, ...]:
         """Say in what the sum is not the photo that a shutter would have given."""

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import ClassVar, Self
 
 from cep.files.images import PHOTO_SUFFIXES, read_codes
 from cep.files.raw_files import RAW_SUFFIXES, read_raw
 from cep.files.white_level import white_level
 from cep.shutter.cameras import path_and_settings
-from hw.cameras.camera import CameraError, CameraSettings, Frame, FrameLostError, Trigger
+from hw.cameras.camera import Camera, CameraError, CameraSettings, Frame, FrameLostError, Trigger
 
 _LOOK_S = 0.05
 _QUIET_S = 0.25  # a file that did not grow for so long may be whole
 _GAMMAS = ("srgb", "linear")
 
 
-class FolderCamera:
+class FolderCamera(Camera):
     """Photos that any other program saves in a folder.
 
     Of a RAW file and a picture of the same name the one that comes first is taken, and the other
@@ -97,17 +96,6 @@ class FolderCamera:
 
     def close(self) -> None:
         """Do nothing: nothing is held."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _photos(self) -> list[Path]:
         """Photos of the folder, the earliest first."""

@@ -9,11 +9,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import TracebackType
 from typing import Any, ClassVar, Self
 
 from cep.shutter.folder import FolderCamera
-from hw.cameras.camera import CameraError, CameraSettings, Frame, FrameLostError, Trigger
+from hw.cameras.camera import Camera, CameraError, CameraSettings, Frame, FrameLostError, Trigger
 from hw.cameras.discovery import ConnectedCamera, choose_camera
 from hw.port import one_line
 
@@ -24,7 +23,7 @@ _EVENT_MS = 100  # some cameras answer a shorter question before they look
 _DECODED_S = 2.0
 
 
-class Gphoto2Camera:
+class Gphoto2Camera(Camera):
     """A photo camera on USB, fired by this computer.
 
     Parameters
@@ -150,17 +149,6 @@ class Gphoto2Camera:
         with contextlib.suppress(CameraError), _errors():
             self._device.exit()
         self._photos.cleanup()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _download(self, path: Any) -> Frame:
         import gphoto2

@@ -32,6 +32,8 @@ from motdiff.trajectory import Trajectory
 
 LEASE_MS = 1000
 """An armed controller disarms itself after this without its host, ms."""
+HEARTBEAT_S = LEASE_MS / 4000
+"""So often the host renews that."""
 NO_BUSY_OUTPUT = "cxp-rp2040"
 """Firmware without an output that is high while a code plays."""
 LEAD_IN_S = 0.001
@@ -43,7 +45,6 @@ _CLOCK_SHARE = 0.002  # and for the error of two clocks: ceramic resonators
 _READY_S = 2.0
 _READOUT_S = 3.0  # from the end of exposure until the frame is here
 _SETTLE_S = 0.1  # beyond the exposure, within which a second frame would come
-_HEARTBEAT_S = LEASE_MS / 4000
 _CLIPPED_SHARE = 0.01  # of the pixels, from which on a warning is due
 
 
@@ -319,13 +320,13 @@ class Rig:
         """Wait until the code was played, and keep the lease alive until it begins."""
         assert self.controller is not None
         deadline = time.monotonic() + wait_s
-        beat = time.monotonic() + _HEARTBEAT_S
+        beat = time.monotonic() + HEARTBEAT_S
         while (status := self.controller.status()).state is State.ARMED:
             if time.monotonic() >= deadline:
                 raise FrameLostError(f"no trigger came within {wait_s:g} s: nothing was taken")
             if time.monotonic() >= beat:
                 self.controller.arm(lease_ms=LEASE_MS)
-                beat = time.monotonic() + _HEARTBEAT_S
+                beat = time.monotonic() + HEARTBEAT_S
             time.sleep(0.002)
         if status.state is State.PLAY:
             status = self.controller.wait(timeout_s=1.1 * self._play_s + 2)

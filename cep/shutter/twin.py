@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from types import TracebackType
 from typing import ClassVar, Self, TypeVar
 
 import numpy as np
@@ -17,7 +16,7 @@ from cep.files.images import read_image
 from cep.optics.camera import Camera as NoiseModel
 from cep.optics.timeline import extended
 from cep.photographs.scenes import NAMES, photographs
-from hw.cameras.camera import CameraError, CameraSettings, Frame, FrameLostError, Trigger
+from hw.cameras.camera import Camera, CameraError, CameraSettings, Frame, FrameLostError, Trigger
 from hw.emulation.uno import CLOCK_HZ, EmulatedUno, EmulationError
 from motdiff.path_psfs import interpolated, slice_psfs
 from motdiff.simulate import blur_valid
@@ -197,7 +196,7 @@ class MovingScene:
         )
 
 
-class TwinCamera:
+class TwinCamera(Camera):
     """Camera before an emulated shutter, whose board it brings along.
 
     Parameters
@@ -317,17 +316,6 @@ class TwinCamera:
     def close(self) -> None:
         """Switch the board off."""
         self.uno.stop()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _window_s(self, armed_cycle: int, late_s: float) -> tuple[float, float, float] | None:
         """Trigger, and start and end of exposure after it, s; None before the trigger came.

@@ -94,6 +94,8 @@ class Frame:
 class Camera(Protocol):
     """An open camera, a context manager that leaves the camera as it was found.
 
+    Adapters inherit it, and with it what a context manager needs.
+
     Attributes
     ----------
     name : str
@@ -150,11 +152,13 @@ class Camera(Protocol):
     def close(self) -> None:
         """Stop, put the camera's settings back and release it; never raises for a camera gone."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
-    ) -> None: ...
+    ) -> None:
+        self.close()

@@ -6,10 +6,10 @@ import contextlib
 import time
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from types import TracebackType
-from typing import ClassVar, Protocol, Self
+from typing import ClassVar, Protocol
 
 from hw.cameras.camera import (
+    Camera,
     CameraError,
     CameraSettings,
     Frame,
@@ -54,7 +54,7 @@ class Features(Protocol):
         """Run a command."""
 
 
-class GenicamCamera(ABC):
+class GenicamCamera(Camera, ABC):
     """An open GenICam camera; a subclass delivers its frames.
 
     Every change is noted with the value before it, and undone in reverse order at close.
@@ -179,17 +179,6 @@ class GenicamCamera(ABC):
                     self.features.set(*self._changes.pop())
         self._changes.clear()
         self._release()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     # -- settings -----------------------------------------------------------------------------
 

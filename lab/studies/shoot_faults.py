@@ -211,7 +211,7 @@ def run_killed(_fault: str, folder: Path, rng: np.random.Generator) -> Outcome:
             open_s = (closed_cycles[-1] - cycle) / CLOCK_HZ if closed_cycles else 0.0
         else:
             time.sleep(_LATEST_S + 0.1)
-            uno.trigger()  # nobody lets light in any more
+            uno.trigger()  # the killed host renews no lease: the shutter must stay closed
             time.sleep(0.1)
             open_s = 99.0 if uno.edges()[-1][0] > cycle else 0.0
         is_open = uno.edges()[-1][1] or uno.edges("busy")[-1][1]

@@ -40,7 +40,7 @@ def main(scene, lead_ns, code_ns, length_px):
             twin.fire()
             frame = twin.read(5)
             if frame.values.shape != (height, width):
-                os._exit(1)  # an exception would be lost in C, and whoever reads would wait
+                os._exit(1)  # C swallows an exception, and the test would wait for its frame
             count += 1
             np.save(folder / f"{count}.npy", frame.values)
             say(folder / f"{count}.npy")
