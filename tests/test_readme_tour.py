@@ -1,5 +1,4 @@
-"""The tour of the README and the blocks of the how-tos, run command by command on photos made
-here."""
+"""The commands of the README, the tour and the how-tos, run one by one on photos made here."""
 
 import json
 import shlex
@@ -21,7 +20,11 @@ from motdiff.commands import run as motdiff
 from motdiff.files.trajectories import StoredMotion, write_motion
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs" / "howto").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "docs" / "tour.md",
+    *sorted((ROOT / "docs" / "howto").glob("*.md")),
+]
 NOT_RUN = {
     "cep upload": (
         "needs a board; the transcript of docs/hardware.md does it with the emulated one"
