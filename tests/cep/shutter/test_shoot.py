@@ -8,7 +8,7 @@ import pytest
 from emulators.tools import give_up, require_simavr
 
 from cep.files.images import write_image
-from cep.files.shot_files import read_shot, record_beside, write_shot
+from cep.files.shot_files import ShotRecord, read_shot, record_beside, write_shot
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
@@ -17,7 +17,7 @@ from cep.shutter.repeatability import repeatability
 from cep.shutter.shoot import Release, open_rig, shoot
 from cep.shutter.twin import code_values
 from cep.shutter.wiring import wiring
-from hw.cameras.camera import FrameLostError
+from hw.cameras.camera import Frame, FrameLostError
 from hw.emulation.uno import CLOCK_HZ, EmulatedUno
 from lab.studies.shoot_faults import FAULTS, run
 from motdiff.simulate import blur_valid
@@ -173,6 +173,15 @@ def test_the_record_gives_the_light_back(twin, tmp_path):
     assert abs(error.mean()) < 3e-4
     expected = np.sqrt(shot.record.noise.noise_variance(clean).mean())
     assert error.std() == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("release", [*Release, None])
+def test_every_trigger_that_is_written_is_read(release, tmp_path):
+    details = {"trigger": release and str(release)}
+    frame = Frame(values=np.zeros((4, 4), dtype=np.uint8), bits=8, frame_id=1, camera="any")
+    record = ShotRecord(code=CODE, bits=8, details=details)
+    path = write_shot(tmp_path, "photo", frame, record, force=False)
+    assert record_beside(path).code == CODE
 
 
 def test_baslers_emulated_camera_exposes_while_the_emulated_shutter_plays():
