@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from cep.search.limits import RunLimits
     from cep.search.optimize import optimize
     from cep.search.problem import SearchProblem
+    from cep.shutter.exposure_plan import ShotSettings
     from cep.shutter.play import open_shutter
     from cep.shutter.playback import read_playback
     from cep.shutter.shoot import shoot
@@ -54,6 +55,7 @@ __all__ = [
     "DeviceProfile",
     "RunLimits",
     "SearchProblem",
+    "ShotSettings",
     "ShutterCode",
     "Trajectory",
     "__version__",
@@ -86,6 +88,7 @@ _MODULES = {
     "DeviceProfile": "hw.device",
     "RunLimits": "cep.search.limits",
     "SearchProblem": "cep.search.problem",
+    "ShotSettings": "cep.shutter.exposure_plan",
     "ShutterCode": "cep.optics.code",
     "Trajectory": "motdiff.trajectory",
     "advise": "cep.search.advise",

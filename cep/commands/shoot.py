@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,11 +21,11 @@ from cep.commands.options import (
 
 if TYPE_CHECKING:
     from cep.optics.code import ShutterCode
-    from cep.shutter.shoot import Shot
-    from hw.cameras.camera import Frame
+    from cep.shutter.exposure_plan import ShotSettings
+    from cep.shutter.rig import Shot
 
 _RUN = "Instead of one photo"
-_RELEASES = ("shutter", "camera", "external", "host")
+_FOLDER = Path("shot")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,13 +132,17 @@ class ShootOptions(MotionOptions):
         bool,
         typer.Option(
             "--wiring",
-            help="Say which pin goes where, and how long the camera has to expose.",
+            help="Say which pin goes where, and how long the camera has to expose; -o wiring.svg"
+            " draws it.",
             rich_help_panel=_RUN,
         ),
     ] = False
     output: Annotated[
-        Path, output_option("Folder to write into, made when missing.", metavar="FOLDER")
-    ] = Path("shot")
+        Path,
+        output_option(
+            "Folder to write into, made when missing; of --wiring a picture.", metavar="FOLDER"
+        ),
+    ] = _FOLDER
     force: Force = False
     as_json: Json = False
 
@@ -152,9 +156,11 @@ class ShootOptions(MotionOptions):
 
     def check(self) -> None:
         """Refuse options that contradict each other."""
-        if self.trigger is not None and self.trigger not in _RELEASES:
+        from cep.shutter.release import Release
+
+        if self.trigger is not None and self.trigger not in [*Release]:
             raise ValueError(
-                f"--trigger: must be one of {', '.join(_RELEASES)}, got {self.trigger[:40]!r}"
+                f"--trigger: must be one of {', '.join(Release)}, got {self.trigger[:40]!r}"
             )
         runs = {"--set": self.set_folder, "--arm": self.arm, "--wiring": self.wiring or None}
         options = [name for name, value in runs.items() if value is not None]
@@ -170,21 +176,23 @@ class ShootOptions(MotionOptions):
         if self.arm is None and self.camera is None and not self.wiring:
             raise ValueError("--camera: is needed, as pylon:, or twin: for an emulated one")
 
-    def rig(self) -> dict[str, Any]:
-        """Return the arguments of :func:`cep.shoot` that the options give."""
+    def settings(self) -> ShotSettings:
+        """Return what the photos are taken with."""
         from cep.optics.camera import Camera
+        from cep.shutter.exposure_plan import ShotSettings
+        from cep.shutter.release import Release
 
-        motion = self.load_motion().trajectory if self.has_motion else None
-        return {
-            "port": self.port,
-            "release": self.trigger,
-            "motion": motion,
-            "profile": None if self.profile is None else Camera.load(self.profile),
-            "lead_in_s": exposure_seconds(self.lead_in),
-            "exposure_s": exposure_seconds(self.exposure),
-            "gain_db": self.gain,
-            "wait_s": exposure_seconds(self.wait),
-        }
+        wait_s = exposure_seconds(self.wait)
+        assert wait_s is not None
+        return ShotSettings(
+            release=None if self.trigger is None else Release(self.trigger),
+            motion=self.load_motion().trajectory if self.has_motion else None,
+            profile=None if self.profile is None else Camera.load(self.profile),
+            lead_in_s=exposure_seconds(self.lead_in),
+            exposure_s=exposure_seconds(self.exposure),
+            gain_db=self.gain,
+            wait_s=wait_s,
+        )
 
 
 @command(ShootOptions)
@@ -210,7 +218,7 @@ def shoot(options: ShootOptions) -> None:
 
     Example: cep shoot --camera burst:fall.mp4 --code code.json -o shot
 
-    Example: cep shoot --camera pylon: --wiring --code code.json
+    Example: cep shoot --camera pylon: --wiring --code code.json -o wiring.svg
 
     Example: cep shoot --camera pylon: --port auto --set set -o calibration
     """
@@ -251,74 +259,44 @@ def _taken(
     options: ShootOptions, codes: list[ShutterCode], stems: list[str], *, count: int = 1
 ) -> tuple[list[Shot], list[Path], Path | None]:
     """Take the photos, each of which is on the disk before the next; restore the first."""
-    from cep.files.shot_files import write_shot
     from cep.optics.path_limits import check_resolved
-    from cep.restoration.restore import restore
     from cep.shutter.shoot import shoot as take
-    from motdiff.files.outputs import claim_folder
+    from cep.shutter.shot_folder import ShotFolder
 
-    folder = options.output
-    names = [f"{stem}{suffix}" for stem in stems for suffix in (".tif", ".json")]
-    claim_folder(folder, [*names, "restored.png"], force=options.force)
-    rig = options.rig()
-    if rig["motion"] is not None:
-        check_resolved(rig["motion"], codes[0].chips)
+    folder = ShotFolder(options.output, stems, force=options.force)
+    settings = options.settings()
+    if settings.motion is not None:
+        check_resolved(settings.motion, codes[0].chips)
     assert options.camera is not None
-    files: list[Path] = []
-    last_frame: list[Frame | None] = [None]
     with progress("taking photos") as tick:
 
         def keep(shot: Shot) -> None:
-            folder.mkdir(parents=True, exist_ok=True)
-            if shot.frame is last_frame[0]:  # it turned out not to count
-                write_shot(folder, files[-1].stem, shot.frame, shot.record, force=True)
-                return
-            stem = stems[len(files)]
-            files.append(write_shot(folder, stem, shot.frame, shot.record, force=options.force))
-            last_frame[0] = shot.frame
-            tick(len(files) / len(stems), str(files[-1]))
+            folder.keep(shot)
+            tick(len(folder.files) / len(stems), str(folder.files[-1]))
 
-        shots = list(take(options.camera, codes, count=count, keep=keep, **rig))
-    record = shots[0].record
-    restored = folder / "restored.png"
-    if record.trajectory is None or not record.counts or len(codes) > 1:
-        restored.unlink(missing_ok=True)  # of other photos, which --force replaced
-        return shots, files, None
-    with progress("restoring") as tick:
-        try:
-            sharp = restore(
-                record.light(shots[0].frame.values),
-                code=record.code,
-                trajectory=record.trajectory,
-                camera=record.noise,
-                progress=tick,
+        shots = list(
+            take(
+                options.camera,
+                codes,
+                port=options.port,
+                count=count,
+                settings=settings,
+                keep=keep,
             )
-            sharp.save(restored, bits=8 if record.bits <= 8 else 16)
-        except (OSError, ValueError) as error:
-            error.add_note(f"{files[0]} was taken, and counts")
-            raise
-    return shots, files, restored
+        )
+    if settings.motion is None or not shots[0].counts or len(codes) > 1:
+        folder.drop_restored()
+        return shots, folder.files, None
+    with progress("restoring") as tick:
+        return shots, folder.files, folder.restore(shots[0], tick)
 
 
 def _headline(files: list[Path], shots: list[Shot]) -> str:
     """Say what was taken, and whether it counts."""
-    from cep.files.formatting import duration
-
-    shot = shots[-1]
-    frame = shot.frame
-    about = shot.record.details
-    size = f"{frame.values.shape[1]} x {frame.values.shape[0]} px of {frame.bits} bits"
     photos = f"{files[-1]}" if len(files) == 1 else f"{files[0]} to {files[-1].name}"
-    if not shot.counts:
+    if not shots[-1].counts:
         return f"{photos}: the last does not count"
-    played = shot.record.code
-    time = f"{played.chips} chips of {duration(played.chip_ns * 1e-9)}"
-    if about.get("plays") is None:
-        return f"{photos}: counts: {size}; {time} summed from frames"
-    exposure = "an exposure that the camera does not state"
-    if frame.exposure_s is not None:
-        exposure = f"an exposure of {duration(frame.exposure_s)}"
-    return f"{photos}: counts: {size}; {time}, played once, no edge missed, within {exposure}"
+    return f"{photos}: {shots[-1].verdict}"
 
 
 def _next(files: list[Path], restored: Path | None) -> str:
@@ -417,23 +395,35 @@ def _arm(options: ShootOptions, count: str) -> None:
 
 
 def _wiring(options: ShootOptions) -> None:
-    """Say which pin goes where."""
+    """Say which pin goes where, and draw it."""
     from cep.commands.programs import open_controller
-    from cep.shutter.shoot import LEAD_IN_S, Release
-    from cep.shutter.wiring import wiring
+    from cep.plots.canvas import check_figure_name, save
+    from cep.plots.wiring import wiring_figure
+    from cep.shutter.wiring import wiring, wiring_lines
+    from motdiff.files.outputs import claim
 
-    rig = options.rig()
-    profile = rig["profile"]
+    picture = None if options.output == _FOLDER else options.output
+    if picture is not None:
+        try:
+            check_figure_name(picture)
+        except ValueError as error:
+            raise ValueError(f"--output: {error}") from None
     kind = (options.camera or "pylon:").partition(":")[0]
     firmware = None
     if options.port is not None:
         with open_controller(options.port) as controller:
             firmware = controller.announced.firmware
-    lines = wiring(
-        kind,
-        options.load_code(),
-        firmware=firmware,
-        release=None if options.trigger is None else Release(options.trigger),
-        lead_in_s=rig["lead_in_s"] or (profile and profile.lead_in_s) or LEAD_IN_S,
+    boards = wiring(kind, options.load_code(), firmware=firmware, settings=options.settings())
+    lines = wiring_lines(boards)
+    result: dict[str, object] = {"camera": kind, "wiring": lines}
+    if picture is None or not boards:
+        finish(result, as_json=options.as_json, page=lines)
+        return
+    figure = wiring_figure(boards)
+    finish(
+        result | {"picture": picture},
+        as_json=options.as_json,
+        page=[*lines, f"{picture}: the same, drawn"],
+        outputs=claim([picture], force=options.force),
+        save=lambda staged: save(figure, staged[picture]),
     )
-    finish({"camera": kind, "wiring": lines}, as_json=options.as_json, page=lines)

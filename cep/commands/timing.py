@@ -77,7 +77,7 @@ def timing(options: TimingOptions) -> None:
     """
     from cep.optics.camera import Camera
     from cep.plots import check_figure_name
-    from cep.shutter.shoot import Release
+    from cep.shutter.release import Release
     from cep.shutter.timing import time_camera
     from motdiff.files.outputs import claim
 

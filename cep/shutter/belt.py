@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from cep.optics.code import ShutterCode
-from cep.shutter.shoot import HEARTBEAT_S, LEASE_MS
+from cep.shutter.rig import HEARTBEAT_S, LEASE_MS
 from hw.cxp.protocol import State
 from hw.drivers.cxp import Controller
 from hw.program import Program

@@ -19,7 +19,9 @@ from cep.shutter.exposure_sweep import (
     Flash,
     flash_program,
 )
-from cep.shutter.shoot import LEASE_MS, Release, Rig, checked_release, open_rig
+from cep.shutter.release import Release, checked_release
+from cep.shutter.rig import LEASE_MS, Rig
+from cep.shutter.shoot import open_rig
 from hw.cameras.camera import CameraSettings, Frame, Trigger
 from motdiff.types import FloatArray
 

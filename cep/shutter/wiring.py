@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cep.files.formatting import duration
 from cep.optics.code import ShutterCode
+from cep.plots.wiring import Wire, WiredBoard
 from cep.shutter.cameras import CAMERAS
-from cep.shutter.shoot import LEAD_IN_S, Release, checked_release
+from cep.shutter.exposure_plan import ExposurePlan, ShotSettings
+from cep.shutter.release import Release, checked_release
 from hw.cameras import camera_class
-
-_TRIGGERS_CAMERA = (Release.SHUTTER, Release.EXTERNAL)
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ BOARDS = (
 """Controllers with this project's firmware."""
 
 _INPUT = {
-    "gphoto2": "the remote release's contact, through an optocoupler",
-    "folder": "the camera's trigger input, or its remote release, through an optocoupler",
+    "gphoto2": "the remote release's contact",
+    "folder": "the camera's trigger input, or its remote release",
     "twin": "the emulated camera's trigger input: nothing is to be wired",
 }
 _OUTPUT = {
-    "gphoto2": "flash sync (hot shoe): an optocoupler between, old flashes had 200 V there",
+    "gphoto2": "flash sync (hot shoe); old flashes had 200 V there",
     "twin": "the emulated camera's exposure active: nothing is to be wired",
 }
 _SETTINGS = {
@@ -48,6 +48,12 @@ _SETTINGS = {
     Release.CAMERA: "that output's LineSource ExposureActive, ExposureMode Timed",
     Release.HOST: "TriggerSource Software, ExposureMode Timed",
 }
+_ORDERS = {
+    Release.SHUTTER: "this computer triggers the controller, its output busy the camera",
+    Release.EXTERNAL: "the machine triggers the controller, its output busy the camera",
+    Release.CAMERA: "this computer fires the camera, its exposure active triggers the controller",
+    Release.HOST: "this computer fires the camera, and the controller a lead-in later",
+}
 
 
 def wiring(
@@ -55,10 +61,9 @@ def wiring(
     code: ShutterCode,
     *,
     firmware: str | None = None,
-    release: Release | None = None,
-    lead_in_s: float = LEAD_IN_S,
-) -> tuple[str, ...]:
-    """Say in lines how a camera, a controller and a strobe or shutter are wired.
+    settings: ShotSettings | None = None,
+) -> tuple[WiredBoard, ...]:
+    """Return how a camera, a controller and a strobe or shutter are wired, for each controller.
 
     Parameters
     ----------
@@ -67,65 +72,112 @@ def wiring(
     code : ShutterCode
     firmware : str, optional
         Of the controller, as it reports it; both boards when omitted.
-    release : Release, optional
-        Who begins; as :func:`cep.shutter.shoot.shoot` chooses it when omitted.
-    lead_in_s : float
+    settings : ShotSettings, optional
+        Who begins, and the lead-in.
+
+    Returns
+    -------
+    tuple of WiredBoard
+        None where the frames are the shutter.
 
     Raises
     ------
     ValueError
         If there is no such kind of camera, or it cannot be released so.
     """
+    settings = settings or ShotSettings()
     adapter = camera_class(kind, CAMERAS)
     if kind == "burst":
-        return ("A burst needs no wire and no controller: its frames are the shutter.",)
+        return ()
     if kind == "twin":
         firmware = BOARDS[0].firmware  # the only one that is emulated
     boards = [board for board in BOARDS if (firmware or "").startswith(board.firmware)]
     boards = boards or list(BOARDS)
-    lines: list[str] = []
+    wired: list[WiredBoard] = []
     for board in boards:
         try:
-            chosen = checked_release(adapter.triggers, kind, board.firmware, release)
+            release = checked_release(adapter.triggers, kind, board.firmware, settings.release)
         except ValueError:
-            if len(boards) == 1 or (board is boards[-1] and not lines):
+            if board is boards[-1] and not wired:
                 raise
             continue
-        lines += _board_lines(board, kind, chosen)
-        closed_ns = math.ceil(lead_in_s * 1e9 / code.chip_ns) * code.chip_ns
-        least_s = 1e-9 * (board.lead_ns + closed_ns + code.duration_ns)
-        lines += [
-            f"    least exposure: {duration(least_s, digits=4)}, of which the code takes"
-            f" {duration(code.duration_ns * 1e-9, digits=4)} and the lead-in the rest; the camera"
-            " must begin within the lead-in",
-            f"    camera: {_SETTINGS[chosen]}; cep shoot sets it where it can",
-        ]
-    return tuple(lines)
+        plan = ExposurePlan.of(code, settings, release, board_lead_ns=board.lead_ns)
+        wired.append(_wired(board, kind, code, plan))
+    return tuple(wired)
 
 
-def _board_lines(board: Board, kind: str, release: Release) -> list[str]:
-    lines = [
-        f"{board.name} ({board.firmware}), triggered by: {release}",
-        f"    {board.shutter:4} shutter  --> driver or optocoupler --> strobe or shutter;"
-        f" high is open, {board.volts}; 10 kOhm from {board.shutter} to ground",
-    ]
-    if release in _TRIGGERS_CAMERA:
-        target = _INPUT.get(
-            kind, "trigger input of the camera (Line1, opto-coupled; its ground too)"
+def wiring_lines(boards: Sequence[WiredBoard]) -> list[str]:
+    """Say the wiring in lines."""
+    if not boards:
+        return ["A burst needs no wire and no controller: its frames are the shutter."]
+    lines: list[str] = []
+    for board in boards:
+        lines.append(f"{board.name}: {board.order}")
+        for wire in board.wires:
+            arrow = "<--" if wire.is_input else "-->"
+            lines.append(f"    {wire.pin:4} {wire.signal:8} {arrow} {wire.end} ({wire.between})")
+        lines += [f"    {note}" for note in board.notes]
+    return lines
+
+
+def _wired(board: Board, kind: str, code: ShutterCode, plan: ExposurePlan) -> WiredBoard:
+    release = plan.release
+    notes = [f"10 kOhm from {board.shutter} to ground: closed while the controller starts"]
+    wires = [
+        Wire(
+            pin=board.shutter,
+            signal="shutter",
+            end="strobe or shutter, by its driver",
+            between=f"driver or optocoupler; high is open, {board.volts}",
         )
-        lines.append(f"    {board.busy or '(no busy)':4} busy     --> {target}")
+    ]
+    triggers_camera = release in (Release.SHUTTER, Release.EXTERNAL)
+    if triggers_camera and not board.busy:
+        notes.append("no output busy: the camera is to be begun by hand, or by the machine")
+    elif triggers_camera:
+        wires.append(
+            Wire(
+                pin=board.busy,
+                signal="busy",
+                end=_INPUT.get(kind, "trigger input of the camera (Line1), its ground too"),
+                between=f"optocoupler, the camera's own if it has one; {board.volts}",
+            )
+        )
     if release is Release.EXTERNAL:
-        lines.append(
-            f"    {board.trigger:4} trigger  <-- light barrier or encoder, rising edge,"
-            f" {board.volts} at most: an optocoupler between a 24 V output and it"
+        wires.append(
+            Wire(
+                pin=board.trigger,
+                signal="trigger",
+                end="light barrier or encoder of the machine",
+                between=f"rising edge, {board.volts} at most: an optocoupler behind 24 V",
+                is_input=True,
+            )
         )
     if release is Release.CAMERA:
-        source = _OUTPUT.get(kind, "exposure active output of the camera (Line2 or a GPIO line)")
-        lines += [
-            f"    {board.trigger:4} trigger  <-- {source}, rising edge, {board.volts} at most",
-            f"    an opto-coupled output only pulls down: 1 kOhm from {board.trigger} to"
-            f" {board.volts}, and LineInverter so that it rises when the exposure begins",
-        ]
+        wires.append(
+            Wire(
+                pin=board.trigger,
+                signal="trigger",
+                end=_OUTPUT.get(kind, "exposure active of the camera (Line2 or a GPIO line)"),
+                between=f"optocoupler; rising edge, {board.volts} at most",
+                is_input=True,
+            )
+        )
+        notes.append(
+            f"an opto-coupled output only pulls down: 1 kOhm from {board.trigger} to"
+            f" {board.volts}, and LineInverter so that it rises when the exposure begins"
+        )
     if release is Release.HOST:
-        lines.append("    no wire to the camera: the lead-in must cover its delay, which varies")
-    return lines
+        notes.append("no wire to the camera: the lead-in must cover its delay, which varies")
+    notes += [
+        f"least exposure: {duration(plan.play_s, digits=4)}, of which the code takes"
+        f" {duration(code.duration_ns * 1e-9, digits=4)} and the lead-in the rest; the camera"
+        " must begin within the lead-in",
+        f"camera: {_SETTINGS[release]}; cep shoot sets it where it can",
+    ]
+    return WiredBoard(
+        name=f"{board.name} ({board.firmware})",
+        order=_ORDERS[release],
+        wires=tuple(wires),
+        notes=tuple(notes),
+    )

@@ -20,7 +20,10 @@ from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.restoration.restore import restore
 from cep.shutter.belt import play_on_triggers
-from cep.shutter.shoot import Release, Rig, Shot, open_rig
+from cep.shutter.exposure_plan import ShotSettings
+from cep.shutter.release import Release
+from cep.shutter.rig import Rig, Shot
+from cep.shutter.shoot import open_rig
 from cep.shutter.twin import TwinCamera, code_values, openings_s
 from hw.emulation.uno import EmulatedUno
 from motdiff.crops import centre_crop
@@ -68,7 +71,7 @@ def run(release: Release, shots: int) -> None:
     with open_rig("twin:") as rig:
         camera = rig.camera
         assert isinstance(camera, TwinCamera)
-        rig.prepare(CODE, release=release, motion=PATH)
+        rig.prepare(CODE, ShotSettings(release=release, motion=PATH))
         for number in range(shots):
             start_s = time.monotonic()
             shot = rig.shoot()

@@ -8,6 +8,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.restore import restore
 from cep.shutter.burst import BurstCamera
+from cep.shutter.exposure_plan import ShotSettings
 from cep.shutter.shoot import shoot
 from hw.cameras.camera import CameraError
 from motdiff.metrics import psnr
@@ -45,7 +46,7 @@ def video(tmp_path_factory):
 
 
 def test_the_sum_is_the_photo_through_the_code(video):
-    (shot,) = shoot(f"burst:{video}", CODE, motion=PATH)
+    (shot,) = shoot(f"burst:{video}", CODE, settings=ShotSettings(motion=PATH))
     assert shot.counts
     photo = shot.record.light(shot.frame.values)
     direct = blur_valid(SCENE, coded_psf(PATH, CODE, size=SIZE))

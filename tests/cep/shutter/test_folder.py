@@ -9,7 +9,9 @@ import pytest
 from emulators.tools import require_simavr
 
 from cep.optics.code import ShutterCode
+from cep.shutter.exposure_plan import ShotSettings
 from cep.shutter.folder import FolderCamera
+from cep.shutter.release import Release
 from cep.shutter.shoot import shoot
 from hw.cameras.camera import CameraError, CameraSettings, FrameLostError
 from hw.emulation.uno import EmulatedUno
@@ -117,7 +119,12 @@ def test_the_shutter_plays_while_another_program_takes_the_photo(tmp_path):
     with EmulatedUno() as uno:
         later(tmp_path.joinpath("new.png").write_bytes, encoded(VALUES), after_s=0.5)
         code = ShutterCode("1011", 1_000_000)
-        (shot,) = shoot(f"folder:{tmp_path}", code, port=uno.port, release="shutter")
+        (shot,) = shoot(
+            f"folder:{tmp_path}",
+            code,
+            port=uno.port,
+            settings=ShotSettings(release=Release.SHUTTER),
+        )
         assert len(uno.edges()) == 4
     assert shot.counts
     assert (shot.frame.values == VALUES).all()

@@ -13,8 +13,10 @@ from emulators.tools import give_up, require_simavr
 from cep.files.images import read_codes
 from cep.optics.code import ShutterCode
 from cep.shutter.cameras import CAMERAS
+from cep.shutter.exposure_plan import ShotSettings
 from cep.shutter.gphoto2 import Gphoto2Camera
-from cep.shutter.shoot import Release, Rig
+from cep.shutter.release import Release
+from cep.shutter.rig import Rig
 from hw.cameras import open_camera
 from hw.cameras.camera import CameraError, CameraSettings, FrameLostError, Trigger
 from hw.drivers.cxp import Controller
@@ -207,7 +209,7 @@ def test_a_photo_through_a_code_counts(photo):
         open_camera("gphoto2:", CAMERAS) as camera,
     ):
         rig = Rig(camera, controller)
-        rig.prepare(code, release=Release.HOST, lead_in_s=0.05)
+        rig.prepare(code, ShotSettings(release=Release.HOST, lead_in_s=0.05))
         shot = rig.shoot()
     assert shot.counts
     assert shot.frame.exposure_s in (0.1, 1.0)  # the listed speeds that hold code and lead-in

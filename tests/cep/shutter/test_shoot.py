@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,11 +13,15 @@ from cep.files.shot_files import ShotRecord, read_shot, record_beside, write_sho
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
+from cep.plots.wiring import wiring_figure
 from cep.shutter.belt import play_on_triggers
+from cep.shutter.cameras import CAMERAS
+from cep.shutter.exposure_plan import ShotSettings
+from cep.shutter.release import Release
 from cep.shutter.repeatability import repeatability
-from cep.shutter.shoot import Release, open_rig, shoot
+from cep.shutter.shoot import open_rig, shoot
 from cep.shutter.twin import code_values
-from cep.shutter.wiring import wiring
+from cep.shutter.wiring import wiring, wiring_lines
 from hw.cameras.camera import Frame, FrameLostError
 from hw.emulation.uno import CLOCK_HZ, EmulatedUno
 from lab.studies.shoot_faults import FAULTS, run
@@ -25,6 +30,8 @@ from motdiff.trajectory import Trajectory
 
 CODE = ShutterCode("1011001110100110", 400_000)
 PATH = Trajectory.straight(16.0, direction="known")
+MOVING = ShotSettings(motion=PATH)
+BY_SHUTTER = ShotSettings(release=Release.SHUTTER)
 
 
 @pytest.fixture(scope="module")
@@ -40,12 +47,12 @@ def twin(tmp_path_factory):
 def test_a_photo_counts_and_is_that_of_the_pins(twin, release):
     with open_rig(twin) as rig:
         camera = rig.camera
-        rig.prepare(
-            CODE,
+        settings = ShotSettings(
             release=release and Release(release),
             motion=PATH,
             lead_in_s=0.05 if release == "host" else 0.001,
         )
+        rig.prepare(CODE, settings)
         shot = rig.shoot()
         edges = camera.uno.edges()
     assert shot.counts
@@ -74,13 +81,13 @@ def test_a_photo_counts_and_is_that_of_the_pins(twin, release):
     ("release", "words"), [("shutter", "cep hw timing"), ("host", "no wire"), ("camera", None)]
 )
 def test_what_is_trusted_is_said(twin, release, words):
-    (shot,) = shoot(twin, CODE, release=release, motion=PATH, lead_in_s=0.02)
+    (shot,) = shoot(twin, CODE, settings=replace(MOVING, release=Release(release), lead_in_s=0.02))
     assert [words in warning for warning in shot.warnings] == ([True] if words else [])
 
 
 def test_photos_of_a_series_are_counted_without_a_gap(twin):
     taken = []
-    shots = shoot(twin, CODE, count=4, motion=PATH, keep=taken.append)
+    shots = shoot(twin, CODE, count=4, settings=MOVING, keep=taken.append)
     assert [shot.frame.frame_id for shot in shots] == [1, 2, 3, 4]
     assert tuple(taken) == shots
     assert all(shot.counts for shot in shots)
@@ -91,15 +98,17 @@ def test_photos_of_a_series_are_counted_without_a_gap(twin):
 
 
 def test_the_machine_may_trigger(twin):
-    shots = shoot(f"{twin},belt_hz=5", CODE, release="external", count=2, motion=PATH)
+    shots = shoot(
+        f"{twin},belt_hz=5", CODE, count=2, settings=replace(MOVING, release=Release.EXTERNAL)
+    )
     assert [shot.record.details["plays"] for shot in shots] == [1, 1]
 
 
 def test_without_a_trigger_nothing_is_taken_and_nothing_stays_armed(twin):
     with open_rig(twin) as rig:
-        rig.prepare(CODE, release=Release.EXTERNAL)
+        rig.prepare(CODE, ShotSettings(release=Release.EXTERNAL, wait_s=0.3))
         with pytest.raises(FrameLostError, match="no trigger came within"):
-            rig.shoot(wait_s=0.3)
+            rig.shoot()
         rig.camera.uno.trigger()
         assert rig.controller.status().state.name == "LOADED"
         assert rig.camera.uno.edges() == ()
@@ -112,13 +121,18 @@ def test_without_a_trigger_nothing_is_taken_and_nothing_stays_armed(twin):
         ({"exposure_s": 60}, "twin exposes for 1 us to 10 s"),
         ({"lead_in_s": 5}, "lead_in: must be a time within 0..1 s"),
         ({"lead_in_s": 0.9}, "code of .* chips is too long; at most 1024"),
-        ({"port": "/dev/ttyS9"}, "port: not valid with a twin"),
-        ({"count": 0}, "count: must be at least 1"),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_is_armed(twin, options, words):
     with pytest.raises(ValueError, match=words):
-        shoot(twin, CODE, **options)
+        shoot(twin, CODE, settings=ShotSettings(**options))
+
+
+def test_a_twin_has_its_own_port_and_a_photo_is_one_at_least(twin):
+    with pytest.raises(ValueError, match="port: not valid with a twin"):
+        shoot(twin, CODE, port="/dev/ttyS9")
+    with pytest.raises(ValueError, match="count: must be at least 1"):
+        shoot(twin, CODE, count=0)
 
 
 def test_a_camera_needs_a_controller(tmp_path):
@@ -132,12 +146,18 @@ def test_a_folder_cannot_be_fired(tmp_path):
         EmulatedUno() as uno,
         pytest.raises(ValueError, match="cannot fire a camera folder:"),
     ):
-        shoot(f"folder:{tmp_path}", CODE, port=uno.port, release="camera")
+        shoot(
+            f"folder:{tmp_path}",
+            CODE,
+            port=uno.port,
+            settings=ShotSettings(release=Release.CAMERA),
+        )
 
 
 def test_a_late_camera_loses_the_first_chips_and_the_lead_in_holds_them(twin):
     def mean(lead_in_s):
-        (shot,) = shoot(f"{twin},delay_us=3000", CODE, motion=PATH, lead_in_s=lead_in_s)
+        settings = replace(MOVING, lead_in_s=lead_in_s)
+        (shot,) = shoot(f"{twin},delay_us=3000", CODE, settings=settings)
         return shot.record.light(shot.frame.values).mean()
 
     # 3 ms late with 1 ms of lead-in: five chips are lost, of which three were open
@@ -146,20 +166,21 @@ def test_a_late_camera_loses_the_first_chips_and_the_lead_in_holds_them(twin):
 
 def test_a_measured_camera_is_waited_for(twin):
     profile = Camera(trigger_delay_s=3e-3, trigger_jitter_s=1e-5, readout_s=2e-3)
+    measured = replace(MOVING, profile=profile)
     late = f"{twin},delay_us=3000,row_us=20"
-    (shot,) = shoot(late, CODE, motion=PATH, profile=profile)
+    (shot,) = shoot(late, CODE, settings=measured)
     assert shot.warnings == ()
     assert shot.record.details["lead_in_ns"] >= 1e9 * profile.lead_in_s
-    (prompt,) = shoot(f"{twin},delay_us=0", CODE, motion=PATH)
+    (prompt,) = shoot(f"{twin},delay_us=0", CODE, settings=MOVING)
     means = [taken.record.light(taken.frame.values).mean() for taken in (shot, prompt)]
     assert means[0] == pytest.approx(means[1], rel=0.005)
     with pytest.raises(ValueError, match="less than the camera's delay"):
-        shoot(late, CODE, motion=PATH, profile=profile, lead_in_s=0.001)
+        shoot(late, CODE, settings=replace(measured, lead_in_s=0.001))
 
 
 def test_the_record_gives_the_light_back(twin, tmp_path):
     with open_rig(twin) as rig:
-        rig.prepare(CODE, motion=PATH)
+        rig.prepare(CODE, MOVING)
         shot = rig.shoot()
         clean = rig.camera.clean
     path = write_shot(tmp_path, "photo", shot.frame, shot.record, force=False)
@@ -190,9 +211,9 @@ def test_baslers_emulated_camera_exposes_while_the_emulated_shutter_plays():
         give_up("pypylon not installed: see .ci/tools")
     os.environ["PYLON_CAMEMU"] = "2"  # read once, by whichever test is the first
     # it has no lines that could be wired: this computer begins both
-    options = {"release": "host", "lead_in_s": 0.02, "exposure_s": 0.2}
+    settings = ShotSettings(release=Release.HOST, lead_in_s=0.02, exposure_s=0.2)
     with EmulatedUno() as uno:
-        shots = shoot("pylon:0815-0000", CODE, port=uno.port, count=3, **options)
+        shots = shoot("pylon:0815-0000", CODE, port=uno.port, count=3, settings=settings)
         assert len(uno.edges()) == 3 * 2 * CODE.pulses
     assert [shot.record.problems for shot in shots] == [()] * 3
     assert [shot.record.details["plays"] for shot in shots] == [1] * 3
@@ -230,7 +251,7 @@ def test_a_fault_closes_the_shutter_and_keeps_what_was_taken(fault):
 
 
 def test_wiring_names_pins_and_the_least_exposure():
-    lines = wiring("twin", CODE, lead_in_s=0.001)
+    lines = wiring_lines(wiring("twin", CODE))
     assert any("D9" in line for line in lines)
     assert any("A1" in line for line in lines)
     # 20 us of the firmware, three chips of lead-in, sixteen of the code
@@ -239,6 +260,30 @@ def test_wiring_names_pins_and_the_least_exposure():
 
 def test_a_pico_has_no_busy_output():
     with pytest.raises(ValueError, match='no output "busy"'):
-        wiring("pylon", CODE, firmware="cxp-rp2040 1", release=Release.SHUTTER)
-    lines = wiring("pylon", CODE, firmware="cxp-rp2040 1")
+        wiring("pylon", CODE, firmware="cxp-rp2040 1", settings=BY_SHUTTER)
+    lines = wiring_lines(wiring("pylon", CODE, firmware="cxp-rp2040 1"))
     assert any("GP14" in line and "exposure active" in line for line in lines)
+
+
+@pytest.mark.parametrize("kind", [*CAMERAS])
+@pytest.mark.parametrize("release", [None, *Release])
+def test_every_wiring_that_can_be_is_drawn_and_no_text_leaves_the_picture(kind, release):
+    try:
+        boards = wiring(kind, CODE, settings=ShotSettings(release=release))
+    except ValueError:
+        pytest.skip("this camera cannot be released so")
+    if not boards:
+        assert kind == "burst"
+        return
+    figure = wiring_figure(boards)
+    figure.draw_without_rendering()
+    width, height = figure.get_size_inches() * figure.dpi
+    for axes, board in zip(figure.axes, boards, strict=True):
+        words = " ".join(text.get_text() for text in axes.texts)
+        assert all(wire.pin in words for wire in board.wires)
+        for text in axes.texts:
+            extent = text.get_window_extent()
+            assert extent.x0 >= 0
+            assert extent.x1 <= width
+            assert extent.y0 >= 0
+            assert extent.y1 <= height

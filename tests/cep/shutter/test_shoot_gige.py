@@ -12,7 +12,9 @@ from emulators.tools import give_up, require_simavr
 
 from cep.files.images import write_image
 from cep.optics.code import ShutterCode
-from cep.shutter.shoot import Release, Rig
+from cep.shutter.exposure_plan import ShotSettings
+from cep.shutter.release import Release
+from cep.shutter.rig import Rig
 from hw.cameras import aravis, open_camera
 from hw.drivers.cxp import Controller
 
@@ -58,7 +60,7 @@ def test_every_frame_is_the_twins_own_to_the_last_bit(server, count):
         for name in ("Width", "Height"):
             camera.features.set(name, int(side_px))
         rig = Rig(camera, controller)
-        rig.prepare(CODE, release=Release.CAMERA)
+        rig.prepare(CODE, ShotSettings(release=Release.CAMERA))
         shots = rig.series(count, keep=lambda _shot: None)
         own = [np.load(process.stdout.readline().strip()) for _ in shots]
     assert [shot.record.problems for shot in shots] == [()] * count

@@ -1,0 +1,86 @@
+"""Folder of photos through codes: each is on the disk before the next, the first is restored."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from cep.files.shot_files import write_shot
+from cep.restoration.restore import restore
+from cep.restoration.result import Restoration
+from cep.shutter.rig import Shot
+from motdiff.files.outputs import claim_folder
+
+_RESTORED = "restored.png"
+
+
+class ShotFolder:
+    """Photos that are written as they are taken.
+
+    Parameters
+    ----------
+    folder : Path
+        Made with the first photo, when missing.
+    stems : sequence of str
+        Names of the photos, without suffix, in order.
+    force : bool
+        Replace what is there.
+
+    Attributes
+    ----------
+    files : list of Path
+        Photos that are written.
+
+    Raises
+    ------
+    ValueError
+        If a file is there and ``force`` is not given, or the folder cannot be written.
+    """
+
+    def __init__(self, folder: Path, stems: Sequence[str], *, force: bool = False) -> None:
+        names = [f"{stem}{suffix}" for stem in stems for suffix in (".tif", ".json")]
+        claim_folder(folder, [*names, _RESTORED], force=force)
+        self.folder = folder
+        self.files: list[Path] = []
+        self._stems = stems
+        self._force = force
+        self._last: Shot | None = None
+
+    def keep(self, shot: Shot) -> None:
+        """Write a photo; the last one once more where it turned out not to count."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if self._last is not None and shot.frame is self._last.frame:
+            write_shot(self.folder, self.files[-1].stem, shot.frame, shot.record, force=True)
+            return
+        stem = self._stems[len(self.files)]
+        self.files.append(
+            write_shot(self.folder, stem, shot.frame, shot.record, force=self._force)
+        )
+        self._last = shot
+
+    def restore(self, shot: Shot, progress: Callable[[float, str], None]) -> Path:
+        """Write the first photo restored along its motion; its errors say that it was taken."""
+        path = self.folder / _RESTORED
+        try:
+            sharp = restored_shot(shot, progress)
+            sharp.save(path, bits=8 if shot.record.bits <= 8 else 16)
+        except (OSError, ValueError) as error:
+            error.add_note(f"{self.files[0]} was taken, and counts")
+            raise
+        return path
+
+    def drop_restored(self) -> None:
+        """Remove the restored photo of other photos, which these have replaced."""
+        (self.folder / _RESTORED).unlink(missing_ok=True)
+
+
+def restored_shot(shot: Shot, progress: Callable[[float, str], None]) -> Restoration:
+    """Restore a photo along the motion of its record."""
+    record = shot.record
+    return restore(
+        record.light(shot.frame.values),
+        code=record.code,
+        trajectory=record.trajectory,
+        camera=record.noise,
+        progress=progress,
+    )
