@@ -7,14 +7,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from cep.files.formatting import duration
 from cep.files.shot_files import ShotRecord
 from cep.optics.camera import Camera as NoiseModel
 from cep.optics.code import ShutterCode
 from cep.shutter.burst import BurstCamera
 from cep.shutter.exposure_plan import ExposurePlan, ShotSettings
+from cep.shutter.frame_light import FrameLight
 from cep.shutter.release import Release, checked_release
 from cep.shutter.twin import TwinCamera
 from hw.cameras.camera import Camera, CameraSettings, Frame, FrameLostError, Trigger
@@ -29,7 +28,6 @@ HEARTBEAT_S = LEASE_MS / 4000
 _READY_S = 2.0
 _READOUT_S = 3.0  # from the end of exposure until the frame is here
 _SETTLE_S = 0.1  # beyond the exposure, within which a second frame would come
-_CLIPPED_SHARE = 0.01  # of the pixels, from which on a warning is due
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -353,15 +351,10 @@ def _at_white(noise: NoiseModel, record: ShotRecord) -> NoiseModel:
     return noise.at(noise.photons_full_scale * steps / noise.code_steps)
 
 
-def clipped_share(frame: Frame) -> float:
-    """Share of a frame's pixels that are white."""
-    return float(np.mean(frame.values >= 2**frame.bits - 1))
-
-
 def _warnings(frame: Frame) -> tuple[str, ...]:
     warnings = []
-    if (clipped := clipped_share(frame)) > _CLIPPED_SHARE:
-        warnings.append(f"{clipped:.1%} of the pixels are white: less light or gain")
+    if (light := FrameLight.of(frame)).is_clipped:
+        warnings.append(light.advice)
     if frame.exposure_s is None:
         warnings.append("the camera does not state its exposure: that it held the code is trusted")
     return tuple(warnings)

@@ -8,6 +8,8 @@ from functools import cache
 import numpy as np
 
 from cep.optics.camera import camera_names as camera_names
+from cep.shutter.cameras import CAMERAS
+from hw.cameras import camera_class
 from hw.device import DeviceProfile
 from hw.device import load_profile as load_profile  # state.py takes the house's names from here
 from hw.device import profile_names as profile_names
@@ -46,6 +48,11 @@ def shutter_name(profile: DeviceProfile) -> str | None:
 def formats() -> tuple[Choice, ...]:
     """List the formats of :func:`cep.shutter.play.export_code`."""
     return tuple(Choice(name, exporter.summary) for name, exporter in EXPORTERS.items())
+
+
+def camera_kinds() -> tuple[Choice, ...]:
+    """List the kinds of camera that take photos."""
+    return tuple(Choice(kind, camera_class(kind, CAMERAS).summary) for kind in CAMERAS)
 
 
 def ports() -> tuple[Choice, ...]:

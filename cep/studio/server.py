@@ -25,11 +25,13 @@ from threadpoolctl import threadpool_limits
 
 from cep.files.raw_files import RAW_SUFFIXES
 from cep.optics.camera import Camera
+from cep.shutter.release import Release
 from cep.studio import catalogue
 from cep.studio.documents import opened_document, opened_gyro
-from cep.studio.fields import FieldError
+from cep.studio.fields import FieldError, is_text, read_choice
 from cep.studio.jobs import BusyError, Job, Jobs
 from cep.studio.security import Gate, Keys, LateError, TooLargeError, refusal
+from cep.studio.shots import shot_archive
 from cep.studio.state import Setting, read_codes, read_search, read_setting
 from cep.studio.uploads import Uploads
 from cep.studio.views import Views, start_view
@@ -41,6 +43,7 @@ _STATIC = {
     "index.html": "text/html; charset=utf-8",
     "studio.css": "text/css; charset=utf-8",
     "studio.js": "text/javascript; charset=utf-8",
+    "shot.js": "text/javascript; charset=utf-8",
     "state.js": "text/javascript; charset=utf-8",
     "strip.js": "text/javascript; charset=utf-8",
     "plots.js": "text/javascript; charset=utf-8",
@@ -51,6 +54,7 @@ _BEAT_S = 15.0  # a page that has gone is noticed when it is written to
 _MOST_SILENT_S = 10.0  # of a connection that has asked nothing yet
 _MOST_PHOTOS = 3  # of one request
 _MOST_PAGE = 64  # characters of a page's name
+_MOST_CAMERA = 300  # of a camera's, which may hold a path
 Answer = Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]
 Endpoint = Callable[[Request], Awaitable[Response]]
 T = TypeVar("T")
@@ -129,16 +133,44 @@ class _Studio:
         elif kind == "sharpen":
             photo = self.uploads.path(document.get("photo"))
             order = {"path": str(photo), "anyway": document.get("anyway") is True}
+        elif kind == "shoot":
+            order = await self._shot(document)
         else:
             _setting(document).problem()
             steps, seed = read_search(document)
             order = {"setting": document["setting"], "steps": steps, "seed": seed}
         if kind == "play":
-            ports = [choice.name for choice in await self.quickly(catalogue.ports)]
-            if document.get("port") not in ["emulated", *ports]:
-                raise FieldError("port", "choose a port of the list")
-            order |= {"port": document["port"], "arm": document.get("arm") is True}
+            port = await self._port(document, "port")
+            order |= {"port": port, "arm": document.get("arm") is True}
         return self.jobs.start(page, kind, order).to_dict()
+
+    async def _shot(self, document: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the order of a photo by a camera."""
+        _setting(document).code()
+        camera = document.get("camera")
+        if not is_text(camera, _MOST_CAMERA) or not camera:
+            raise FieldError("shot_camera", "name a camera, as twin: or pylon:")
+        port = await self._port({"shot_port": document.get("port")}, "shot_port")
+        release = read_choice(
+            {"shot_release": document.get("release")}, "shot_release", [*Release], default=""
+        )
+        key, path = self.uploads.reserve(".tif")
+        return {
+            "setting": document["setting"],
+            "camera": camera,
+            "port": port,
+            "release": release,
+            "photo": key,
+            "path": str(path),
+        }
+
+    async def _port(self, document: Mapping[str, Any], field: str) -> str:
+        """Read the port of a controller: one of this computer's, or the emulated one."""
+        ports = [choice.name for choice in await self.quickly(catalogue.ports)]
+        port = document.get(field)
+        if not isinstance(port, str) or port not in ["emulated", *ports]:
+            raise FieldError(field, "choose a port of the list")
+        return port
 
     async def stop(self, document: Mapping[str, Any]) -> Mapping[str, Any]:
         self.jobs.stop(_page(document.get("page")))
@@ -209,6 +241,10 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
 
         return endpoint
 
+    async def shot(request: Request) -> Response:
+        photo = studio.uploads.path(request.path_params["key"])
+        return Response(await studio.quickly(shot_archive, photo), media_type="application/zip")
+
     async def start(_: Request) -> Response:
         return JSONResponse(await studio.quickly(start_view))
 
@@ -244,6 +280,7 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
         Route("/api/photo/{key}", made_of_photo("preview.jpg", "image/jpeg")),
         Route("/api/photo/{key}/sharpened", made_of_photo("sharp_preview.jpg", "image/jpeg")),
         Route("/api/photo/{key}/sharpened.png", made_of_photo("sharp.png", "image/png")),
+        Route("/api/photo/{key}/shot.zip", shot),
         Route("/api/example-photo", example_photo, methods=["POST"]),
         Route("/api/upload/photo", upload_photo, methods=["POST"]),
         Route(

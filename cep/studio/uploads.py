@@ -63,8 +63,7 @@ class Uploads:
             raise disk_error("photo", error) from None
         finally:
             partial.unlink(missing_ok=True)
-        while len(self._photos) > _KEPT:
-            self._forget(next(iter(self._photos)))
+        self._drop_oldest()
         return key
 
     async def text(self, chunks: AsyncIterator[bytes], suffix: str, *, field: str) -> Path:
@@ -91,6 +90,13 @@ class Uploads:
         self._photos[key] = file
         return key
 
+    def reserve(self, suffix: str) -> tuple[str, Path]:
+        """Return the key and the place of a photo that a job will make."""
+        key = secrets.token_hex(16)
+        self._photos[key] = self.folder / f"{key}{suffix}"
+        self._drop_oldest()
+        return key, self._photos[key]
+
     def path(self, key: object) -> Path:
         """Return the file of a key."""
         file = self._photos.get(str(key))
@@ -102,9 +108,11 @@ class Uploads:
         """Remove everything."""
         self._folder.cleanup()
 
-    def _forget(self, key: str) -> None:
-        for file in self.folder.glob(f"{self._photos.pop(key).stem}*"):
-            file.unlink(missing_ok=True)
+    def _drop_oldest(self) -> None:
+        while len(self._photos) > _KEPT:
+            oldest = self._photos.pop(next(iter(self._photos)))
+            for file in self.folder.glob(f"{oldest.stem}*"):
+                file.unlink(missing_ok=True)
 
 
 async def _streamed(chunks: AsyncIterator[bytes], path: Path) -> bytes:

@@ -285,6 +285,7 @@ def start_view() -> dict[str, Any]:
             ],
             "devices": catalogue.devices(),
             "formats": catalogue.formats(),
+            "kinds": catalogue.camera_kinds(),
             "examples": catalogue.example_motions(),
             "published": [{"name": name, "bits": cep.load_code(name).bits} for name in names()],
         }

@@ -1,4 +1,4 @@
-"""Work of the jobs, each in its own process: calibration, search, advice, play."""
+"""Work of the jobs, each in its own process: calibration, search, advice, play, a photo."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from cep.studio.fields import FieldError, disk_error, nameless
+from cep.studio.shots import PREVIEW_PX, shoot, shrunk
 from cep.studio.state import path_fields, read_search, read_setting
 from motdiff.estimators.base import MotionEstimate
 from motdiff.files.json_files import json_text, plain
@@ -25,7 +26,6 @@ from motdiff.trajectory import Trajectory
 Order = Mapping[str, Any]
 Tell = Callable[..., None]
 _EVERY_S = 0.1  # between two messages of progress
-_PREVIEW_PX = 1600  # longest side
 _SCENE_PX = 420  # side of the part that is restored, and then photographed through codes
 _SEARCHED_PX = 576  # side of the part of a photo; crops of a few hundred px are searched anyway
 _UNO = "cxp-avr"  # profile of the emulated controller
@@ -128,7 +128,7 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     tell(0.0, "reading the photo")
     try:
         photo, small, (height, width) = read_detail(
-            file, side_px=_SEARCHED_PX, preview_px=_PREVIEW_PX
+            file, side_px=_SEARCHED_PX, preview_px=PREVIEW_PX
         )
     except ValueError as error:
         raise FieldError("photo", nameless(error, file, "the photo")) from None
@@ -202,10 +202,9 @@ def _sharpen(order: Order, tell: Tell) -> Mapping[str, Any]:
     tell(0.2, "restoring the whole photo")
     restored = sharpen(photo.pixels, motion, anyway=order.get("anyway") is True)
     tell(0.9, "writing it")
-    step = max(1, -(-max(photo.pixels.shape[:2]) // _PREVIEW_PX))
     try:
         restored.save(file.with_name(f"{file.stem}_sharp.png"), bits=photo.bits)
-        small = encode_image(restored.image[::step, ::step], ".jpg")
+        small = encode_image(shrunk(restored.image), ".jpg")
         write_bytes(file.with_name(f"{file.stem}_sharp_preview.jpg"), small)
     except OSError as error:
         raise disk_error("photo", error) from None
@@ -352,5 +351,6 @@ KINDS: Mapping[str, Kind] = {
     "search": Kind(_search, "A search", keeps_best=True),
     "advise": Kind(_advise, "The verdict over the light", gives_way=True),
     "play": Kind(_play, "An upload", needs_rest=True),
+    "shoot": Kind(shoot, "A photo", needs_rest=True),
 }
 """Kinds of jobs by their names."""

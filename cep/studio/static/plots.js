@@ -53,6 +53,24 @@ function frame(svg, axes) {
   return { px, py, width, height, em };
 }
 
+/** Pixels by their code value, black to white; heights are square roots, so that few pixels show; the last bar is white itself. */
+export function drawHistogram(svg, counts, clipped) {
+  const { width, height, em } = sizeOf(svg);
+  const base = height - 1.6 * em, step = width / counts.length, most = Math.sqrt(Math.max(...counts, 1));
+  svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  svg.setAttribute("aria-label", `Histogram of the last frame: ${(100 * clipped).toPrecision(2)} percent of its pixels are white`);
+  svg.replaceChildren(
+    ...counts.map((count, i) => {
+      const tall = (base * Math.sqrt(count)) / most;
+      return make("rect", { class: i === counts.length - 1 ? "clipped" : "", x: i * step, width: 0.85 * step, y: base - tall, height: tall });
+    }),
+    make("line", { class: "zero", x1: 0, x2: width, y1: base, y2: base }),
+    make("text", { x: 0, y: height - 0.3 * em }, "black"),
+    make("text", { x: width / 2, y: height - 0.3 * em, "text-anchor": "middle" }, "code values of the last frame"),
+    make("text", { x: width, y: height - 0.3 * em, "text-anchor": "end" }, "white"),
+  );
+}
+
 function line(points) {
   return points.map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
 }

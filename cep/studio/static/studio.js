@@ -2,6 +2,7 @@
 
 import { DEFAULTS, SIDES, fromAddress, isCode, settingOf, settled, toAddress } from "./state.js";
 import { miniature, Strip } from "./strip.js";
+import { busyShot, showShot, wireShot } from "./shot.js";
 import { drawCurves, drawGains, drawMap, drawOnPhoto, drawPath, drawPlayed } from "./plots.js";
 
 const $ = (id) => document.getElementById(id);
@@ -191,6 +192,7 @@ const WAITS = {
   search: "The verdict follows when the search is done.",
   play: "The verdict follows when the code is played.",
   sharpen: "The verdict follows when the photo is sharpened.",
+  shoot: "The verdict follows when the photo is taken.",
 };
 
 /** What to do, and under which conditions. */
@@ -494,18 +496,21 @@ function heard(news) {
   const running = news?.state === "running";
   const mine = running && news.kind !== "advise";
   const ofPhoto = mine && (news.kind === "calibrate" || news.kind === "sharpen"); // shown where the photo is
-  $("job").hidden = !mine || ofPhoto;
-  $("stop").hidden = !mine || ofPhoto;
+  const ofShot = mine && news.kind === "shoot"; // and this in its card
+  $("job").hidden = !mine || ofPhoto || ofShot;
+  $("stop").hidden = !mine || ofPhoto || ofShot;
   $("search").hidden = mine;
   $("stop").textContent = news?.kind === "search" ? "Stop, keep the best" : "Cancel";
   busyPhoto(ofPhoto ? news : null);
+  busyShot(ofShot ? news : null);
   if (running && advice?.key !== adviceKey()) drawVerdict(); // it waits for this work
   if (!news) return;
-  const note = mine ? `${{ search: "Searching", calibrate: "Estimating the motion", sharpen: "Sharpening", play: "Uploading" }[news.kind]}${news.note ? `: ${news.note}` : ""}` : "";
+  const note = mine ? `${{ search: "Searching", calibrate: "Estimating the motion", sharpen: "Sharpening", play: "Uploading", shoot: "Taking the photo" }[news.kind]}${news.note ? `: ${news.note}` : ""}` : "";
   $(ofPhoto ? "drop-share" : "job-share").value = news.share;
   $(ofPhoto ? "drop-note" : "job-note").textContent = note;
   if (running && news.kind === "search" && news.best.bits && news.best.bits !== state.bits) change({ bits: news.best.bits, search: null }, { recorded: true });
   if (running && news.kind === "calibrate" && news.best.preview) showPhoto(`/api/photo/${state.photo}`);
+  if (news.kind === "shoot" && news.best.photo) keepShot(running ? news.best : { ...news.best, ...news.result });
   if (running || news.number <= handled) return;
   handled = news.number;
   remember("studio-handled", handled);
@@ -515,7 +520,7 @@ function heard(news) {
     return;
   }
   calm("job");
-  if (news.state === "done") ({ search: searched, calibrate: calibrated, sharpen: sharpened, advise: advised, play: played })[news.kind](news.result);
+  if (news.state === "done") ({ search: searched, calibrate: calibrated, sharpen: sharpened, advise: advised, play: played, shoot: keepShot })[news.kind](news.result);
   if (news.kind !== "advise") { adviceAsked = ""; followAdvice(); }
 }
 
@@ -580,13 +585,20 @@ function played(found) {
   $("play-line").textContent = said.map(sentence).join(" ");
 }
 
+function keepShot(found) {
+  remember("studio-shot-photo", found);
+  showShot(found);
+}
+
 let beginning = false; // a job is asked for and not heard of yet
 async function begin(kind, more = {}) {
   calm("job");
   beginning = true;
   const ofPhoto = kind === "calibrate" || kind === "sharpen";
-  $("job").hidden = ofPhoto;
+  const ofShot = kind === "shoot";
+  $("job").hidden = ofPhoto || ofShot;
   if (ofPhoto) busyPhoto({ share: 0 });
+  if (ofShot) busyShot({ share: 0, note: "starting" });
   $(ofPhoto ? "drop-note" : "job-note").textContent = "starting";
   try {
     const begun = await post("job", { page, kind, setting: settingOf(state), ...more });
@@ -594,6 +606,7 @@ async function begin(kind, more = {}) {
   } catch (error) {
     $("job").hidden = true;
     busyPhoto(null);
+    busyShot(null);
     complain(error, ["job"]);
     adviceAsked = "";
     setTimeout(followAdvice);
@@ -713,6 +726,10 @@ function shuffled(bits) {
 }
 
 function wire() {
+  document.querySelector(".skip").addEventListener("click", (event) => {
+    event.preventDefault(); // the address holds the state
+    (document.querySelector("#strip [tabindex='0']") ?? document.querySelector("#strip button")).focus();
+  });
   on("chips", "change", () => change({ bits: resized(state.bits, number("chips")), open: null, search: null }));
   on("bits", "input", () => { const bits = $("bits").value.replace(/\s/g, ""); change({ bits, search: null }); });
   const edits = {
@@ -810,11 +827,16 @@ function wire() {
     } catch (error) { complain(error, ["format"]); }
   });
   on("play", "click", () => { calm("port"); begin("play", { port: $("port").value, arm: true }); });
-  on("port", "focus", async () => {
+  for (const id of ["port", "shot_port"]) on(id, "focus", async () => {
     const { ports } = await ask("/api/ports").catch(() => ({ ports: [] }));
-    const chosen = $("port").value;
-    $("port").replaceChildren(new Option("emulated Uno", "emulated"), ...ports.map((one) => new Option(one.name, one.name)));
-    $("port").value = [...$("port").options].some((one) => one.value === chosen) ? chosen : "emulated";
+    const chosen = $(id).value;
+    $(id).replaceChildren(new Option("emulated Uno", "emulated"), ...ports.map((one) => new Option(one.name, one.name)));
+    $(id).value = [...$(id).options].some((one) => one.value === chosen) ? chosen : "emulated";
+  });
+  wireShot({
+    begin: (order) => begin("shoot", order),
+    stop: () => post("stop", { page }).catch((error) => complain(error, ["job"])),
+    remember, remembered,
   });
   on("save", "click", async () => {
     try {
@@ -845,6 +867,7 @@ async function start() {
   $("camera").replaceChildren(new Option("standard, 12 bit", ""), ...known.cameras.map((one) => new Option(one.name, one.name)));
   $("device").append(...known.devices.map((one) => new Option(one.name, one.name)));
   $("format").replaceChildren(...known.formats.map((one) => new Option(`${one.name}: ${one.about}`, one.name)));
+  $("shot-kinds").replaceChildren(...known.kinds.map((one) => new Option(one.about, `${one.name}:`)));
   $("published").append(...known.published.map((one) => new Option(`${one.name} (${one.bits.length})`, one.name)));
   for (const one of known.examples) $("motion-kind").append(new Option(`example: ${one.about}`, `example:${one.name}`));
   if (opened.state && !location.hash) state = { ...structuredClone(DEFAULTS), ...opened.state };

@@ -5,14 +5,21 @@ import os
 import signal
 import sys
 
+import numpy as np
 import pytest
 from emulators.tools import require_simavr
 from killed_parents import outliving
 
 import cep
+from cep.files.images import read_image
+from cep.files.shot_files import read_shot, record_beside
+from cep.photographs.scenes import NAMES, photographs
 from cep.studio import jobs as module
 from cep.studio.jobs import BusyError, Jobs
 from cep.studio.work import lost_interrupts
+from hw.cxp.protocol import State
+from hw.drivers.cxp import Controller
+from hw.emulation.uno import EmulatedUno
 
 PAGE = "a" * 16
 OTHER = "b" * 16
@@ -245,6 +252,92 @@ def test_a_code_is_played_on_the_emulated_controller(setting):
     assert [time_ns for time_ns, _ in edges] == pytest.approx(
         [1_250_000 * chip for chip in chips], abs=200
     )
+
+
+def shot_order(setting, folder, **changes):
+    order = {"camera": "twin:scene=cat", "port": "emulated", "release": "", "photo": "key"}
+    return {"setting": setting, **order, "path": str(folder / "key.tif"), **changes}
+
+
+@pytest.mark.slow  # a process that loads the library, and an emulated board
+def test_a_photo_is_taken_shown_and_restored(setting, tmp_path):
+    require_simavr()
+
+    async def scenario(jobs):
+        queue = jobs.listen(PAGE)
+        jobs.start(PAGE, "shoot", shot_order(setting, tmp_path))
+        shown = await until(queue, lambda job: job.best or job.state != "running")
+        assert shown.state == "running", shown.error
+        assert (tmp_path / "key_preview.jpg").exists()  # before it is restored
+        return await until(queue, lambda job: job.state != "running")
+
+    done = running(scenario)
+    assert done.state == "done", done.error
+    assert done.result["counts"]
+    assert "played once" in done.result["verdict"]
+    assert sum(done.result["histogram"]) == done.result["width"] * done.result["height"]
+    record = record_beside(tmp_path / "key.tif")
+    assert record.code.bits == setting["bits"]
+    assert record.trajectory.length_px == pytest.approx(16)
+    # it is the photo that was restored: far nearer to the scene than the blurred one
+    sharp = read_image(tmp_path / "key_sharp.png")
+    scene = photographs()[NAMES.index("cat")]
+    rows, columns = sharp.shape[:2]
+    top, left = ((scene.shape[axis] - sharp.shape[axis]) // 2 for axis in (0, 1))
+    middle = scene[top : top + rows, left : left + columns]
+    blurred = read_shot(tmp_path / "key.tif", record).pixels / record.code.duty
+    errors = [np.abs(photo - middle)[20:-20, 20:-20].mean() for photo in (sharp, blurred)]
+    assert errors[0] < 0.5 * errors[1]
+
+
+@pytest.mark.slow  # a process that loads the library, and an emulated board
+def test_a_cancelled_photo_closes_the_shutter_and_frees_the_camera(setting, tmp_path):
+    require_simavr()
+    with EmulatedUno() as uno:
+        waiting = shot_order(
+            setting, tmp_path, camera=f"folder:{tmp_path}", port=uno.port, release="external"
+        )
+
+        async def scenario(jobs):
+            queue = jobs.listen(PAGE)
+            jobs.start(PAGE, "shoot", waiting)
+            await until(queue, lambda job: job.note.startswith("waiting") or job.error)
+            await asyncio.sleep(0.5)  # until it is armed
+            jobs.stop(PAGE)
+            return (await until(queue, lambda job: job.state != "running")).state
+
+        assert running(scenario) == "stopped"
+        uno.trigger()
+        with Controller.open(uno.port) as controller:  # the port is free again
+            assert controller.status().state in (State.LOADED, State.DONE)
+        assert uno.edges() == ()
+
+
+@pytest.mark.slow  # a process that loads the library
+@pytest.mark.parametrize(
+    ("changes", "field", "words"),
+    [
+        ({"camera": "leica:"}, "shot_camera", "kind 'leica' is not known; known are"),
+        ({"camera": "twin"}, "shot_camera", "has no colon"),
+        ({"camera": "twin:scene=no.png"}, "shot_camera", "is no file, and none of"),
+        ({"camera": "folder:.", "port": "/dev/no"}, "shot_port", "/dev/no cannot be opened"),
+    ],
+)
+def test_a_photo_that_cannot_be_taken_is_one_line_at_its_field(
+    setting, tmp_path, changes, field, words
+):
+    require_simavr()
+
+    async def scenario(jobs):
+        queue = jobs.listen(PAGE)
+        jobs.start(PAGE, "shoot", shot_order(setting, tmp_path, **changes))
+        return await until(queue, lambda job: job.state != "running")
+
+    failed = running(scenario)
+    assert failed.state == "failed"
+    assert failed.error["field"] == field
+    assert words in failed.error["message"]
+    assert list(tmp_path.iterdir()) == []
 
 
 SERVER = """

@@ -9,11 +9,13 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from emulators.tools import require_simavr
 
 from cep.files.images import encode_image, read_image
 from cep.studio.state import saved_setting
@@ -486,6 +488,48 @@ def test_a_photo_gives_a_path_with_its_confidence(studio, tmp_path):
     assert page.locator("#alternatives button").count() >= 1
     until(page, "document.getElementById('photo-image').naturalWidth > 0")
     assert page.locator("#photo-image").is_visible()
+
+
+@pytest.mark.slow(reason="two photos on an emulated board, each restored")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_photo_is_taken_by_keys_alone_and_saved(studio, tmp_path, scheme):
+    require_simavr()
+    page = studio(PHONE, "code=1101000111010110&motion=straight:16:0", color_scheme=scheme)
+    page.locator("#to-shot").press("Enter")
+    assert page.evaluate("document.activeElement.id") == "shoot"
+    page.keyboard.press("Shift+Tab")  # back to the camera, past two choices and a word
+    page.locator("#shot_camera").fill("twin:photons=500")
+    page.keyboard.press("Enter")
+    until(page, "!document.getElementById('shot-stop').hidden")
+    until(page, "document.getElementById('shot-restored').naturalWidth > 0", 120)
+    assert "of white" in page.locator("#shot-sentence").inner_text()
+    assert "played once" in page.locator("#shot-verdict").inner_text()
+    assert page.locator("#shot-histogram rect").count() == 64
+    assert page.locator("#shot-photo").evaluate("image => image.naturalWidth") > 100
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE
+    with page.expect_download() as saving:
+        page.locator("#shot-save").press("Enter")
+    saved = tmp_path / saving.value.suggested_filename
+    saving.value.save_as(saved)
+    with zipfile.ZipFile(saved) as archive:
+        assert archive.namelist() == ["photo.tif", "photo.json", "restored.png"]
+        assert json.loads(archive.read("photo.json"))["code"]["bits"] == "1101000111010110"
+    page.reload()
+    shown(page)
+    until(page, "document.getElementById('shot-photo').naturalWidth > 0")
+    page.locator("#shot_camera").fill("twin:speed=1")
+    page.locator("#shoot").click()
+    until(page, "document.querySelector('[data-for~=shot_camera]').textContent !== ''")
+    assert "has no 'speed=1'" in page.locator("[data-for~=shot_camera]").inner_text()
+    assert page.locator("#shot_camera").get_attribute("aria-invalid") == "true"
+
+
+def test_the_link_to_the_code_keeps_the_state(studio):
+    page = studio(state="code=1101000111010110&motion=straight:16:0")
+    page.locator(".skip").press("Enter")
+    assert page.evaluate("document.activeElement.closest('#strip') !== null")
+    shown(page)
+    assert bits(page) == "1101000111010110"
 
 
 def test_what_is_saved_opens_again(studio, tmp_path):

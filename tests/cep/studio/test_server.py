@@ -1,9 +1,11 @@
 import asyncio
 import base64
+import io
 import json
 import queue
 import socket
 import threading
+import zipfile
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -25,6 +27,8 @@ from cep.studio.server import bound_socket
 from cep.studio.state import read_setting
 from cep.studio.uploads import Uploads
 from cep.studio.views import Views
+
+SHOT = {"camera": "twin:", "port": "emulated", "release": ""}
 
 
 def posted(client, name, **asked):
@@ -373,6 +377,11 @@ def test_no_value_anywhere_in_a_request_is_an_error_of_the_server(client, settin
             {"page": page, "kind": "search", "setting": setting, "seed": value},
             {"page": page, "kind": "play", "setting": setting, "port": value},
             {"page": page, "kind": "calibrate", "photo": value},
+            *(
+                {"page": page, "kind": "shoot", "setting": setting, **SHOT, name: value}
+                for name in ("camera", "port", "release")
+                if value or name != "release"  # which may be left to the camera
+            ),
         ],
         "stop": [{"page": value}],
         "verdict": [{"setting": {**setting, name: value}} for name in setting],
@@ -491,3 +500,14 @@ def test_a_full_disk_is_told_beside_the_field_and_leaves_nothing(
         "the studio's folder cannot be written (no space left on device); free space"
     )
     assert set(folder.iterdir()) == before
+
+
+def test_a_shot_that_is_not_taken_yet_is_not_there(client):
+    key, path = studio_of(client).uploads.reserve(".tif")
+    assert client.get(f"/api/photo/{key}/shot.zip").status_code == 422
+    path.write_bytes(b"II*\0")
+    path.with_name(f"{key}_sharp.png").write_bytes(b"png")
+    packed = client.get(f"/api/photo/{key}/shot.zip")
+    assert packed.headers["content-type"] == "application/zip"
+    with zipfile.ZipFile(io.BytesIO(packed.content)) as archive:
+        assert archive.namelist() == ["photo.tif", "restored.png"]
