@@ -122,7 +122,13 @@ def _written(folder: Path, stem: str, frame: Frame, record: ShotRecord, *, force
     about = photo.with_suffix(".json")
     colours = "rgb" if frame.values.ndim == 3 else "minisblack"
     with new_files([photo, about], force=force) as staged:
-        tifffile.imwrite(staged[photo], frame.values, photometric=colours)
+        try:
+            tifffile.imwrite(staged[photo], frame.values, photometric=colours)
+        except OSError as error:
+            if error.errno is not None:
+                raise
+            # numpy names neither the file nor a reason where the disk takes a part
+            raise OSError(f"{photo}: cannot be written whole: free space on its disk") from None
         staged[about].write_text(json_text(record.to_dict()), encoding="utf-8")
     return photo
 

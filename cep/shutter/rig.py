@@ -229,7 +229,8 @@ class Rig:
             if shots[-1].counts and not self._doubled(shots, settled_s):
                 return shots
         except BaseException as error:
-            error.add_note(f"{len(shots)} of {count} photos were taken before, and count")
+            if count > 1:
+                error.add_note(f"{len(shots)} of {count} photos were taken before, and count")
             raise
         keep(shots[-1])
         return shots

@@ -64,7 +64,7 @@ class ShotFolder:
         try:
             sharp = restored_shot(shot, progress)
             sharp.save(path, bits=8 if shot.record.bits <= 8 else 16)
-        except (OSError, ValueError) as error:
+        except BaseException as error:  # Ctrl-C as well: the photo is there
             error.add_note(f"{self.files[0]} was taken, and counts")
             raise
         return path

@@ -1,6 +1,7 @@
 """``cep shoot`` and ``cep deblur`` of its photos, as a user types them."""
 
 import json
+import sys
 from importlib import resources
 
 import cv2
@@ -9,7 +10,7 @@ import pytest
 from emulators.tools import require_simavr
 
 from cep.files.images import read_image, write_image
-from cep.files.shot_files import ShotRecord
+from cep.files.shot_files import ShotRecord, record_beside
 from cep.optics.code import ShutterCode
 from hw.emulation.uno import EmulatedUno
 
@@ -211,6 +212,30 @@ def test_a_photo_that_cannot_be_restored_is_kept(cep, twin, tmp_path):
     line = cep.refuses("shoot", "--camera", twin, *TIMED, "--linear", 60)
     assert line.endswith("; shot/photo.tif was taken, and counts\n")
     assert (tmp_path / "shot" / "photo.tif").exists()
+
+
+def test_an_interrupted_restoration_says_that_the_photo_counts(cep, twin, tmp_path, monkeypatch):
+    def interrupted(*_arguments, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cep.shutter.shot_folder.restored_shot", interrupted)
+    cep("shoot", "--camera", twin, *TIMED, "--linear", 16)
+    assert "shot/photo.tif was taken, and counts" in cep.err
+    assert record_beside("shot/photo.tif").counts
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of a process")
+def test_a_disk_that_takes_a_part_is_named_and_nothing_is_half_written(cep, twin, tmp_path):
+    import resource
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
+    try:
+        line = cep.refuses("shoot", "--camera", twin, *TIMED)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert line == "cep: shot/photo.tif: cannot be written whole: free space on its disk\n"
+    assert list((tmp_path / "shot").iterdir()) == []
 
 
 def test_a_mosaic_becomes_colours():
