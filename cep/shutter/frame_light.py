@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hw.cameras.camera import Frame
+from motdiff.crops import CLIPPED_LEVEL
+from motdiff.simulate import to_display, to_linear
 
 CLIPPED_SHARE = 0.01
 """Of the pixels, from which on there is too much light."""
@@ -19,6 +21,16 @@ _FULL = 0.9  # of white, to which the brightest parts may rise
 _LEAST_FACTOR = 2  # by which more light is worth a change
 
 
+def clipped_share(frame: Frame) -> float:
+    """Share of a frame's pixels that the restoration takes for clipped."""
+    white = 2**frame.bits - 1
+    black = frame.black_level or 0.0
+    level = float(to_display(CLIPPED_LEVEL)) if frame.gamma == "srgb" else CLIPPED_LEVEL
+    # by whole code values: light of 12 Mpx would take longer than the frame
+    high = frame.values >= math.ceil(black + level * (white - black))
+    return float(np.mean(high if high.ndim == 2 else high.any(axis=2)))
+
+
 @dataclass(frozen=True)
 class FrameLight:
     """How the code values of a frame are spread.
@@ -28,7 +40,7 @@ class FrameLight:
     counts : tuple of int
         Pixels in 64 bins from code value 0 to white, which is in the last.
     clipped : float
-        Share of the pixels that are white.
+        Share of the pixels that the restoration takes for clipped.
     brightest : float
         Light of the brightest parts, 1 at white.
     """
@@ -43,16 +55,16 @@ class FrameLight:
         white = 2**frame.bits - 1
         black = frame.black_level or 0.0
         counts, _ = np.histogram(frame.values, bins=_BINS, range=(0, white))
-        brightest = (float(np.quantile(frame.values, _BRIGHT)) - black) / (white - black)
+        share = max(0.0, (float(np.quantile(frame.values, _BRIGHT)) - black) / (white - black))
         return cls(
             counts=tuple(int(count) for count in counts),
-            clipped=float(np.mean(frame.values >= white)),
-            brightest=max(0.0, brightest),
+            clipped=clipped_share(frame),
+            brightest=float(to_linear(share)) if frame.gamma == "srgb" else share,
         )
 
     @property
     def is_clipped(self) -> bool:
-        """Whether more than a hundredth of the pixels are white."""
+        """Whether more than a hundredth of the pixels are clipped."""
         return self.clipped > CLIPPED_SHARE
 
     @property

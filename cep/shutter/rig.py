@@ -13,7 +13,7 @@ from cep.optics.camera import Camera as NoiseModel
 from cep.optics.code import ShutterCode
 from cep.shutter.burst import BurstCamera
 from cep.shutter.exposure_plan import ExposurePlan, ShotSettings
-from cep.shutter.frame_light import FrameLight
+from cep.shutter.frame_light import CLIPPED_SHARE, FrameLight, clipped_share
 from cep.shutter.release import Release, checked_release
 from cep.shutter.twin import TwinCamera
 from hw.cameras.camera import Camera, CameraSettings, Frame, FrameLostError, Trigger
@@ -354,8 +354,8 @@ def _at_white(noise: NoiseModel, record: ShotRecord) -> NoiseModel:
 
 def _warnings(frame: Frame) -> tuple[str, ...]:
     warnings = []
-    if (light := FrameLight.of(frame)).is_clipped:
-        warnings.append(light.advice)
+    if clipped_share(frame) > CLIPPED_SHARE:
+        warnings.append(FrameLight.of(frame).advice)
     if frame.exposure_s is None:
         warnings.append("the camera does not state its exposure: that it held the code is trusted")
     return tuple(warnings)

@@ -5,6 +5,7 @@ import pytest
 
 from cep.shutter.frame_light import FrameLight
 from hw.cameras.camera import Frame
+from motdiff.crops import clipped_mask
 
 
 def light_of(values, bits=12, black_level=None):
@@ -22,7 +23,7 @@ def test_every_pixel_is_in_the_histogram_and_white_in_its_last_bin():
     values = np.arange(4096).reshape(64, 64)
     light = light_of(values)
     assert light.counts == (64,) * 64
-    assert light.clipped == 1 / 4096
+    assert light.clipped == clipped_mask(values / 4095).mean()
 
 
 @pytest.mark.parametrize(
@@ -48,6 +49,19 @@ def test_a_single_hot_pixel_is_no_light():
     assert "8 times the light" not in light_of(values).advice
     assert light_of(values).brightest == pytest.approx(500 / 4095)
     assert light_of(values).advice.startswith("the brightest parts reach 12 % of white: 7 times")
+
+
+def test_finished_pictures_are_judged_by_their_light():
+    picture = Frame(
+        values=np.full((9, 9, 3), 188, dtype=np.uint8),
+        bits=8,
+        frame_id=1,
+        camera="any",
+        gamma="srgb",
+    )
+    light = FrameLight.of(picture)
+    assert light.brightest == pytest.approx(0.5, abs=0.005)  # sRGB's code value of half the light
+    assert light.clipped == 0
 
 
 def test_the_black_level_is_no_light():
