@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -288,7 +288,9 @@ def _taken(
         folder.drop_restored()
         return shots, folder.files, None
     with progress("restoring") as tick:
-        return shots, folder.files, folder.restore(shots[0], tick)
+        doubts = folder.restore(shots[0], tick)
+    shots[0] = replace(shots[0], warnings=(*shots[0].warnings, *doubts))
+    return shots, folder.files, folder.restored
 
 
 def _headline(files: list[Path], shots: list[Shot]) -> str:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from cep.files.shot_files import write_shot
 from cep.restoration.restore import restore
@@ -12,6 +15,7 @@ from cep.shutter.rig import Shot
 from motdiff.files.outputs import claim_folder
 
 _RESTORED = "restored.png"
+_BRIGHT = 0.999  # quantile of the restored light that has to fit below white
 
 
 class ShotFolder:
@@ -58,29 +62,44 @@ class ShotFolder:
         )
         self._last = shot
 
-    def restore(self, shot: Shot, progress: Callable[[float, str], None]) -> Path:
-        """Write the first photo restored along its motion; its errors say that it was taken."""
-        path = self.folder / _RESTORED
+    @property
+    def restored(self) -> Path:
+        """Path of the restored photo."""
+        return self.folder / _RESTORED
+
+    def restore(self, shot: Shot, progress: Callable[[float, str], None]) -> tuple[str, ...]:
+        """Write the first photo restored along its motion, and return the warnings.
+
+        An error says that the photo was taken.
+        """
         try:
             sharp = restored_shot(shot, progress)
-            sharp.save(path, bits=8 if shot.record.bits <= 8 else 16)
+            sharp.save(self.restored, bits=8 if shot.record.bits <= 8 else 16)
         except BaseException as error:  # Ctrl-C as well: the photo is there
             error.add_note(f"{self.files[0]} was taken, and counts")
             raise
-        return path
+        return sharp.warnings
 
     def drop_restored(self) -> None:
         """Remove the restored photo of other photos, which these have replaced."""
-        (self.folder / _RESTORED).unlink(missing_ok=True)
+        self.restored.unlink(missing_ok=True)
 
 
 def restored_shot(shot: Shot, progress: Callable[[float, str], None]) -> Restoration:
-    """Restore a photo along the motion of its record."""
+    """Restore a photo along the motion of its record, darkened where its light would not fit.
+
+    Restored light is that of the open shutter: what the code left just below white is above it.
+    """
     record = shot.record
-    return restore(
+    sharp = restore(
         record.light(shot.frame.values),
         code=record.code,
         trajectory=record.trajectory,
         camera=record.noise,
         progress=progress,
     )
+    factor = float(np.quantile(sharp.image, _BRIGHT))
+    if factor <= 1:
+        return sharp
+    note = f"the restored photo is {factor:.2g} times darker than the light, so that it fits"
+    return replace(sharp, image=sharp.image / factor, warnings=(*sharp.warnings, note))

@@ -238,6 +238,14 @@ def test_a_disk_that_takes_a_part_is_named_and_nothing_is_half_written(cep, twin
     assert list((tmp_path / "shot").iterdir()) == []
 
 
+def test_light_that_the_open_shutter_would_have_clipped_fits_the_restored_photo(cep, twin):
+    # 30,000 electrons in a full well of 32,000: half of them came through the code
+    bright = f"{twin},camera=sony-imx174,photons=60000"
+    result = cep.succeeds("shoot", "--camera", bright, *TIMED, "--linear", 16)
+    assert any("times darker than the light" in text for text in result["warnings"])
+    assert (read_image("shot/restored.png") >= 1).mean() < 0.002
+
+
 def test_a_mosaic_becomes_colours():
     light = np.broadcast_to([0.2, 0.5, 0.8], (8, 8, 3))
     mosaic = np.zeros((8, 8))
