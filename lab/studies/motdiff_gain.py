@@ -100,7 +100,12 @@ class PmpCorrected(PmpEstimator):
         super().__init__()
         self._correction = load_correction()
 
-    def search(self, crops: FloatArray) -> FoundKernels:
+    def search(
+        self,
+        crops: FloatArray,
+        *,
+        halved: Callable[[], FloatArray] | None = None,  # noqa: ARG002, the base class's
+    ) -> FoundKernels:
         """Run the starts on the crops (C, H, W), and refine the likeliest kernels."""
         kernels = self.kernels(crops)
         alike = mnc_matrix(kernels)

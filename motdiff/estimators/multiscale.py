@@ -72,8 +72,17 @@ class BlindEstimator(ABC):
         self._progress = Progress(progress)
 
     @abstractmethod
-    def search(self, crops: FloatArray) -> FoundKernels:
-        """Search the kernel that the crops (C, H, W), grey, linear light, share."""
+    def search(
+        self, crops: FloatArray, *, halved: Callable[[], FloatArray] | None = None
+    ) -> FoundKernels:
+        """Search the kernel that the crops (C, H, W), grey, linear light, share.
+
+        Parameters
+        ----------
+        halved : callable, optional
+            Returns crops (C', h, w) of the photo at half its size, for a search that needs them;
+            None where it is too small.
+        """
 
     @abstractmethod
     def single(self, crops: FloatArray, candidates: FoundKernels) -> list[FloatArray]:
@@ -138,7 +147,11 @@ class BlindEstimator(ABC):
                 images = list(zip(greys, clipped, strict=True))
                 cut = _each(images, partial(_textured_crops, factor=factor, count=count))
                 if len(cut) == 1:
-                    searched = self._without_lights(cut[0], self.search(cut[0].crops))
+                    halved = None
+                    if min(images[0][0].shape) // factor >= _LEAST_HALVED_PX:
+                        halved = partial(_halved_crops, images[0], factor=factor, count=count)
+                    candidates = self.search(cut[0].crops, halved=halved)
+                    searched = self._without_lights(cut[0], candidates)
                     level = _Level(factor, *searched, cut[0].crops)
                 else:
                     level = self._fused(factor, cut, progress)
@@ -279,6 +292,12 @@ def _textured_crops(
             " texture"
         )
     return _Cut(crops[textured], hidden[textured])
+
+
+def _halved_crops(
+    photo: tuple[FloatArray, NDArray[np.bool_]], *, factor: int, count: int
+) -> FloatArray:
+    return _textured_crops(photo, factor=2 * factor, count=count).crops
 
 
 def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:

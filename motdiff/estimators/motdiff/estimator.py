@@ -15,28 +15,29 @@ from motdiff.estimators.kernel_score import (
     Judge,
     candidate_probabilities,
     distinct,
-    kernel_score,
     noise_sigma,
-    probability_good,
     shared_sigma,
 )
 from motdiff.estimators.motdiff import MotDiff
-from motdiff.estimators.motdiff.correcting import corrected_choice, corrected_kernel
+from motdiff.estimators.motdiff.agreement import (
+    ODD_PX,
+    agreed_kernels,
+    framed,
+    in_odd_frames,
+    kernels_agreed_at_half,
+)
+from motdiff.estimators.motdiff.correcting import corrected_choice
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, alike, planned, refined
 from motdiff.estimators.simple_motion import simple_motion
 from motdiff.metrics import mnc_matrix, mnc_subpixel
-from motdiff.network.correction import CorrectionNetwork
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
-from motdiff.network.sampling import DOUBT
-from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 from motdiff.weights import load_network
 from motdiff.weights.correction import load_correction
 
-_ODD_PX = PSF_PX - 1  # an odd frame has a middle pixel, about which kernels are reflected
 _REFINED = 3
 # processor time of the stages, in starts of the classical search
 _DRAW_COST = 0.4
@@ -44,12 +45,8 @@ _JUDGE_COST = 0.2
 _REFINE_COST = 0.45
 _SINGLE_COST = 0.35
 _CORRECT_COST = 0.6
+_HALVED_COST = 2.0  # its searches count as any
 _TRACE_COST = 0.25
-# two corrected kernels are the photo's from this MNC and score on, and the probability of one to
-# be good grows with the MNC: docs/decisions/network.md
-_AGREED_MNC = 0.85
-_AGREED_SCORE = 0.4
-_AGREED = (15.0, -10.5)
 # of the search's starts, those that stand for the shortened ones the network was trained with; the
 # first two agreeing, the larger one stands for the one not run as well
 _CONDITIONS_OF_ALL = (2, 0, 1)
@@ -61,12 +58,14 @@ class MotDiffEstimator(BlindEstimator):
 
     Two classical searches give kernels, which a network corrects by what the photo tells of them
     (:mod:`motdiff.network.correction`). Where these agree, with each other and with the photo, the
-    better one is chosen. Else the photo leaves several motions: two more searches follow, and the
-    diffusion network, conditioned on three of the kernels, samples motions. All are scored on the
-    photo (:mod:`motdiff.estimators.kernel_score`), the most likely ones are refined at full
-    resolution, the best and up to two of the likeliest different ones corrected, and the same
-    score of the photo alone chooses: a classical kernel or a drawn one. A simple motion that is as
-    likely takes its place (:mod:`motdiff.estimators.simple_motion`).
+    better one is chosen; or else the kernel that two searches of the photo at half its size agree
+    on (:mod:`motdiff.estimators.motdiff.agreement`). Where they differ there as well, the photo
+    leaves several motions: two more searches follow, and the diffusion network, conditioned on
+    three of the kernels, samples motions. All are scored on the photo
+    (:mod:`motdiff.estimators.kernel_score`), the most likely ones are refined at full resolution,
+    the best and up to two of the likeliest different ones corrected, and the same score of the
+    photo alone chooses: a classical kernel or a drawn one. A simple motion that is as likely takes
+    its place (:mod:`motdiff.estimators.simple_motion`).
 
     Parameters
     ----------
@@ -94,7 +93,7 @@ class MotDiffEstimator(BlindEstimator):
     """
 
     method = "motdiff"
-    largest_px = _ODD_PX
+    largest_px = ODD_PX
     smallest_px = MotDiff.smallest_px
     plain_mnc = 0.95  # less like, the photo has refused it
 
@@ -120,7 +119,9 @@ class MotDiffEstimator(BlindEstimator):
         self._correction = load_correction() if refine else None
         self._seed = seed
 
-    def search(self, crops: FloatArray) -> FoundKernels:
+    def search(
+        self, crops: FloatArray, *, halved: Callable[[], FloatArray] | None = None
+    ) -> FoundKernels:
         """Sample, score and refine kernels of the crops (C, H, W)."""
         after = _JUDGE_COST + _REFINE_COST
         if len(crops) > 1:
@@ -136,7 +137,17 @@ class MotDiffEstimator(BlindEstimator):
             nonlocal settled
             if self._correction is None:
                 return alike(pair)
-            settled = _settled(self._correction, crops, pair, judge)
+            settled = agreed_kernels(self._correction, crops, pair, judge)
+            if settled is None and halved is not None:
+                self._progress.expect_more(_HALVED_COST)
+                settled = kernels_agreed_at_half(
+                    self._correction,
+                    crops,
+                    pair,
+                    halved(),
+                    judge=judge,
+                    progress=self._progress,
+                )
             return settled is not None
 
         searched = PmpEstimator().kernels(crops, progress=self._progress, agreed=agreed)
@@ -145,7 +156,7 @@ class MotDiffEstimator(BlindEstimator):
                 _CORRECT_COST + _TRACE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0)
             )
             return settled
-        classical = _framed(searched)
+        classical = framed(searched)
         conditions = _CONDITIONS_OF_ALL if len(classical) > 2 else _CONDITIONS_OF_TWO
         draws = draw_psfs(
             self._network,
@@ -156,7 +167,7 @@ class MotDiffEstimator(BlindEstimator):
             generator=torch.Generator().manual_seed(self._seed),
         )
         self._progress.spend(_DRAW_COST)
-        kernels = _in_odd_frames(
+        kernels = in_odd_frames(
             np.concatenate([draws, classical, draws.mean(axis=0, keepdims=True)])
         )
         mean = len(kernels) - 1
@@ -220,42 +231,6 @@ class MotDiffEstimator(BlindEstimator):
             )
         self._progress.spend(_CORRECT_COST)
         return better
-
-
-def _settled(
-    network: CorrectionNetwork, crops: FloatArray, pair: Sequence[FloatArray], judge: Judge
-) -> FoundKernels | None:
-    """Correct the kernels of two searches; None where they or the photo disagree."""
-    corrected = side_by_side(
-        [
-            partial(corrected_kernel, network, crops, kernel, [rival], sigma=judge.sigma)
-            for kernel, rival in (pair, pair[::-1])
-        ]
-    )
-    agreement = mnc_subpixel(*corrected)
-    if agreement < _AGREED_MNC:
-        return None
-    scores = kernel_score(judge.evidence(corrected))
-    if scores.max() < _AGREED_SCORE:
-        return None
-    return FoundKernels(
-        kernels=tuple(_in_odd_frames(_framed(pair))),
-        probabilities=probability_good(np.full(2, agreement), _AGREED),
-        best=int(np.argmax(scores)),
-        details={"samples": 0, "classical": 2, "agreement": agreement},
-        origins=("classical", "classical"),
-        corrected=tuple(corrected),
-    )
-
-
-def _framed(kernels: Sequence[FloatArray]) -> FloatArray:
-    return np.stack([in_frame(kernel) for kernel in kernels])
-
-
-def _in_odd_frames(psfs: FloatArray) -> list[FloatArray]:
-    """Cut PSFs (N, 64, 64) to odd frames of 63 px, exactly 0 off the path, sum 1."""
-    odd = without_faint_light(in_frame(psfs, _ODD_PX), below=DOUBT)
-    return list(odd / odd.sum(axis=(1, 2), keepdims=True))
 
 
 def _searched_alone(crop: FloatArray) -> FloatArray:

@@ -99,7 +99,12 @@ class PmpEstimator(BlindEstimator):
         self._starts = starts
         self.largest_px = max(start.size for start in starts)
 
-    def search(self, crops: FloatArray) -> FoundKernels:
+    def search(
+        self,
+        crops: FloatArray,
+        *,
+        halved: Callable[[], FloatArray] | None = None,  # noqa: ARG002, the base class's
+    ) -> FoundKernels:
         """Run the starts on the crops (C, H, W) and refine the best once more."""
         single = _SINGLE_COST if len(crops) > 1 else 0.0
         self._progress.expect(

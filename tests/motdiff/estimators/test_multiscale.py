@@ -44,7 +44,7 @@ class FakeSearch(BlindEstimator):
         self.seen = []
         self.alone = []
 
-    def search(self, crops):
+    def search(self, crops, *, halved=None):
         kernel, confidence = self.answers[min(len(self.seen), len(self.answers) - 1)]
         self.seen.append(crops)
         kernels, probabilities = zip(*self.others, (kernel, confidence), strict=True)
@@ -93,7 +93,7 @@ def test_the_search_has_one_thread_a_call_and_the_process_its_own_afterwards(mon
     seen = []
 
     class Noting(FakeSearch):
-        def search(self, crops):
+        def search(self, crops, *, halved=None):
             seen.append(threads())
             return super().search(crops)
 
@@ -119,7 +119,7 @@ def test_the_search_has_one_thread_a_call_and_the_process_its_own_afterwards(mon
 
 def test_each_photo_is_told_of_from_the_start_to_the_end():
     class Telling(FakeSearch):
-        def search(self, crops):
+        def search(self, crops, *, halved=None):
             self._progress.expect(2.0)
             self._progress.spend(1.0)
             return super().search(crops)
@@ -135,7 +135,7 @@ def test_each_photo_is_told_of_from_the_start_to_the_end():
 
 def test_several_photos_are_told_of_as_one_work():
     class Telling(FakeSearch):
-        def search(self, crops):
+        def search(self, crops, *, halved=None):
             self._progress.expect(2.0)
             self._progress.spend(1.0)
             return super().search(crops)

@@ -10,8 +10,9 @@ import torch
 from lab.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import noise_sigma, shared_sigma
-from motdiff.estimators.motdiff import correcting, drawing
+from motdiff.estimators.motdiff import agreement, correcting, drawing
 from motdiff.estimators.motdiff import estimator as module
+from motdiff.estimators.motdiff.agreement import in_odd_frames
 from motdiff.estimators.motdiff.correcting import corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
@@ -391,7 +392,7 @@ def test_candidates_come_in_odd_frames_with_their_zero_in_the_middle():
     psfs = np.zeros((2, 64, 64))
     psfs[0, 32, 32], psfs[0, 0, 5] = 0.75, 0.25  # what lies on the first row has no place
     psfs[1, 30, 36], psfs[1, 31, 36], psfs[1, 63, 63] = 0.98, 0.03, 0.01  # the last is doubt
-    one, other = module._in_odd_frames(psfs)
+    one, other = in_odd_frames(psfs)
     assert one.shape == other.shape == (63, 63)
     assert np.argwhere(one).tolist() == [[31, 31]]
     assert np.argwhere(other).tolist() == [[29, 35], [30, 35]]
@@ -523,13 +524,33 @@ def test_where_two_corrected_searches_differ_the_network_draws(monkeypatch, shak
     monkeypatch.setattr(module, "PmpEstimator", TwoThenFour)
     monkeypatch.setattr(FakePmp, "motions", (STRAIGHT, LOST[0], LOST[1], STRAIGHT))
     monkeypatch.setattr(
-        module, "corrected_kernel", lambda _network, _crops, kernel, *_, **__: kernel
+        agreement, "corrected_kernel", lambda _network, _crops, kernel, *_, **__: kernel
     )
     oracle = Oracle(STRAIGHT)
     candidates = estimator_with(monkeypatch, oracle).search(shaken[None])
     assert oracle.steps
     assert candidates.details["classical"] == len(STARTS)
     assert mnc_subpixel(candidates.kernels[candidates.best], STRAIGHT.psf(63)) > 0.9
+
+
+def test_where_they_agree_at_half_the_size_nothing_more_is_searched_or_drawn(monkeypatch):
+    photo = photo_of(STRAIGHT, 192, 192)
+    halved = FoundKernels((STRAIGHT.psf(63),), np.array([0.97]), 0, corrected=(STRAIGHT.psf(63),))
+    sizes = []
+
+    def at_half(_network, _crops, _pair, small, **_):
+        sizes.append(small.shape)
+        return halved
+
+    monkeypatch.setattr(module, "PmpEstimator", TwoThenFour)
+    monkeypatch.setattr(FakePmp, "motions", (STRAIGHT, LOST[0], LOST[1], STRAIGHT))
+    monkeypatch.setattr(module, "agreed_kernels", lambda *_: None)
+    monkeypatch.setattr(module, "kernels_agreed_at_half", at_half)
+    monkeypatch.setattr(module, "draw_psfs", lambda *_, **__: pytest.fail("drew a motion"))
+    estimate = estimator_with(monkeypatch, Oracle(STRAIGHT)).estimate(photo)
+    assert sizes == [(1, 96, 96)]
+    assert estimate.details["scale"] == 1
+    assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.95
 
 
 LOST = (Trajectory.straight(9.0, angle_rad=2.2), Trajectory.straight(20.0, angle_rad=1.4))
