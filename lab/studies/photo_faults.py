@@ -67,8 +67,8 @@ class FaultyPhoto:
         height, width = self.light.shape
         x, y = (right - 0.5) * width, (down - 0.5) * height
         cosine, sine = np.cos(self.roll_rad), np.sin(self.roll_rad)
-        turned = np.stack([cosine * x + sine * y - x, cosine * y - sine * x - y], axis=1)
-        path = Trajectory.from_samples(self.xy + turned)
+        displacement = np.stack([cosine * x + sine * y - x, cosine * y - sine * x - y], axis=1)
+        path = Trajectory.from_samples(self.xy + displacement)
         return path.psf(path.frame_size(64))
 
     def mnc(self, psf: FloatArray) -> float:
@@ -161,12 +161,12 @@ def table(rows: list[dict]) -> Iterator[str]:
         group = [row for row in rows if degrees in ("all", row["name"].split("/")[2])]
         if not group:
             continue
-        mnc, stated, wall_s = (
+        mnc, confidence, wall_s = (
             np.array([row[key] for row in group]) for key in ("mnc", "confidence", "wall_s")
         )
         yield (
             f"| {degrees} | {len(group)} | {mnc.mean():.3f} | {(mnc >= _GOOD_MNC).mean():.2f}"
-            f" | {stated.mean():.2f} | {wall_s.mean():.1f} | {wall_s.max():.1f} |"
+            f" | {confidence.mean():.2f} | {wall_s.mean():.1f} | {wall_s.max():.1f} |"
         )
 
 
