@@ -10,14 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from cep.calibration.order_codes import search_order_codes
+from cep.calibration.order_codes import allowed_limits, search_order_codes
 from cep.calibration.order_separation import BLIND_ERROR, OrderSeparation, ordered_walks
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
-from cep.search.feasibility import check_feasible
-from cep.search.limits import Limits, RunLimits
-from cep.search.playable import within_device
-from hw.device import DeviceProfile, load_profile
+from hw.device import DeviceProfile
 from hw.export import export_program, find_exporter
 from hw.program import Program
 from motdiff.files.json_files import json_text
@@ -227,15 +224,7 @@ def calibration_set(
         raise ValueError(f"photos: must be 1 to {_MOST_PHOTOS}, got {photos}")
     if not _LEAST_CHIPS <= chips <= _MOST_CHIPS:
         raise ValueError(f"chips: must be {_LEAST_CHIPS} to {_MOST_CHIPS}, got {chips}")
-    if isinstance(device, str):
-        device = load_profile(device)
-    limits = Limits(chips, (1, chips))  # all open too: the open shutter may be one of the photos
-    if device is not None:
-        playable = within_device(
-            device, chips=chips, chip_ns=chip_ns, open_range=(1, chips), runs=RunLimits()
-        )
-        limits = Limits(chips, playable.open_range, playable.runs)
-    check_feasible(limits)
+    limits, device = allowed_limits(chips, chip_ns, device)
     progress(0.0, "simulating walks")
     design, test = (
         OrderSeparation(ordered_walks(count, length_px=_LENGTH_PX, rng=rng), chips=chips)

@@ -13,9 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from cep.calibration.order_separation import BLIND_ERROR, OrderSeparation
 from cep.codes.published import published
 from cep.optics.code import ShutterCode
-from cep.search.feasibility import feasible, nearest
+from cep.search.feasibility import check_feasible, feasible, nearest
 from cep.search.limits import Limits, RunLimits
+from cep.search.playable import within_device
 from cep.search.sampling import draw
+from hw.device import DeviceProfile, load_profile
 from motdiff.types import FloatArray
 
 Code = NDArray[np.int8]
@@ -28,6 +30,28 @@ _GRAY_PLANES = (1, 2, 3, 4)  # 2 to 16 bins of time
 # de Bruijn sequences of order 3, 4 and 5: each window of so many chips occurs once, so a piece of
 # the code shows when it was played
 _DE_BRUIJN = ("00010111", "0000100110101111", "00000100011001010011101011011111")
+
+
+def allowed_limits(
+    chips: int, chip_ns: int, device: DeviceProfile | str | None
+) -> tuple[Limits, DeviceProfile | None]:
+    """Return the limits of a calibration code, open throughout too, and the device's profile.
+
+    Raises
+    ------
+    ValueError
+        If the device is not known or can play no such code.
+    """
+    if isinstance(device, str):
+        device = load_profile(device)
+    limits = Limits(chips, (1, chips))
+    if device is not None:
+        playable = within_device(
+            device, chips=chips, chip_ns=chip_ns, open_range=(1, chips), runs=RunLimits()
+        )
+        limits = Limits(chips, playable.open_range, playable.runs)
+    check_feasible(limits)
+    return limits, device
 
 
 def search_order_codes(
@@ -70,7 +94,7 @@ def search_order_codes(
     if photos > 1 and limits.satisfied(open_shutter[None])[0]:
         open_codes = [open_shutter]
     search = _Search(limits, measure)
-    candidates = _published_codes(limits)
+    candidates = start_codes(limits)
     # one code beside the open shutter, if searched, fits the few walks of the design
     searched = not open_codes or photos > 2
     if searched or all(map(_is_own_mirror, candidates)):
@@ -89,7 +113,7 @@ def search_order_codes(
             # one code at a time: sets of several are too many to be tried
             companions = [*open_codes, *chosen[:i], *chosen[i + 1 :]]
             chosen[i] = search.best([chosen[i], *candidates], companions)
-            chosen[i] = search.best([chosen[i], *search.neighbours(chosen[i])], companions)
+            chosen[i] = search.best([chosen[i], *neighbours(limits, chosen[i])], companions)
         progress(0.6 + 0.4 * (sweep + 1) / _SWEEPS)
         if search.score([*open_codes, *chosen]) <= before:
             break
@@ -134,17 +158,23 @@ class _Search:
         """Return the code, the first of several, that makes the best set with the rest."""
         return max(codes, key=lambda code: self.score([*companions, code]))
 
-    def neighbours(self, code: Code) -> list[Code]:
-        """Codes within the limits with one edge moved by up to 2 chips, or all by up to 3."""
-        neighbours = [np.roll(code, by) for by in (-3, -1, 1, 3)]
-        for edge in np.flatnonzero(np.diff(code)) + 1:
-            for by in (-2, -1, 1, 2):
-                first, end = sorted((edge, min(max(edge + by, 0), len(code))))
-                neighbour = code.copy()
-                # the run after the edge grows where it moves back, else the one before it
-                neighbour[first:end] = code[edge - (by > 0)]
-                neighbours.append(neighbour)
-        return list(compress(neighbours, self._limits.satisfied(np.stack(neighbours))))
+
+def neighbours(limits: Limits, code: Code, *, single: bool = False) -> list[Code]:
+    """Codes within the limits with one edge moved by up to 2 chips, or all by up to 3.
+
+    With ``single``, those with one chip changed too.
+    """
+    moved_codes = [np.roll(code, by) for by in (-3, -1, 1, 3)]
+    for edge in np.flatnonzero(np.diff(code)) + 1:
+        for by in (-2, -1, 1, 2):
+            first, end = sorted((edge, min(max(edge + by, 0), len(code))))
+            neighbour = code.copy()
+            # the run after the edge grows where it moves back, else the one before it
+            neighbour[first:end] = code[edge - (by > 0)]
+            moved_codes.append(neighbour)
+    if single:
+        moved_codes += list(code ^ np.eye(len(code), dtype=np.int8))
+    return list(compress(moved_codes, limits.satisfied(np.stack(moved_codes))))
 
 
 def gray_planes(planes: int, chips: int) -> Code:
@@ -172,7 +202,7 @@ def longest_unseen(codes: ArrayLike) -> int:
     return max((length for is_open, length in union.runs if not is_open), default=0)
 
 
-def _published_codes(limits: Limits) -> list[Code]:
+def start_codes(limits: Limits) -> list[Code]:
     """Known codes and their complements, brought within the limits."""
     chips = limits.chips
     texts = (*_DE_BRUIJN, published("raskar-52").code.bits)

@@ -15,6 +15,7 @@ from cep.commands.code_options import exposure_seconds
 from cep.commands.commands import in_options
 from cep.commands.console import finish, part, progress
 from cep.commands.jobs import Workers, finish_folder
+from cep.commands.next_photo import NextOptions, next_step, write_next
 from cep.commands.options import CommonOptions, Gamma, command, output_option
 from motdiff.estimators.method import Kind, Option, command_options
 from motdiff.estimators.registry import METHODS, blind_methods
@@ -71,7 +72,7 @@ def _annotation(name: str) -> Any:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrateOptions(CommonOptions):
+class CalibrateOptions(NextOptions, CommonOptions):
     """Options of ``cep calibrate`` that do not depend on the registered methods."""
 
     context: typer.Context
@@ -156,6 +157,14 @@ def calibrate(options: CalibrateOptions) -> None:
 
     Example: cep calibrate open.png coded.png --code open --code code.json -o motion
 
+    With --next the code of the next photo is chosen for this motion: the one that best tells apart
+    the orders that the photos so far leave open. That goes on until the order is sure.
+
+    Example: cep calibrate open.png --next next.json -o motion
+
+    Example: cep calibrate open.png coded.png --code open --code next.json --next third.json -o
+    motion_2
+
     Example: cep calibrate light.png --method point --code code.json -o motion
 
     Example: cep calibrate coded.png --code code.json --trajectory motion/trajectory.json -o
@@ -164,6 +173,10 @@ def calibrate(options: CalibrateOptions) -> None:
     images = options.images
     method_options = options.method_options()
     sources: list[str] = method_options.pop("codes") or []
+    if options.next_file is not None and sources == ["open"] and len(images) == 1:
+        sources = []  # the first photo of a loop: no code yet, and no order
+    if options.next_file is not None and (options.trajectory or any(map(Path.is_dir, images))):
+        raise ValueError("--next: is for photos of one motion, without --trajectory")
     if options.trajectory is not None:
         _refine(options, options.trajectory, method_options, sources)
         return
@@ -179,6 +192,7 @@ def calibrate(options: CalibrateOptions) -> None:
         _calibrate_folder(options, method, method_options)
         return
     _refuse_workers(options)
+    options.check_next(sources, is_blind=method in blind_methods(), photos=len(images))
     with progress(f"estimating the motion ({method})") as tick:
         tick(0.0, "reading the photo")
         from cep.calibration.calibrate import (
@@ -187,10 +201,10 @@ def calibrate(options: CalibrateOptions) -> None:
             estimate_motion,
             read_options,
         )
-        from cep.codes.sources import load_codes
+        from cep.codes.sources import code_file, load_codes
         from cep.files.images import parse_gamma
         from cep.files.shot_files import read_light
-        from motdiff.files.outputs import claim_folder, summary_on_failure
+        from motdiff.files.outputs import claim, claim_folder, summary_on_failure
         from motdiff.files.trajectories import trajectory_text
 
         check_method(method, {**method_options, "codes": sources or None})
@@ -198,6 +212,9 @@ def calibrate(options: CalibrateOptions) -> None:
         parse_gamma(options.gamma)
         folder = options.output or images[0].with_name(f"{images[0].stem}_motion")
         claim_folder(folder, CALIBRATION_FILES, force=options.force)
+        next_files = [] if options.next_file is None else [options.next_file]
+        inputs = [*images, *filter(None, map(code_file, sources))]
+        outputs = claim(next_files, force=options.force, inputs=inputs)
         photos = [read_light(image, gamma=options.gamma) for image in images]
         values = read_options(method, method_options, gamma=options.gamma)
         started = time.perf_counter()
@@ -219,6 +236,16 @@ def calibrate(options: CalibrateOptions) -> None:
         except ValueError as error:
             raise ValueError(_with_file(str(error), images)) from None
         seconds = time.perf_counter() - started
+        choice = None
+        if options.next_file is not None:
+            tick(end_share, "choosing the next code")
+            choice = options.designed(
+                pixels,
+                codes or (),
+                calibration,
+                seed=options.seed,
+                progress=lambda share: tick(end_share + 0.1 * share, "choosing the next code"),
+            )
         tick(end_share, "writing")
         source: dict[str, object] = {"image": str(images[0]), "seed": options.seed}
         if codes is not None or len(images) > 1:
@@ -234,11 +261,19 @@ def calibrate(options: CalibrateOptions) -> None:
                 bits=min(photos[0].bits, 16),  # a PNG has no floating point
                 gamma=options.gamma,
             )
+        if options.next_file is not None:
+            write_next(choice, outputs, options.next_file)
         tick(1.0)
     warnings = [line for photo in photos for line in photo.warnings]
     warnings += [in_options(line, options.context) for line in calibration.warnings]
     result = calibration.to_dict(files, seconds=seconds, warnings=warnings)
     lines = _summary(calibration, folder, seconds=seconds, is_coded=codes is not None)
+    if options.next_file is not None:
+        result["next"] = choice and {"code": options.next_file, **choice.to_dict()}
+        step = next_step(
+            choice, options.next_file, images=images, sources=sources, estimate=calibration
+        )
+        lines = [*step, *lines]
     if method_options.get("gyro") is not None:
         columns = calibration.details["columns"]
         lines.append(f"{method_options['gyro']}: {columns}; axes: {calibration.details['axes']}")

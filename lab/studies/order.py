@@ -6,8 +6,9 @@ well that is known.
         order.jsonl] [--workers 2] [--seed 0]
 
 A set names the photos' codes, as `codes_of_set` of lab/bench/coded/calibrations.py does; `one` is
-Raskar's code. Each photo shows one crop, moved by up to `--moved` px of its own, through the
-light-true PSF of its code, with Gauss noise of so much of full scale. The n-th motion is the same
+Raskar's code; `open+next`, the open shutter and the code chosen after it. Each photo shows one
+crop, moved by up to `--moved` px of its own, through the light-true PSF of its code, with Gauss
+noise of so much of full scale. The n-th motion is the same
 in every set and at every noise. What may differ from photo to photo beside: `--brightness`,
 `--scaled`, `--wobble`. With `--light` the photos show a small light in the dark.
 
@@ -25,7 +26,7 @@ import signal
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
@@ -47,6 +48,7 @@ from motdiff.types import FloatArray
 MOTIONS = ("walks", "arcs", "gyro")
 EXPOSURES_S = (0.05, 0.1, 0.25, 0.5)
 RIGHT_PX = 1.0
+CHOSEN = "open+next"  # the second code is that which cep calibrate --next chooses
 LIT = 0.8  # of full scale: a light's trail at its brightest, and what is around it
 DARK = 0.01
 SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".bmp"}
@@ -199,6 +201,9 @@ def figures_of(case: Case) -> dict[str, object]:
     from motdiff.estimators.coded.trail_estimator import TrailEstimator
 
     estimator = TrailEstimator if case.light else CodedEstimator
+    chosen: dict[str, object] = {}
+    if case.set == CHOSEN:
+        case, chosen = with_chosen_code(case)
     path, photos = photos_of(case)
     started = time.perf_counter()
     began_cpu = time.process_time()
@@ -220,10 +225,36 @@ def figures_of(case: Case) -> dict[str, object]:
             "searches_agreeing": estimate.details["searches_agreeing"],
             "kernels": estimate.details.get("kernel_confidences", []),
         }
-    return row | {
-        "seconds": time.perf_counter() - started,
-        "cpu_s": time.process_time() - began_cpu,
+    return (
+        row
+        | chosen
+        | {
+            "seconds": time.perf_counter() - started,
+            "cpu_s": time.process_time() - began_cpu,
+        }
+    )
+
+
+def with_chosen_code(case: Case) -> tuple[Case, dict[str, object]]:
+    """Case with the second code chosen after its open photo, and figures of the choice."""
+    from cep.calibration.calibrate import estimate_motion
+    from cep.calibration.next_code import next_code
+
+    chips = len(case.codes[0])
+    case = replace(case, codes=case.codes[:1])
+    _, photos = photos_of(case)
+    estimate = estimate_motion(photos[0], seed=case.index)
+    began_cpu = time.process_time()
+    choice = next_code(photos, (), estimate, chips=chips, rng=np.random.default_rng(case.index))
+    if choice is None:
+        raise ValueError("the open photo shows no motion")
+    figures = {
+        "design_cpu_s": time.process_time() - began_cpu,
+        "design_orders": choice.orders,
+        "design_chi_square": choice.chi_square,
+        "bits": choice.code.bits,
     }
+    return replace(case, codes=(*case.codes, choice.code.bits)), figures
 
 
 def is_right(row: dict[str, object]) -> bool:
@@ -406,7 +437,11 @@ def main() -> None:
     options = parser.parse_args()
     try:
         sets = {
-            name: codes_of_set(name.replace("one", "raskar-52"), options.chips)
+            name: (
+                ("1" * options.chips,)
+                if name == CHOSEN
+                else codes_of_set(name.replace("one", "raskar-52"), options.chips)
+            )
             for name in options.set
         }
     except ValueError as refusal:

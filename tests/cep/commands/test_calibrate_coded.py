@@ -1,10 +1,12 @@
 """``cep calibrate P1 P2 --code C1 --code C2``: photos of one motion through known codes."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from cep.files.code_files import StoredCode, write_code
+from cep.files.code_files import StoredCode, read_code, write_code
 from cep.files.images import write_image
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
@@ -42,6 +44,63 @@ def test_path_comes_with_its_order_in_time(cep, photos):
     forward, backward = (np.sqrt(((d - d.mean(axis=0)) ** 2).sum(axis=1).mean()) for d in apart)
     assert forward < 1 < backward
     assert motion.source["codes"] == list(CODES)
+
+
+@pytest.mark.slow(reason="a blind search, and two with a fit")
+def test_the_code_of_the_next_photo_is_chosen_until_the_order_is_sure(cep, photos):
+    first = cep.succeeds(
+        "calibrate", "open.png", "--next", "next.json", "--chips", "16", "-o", "motion"
+    )
+    code = read_code("next.json").code
+    assert first["next"]["bits"] == code.bits
+    assert len(code.bits) == 16
+    scene = 0.1 + 0.8 * np.kron(np.random.default_rng(3).random((34, 34)), np.ones((8, 8)))
+    write_image("second.png", capture(scene, PATH, code, rng=np.random.default_rng(4)), bits=16)
+    two = ("open.png", "second.png", "--code", "open", "--code", "next.json")
+    second = cep.succeeds(
+        "calibrate", *two, "--next", "third.json", "--sure", "0.01", "-o", "motion_2"
+    )
+    assert second["direction"] == "known"
+    assert second["next"] is None
+    assert not Path("third.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--sure", "0.9"], "--sure: is for --next FILE, the code of the next photo"),
+        (
+            ["coded.png", "--next", "n.json"],
+            "--next: needs the code of each photo, as --code open for the first one",
+        ),
+        (
+            ["coded.png", "--code", CODES[1], "--code", "open", "--next", "n.json"],
+            "--next: begins with a photo through an open shutter (--code open), got --code"
+            f" {CODES[1]}",
+        ),
+        (
+            ["--method", "gyro", "--next", "n.json"],
+            "--next: needs --method motdiff or pmp for the first photo, and --code after it",
+        ),
+        (
+            [
+                "coded.png",
+                "--code",
+                "open",
+                "--code",
+                CODES[1],
+                "--chips",
+                "8",
+                "--next",
+                "n.json",
+            ],
+            "--chips: the codes given say it",
+        ),
+    ],
+)
+def test_options_of_the_next_code_that_do_not_fit_are_refused(cep, photos, arguments, message):
+    assert cep.refuses("calibrate", "open.png", *arguments) == f"cep: {message}\n"
+    assert not Path("n.json").exists()
 
 
 @pytest.mark.slow(reason="two searches")

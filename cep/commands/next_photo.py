@@ -1,0 +1,183 @@
+"""``--next`` of ``cep calibrate``: the code of the photo to be taken next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cep.commands.code_options import STANDARD_CHIPS
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from cep.calibration.next_code import NextCode
+    from cep.optics.code import ShutterCode
+    from motdiff.estimators.base import MotionEstimate
+    from motdiff.files.outputs import Outputs
+
+_PANEL = "With --next"
+_SURE = 0.95
+
+
+@dataclass(frozen=True, kw_only=True)
+class NextOptions:
+    """Options of the next photo's code."""
+
+    next_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--next",
+            metavar="FILE",
+            rich_help_panel=_PANEL,
+            help="Code file to write: the code of the next photo, chosen for this motion, until"
+            " its order in time is sure. The first photo has an open shutter.",
+        ),
+    ] = None
+    least_probability: Annotated[
+        float | None,
+        typer.Option(
+            "--sure",
+            metavar="P",
+            min=0,
+            max=1,
+            rich_help_panel=_PANEL,
+            show_default=str(_SURE),
+            help="Probability of the order from which no other photo is asked for.",
+        ),
+    ] = None
+    chips: Annotated[
+        int | None,
+        typer.Option(
+            "--chips",
+            "-n",
+            metavar="N",
+            min=4,
+            max=512,
+            rich_help_panel=_PANEL,
+            show_default=f"as in the codes, else {STANDARD_CHIPS}",
+            help="Chips of the first code.",
+        ),
+    ] = None
+    chip_ns: Annotated[
+        int | None,
+        typer.Option(
+            "--chip-ns",
+            metavar="NS",
+            min=1,
+            rich_help_panel=_PANEL,
+            show_default="1000000",
+            help="Chip time of the first code.",
+        ),
+    ] = None
+    device: Annotated[
+        str | None,
+        typer.Option(
+            "--device",
+            metavar="NAME|FILE",
+            rich_help_panel=_PANEL,
+            help="Shutter that can play it: a name of cep device list, or a profile.",
+        ),
+    ] = None
+
+    def check_next(self, sources: Sequence[str], *, is_blind: bool, photos: int) -> None:
+        """Refuse what does not go with ``--next``, or with its absence."""
+        values = {
+            "sure": self.least_probability,
+            "chips": self.chips,
+            "chip-ns": self.chip_ns,
+            "device": self.device,
+        }
+        if self.next_file is None:
+            for name in [name for name, value in values.items() if value is not None]:
+                raise ValueError(f"--{name}: is for --next FILE, the code of the next photo")
+            return
+        if photos > 1 and not sources:
+            raise ValueError(
+                "--next: needs the code of each photo, as --code open for the first one"
+            )
+        if sources and sources[0] != "open":
+            raise ValueError(
+                f"--next: begins with a photo through an open shutter (--code open), got"
+                f" --code {sources[0]}"
+            )
+        if not (is_blind or sources):
+            raise ValueError(
+                "--next: needs --method motdiff or pmp for the first photo, and --code after it"
+            )
+        if len(sources) > 1:
+            for name in ("chips", "chip-ns"):
+                if values[name] is not None:
+                    raise ValueError(f"--{name}: the codes given say it")
+
+    def designed(
+        self,
+        photos: Sequence[ArrayLike],
+        codes: Sequence[ShutterCode],
+        estimate: MotionEstimate,
+        *,
+        seed: int,
+        progress: Callable[[float], None],
+    ) -> NextCode | None:
+        """Choose the next code, None where no other photo is needed."""
+        import numpy as np
+
+        from cep.calibration.next_code import next_code
+
+        return next_code(
+            photos,
+            codes,
+            estimate,
+            least_probability=_SURE if self.least_probability is None else self.least_probability,
+            chips=self.chips or STANDARD_CHIPS,
+            chip_ns=self.chip_ns or 1_000_000,
+            device=self.device,
+            rng=np.random.default_rng(seed),
+            progress=progress,
+        )
+
+
+def write_next(choice: NextCode | None, outputs: Outputs, target: Path) -> None:
+    """Write the next photo's code where there is one; an earlier file of the name stays."""
+    if choice is not None:
+        with outputs.written(summary=choice.code.bits) as staged:
+            choice.save(staged[target])
+
+
+def next_step(
+    choice: NextCode | None,
+    target: Path,
+    *,
+    images: Sequence[Path],
+    sources: Sequence[str],
+    estimate: MotionEstimate,
+) -> list[str]:
+    """Say what to do now: the next photo and the command after it, or that none is needed."""
+    from shlex import quote
+
+    if choice is None:
+        if estimate.details.get("motion_blur") is False:
+            return ["No code: the photo shows no motion blur."]
+        return [
+            "Take no other photo: the order in time is known with probability"
+            f" {estimate.confidence:.2f}; no code is written. Search the working code with cep"
+            " optimize."
+        ]
+    code_sources = [*(sources or ["open"]), str(target)]
+    photos = [*map(str, images), f"P{len(images) + 1}"]
+    following = target.with_name(f"{target.stem}_{len(images) + 2}.json")
+    command = " ".join(
+        [
+            "cep calibrate",
+            *map(quote, photos),
+            *(f"--code {quote(source)}" for source in code_sources),
+            f"--next {quote(str(following))} -o motion_{len(images) + 1}",
+        ]
+    )
+    return [
+        f"Take the next photo of this motion with {target}: {choice.reason}.",
+        f"then: {command}",
+    ]
