@@ -209,6 +209,8 @@ def deblur(options: DeblurOptions) -> None:
             progress=part(tick, 0.05, 0.98),
             **inputs,
         )
+        if record is not None:
+            restored = restored.below_white()
         # a floating-point or RAW file is linear whatever is said of it; a PSF that was found in
         # the photo fits the curve on which it was searched
         is_curved = photo.bits < 32 and options.image.suffix.lower() not in RAW_SUFFIXES

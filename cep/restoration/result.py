@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,9 @@ from cep.restoration.blur import channels_first, trimmed_psf
 from cep.restoration.clipping import clipped_channels
 from cep.restoration.direction import DirectionResult
 from motdiff.types import FloatArray
+
+_BRIGHT = 0.999  # quantile of the restored light that has to fit below white
+_CLOSE = 1.05  # times white: so little beyond it is not seen
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +72,17 @@ class Restoration:
     def save(self, path: Path | str, *, bits: int = 8, gamma: str | float = "srgb") -> None:
         """Write the restored photo, as :func:`cep.files.images.write_image` does."""
         write_image(path, self.image, bits=bits, gamma=gamma)
+
+    def below_white(self) -> Restoration:
+        """Darken the photo where its light would not fit below white, with a warning.
+
+        Restored light is that of the open shutter: what a code left just below white is above it.
+        """
+        factor = float(np.quantile(self.image, _BRIGHT))
+        if factor <= _CLOSE:
+            return self
+        note = f"the restored photo is {factor:.2g} times darker than the light, so that it fits"
+        return replace(self, image=self.image / factor, warnings=(*self.warnings, note))
 
     @property
     def kept(self) -> bool:

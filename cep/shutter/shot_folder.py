@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from cep.files.shot_files import write_shot
 from cep.restoration.restore import restore
@@ -15,7 +12,6 @@ from cep.shutter.rig import Shot
 from motdiff.files.outputs import claim_folder
 
 _RESTORED = "restored.png"
-_BRIGHT = 0.999  # quantile of the restored light that has to fit below white
 
 
 class ShotFolder:
@@ -86,10 +82,7 @@ class ShotFolder:
 
 
 def restored_shot(shot: Shot, progress: Callable[[float, str], None]) -> Restoration:
-    """Restore a photo along the motion of its record, darkened where its light would not fit.
-
-    Restored light is that of the open shutter: what the code left just below white is above it.
-    """
+    """Restore a photo along the motion of its record, darkened where its light would not fit."""
     record = shot.record
     sharp = restore(
         record.light(shot.frame.values),
@@ -98,8 +91,4 @@ def restored_shot(shot: Shot, progress: Callable[[float, str], None]) -> Restora
         camera=record.noise,
         progress=progress,
     )
-    factor = float(np.quantile(sharp.image, _BRIGHT))
-    if factor <= 1:
-        return sharp
-    note = f"the restored photo is {factor:.2g} times darker than the light, so that it fits"
-    return replace(sharp, image=sharp.image / factor, warnings=(*sharp.warnings, note))
+    return sharp.below_white()
