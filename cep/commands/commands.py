@@ -35,7 +35,7 @@ _NAME = r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*"
 _NAMED = re.compile(rf"(?:^|(?<=, )|(?<= and )|(?<= or ))({_NAME})(?=[ ,]|$)")
 _FILE = re.compile(r"/|\.\w+$")  # or with a file, whose fields are not options
 # behind the colon only what cannot be an English word: method='pmp', and names with underscores
-_ASSIGNED = re.compile(rf"\b({_NAME})=(?:'([^']*)'|(\S+))")
+_ASSIGNED = re.compile(rf"\b({_NAME})=(?:'([^']*)'|([^\s,]\S*))")
 _WITHIN = re.compile(r"""(?<![\w.'"/-])([a-z][a-z0-9]*(?:_[a-z0-9]+)+)(?![\w.'"/-])""")
 
 

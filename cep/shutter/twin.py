@@ -72,8 +72,8 @@ class TwinOptions:
             name, equals, text = item.partition("=")
             if name not in types or not equals:
                 raise ValueError(
-                    f"camera: twin has no {item[:40]!r}; known are {', '.join(types)}, as"
-                    " photons=2000,row_us=15"
+                    f"camera: twin has no {item[:40]!r}; known are"
+                    f" {', '.join(f'{name}=' for name in types)}, divided by commas"
                 )
             try:
                 values[name] = types[name](text)

@@ -224,6 +224,11 @@ def param(name, *opts, kind="option", metavar=None):
         ("shots/method: no photo", (), "shots/method: no photo"),
         ("scene: is empty", (), "scene: is empty"),
         ("scene: needs size=3", (), "scene: needs size=3"),
+        (
+            "method: known are sharp=, duty=, method=",
+            (),
+            "--method: known are sharp=, duty=, method=",
+        ),
         ("my_photo.png: is empty", (), "my_photo.png: is empty"),
         (
             "camera.json: exposure_s: must be a number",
