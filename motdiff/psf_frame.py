@@ -16,6 +16,8 @@ from motdiff.types import FloatArray
 PSF_PX = 64
 """Side of the PSF frame, px: fixed for the networks and the field of HR maps, the default
 elsewhere."""
+ODD_PX = PSF_PX - 1
+"""Side of the frame of kernels that are reflected: an odd one has a middle pixel."""
 MAP_PITCH = 4
 """HR-map pixels per PSF pixel."""
 MAP_PX = MAP_PITCH * PSF_PX

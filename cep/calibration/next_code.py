@@ -49,9 +49,9 @@ class NextCode:
     orders : int
         Orders in time that the photos so far leave open, the right one among them.
     chi_square : float
-        By which the hardest two of them are told apart through this code.
+        Between the two of them that are most alike, with a photo through this code.
     before : float
-        The same by the photos so far.
+        The same without it.
     device : DeviceProfile or None
         That can play it.
     """
@@ -137,13 +137,12 @@ def next_code(
     probability = estimate.details.get("order_confidence", 0.0)
     if codes and isinstance(probability, float) and probability >= least_probability:
         return None
-    photo_codes = [code.array for code in codes if code.chips > 1]
-    if photo_codes:
-        chips = len(photo_codes[0])
-        chip_ns = next(code.chip_ns for code in codes if code.chips > 1)
+    timed = [code for code in codes if code.chips > 1]  # an open shutter alone has no chips
+    if timed:
+        chips, chip_ns = timed[0].chips, timed[0].chip_ns
     limits, profile = allowed_limits(chips, chip_ns, device)
     scene = SceneLight.of(luminance(photos[0]), estimate.best)
-    photo_codes = photo_codes or [np.ones(chips)]
+    photo_codes = [code.array for code in timed] or [np.ones(chips)]
     paths = open_orders(estimate.trajectories)
     contrast = OrderContrast(paths, photo_codes, chips=chips, scene=scene)
     surviving = survivors(contrast, len(estimate.trajectories))
@@ -152,7 +151,7 @@ def next_code(
     code, chi_square = search_next(contrast, limits, rng=rng, progress=progress)
     return NextCode(
         ShutterCode(code, chip_ns),
-        orders=1 + int(contrast.pairs.max()),
+        orders=contrast.count,
         chi_square=chi_square,
         before=float(contrast.taken().min()),
         device=profile,
@@ -185,13 +184,12 @@ def open_orders(paths: Sequence[Trajectory]) -> FloatArray:
 def survivors(contrast: OrderContrast, count: int) -> NDArray[np.intp]:
     """Return indices of the orders not told from one of the first ``count`` by the photos taken.
 
-    At least two: where all are told apart the hardest one stays.
+    At least two: where the photos rule out all others, the most similar one stays.
     """
     between = contrast.taken()
-    size = 1 + int(contrast.pairs.max())
-    table = np.zeros((size, size))
+    table = np.zeros((contrast.count, contrast.count))
     table[tuple(contrast.pairs)] = table[tuple(contrast.pairs[::-1])] = between
-    nearest = table[: min(count, size)].min(axis=0)
+    nearest = table[:count].min(axis=0)
     surviving = np.flatnonzero(nearest < _TOLD)
     if len(surviving) > 1:
         return surviving

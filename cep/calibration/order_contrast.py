@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motdiff.estimators.coded.scene_term import scene_spectra
+from motdiff.crops import centre_crop
+from motdiff.estimators.coded.scene_term import scene_side_px, scene_spectra
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
@@ -22,8 +23,6 @@ _DEFORMED_PX = 2.0
 _SHIFTED_PX = 5.0
 _GAIN = 0.3  # logarithm
 _LEAST_POWER = 1e-4  # floor of |H|^2, for frequencies that no photo holds
-_SIDE_STEP_PX = 6
-_LARGEST_SIDE_PX = 252
 _MARGIN_PX = 30  # of a photo whose light comes from beyond its border
 
 
@@ -45,9 +44,8 @@ class SceneLight:
     @classmethod
     def of(cls, photo: FloatArray, path: Trajectory) -> SceneLight:
         """Measure it in the middle of a photo (H, W) with an open shutter, blurred by a path."""
-        side = min(_LARGEST_SIDE_PX, *(n // _SIDE_STEP_PX * _SIDE_STEP_PX for n in photo.shape))
-        row, column = ((n - side) // 2 for n in photo.shape)
-        crop = photo[row : row + side, column : column + side]
+        side = scene_side_px(photo.shape)
+        crop = centre_crop(photo, side, side)
         margin = min(_MARGIN_PX, side // 6)
         spectra = scene_spectra([crop], grids=[side // 3], margin_px=margin)[0]
         fx, fy = spectra.f.numpy().T
@@ -67,7 +65,7 @@ class OrderContrast:
     Photos of order a are explained by order b where ``B_i H_j = B_j H_i``, with B of a and H of b,
     at all frequencies. Order b may be deformed smoothly, and each photo but the first has a shift
     and a gain of its own: one Gauss-Newton step takes away what these explain. What is left, in
-    units of the photos' noise, is the chi-square by which a is told from b.
+    units of the photos' noise, is the chi-square between a and b.
 
     Parameters
     ----------
@@ -128,6 +126,11 @@ class OrderContrast:
         )  # (knots, n)
         self._pairs = np.stack(np.triu_indices(len(orders), 1))
         self._taken = [self._photo(np.asarray(code)) for code in codes]
+
+    @property
+    def count(self) -> int:
+        """Number of orders, N."""
+        return len(self._slices)
 
     @property
     def pairs(self) -> NDArray[np.intp]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cep.commands.code_options import STANDARD_CHIPS
+from cep.commands.code_options import STANDARD_CHIPS, Device
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -20,7 +20,14 @@ if TYPE_CHECKING:
     from motdiff.files.outputs import Outputs
 
 _PANEL = "With --next"
-_SURE = 0.95
+
+_OPTIONS = {
+    "least_probability": "--sure",
+    "chips": "--chips",
+    "chip_ns": "--chip-ns",
+    "device": "--device",
+}
+"""Options that are for the next code alone, by their names in Python."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +52,7 @@ class NextOptions:
             min=0,
             max=1,
             rich_help_panel=_PANEL,
-            show_default=str(_SURE),
+            show_default="0.95",
             help="Probability of the order from which no other photo is asked for.",
         ),
     ] = None
@@ -73,27 +80,14 @@ class NextOptions:
             help="Chip time of the first code.",
         ),
     ] = None
-    device: Annotated[
-        str | None,
-        typer.Option(
-            "--device",
-            metavar="NAME|FILE",
-            rich_help_panel=_PANEL,
-            help="Shutter that can play it: a name of cep device list, or a profile.",
-        ),
-    ] = None
+    device: Device = None
 
     def check_next(self, sources: Sequence[str], *, is_blind: bool, photos: int) -> None:
         """Refuse what does not go with ``--next``, or with its absence."""
-        values = {
-            "sure": self.least_probability,
-            "chips": self.chips,
-            "chip-ns": self.chip_ns,
-            "device": self.device,
-        }
+        options = [_OPTIONS[name] for name in self._given()]
         if self.next_file is None:
-            for name in [name for name, value in values.items() if value is not None]:
-                raise ValueError(f"--{name}: is for --next FILE, the code of the next photo")
+            if options:
+                raise ValueError(f"{options[0]}: is for --next FILE, the code of the next photo")
             return
         if photos > 1 and not sources:
             raise ValueError(
@@ -109,9 +103,13 @@ class NextOptions:
                 "--next: needs --method motdiff or pmp for the first photo, and --code after it"
             )
         if len(sources) > 1:
-            for name in ("chips", "chip-ns"):
-                if values[name] is not None:
-                    raise ValueError(f"--{name}: the codes given say it")
+            for option in [name for name in ("--chips", "--chip-ns") if name in options]:
+                raise ValueError(f"{option}: the codes given say it")
+
+    def _given(self) -> dict[str, Any]:
+        """Return the settings of the next code that are given, by their names in Python."""
+        values = {name: getattr(self, name) for name in _OPTIONS}
+        return {name: value for name, value in values.items() if value is not None}
 
     def designed(
         self,
@@ -131,10 +129,7 @@ class NextOptions:
             photos,
             codes,
             estimate,
-            least_probability=_SURE if self.least_probability is None else self.least_probability,
-            chips=self.chips or STANDARD_CHIPS,
-            chip_ns=self.chip_ns or 1_000_000,
-            device=self.device,
+            **self._given(),
             rng=np.random.default_rng(seed),
             progress=progress,
         )

@@ -254,12 +254,14 @@ class Rig:
 
     def _doubts(self, prepared: _Prepared) -> tuple[str, ...]:
         """Say what of the set-up is not checked by itself."""
-        if isinstance(self.camera, BurstCamera) or prepared.plan is None:
-            return self.camera.warnings if isinstance(self.camera, BurstCamera) else ()
+        if isinstance(self.camera, BurstCamera):
+            return self.camera.warnings
+        assert prepared.plan is not None
+        release = prepared.plan.release
         doubts = []
-        if prepared.plan.release is Release.HOST:
+        if release is Release.HOST:
             doubts.append("no wire times the code: that the exposure held it is trusted")
-        elif prepared.plan.release is not Release.CAMERA and not prepared.settings.measured_s:
+        elif release is not Release.CAMERA and not prepared.settings.measured_s:
             doubts.append(
                 "that the camera begins to expose within the lead-in is trusted, and lost chips"
                 " would not show: cep hw timing measures its delay, for --profile"

@@ -143,26 +143,23 @@ def _wired(board: Board, kind: str, code: ShutterCode, plan: ExposurePlan) -> Wi
                 between=f"optocoupler, the camera's own if it has one; {board.volts}",
             )
         )
-    if release is Release.EXTERNAL:
+    edge = f"rising edge, {board.volts} at most"
+    triggers = {
+        Release.EXTERNAL: (
+            "light barrier or encoder of the machine",
+            f"{edge}: an optocoupler behind 24 V",
+        ),
+        Release.CAMERA: (
+            _OUTPUT.get(kind, "exposure active of the camera (Line2 or a GPIO line)"),
+            f"optocoupler; {edge}",
+        ),
+    }
+    if release in triggers:
+        end, between = triggers[release]
         wires.append(
-            Wire(
-                pin=board.trigger,
-                signal="trigger",
-                end="light barrier or encoder of the machine",
-                between=f"rising edge, {board.volts} at most: an optocoupler behind 24 V",
-                is_input=True,
-            )
+            Wire(pin=board.trigger, signal="trigger", end=end, between=between, is_input=True)
         )
     if release is Release.CAMERA:
-        wires.append(
-            Wire(
-                pin=board.trigger,
-                signal="trigger",
-                end=_OUTPUT.get(kind, "exposure active of the camera (Line2 or a GPIO line)"),
-                between=f"optocoupler; rising edge, {board.volts} at most",
-                is_input=True,
-            )
-        )
         notes.append(
             f"an opto-coupled output only pulls down: 1 kOhm from {board.trigger} to"
             f" {board.volts}, and LineInverter so that it rises when the exposure begins"

@@ -140,7 +140,7 @@ class _Studio:
             steps, seed = read_search(document)
             order = {"setting": document["setting"], "steps": steps, "seed": seed}
         if kind == "play":
-            port = await self._port(document, "port")
+            port = await self._port(document.get("port"), "port")
             order |= {"port": port, "arm": document.get("arm") is True}
         return self.jobs.start(page, kind, order).to_dict()
 
@@ -150,7 +150,7 @@ class _Studio:
         camera = document.get("camera")
         if not is_text(camera, _MOST_CAMERA) or not camera:
             raise FieldError("shot_camera", "name a camera, as twin: or pylon:")
-        port = await self._port({"shot_port": document.get("port")}, "shot_port")
+        port = await self._port(document.get("port"), "shot_port")
         release = read_choice(
             {"shot_release": document.get("release")}, "shot_release", [*Release], default=""
         )
@@ -164,10 +164,9 @@ class _Studio:
             "path": str(path),
         }
 
-    async def _port(self, document: Mapping[str, Any], field: str) -> str:
-        """Read the port of a controller: one of this computer's, or the emulated one."""
+    async def _port(self, port: object, field: str) -> str:
+        """Check the port of a controller: one of this computer's, or the emulated one."""
         ports = [choice.name for choice in await self.quickly(catalogue.ports)]
-        port = document.get(field)
         if not isinstance(port, str) or port not in ["emulated", *ports]:
             raise FieldError(field, "choose a port of the list")
         return port

@@ -9,17 +9,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from cep.studio.fields import FieldError, disk_error
+from cep.studio.previews import write_preview
 from cep.studio.state import read_setting
-from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
     from cep.shutter.rig import Shot
-
-PREVIEW_PX = 1600
-"""Longest side of what the page shows of a photo."""
 
 _VIRTUAL = ("twin", "burst")  # cameras that bring their own shutter
 # fields of the page that set what an error of the camera or the controller begins with
@@ -29,12 +24,6 @@ _FIELD_OF = {
     "release": "shot_release",
     "trajectory": "motion",
 }
-
-
-def shrunk(image: FloatArray) -> FloatArray:
-    """Return every n-th pixel of an image, so that its longest side fits the page."""
-    step = max(1, -(-max(image.shape[:2]) // PREVIEW_PX))
-    return image[::step, ::step]
 
 
 def shoot(order: Mapping[str, Any], tell: Callable[..., None]) -> Mapping[str, Any]:
@@ -82,14 +71,14 @@ def shoot(order: Mapping[str, Any], tell: Callable[..., None]) -> Mapping[str, A
     }
     try:
         write_shot(file.parent, file.stem, shot.frame, shot.record, force=True)
-        _write_preview(file, "preview", linear)
+        write_preview(file, "preview", linear)
         if not shot.counts:
             return about
         tell(0.5, "restoring it", best=about)
         sharp = restored_shot(shot, lambda share, note: tell(0.5 + 0.45 * share, note))
         bits = 8 if shot.record.bits <= 8 else 16
         sharp.save(file.with_name(f"{file.stem}_sharp.png"), bits=bits)
-        _write_preview(file, "sharp_preview", sharp.image)
+        write_preview(file, "sharp_preview", sharp.image)
     except OSError as error:
         raise disk_error("shot_camera", error) from None
     except ValueError as error:
@@ -146,14 +135,6 @@ def _taken(order: Mapping[str, Any], tell: Callable[..., None]) -> tuple[Shot, t
         tell(0.3, "waiting for the photo", best={})
         (shot,) = rig.series(1, keep=lambda _shot: None)
     return shot, notes
-
-
-def _write_preview(file: Path, name: str, image: FloatArray) -> None:
-    from cep.files.images import encode_image
-    from motdiff.files.outputs import write_bytes
-
-    small = encode_image(np.clip(shrunk(image), 0, 1), ".jpg")
-    write_bytes(file.with_name(f"{file.stem}_{name}.jpg"), small)
 
 
 def _refusal(error: ValueError, order: Mapping[str, Any]) -> FieldError:

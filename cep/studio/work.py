@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from cep.studio.fields import FieldError, disk_error, nameless
-from cep.studio.shots import PREVIEW_PX, shoot, shrunk
+from cep.studio.previews import PREVIEW_PX, write_preview
+from cep.studio.shots import shoot
 from cep.studio.state import path_fields, read_search, read_setting
 from motdiff.estimators.base import MotionEstimate
 from motdiff.files.json_files import json_text, plain
@@ -119,10 +120,10 @@ def lost_interrupts() -> Callable[[], None]:
 
 def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
-    from cep.files.images import encode_image, read_detail
+    from cep.files.images import read_detail
     from cep.restoration.sharpen import sharpen
     from motdiff.crops import centre_crop
-    from motdiff.files.outputs import new_file, write_bytes
+    from motdiff.files.outputs import new_file
 
     file = Path(order["path"])
     tell(0.0, "reading the photo")
@@ -133,7 +134,7 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
     except ValueError as error:
         raise FieldError("photo", nameless(error, file, "the photo")) from None
     try:
-        write_bytes(file.with_name(f"{file.stem}_preview.jpg"), encode_image(small, ".jpg"))
+        write_preview(file, "preview", small)
     except OSError as error:
         raise disk_error("photo", error) from None
     pixels = photo.pixels
@@ -188,9 +189,8 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
 
 
 def _sharpen(order: Order, tell: Tell) -> Mapping[str, Any]:
-    from cep.files.images import encode_image, read_photo
+    from cep.files.images import read_photo
     from cep.restoration.sharpen import sharpen
-    from motdiff.files.outputs import write_bytes
 
     file = Path(order["path"])
     motion = _read_motion(file)
@@ -204,8 +204,7 @@ def _sharpen(order: Order, tell: Tell) -> Mapping[str, Any]:
     tell(0.9, "writing it")
     try:
         restored.save(file.with_name(f"{file.stem}_sharp.png"), bits=photo.bits)
-        small = encode_image(shrunk(restored.image), ".jpg")
-        write_bytes(file.with_name(f"{file.stem}_sharp_preview.jpg"), small)
+        write_preview(file, "sharp_preview", restored.image)
     except OSError as error:
         raise disk_error("photo", error) from None
     return {"summary": restored.summary, "kept": restored.kept, "warnings": restored.warnings}

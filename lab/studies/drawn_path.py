@@ -32,7 +32,7 @@ from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.network.diffusion import cosine_schedule
 from motdiff.network.physics_maps import physics_maps
 from motdiff.network.sampling import sample_paths
-from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light, without_faint_parts
+from motdiff.psf_frame import ODD_PX, PSF_PX, in_frame, without_faint_light, without_faint_parts
 from motdiff.simulate import photograph
 from motdiff.tracing import fit_dwell, simplest_trajectory, trace_map
 from motdiff.trajectory import Trajectory
@@ -69,7 +69,7 @@ def trajectories(network: torch.nn.Module, photo: np.ndarray, seed: int) -> dict
             generator=torch.Generator().manual_seed(seed),
         )
     psf = samples.psfs()[0, 0].double().numpy()
-    odd = without_faint_light(in_frame(psf[None], PSF_PX - 1), below=0.02)[0]
+    odd = without_faint_light(in_frame(psf[None], ODD_PX), below=0.02)[0]
     sharpened = refined(crops, odd / odd.sum(), sigma)
     chances = samples.path[0, 0].numpy()
     path = trace_map(

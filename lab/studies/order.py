@@ -225,14 +225,11 @@ def figures_of(case: Case) -> dict[str, object]:
             "searches_agreeing": estimate.details["searches_agreeing"],
             "kernels": estimate.details.get("kernel_confidences", []),
         }
-    return (
-        row
-        | chosen
-        | {
-            "seconds": time.perf_counter() - started,
-            "cpu_s": time.process_time() - began_cpu,
-        }
-    )
+    seconds = {
+        "seconds": time.perf_counter() - started,
+        "cpu_s": time.process_time() - began_cpu,
+    }
+    return row | chosen | seconds
 
 
 def with_chosen_code(case: Case) -> tuple[Case, dict[str, object]]:

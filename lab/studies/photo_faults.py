@@ -23,19 +23,17 @@ import cv2
 import numpy as np
 
 from lab.studies.inputs import kept_rows, photos
-from lab.studies.photo_path import arc
+from lab.studies.photo_path import KINDS, drawn_motion
 from motdiff.crops import clipped_mask, luminance
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
 from motdiff.metrics import mnc_subpixel
-from motdiff.motions import boracchi_foi, random_gyro_motion
-from motdiff.simulate import to_linear
+from motdiff.simulate import to_display, to_linear
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
-KINDS = ("walk", "arc", "shake")
 _LEAST_SIDE_PX = 400
 _BORDER_PX = 30  # cut off: what came from outside the scene
 _MOMENTS = 161
@@ -92,7 +90,7 @@ def faulty_photos(
         name, light = scenes[(number * 7 + seed) % len(scenes)]
         kind = KINDS[number % len(KINDS)]
         rng = np.random.default_rng([seed, number])
-        motion = _drawn(kind, trace, rng)
+        motion = drawn_motion(kind, trace, rng, widest_px=45.0)
         moments = np.linspace(0, 1, _MOMENTS)
         xy = np.stack([np.interp(moments, motion.t, axis) for axis in motion.xy.T], axis=1)
         xy -= xy.mean(axis=0)
@@ -103,15 +101,6 @@ def faulty_photos(
         photo += rng.normal(0, float(rng.choice([0.003, 0.01, 0.02])), photo.shape)
         read = _through_jpeg(photo, quality=int(rng.choice([85, 95])))
         yield FaultyPhoto(f"{number:03d}/{kind}/{degrees:g}/{name}", read, xy, roll_rad)
-
-
-def _drawn(kind: str, trace: GyroTrace, rng: np.random.Generator) -> Trajectory:
-    if kind == "walk":
-        return boracchi_foi(rng)
-    if kind == "arc":
-        return arc(rng)
-    exposure_s = np.exp(rng.uniform(np.log(0.05), np.log(0.5)))
-    return random_gyro_motion(trace, rng, exposure_s=exposure_s, extent_px=rng.uniform(12, 45))
 
 
 def _blurred(scene: FloatArray, xy: FloatArray, roll_rad: FloatArray) -> FloatArray:
@@ -129,9 +118,7 @@ def _blurred(scene: FloatArray, xy: FloatArray, roll_rad: FloatArray) -> FloatAr
 
 
 def _through_jpeg(light: FloatArray, *, quality: int) -> FloatArray:
-    clipped = np.clip(light, 0, 1)
-    encoded = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
-    values = np.rint(255 * encoded).astype(np.uint8)
+    values = np.rint(255 * to_display(np.clip(light, 0, 1))).astype(np.uint8)
     _, buffer = cv2.imencode(".jpg", values, [cv2.IMWRITE_JPEG_QUALITY, quality])
     decoded = cv2.imdecode(buffer, cv2.IMREAD_GRAYSCALE)
     return to_linear(decoded / 255.0)

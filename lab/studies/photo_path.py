@@ -17,7 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,27 +64,30 @@ def arc(rng: np.random.Generator) -> Trajectory:
     return Trajectory.from_samples(path * (rng.uniform(18, 40) / length), t=t)
 
 
+def drawn_motion(
+    kind: str, trace: GyroTrace, rng: np.random.Generator, *, widest_px: float = 36.0
+) -> Trajectory:
+    """Draw a motion of one of :data:`KINDS`; a shake of the trace is 12 px to ``widest_px``."""
+    if kind == "walk":
+        return boracchi_foi(rng)
+    if kind == "arc":
+        return arc(rng)
+    exposure_s = np.exp(rng.uniform(np.log(0.05), np.log(0.5)))
+    extent_px = rng.uniform(12, widest_px)
+    return random_gyro_motion(trace, rng, exposure_s=exposure_s, extent_px=extent_px)
+
+
 def shots(
     folders: list[Path], trace: GyroTrace, *, step: int, count: int, seed: int
 ) -> Iterator[Shot]:
     """Simulate ``count`` photos of each kind of motion."""
     scenes = [scene for folder in folders for scene in photos(folder)][::step]
     large = [(name, light) for name, light in scenes if min(light.shape[:2]) >= _SCENE_PX]
-    draw: dict[str, Callable[[np.random.Generator], Trajectory]] = {
-        "walk": boracchi_foi,
-        "arc": arc,
-        "shake": lambda rng: random_gyro_motion(
-            trace,
-            rng,
-            exposure_s=np.exp(rng.uniform(np.log(0.05), np.log(0.5))),
-            extent_px=rng.uniform(12, 36),
-        ),
-    }
     for number in range(count):
         name, light = large[number % len(large)]
         for k, kind in enumerate(KINDS):
             rng = np.random.default_rng([seed, number, k])
-            motion = draw[kind](rng)
+            motion = drawn_motion(kind, trace, rng)
             side = _PHOTO_PX - 1 + (motion.frame_size() | 1)
             row, column = (rng.integers(n - side + 1) for n in light.shape[:2])
             scene = luminance(light[row : row + side, column : column + side])

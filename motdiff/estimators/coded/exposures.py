@@ -14,7 +14,7 @@ from scipy import ndimage
 from motdiff.crops import LEAST_PX, pick_crops, textured_luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
-from motdiff.estimators.coded.scene_term import SceneSpectra, scene_spectra
+from motdiff.estimators.coded.scene_term import SceneSpectra, scene_side_px, scene_spectra
 from motdiff.progress import Progress
 from motdiff.types import FloatArray
 
@@ -23,8 +23,6 @@ _BLUR_PX = 12.0  # sigma: beyond it, blurs of the usual length hardly show
 _TRUSTED = 0.5  # confidence in a kernel
 _BLIND_WEIGHT = 300.0  # a blind kernel's error: about a tenth of its square
 _LEAST_TRUST = 0.15  # confidence: no kernel is left out altogether
-_SIDE_STEP_PX = 6  # photos are cut to sides that the three grids divide
-_LARGEST_SIDE_PX = 252
 _LEAST_INSIDE_PX = 96  # of a photo without its borders
 
 
@@ -69,9 +67,7 @@ class Exposures:
         indices = zip(*(np.nonzero(kernel) for kernel in self.kernels), strict=True)
         extent_px = max(np.ptp(np.concatenate(axis)) for axis in indices)
         margin_px = int(np.ceil(0.5 * extent_px)) + 10
-        side = min(
-            _LARGEST_SIDE_PX, *(n // _SIDE_STEP_PX * _SIDE_STEP_PX for n in self.photos[0].shape)
-        )
+        side = scene_side_px(self.photos[0].shape)
         if side - 2 * margin_px < _LEAST_INSIDE_PX:
             return []
         row, column = pick_crops(self.photos[0], size=side, count=1)[0]  # of the most texture

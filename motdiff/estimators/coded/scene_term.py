@@ -17,6 +17,8 @@ from motdiff.estimators.coded.misfit import Unknowns
 from motdiff.estimators.coded.otfs import CodedOtfs
 from motdiff.types import FloatArray
 
+_SIDE_STEP_PX = 6  # photos are cut to sides that the three grids divide
+_LARGEST_SIDE_PX = 252
 _SLOW_PX = 8.0  # slower differences of light (lamps, vignetting) are taken away
 # beyond it, in the corners of the spectrum, a blurred photo has nothing but noise
 _ONLY_NOISE_CY_PX = 0.5
@@ -70,6 +72,11 @@ class SceneSpectra:
         shaped = half_plane.reshape(*spectra.shape[:-1], self.grid, self.grid // 2 + 1)
         images: Tensor = torch.fft.irfft2(shaped, s=(self.grid, self.grid))
         return images
+
+
+def scene_side_px(shape: tuple[int, ...]) -> int:
+    """Side of the square of a photo (H, W) whose spectra are taken: the three grids divide it."""
+    return min(_LARGEST_SIDE_PX, *(n // _SIDE_STEP_PX * _SIDE_STEP_PX for n in shape))
 
 
 def scene_spectra(

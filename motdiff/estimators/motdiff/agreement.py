@@ -21,16 +21,11 @@ from motdiff.metrics import mnc_subpixel
 from motdiff.network.correction import CorrectionNetwork
 from motdiff.network.sampling import DOUBT
 from motdiff.progress import Progress
-from motdiff.psf_frame import PSF_PX, in_frame, without_faint_light
+from motdiff.psf_frame import ODD_PX, PSF_PX, in_frame, without_faint_light
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 
-ODD_PX = PSF_PX - 1
-"""Side of the kernels, px: an odd frame has a middle pixel, about which they are reflected."""
-
-PAIR = 2
-"""Searches that are compared."""
-
+_PAIR = 2  # searches that are compared
 # two corrected kernels are the photo's from this MNC and score on, and the probability of one to
 # be good grows with the MNC: docs/decisions/network.md
 _AGREED_MNC = 0.85
@@ -67,10 +62,10 @@ def agreed_kernels(
         return None
     return FoundKernels(
         kernels=tuple(in_odd_frames(framed(pair))),
-        probabilities=probability_good(np.full(PAIR, agreement), _AGREED),
+        probabilities=probability_good(np.full(_PAIR, agreement), _AGREED),
         best=int(np.argmax(scores)),
-        details={"samples": 0, "classical": PAIR, "agreement": agreement},
-        origins=("classical",) * PAIR,
+        details={"samples": 0, "classical": _PAIR, "agreement": agreement},
+        origins=("classical",) * _PAIR,
         corrected=tuple(corrected),
     )
 
@@ -100,7 +95,7 @@ def kernels_agreed_at_half(
     FoundKernels or None
         None where the two differ at half the size, too, or their kernel outgrows the frame.
     """
-    searched = PmpEstimator(starts=STARTS[:PAIR]).kernels(halved, progress=progress)
+    searched = PmpEstimator(starts=STARTS[:_PAIR]).kernels(halved, progress=progress)
     small_judge = Judge(halved, sigma=shared_sigma(halved))
     small = agreed_kernels(network, halved, searched, small_judge)
     if small is None:

@@ -14,7 +14,7 @@ from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import Judge, distinct, kernel_score
 from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix
 from motdiff.network.correction import CorrectionNetwork, corrected, correction_maps
-from motdiff.psf_frame import PSF_PX, in_frame
+from motdiff.psf_frame import ODD_PX, in_frame
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 
@@ -108,7 +108,7 @@ def corrected_kernel(
             estimate = corrected(
                 network, correction_maps(light, estimate, framed_rivals, sigma=sigma)
             )
-    odd = in_frame(estimate[0].double().numpy(), PSF_PX - 1)
+    odd = in_frame(estimate[0].double().numpy(), ODD_PX)
     return np.asarray(odd / odd.sum(), dtype=np.float64)
 
 

@@ -20,7 +20,6 @@ from motdiff.estimators.kernel_score import (
 )
 from motdiff.estimators.motdiff import MotDiff
 from motdiff.estimators.motdiff.agreement import (
-    ODD_PX,
     agreed_kernels,
     framed,
     in_odd_frames,
@@ -33,6 +32,7 @@ from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, alike, planne
 from motdiff.estimators.simple_motion import simple_motion
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
+from motdiff.psf_frame import ODD_PX
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 from motdiff.weights import load_network
