@@ -134,6 +134,11 @@ def side_by_side(
     return results
 
 
+def threads_here() -> int:
+    """Return the number of threads that one call on large arrays may use here."""
+    return 1 if _WITHIN.get() else _cores()
+
+
 def _cores() -> int:
     if _ALONE.get():
         return 1

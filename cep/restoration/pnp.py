@@ -17,6 +17,10 @@ STEPS = 6
 FIRST_SIGMA = 0.1  # first level of the denoiser, of full scale: docs/decisions/restoration.md
 MOST_RATIO = 60  # of the first level to the last: larger steps leave a texture on even tones
 PRIOR = 0.4  # weight of the prior; at the paper's 0.23 noise comes through more often
+# Conjugate-gradient steps towards what lies outside the border, and the squared error, over the
+# noise, at which they end: docs/decisions/restoration.md
+_MOST_ROUNDS = 20
+_TOLERANCE = 3e-4
 _SMALLEST_VARIANCE = 1e-6  # keeps the levels apart from 0 on noise-free photos
 
 
@@ -29,14 +33,16 @@ def pnp(
     denoiser: Denoiser | None = None,
     border: Border = "real",
     border_rounds: int = 10,
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> FloatArray:
     """Minimise ``|A x - y|^2 / 2N + 0.4 R(z)`` with x = z: noise N, the prior R a denoiser's.
 
     Six times, x minimises ``|A x - y|^2 + a |x - z|^2`` with ``a = 0.4 N / s^2``, and z is x
     denoised at the level s, which falls log-evenly from 0.1 (60 times the noise, where that is
     less) to the photo's noise. Noise below 0.001 is taken for that, the least that the network was
-    trained on. The first x is the Wiener filter's. The scene outside a real border is unknown, and
-    restored as well. Photo and PSF are first divided by the PSF's sum.
+    trained on. Between the steps light below 0 is cut from z. The first x is the Wiener filter's.
+    The scene outside a real border is unknown, and restored as well. Photo and PSF are first
+    divided by the PSF's sum. Images are single precision.
 
     Parameters
     ----------
@@ -53,6 +59,8 @@ def pnp(
         one of :mod:`cep.restoration.denoiser` when omitted.
     border, border_rounds
         As :class:`cep.restoration.blur.Blur` and its method ``extend``.
+    progress : callable, optional
+        Called with the finished share, 0..1.
 
     Returns
     -------
@@ -79,14 +87,14 @@ def pnp(
     if noise_variance == np.inf:  # the Wiener filter takes it for a photo without signal
         raise ValueError(f"noise_variance: must be 0 or more, got {noise_variance}")
     channels, kernel, duty = normalised(photo, psf)
-    blur = Blur(kernel, channels.shape[1:], border)
+    blur = Blur(kernel, channels.shape[1:], border, dtype=np.float32)
     if denoiser is None:
         from cep.restoration.denoiser.weights import load_denoiser
 
         denoiser = load_denoiser()
     frame = Blur(kernel, channels.shape[1:], "periodic")
     N = np.empty(len(channels))
-    extended = np.empty((len(channels), *blur.grid_shape))
+    extended = np.empty((len(channels), *blur.grid_shape), blur.dtype)
     ratio = np.empty(len(channels))
     for i, channel in enumerate(channels):
         variance = noise_variance
@@ -98,6 +106,7 @@ def pnp(
         N[i] = max(spectrum.noise, _SMALLEST_VARIANCE)
         ratio[i] = N[i] / spectrum.scene
         extended[i] = blur.extend(channel, noise_to_scene=ratio[i], rounds=border_rounds)
+    channels = channels.astype(blur.dtype)
     # the first step has no z yet: the Wiener filter stands in
     power = np.abs(blur.H) ** 2 + ratio[:, None, None] * power_law(blur.grid_shape)
     X = np.conj(blur.H) * blur.spectrum(extended) / np.maximum(power, SMALLEST_POWER)
@@ -105,8 +114,18 @@ def pnp(
     first_sigma = np.maximum(np.minimum(FIRST_SIGMA, MOST_RATIO * noise_sigma), noise_sigma)
     first, *later = np.geomspace(first_sigma, noise_sigma, STEPS)
     z = denoiser(blur.image(X), first)
-    for sigma in later:
+    for step, sigma in enumerate(later, 1):
+        progress(step / STEPS)
         a = PRIOR * N / sigma**2
-        x = np.stack(list(map(blur.nearest, channels, z, a)))
+        # light is not negative; what comes last is left as it is, as its dips tell of a wrong PSF
+        x = np.maximum(z, 0)
+        for i, channel in enumerate(channels):
+            x[i] = blur.nearest(
+                channel,
+                x[i],
+                float(a[i]),
+                rounds=_MOST_ROUNDS,
+                tolerance=float(_TOLERANCE * N[i]),
+            )
         z = denoiser(x, sigma)
     return channels_last(blur.crop(z))

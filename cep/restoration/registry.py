@@ -35,6 +35,8 @@ class Method:
         Keys of ``cep/files/works.bib``.
     uses_camera : bool
         Whether it takes ``camera``, for the variance of the noise.
+    reports_progress : bool
+        Whether it takes ``progress``, a function that it calls with the finished share.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Method:
     source: str
     cites: tuple[str, ...] = ()
     uses_camera: bool = False
+    reports_progress: bool = False
 
     @property
     def function(self) -> Callable[..., FloatArray]:
@@ -81,6 +84,7 @@ METHODS: dict[str, Method] = {
             "cep.restoration.pnp:pnp",
             ("venkatakrishnan2013", "zhang2022dpir", "zhang2018ffdnet", "mohan2020"),
             uses_camera=True,
+            reports_progress=True,
         ),
     )
 }

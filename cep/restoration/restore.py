@@ -17,11 +17,11 @@ from cep.restoration.blind import find_psf
 from cep.restoration.blur import channels_first, trimmed_psf
 from cep.restoration.clipping import fill_clipped
 from cep.restoration.direction import DirectionResult, detect_direction
-from cep.restoration.registry import find_method, is_registered
+from cep.restoration.registry import METHODS, find_method, is_registered
 from cep.restoration.result import Restoration, misfit
 from cep.restoration.sharpen import (
     FEW_CLIPPED,
-    LARGE_PX,
+    LARGEST_PX,
     is_possible_light,
     restore_chosen,
     sharpen,
@@ -72,9 +72,9 @@ def restore(
         Restoration. "auto" is "pnp" for a photo through a code whose motion is given, and for
         a motion that is known in time unless the photo speaks against it. Else the photo
         shows how well the PSF fits, and decides between it and "tv", which trusts the PSF less:
-        :func:`cep.restoration.sharpen.restore_chosen`. Of more than 4
-        megapixels it is "wiener", for the time. Where nothing but the photo is given see
-        :func:`cep.restoration.sharpen.sharpen`.
+        :func:`cep.restoration.sharpen.restore_chosen`. Of more than 16
+        megapixels, or 4 where the PSF is estimated, it is "wiener", for the time.
+        Where nothing but the photo is given see :func:`cep.restoration.sharpen.sharpen`.
     anyway : bool
         Of a photo alone: whether one that would be kept is restored all the same.
     seed : int
@@ -145,7 +145,11 @@ def restore(
         psf_confidence = blind.confidence
         notes += blind.warnings
     assert psf is not None
-    progress(searched, "restoring")
+
+    def restoring(share: float) -> None:
+        progress(searched + (1 - searched) * share, "restoring")
+
+    restoring(0.0)
     kernel = trimmed_psf(psf)
     by_evidence = is_known = False
     if method == "auto":
@@ -156,7 +160,7 @@ def restore(
         # a straight motion that was estimated looks like a known one: the photo shows how it fits
         by_evidence = psf_source == "photo" or not is_coded
         # ahead in every row of our tables with a known motion: docs/decisions/restoration.md
-        method = "pnp" if channels[0].size <= LARGE_PX else "wiener"
+        method = "pnp" if channels[0].size <= LARGEST_PX else "wiener"
     label, apply = find_method(method)
     if trajectory is None:
         _check_reach("psf", len(kernel), channels)
@@ -183,7 +187,7 @@ def restore(
         gain = exposure_gain(photo)
         bright = np.asarray(photo) * gain
         # it fills the clipped pixels itself
-        image, label = restore_chosen(bright, psf, trusted=is_known)
+        image, label = restore_chosen(bright, psf, trusted=is_known, progress=restoring)
         if not is_possible_light(image, bright, psf):
             notes.append(
                 "the restored photo has dark and bright halos or stripes: the motion does not fit"
@@ -192,8 +196,10 @@ def restore(
         image = image / gain
     else:
         light = fill_clipped(photo, psf) if fills else photo
+        if fills and METHODS[label].reports_progress:
+            options["progress"] = restoring
         image = _checked_image(apply(light, psf, **options), np.shape(photo), label)
-    progress(1.0, "restoring")
+    restoring(1.0)
     return Restoration(
         image=image,
         method=label,

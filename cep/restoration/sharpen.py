@@ -8,7 +8,7 @@ its photo is no better.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -31,7 +31,11 @@ from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 
 LARGE_PX = 4_000_000
-"""Photos of more pixels are restored by the Wiener filter: TV would take a minute."""
+"""Photos of more pixels whose PSF is estimated are restored by the Wiener filter: others would
+take a minute."""
+
+LARGEST_PX = 16_000_000
+"""Photos of more pixels are restored by the Wiener filter: pnp would take minutes and 4 GB."""
 
 FEW_CLIPPED = 1e-3
 """Share of clipped pixels up to which they are specks of noise or glints, no lights."""
@@ -55,7 +59,6 @@ _WRONG_PSF = 20.0
 # docs/decisions/restoration.md
 _WRONG = 2.0
 _EXPLAINED = 1.7  # up to it the denoiser gains 0.9 dB over TV
-_SLOW_PX = 1_500_000  # of an estimated PSF's photo: the denoiser takes ten times as long as TV
 _CREDIT_RESIDUAL = 1.25
 _CREDIT_IMPOSSIBLE = 2.0
 _LITTLE_IMPOSSIBLE = 0.05  # of the photo's standard deviation: more is ringing
@@ -230,7 +233,11 @@ def choose_psf(
 
 
 def restore_chosen(
-    photo: ArrayLike, psf: ArrayLike, *, trusted: bool = False
+    photo: ArrayLike,
+    psf: ArrayLike,
+    *,
+    trusted: bool = False,
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[FloatArray, str]:
     """Restore a whole photo by the method that suits it and the PSF, a large one by Wiener's.
 
@@ -246,16 +253,19 @@ def restore_chosen(
     trusted : bool
         Whether the PSF is rather known than estimated. The photo must then speak more clearly
         against it.
+    progress : callable, optional
+        Called with the finished share, 0..1.
 
     Returns
     -------
     float64 like ``photo``, not clipped, and the name of the method
     """
     channels = channels_first(fill_clipped(photo, psf))
-    if channels[0].size <= LARGE_PX:
-        method, factor = _suitable_method(photo, psf, trusted)
-        if method == "pnp" and (trusted or channels[0].size <= _SLOW_PX):
-            return pnp(channels_last(channels), psf), "pnp"
+    size_px = channels[0].size
+    method, factor = _suitable_method(photo, psf, trusted)
+    if method == "pnp" and size_px <= (LARGEST_PX if trusted else LARGE_PX):
+        return pnp(channels_last(channels), psf, progress=progress), "pnp"
+    if size_px <= LARGE_PX:
         # TV divides the photo by the light that came in, and its noise with it
         weight = factor * _tv_weight(noise_sigma(channels.mean(axis=0)) / float(np.sum(psf)))
         jobs = [partial(tv, channel, psf, weight=weight) for channel in channels]

@@ -86,5 +86,6 @@ class _Block(nn.Module):
         self.second = nn.Conv2d(width, width, 3, padding=1, bias=False)
 
     def forward(self, features: Tensor) -> Tensor:
-        added: Tensor = self.second(functional.relu(self.first(features)))
-        return torch.add(features, added)
+        # in place: fresh memory of a large photo's features takes as long as their convolutions
+        added: Tensor = self.second(functional.relu_(self.first(features)))
+        return added.add_(features)

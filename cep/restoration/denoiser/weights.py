@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,11 @@ SCHEMA = "cep.denoiser/1"
 SHIPPED = Path(__file__).with_name("denoiser.safetensors")
 """The weights in the package."""
 _WRAP_PX = 16
+_TILE_PX = (
+    1024  # side of what is denoised at once: features of larger tiles take longer to allocate
+)
+_MARGIN_PX = 64  # as far as the network sees: tiles join without a seam
+_MULTIPLE_PX = 8
 
 
 def write_weights(
@@ -65,10 +72,52 @@ def load_denoiser(
     def denoise(images: FloatArray, sigma: FloatArray) -> FloatArray:
         # the network takes what lies outside for dark, and was not trained at its border
         around = np.pad(images, ((0, 0), (_WRAP_PX, _WRAP_PX), (_WRAP_PX, _WRAP_PX)), mode="wrap")
-        batch, levels = (torch.from_numpy(array).float() for array in (around[:, None], sigma))
-        with torch.inference_mode():
-            output = network(batch.contiguous(memory_format=torch.channels_last), levels)
-        inner = output[:, 0, _WRAP_PX:-_WRAP_PX, _WRAP_PX:-_WRAP_PX]
-        return np.asarray(inner.numpy(), dtype=np.float64)
+        noisy, levels = (torch.from_numpy(array).float() for array in (around[:, None], sigma))
+        clean = torch.empty_like(noisy)
+        with (
+            torch.inference_mode(),
+            torch.autocast("cpu", torch.bfloat16, enabled=_has_bfloat16()),
+        ):
+            tiles = itertools.product(*map(_spans, noisy.shape[2:]))
+            for (row, column), channel in itertools.product(tiles, range(len(images))):
+                tile = noisy[channel : channel + 1, :, row.outer, column.outer]
+                output = network(
+                    tile.contiguous(memory_format=torch.channels_last), levels[channel, None]
+                )
+                clean[channel, :, row.inner, column.inner] = output[
+                    0, :, row.inner_in_outer, column.inner_in_outer
+                ]
+        inner: FloatArray = clean[:, 0, _WRAP_PX:-_WRAP_PX, _WRAP_PX:-_WRAP_PX].numpy()
+        return inner
 
     return denoise
+
+
+def _has_bfloat16() -> bool:
+    """Whether the processor multiplies bfloat16 itself: half the time, for 0.01 dB."""
+    capabilities: Mapping[str, bool] = getattr(torch.cpu, "get_capabilities", dict)()
+    return capabilities.get("avx512_bf16", False)
+
+
+@dataclass(frozen=True)
+class _Span:
+    """Extent of a tile along one axis: what it gives, and with the margin that the network sees."""
+
+    inner: slice
+    outer: slice
+
+    @property
+    def inner_in_outer(self) -> slice:
+        return slice(self.inner.start - self.outer.start, self.inner.stop - self.outer.start)
+
+
+def _spans(side_px: int) -> list[_Span]:
+    count = -(-side_px // _TILE_PX)
+    # the network's own grid of pixels goes on from tile to tile
+    step = -(-side_px // (count * _MULTIPLE_PX)) * _MULTIPLE_PX
+    spans = []
+    for start in range(0, side_px, step):
+        stop = min(start + step, side_px)
+        outer = slice(max(0, start - _MARGIN_PX), min(stop + _MARGIN_PX, side_px))
+        spans.append(_Span(slice(start, stop), outer))
+    return spans

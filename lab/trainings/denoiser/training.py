@@ -130,7 +130,7 @@ class Trainer:
         for step in range(1, STEPS):
             level = first * (sigma / first) ** (step / (STEPS - 1))
             a = column(PRIOR * N / level.square())
-            X = (H.conj() * Y + a * torch.fft.rfft2(z)) / (power + a)
+            X = (H.conj() * Y + a * torch.fft.rfft2(z.clamp(min=0))) / (power + a)
             z = self._denoised(torch.fft.irfft2(X, (side, side)), level)
         return z
 

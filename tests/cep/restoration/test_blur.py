@@ -106,3 +106,27 @@ def test_five_rounds_are_nearer_than_none():
         return np.sum((blur.A(x) - photo) ** 2) + 0.01 * np.sum(x**2)
 
     assert cost(5) < cost(0)
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-7])
+def test_the_nearest_scene_is_as_near_as_is_asked(tolerance):
+    """Within an order of magnitude, as the error is judged by a preconditioner."""
+    rng = np.random.default_rng(0)
+    scene = ndimage.gaussian_filter(rng.random((80, 80)), 2)
+    blur = Blur(PSF, (48, 48), "real")
+    photo = blur_valid(scene, PSF)
+    z = np.full(blur.grid_shape, scene.mean())
+    exact = blur.nearest(photo, z, 0.01, rounds=500)
+    x = blur.nearest(photo, z, 0.01, rounds=500, tolerance=tolerance)
+    error = (np.sum(blur.A(x - exact) ** 2) + 0.01 * np.sum((x - exact) ** 2)) / x.size
+    assert tolerance / 100 < error < 10 * tolerance
+
+
+def test_single_precision_errs_by_its_rounding():
+    rng = np.random.default_rng(0)
+    photo = rng.random((48, 50))
+    single, double = (Blur(PSF, photo.shape, dtype=dtype) for dtype in (np.float32, np.float64))
+    z = rng.random(double.grid_shape)
+    x = single.nearest(photo, z, 0.05, rounds=20)
+    assert x.dtype == np.float32
+    np.testing.assert_allclose(x, double.nearest(photo, z, 0.05, rounds=20), atol=1e-5)

@@ -42,7 +42,7 @@ def test_every_method_restores_a_night_scene_better(method):
     without = METHODS[method].function(PHOTO, PSF)
     found = restore(PHOTO, PSF, method=method)
     gain = psnr(np.clip(found.image, 0, 1), TRUTH) - psnr(np.clip(without, 0, 1), TRUTH)
-    assert gain > 2
+    assert gain > 1.5
     assert "clipped" in found.warnings[0]
     assert found.residual < misfit(PHOTO, without, PSF)
 

@@ -60,9 +60,8 @@ def test_without_a_denoiser_the_wiener_filter_s_error_shrinks_by_a_closed_form(s
     psf = coded_psf()
     variance = 1e-5
     rng = np.random.default_rng(0)
-    photo = blur_periodic(scene[:90, :101], psf) + np.sqrt(variance) * rng.standard_normal(
-        (90, 101)
-    )
+    photo = 0.2 + blur_periodic(scene[:90, :101], psf)  # no light below 0, which would be cut
+    photo += np.sqrt(variance) * rng.standard_normal(photo.shape)
     restored = pnp(photo, psf, noise_variance=variance, denoiser=unchanged, border="periodic")
 
     first = wiener(photo, psf, noise_variance=variance, border="periodic")
@@ -88,7 +87,7 @@ def test_a_denoiser_that_knows_the_scene_s_law_comes_close_to_the_best_linear_fi
     drawn = np.fft.rfft2(rng.standard_normal(shape)) * np.sqrt(
         strength / np.where(f2 > 0, f2, np.inf)
     )
-    truth = np.fft.irfft2(drawn, shape)
+    truth = 0.5 + np.fft.irfft2(drawn, shape)  # no light below 0, which would be cut
     psf = coded_psf()
     photo = blur_periodic(truth, psf) + np.sqrt(variance) * rng.standard_normal(shape)
 

@@ -9,6 +9,7 @@ import torch
 from safetensors.torch import save_file
 from skimage import data
 
+from cep.restoration.denoiser import weights
 from cep.restoration.denoiser.network import DenoisingNetwork
 from cep.restoration.denoiser.weights import (
     SCHEMA,
@@ -85,6 +86,15 @@ def test_the_card_says_what_they_are():
     assert f"{round(card['seconds'] / 60)} minutes" in text
     weights = sum(parameter.numel() for parameter in DenoisingNetwork().parameters())
     assert f"{weights:,} weights" in text
+
+
+def test_tiles_join_without_a_seam(monkeypatch):
+    scene = to_linear(data.camera()[100:300, 150:351] / 255)[None]
+    sigma = np.array([0.03])
+    whole = load_denoiser()(scene, sigma)
+    monkeypatch.setattr(weights, "_TILE_PX", 70)
+    tiled = load_denoiser()(scene, sigma)
+    np.testing.assert_allclose(tiled, whole, atol=1e-4)
 
 
 @pytest.mark.parametrize(

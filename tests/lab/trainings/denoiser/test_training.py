@@ -198,7 +198,10 @@ def test_what_is_written_is_the_average_of_the_weights(joined, paths, tmp_path):
     middle = (slice(None), slice(16, 32), slice(16, 32))  # one period
     denoise = load_denoiser(tmp_path / "d.safetensors")
     np.testing.assert_allclose(
-        denoise(image[middle], np.array([0.1])), expected[middle], atol=2e-3
+        # which may be computed in bfloat16
+        denoise(image[middle], np.array([0.1])),
+        expected[middle],
+        atol=1e-2,
     )
 
 
