@@ -203,10 +203,10 @@ class Blur:
 
         # each column of half a real image's spectrum stands for two, but that of f = 0, and of the
         # Nyquist frequency where there is one
-        alone = [0] if self.grid_shape[1] % 2 else [0, -1]
+        single = [0] if self.grid_shape[1] % 2 else [0, -1]
 
         def dot(a: ComplexArray, b: ComplexArray) -> float:
-            return float(2 * np.vdot(a, b).real - np.vdot(a[:, alone], b[:, alone]).real)
+            return float(2 * np.vdot(a, b).real - np.vdot(a[:, single], b[:, single]).real)
 
         residual = data - normal_equations(X)
         direction = preconditioner * residual

@@ -85,7 +85,7 @@ def load_denoiser(
                     tile.contiguous(memory_format=torch.channels_last), levels[channel, None]
                 )
                 clean[channel, :, row.inner, column.inner] = output[
-                    0, :, row.inner_in_outer, column.inner_in_outer
+                    0, :, row.inside, column.inside
                 ]
         inner: FloatArray = clean[:, 0, _WRAP_PX:-_WRAP_PX, _WRAP_PX:-_WRAP_PX].numpy()
         return inner
@@ -101,13 +101,13 @@ def _has_bfloat16() -> bool:
 
 @dataclass(frozen=True)
 class _Span:
-    """Extent of a tile along one axis: what it gives, and with the margin that the network sees."""
+    """Extent of a tile along one axis: without and with the margin that it is denoised with."""
 
     inner: slice
     outer: slice
 
     @property
-    def inner_in_outer(self) -> slice:
+    def inside(self) -> slice:
         return slice(self.inner.start - self.outer.start, self.inner.stop - self.outer.start)
 
 
