@@ -323,4 +323,6 @@ def table(times: int) -> None:
 
 
 if __name__ == "__main__":
+    # a shell starts what runs in the background deaf to Ctrl-C
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     table(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
