@@ -64,11 +64,16 @@ def shoot(
     codes = [code] if isinstance(code, ShutterCode) else list(code)
     shots: list[Shot] = []
     with open_rig(camera, port) as rig:
-        for played in codes:
-            rig.prepare(played, settings)
-            shots += rig.series(count, keep=keep)
-            if not shots[-1].counts:
-                break
+        try:
+            for played in codes:
+                rig.prepare(played, settings)
+                shots += rig.series(count, keep=keep)
+                if not shots[-1].counts:
+                    break
+        except BaseException as error:  # Ctrl-C as well: the photos are there
+            if len(codes) > 1:
+                error.add_note(f"photos of {len(shots) // count} of {len(codes)} codes count")
+            raise
     return tuple(shots)
 
 

@@ -114,6 +114,13 @@ def test_without_a_trigger_nothing_is_taken_and_nothing_stays_armed(twin):
         assert rig.camera.uno.edges() == ()
 
 
+def test_a_set_that_breaks_off_says_how_much_of_it_counts(twin):
+    second_never_fits = ShutterCode(CODE.bits, 10**9)
+    with pytest.raises(ValueError, match="exposes for") as caught:
+        shoot(twin, [CODE, second_never_fits])
+    assert caught.value.__notes__ == ["photos of 1 of 2 codes count"]
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
