@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cep.commands.code_options import Device, Direction, Exposure, chips_option, exposure_seconds
-from cep.commands.console import Page, Table, finish, part, progress
+from cep.commands.console import Page, Table, announce, finish, part, progress
 from cep.commands.options import (
     CameraOptions,
     CommonOptions,
@@ -202,6 +202,7 @@ def advise(options: AdviseOptions) -> None:
             *codes,
             path_error_px=error_px,
             seed=options.seed,
+            announce=announce,
             progress=part(tick, 0.4, 1.0),
         )
     candidates = [

@@ -203,6 +203,11 @@ def warn(message: str) -> None:
     _print_line(f"{_program}: warning: {message}")
 
 
+def announce(message: str) -> None:
+    """Print what is known already, while the work goes on, as one line on stderr."""
+    _print_line(f"{_program}: {message}")
+
+
 def complain(message: str) -> None:
     """Print one error line on stderr."""
     _print_line(f"{_program}: {message}")

@@ -19,7 +19,7 @@ from cep.commands.code_options import (
     objective_mix,
     openings,
 )
-from cep.commands.console import Page, Table, finish, progress
+from cep.commands.console import Page, Table, announce, finish, progress
 from cep.commands.options import MOTION, CommonOptions, MotionOptions, command
 from cep.commands.search_run import saved_on_interrupt
 
@@ -145,6 +145,7 @@ def optimize(options: OptimizeOptions) -> None:
                 **how,
                 along=stored.trajectory,
                 path_error_px=error_px,
+                announce=announce,
                 progress=tick,
                 on_found=lambda code: keep({options.output: code}),
             )

@@ -13,9 +13,10 @@ from cep.optics.camera import LIGHT_RANGE
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.search.expected import WORTH_DB
-from cep.search.measured import corrected, corrections_db, measured_ways
+from cep.search.gain_table import shifts_db
+from cep.search.measured import corrected, corrections_db, is_measured, measured_ways
 from cep.search.problem import SearchProblem
-from cep.search.verdict import Verdict, check_codes
+from cep.search.verdict import Verdict, check_codes, expectation
 from cep.search.ways import (
     NONE_POSSIBLE,
     Choice,
@@ -140,6 +141,7 @@ def advise(
     photographs: Sequence[FloatArray] | None = None,
     seed: int = 0,
     threads: int | None = None,
+    announce: Callable[[str], None] = lambda _text: None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> Advice:
     """Compare open shutter, best snapshot, best strobe and best code, over levels of light.
@@ -168,6 +170,8 @@ def advise(
     seed : int
     threads : int, optional
         As many as there are cores when omitted; the outcome does not depend on it.
+    announce : callable, optional
+        Called with a sentence before the measurement: what to expect of it.
     progress : callable, optional
         Called with the finished share, 0..1, and a note.
 
@@ -223,8 +227,8 @@ def advise(
     if camera_light not in modelled:
         raise ValueError(NONE_POSSIBLE)
     at_camera = modelled[camera_light]
-    about = at_camera.sentence.partition(".")[0]
-    progress(_MODELLED_SHARE, about)
+    if is_measured(problem, photographs):
+        announce(expectation(problem, at_camera))
     exposures = measured_ways(
         problem,
         at_camera.ways,
@@ -233,7 +237,7 @@ def advise(
         path_error_px=path_error_px,
         seed=seed,
         progress=lambda share: progress(
-            _MODELLED_SHARE + (1 - _MODELLED_SHARE) * share, f"measuring; {about}"
+            _MODELLED_SHARE + (1 - _MODELLED_SHARE) * share, "measuring on photographs"
         ),
     )
     shifts = corrections_db(at_camera.ways, exposures)
@@ -244,6 +248,18 @@ def advise(
     )
     progress(1.0, "")
     return Advice(problem, measured, levels_stated)
+
+
+def shifted(advice: Advice) -> Advice:
+    """Shift an advice of the model by what photographs showed of such cases."""
+    path = advice.problem.scenarios[0].trajectory
+    levels = []
+    for level in advice.levels:
+        shifts = shifts_db(path, level.camera)
+        exposures = tuple(corrected(exposure, shifts, 1.0) for exposure in level.ways)
+        levels.append(replace(level, ways=exposures))
+    at_camera = levels[advice.levels.index(advice.here)]
+    return replace(advice, here=at_camera, levels=tuple(levels))
 
 
 def _shifted(level: Verdict, shifts: dict[Choice, float], measured_light: float) -> Verdict:

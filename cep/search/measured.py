@@ -14,6 +14,7 @@ from cep.photographs.trial import PhotoTrial, grid_px
 from cep.search.expected import WORTH_DB
 from cep.search.problem import SearchProblem
 from cep.search.ways import Choice, Way
+from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 LONGEST_PX = 128.0
@@ -65,15 +66,11 @@ def measured_ways(
         The open shutter first, then those that were measured. The ways themselves where there are
         no photographs, or the motion is longer than :data:`LONGEST_PX`.
     """
-    motions = [
-        (scenario.path(reversed_path=reversed_path), scenario.edges)
-        for scenario, reversed_path in problem.ways()
-    ]
-    longest_px = max(path.extent_px for path, _ in motions)
+    if not is_measured(problem, photographs):
+        return tuple(modelled)
+    motions = _motions(problem)
     if photographs is None:
         photographs = scenes.photographs()
-    if not photographs or longest_px > LONGEST_PX:
-        return tuple(modelled)
     size = grid_px([path for path, _ in motions])
     affordable = int(len(photographs) * _USUAL_PX / size)
     count = min(len(photographs), max(affordable, _LEAST_PHOTOGRAPHS))
@@ -108,6 +105,22 @@ def measured_ways(
     return tuple(
         measured[exposure.code.bits] for exposure in modelled if exposure.code.bits in measured
     )
+
+
+def is_measured(problem: SearchProblem, photographs: Sequence[FloatArray] | None = None) -> bool:
+    """Whether there are photographs, and the motion is no longer than :data:`LONGEST_PX`."""
+    if photographs is None:
+        photographs = scenes.photographs()
+    longest_px = max(path.extent_px for path, _ in _motions(problem))
+    return len(photographs) > 0 and longest_px <= LONGEST_PX
+
+
+def _motions(problem: SearchProblem) -> list[tuple[Trajectory, FloatArray | None]]:
+    """Paths in both directions where they are unknown, with the boundaries of the chips."""
+    return [
+        (scenario.path(reversed_path=reversed_path), scenario.edges)
+        for scenario, reversed_path in problem.ways()
+    ]
 
 
 def corrections_db(modelled: Iterable[Way], measured: Iterable[Way]) -> dict[Choice, float]:

@@ -223,6 +223,7 @@ def optimize(
     photographs: Sequence[FloatArray] | None = None,
     figures: Mapping[str, FigureOfMerit] | None = None,
     threads: int | None = None,
+    announce: Callable[[str], None] = lambda _text: None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
     on_found: Callable[[StoredCode], None] = lambda _stored: None,
     on_best: Callable[[ShutterCode], None] = lambda _code: None,
@@ -256,6 +257,8 @@ def optimize(
         :func:`cep.proofs.measure.own_figures`. The search knows nothing of them.
     threads : int, optional
         As many as there are cores when omitted; the code does not depend on it.
+    announce : callable, optional
+        As of :func:`cep.search.advise.advise`.
     progress : callable, optional
         Called with the finished share, 0..1, and a note.
     on_found : callable, optional
@@ -348,6 +351,7 @@ def optimize(
         rivals=rivals,
         path_error_px=path_error_px,
         photographs=photographs,
+        announce=announce,
         progress=lambda share: tell(
             _SEARCH_SHARE + (_MEASURED_SHARE - _SEARCH_SHARE) * share, "measuring on photographs"
         ),

@@ -12,7 +12,8 @@ from cep.files.formatting import duration
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.expected import WORTH_DB
-from cep.search.measured import measured_ways
+from cep.search.gain_table import shifts_db
+from cep.search.measured import corrected, is_measured, measured_ways
 from cep.search.problem import SearchProblem
 from cep.search.ways import (
     CODED,
@@ -144,7 +145,7 @@ class Verdict:
     def sentence(self) -> str:
         """What to do and what it gains, then under which conditions."""
         sentences = [
-            f"{self._recommendation}.",
+            f"{self.recommendation}.",
             f"{self._meaning} {self._conditions}.",
         ]
         if self._code is None:
@@ -199,7 +200,7 @@ class Verdict:
         return f"Gains are means over {_counted(self.photographs)}{spread}, restored"
 
     @property
-    def _recommendation(self) -> str:
+    def recommendation(self) -> str:
         """What to do and what it gains."""
         advised = self.advised
         gains = []
@@ -253,6 +254,7 @@ def verdict(
     rivals: Sequence[ShutterCode] = (),
     path_error_px: float = 0.0,
     photographs: Sequence[FloatArray] | None = None,
+    announce: Callable[[str], None] = lambda _text: None,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> Verdict:
     """Judge codes beside open shutter, best snapshot and best strobe, by their restoration.
@@ -265,7 +267,7 @@ def verdict(
         Those of a single opening count as snapshots.
     rivals : sequence of ShutterCode
         Of one code: the best of all on photographs takes its place.
-    path_error_px, photographs
+    path_error_px, photographs, announce
         As of :func:`cep.search.advise.advise`.
     progress : callable, optional
         Called with the finished share, 0..1.
@@ -293,6 +295,8 @@ def verdict(
         ]
 
     compete = bool(rivals) and bool(competing(modelled))
+    if is_measured(problem, photographs):
+        announce(expectation(problem, verdict_of(problem, modelled, codes)))
     exposures = measured_ways(
         problem,
         modelled,
@@ -305,6 +309,16 @@ def verdict(
     if compete and measured:
         codes = (max(competing(exposures), key=attrgetter("psnr_db")).code,)
     return verdict_of(problem, exposures, codes, path_error_px=path_error_px)
+
+
+def expectation(problem: SearchProblem, modelled: Verdict) -> str:
+    """Say what to expect of a measurement: a model's verdict, shifted by table."""
+    shifts = shifts_db(problem.scenarios[0].trajectory, modelled.camera)
+    exposures = tuple(corrected(exposure, shifts, 1.0) for exposure in modelled.ways)
+    user_code = modelled.user_code and corrected(modelled.user_code, shifts, 1.0)
+    shifted = replace(modelled, ways=exposures, user_code=user_code)
+    text = shifted.recommendation
+    return f"expected, before it is measured: {text[:1].lower()}{text[1:]}"
 
 
 def verdict_of(

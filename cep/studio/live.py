@@ -25,13 +25,13 @@ from cep.proofs.audit import with_proven_zero
 from cep.proofs.measure import CodeMetrics
 from cep.restoration.wiener import wiener
 from cep.search.expected import ExpectedPsnr
+from cep.search.gain_table import shifts_db
 from cep.search.limits import Limits, RunLimits
 from cep.search.measured import corrected
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import coded_sum, distinct_rows, scenario_rows
 from cep.search.verdict import Verdict, verdict_of
 from cep.search.ways import Way, WayFinder, check_light, judged_ways, kind_of
-from cep.studio.gain_table import shifts_db
 from hw.device import DeviceProfile
 from hw.program import Program
 from motdiff.simulate import valid_window

@@ -292,7 +292,7 @@ def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
 
 def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
-    from cep.studio.gain_table import shifted
+    from cep.search.advise import shifted
 
     setting = read_setting(order["setting"])
     advice = cep.advise(

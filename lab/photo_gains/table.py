@@ -13,9 +13,9 @@ import numpy as np
 import cep
 from cep.optics.band import straight_axis
 from cep.optics.camera import Camera
+from cep.search.gain_table import TABLE, MeasuredGain
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict
-from cep.studio.gain_table import TABLE, MeasuredGain
 from motdiff.motions import boracchi_foi, quadratic
 from motdiff.trajectory import Trajectory
 

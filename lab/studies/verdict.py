@@ -93,7 +93,7 @@ def draw(tables: dict[str, FloatArray], image: Path) -> None:
             aspect="auto",
         )
         for i, j in np.ndindex(gains_db.shape[:2]):
-            mean_db, low_db, high_db = gains_db[i, j]
+            mean_db, low_db, high_db = np.round(gains_db[i, j], 1) + 0.0  # no -0.0
             style = {"ha": "center", "color": "white" if mean_db > 1.8 else "black"}
             text = f"+{mean_db:.1f}" if mean_db >= WORTH_DB else "\u2013"
             axes.text(j, i, text, va="bottom", fontsize=9, **style)

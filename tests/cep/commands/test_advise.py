@@ -37,6 +37,18 @@ def test_the_answer_comes_first(cep, workplace):
     assert read_image("noisy.png").ndim == 3
 
 
+def test_what_to_expect_is_said_before_it_is_measured(cep, workplace, monkeypatch):
+    scenes = photographs()[:1]
+    monkeypatch.setattr("cep.photographs.scenes.photographs", lambda: scenes)
+    cep("advise", *ALONG, "--photons", "3000", "--read-noise", "2")
+    (expected,) = [line for line in cep.err.splitlines() if "expected" in line]
+    assert expected.startswith("cep: expected, before it is measured: coding does not pay here")
+    assert "about" in expected
+    assert "expected" not in cep.out
+    cep("advise", "--linear", "200", "--chips", "12", "--photons", "3000")  # not measured
+    assert "expected" not in cep.err
+
+
 def test_a_figure_is_drawn_where_it_is_asked_for_alone(cep, workplace):
     """The answer is on the page: asking twice must not fail over a file of the first time."""
     given = ("--chips", "4", "--linear", "12", "--read-noise", "50")

@@ -5,10 +5,10 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf, mtf
+from cep.search.gain_table import shifts_db
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from cep.search.verdict import verdict
-from cep.studio import gain_table
 from cep.studio.catalogue import example_motion
 from cep.studio.live import MAP_COLUMNS, MAP_ROWS, LiveBench, LiveScene, broken_limits
 from hw.device import load_profile
@@ -56,13 +56,13 @@ def test_gains_are_the_models_shifted_by_what_photographs_show():
         example_motion("shake"), chips=16, exposure_s=0.02, camera=CAMERA, objective="mse"
     )
     bench = LiveBench(problem)
-    shifts_db = gain_table.shifts_db(example_motion("shake"), CAMERA)
+    table_db = shifts_db(example_motion("shake"), CAMERA)
     modelled = {way.code.bits: way for way in verdict(problem, CODE, photographs=()).ways}
     for way in bench.verdict(CODE).ways:
-        expected_db = modelled[way.code.bits].psnr_db + shifts_db[way.kind]
+        expected_db = modelled[way.code.bits].psnr_db + table_db[way.kind]
         assert way.psnr_db == pytest.approx(expected_db, abs=1e-4)
     live = bench.figures(CODE)
-    assert live.psnr_db == pytest.approx(shifts_db["code"] - live.metrics.mse_db)
+    assert live.psnr_db == pytest.approx(table_db["code"] - live.metrics.mse_db)
 
 
 def test_where_the_open_shutter_wins_the_best_single_exposure_is_a_long_one():

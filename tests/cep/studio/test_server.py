@@ -18,10 +18,10 @@ from starlette.requests import ClientDisconnect
 import cep
 from cep.files.images import encode_image, read_image
 from cep.files.raw_files import RAW_SUFFIXES
+from cep.search.gain_table import shifts_db
 from cep.search.measured import corrected
 from cep.search.verdict import verdict, verdict_of
 from cep.studio import server
-from cep.studio.gain_table import shifts_db
 from cep.studio.jobs import BusyError
 from cep.studio.server import bound_socket
 from cep.studio.state import read_setting

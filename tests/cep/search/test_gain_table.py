@@ -6,9 +6,9 @@ from dataclasses import fields
 import pytest
 
 from cep.optics.camera import Camera
-from cep.search.advise import advise
+from cep.search.advise import advise, shifted
+from cep.search.gain_table import MeasuredGain, measured_gains, shifts_db
 from cep.search.problem import SearchProblem
-from cep.studio.gain_table import MeasuredGain, measured_gains, shifted, shifts_db
 from motdiff.trajectory import Trajectory
 
 

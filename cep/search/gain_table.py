@@ -1,13 +1,13 @@
-"""Gains that photographs show beside those of the model, by which the studio's model is shifted.
+"""Gains that photographs show beside those of the model, by which the model is shifted.
 
-The table beside this file is measured by ``python -m lab.photo_gains.table``: minutes for each
-case, which a page that follows a hand does not have.
+The table beside this file is measured by ``python -m lab.photo_gains.table``: seconds for each
+case, which a page that follows a hand, and a first sentence, do not have.
 """
 
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -16,8 +16,6 @@ import numpy as np
 from cep.optics.band import straight_axis
 from cep.optics.camera import Camera
 from cep.optics.scene import PHOTO
-from cep.search.advise import Advice
-from cep.search.measured import corrected
 from cep.search.ways import Choice
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -109,18 +107,6 @@ def shifts_db(path: Trajectory, camera: Camera) -> dict[Choice, float]:
     )
     snapshot_db, code_db = (float(lack) for lack in weights @ lacks)
     return {"open": 0.0, "snapshot": snapshot_db, "strobe": code_db, "code": code_db}
-
-
-def shifted(advice: Advice) -> Advice:
-    """Shift an advice of the model by what photographs show at each light."""
-    path = advice.problem.scenarios[0].trajectory
-    levels = []
-    for level in advice.levels:
-        shifts = shifts_db(path, level.camera)
-        exposures = tuple(corrected(exposure, shifts, 1.0) for exposure in level.ways)
-        levels.append(replace(level, ways=exposures))
-    at_camera = levels[advice.levels.index(advice.here)]
-    return replace(advice, here=at_camera, levels=tuple(levels))
 
 
 def _place(extent_px: float, straight: float, photons: float, read_noise_e: float) -> FloatArray:
