@@ -4,30 +4,36 @@
 
 Prints: frames that are the twin's own bits, computed anew from the pins; lost, doubled and unnoticed
 frames; PSNR of restored photos against those of ``cep simulate``; the time beside the exposure; and
-how many triggers of a belt are obeyed.
+how many triggers of a belt are obeyed; and a photo summed from a slow-motion video.
 """
 
 from __future__ import annotations
 
 import sys
+import tempfile
 import threading
 import time
+from pathlib import Path
 
+import cv2
 import numpy as np
+from skimage import data
 
 from cep.codes.sources import load_code
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
 from cep.restoration.restore import restore
 from cep.shutter.belt import play_on_triggers
 from cep.shutter.exposure_plan import ShotSettings
 from cep.shutter.release import Release
 from cep.shutter.rig import Rig, Shot
-from cep.shutter.shoot import open_rig
+from cep.shutter.shoot import open_rig, shoot
 from cep.shutter.twin import TwinCamera, code_values, openings_s
 from hw.emulation.uno import EmulatedUno
 from motdiff.crops import centre_crop
 from motdiff.metrics import psnr
+from motdiff.simulate import blur_valid, to_display, to_linear
 from motdiff.trajectory import Trajectory
 
 CODE = ShutterCode(load_code("raskar-52").bits, 200_000)
@@ -110,6 +116,39 @@ def belt(hertz: float, triggers: int = 100) -> None:
     print(f"| {hertz:g} triggers a second | {result.plays} of {triggers} played |", flush=True)
 
 
+def burst(fps: float = 240.0) -> None:
+    """Print the PSNR of a photo summed from a video of 8 bits, and of the direct simulation."""
+    slices = PATH.slice_psfs(np.linspace(0, 1, CODE.chips + 1), PATH.frame_size() | 1)
+    scene = to_linear(data.camera() / 255)
+    frames = [blur_valid(scene, CODE.chips * psf) for psf in slices]
+    noise = np.random.default_rng(0).normal(0, 0.002, frames[0].shape)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "slow.mkv"
+        video = cv2.VideoWriter(
+            str(file), cv2.VideoWriter.fourcc(*"FFV1"), fps, frames[0].shape[::-1]
+        )
+        for frame in frames:
+            codes = np.rint(255 * to_display(np.clip(frame, 0, 1))).astype(np.uint8)
+            video.write(np.dstack([codes] * 3))
+        video.release()
+        (shot,) = shoot(f"burst:{file}", CODE, settings=ShotSettings(motion=PATH))
+    photos = (
+        shot.record.light(shot.frame.values),
+        blur_valid(scene, coded_psf(PATH, CODE, size=PATH.frame_size() | 1)),
+    )
+    middle = [side - 2 * _BORDER_PX for side in noise.shape]
+    psnrs = [
+        psnr(
+            centre_crop(
+                np.clip(restore(photo + noise, code=CODE, trajectory=PATH).image, 0, 1), *middle
+            ),
+            centre_crop(scene, *middle),
+        )
+        for photo in photos
+    ]
+    print(f"| burst | {psnrs[0]:.2f} dB, direct simulation {psnrs[1]:.2f} dB |", flush=True)
+
+
 if __name__ == "__main__":
     wanted_shots = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     print(
@@ -121,3 +160,4 @@ if __name__ == "__main__":
         run(who, wanted_shots)
     for frequency_hz in (10, 30, 60, 80):
         belt(frequency_hz)
+    burst()
