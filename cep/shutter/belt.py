@@ -79,8 +79,11 @@ def play_on_triggers(
                     tell(count)
                 if now_s - last_s >= wait_s:
                     break
-                is_over = status.state is not State.PLAY and (plays is None or count < plays)
-                if is_over and (status.state is not State.ARMED or now_s - beat_s > HEARTBEAT_S):
+                is_wanted = plays is None or count < plays
+                if is_wanted and status.state is State.ARMED and now_s - beat_s > HEARTBEAT_S:
+                    controller.renew(lease_ms=LEASE_MS)
+                    beat_s = now_s
+                elif is_wanted and status.state not in (State.ARMED, State.PLAY):
                     controller.arm(lease_ms=LEASE_MS)
                     beat_s = now_s
                 time.sleep(_LOOK_S)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -82,7 +83,10 @@ class FolderCamera(Camera):
                     continue
                 reason = f"{path.name} is not whole"
                 now_s = time.monotonic()
-                size = path.stat().st_size
+                try:
+                    size = path.stat().st_size
+                except FileNotFoundError:
+                    continue
                 if sizes.get(path, (-1, 0.0))[0] != size:
                     sizes[path] = (size, now_s)
                 if size and now_s - sizes[path][1] >= min(_QUIET_S, timeout_s):
@@ -99,17 +103,17 @@ class FolderCamera(Camera):
 
     def _photos(self) -> list[Path]:
         """Photos of the folder, the earliest first."""
+        times_ns: dict[Path, int] = {}
         try:
-            photos = [
-                path
-                for path in self.folder.iterdir()
-                if path.suffix.lower() in PHOTO_SUFFIXES
-                and not path.name.startswith(".")
-                and path.is_file()
-            ]
-            return sorted(photos, key=lambda path: path.stat().st_mtime_ns)
+            for path in self.folder.iterdir():
+                if path.suffix.lower() not in PHOTO_SUFFIXES or path.name.startswith("."):
+                    continue
+                with suppress(FileNotFoundError):  # its program renames it once it is whole
+                    if path.is_file():
+                        times_ns[path] = path.stat().st_mtime_ns
         except OSError as error:
             raise CameraError(f"{self.folder}: cannot be read: {error.strerror}") from None
+        return sorted(times_ns, key=times_ns.__getitem__)
 
     def _frame(self, path: Path) -> Frame:
         is_raw = path.suffix.lower() in RAW_SUFFIXES

@@ -330,7 +330,7 @@ def _played(controller: Controller, before: Status, plan: ExposurePlan, wait_s: 
         if time.monotonic() >= deadline:
             raise FrameLostError(f"no trigger came within {wait_s:g} s: nothing was taken")
         if time.monotonic() >= beat:
-            controller.arm(lease_ms=LEASE_MS)
+            controller.renew(lease_ms=LEASE_MS)
             beat = time.monotonic() + HEARTBEAT_S
         time.sleep(0.002)
     if status.state is State.PLAY:

@@ -221,6 +221,25 @@ class Controller:
         with self._closed_on_doubt():
             return self._armed(payload, before)
 
+    def renew(self, *, lease_ms: int = LEASE_MS) -> Status:
+        """Arm an armed device anew, unless a trigger is quicker: then it plays, and is left alone.
+
+        Returns
+        -------
+        Status
+            ARMED, or what a trigger has made of it.
+        """
+        status = self.status()
+        if status.state is not State.ARMED:
+            return status
+        try:
+            return self.arm(lease_ms=lease_ms)
+        except WrongStateError:
+            status = self.status()
+            if status.state not in (State.PLAY, State.DONE):
+                raise
+            return status
+
     def trigger(self) -> None:
         """Play the program once; a lost reply never plays it twice. The end is not awaited."""
         with self._closed_on_doubt():

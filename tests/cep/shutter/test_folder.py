@@ -2,6 +2,7 @@
 
 import threading
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -57,6 +58,22 @@ def test_a_photo_is_read_when_it_is_whole(tmp_path):
         frame = camera.read(20)
         writer.join()
     assert (frame.values == VALUES).all()
+
+
+def test_a_file_that_its_program_renames_is_no_failure(tmp_path, monkeypatch):
+    looked_at = Path.stat
+
+    def gone(path, **how):
+        if path.name == "part.png":
+            raise FileNotFoundError(path)
+        return looked_at(path, **how)
+
+    with FolderCamera.open(f"{tmp_path}#gamma=linear") as camera:
+        camera.arm()
+        (tmp_path / "part.png").write_bytes(encoded(VALUES // 2))
+        (tmp_path / "whole.png").write_bytes(encoded(VALUES))
+        monkeypatch.setattr(Path, "stat", gone)
+        assert camera.read(10).camera == "whole.png"
 
 
 def test_a_photo_that_stays_damaged_is_named(tmp_path):

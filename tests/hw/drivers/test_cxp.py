@@ -22,7 +22,7 @@ from emulators.cxp_controller import (
 )
 from emulators.scripted_port import imported_with
 
-from hw.cxp.protocol import State, Stored
+from hw.cxp.protocol import Op, State, Stored
 from hw.device import DeviceProfile, load_profile
 from hw.drivers import Trust
 from hw.drivers.cxp import Controller
@@ -275,6 +275,25 @@ def test_upload_to_an_armed_or_playing_device_is_refused_and_does_not_disturb_it
         controller.abort()
         assert (device.state, device.shutter_open) == (LOADED, False)
         assert controller.upload(PROGRAM).trust is Trust.A
+
+
+def test_a_lease_is_renewed_unless_a_trigger_is_quicker(monkeypatch):
+    with CxpController() as device, Controller.open(device.port, **FAST) as controller:
+        controller.upload(SLOW, arm=True)
+        assert controller.renew().state is State.ARMED
+        request = controller.link.request
+
+        def triggered_before(op, *payload):
+            if op is Op.ARM:
+                request(Op.TRIG)
+            return request(op, *payload)
+
+        monkeypatch.setattr(controller.link, "request", triggered_before)
+        assert controller.renew().state is State.PLAY
+        arms = device.ops.count(ARM)
+        assert controller.renew().state is State.PLAY
+        assert device.ops.count(ARM) == arms
+        assert device.state == PLAY
 
 
 def interrupted(controller):
