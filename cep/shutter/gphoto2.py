@@ -48,6 +48,7 @@ class Gphoto2Camera(Camera):
         self._bulb = False
         self._opened_s: float | None = None
         self._frames = 0
+        self._stem = ""  # of the photo read since the camera was armed
 
     @classmethod
     def open(cls, address: str) -> Self:
@@ -111,6 +112,7 @@ class Gphoto2Camera(Camera):
             while self._device.wait_for_event(_EVENT_MS)[0] != gphoto2.GP_EVENT_TIMEOUT:
                 pass
         self._folder.arm()
+        self._stem = ""
 
     def wait_ready(self, timeout_s: float) -> None:
         """Return at once: the camera states nothing about it."""
@@ -135,7 +137,9 @@ class Gphoto2Camera(Camera):
         with _errors():
             while time.monotonic() < deadline:
                 kind, path = self._device.wait_for_event(_EVENT_MS)
-                if kind == gphoto2.GP_EVENT_FILE_ADDED:
+                # one photo may come as a RAW file and as a JPEG: the first is taken
+                if kind == gphoto2.GP_EVENT_FILE_ADDED and Path(path.name).stem != self._stem:
+                    self._stem = Path(path.name).stem
                     return self._download(path)
         raise FrameLostError(f"{self.camera}: no photo within {timeout_s:g} s")
 

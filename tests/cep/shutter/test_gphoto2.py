@@ -66,6 +66,35 @@ def test_the_camera_delivers_its_photo(camera, photo):
         camera.read(0.2)
 
 
+def test_a_second_file_of_a_photo_is_no_second_frame(camera, monkeypatch):
+    camera.configure(CameraSettings(exposure_s=0.01))
+    camera.arm()
+    device = camera._device
+    events = []
+
+    class Twice:
+        def __getattr__(self, name):
+            return getattr(device, name)
+
+        def wait_for_event(self, timeout_ms):
+            event = device.wait_for_event(timeout_ms)
+            if event[0] == gphoto2.GP_EVENT_FILE_ADDED:
+                events.append(event)
+            elif len(events) == 1:
+                events.append(events[0])  # as the JPEG beside a RAW file
+                return events[0]
+            return event
+
+    import gphoto2
+
+    monkeypatch.setattr(camera, "_device", Twice())
+    camera.fire()
+    assert camera.read(5).frame_id == 1
+    with pytest.raises(FrameLostError):
+        camera.read(0.5)
+    assert len(events) == 2
+
+
 def test_a_photo_that_was_not_read_is_not_the_next(camera):
     camera.configure(CameraSettings(exposure_s=0.01))
     camera.fire()
