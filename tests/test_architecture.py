@@ -73,6 +73,7 @@ COMMANDS_MAY_IMPORT = {
     "collections",
     "contextlib",
     "dataclasses",
+    "functools",
     "inspect",
     "os",
     "pathlib",

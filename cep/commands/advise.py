@@ -14,6 +14,7 @@ from cep.commands.options import (
     CameraOptions,
     CommonOptions,
     MotionOptions,
+    SceneOptions,
     TableFile,
     command,
     output_option,
@@ -33,7 +34,7 @@ _SAME_TIME = 0.01  # relative: a device's ticks round the chip times
 
 
 @dataclass(frozen=True, kw_only=True)
-class AdviseOptions(CommonOptions, CameraOptions, MotionOptions):
+class AdviseOptions(CommonOptions, CameraOptions, SceneOptions, MotionOptions):
     """Options of ``cep advise``."""
 
     chips: Annotated[
@@ -118,6 +119,7 @@ class AdviseOptions(CommonOptions, CameraOptions, MotionOptions):
         fields: ProblemFields = {
             "direction": self.direction,  # type: ignore[typeddict-item]  # checked there
             "camera": self.load_camera(),
+            "scene": self.load_scene(),
         }
         if chip_ns is not None:
             fields["chip_ns"] = chip_ns
@@ -132,17 +134,20 @@ def advise(options: AdviseOptions) -> None:
     """Say whether to leave the shutter open, expose for a shorter time, pulse evenly or code.
 
     Each way may be open for any part of the exposure that the shutter's limits allow, and the
-    scene is as bright for all. At the camera's light the gains are measured: twelve photographs
-    are taken each way, with the camera's photon and read noise, and restored. At other light they
-    are about those of a model of photographs. A code is searched at each light level.
+    scene is as bright for all. At the camera's light the gains are measured: twelve photographs,
+    or up to twelve parts of your own (--scene), are taken each way, with the camera's photon and
+    read noise, and restored. At other light they are about those of a model of them. A code is
+    searched at each light level.
 
     Fields of --json that need a word:
 
     - choice: open, snapshot (one shorter exposure), strobe (even pulses) or code, at the camera's
       light.
     - gains_db: of the best of each kind over the open shutter; of code: even pulses included.
-    - photographs: on how many the gains were measured; 0 where they are the model's, as at other
-      light and for motions of more than 128 px. photo_psnr_db has each one's figure.
+    - scene: what is photographed, or the file of --scene.
+    - photographs: on how many the gains were measured, or parts of that of --scene; 0 where they
+      are the model's, as at other light, for motions of more than 128 px and for the scenes text,
+      texture and flat-part. photo_psnr_db has each one's figure.
     - code_gain_db: of the best code over the best of open shutter and single exposure.
       code_gain_range_db: on the photographs, without the least and the greatest; null without.
     - open_saturates: whether the open shutter collects more than the camera can record. Its
@@ -183,6 +188,7 @@ def advise(options: AdviseOptions) -> None:
         problem = None
         if chips is not None:  # wrong options are named before outputs in the way
             problem = options.problem(motion, chips=chips, chip_ns=chip_ns)
+        pictures = options.pictures(motion)
         outputs = claim(
             filter(None, [output, *table_files(options.tables)]),
             force=options.force,
@@ -201,6 +207,7 @@ def advise(options: AdviseOptions) -> None:
             problem,
             *codes,
             path_error_px=error_px,
+            photographs=pictures,
             seed=options.seed,
             announce=announce,
             progress=part(tick, 0.4, 1.0),

@@ -87,7 +87,8 @@ def audit(options: AuditOptions) -> None:
     the figures are those of a straight one of 1 px a chip. A code.json's certificate is checked by
     a second, separate program: verified says whether it holds and why, null where there is none.
     Noise gains above 100 dB, and the infinite ones of codes with a zero, are null in JSON. The
-    camera is that of code.json when --camera is omitted. figures has those of --figure: a number,
+    camera is that of code.json when --camera is omitted, and so is the scene; gains are a model's
+    for a photo of --scene. figures has those of --figure: a number,
     or [forward, backward] where the direction is unknown.
 
     Example: cep audit 1010000111000001010000110011110111010111001001100111
@@ -97,6 +98,7 @@ def audit(options: AuditOptions) -> None:
     Example: cep audit code.json --linear 40 --figure mymodule:my_figure
     """
     from cep.codes.sources import find_code
+    from cep.optics.scene import PHOTO, Scene
     from cep.proofs.audit import audit as audit_code
     from cep.proofs.verify.certificates import verify
     from cep.search.problem import SearchProblem
@@ -111,6 +113,9 @@ def audit(options: AuditOptions) -> None:
         )
     stored = find_code(options.code, chip_ns=options.chip_ns)
     camera = _camera(options, stored)
+    scene = PHOTO
+    if (document := stored.problem.get("scene")) is not None:
+        scene = Scene(**document)  # checked where the file was read
     motion = None
     path_error_px = 0.0
     if options.has_motion:
@@ -125,6 +130,7 @@ def audit(options: AuditOptions) -> None:
             stored.code,
             motion,
             camera=camera,
+            scene=scene,
             flips=options.flips,
             figures=figures,
             progress=tick,
@@ -132,7 +138,11 @@ def audit(options: AuditOptions) -> None:
         )
         if motion is not None:
             problem = SearchProblem.along(
-                motion, chips=stored.code.chips, chip_ns=stored.code.chip_ns, camera=camera
+                motion,
+                chips=stored.code.chips,
+                chip_ns=stored.code.chip_ns,
+                camera=camera,
+                scene=scene,
             )
             judgement = verdict(problem, stored.code, path_error_px=path_error_px)
             advice = {

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cep.commands.options import CameraOptions, output_option
+from cep.commands.options import CameraOptions, SceneOptions, output_option
 from cep.search.objectives import OBJECTIVES
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ Device = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class CodeOptions(CameraOptions):
+class CodeOptions(CameraOptions, SceneOptions):
     """Number of chips, light, exposure and limits of the codes that are searched."""
 
     chips: Annotated[
@@ -164,6 +164,7 @@ class CodeOptions(CameraOptions):
                 min_open=self.min_open, min_closed=self.min_closed, max_pulses=self.max_pulses
             ),
             camera=self.load_camera(),
+            scene=self.load_scene(),
         )
 
 

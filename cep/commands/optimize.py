@@ -26,6 +26,7 @@ from cep.commands.search_run import saved_on_interrupt
 if TYPE_CHECKING:
     from cep.search.optimize import Optimum
     from cep.search.problem import SearchProblem
+    from cep.search.scenarios import Scenario
     from motdiff.files.trajectories import StoredMotion
 
 _SPEEDS = 5  # of a range: the worst speed lies at one of its ends or near the middle
@@ -61,16 +62,23 @@ class OptimizeOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
         ),
     ] = "anneal"
 
-    def searched(self, stored: StoredMotion) -> SearchProblem | Callable[[int], SearchProblem]:
+    def scenarios(self, stored: StoredMotion) -> tuple[Scenario, ...]:
+        """Return the motion at the speeds that are designed for."""
+        from cep.search.scenarios import Scenario, speed_range
+
+        motions = (Scenario(stored.trajectory),)
+        if self.speed is None:
+            return motions
+        low, high = low_and_high("--speed", self.speed, "0.8:1.2")
+        return speed_range(motions, low, high, _SPEEDS if low < high else 1)
+
+    def searched(
+        self, stored: StoredMotion, motions: tuple[Scenario, ...]
+    ) -> SearchProblem | Callable[[int], SearchProblem]:
         """Return the problem along a motion, or what makes it of a number of chips still open."""
         from cep.optics.band import uniform_length_px
         from cep.search.chip_count import ASSUMED_EXPOSURE_S
-        from cep.search.scenarios import Scenario, speed_range
 
-        motions: tuple[Scenario, ...] = (Scenario(stored.trajectory),)
-        if self.speed is not None:
-            low, high = low_and_high("--speed", self.speed, "0.8:1.2")
-            motions = speed_range(motions, low, high, _SPEEDS if low < high else 1)
         exact = self.method == "exact"
         objective = objective_mix(self.objective or "mse")
         if self.objective is None and exact and uniform_length_px(stored.trajectory) is not None:
@@ -103,7 +111,7 @@ def optimize(options: OptimizeOptions) -> None:
       the others.
     - verdict: what to do and what it gains, in one or two sentences. choice: open, snapshot (one
       shorter exposure), strobe (even pulses) or code. gains_db: gain of the best of each over the
-      open shutter, on twelve photographs; of code this one.
+      open shutter, on twelve photographs or parts of that of --scene; of code this one.
     - other_chips_db, where --chips is omitted: what other numbers of chips would gain over the one
       chosen.
     - proven: no code is better, over the whole unit circle; or, unless one straight motion is all
@@ -125,7 +133,9 @@ def optimize(options: OptimizeOptions) -> None:
 
         stored = options.load_motion()
         error_px = options.path_error_px(stored)
-        problem = options.searched(stored)
+        scenarios = options.scenarios(stored)
+        problem = options.searched(stored, scenarios)
+        pictures = options.pictures(*(scenario.trajectory for scenario in scenarios))
         # wrong options are named before outputs in the way
         how: dict[str, Any] = {
             "method": options.method,
@@ -145,6 +155,7 @@ def optimize(options: OptimizeOptions) -> None:
                 **how,
                 along=stored.trajectory,
                 path_error_px=error_px,
+                photographs=pictures,
                 announce=announce,
                 progress=tick,
                 on_found=lambda code: keep({options.output: code}),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
@@ -13,7 +14,11 @@ import typer
 if TYPE_CHECKING:
     from cep.optics.camera import Camera
     from cep.optics.code import ShutterCode
+    from cep.optics.scene import Scene
+    from cep.photographs.scene_photo import ScenePhoto
     from motdiff.files.trajectories import StoredMotion
+    from motdiff.trajectory import Trajectory
+    from motdiff.types import FloatArray
 
 Options = TypeVar("Options")
 
@@ -21,6 +26,7 @@ Options = TypeVar("Options")
 COMMON = "Common options"
 MOTION = "Motion"
 CAMERA = "Camera"
+SCENE = "Scene"
 
 Json = Annotated[
     bool,
@@ -122,6 +128,16 @@ ReadNoise = Annotated[
     float | None,
     typer.Option(
         "--read-noise", metavar="N", help="Read noise, electrons rms.", rich_help_panel=CAMERA
+    ),
+]
+SceneSource = Annotated[
+    str,
+    typer.Option(
+        "--scene",
+        metavar="NAME|PHOTO",
+        rich_help_panel=SCENE,
+        help="What is photographed: photo (any), text, texture, flat-part, or a sharp photo of it,"
+        " on whose parts gains are measured. Of text, texture and flat-part they are a model's.",
     ),
 ]
 
@@ -240,6 +256,52 @@ class CameraOptions:
         if self.read_noise is not None:
             camera = replace(camera, read_noise_e=self.read_noise)
         return camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """The scene of a command: ``--scene``, a name or a photo."""
+
+    scene: SceneSource = "photo"
+
+    @cached_property
+    def own_photo(self) -> ScenePhoto | None:
+        """The photo that is named; None where a name of a scene is. ValueError unless valid."""
+        from cep.optics.scene import SCENES
+        from cep.photographs.scene_photo import ScenePhoto
+
+        if self.scene in SCENES:
+            return None
+        if not Path(self.scene).exists():
+            raise ValueError(
+                f"--scene: must be one of {', '.join(SCENES)}, or the file of a photo; there is"
+                f" no file {self.scene}"
+            )
+        try:
+            return ScenePhoto.read(self.scene)
+        except ValueError as error:
+            raise ValueError(f"--scene: {error}") from None
+
+    def load_scene(self) -> Scene:
+        """Return the scene that codes are designed for."""
+        from cep.optics.scene import SCENES
+
+        photo = self.own_photo
+        return SCENES[self.scene] if photo is None else photo.scene
+
+    def pictures(self, *paths: Trajectory) -> tuple[FloatArray, ...] | None:
+        """Return the parts of the photo that gains along paths are measured on; None: no photo."""
+        from cep.search.measured import LONGEST_PX
+
+        photo = self.own_photo
+        if photo is None:
+            return None
+        if max(path.extent_px for path in paths) > LONGEST_PX:
+            return ()
+        try:
+            return photo.crops(paths)
+        except ValueError as error:
+            raise ValueError(f"--scene: {error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)

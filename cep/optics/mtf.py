@@ -6,7 +6,7 @@ import numpy as np
 
 from cep.optics.band import BandSamples
 from cep.optics.code import ShutterCode
-from cep.optics.scene import inverse_scene
+from cep.optics.scene import PHOTO, Scene, inverse_scene
 from motdiff.types import FloatArray
 
 HOPELESS_DB = 100.0
@@ -28,7 +28,9 @@ def chip_noise_db(code: ShutterCode) -> float:
         return float(10 * np.log10(weight @ (1 / power) / size))
 
 
-def wiener_mse(power: FloatArray, samples: BandSamples, noise: float) -> float:
+def wiener_mse(
+    power: FloatArray, samples: BandSamples, noise: float, *, scene: Scene = PHOTO
+) -> float:
     r"""Least mean square error of a linear restoration: band mean of ``S N / (S |H|^2 + N)``.
 
     Parameters
@@ -38,7 +40,9 @@ def wiener_mse(power: FloatArray, samples: BandSamples, noise: float) -> float:
     samples : BandSamples
     noise : float
         Variance N of the noise per pixel.
+    scene : Scene
+        Its spectrum is S.
     """
     # S N / (S |H|^2 + N) = 1 / (|H|^2 / N + 1 / S)
-    per_noise = power[:, None] / noise + inverse_scene(samples)
+    per_noise = power[:, None] / noise + inverse_scene(samples, scene=scene)
     return float(samples.weight @ (samples.radius2_weight / per_noise).sum(axis=1))

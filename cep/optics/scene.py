@@ -35,6 +35,8 @@ class Scene:
         Standard deviation of the level from scene to scene.
     mean : float
         Mean linear light of an all-open exposure, of full scale.
+    name : str
+        What the scenes are, as a plural or the name of a file.
     """
 
     exponent: float
@@ -43,6 +45,13 @@ class Scene:
     level_db: float
     spread_db: float
     mean: float
+    name: str = "photographs"
+
+    def counted(self, count: int) -> str:
+        """Say how many pictures of such scenes there are."""
+        if self.name == PHOTO.name:
+            return f"{count} photograph{'s' if count > 1 else ''}"
+        return f"{count} part{'s' if count > 1 else ''} of {self.name}"
 
     def power(self, radius2: ArrayLike) -> FloatArray:
         """Power spectrum at (...) squared frequencies, (cycles/px)^2."""
@@ -56,14 +65,51 @@ class Scene:
 PHOTO = Scene(exponent=2.16, knee_cy_px=0.25, fall=0.43, level_db=-12.5, spread_db=4.6, mean=0.23)
 """Photographs in linear light."""
 
+# python -m lab.studies.named_scenes: docs/decisions/search.md
+SCENES = {
+    "photo": PHOTO,
+    "text": Scene(
+        exponent=0.40,
+        knee_cy_px=0.25,
+        fall=3.27,
+        level_db=-6.4,
+        spread_db=1.8,
+        mean=0.61,
+        name="text",
+    ),
+    "texture": Scene(
+        exponent=1.49,
+        knee_cy_px=0.25,
+        fall=2.19,
+        level_db=-10.1,
+        spread_db=1.9,
+        mean=0.21,
+        name="textures",
+    ),
+    "flat-part": Scene(
+        exponent=1.93,
+        knee_cy_px=0.25,
+        fall=0.45,
+        level_db=-25.4,
+        spread_db=12.8,
+        mean=0.21,
+        name="flat parts of photographs",
+    ),
+}
+"""Scenes by their names."""
 
-def inverse_scene(samples: BandSamples) -> FloatArray:
+
+def inverse_scene(samples: BandSamples, *, scene: Scene = PHOTO) -> FloatArray:
     """1 / S, (F, Q): the scene's inverse power spectrum at the samples."""
-    return 1 / PHOTO.power(samples.radius2)
+    return 1 / scene.power(samples.radius2)
 
 
 def noise_variance(
-    camera: Camera, duty: ArrayLike, *, integration_s: ArrayLike = 0.0
+    camera: Camera,
+    duty: ArrayLike,
+    *,
+    integration_s: ArrayLike = 0.0,
+    scene: Scene = PHOTO,
 ) -> FloatArray:
     """Variance per pixel of photos of the scene, open for (...) ``duty``.
 
@@ -71,5 +117,5 @@ def noise_variance(
     has it.
     """
     return camera.noise_variance(
-        PHOTO.mean * np.asarray(duty, dtype=np.float64), integration_s=integration_s
+        scene.mean * np.asarray(duty, dtype=np.float64), integration_s=integration_s
     )

@@ -142,10 +142,25 @@ def grid_px(paths: Sequence[Trajectory]) -> int:
     """Pixels that a restoration of the largest photo has, of the open shutter along paths."""
     sizes = []
     for path in paths:
-        reaches = [int(np.ceil(np.abs(path.xy[:, axis]).max())) for axis in (1, 0)]
-        sides = [JUDGED_PX + 2 * (_border_px(reach) + reach) for reach in reaches]
+        sides = [JUDGED_PX + 2 * (_border_px(reach) + reach) for reach in _path_reaches_px(path)]
         sizes.append(sides[0] * sides[1])
     return max(sizes)
+
+
+def needed_px(paths: Sequence[Trajectory]) -> tuple[int, int]:
+    """Height and width of the scene that photos along paths show, of the open shutter."""
+    sides = []
+    for path in paths:
+        reaches = _path_reaches_px(path)
+        sides.append([JUDGED_PX + 2 * (_border_px(reach) + max(reaches)) for reach in reaches])
+    height, width = np.max(sides, axis=0).tolist()
+    return height, width
+
+
+def _path_reaches_px(path: Trajectory) -> tuple[int, int]:
+    """Farthest row and column of a path from its middle."""
+    columns, rows = np.ceil(np.abs(path.xy).max(axis=0)).astype(int).tolist()
+    return rows, columns
 
 
 def _reaches_px(psf: FloatArray) -> tuple[int, int]:

@@ -16,6 +16,7 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis, mtf
 from cep.optics.path_limits import check_frame, check_resolved
+from cep.optics.scene import PHOTO, Scene
 from cep.proofs.certify.certificate import Certificate, certify, paths_by_direction
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.proofs.certify.zeros import Zeros, zeros_along, zeros_of_code
@@ -174,6 +175,7 @@ def audit(
     trajectory: Trajectory | None = None,
     *,
     camera: Camera | None = None,
+    scene: Scene = PHOTO,
     flips: int | None = None,
     figures: Mapping[str, FigureOfMerit] | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
@@ -188,6 +190,8 @@ def audit(
         A straight one of 1 px a chip when omitted.
     camera : Camera, optional
         For the expected error; ``Camera()`` when omitted.
+    scene : Scene
+        For the expected error.
     flips : int, optional
         Look for better codes up to so many flips away, 0..3; 3 when omitted, of more than 256
         chips 2.
@@ -222,7 +226,7 @@ def audit(
     progress(0.0, "measuring")
     # first, so that a function that fails does so before the long work
     own_values = own_figures(figures or {}, motion, code)
-    metrics = measure_worst(motion, code, camera=camera)
+    metrics = measure_worst(motion, code, camera=camera, scene=scene)
     along: Trajectory | None = motion
     if metrics.min_chip is not None:
         along = None  # a uniform straight motion: the polynomial alone decides

@@ -16,7 +16,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import open_path
 from cep.optics.mtf import HOPELESS_DB, wiener_mse
 from cep.optics.response import ShutterResponse
-from cep.optics.scene import noise_variance
+from cep.optics.scene import PHOTO, Scene, noise_variance
 from cep.proofs.certify.certificate import paths_by_direction
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from motdiff.files.inputs import one_line
@@ -92,6 +92,7 @@ def measure(
     budget: int = 20_000,
     response: ShutterResponse | None = None,
     edges: ArrayLike | None = None,
+    scene: Scene = PHOTO,
 ) -> CodeMetrics:
     """Measure a code along a trajectory taken as given; its reverse is another one.
 
@@ -110,6 +111,8 @@ def measure(
         Chip boundaries as fractions of the exposure; evenly spread over it when omitted. With
         either, the duty that the figures are relative to is the light that came through, and
         ``min_chip`` is None.
+    scene : Scene
+        For ``mse_db``.
 
     References
     ----------
@@ -132,8 +135,10 @@ def measure(
     with np.errstate(divide="ignore"):
         inverse_power = 1 / np.where(modulus < _ZERO, 0.0, modulus) ** 2
         noise_gain_db = float(10 * np.log10(samples.weight @ inverse_power))
-    noise = noise_variance(camera or Camera(), duty, integration_s=code.integration_ns * 1e-9)
-    mse = wiener_mse(modulus**2, samples, float(noise))
+    noise = noise_variance(
+        camera or Camera(), duty, integration_s=code.integration_ns * 1e-9, scene=scene
+    )
+    mse = wiener_mse(modulus**2, samples, float(noise), scene=scene)
     return CodeMetrics(
         min_mtf=lowest,
         min_mtf_lower=min(minimum.lower, lowest),
@@ -161,7 +166,11 @@ def worst_of(*metrics: CodeMetrics) -> CodeMetrics:
 
 
 def measure_worst(
-    trajectory: Trajectory, code: ShutterCode, *, camera: Camera | None = None
+    trajectory: Trajectory,
+    code: ShutterCode,
+    *,
+    camera: Camera | None = None,
+    scene: Scene = PHOTO,
 ) -> CodeMetrics:
     """Measure a code along a trajectory; where its direction is unknown, the worse one counts."""
     paths = [*paths_by_direction(trajectory).values()]
@@ -169,7 +178,7 @@ def measure_worst(
     # the same |H|
     if uniform_length_px(trajectory) is not None or code.bits == code.bits[::-1]:
         paths = paths[:1]
-    return worst_of(*(measure(path, code, camera=camera) for path in paths))
+    return worst_of(*(measure(path, code, camera=camera, scene=scene) for path in paths))
 
 
 def find_figures(references: Iterable[str]) -> dict[str, FigureOfMerit]:

@@ -165,8 +165,9 @@ def advise(
         Rms error of the path where it is an estimate. Every way is judged with it, the codes are
         searched without.
     photographs : sequence of (H, W) float ndarrays, linear light, optional
-        On which the gains are measured; the twelve of :mod:`cep.photographs` when omitted. With
-        none at all every gain is the model's.
+        On which the gains are measured: pictures of the problem's scene. When omitted the twelve
+        of :mod:`cep.photographs` for scenes that are photographs, else none. With none at all
+        every gain is the model's.
     seed : int
     threads : int, optional
         As many as there are cores when omitted; the outcome does not depend on it.
@@ -220,7 +221,9 @@ def advise(
     # every code is judged at every level: one found for another light may be better here
     judged_exposures = judged_ways(problem, cameras, pool, path_error_px=path_error_px)
     modelled = {
-        camera.photons_full_scale: Verdict(camera, exposures, path_error_px=path_error_px)
+        camera.photons_full_scale: Verdict(
+            camera, exposures, path_error_px=path_error_px, scene=problem.scene
+        )
         for camera, exposures in zip(cameras, judged_exposures, strict=True)
         if any(exposure.possible for exposure in exposures)
     }

@@ -14,7 +14,7 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import wiener_mse
 from cep.optics.response import ShutterResponse, open_time
-from cep.optics.scene import inverse_scene, noise_variance
+from cep.optics.scene import PHOTO, Scene, inverse_scene, noise_variance
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_rows
 from motdiff.motions import with_smooth_error
@@ -38,13 +38,19 @@ def open_share(
 
 
 def light_noise(
-    camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None
+    camera: Camera,
+    codes: Sequence[ShutterCode],
+    *,
+    response: ShutterResponse | None = None,
+    scene: Scene = PHOTO,
 ) -> FloatArray:
     """Variance of the noise through each code, (R,): the light falls with the open time.
 
     Dark current counts for each code's integration time.
     """
-    return noise_variance(camera, open_share(codes, response), integration_s=_integration_s(codes))
+    return noise_variance(
+        camera, open_share(codes, response), integration_s=_integration_s(codes), scene=scene
+    )
 
 
 def collected_e(
@@ -56,7 +62,11 @@ def collected_e(
 
 
 def equal_light_noise(
-    camera: Camera, codes: Sequence[ShutterCode], *, response: ShutterResponse | None = None
+    camera: Camera,
+    codes: Sequence[ShutterCode],
+    *,
+    response: ShutterResponse | None = None,
+    scene: Scene = PHOTO,
 ) -> FloatArray:
     """Variance of the noise, (R,), where a brighter lamp makes up for the closed time.
 
@@ -65,7 +75,7 @@ def equal_light_noise(
     OTF is.
     """
     return (
-        noise_variance(camera, 1.0, integration_s=_integration_s(codes))
+        noise_variance(camera, 1.0, integration_s=_integration_s(codes), scene=scene)
         * open_share(codes, response) ** 2
     )
 
@@ -173,7 +183,7 @@ def joint_psnr_db(
         power = np.abs(coded_sum(_rows(problem, scenario, samples), chips)) ** 2
         # frames add up as |H|^2 / N: noise of 1 is left
         powers = [(power / variance[:, None]).sum(axis=0) for variance in variances]
-        return np.array([wiener_mse(total, samples, 1.0) for total in powers])
+        return np.array([wiener_mse(total, samples, 1.0, scene=problem.scene) for total in powers])
 
     _check_moves(problem)
     errors = [
@@ -260,7 +270,7 @@ class _DirectedMotion:
         # the mean is of the same draws: Bessel's correction; the difference may round below 0
         unbiased = len(self._paths) / max(len(self._paths) - 1, 1)
         scatter = np.maximum(power - np.abs(mean) ** 2, 0.0) * unbiased
-        inverse = inverse_scene(samples)  # 1 / S
+        inverse = inverse_scene(samples, scene=problem.scene)  # 1 / S
         errors = []
         for variance in variances.T:
             noise = variance[:, None]

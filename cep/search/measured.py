@@ -9,6 +9,7 @@ from operator import attrgetter
 import numpy as np
 
 from cep.optics.code import ShutterCode
+from cep.optics.scene import PHOTO
 from cep.photographs import scenes
 from cep.photographs.trial import PhotoTrial, grid_px
 from cep.search.expected import WORTH_DB
@@ -51,7 +52,8 @@ def measured_ways(
     modelled : sequence of Way
         As the model judges them at the problem's light, the open shutter first.
     photographs : sequence of (H, W) float ndarrays, linear light, optional
-        Those of :func:`cep.photographs.scenes.photographs` when omitted.
+        When omitted those of :func:`cep.photographs.scenes.photographs` where the problem's scene
+        is photographs, else none.
     own_codes : iterable of ShutterCode
     path_error_px : float
         As of :func:`cep.search.advise.advise`.
@@ -69,8 +71,7 @@ def measured_ways(
     if not is_measured(problem, photographs):
         return tuple(modelled)
     motions = _motions(problem)
-    if photographs is None:
-        photographs = scenes.photographs()
+    photographs = _pictures(problem, photographs)
     size = grid_px([path for path, _ in motions])
     affordable = int(len(photographs) * _USUAL_PX / size)
     count = min(len(photographs), max(affordable, _LEAST_PHOTOGRAPHS))
@@ -109,10 +110,17 @@ def measured_ways(
 
 def is_measured(problem: SearchProblem, photographs: Sequence[FloatArray] | None = None) -> bool:
     """Whether there are photographs, and the motion is no longer than :data:`LONGEST_PX`."""
-    if photographs is None:
-        photographs = scenes.photographs()
     longest_px = max(path.extent_px for path, _ in _motions(problem))
-    return len(photographs) > 0 and longest_px <= LONGEST_PX
+    return len(_pictures(problem, photographs)) > 0 and longest_px <= LONGEST_PX
+
+
+def _pictures(
+    problem: SearchProblem, photographs: Sequence[FloatArray] | None
+) -> Sequence[FloatArray]:
+    """Return the photographs, or the bundled ones of a problem whose scene is photographs."""
+    if photographs is not None:
+        return photographs
+    return scenes.photographs() if problem.scene.name == PHOTO.name else ()
 
 
 def _motions(problem: SearchProblem) -> list[tuple[Trajectory, FloatArray | None]]:

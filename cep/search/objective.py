@@ -114,7 +114,7 @@ class Objective:
             [motion.samples.radius2_weight for motion in parts]
         ).astype(dtype)
         self.priors: RealArray = _stacked(
-            [inverse_scene(motion.samples) for motion in parts]
+            [inverse_scene(motion.samples, scene=problem.scene) for motion in parts]
         ).astype(dtype)
         self._set_noise()
         shares = np.array([s.weight for s in problem.scenarios] or [1.0])
@@ -138,8 +138,11 @@ class Objective:
         counts = np.arange(chips + 1)
         # a code of several openings integrates dark current for the whole exposure, a single
         # opening for as long as it lasts
-        self.noise = noise_variance(camera, counts / chips, integration_s=chips * chip_s)
-        self._noise_of_one = noise_variance(camera, counts / chips, integration_s=counts * chip_s)
+        scene = self.problem.scene
+        self.noise, self._noise_of_one = (
+            noise_variance(camera, counts / chips, integration_s=integrated * chip_s, scene=scene)
+            for integrated in (chips, counts)
+        )
 
     def otf(self, codes: RealArray) -> RealArray:
         """(R, 2, F) real and imaginary OTF of (R, n) codes."""

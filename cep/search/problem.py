@@ -12,6 +12,7 @@ from cep.optics.band import uniform_length_px
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
+from cep.optics.scene import PHOTO, Scene
 from cep.optics.timeline import check_lengths, checked_edges
 from cep.proofs.measure import CodeMetrics, measure, worst_of
 from cep.search.feasibility import check_feasible
@@ -40,6 +41,7 @@ class ProblemFields(TypedDict, total=False):
     runs: RunLimits
     camera: Camera
     chip_ns: int
+    scene: Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +76,8 @@ class SearchProblem:
         Duration of a chip, ns.
     device : DeviceProfile, optional
         Shutter whose limits are among the others, as of :meth:`along`; code files carry it.
+    scene : Scene
+        What is photographed, for the objective "mse".
 
     Raises
     ------
@@ -100,6 +104,7 @@ class SearchProblem:
     response: ShutterResponse | None = None
     chip_ns: int = 1_000_000
     device: DeviceProfile | None = None
+    scene: Scene = PHOTO
 
     def __post_init__(self) -> None:
         if not isinstance(self.chip_ns, int) or self.chip_ns < 1:
@@ -338,6 +343,7 @@ class SearchProblem:
                     budget=budget,
                     response=self.response,
                     edges=scenario.edges,
+                    scene=self.scene,
                 )
                 for scenario, reversed_path in self.ways() or (circle,)
             )

@@ -164,6 +164,7 @@ def described_search(
         "direction": problem.direction,
         "rule": problem.rule,
         "camera": problem.camera.to_dict(),
+        "scene": asdict(problem.scene),
         "device": problem.device and problem.device.to_dict(),
         "method": how.method,
         "seed": how.seed,

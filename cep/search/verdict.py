@@ -11,6 +11,7 @@ from typing import Any, Literal
 from cep.files.formatting import duration
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
+from cep.optics.scene import PHOTO, Scene
 from cep.search.expected import WORTH_DB
 from cep.search.gain_table import shifts_db
 from cep.search.measured import corrected, is_measured, measured_ways
@@ -53,6 +54,8 @@ class Verdict:
         Rms error that the path was taken to have.
     frames : int
         Photos restored together, each exposed in the same way but for a code.
+    scene : Scene
+        What is photographed.
     """
 
     camera: Camera
@@ -61,6 +64,7 @@ class Verdict:
     user_code: Way | None = None
     path_error_px: float = 0.0
     frames: int = 1
+    scene: Scene = PHOTO
 
     @property
     def possible(self) -> tuple[Way, ...]:
@@ -166,6 +170,7 @@ class Verdict:
             "choice": self.choice,
             "photons": self.camera.photons_full_scale,
             "open_saturates": self.open_saturates,
+            "scene": self.scene.name,
             "photographs": self.photographs,
             "gains_db": self.gains_db,
             "code_gain_db": self.code_gain_db if math.isfinite(self.code_gain_db or 0) else None,
@@ -193,11 +198,11 @@ class Verdict:
     def _meaning(self) -> str:
         """What the gains are."""
         if not self.photographs:
-            return "Gains are about those that a model of photographs expects"
+            return f"Gains are about those that a model of {self.scene.name} expects"
         spread = ""
         if self.photographs >= _ENOUGH:
             spread = " (in brackets: without the least and the greatest)"
-        return f"Gains are means over {_counted(self.photographs)}{spread}, restored"
+        return f"Gains are means over {self.scene.counted(self.photographs)}{spread}, restored"
 
     @property
     def recommendation(self) -> str:
@@ -205,7 +210,7 @@ class Verdict:
         advised = self.advised
         gains = []
         if not self.open_saturates:  # a gain over what cannot be recorded says nothing
-            gains.append(_gain(advised, self.ways[0], "the open shutter"))
+            gains.append(self._gain(self.ways[0], "the open shutter"))
         if advised.kind == "open":
             return (
                 "Leave the shutter open: no shorter exposure and no code found gains"
@@ -216,7 +221,7 @@ class Verdict:
             if not self.code_name:
                 return f"{text}{_joined(', which ', gains)}; no code that was tried is better"
             if self._code:
-                gains.append(_gain(advised, self._code, self.code_name, ranged=True))
+                gains.append(self._gain(self._code, self.code_name, ranged=True))
             return text + _joined(", which ", gains)
         user_code = self.user_code
         if user_code == advised:
@@ -227,11 +232,30 @@ class Verdict:
         elif user_code:
             action += f" by {advised.code.bits}"
         if snapshot := self.best("snapshot"):
-            over = _gain(advised, snapshot, "the best single exposure", ranged=True)
+            over = self._gain(snapshot, "the best single exposure", ranged=True)
             gains.append(f"{over}, {_share(snapshot.code)}")
         if user_code:
-            gains.append(_gain(advised, user_code, self.code_name))
+            gains.append(self._gain(user_code, self.code_name))
         return action + _joined(": that ", gains)
+
+    def _gain(self, alternative: Way, name: str, *, ranged: bool = False) -> str:
+        """Say what the advised way gains over another, or loses to it."""
+        advised = self.advised
+        gain_db = advised.psnr_db - alternative.psnr_db
+        photographs = min(len(advised.photo_psnr_db), len(alternative.photo_psnr_db))
+        if abs(gain_db) < WORTH_DB:
+            text = f"restores as well as {name}"
+        elif gain_db > 0:
+            text = f"gains {_amount(gain_db, photographs)} over {name}"
+        else:
+            text = f"loses {_amount(gain_db, photographs)} to {name}"
+        # a loss is stated by its size
+        pair = (alternative, advised) if gain_db <= -WORTH_DB else (advised, alternative)
+        limits_db = gain_range_db(*pair)
+        if not ranged or limits_db is None:
+            return text
+        low, high = (round(limit_db, 1) + 0.0 for limit_db in limits_db)  # no -0.0
+        return f"{text} ({low:.1f} to {high:.1f} on {self.scene.counted(photographs)})"
 
     @property
     def _conditions(self) -> str:
@@ -330,7 +354,9 @@ def verdict_of(
 ) -> Verdict:
     """Return the verdict of ways that were judged already; see :func:`verdict`."""
     best_possible(exposures)  # refuses where there is none
-    unnamed = Verdict(problem.camera, exposures, "", path_error_px=path_error_px)
+    unnamed = Verdict(
+        problem.camera, exposures, "", path_error_px=path_error_px, scene=problem.scene
+    )
     # by their bits: the codes judged carry the problem's chip time, the given ones may not
     bits = {code.bits for code in codes}
     user_exposures = [
@@ -370,29 +396,6 @@ def gain_range_db(exposure: Way, alternative: Way) -> tuple[float, float] | None
     if len(gains) >= _ENOUGH:
         gains = gains[1:-1]
     return (gains[0], gains[-1]) if gains else None
-
-
-def _gain(advised: Way, alternative: Way, name: str, *, ranged: bool = False) -> str:
-    """Say what is gained over another way to expose, or lost to it."""
-    gain_db = advised.psnr_db - alternative.psnr_db
-    photographs = min(len(advised.photo_psnr_db), len(alternative.photo_psnr_db))
-    if abs(gain_db) < WORTH_DB:
-        text = f"restores as well as {name}"
-    elif gain_db > 0:
-        text = f"gains {_amount(gain_db, photographs)} over {name}"
-    else:
-        text = f"loses {_amount(gain_db, photographs)} to {name}"
-    # a loss is stated by its size
-    pair = (alternative, advised) if gain_db <= -WORTH_DB else (advised, alternative)
-    limits_db = gain_range_db(*pair)
-    if not ranged or limits_db is None:
-        return text
-    low, high = (round(limit_db, 1) + 0.0 for limit_db in limits_db)  # no -0.0
-    return f"{text} ({low:.1f} to {high:.1f} on {_counted(photographs)})"
-
-
-def _counted(photographs: int) -> str:
-    return f"{photographs} photograph{'s' if photographs > 1 else ''}"
 
 
 def _amount(gain_db: float, photographs: int) -> str:

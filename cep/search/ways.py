@@ -367,7 +367,7 @@ def judged_ways(
     distinct = [ShutterCode(code_bits, problem.chip_ns) for code_bits in bits]
     # M frames through the same code are as good as one with an Mth of the noise
     noise = [
-        model(camera, distinct, response=problem.response) / frames
+        model(camera, distinct, response=problem.response, scene=problem.scene) / frames
         for camera in cameras
         for model in (light_noise, equal_light_noise)
     ]

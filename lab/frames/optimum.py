@@ -261,7 +261,7 @@ def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verd
     if not alike:
         # different codes fill each other's zeros, which no single code with less noise does
         noise = [
-            model(camera, codes, response=problem.response)
+            model(camera, codes, response=problem.response, scene=problem.scene)
             for model in (light_noise, equal_light_noise)
         ]
         at_time, at_light = joint_psnr_db(problem, codes, noise=noise)
@@ -277,8 +277,10 @@ def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verd
         exposures = (*exposures, searched)
     best_possible(exposures)
     if searched.possible and searched.kind in CODED:
-        return Verdict(camera, exposures, "these codes", searched, frames=frames)
-    return Verdict(camera, exposures, "", frames=frames)
+        return Verdict(
+            camera, exposures, "these codes", searched, frames=frames, scene=problem.scene
+        )
+    return Verdict(camera, exposures, "", frames=frames, scene=problem.scene)
 
 
 def _search(

@@ -16,11 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from cep.photographs.scenes import photographs
+from cep.photographs.spectra import BANDS, band_levels
 from lab.photo_gains.photographs import load_scenes
-from motdiff.types import FloatArray
 
 SIDE_PX = 300  # of a folder's
-BANDS = np.geomspace(1 / 64, 0.5, 14)
 KNEE_CY_PX = 0.25
 
 
@@ -49,16 +48,6 @@ def main() -> None:
         f" {variance[0] / variance.sum():.0%} of the variance, the next term"
         f" {variance[1] / variance.sum():.0%}"
     )
-
-
-def band_levels(grey: FloatArray) -> FloatArray:
-    """``10 log10`` of the mean periodogram in each band, (13,)."""
-    window = np.outer(*(np.hanning(side + 2)[1:-1] for side in grey.shape))
-    mean = float((grey * window).sum() / window.sum())
-    density = np.abs(np.fft.fft2((grey - mean) * window)) ** 2 / (window**2).sum()
-    f = np.hypot(*np.meshgrid(*(np.fft.fftfreq(side) for side in grey.shape), indexing="ij"))
-    band = np.digitize(f, BANDS)
-    return np.array([10 * np.log10(density[band == i].mean()) for i in range(1, BANDS.size)])
 
 
 if __name__ == "__main__":

@@ -3,12 +3,14 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cep.commands.code_options import exposure_seconds
 from cep.files.code_files import StoredCode, write_code
-from cep.files.images import read_image
+from cep.files.images import read_image, write_image
 from cep.optics.code import ShutterCode
+from cep.optics.scene import SCENES
 from cep.photographs.scenes import photographs
 from cep.search.chip_count import COUNTS
 
@@ -166,3 +168,47 @@ def test_a_wrong_exposure_is_refused(cep, workplace, text):
 )
 def test_exposures_are_read(text, seconds):
     assert exposure_seconds(text) == pytest.approx(seconds)
+
+
+def test_a_photo_of_the_scene_is_what_gains_are_measured_on(cep, workplace):
+    write_image("belt.png", photographs()[3])
+    noisy = (*ALONG, "--read-noise", "50")
+    advice = cep.succeeds("advise", *noisy, "--scene", "belt.png")
+    assert advice["scene"] == "belt.png"
+    assert advice["photographs"] == 4
+    assert "on 4 parts of belt.png" in advice["verdict"]
+    best = cep.succeeds(
+        "optimize", *noisy, "--steps", "2000", "--scene", "belt.png", "-o", "belt.json"
+    )
+    assert "4 parts of belt.png" in best["verdict"]
+    audited = cep.succeeds("audit", "belt.json", *ALONG[:2])
+    assert audited["mse_db"] == pytest.approx(best["mse_db"], abs=1e-6)
+    assert "a model of belt.png" in audited["verdict"]
+
+
+def test_named_scenes_are_those_of_the_help_page_and_a_models(cep, workplace):
+    assert cep("advise", "--help").code == 0
+    page = " ".join(cep.out.split())
+    for name, scene in SCENES.items():
+        assert name in page
+        advice = cep.succeeds("advise", *ALONG, "--scene", name)
+        assert f"a model of {scene.name}" in advice["verdict"]
+
+
+@pytest.mark.parametrize("command", ["advise", "optimize"])
+def test_what_is_no_scene_is_refused(cep, workplace, command):
+    scene = photographs()[3]
+    write_image("small.png", scene[:100, :100])
+    write_image("flat.png", np.full((200, 200), 0.3))
+    write_image("white.png", np.where(scene > np.quantile(scene, 0.7), 1.0, scene))
+    Path("text.png").write_text("no photo")
+    for name, fault in (
+        ("small.png", "too small for this motion"),
+        ("flat.png", "flat"),
+        ("white.png", "at white"),
+        ("text.png", "text.png"),
+        ("tekst", "photo, text, texture, flat-part"),
+    ):
+        line = cep.refuses(command, *ALONG, "--scene", name)
+        assert "--scene: " in line
+        assert fault in line

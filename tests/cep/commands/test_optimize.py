@@ -396,5 +396,5 @@ def test_an_option_that_went_says_where(cep, workplace, option, place):
     assert place in line
 
 
-def test_it_has_at_most_23_options():
-    assert len(fields(OptimizeOptions)) <= 23
+def test_it_has_at_most_24_options():
+    assert len(fields(OptimizeOptions)) <= 24

@@ -1,6 +1,7 @@
 """Gains measured on photographs: what is stated is what the photographs show."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,11 @@ import pytest
 import cep
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
+from cep.optics.scene import PHOTO, SCENES
 from cep.photographs.scenes import photographs
 from cep.photographs.trial import PhotoTrial
 from cep.search.measured import LONGEST_PX, corrected, corrections_db
+from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.verdict import gain_range_db, verdict
 from cep.search.ways import Way
@@ -147,3 +150,26 @@ def test_optimize_returns_the_code_that_photographs_prefer(problem, few):
     # still no worse by the objective than what it is compared with
     costs = [row.metrics.mse_db for row in best.comparison if row.within_limits]
     assert costs[0] <= min(costs[1:]) + 1e-3
+
+
+def test_a_scene_of_another_name_claims_no_photographs(problem, few):
+    text = replace(problem, scene=SCENES["text"])
+    modelled = verdict(text, CODE)
+    assert modelled.photographs == 0
+    assert "a model of text" in modelled.sentence
+    assert "photograph" not in modelled.sentence
+    own = replace(problem, scene=replace(PHOTO, name="belt.png"))
+    measured = verdict(own, CODE, photographs=few)
+    assert measured.photographs == 2
+    assert "2 parts of belt.png" in measured.sentence
+    assert "photograph" not in measured.sentence
+    assert measured.to_dict()["scene"] == "belt.png"
+
+
+@pytest.mark.parametrize("scene", SCENES.values())
+def test_search_measure_and_verdict_expect_the_same_of_a_scene(problem, scene):
+    designed = replace(problem, objective="mse", scene=scene)
+    cost_db = Objective(designed, oversampling=64, dtype=np.float64).cost_of(CODE.array[None])[0]
+    assert designed.measure(CODE).mse_db == pytest.approx(cost_db, abs=0.05)
+    expected_db = verdict(designed, CODE, photographs=()).user_code.psnr_db
+    assert expected_db == pytest.approx(-cost_db, abs=0.05)
