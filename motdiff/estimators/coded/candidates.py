@@ -160,8 +160,8 @@ def motion_of_paths(
     if probability < 0.5:
         all_warnings.insert(
             0,
-            f"the order in time is uncertain (confidence {probability:.2f}): take more photos of"
-            " this motion through other codes, as cep calibration-set designs them",
+            f"the order in time is uncertain (confidence {probability:.2f}): take another photo of"
+            " this motion; cep calibrate --next chooses its code",
         )
     return MotionEstimate(
         method=method,
