@@ -192,7 +192,7 @@ def advise(options: AdviseOptions) -> None:
         outputs = claim(
             filter(None, [output, *table_files(options.tables)]),
             force=options.force,
-            inputs=filter(None, [options.trajectory]),
+            inputs=filter(None, [options.trajectory, options.scene_file]),
         )
         if problem is None:
             choice = choose_chips(

@@ -147,7 +147,9 @@ def optimize(options: OptimizeOptions) -> None:
         if isinstance(problem, SearchProblem):
             checked_motion(problem, stored.trajectory)
         outputs = claim(
-            [options.output], force=options.force, inputs=filter(None, [options.trajectory])
+            [options.output],
+            force=options.force,
+            inputs=filter(None, [options.trajectory, options.scene_file]),
         )
         with saved_on_interrupt(outputs) as keep:
             best = search_code(

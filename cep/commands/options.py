@@ -264,21 +264,28 @@ class SceneOptions:
 
     scene: SceneSource = "photo"
 
+    @property
+    def scene_file(self) -> Path | None:
+        """The photo that is named; None where a name of a scene is."""
+        from cep.optics.scene import SCENES
+
+        return None if self.scene in SCENES else Path(self.scene)
+
     @cached_property
     def own_photo(self) -> ScenePhoto | None:
-        """The photo that is named; None where a name of a scene is. ValueError unless valid."""
+        """That photo; ValueError unless it is valid."""
         from cep.optics.scene import SCENES
         from cep.photographs.scene_photo import ScenePhoto
 
-        if self.scene in SCENES:
+        if self.scene_file is None:
             return None
-        if not Path(self.scene).exists():
+        if not self.scene_file.exists():
             raise ValueError(
                 f"--scene: must be one of {', '.join(SCENES)}, or the file of a photo; there is"
                 f" no file {self.scene}"
             )
         try:
-            return ScenePhoto.read(self.scene)
+            return ScenePhoto.read(self.scene_file)
         except ValueError as error:
             raise ValueError(f"--scene: {error}") from None
 

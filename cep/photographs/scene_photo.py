@@ -60,15 +60,24 @@ class ScenePhoto:
                 f"{path}: {100 * clipped:.0f} % of it are at white; give a photo with at most"
                 f" {100 * _MOST_CLIPPED:.0f} %"
             )
-        light = luminance(pixels)
+        try:
+            return cls.of(luminance(pixels), name=Path(path).name)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+    @classmethod
+    def of(cls, light: FloatArray, *, name: str) -> ScenePhoto:
+        """Fit the scene of a (H, W) photo in linear light.
+
+        Raises
+        ------
+        ValueError
+            If it is flat.
+        """
         side = min(*light.shape, _WINDOW_PX)
         # neighbours overlap by half
         counts = [min(_WINDOWS, 1 + 2 * (length - side) // side) for length in light.shape]
-        try:
-            scene = fitted_scene(windows(light, (side, side), counts), name=Path(path).name)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
-        return cls(light, scene)
+        return cls(light, fitted_scene(windows(light, (side, side), counts), name=name))
 
     def crops(self, paths: Sequence[Trajectory]) -> tuple[FloatArray, ...]:
         """Cut parts as large as photos along the paths need, at most 12, in a random order.

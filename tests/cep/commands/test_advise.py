@@ -212,3 +212,12 @@ def test_what_is_no_scene_is_refused(cep, workplace, command):
         line = cep.refuses(command, *ALONG, "--scene", name)
         assert "--scene: " in line
         assert fault in line
+
+
+def test_the_photo_of_the_scene_is_not_replaced(cep, workplace):
+    write_image("belt.png", photographs()[3])
+    before = Path("belt.png").read_bytes()
+    for command in ("advise", "optimize"):
+        line = cep.refuses(command, *ALONG, "--scene", "belt.png", "-o", "belt.png", "--force")
+        assert "belt.png" in line
+    assert Path("belt.png").read_bytes() == before
