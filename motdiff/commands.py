@@ -104,6 +104,13 @@ def _add_train(commands: _Commands[argparse.ArgumentParser]) -> None:
         help="end this piece after so many minutes, with all it does",
     )
     parser.add_argument("--validate-every", type=int, default=1000, metavar="STEPS")
+    parser.add_argument(
+        "--validate-minutes",
+        type=float,
+        default=float("inf"),
+        metavar="MINUTES",
+        help="validate as well where so much time went by without",
+    )
     parser.add_argument("--save-every", type=float, default=60.0, metavar="SECONDS")
     parser.set_defaults(command=_train, check=check_folder)
 
@@ -121,6 +128,7 @@ def _train(options: argparse.Namespace) -> None:
                 minutes=options.minutes,
                 save_s=options.save_every,
                 validate_steps=options.validate_every,
+                validate_minutes=options.validate_minutes,
             ),
             workers=os.cpu_count() or 1,
         )

@@ -59,14 +59,17 @@ class Pace:
         Between two checkpoints.
     validate_steps : int
         Updates between two validations.
+    validate_minutes : float
+        The longest time without a validation while updates go on.
     """
 
     minutes: float = float("inf")
     save_s: float = 60.0
     validate_steps: int = 1000
+    validate_minutes: float = float("inf")
 
     def __post_init__(self) -> None:
-        for name in ("minutes", "save_s"):
+        for name in ("minutes", "save_s", "validate_minutes"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name}: must be at least 0, got {getattr(self, name)}")
         if self.validate_steps < 1:
@@ -171,15 +174,22 @@ def train(
         log.say(f"{opening} step {trainer.step} of {config.optimiser.steps}")
         sources = make_sources(config, device=device, workers=workers)
 
+        validated_s = time.monotonic()
+
         def due() -> bool:
             return (
                 trainer.step % pace.validate_steps == 0 or trainer.step == config.optimiser.steps
             )
 
         def validate() -> None:
+            nonlocal validated_s
             log.validated(
                 trainer.step, validation_mnc(trainer, sources.validation), loss=trainer.loss
             )
+            validated_s = time.monotonic()
+
+        def overdue() -> bool:
+            return time.monotonic() - validated_s >= 60 * pace.validate_minutes
 
         validated = log.resume(trainer.step, between=not due())
         timed = trainer.leads and math.isfinite(pace.minutes)
@@ -192,7 +202,7 @@ def train(
         # a second of them raises KeyboardInterrupt at once
         with _stop_signals() as stop_requested:
             while trainer.step < config.optimiser.steps:
-                if trainer.leads and trainer.step and due() and not validated:
+                if trainer.leads and trainer.step and (due() or overdue()) and not validated:
                     validate()
                 update_s = time.monotonic()
                 losses = trainer.update(sources.training)
@@ -202,7 +212,7 @@ def train(
                     trainer.step, losses, batch=config.optimiser.batch, seconds=trainer.seconds
                 )
                 next_end_s = now_s + (now_s - update_s)
-                if due():
+                if due() or overdue():
                     next_end_s += validation_s
                 if _any_process(
                     stop_requested() or next_end_s > updates_end_s, device=trainer.device

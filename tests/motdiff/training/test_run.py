@@ -229,16 +229,11 @@ class Photos:
         return [Photos(min(size, self.count - first)) for first in range(0, self.count, size)]
 
 
-@pytest.mark.parametrize(
-    ("minutes", "photo_s", "validated"),
-    [(1, 1.0, False), (1, 0.05, True), (10, 1.0, True), (4, 1.0, False), (0, 1.0, False)],
-)
-def test_the_minutes_count_all_that_a_piece_does(
-    prepared, tmp_path, monkeypatch, minutes, photo_s, validated
-):
-    """By a clock of its own: 20 s for the samples, 4 s an update, 256 photos to validate on."""
-    clock = SimpleNamespace(seconds=0.0, monotonic=lambda: clock.seconds)
-    config = from_prepared(prepared, optimiser=replace(ONCE, steps=1_000_000))
+@pytest.fixture
+def on_a_clock(monkeypatch):
+    """Trainings by a clock of their own: 20 s for the samples, 4 s an update, 256 photos to
+    validate on."""
+    clock = SimpleNamespace(seconds=0.0, photo_s=0.0, monotonic=lambda: clock.seconds)
 
     def sources(*_arguments, **_options):
         clock.seconds += 20
@@ -251,18 +246,47 @@ def test_the_minutes_count_all_that_a_piece_does(
 
     def scores(_trainer, batches, **_options):
         photos = sum(map(len, batches))
-        clock.seconds += photo_s * photos
+        clock.seconds += clock.photo_s * photos
         return np.full(photos, 0.5)
 
     monkeypatch.setattr("motdiff.training.run.time", clock)
     monkeypatch.setattr("motdiff.training.run.make_sources", sources)
     monkeypatch.setattr("motdiff.training.run.Trainer.update", update)
     monkeypatch.setattr("motdiff.training.run.validation_scores", scores)
+    return clock
+
+
+@pytest.mark.parametrize(
+    ("minutes", "photo_s", "validated"),
+    [(1, 1.0, False), (1, 0.05, True), (10, 1.0, True), (4, 1.0, False), (0, 1.0, False)],
+)
+def test_the_minutes_count_all_that_a_piece_does(
+    prepared, tmp_path, on_a_clock, minutes, photo_s, validated
+):
+    on_a_clock.photo_s = photo_s
+    config = from_prepared(prepared, optimiser=replace(ONCE, steps=1_000_000))
     trainer = train(config, tmp_path, pace=Pace(minutes=minutes))
     assert trainer.step >= 1
     if minutes:
-        assert 60 * minutes - 8 <= clock.seconds <= 60 * minutes + 5
+        assert 60 * minutes - 8 <= on_a_clock.seconds <= 60 * minutes + 5
     assert (tmp_path / "progress.png").exists() == validated
+
+
+def test_a_validation_each_minute(prepared, tmp_path, on_a_clock):
+    """Of 15 updates of 4 s, besides those of the steps and the one at the end of a piece."""
+    config = from_prepared(prepared, optimiser=replace(ONCE, steps=1_000_000))
+    train(config, tmp_path, pace=Pace(minutes=5, validate_steps=20, validate_minutes=1))
+    assert [
+        row["step"] for row in read_log(tmp_path / "log.csv") if row["validation_mnc"] == 0.5
+    ] == [
+        15,
+        20,
+        35,
+        40,
+        55,
+        60,
+        70,
+    ]
 
 
 @pytest.fixture
@@ -382,7 +406,14 @@ def test_a_second_signal_does_not_wait(prepared, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "pace", [{"minutes": -1.0}, {"minutes": float("nan")}, {"save_s": -1.0}, {"validate_steps": 0}]
+    "pace",
+    [
+        {"minutes": -1.0},
+        {"minutes": float("nan")},
+        {"save_s": -1.0},
+        {"validate_steps": 0},
+        {"validate_minutes": -1.0},
+    ],
 )
 def test_an_impossible_pace_is_refused(pace):
     (name,) = pace
