@@ -9,7 +9,8 @@ BENCH ?= out/bench
 DATA ?=
 QUICK ?= --quick
 # each worker takes a half of the tests as they stand, so that what a module's tests share is made once; whoever is ready helps
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+# one thread each: beside another busy process two threads wait for each other at each convolution
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 STUDIES = $(filter-out __init__ inputs,$(notdir $(basename $(wildcard lab/studies/*.py))))
 
 .PHONY: help demo docs test test-slow test-all test-lab lint bench benchmarks firmware clean
