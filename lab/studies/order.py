@@ -6,8 +6,8 @@ well that is known.
         order.jsonl] [--workers 2] [--seed 0]
 
 A set names the photos' codes, as `codes_of_set` of lab/bench/coded/calibrations.py does; `one` is
-Raskar's code; `open+next`, the open shutter and the code chosen after it. Each photo shows one
-crop, moved by up to `--moved` px of its own, through the light-true PSF of its code, with Gauss
+Raskar's code; `open+next3`, the open shutter and three codes, each chosen after the photos before
+it (`open+next`: one). Each photo shows one crop, moved by up to `--moved` px of its own, through the light-true PSF of its code, with Gauss
 noise of so much of full scale. The n-th motion is the same
 in every set and at every noise. What may differ from photo to photo beside: `--brightness`,
 `--scaled`, `--wobble`. With `--light` the photos show a small light in the dark.
@@ -30,6 +30,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -45,10 +46,14 @@ from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
+if TYPE_CHECKING:
+    from motdiff.estimators.base import MotionEstimate
+
 MOTIONS = ("walks", "arcs", "gyro")
 EXPOSURES_S = (0.05, 0.1, 0.25, 0.5)
 RIGHT_PX = 1.0
-CHOSEN = "open+next"  # the second code is that which cep calibrate --next chooses
+CHOSEN = "open+next"  # the codes after the first are those that cep calibrate --next chooses
+SURE = 0.95  # stated probability from which no other photo would be taken
 LIT = 0.8  # of full scale: a light's trail at its brightest, and what is around it
 DARK = 0.01
 SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".bmp"}
@@ -197,17 +202,23 @@ def photos_of(case: Case) -> tuple[Trajectory, list[FloatArray]]:
 
 
 def figures_of(case: Case) -> dict[str, object]:
+    if case.set.startswith(CHOSEN):
+        return chosen_figures(case)
+    _, figures = estimated(case)
+    return figures
+
+
+def estimated(case: Case) -> tuple[MotionEstimate | None, dict[str, object]]:
+    """Estimate of a case's photos, None where they are refused, and its figures."""
     from motdiff.estimators.coded.estimator import CodedEstimator
     from motdiff.estimators.coded.trail_estimator import TrailEstimator
 
     estimator = TrailEstimator if case.light else CodedEstimator
-    chosen: dict[str, object] = {}
-    if case.set == CHOSEN:
-        case, chosen = with_chosen_code(case)
     path, photos = photos_of(case)
     started = time.perf_counter()
     began_cpu = time.process_time()
     row: dict[str, object]
+    estimate = None
     try:
         estimate = estimator(case.codes, seed=case.index).estimate_from(photos)
     except ValueError as refusal:
@@ -222,6 +233,7 @@ def figures_of(case: Case) -> dict[str, object]:
             "confidence": estimate.confidence,
             "stated_px": estimate.details["path_uncertainty_px"],
             "misfit": estimate.details["misfit"],
+            "cost_gap": estimate.details.get("cost_gap"),
             "searches_agreeing": estimate.details["searches_agreeing"],
             "kernels": estimate.details.get("kernel_confidences", []),
         }
@@ -229,29 +241,44 @@ def figures_of(case: Case) -> dict[str, object]:
         "seconds": time.perf_counter() - started,
         "cpu_s": time.process_time() - began_cpu,
     }
-    return row | chosen | seconds
+    return estimate, row | seconds
 
 
-def with_chosen_code(case: Case) -> tuple[Case, dict[str, object]]:
-    """Case with the second code chosen after its open photo, and figures of the choice."""
+def chosen_figures(case: Case) -> dict[str, object]:
+    """Figures of the last of several photos, each code chosen after the photos before it.
+
+    ``steps`` holds those of each photo from the second on.
+    """
     from cep.calibration.calibrate import estimate_motion
     from cep.calibration.next_code import next_code
+    from cep.optics.code import ShutterCode
 
     chips = len(case.codes[0])
+    rng = np.random.default_rng(case.index)
     case = replace(case, codes=case.codes[:1])
     _, photos = photos_of(case)
     estimate = estimate_motion(photos[0], seed=case.index)
-    began_cpu = time.process_time()
-    choice = next_code(photos, (), estimate, chips=chips, rng=np.random.default_rng(case.index))
-    if choice is None:
-        raise ValueError("the open photo shows no motion")
-    figures = {
-        "design_cpu_s": time.process_time() - began_cpu,
-        "design_orders": choice.orders,
-        "design_chi_square": choice.chi_square,
-        "bits": choice.code.bits,
-    }
-    return replace(case, codes=(*case.codes, choice.code.bits)), figures
+    steps: list[dict[str, object]] = []
+    for _ in range(int(case.set.removeprefix(CHOSEN) or 1)):
+        began_cpu = time.process_time()
+        codes = [ShutterCode(bits) for bits in case.codes]
+        choice = next_code(photos, codes, estimate, least_probability=2, chips=chips, rng=rng)
+        if choice is None:
+            raise ValueError("the open photo shows no motion")
+        design = {
+            "design_cpu_s": time.process_time() - began_cpu,
+            "design_orders": choice.orders,
+            "design_chi_square": choice.chi_square,
+            "bits": choice.code.bits,
+        }
+        case = replace(case, codes=(*case.codes, choice.code.bits))
+        _, photos = photos_of(case)
+        next_estimate, figures = estimated(case)
+        steps.append(figures | design)
+        if next_estimate is None:
+            break
+        estimate = next_estimate
+    return steps[-1] | {"steps": steps}
 
 
 def is_right(row: dict[str, object]) -> bool:
@@ -379,6 +406,28 @@ def uncertainty_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
             )
 
 
+def stopped_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
+    """Print what comes of taking photos until the order is stated as sure."""
+    print(f"\n| until {SURE:g} | motions | right | photos, mean | sure |\n|---|---|---|---|---|")
+    for motions, name in sorted(
+        {(case.motions, case.set) for case, row in rows if "steps" in row}
+    ):
+        outcomes = []
+        for case, row in rows:
+            if (case.motions, case.set) != (motions, name):
+                continue
+            steps = [step for step in row["steps"] if "confidence" in step]
+            sure_steps = [n for n, step in enumerate(steps) if step["confidence"] >= SURE]
+            last_step = sure_steps[0] if sure_steps else len(steps) - 1
+            outcomes.append(
+                (is_right(steps[last_step]) if steps else False, last_step + 2, bool(sure_steps))
+            )
+        right, photos, sure_share = np.mean(outcomes, axis=0)
+        print(
+            f"| {name} | {motions} | {right:.2f} of {len(outcomes)} | {photos:.2f} | {sure_share:.2f} |"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -436,7 +485,7 @@ def main() -> None:
         sets = {
             name: (
                 ("1" * options.chips,)
-                if name == CHOSEN
+                if name.startswith(CHOSEN)
                 else codes_of_set(name.replace("one", "raskar-52"), options.chips)
             )
             for name in options.set
@@ -489,6 +538,8 @@ def main() -> None:
         order_table(rows)
         confidence_table(rows)
         uncertainty_table(rows)
+    if any("steps" in row for _, row in rows):
+        stopped_table(rows)
 
 
 if __name__ == "__main__":

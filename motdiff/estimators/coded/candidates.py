@@ -50,6 +50,17 @@ def explained_share(misfit: float) -> float:
     return 1.0 if np.isnan(misfit) else min(1.0, misfit**-_MISFIT_POWER)
 
 
+def cost_gap(paths: Sequence[CandidatePath], *, alike_px: float = 1.0) -> float | None:
+    """How much dearer the next path is that lies further away than that; None without one."""
+    best = paths[0]
+    for path in paths[1:]:
+        difference = path.path - best.path
+        difference = difference - difference.mean(axis=0)
+        if np.sqrt((difference**2).sum(axis=1).mean()) > alike_px:
+            return path.cost - best.cost
+    return None
+
+
 def unexplained_warnings(misfit: float) -> list[str]:
     """Return a warning where a path does not explain the photos, else none."""
     if not misfit > UNEXPLAINED:

@@ -9,22 +9,31 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motdiff.estimators.base import Estimator, MotionEstimate
-from motdiff.estimators.coded.candidates import CandidatePath, explained_share, motion_of_paths
+from motdiff.estimators.coded.candidates import (
+    CandidatePath,
+    cost_gap,
+    explained_share,
+    motion_of_paths,
+)
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.exposures import Exposures, exposures_of
-from motdiff.estimators.coded.search import find_paths
+from motdiff.estimators.coded.search import CLEAR_GAP, find_paths
 from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
 
 _KERNEL_SHARE = 0.45  # of the time
 _FIT_SHARE = 0.55  # the search of the path
-# on simulated walks: how often the path is right, by number of photos; and the ratio of true to
-# computed error (docs/decisions/motion-estimation.md)
-_SHARE_RIGHT = (0.05, 0.75, 0.67, 0.88)
-_ERROR_RATIO = 2.8
-_TWO_VAGUE = 0.3  # two photos whose path has a large expected error; whose searches end apart
-_TWO_ALONE = 0.2  # and whose other searches ended elsewhere
+# how often the path was right, of simulated walks and shakes
+# (docs/decisions/motion-estimation.md): of one photo; of two and of more, where two searches ended
+# at it and the next path is dearer, where they ended at it, where the next is dearer, and else
+_ONE_PHOTO = 0.05
+_SHARES_OF_TWO = (0.9, 0.6, 0.2, 0.2)
+_SHARES_OF_MORE = (0.85, 0.6, 0.6, 0.4)
+_SHARE_CLEAR = 0.97  # three photos or more whose next path is much dearer
+_ERROR_RATIO = 2.8  # of true to computed error
+_TWO_VAGUE = 0.3  # two photos whose path has a large expected error, and a next path as good
 _VAGUE_PX = 0.25  # expected error from which a path counts as vague
+_DEARER = 100.0  # of the next path's cost: wrong ends of searches have less before them
 # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
 _KERNELS_ALONE = 0.3
 _ALMOST_EQUAL = 1e-3  # of two costs: keeps the alternatives' shares finite
@@ -41,7 +50,7 @@ class CodedEstimator:
     noise, are searched without the kernels too, until two searches agree.
 
     ``confidence`` is the probability that the order is right: the share of simulated motions of
-    which it was, with as many photos through codes as ``cep calibration-set`` designs them.
+    which it was, with as many photos, searches that agree, and a next path so much dearer.
     ``details`` hold it as ``order_confidence``, the expected error ``path_uncertainty_px`` (rms
     over time), ``deviation_px`` at evenly spaced times and ``searches_agreeing``. ``weights`` are
     relative among the candidate paths.
@@ -140,7 +149,7 @@ def _described(paths: Sequence[CandidatePath], times: int, exposures: Exposures)
             f"the photos {reason}: the path is fitted to their kernels alone, and less exact"
         )
         photos -= 1
-    probability = _order_probability(best, photos, times=times)
+    probability = _order_probability(best, photos, times=times, gap=cost_gap(paths))
     deviation_px = _ERROR_RATIO * exposures.shrunk * best.deviation_px
     error_px = float(np.sqrt((deviation_px**2).mean()))
     extent_px = exposures.shrunk * float(np.hypot(*np.ptp(best.path, axis=0)))
@@ -160,24 +169,37 @@ def _described(paths: Sequence[CandidatePath], times: int, exposures: Exposures)
         warnings=warnings,
         details={
             "searches_agreeing": times,
+            "cost_gap": cost_gap(paths),
             "kernel_confidences": list(exposures.confidences),
             "scale": 1 / exposures.shrunk,
         },
     )
 
 
-def _order_probability(best: CandidatePath, photos: int, *, times: int) -> float:
+def _order_probability(
+    best: CandidatePath, photos: int, *, times: int, gap: float | None
+) -> float:
     """Probability that a path is the true one to within 1 px, by the number of photos.
 
-    It is low where their kernels alone were fitted, and falls with the misfit; of two photos also
-    where no other search ended at that path, or its expected error is large, as on scenes of
-    little texture.
+    It is low where their kernels alone were fitted, and falls with the misfit; else it depends on
+    how many searches ended at that path, and on how much dearer the next one is (``gap``; None
+    where no search ended elsewhere).
     """
-    share = _SHARE_RIGHT[min(photos, len(_SHARE_RIGHT)) - 1]
-    if not np.isfinite(best.misfit):
-        return min(share, _KERNELS_ALONE)
-    if photos == 2 and times < 2:
-        share = _TWO_ALONE
-    elif photos == 2 and _ERROR_RATIO * np.sqrt((best.deviation_px**2).mean()) > _VAGUE_PX:
-        share = _TWO_VAGUE
+    if photos == 1:
+        share = _ONE_PHOTO
+    elif not np.isfinite(best.misfit):
+        return _KERNELS_ALONE
+    else:
+        gap = np.inf if gap is None else gap
+        shares = _SHARES_OF_TWO if photos == 2 else _SHARES_OF_MORE
+        share = shares[2 * (times < 2) + (gap < _DEARER)]
+        if photos > 2 and gap > CLEAR_GAP:
+            share = _SHARE_CLEAR
+        elif photos == 2 and gap < _DEARER and _is_vague(best):
+            share = min(share, _TWO_VAGUE)
     return share * explained_share(best.misfit)
+
+
+def _is_vague(path: CandidatePath) -> bool:
+    """Whether a path has a large expected error, as on scenes of little texture."""
+    return bool(_ERROR_RATIO * np.sqrt((path.deviation_px**2).mean()) > _VAGUE_PX)

@@ -26,7 +26,6 @@ _ONLY_NOISE_CY_PX = 0.5
 _LEAST_LIGHT = 1e-4
 _LEAST_PRODUCT = 0.02
 _LEAST_NOISE = 1e-3  # of full scale: 8 bits round by that, and files that were smoothed show less
-_ROWS_AT_ONCE = 16  # as many as fit the cache
 
 
 @dataclass(frozen=True)
@@ -153,6 +152,8 @@ class SceneTerm:
         self.spectra = spectra
         self._open = torch.tensor(otfs.open_share, dtype=torch.float32)
         self._pairs = list(combinations(range(unknowns.exposures), 2))
+        self._stands_for = 1 + (spectra.f[:, 0] != 0).float()
+        self._window_rms = float(spectra.window.square().mean().sqrt())
         phase_error = (2 * pi * path_error_px * spectra.f.norm(dim=1)).clamp(max=1)
         self._variance = spectra.noise + phase_error**2 * spectra.power
         self.values = len(spectra.f) * (unknowns.exposures - 1)
@@ -175,15 +176,32 @@ class SceneTerm:
         return torch.stack([B[a] * H[:, b] - B[b] * H[:, a] for a, b in self._pairs], 1)
 
     def add_normal(self, x: Tensor, JJ: Tensor, Jr: Tensor) -> None:
-        """See :class:`motdiff.estimators.coded.misfit.Term`."""
-        for i in range(len(x)):
-            J, r = self._jacobian(x[i : i + 1])
-            n = len(J)
-            JJ[i, :n, :n] += J @ J.T
-            Jr[i, :n] += J @ r
+        """See :class:`motdiff.estimators.coded.misfit.Term`.
 
-    def _jacobian(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Jacobian (parameters, values) and residual (values,) of one candidate (1, N)."""
+        ``J^T r`` is exact. In ``J^T J`` the window is its rms value: to window each row of J would
+        take longer than all the rest.
+        """
+        for i in range(len(x)):
+            J, dpower, residual, weight = self._derivatives(x[i : i + 1])
+            n = len(J)
+            r = residual * weight
+            # the window's transpose is applied to the residual, instead of the window to J; a
+            # half-plane spectrum stands for two frequencies, but where f_x is 0
+            back = _flat(self.spectra.windowed(r * weight / self._stands_for) * self._stands_for)
+            Jr[i, :n] += _flat(J) @ back
+            # the weight, too, depends on the path: without this the noise would pull it off
+            Jr[i, :n] -= 0.5 * dpower @ r.abs().square().sum(0)
+            J_windowed = _flat((self._window_rms * J - 0.5 * residual * dpower[:, None]) * weight)
+            JJ[i, :n, :n] += J_windowed @ J_windowed.T
+
+    def _derivatives(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return what a candidate (1, N) changes with its parameters.
+
+        Returns
+        -------
+        (parameters, pairs, F) of the products, not windowed; (parameters, F) of the power,
+        relative; the products (pairs, F), windowed; their weight (F,)
+        """
         un = self._unknowns
         B = self.spectra.photos
         end = 2 * self._unknowns.knots
@@ -194,7 +212,7 @@ class SceneTerm:
         dH = slopes[0] * light[..., None]
         power = self._power(H[None])[0]
         J = torch.zeros(un.kernel_shift(0), len(self._pairs), len(phase), dtype=torch.complex64)
-        dpower = torch.zeros(len(J), len(phase))  # relative
+        dpower = torch.zeros(len(J), len(phase))
         by_knot = 2 * (H.conj()[..., None] * dH).real.sum(0) / power[:, None]
         for axis in (0, 1):
             dpower[axis:end:2] = (by_knot * phase[:, axis, None]).T
@@ -210,14 +228,7 @@ class SceneTerm:
         for photo in range(1, un.exposures):
             dpower[un.gain(photo)] = 2 * H[photo].abs().square() / power
         residual = self.spectra.windowed(self._products(H[None])[0])
-        weight = (power * self._variance).rsqrt()
-        chunks = (torch.split(rows, _ROWS_AT_ONCE) for rows in (J, dpower))
-        for J_rows, change in zip(*chunks, strict=True):
-            # the weight, too, depends on the path: without this the noise would pull it off
-            J_rows.copy_(
-                (self.spectra.windowed(J_rows) - 0.5 * residual * change[:, None]) * weight
-            )
-        return torch.view_as_real(J).flatten(1), torch.view_as_real(residual * weight).flatten()
+        return J, dpower, residual, (power * self._variance).rsqrt()
 
     def registered(self, x: Tensor) -> Tensor:
         """Candidates with the photos' shifts by correlation."""
@@ -240,6 +251,11 @@ class SceneTerm:
     @staticmethod
     def _power(H: Tensor) -> Tensor:
         return H.abs().square().sum(1) + _LEAST_LIGHT
+
+
+def _flat(values: Tensor) -> Tensor:
+    """Real and imaginary parts of the last two axes (pairs, F), as one axis."""
+    return torch.view_as_real(values).flatten(-3)
 
 
 def _window(side: int, grid: int, margin_px: int) -> FloatArray:

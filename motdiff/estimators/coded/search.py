@@ -8,17 +8,34 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motdiff.estimators.coded.candidates import CandidatePath, expected_deviation_px, merged
+from motdiff.estimators.coded.candidates import (
+    CandidatePath,
+    cost_gap,
+    expected_deviation_px,
+    merged,
+)
 from motdiff.estimators.coded.exposures import Exposures
 from motdiff.estimators.coded.fit import KNOTS, PhotoFit
 from motdiff.estimators.coded.misfit import Term, descend
+from motdiff.estimators.coded.path_measure import PathMeasure
 from motdiff.estimators.coded.scene_term import SceneSpectra
-from motdiff.estimators.coded.starts import bridged, crossed, decoded_paths, loop_reversals, orders
+from motdiff.estimators.coded.starts import (
+    bridged,
+    crossed,
+    decoded_paths,
+    loop_reversals,
+    orders,
+    with_knots,
+)
 from motdiff.motions import boracchi_foi
 from motdiff.progress import Progress
-from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
+CLEAR_GAP = 1000.0
+"""Cost of the next path less the best's from which no other search is needed.
+
+Wrong ends of searches beside kernels had 730 before the next path, at most.
+"""
 _DECODED = 64  # starting paths of each kind
 _ORDERS = 48
 _WALKS = 48
@@ -30,18 +47,19 @@ _PATIENCE = 2  # rounds without improvement
 _IMPROVED = 0.98  # of the least cost: a smaller fall is no improvement
 
 # the search beside the photos alone
-_DOUBTFUL = 1.0  # misfit; right paths have 0.6 to 0.97 on simulated walks
-_FEW_PHOTOS = 2  # their kernels mislead too often to be the only starts
+_FEW_PHOTOS = 2  # their kernels mislead too often to be searched by themselves
 _FEW_KNOTS = 27  # half as many unknowns make a step twice as cheap
-_LONE_WALKS = 96  # more starts: there are no kernels to decode
+_DRAWS = 64  # starts of a search, some from the kernels' light and some without it
+_LONE_WALKS = 64
 _USUAL_PX = 50.0  # length of the walks where no kernel tells it
-_MOST_SEARCHES = 4
+_MOST_SEARCHES = 3
 _SAME_PX = 1.0  # two searches ended at one path if theirs are this near
 _WIDE_ROUNDS = 20
-_WIDE_PATIENCE = 4  # longer: its rounds change less at a time
+_WIDE_PATIENCE = 5  # longer: its rounds change less at a time
 _CHILDREN = 32  # of a round
 _WIDE_RESULTS = 6  # handed to the finest grid
-_WIDE_IMPROVED = 0.995
+_WIDE_IMPROVED = 0.998
+_KIND_SHARES = (0.35, 0.55, 0.75)  # of children: rerouted, loops reversed, crossed; bridged
 
 
 def find_paths(
@@ -53,8 +71,9 @@ def find_paths(
 ) -> tuple[list[CandidatePath], int]:
     """Find the paths that explain the photos best.
 
-    Where the best one leaves more than noise, some kernel may be wrong: the search goes on from
-    random walks and without the kernels. With two photos that is done at once.
+    With three photos or more a search beside their kernels comes first, and is the last where no
+    other path comes near. The search beside the photos alone is repeated until two searches end at
+    one path.
 
     Parameters
     ----------
@@ -71,28 +90,24 @@ def find_paths(
     spectra = exposures.spectra()
     search = _Search(exposures, spectra, rng, spend=lambda share: progress.spend(share * cost))
     x = search.from_kernels()
-    if spectra and len(exposures.codes) == _FEW_PHOTOS:
+    if not spectra:
+        return search.run(x), 1
+    if len(exposures.codes) == _FEW_PHOTOS:
         return _wide_paths(
-            search, spectra, starts=search.paths(x), searches=_MOST_SEARCHES, spend=search.spend
+            search, spectra, starts=search.paths(x), is_searched=False, spend=search.spend
         )
     paths = search.run(x)
-    times = 1
-    # a path of one search that three photos confirm needs no other search
-    for searches in (1, _MOST_SEARCHES):
-        if not paths[0].misfit > _DOUBTFUL:
-            break
-        progress.expect_more(2 * cost)
-        wide, wide_times = _wide_paths(
-            search,
-            spectra,
-            starts=np.stack([path.path for path in paths]),
-            searches=searches,
-            spend=lambda share: progress.spend(2 * share * cost),
-        )
-        if wide[0].misfit < paths[0].misfit:
-            paths = wide
-            times = wide_times
-    return paths, times
+    gap = cost_gap(paths)
+    if gap is not None and gap > CLEAR_GAP:
+        return paths, 1
+    progress.expect_more(2 * cost)
+    return _wide_paths(
+        search,
+        spectra,
+        starts=np.stack([path.path for path in paths]),
+        is_searched=True,
+        spend=lambda share: progress.spend(2 * share * cost),
+    )
 
 
 class _Search(PhotoFit):
@@ -140,18 +155,17 @@ class _Search(PhotoFit):
             x, costs = self.best(coarse, x[:3], steps=20, keep=3)
             self.spend(0.25)
             return self._described(coarse, x, costs)
-        x, costs = self.best([self.scenes[1], self.sharpest, self.stiff], x[:6], steps=6, keep=3)
+        x, _ = self.best([self.scenes[1], self.sharpest, self.stiff], x[:6], steps=6, keep=6)
         self.spend(0.1)
         return self._ended(x)
 
     def finished(self, paths: FloatArray) -> list[CandidatePath]:
         """Paths (B, K, 2) fitted to the photos' finest details, best first."""
-        x = self.registered(self.pack(paths))
-        x, _ = self.best([self.scenes[1], self.sharpest, self.stiff], x, steps=6, keep=4)
-        return self._ended(x)
+        return self._ended(self.registered(self.pack(paths)))
 
     def _ended(self, x: Tensor) -> list[CandidatePath]:
         finest: list[Term] = [self.scenes[2], self.sharpest, self.stiff]
+        x, _ = self.best(finest, x, steps=3, keep=4)
         x, costs = self.best(finest, x, steps=12, keep=len(x))
         self.spend(0.15)
         return self._described(finest, x, costs)
@@ -218,93 +232,137 @@ def _wide_paths(
     spectra: Sequence[SceneSpectra],
     *,
     starts: FloatArray,
-    searches: int,
+    is_searched: bool,
     spend: Callable[[float], None],
 ) -> tuple[list[CandidatePath], int]:
-    """Search without the kernels, from paths (N, K, 2) and random walks.
+    """Search beside the photos alone, from paths (N, K, 2) and random walks.
 
-    Searches are repeated, the later ones from walks alone, until two of them end at one path,
-    at most ``searches`` times.
+    Searches are repeated, the later ones from draws alone, until two of them end at one path,
+    at most three times. Starts that a search ended at (``is_searched``) count as its end.
 
     Returns
     -------
     Paths, best first, and the number of searches that ended at the best
     """
     fit = PhotoFit(search.exposures, spectra, knots=_FEW_KNOTS)
-    share = 0.85 / searches
-    starts = _with_knots(starts, _FEW_KNOTS)
+    measure = PathMeasure(search.exposures.kernels, search.exposures.codes)
+    starts = with_knots(starts, _FEW_KNOTS)
     results: list[tuple[Tensor, Tensor]] = []
-    for count in range(1, searches + 1):
-        results.append(_wide_search(fit, starts, search.rng, spend=lambda s: spend(share * s)))
+    if is_searched:
+        searched = fit.registered(fit.pack(starts))
+        results.append(fit.best([fit.scenes[2], fit.stiff], searched, steps=6, keep=len(searched)))
+    share = 0.7 / (_MOST_SEARCHES - len(results))
+    while True:
+        results.append(
+            _wide_search(fit, starts, measure, search.rng, spend=lambda s: spend(share * s))
+        )
         starts = starts[:0]
         x, _, times = merged(fit.unknowns, results, keep=_WIDE_RESULTS, same_px=_SAME_PX)
-        if times > 1:
-            spend(share * (searches - count))
+        if times > 1 or len(results) == _MOST_SEARCHES:
+            spend(share * (_MOST_SEARCHES - len(results)))
             break
-    wide = _with_knots(fit.paths(x), KNOTS)
+    if times == 1:  # what each of them has right may belong together
+        x, costs = fit.best([fit.scenes[2], fit.stiff], x, steps=2, keep=len(x))
+        x, _ = _evolved(fit, x, costs, measure, search.rng, spend=lambda s: spend(0.15 * s))
+    else:
+        spend(0.15)
+    wide = with_knots(fit.paths(x), KNOTS)
     paths = search.finished(wide)
     change = paths[0].path - wide[0]
     moved_px = np.sqrt(((change - change.mean(axis=0)) ** 2).sum(axis=1).mean())
-    # in the finest details another path may be the best, at which no other search ended
+    # with more knots another path may be the best, at which no other search ended
     return paths, times if moved_px < _SAME_PX else 1
 
 
 def _wide_search(
-    fit: PhotoFit, starts: FloatArray, rng: np.random.Generator, *, spend: Callable[[float], None]
+    fit: PhotoFit,
+    starts: FloatArray,
+    measure: PathMeasure,
+    rng: np.random.Generator,
+    *,
+    spend: Callable[[float], None],
 ) -> tuple[Tensor, Tensor]:
     """Candidates and costs, best first, from paths (N, K, 2) of few knots and random walks.
 
-    Stretches of the best paths are drawn anew between their ends, turned, or taken from each
-    other; on the middle grid, where the photos still allow an error of 0.3 px, but few wrong
-    orders.
+    The coarser grids lead a path near a minimum; only the finest tells the right one, as wrong
+    paths differ most beyond 0.16 cycles/px.
     """
     coarse: list[Term] = [fit.scenes[0], fit.loose]
     middle: list[Term] = [fit.scenes[1], fit.stiff]
-    x = fit.registered(
-        fit.pack(np.concatenate([starts, _usual_walks(rng, fit.knots, _LONE_WALKS)]))
-    )
+    fine: list[Term] = [fit.scenes[2], fit.stiff]
+    samples = measure.draw(_DRAWS, knots=fit.knots, rng=rng)
+    walks = _usual_walks(rng, fit.knots, _LONE_WALKS)
+    x = fit.registered(fit.pack(np.concatenate([starts, samples, walks])))
     x, _ = fit.best(coarse, x, steps=4, keep=32)
-    x, costs = fit.best(middle, x, steps=4, keep=12)
+    x, _ = fit.best(middle, x, steps=4, keep=12)
+    x, costs = fit.best(fine, x, steps=4, keep=_POPULATION)
     spend(0.2)
+    return _evolved(fit, x, costs, measure, rng, spend=lambda s: spend(0.8 * s))
+
+
+def _evolved(
+    fit: PhotoFit,
+    x: Tensor,
+    costs: Tensor,
+    measure: PathMeasure,
+    rng: np.random.Generator,
+    *,
+    spend: Callable[[float], None],
+) -> tuple[Tensor, Tensor]:
+    """Candidates and costs, best first, after changes of the best ones while that helps.
+
+    Stretches of the best paths are led through the light that the rest of them leaves, drawn anew
+    between their ends, turned, or taken from each other.
+    """
+    coarse: list[Term] = [fit.scenes[0], fit.loose]
+    middle: list[Term] = [fit.scenes[1], fit.stiff]
+    fine: list[Term] = [fit.scenes[2], fit.stiff]
     idle_rounds = 0
     for index in range(_WIDE_ROUNDS):
         new = fit.registered(
-            fit.pack(_children_of(fit.paths(x), _usual_walks(rng, fit.knots, _CHILDREN), rng=rng))
+            fit.pack(
+                _children_of(
+                    fit.paths(x),
+                    _usual_walks(rng, fit.knots, _CHILDREN),
+                    measure=measure,
+                    rng=rng,
+                )
+            )
         )
         new, _ = fit.best(coarse, new, steps=2, keep=20)
-        new, _ = fit.best(middle, new, steps=2, keep=8)
-        new, new_costs = descend(middle, new, steps=4)
+        new, _ = fit.best(middle, new, steps=3, keep=8)
+        new, new_costs = descend(fine, new, steps=4)
         least_cost = float(costs.min())
         x, costs = fit.distinct(
             torch.cat([x, new]), torch.cat([costs, new_costs]), keep=_POPULATION
         )
         idle_rounds = 0 if float(costs[0]) < _WIDE_IMPROVED * least_cost else idle_rounds + 1
-        spend(0.8 / _WIDE_ROUNDS)
+        spend(1 / _WIDE_ROUNDS)
         if idle_rounds == _WIDE_PATIENCE:
-            spend(0.8 * (_WIDE_ROUNDS - 1 - index) / _WIDE_ROUNDS)
+            spend((_WIDE_ROUNDS - 1 - index) / _WIDE_ROUNDS)
             break
     return x, costs
 
 
-def _children_of(paths: FloatArray, walks: FloatArray, *, rng: np.random.Generator) -> FloatArray:
+def _children_of(
+    paths: FloatArray, walks: FloatArray, *, measure: PathMeasure, rng: np.random.Generator
+) -> FloatArray:
     """Change parents drawn from (N, K, 2), the first likelier, one for each walk."""
     chance = np.exp(-0.3 * np.arange(len(paths)))
     parents = rng.choice(len(paths), len(walks), p=chance / chance.sum())
+    reroute_share, loop_share, crossing_share = _KIND_SHARES
     children = []
     for path, walk in zip(paths[parents], walks, strict=True):
         kind = rng.random()
         child = None
-        if kind < 0.25:
+        if kind < reroute_share:
+            child = measure.rerouted(path, rng=rng)
+        elif kind < loop_share:
             child = loop_reversals(path, count=1, rng=rng)[0]
-        elif kind < 0.5:
+        elif kind < crossing_share:
             child = crossed(path, paths[rng.integers(len(paths))], rng=rng)
         children.append(bridged(path, walk, rng=rng) if child is None else child)
     return np.stack(children)
-
-
-def _with_knots(paths: FloatArray, knots: int) -> FloatArray:
-    """Paths (N, K, 2) at so many times spaced evenly."""
-    return np.stack([Trajectory.from_samples(path).at(np.linspace(0, 1, knots)) for path in paths])
 
 
 def _usual_walks(rng: np.random.Generator, knots: int, count: int) -> FloatArray:

@@ -105,6 +105,12 @@ def decoded_paths(
     return np.stack(paths).swapaxes(1, 2)  # sums over this layout keep the published digits
 
 
+def with_knots(paths: FloatArray, knots: int) -> FloatArray:
+    """Paths (N, K, 2) at so many times spaced evenly: (N, knots, 2)."""
+    times = np.linspace(0, 1, knots)
+    return np.stack([Trajectory.from_samples(path).at(times) for path in paths])
+
+
 def orders(path: Trajectory, *, knots: int, count: int) -> FloatArray:
     """Orders in time (N, knots, 2), N <= count, of one PSF: loops and the whole path reversed."""
     fine = path.at(np.linspace(0, 1, 20 * (knots - 1) + 1))

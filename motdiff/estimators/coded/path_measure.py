@@ -1,0 +1,328 @@
+"""The many paths that explain kernels, drawn from the measure of largest entropy over them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from motdiff.estimators.coded.exposures import Exposures
+from motdiff.estimators.coded.fit import PhotoFit
+from motdiff.estimators.coded.starts import with_knots
+from motdiff.metrics import register_shift
+from motdiff.psf_frame import in_frame
+from motdiff.types import FloatArray
+
+_BLUR_PX = 0.7  # the path moves on whole pixels, kernels estimated apart do not match to one
+_FAINT = 0.03  # of the peak: where the path may be, and a pixel around it
+_LONGEST_STEP_PX = 3
+# of a step against the one before; a few turn sharply
+_TURN_PX = 0.9
+_SHARP_TURN_PX = 2.0
+_SHARP_SHARE = 0.02
+_ITERATIONS = 300
+_RATE = 0.3  # of a multiplier's ascent; a path stays on a pixel for several steps
+_SHORTER = 0.9
+_FLOOR = 2e-3  # of the brightest: light below it is not matched
+_SPREAD_PX = 1.0  # of the light of a path that is not right to a pixel
+_SMOOTHED_STEPS = 1.0  # sigma: paths on whole pixels are jagged
+_LEAST_LOG = -16.0  # a pixel is never quite forbidden
+
+# paths that explain one kernel
+_KNOTS = 27
+_DESCENTS_PX = (2.5, 1.2)  # Gaussians of the fits, one after the other
+_DESCENT_STEPS = 7
+_KERNEL_WEIGHT = 300.0  # cost of a path that explains nothing of it
+_COST_FACTOR = 3.0  # paths of at most so many times the least cost, and a little more
+_COST_ALLOWED = 2.0
+
+
+def explaining_paths(
+    kernel: FloatArray, *, starts: FloatArray, count: int, rng: np.random.Generator
+) -> FloatArray:
+    """Paths through an open shutter that explain a kernel about as well as any, best first.
+
+    Drawn from :class:`PathMeasure`, and fitted to the kernel like ``starts``.
+
+    Parameters
+    ----------
+    kernel : (S, S) float
+    starts : (M, K, 2) float, px
+        More paths to begin with.
+    count : int
+        Of the paths drawn.
+
+    Returns
+    -------
+    (N, 27, 2) float, px
+    """
+    exposures = Exposures(("1",), (kernel,), np.array([_KERNEL_WEIGHT]), np.ones(1))
+    fit = PhotoFit(exposures, [], knots=_KNOTS)
+    samples = PathMeasure([kernel], ["1"]).draw(count, knots=_KNOTS, rng=rng)
+    x = fit.pack(np.concatenate([samples, with_knots(starts, _KNOTS)]))
+    for sigma_px in _DESCENTS_PX:
+        x, costs = fit.best(
+            [fit.kernels(sigma_px), fit.loose], x, steps=_DESCENT_STEPS, keep=len(x)
+        )
+    paths = fit.paths(x)
+    return paths[costs.numpy() <= _COST_FACTOR * float(costs[0]) + _COST_ALLOWED]
+
+
+class PathMeasure:
+    """Paths at random whose light, on average, is that of kernels seen through known codes.
+
+    A path is a Markov chain over the pixels of the first kernel and the last step's vector; a step
+    differs from the one before by about a pixel. Of all measures over paths whose mean light
+    through each code equals the code's kernel, the one nearest to that chain (of largest relative
+    entropy) weighs a path by ``prod_t exp(sum_m c_m(t) lambda_m(p_t))``: one multiplier
+    ``lambda_m`` for each kernel's open and closed chips and pixel. They are found by ascent of the
+    concave dual, whose gradient is what each kernel's light lacks.
+
+    Parameters
+    ----------
+    kernels : sequence of I (S, S) float
+        Of the exposures; the first is that of the code with the most light.
+    codes : sequence of I str
+        Bits; all but those open throughout of one length.
+    steps : int
+        Time steps of a path where every code is open throughout.
+
+    References
+    ----------
+    Léonard, "A survey of the Schrödinger problem and some of its connections with optimal
+    transport", DCDS-A 34(4), 2014 (the measure); Darroch and Ratcliff, "Generalized iterative
+    scaling for log-linear models", Annals of Mathematical Statistics 43(5), 1972 (the ascent).
+    """
+
+    def __init__(
+        self, kernels: Sequence[FloatArray], codes: Sequence[str], *, steps: int = 52
+    ) -> None:
+        lights = _aligned(kernels, codes)
+        self._support = ndimage.binary_dilation(lights[0] > _FAINT * lights[0].max())
+        rows, columns = np.nonzero(self._support)
+        self._points = np.stack([columns, rows], axis=1) - float(len(self._support) // 2)
+        self._before, self._after = _neighbours(self._support)
+        self._turns = _turns()
+        lengths = [len(code) for code in codes if "0" in code]
+        bits = _bits(codes, max(lengths, default=steps))
+        light = lights[:, self._support] / lights[0, self._support].sum()
+        self._centroid = light[0] @ self._points
+        self._times, self._targets = _told(bits, light)
+
+    def draw(self, count: int, *, knots: int, rng: np.random.Generator) -> FloatArray:
+        """Draw paths (count, knots, 2), px, at times spaced evenly over the exposure."""
+        positions = self._drawn_back(self._forward(self._weights), count, rng)
+        smooth = ndimage.gaussian_filter1d(positions, _SMOOTHED_STEPS, axis=1, mode="nearest")
+        times = _middles(smooth.shape[1])
+        at = np.linspace(0, 1, knots)
+        return np.stack([_interpolated(at, times, path) for path in smooth])
+
+    def rerouted(self, path: FloatArray, *, rng: np.random.Generator) -> FloatArray:
+        """Path (K, 2), px, with a stretch, 15 to 50 % of it, led through the light that is left.
+
+        What the rest of the path leaves of each kernel's light weighs the pixels; the stretch is
+        drawn between its ends, an end of the exposure being free.
+        """
+        steps = self._times.shape[1]
+        times = _middles(steps)
+        knots = np.linspace(0, 1, len(path))
+        shift = self._centroid - path.mean(axis=0)
+        positions = _interpolated(times, knots, path + shift)
+        length = int(steps * rng.uniform(0.15, 0.5))
+        start = int(rng.integers(-length // 2, steps - length // 2))
+        stop = min(steps, start + length + 1)
+        start = max(0, start)
+        outside = np.ones(steps)
+        outside[start:stop] = 0
+        lacking = np.maximum(self._targets - self._light_of(positions, outside), self._floor)
+        lacking /= lacking.max(axis=1, keepdims=True)
+        covering = self._times[:, start:stop]
+        weights = np.exp(
+            covering.T @ np.log(lacking) / np.maximum(covering.sum(axis=0), 1)[:, None]
+        )
+        for index, is_end in ((0, start == 0), (-1, stop == steps)):
+            if not is_end:
+                at = positions[start if index == 0 else stop - 1]
+                weights[index] = np.exp(-0.5 * ((self._points - at) ** 2).sum(axis=1)) + 1e-9
+        positions[start:stop] = self._drawn_back(self._forward(weights), 1, rng)[0]
+        smooth = ndimage.gaussian_filter1d(positions, _SMOOTHED_STEPS, axis=0, mode="nearest")
+        rerouted = path.copy()
+        stretch = (knots >= (times[start] if start else 0)) & (
+            knots <= (times[stop - 1] if stop < steps else 1)
+        )
+        rerouted[stretch] = _interpolated(knots[stretch], times, smooth) - shift
+        return rerouted
+
+    def _light_of(self, positions: FloatArray, share: FloatArray) -> FloatArray:
+        """Light (M, P) of a path (T, 2) at the times that each target tells of, times a share."""
+        half = len(self._support) // 2
+        column, row = np.clip(np.rint(positions.T + half).astype(np.intp), 0, 2 * half)
+        image = np.zeros((len(self._times), *self._support.shape))
+        for light, times in zip(image, self._times, strict=True):
+            np.add.at(light, (row, column), times * share / len(share))
+        blurred = ndimage.gaussian_filter(image, (0, _SPREAD_PX, _SPREAD_PX))
+        return np.asarray(blurred[:, self._support])
+
+    def _drawn_back(self, forward: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draw positions (count, T, 2) by sampling backward."""
+        final_weights = forward[-1].reshape(1, -1).repeat(count, axis=0)
+        pixel, step = np.divmod(_drawn(final_weights, rng), len(self._turns))
+        pixels = [pixel]
+        for t in range(len(forward) - 2, -1, -1):
+            pixel = self._before[pixel, step]
+            step = _drawn(forward[t][pixel] * self._turns[:, step].T, rng)
+            pixels.append(pixel)
+        return np.asarray(self._points[np.array(pixels[::-1]).T])
+
+    @property
+    def _floor(self) -> float:
+        return _FLOOR * float(self._targets.max())
+
+    @cached_property
+    def _weights(self) -> FloatArray:
+        """Weight (T, P) of a pixel at each time, by the multipliers."""
+        target = self._targets
+        rate = _RATE
+        least_gap = np.inf
+        multipliers = 0.5 * np.log(np.maximum(target / target.max(axis=1, keepdims=True), 1e-3))
+        image = np.zeros((len(target), *self._support.shape))
+        for _ in range(_ITERATIONS):
+            occupancy = self._occupancy(_weights_of(multipliers, self._times))
+            image[:, self._support] = self._times @ occupancy / self._times.shape[1]
+            light = ndimage.gaussian_filter(image, (0, _BLUR_PX, _BLUR_PX))[:, self._support]
+            gap = float(np.abs(light - target).sum())
+            if gap > least_gap:  # a step too long
+                rate *= _SHORTER
+            least_gap = min(gap, least_gap)
+            multipliers += rate * np.log((target + self._floor) / (light + self._floor))
+            multipliers -= multipliers.max(axis=1, keepdims=True)
+            np.maximum(multipliers, _LEAST_LOG, out=multipliers)
+        return _weights_of(multipliers, self._times)
+
+    def _forward(self, weights: FloatArray) -> FloatArray:
+        """Probability (T, P, V) of a pixel and its last step, given the weights up to then."""
+        forward = np.empty((*weights.shape, len(self._turns)))
+        forward[0] = weights[0, :, None]
+        forward[0] /= forward[0].sum()
+        for t in range(1, len(weights)):
+            predicted = _gathered(forward[t - 1] @ self._turns, self._before)
+            forward[t] = predicted * weights[t, :, None]
+            forward[t] /= max(float(forward[t].sum()), 1e-300)
+        return forward
+
+    def _occupancy(self, weights: FloatArray) -> FloatArray:
+        """Probability (T, P) of each pixel at each time, given weights (T, P)."""
+        forward = self._forward(weights)
+        occupancy = np.empty_like(weights)
+        backward = np.ones(forward.shape[1:])
+        for t in range(len(weights) - 1, -1, -1):
+            occupancy[t] = (forward[t] * backward).sum(axis=1)
+            occupancy[t] /= max(float(occupancy[t].sum()), 1e-300)
+            from_next = _gathered(weights[t, :, None] * backward, self._after)
+            backward = from_next @ self._turns.T
+            backward /= max(float(backward.max()), 1e-300)
+        return occupancy
+
+
+def _weights_of(multipliers: FloatArray, times: FloatArray) -> FloatArray:
+    """Weights (T, P) of multipliers (M, P) that hold at times (M, T); the largest is 1."""
+    exponent = times.T @ multipliers
+    return np.asarray(np.exp(exponent - exponent.max(axis=1, keepdims=True)))
+
+
+def _middles(steps: int) -> FloatArray:
+    """Middle of each of so many time steps of the exposure, 0..1."""
+    return np.asarray((np.arange(steps) + 0.5) / steps)
+
+
+def _interpolated(at: FloatArray, times: FloatArray, path: FloatArray) -> FloatArray:
+    """Positions (N, 2) of a path (T, 2) at other times."""
+    return np.stack([np.interp(at, times, axis) for axis in path.T], axis=1)
+
+
+def _steps() -> NDArray[np.intp]:
+    """Step vectors (V, 2) on the pixel grid, (x, y)."""
+    reach = _LONGEST_STEP_PX
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    return np.asarray(np.stack([x, y], axis=-1)[np.hypot(x, y) <= reach])
+
+
+def _turns() -> FloatArray:
+    """Probability (V, V) of each step after each other."""
+    steps = _steps()
+    squared = ((steps[:, None] - steps) ** 2).sum(axis=-1)
+    turns = np.exp(-squared / (2 * _TURN_PX**2))
+    turns += _SHARP_SHARE * np.exp(-squared / (2 * _SHARP_TURN_PX**2))
+    return np.asarray(turns / turns.sum(axis=1, keepdims=True))
+
+
+def _neighbours(support: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Index (P, V) of the pixel a step before each, and after it; -1 outside the support."""
+    reach = _LONGEST_STEP_PX
+    index = np.full([n + 2 * reach for n in support.shape], -1)
+    rows, columns = np.nonzero(support)
+    index[rows + reach, columns + reach] = np.arange(len(rows))
+    x, y = _steps().T
+    rows, columns = rows[:, None] + reach, columns[:, None] + reach
+    return index[rows - y, columns - x], index[rows + y, columns + x]
+
+
+def _gathered(values: FloatArray, index: NDArray[np.intp]) -> FloatArray:
+    """Values (P, V) of each pixel's neighbour by the same step, 0 outside the support."""
+    return np.where(index >= 0, np.take_along_axis(values, np.maximum(index, 0), axis=0), 0.0)
+
+
+def _drawn(weights: FloatArray, rng: np.random.Generator) -> NDArray[np.intp]:
+    """One index for each row of weights (N, M), by inverse transform."""
+    cdf = np.cumsum(weights, axis=1)
+    index = (cdf < rng.random((len(cdf), 1)) * cdf[:, -1:]).sum(axis=1)
+    return np.asarray(np.minimum(index, weights.shape[1] - 1))  # rounding may pass the last one
+
+
+def _bits(codes: Sequence[str], steps: int) -> FloatArray:
+    """Whether each code (I, steps) is open at each step."""
+    middles = _middles(steps)
+    return np.stack(
+        [
+            np.array(list(code), dtype=np.float64)[(middles * len(code)).astype(np.intp)]
+            for code in codes
+        ]
+    )
+
+
+def _told(bits: FloatArray, light: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return times (M, T), 1 or 0, and the path's light (M, P) at these times together.
+
+    Beside an open shutter a coded photo tells of two: its open chips, and its closed ones, whose
+    light is the rest of the open photo's.
+    """
+    times, targets = [], []
+    is_open_first = bits[0].all()
+    for code, target in zip(bits, light, strict=True):
+        if code.all() and len(bits) > 1:
+            continue  # the two parts of a coded photo say it already
+        times.append(code)
+        targets.append(target)
+        if is_open_first and not code.all():
+            times.append(1 - code)
+            targets.append(np.maximum(light[0] - target, 0))
+    return np.stack(times), np.stack(targets)
+
+
+def _aligned(kernels: Sequence[FloatArray], codes: Sequence[str]) -> FloatArray:
+    """Kernels (I, S, S) with the light of their codes, shifted onto the first one, blurred."""
+    size = max(len(kernel) for kernel in kernels)
+    soft = [
+        code.count("1")
+        / len(code)
+        * ndimage.gaussian_filter(in_frame(kernel / kernel.sum(), size), _BLUR_PX)
+        for kernel, code in zip(kernels, codes, strict=True)
+    ]
+    shifted = [
+        np.maximum(ndimage.shift(kernel, register_shift(soft[0], kernel)[::-1], order=1), 0)
+        for kernel in soft[1:]
+    ]
+    return np.stack([soft[0], *shifted])

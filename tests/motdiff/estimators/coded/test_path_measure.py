@@ -1,0 +1,98 @@
+"""Paths drawn from kernels seen through codes, and stretches led through the light left."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from motdiff.estimators.coded.path_measure import PathMeasure
+from motdiff.metrics import timed_distance_px
+from motdiff.trajectory import Trajectory
+
+OPEN = "1" * 52
+HALF = "1" * 26 + "0" * 26
+RASKAR = "1010000111000001010000110011110111010111001001100111"
+KNOTS = 27
+TIMES = np.linspace(0, 1, 401)
+BENT = Trajectory.from_samples(
+    np.stack([24 * TIMES - 12, 9 * np.sin(2 * np.pi * TIMES)], axis=1), direction="known"
+)
+
+
+def kernels_of(path: Trajectory, codes: tuple[str, ...]) -> list[np.ndarray]:
+    """PSF of each code, by brute force: the light of 20 moments of each chip on the pixels."""
+    kernels = []
+    for code in codes:
+        moments = (np.arange(20 * len(code)) + 0.5) / (20 * len(code))
+        is_open = np.repeat(np.array(list(code)) == "1", 20)
+        column, row = np.rint(path.at(moments)[is_open].T).astype(int) + 20
+        kernel = np.zeros((41, 41))
+        np.add.at(kernel, (row, column), 1.0)
+        kernels.append(kernel / kernel.sum())
+    return kernels
+
+
+def distances(paths: np.ndarray, truth: Trajectory) -> np.ndarray:
+    return np.array(
+        [timed_distance_px(Trajectory.from_samples(p, direction="known"), truth) for p in paths]
+    )
+
+
+def test_the_light_of_the_draws_is_that_of_the_kernel() -> None:
+    (kernel,) = kernels_of(BENT, (OPEN,))
+    draws = PathMeasure([kernel], [OPEN]).draw(300, knots=105, rng=np.random.default_rng(0))
+    column, row = np.rint(draws.reshape(-1, 2).T).astype(int) + 20
+    light = np.zeros_like(kernel)
+    np.add.at(light, (row, column), 1 / (300 * 105))
+    # by columns of 4 px, as draws are smooth and the kernel is not
+    assert np.abs(light.sum(axis=0) - kernel.sum(axis=0))[:40].reshape(-1, 4).sum(
+        axis=1
+    ).max() == pytest.approx(0, abs=0.08)
+
+
+def test_an_open_photo_leaves_both_directions_and_a_coded_one_does_not():
+    rng = np.random.default_rng(1)
+    opened = PathMeasure(kernels_of(BENT, (OPEN,)), [OPEN]).draw(60, knots=KNOTS, rng=rng)
+    coded = PathMeasure(kernels_of(BENT, (OPEN, HALF)), [OPEN, HALF]).draw(
+        60, knots=KNOTS, rng=rng
+    )
+    ahead_open = distances(opened, BENT) < distances(opened, BENT.reversed())
+    ahead_coded = distances(coded, BENT) < distances(coded, BENT.reversed())
+    assert 0.2 < ahead_open.mean() < 0.8
+    assert ahead_coded.mean() > 0.95
+
+
+def test_a_stretch_that_left_the_light_is_led_back():
+    codes = (OPEN, RASKAR)
+    measure = PathMeasure(kernels_of(BENT, codes), codes)
+    truth = BENT.at(np.linspace(0, 1, KNOTS))
+    wrong = truth.copy()
+    wrong[8:20] = np.linspace(truth[8], truth[19], 12)  # straight across the bend
+    rng = np.random.default_rng(2)
+    rerouted = np.stack([measure.rerouted(wrong, rng=rng) for _ in range(40)])
+    before = distances(wrong[None], BENT)[0]
+    assert distances(rerouted, BENT).min() < 0.6 * before
+
+
+def test_a_rerouted_path_keeps_the_rest_and_its_joints():
+    codes = (OPEN, HALF)
+    measure = PathMeasure(kernels_of(BENT, codes), codes)
+    truth = BENT.at(np.linspace(0, 1, KNOTS))
+    given = truth.copy()
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        child = measure.rerouted(given, rng=rng)
+        changed = np.flatnonzero(np.abs(child - given).max(axis=1) > 0)
+        assert len(changed) <= 0.65 * KNOTS
+        assert (np.diff(changed) == 1).all()
+        # 52 steps of at most 3 px between 27 knots
+        assert np.linalg.norm(np.diff(child, axis=0), axis=1).max() < 3 * 52 / 26 + 2
+    assert (given == truth).all()
+
+
+def test_times_of_which_no_photo_tells_are_led_anywhere():
+    first, second = "1" * 40 + "0" * 12, "0" * 12 + "1" * 28 + "0" * 12
+    measure = PathMeasure(kernels_of(BENT, (first, second)), (first, second))
+    path = BENT.at(np.linspace(0, 1, KNOTS))
+    rng = np.random.default_rng(4)
+    assert all(np.isfinite(measure.rerouted(path, rng=rng)).all() for _ in range(10))
