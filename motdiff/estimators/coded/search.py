@@ -48,6 +48,7 @@ _IMPROVED = 0.98  # of the least cost: a smaller fall is no improvement
 
 # the search beside the photos alone
 _FEW_PHOTOS = 2  # their kernels mislead too often to be searched by themselves
+_EXPLAINED = 1.0  # misfit; right paths have 0.6 to 0.97 on simulated walks
 _FEW_KNOTS = 27  # half as many unknowns make a step twice as cheap
 _DRAWS = 64  # starts of a search, some from the kernels' light and some without it
 _LONE_WALKS = 64
@@ -71,8 +72,8 @@ def find_paths(
 ) -> tuple[list[CandidatePath], int]:
     """Find the paths that explain the photos best.
 
-    With three photos or more a search beside their kernels comes first, and is the last where no
-    other path comes near. The search beside the photos alone is repeated until two searches end at
+    With three photos or more a search beside their kernels comes first, and is the last where its
+    path explains the photos and no other comes near. The search beside the photos alone is repeated until two searches end at
     one path.
 
     Parameters
@@ -98,7 +99,7 @@ def find_paths(
         )
     paths = search.run(x)
     gap = cost_gap(paths)
-    if gap is not None and gap > CLEAR_GAP:
+    if gap is not None and gap > CLEAR_GAP and paths[0].misfit <= _EXPLAINED:
         return paths, 1
     progress.expect_more(2 * cost)
     return _wide_paths(
