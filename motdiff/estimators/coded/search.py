@@ -73,8 +73,8 @@ def find_paths(
     """Find the paths that explain the photos best.
 
     With three photos or more a search beside their kernels comes first, and is the last where its
-    path explains the photos and no other comes near. The search beside the photos alone is repeated until two searches end at
-    one path.
+    path explains the photos and no other comes near. The search beside the photos alone is
+    repeated until two searches end at one path.
 
     Parameters
     ----------
