@@ -28,7 +28,7 @@ _FIT_SHARE = 0.55  # the search of the path
 # at it and the next path is dearer, where they ended at it, where the next is dearer, and else
 _ONE_PHOTO = 0.05
 _SHARES_OF_TWO = (0.9, 0.6, 0.2, 0.2)
-_SHARES_OF_MORE = (0.85, 0.6, 0.6, 0.4)
+_SHARES_OF_MORE = (0.95, 0.8, 0.25, 0.25)
 _SHARE_CLEAR = 0.97  # three photos or more whose next path is much dearer
 _ERROR_RATIO = 2.8  # of true to computed error
 _TWO_VAGUE = 0.3  # two photos whose path has a large expected error, and a next path as good
