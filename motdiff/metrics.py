@@ -134,7 +134,12 @@ def timed_distance_px(a: Trajectory, b: Trajectory) -> float:
     0.00 6.95
     """
     t = np.linspace(0, 1, _TIMES)
-    apart = a.at(t) - b.at(t)
+    return rms_distance_px(a.at(t), b.at(t))
+
+
+def rms_distance_px(p: FloatArray, q: FloatArray) -> float:
+    """Rms distance, px, of points (N, 2) from others in their order, after the best shift."""
+    apart = p - q
     return float(np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 

@@ -21,6 +21,7 @@ from motdiff.crops import luminance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.path_measure import explaining_paths
 from motdiff.estimators.coded.starts import orders, with_knots
+from motdiff.metrics import rms_distance_px
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -191,11 +192,7 @@ def _distinct(paths: Sequence[FloatArray], *, limit: int) -> FloatArray:
     distinct: list[FloatArray] = []
     for path in paths:
         centred = path - path.mean(axis=0)
-        apart = [
-            np.sqrt(((centred - distinct_path) ** 2).sum(axis=1).mean())
-            for distinct_path in distinct
-        ]
-        if not apart or min(apart) > _ALIKE_PX:
+        if all(rms_distance_px(centred, chosen_path) > _ALIKE_PX for chosen_path in distinct):
             distinct.append(centred)
         if len(distinct) == limit:
             break

@@ -7,9 +7,9 @@ well that is known.
 
 A set names the photos' codes, as `codes_of_set` of lab/bench/coded/calibrations.py does; `one` is
 Raskar's code; `open+next3`, the open shutter and three codes, each chosen after the photos before
-it (`open+next`: one). Each photo shows one crop, moved by up to `--moved` px of its own, through the light-true PSF of its code, with Gauss
-noise of so much of full scale. The n-th motion is the same
-in every set and at every noise. What may differ from photo to photo beside: `--brightness`,
+it (`open+next`: one). Each photo shows one crop, moved by up to `--moved` px of its own, through
+the light-true PSF of its code, with Gauss noise of so much of full scale. The n-th motion is the
+same in every set and at every noise. What may differ from photo to photo beside: `--brightness`,
 `--scaled`, `--wobble`. With `--light` the photos show a small light in the dark.
 
 `right`: the rms distance from the truth, at equal times after the best shift, is at most 1 px and
@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cep.calibration.next_code import SURE, next_code
 from cep.files.images import read_image
 from lab.bench.coded.calibrations import codes_of_set, moved_psfs
 from lab.studies.inputs import kept_rows, photos, smooth_trace
@@ -53,7 +54,6 @@ MOTIONS = ("walks", "arcs", "gyro")
 EXPOSURES_S = (0.05, 0.1, 0.25, 0.5)
 RIGHT_PX = 1.0
 CHOSEN = "open+next"  # the codes after the first are those that cep calibrate --next chooses
-SURE = 0.95  # stated probability from which no other photo would be taken
 LIT = 0.8  # of full scale: a light's trail at its brightest, and what is around it
 DARK = 0.01
 SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".bmp"}
@@ -250,7 +250,6 @@ def chosen_figures(case: Case) -> dict[str, object]:
     ``steps`` holds those of each photo from the second on.
     """
     from cep.calibration.calibrate import estimate_motion
-    from cep.calibration.next_code import next_code
     from cep.optics.code import ShutterCode
 
     chips = len(case.codes[0])
@@ -424,7 +423,8 @@ def stopped_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
             )
         right, photos, sure_share = np.mean(outcomes, axis=0)
         print(
-            f"| {name} | {motions} | {right:.2f} of {len(outcomes)} | {photos:.2f} | {sure_share:.2f} |"
+            f"| {name} | {motions} | {right:.2f} of {len(outcomes)} | {photos:.2f} |"
+            f" {sure_share:.2f} |"
         )
 
 

@@ -12,12 +12,15 @@ from torch import Tensor
 
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.misfit import Term, Unknowns
+from motdiff.metrics import rms_distance_px
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 UNEXPLAINED = 1.25
 """Misfit above which a path does not explain the photos."""
+SAME_PX = 1.0
+"""Rms distance within which two paths count as one."""
 _MOST_PATHS = 3  # the best, and alternatives
 _MISFIT_POWER = 4.0  # so steep that a misfit of 1.5 leaves a fifth
 
@@ -50,13 +53,11 @@ def explained_share(misfit: float) -> float:
     return 1.0 if np.isnan(misfit) else min(1.0, misfit**-_MISFIT_POWER)
 
 
-def cost_gap(paths: Sequence[CandidatePath], *, alike_px: float = 1.0) -> float | None:
-    """How much dearer the next path is that lies further away than that; None without one."""
+def cost_gap(paths: Sequence[CandidatePath]) -> float | None:
+    """Cost of the next path that lies elsewhere, less that of the first; None without one."""
     best = paths[0]
     for path in paths[1:]:
-        difference = path.path - best.path
-        difference = difference - difference.mean(axis=0)
-        if np.sqrt((difference**2).sum(axis=1).mean()) > alike_px:
+        if rms_distance_px(path.path, best.path) > SAME_PX:
             return path.cost - best.cost
     return None
 

@@ -25,15 +25,15 @@ _KERNEL_SHARE = 0.45  # of the time
 _FIT_SHARE = 0.55  # the search of the path
 # how often the path was right, of simulated walks and shakes
 # (docs/decisions/motion-estimation.md): of one photo; of two and of more, where two searches ended
-# at it and the next path is dearer, where they ended at it, where the next is dearer, and else
+# at it and the next path is dearer, where they ended at it, and else
 _ONE_PHOTO = 0.05
-_SHARES_OF_TWO = (0.9, 0.6, 0.2, 0.2)
-_SHARES_OF_MORE = (0.95, 0.8, 0.25, 0.25)
+_SHARES_OF_TWO = (0.9, 0.6, 0.2)
+_SHARES_OF_MORE = (0.95, 0.8, 0.25)
 _SHARE_CLEAR = 0.97  # three photos or more whose next path is much dearer
 _ERROR_RATIO = 2.8  # of true to computed error
 _TWO_VAGUE = 0.3  # two photos whose path has a large expected error, and a next path as good
 _VAGUE_PX = 0.25  # expected error from which a path counts as vague
-_DEARER = 100.0  # of the next path's cost: wrong ends of searches have less before them
+_DEARER = 100.0  # of the next path's cost
 # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
 _KERNELS_ALONE = 0.3
 _ALMOST_EQUAL = 1e-3  # of two costs: keeps the alternatives' shares finite
@@ -46,8 +46,8 @@ class CodedEstimator:
     The kernel of each photo is searched on its own. Paths decoded from them, orders of the traced
     path and random walks are fitted to the kernels, crossed with each other, and fitted to the
     photos themselves where these show one scene: one photo blurred by the PSF of another must
-    equal the other blurred by the first's. Two photos, and more whose best path leaves more than
-    noise, are searched without the kernels too, until two searches agree.
+    equal the other blurred by the first's. The photos are searched without the kernels too, until
+    two searches agree; of three and more only where the kernels' path is not clear.
 
     ``confidence`` is the probability that the order is right: the share of simulated motions of
     which it was, with as many photos, searches that agree, and a next path so much dearer.
@@ -192,7 +192,7 @@ def _order_probability(
     else:
         gap = np.inf if gap is None else gap
         shares = _SHARES_OF_TWO if photos == 2 else _SHARES_OF_MORE
-        share = shares[2 * (times < 2) + (gap < _DEARER)]
+        share = shares[2 if times < 2 else int(gap < _DEARER)]
         if photos > 2 and gap > CLEAR_GAP:
             share = _SHARE_CLEAR
         elif photos == 2 and gap < _DEARER and _is_vague(best):

@@ -18,10 +18,11 @@ from motdiff.estimators.coded.scene_term import SceneSpectra, scene_side_px, sce
 from motdiff.progress import Progress
 from motdiff.types import FloatArray
 
+BLIND_WEIGHT = 300.0
+"""Weight of a kernel found blind: its squared error is about a tenth of it."""
 _SAME_SCENE = 0.8  # correlation of two photos beyond their blur
 _BLUR_PX = 12.0  # sigma: beyond it, blurs of the usual length hardly show
 _TRUSTED = 0.5  # confidence in a kernel
-_BLIND_WEIGHT = 300.0  # a blind kernel's error: about a tenth of its square
 _LEAST_TRUST = 0.15  # confidence: no kernel is left out altogether
 _LEAST_INSIDE_PX = 96  # of a photo without its borders
 
@@ -129,7 +130,7 @@ def exposures_of(
     return Exposures(
         codes=tuple(codes[i] for i in order),
         kernels=tuple(estimates[i].psf for i in order),
-        weights=_BLIND_WEIGHT * np.clip(np.array(confidences), _LEAST_TRUST, 1) ** 2,
+        weights=BLIND_WEIGHT * np.clip(np.array(confidences), _LEAST_TRUST, 1) ** 2,
         gains=level / level[0],
         photos=tuple(greys[i] for i in order) if _are_one_scene(greys) else (),
         shrunk=shrunk,

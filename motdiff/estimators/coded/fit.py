@@ -65,6 +65,10 @@ class PhotoFit:
             for on_grid, error_px in zip(spectra, _PATH_ERRORS_PX, strict=False)
         ]
 
+    def beside_photos(self, grid: int) -> list[Term]:
+        """Terms of the photos alone on one of the three grids; the coarsest leaves paths loose."""
+        return [self.scenes[grid], self.loose if grid == 0 else self.stiff]
+
     def kernels(self, sigma_px: float, *, saturated: bool = False) -> KernelTerm:
         """Term of the kernels through a Gaussian; saturated, a wrong kernel costs little."""
         return KernelTerm(

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from motdiff.estimators.coded.exposures import Exposures
+from motdiff.estimators.coded.exposures import BLIND_WEIGHT, Exposures
 from motdiff.estimators.coded.fit import PhotoFit
-from motdiff.estimators.coded.starts import with_knots
-from motdiff.metrics import register_shift
-from motdiff.psf_frame import in_frame
+from motdiff.estimators.coded.starts import draw_index, light_on_first, open_at, with_knots
+from motdiff.path_psfs import interpolated
 from motdiff.types import FloatArray
 
 _BLUR_PX = 0.7  # the path moves on whole pixels, kernels estimated apart do not match to one
@@ -35,7 +34,6 @@ _LEAST_LOG = -16.0  # a pixel is never quite forbidden
 _KNOTS = 27
 _DESCENTS_PX = (2.5, 1.2)  # Gaussians of the fits, one after the other
 _DESCENT_STEPS = 7
-_KERNEL_WEIGHT = 300.0  # cost of a path that explains nothing of it
 _COST_FACTOR = 3.0  # paths of at most so many times the least cost, and a little more
 _COST_ALLOWED = 2.0
 
@@ -59,7 +57,7 @@ def explaining_paths(
     -------
     (N, 27, 2) float, px
     """
-    exposures = Exposures(("1",), (kernel,), np.array([_KERNEL_WEIGHT]), np.ones(1))
+    exposures = Exposures(("1",), (kernel,), np.array([BLIND_WEIGHT]), np.ones(1))
     fit = PhotoFit(exposures, [], knots=_KNOTS)
     samples = PathMeasure([kernel], ["1"]).draw(count, knots=_KNOTS, rng=rng)
     x = fit.pack(np.concatenate([samples, with_knots(starts, _KNOTS)]))
@@ -100,14 +98,14 @@ class PathMeasure:
     def __init__(
         self, kernels: Sequence[FloatArray], codes: Sequence[str], *, steps: int = 52
     ) -> None:
-        lights = _aligned(kernels, codes)
+        lights = light_on_first(kernels, codes, blur_px=_BLUR_PX)
         self._support = ndimage.binary_dilation(lights[0] > _FAINT * lights[0].max())
         rows, columns = np.nonzero(self._support)
         self._points = np.stack([columns, rows], axis=1) - float(len(self._support) // 2)
         self._before, self._after = _neighbours(self._support)
         self._turns = _turns()
         lengths = [len(code) for code in codes if "0" in code]
-        bits = _bits(codes, max(lengths, default=steps))
+        bits = open_at(codes, _middles(max(lengths, default=steps)))
         light = lights[:, self._support] / lights[0, self._support].sum()
         self._centroid = light[0] @ self._points
         self._times, self._targets = _told(bits, light)
@@ -118,7 +116,7 @@ class PathMeasure:
         smooth = ndimage.gaussian_filter1d(positions, _SMOOTHED_STEPS, axis=1, mode="nearest")
         times = _middles(smooth.shape[1])
         at = np.linspace(0, 1, knots)
-        return np.stack([_interpolated(at, times, path) for path in smooth])
+        return np.stack([interpolated(at, times, path) for path in smooth])
 
     def rerouted(self, path: FloatArray, *, rng: np.random.Generator) -> FloatArray:
         """Path (K, 2), px, with a stretch, 15 to 50 % of it, led through the light that is left.
@@ -130,7 +128,7 @@ class PathMeasure:
         times = _middles(steps)
         knots = np.linspace(0, 1, len(path))
         shift = self._centroid - path.mean(axis=0)
-        positions = _interpolated(times, knots, path + shift)
+        positions = interpolated(times, knots, path + shift)
         length = int(steps * rng.uniform(0.15, 0.5))
         start = int(rng.integers(-length // 2, steps - length // 2))
         stop = min(steps, start + length + 1)
@@ -153,7 +151,7 @@ class PathMeasure:
         stretch = (knots >= (times[start] if start else 0)) & (
             knots <= (times[stop - 1] if stop < steps else 1)
         )
-        rerouted[stretch] = _interpolated(knots[stretch], times, smooth) - shift
+        rerouted[stretch] = interpolated(knots[stretch], times, smooth) - shift
         return rerouted
 
     def _light_of(self, positions: FloatArray, share: FloatArray) -> FloatArray:
@@ -169,11 +167,11 @@ class PathMeasure:
     def _drawn_back(self, forward: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
         """Draw positions (count, T, 2) by sampling backward."""
         final_weights = forward[-1].reshape(1, -1).repeat(count, axis=0)
-        pixel, step = np.divmod(_drawn(final_weights, rng), len(self._turns))
+        pixel, step = np.divmod(draw_index(final_weights, rng), len(self._turns))
         pixels = [pixel]
         for t in range(len(forward) - 2, -1, -1):
             pixel = self._before[pixel, step]
-            step = _drawn(forward[t][pixel] * self._turns[:, step].T, rng)
+            step = draw_index(forward[t][pixel] * self._turns[:, step].T, rng)
             pixels.append(pixel)
         return np.asarray(self._points[np.array(pixels[::-1]).T])
 
@@ -238,11 +236,6 @@ def _middles(steps: int) -> FloatArray:
     return np.asarray((np.arange(steps) + 0.5) / steps)
 
 
-def _interpolated(at: FloatArray, times: FloatArray, path: FloatArray) -> FloatArray:
-    """Positions (N, 2) of a path (T, 2) at other times."""
-    return np.stack([np.interp(at, times, axis) for axis in path.T], axis=1)
-
-
 def _steps() -> NDArray[np.intp]:
     """Step vectors (V, 2) on the pixel grid, (x, y)."""
     reach = _LONGEST_STEP_PX
@@ -275,24 +268,6 @@ def _gathered(values: FloatArray, index: NDArray[np.intp]) -> FloatArray:
     return np.where(index >= 0, np.take_along_axis(values, np.maximum(index, 0), axis=0), 0.0)
 
 
-def _drawn(weights: FloatArray, rng: np.random.Generator) -> NDArray[np.intp]:
-    """One index for each row of weights (N, M), by inverse transform."""
-    cdf = np.cumsum(weights, axis=1)
-    index = (cdf < rng.random((len(cdf), 1)) * cdf[:, -1:]).sum(axis=1)
-    return np.asarray(np.minimum(index, weights.shape[1] - 1))  # rounding may pass the last one
-
-
-def _bits(codes: Sequence[str], steps: int) -> FloatArray:
-    """Whether each code (I, steps) is open at each step."""
-    middles = _middles(steps)
-    return np.stack(
-        [
-            np.array(list(code), dtype=np.float64)[(middles * len(code)).astype(np.intp)]
-            for code in codes
-        ]
-    )
-
-
 def _told(bits: FloatArray, light: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return times (M, T), 1 or 0, and the path's light (M, P) at these times together.
 
@@ -310,19 +285,3 @@ def _told(bits: FloatArray, light: FloatArray) -> tuple[FloatArray, FloatArray]:
             times.append(1 - code)
             targets.append(np.maximum(light[0] - target, 0))
     return np.stack(times), np.stack(targets)
-
-
-def _aligned(kernels: Sequence[FloatArray], codes: Sequence[str]) -> FloatArray:
-    """Kernels (I, S, S) with the light of their codes, shifted onto the first one, blurred."""
-    size = max(len(kernel) for kernel in kernels)
-    soft = [
-        code.count("1")
-        / len(code)
-        * ndimage.gaussian_filter(in_frame(kernel / kernel.sum(), size), _BLUR_PX)
-        for kernel, code in zip(kernels, codes, strict=True)
-    ]
-    shifted = [
-        np.maximum(ndimage.shift(kernel, register_shift(soft[0], kernel)[::-1], order=1), 0)
-        for kernel in soft[1:]
-    ]
-    return np.stack([soft[0], *shifted])

@@ -179,7 +179,7 @@ class SceneTerm:
         """See :class:`motdiff.estimators.coded.misfit.Term`.
 
         ``J^T r`` is exact. In ``J^T J`` the window is its rms value: to window each row of J would
-        take longer than all the rest.
+        make a step half as long again.
         """
         for i in range(len(x)):
             J, dpower, residual, weight = self._derivatives(x[i : i + 1])

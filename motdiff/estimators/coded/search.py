@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from motdiff.estimators.coded.candidates import (
+    SAME_PX,
     CandidatePath,
     cost_gap,
     expected_deviation_px,
@@ -27,6 +28,7 @@ from motdiff.estimators.coded.starts import (
     orders,
     with_knots,
 )
+from motdiff.metrics import rms_distance_px
 from motdiff.motions import boracchi_foi
 from motdiff.progress import Progress
 from motdiff.types import FloatArray
@@ -54,13 +56,15 @@ _DRAWS = 64  # starts of a search, some from the kernels' light and some without
 _LONE_WALKS = 64
 _USUAL_PX = 50.0  # length of the walks where no kernel tells it
 _MOST_SEARCHES = 3
-_SAME_PX = 1.0  # two searches ended at one path if theirs are this near
 _WIDE_ROUNDS = 20
 _WIDE_PATIENCE = 5  # longer: its rounds change less at a time
 _CHILDREN = 32  # of a round
 _WIDE_RESULTS = 6  # handed to the finest grid
 _WIDE_IMPROVED = 0.998
-_KIND_SHARES = (0.35, 0.55, 0.75)  # of children: rerouted, loops reversed, crossed; bridged
+# shares of the children; the others are bridged
+_REROUTED = 0.35
+_TURNED = 0.2
+_CROSSED = 0.2
 
 
 def find_paths(
@@ -245,125 +249,98 @@ def _wide_paths(
     -------
     Paths, best first, and the number of searches that ended at the best
     """
-    fit = PhotoFit(search.exposures, spectra, knots=_FEW_KNOTS)
-    measure = PathMeasure(search.exposures.kernels, search.exposures.codes)
+    wide = _WideSearch(search.exposures, spectra, search.rng)
     starts = with_knots(starts, _FEW_KNOTS)
     results: list[tuple[Tensor, Tensor]] = []
     if is_searched:
-        searched = fit.registered(fit.pack(starts))
-        results.append(fit.best([fit.scenes[2], fit.stiff], searched, steps=6, keep=len(searched)))
+        searched = wide.registered(wide.pack(starts))
+        results.append(wide.best(wide.beside_photos(2), searched, steps=6, keep=len(searched)))
     share = 0.7 / (_MOST_SEARCHES - len(results))
-    while True:
-        results.append(
-            _wide_search(fit, starts, measure, search.rng, spend=lambda s: spend(share * s))
-        )
+    times = 0
+    while times < 2 and len(results) < _MOST_SEARCHES:
+        results.append(wide.run(starts, spend=lambda s: spend(share * s)))
         starts = starts[:0]
-        x, _, times = merged(fit.unknowns, results, keep=_WIDE_RESULTS, same_px=_SAME_PX)
-        if times > 1 or len(results) == _MOST_SEARCHES:
-            spend(share * (_MOST_SEARCHES - len(results)))
-            break
+        x, _, times = merged(wide.unknowns, results, keep=_WIDE_RESULTS, same_px=SAME_PX)
+    spend(share * (_MOST_SEARCHES - len(results)))
     if times == 1:  # what each of them has right may belong together
-        x, costs = fit.best([fit.scenes[2], fit.stiff], x, steps=2, keep=len(x))
-        x, _ = _evolved(fit, x, costs, measure, search.rng, spend=lambda s: spend(0.15 * s))
+        x, costs = wide.best(wide.beside_photos(2), x, steps=2, keep=len(x))
+        x, _ = wide.evolved(x, costs, spend=lambda s: spend(0.15 * s))
     else:
         spend(0.15)
-    wide = with_knots(fit.paths(x), KNOTS)
-    paths = search.finished(wide)
-    change = paths[0].path - wide[0]
-    moved_px = np.sqrt(((change - change.mean(axis=0)) ** 2).sum(axis=1).mean())
+    few_knots_paths = with_knots(wide.paths(x), KNOTS)
+    paths = search.finished(few_knots_paths)
     # with more knots another path may be the best, at which no other search ended
-    return paths, times if moved_px < _SAME_PX else 1
+    return paths, times if rms_distance_px(paths[0].path, few_knots_paths[0]) < SAME_PX else 1
 
 
-def _wide_search(
-    fit: PhotoFit,
-    starts: FloatArray,
-    measure: PathMeasure,
-    rng: np.random.Generator,
-    *,
-    spend: Callable[[float], None],
-) -> tuple[Tensor, Tensor]:
-    """Candidates and costs, best first, from paths (N, K, 2) of few knots and random walks.
+class _WideSearch(PhotoFit):
+    """Search beside the photos alone, with few knots.
 
     The coarser grids lead a path near a minimum; only the finest tells the right one, as wrong
     paths differ most beyond 0.16 cycles/px.
     """
-    coarse: list[Term] = [fit.scenes[0], fit.loose]
-    middle: list[Term] = [fit.scenes[1], fit.stiff]
-    fine: list[Term] = [fit.scenes[2], fit.stiff]
-    samples = measure.draw(_DRAWS, knots=fit.knots, rng=rng)
-    walks = _usual_walks(rng, fit.knots, _LONE_WALKS)
-    x = fit.registered(fit.pack(np.concatenate([starts, samples, walks])))
-    x, _ = fit.best(coarse, x, steps=4, keep=32)
-    x, _ = fit.best(middle, x, steps=4, keep=12)
-    x, costs = fit.best(fine, x, steps=4, keep=_POPULATION)
-    spend(0.2)
-    return _evolved(fit, x, costs, measure, rng, spend=lambda s: spend(0.8 * s))
 
+    def __init__(
+        self, exposures: Exposures, spectra: Sequence[SceneSpectra], rng: np.random.Generator
+    ) -> None:
+        super().__init__(exposures, spectra, knots=_FEW_KNOTS)
+        self.rng = rng
+        self.measure = PathMeasure(exposures.kernels, exposures.codes)
 
-def _evolved(
-    fit: PhotoFit,
-    x: Tensor,
-    costs: Tensor,
-    measure: PathMeasure,
-    rng: np.random.Generator,
-    *,
-    spend: Callable[[float], None],
-) -> tuple[Tensor, Tensor]:
-    """Candidates and costs, best first, after changes of the best ones while that helps.
+    def run(self, starts: FloatArray, *, spend: Callable[[float], None]) -> tuple[Tensor, Tensor]:
+        """Candidates and costs, best first, from paths (N, K, 2), draws and random walks."""
+        samples = self.measure.draw(_DRAWS, knots=self.knots, rng=self.rng)
+        walks = _usual_walks(self.rng, self.knots, _LONE_WALKS)
+        x = self.registered(self.pack(np.concatenate([starts, samples, walks])))
+        x, _ = self.best(self.beside_photos(0), x, steps=4, keep=32)
+        x, _ = self.best(self.beside_photos(1), x, steps=4, keep=12)
+        x, costs = self.best(self.beside_photos(2), x, steps=4, keep=_POPULATION)
+        spend(0.2)
+        return self.evolved(x, costs, spend=lambda s: spend(0.8 * s))
 
-    Stretches of the best paths are led through the light that the rest of them leaves, drawn anew
-    between their ends, turned, or taken from each other.
-    """
-    coarse: list[Term] = [fit.scenes[0], fit.loose]
-    middle: list[Term] = [fit.scenes[1], fit.stiff]
-    fine: list[Term] = [fit.scenes[2], fit.stiff]
-    idle_rounds = 0
-    for index in range(_WIDE_ROUNDS):
-        new = fit.registered(
-            fit.pack(
-                _children_of(
-                    fit.paths(x),
-                    _usual_walks(rng, fit.knots, _CHILDREN),
-                    measure=measure,
-                    rng=rng,
-                )
+    def evolved(
+        self, x: Tensor, costs: Tensor, *, spend: Callable[[float], None]
+    ) -> tuple[Tensor, Tensor]:
+        """Candidates and costs, best first, after changes of the best ones while that helps."""
+        idle_rounds = 0
+        for index in range(_WIDE_ROUNDS):
+            new = self.registered(self.pack(self._children(self.paths(x))))
+            new, _ = self.best(self.beside_photos(0), new, steps=2, keep=20)
+            new, _ = self.best(self.beside_photos(1), new, steps=3, keep=8)
+            new, new_costs = descend(self.beside_photos(2), new, steps=4)
+            least_cost = float(costs.min())
+            x, costs = self.distinct(
+                torch.cat([x, new]), torch.cat([costs, new_costs]), keep=_POPULATION
             )
-        )
-        new, _ = fit.best(coarse, new, steps=2, keep=20)
-        new, _ = fit.best(middle, new, steps=3, keep=8)
-        new, new_costs = descend(fine, new, steps=4)
-        least_cost = float(costs.min())
-        x, costs = fit.distinct(
-            torch.cat([x, new]), torch.cat([costs, new_costs]), keep=_POPULATION
-        )
-        idle_rounds = 0 if float(costs[0]) < _WIDE_IMPROVED * least_cost else idle_rounds + 1
-        spend(1 / _WIDE_ROUNDS)
-        if idle_rounds == _WIDE_PATIENCE:
-            spend((_WIDE_ROUNDS - 1 - index) / _WIDE_ROUNDS)
-            break
-    return x, costs
+            idle_rounds = 0 if float(costs[0]) < _WIDE_IMPROVED * least_cost else idle_rounds + 1
+            spend(1 / _WIDE_ROUNDS)
+            if idle_rounds == _WIDE_PATIENCE:
+                spend((_WIDE_ROUNDS - 1 - index) / _WIDE_ROUNDS)
+                break
+        return x, costs
 
+    def _children(self, paths: FloatArray) -> FloatArray:
+        """Change parents drawn from (N, K, 2), the first likelier.
 
-def _children_of(
-    paths: FloatArray, walks: FloatArray, *, measure: PathMeasure, rng: np.random.Generator
-) -> FloatArray:
-    """Change parents drawn from (N, K, 2), the first likelier, one for each walk."""
-    chance = np.exp(-0.3 * np.arange(len(paths)))
-    parents = rng.choice(len(paths), len(walks), p=chance / chance.sum())
-    reroute_share, loop_share, crossing_share = _KIND_SHARES
-    children = []
-    for path, walk in zip(paths[parents], walks, strict=True):
-        kind = rng.random()
-        child = None
-        if kind < reroute_share:
-            child = measure.rerouted(path, rng=rng)
-        elif kind < loop_share:
-            child = loop_reversals(path, count=1, rng=rng)[0]
-        elif kind < crossing_share:
-            child = crossed(path, paths[rng.integers(len(paths))], rng=rng)
-        children.append(bridged(path, walk, rng=rng) if child is None else child)
-    return np.stack(children)
+        A stretch is led through the light that the rest of the path leaves, a loop is turned, a
+        stretch of another path taken, or one drawn anew between its ends.
+        """
+        rng = self.rng
+        walks = _usual_walks(rng, self.knots, _CHILDREN)
+        chance = np.exp(-0.3 * np.arange(len(paths)))
+        parents = rng.choice(len(paths), len(walks), p=chance / chance.sum())
+        children = []
+        for path, walk in zip(paths[parents], walks, strict=True):
+            kind = rng.random()
+            child = None
+            if kind < _REROUTED:
+                child = self.measure.rerouted(path, rng=rng)
+            elif kind < _REROUTED + _TURNED:
+                child = loop_reversals(path, count=1, rng=rng)[0]
+            elif kind < _REROUTED + _TURNED + _CROSSED:
+                child = crossed(path, paths[rng.integers(len(paths))], rng=rng)
+            children.append(bridged(path, walk, rng=rng) if child is None else child)
+        return np.stack(children)
 
 
 def _usual_walks(rng: np.random.Generator, knots: int, count: int) -> FloatArray:

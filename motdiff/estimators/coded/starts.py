@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from motdiff.metrics import register_shift
@@ -59,27 +60,20 @@ def decoded_paths(
     ----------
     Scott, "Bayesian methods for hidden Markov models", JASA 97, 2002 (the sampling).
     """
-    size = max(len(kernel) for kernel in kernels)
-    light = [np.mean(np.array(list(code), dtype=np.float64)) for code in codes]
-    soft = [
-        share * ndimage.gaussian_filter(in_frame(kernel / kernel.sum(), size), _BLUR_PX)
-        for kernel, share in zip(kernels, light, strict=True)
-    ]
-    aligned = [soft[0]]
-    for i, kernel in enumerate(soft[1:], 1):
-        shift = register_shift(soft[0], kernel) if shifts is None else shifts[0] - shifts[i]
-        aligned.append(np.maximum(ndimage.shift(kernel, shift[::-1], order=1), 0))
-    support = soft[0] > _FAINT * soft[0].max()
+    aligned = light_on_first(kernels, codes, blur_px=_BLUR_PX, shifts=shifts)
+    brightest = aligned[0]
+    support = brightest > _FAINT * brightest.max()
     rows, columns = np.nonzero(support)
     steps = knots - 1
     times = (np.arange(steps) + 0.5) / steps
-    score = np.tile(_EMISSION * np.log(soft[0][support] / soft[0].max()), (steps, 1))
-    for code, share, kernel in zip(codes, light, aligned, strict=True):
-        if share == 1:
+    score = np.tile(_EMISSION * np.log(brightest[support] / brightest.max()), (steps, 1))
+    for code, kernel, is_open in zip(codes, aligned, open_at(codes, times), strict=True):
+        if "0" not in code:
             continue  # open throughout, it says nothing of time
-        p_open = np.clip(kernel[support] / soft[0][support] * light[0], _DOUBT, 1 - _DOUBT)
-        is_open = np.array(list(code))[(times * len(code)).astype(np.intp)] == "1"
-        score += np.where(is_open[:, None], np.log(p_open), np.log(1 - p_open))
+        p_open = np.clip(
+            kernel[support] / brightest[support] * _open_share(codes[0]), _DOUBT, 1 - _DOUBT
+        )
+        score += np.where(is_open[:, None] == 1, np.log(p_open), np.log(1 - p_open))
     emission = np.exp(score - score.max(axis=1, keepdims=True))
     step_px = length_px / steps
     distance = np.hypot(rows[:, None] - rows, columns[:, None] - columns)
@@ -90,19 +84,59 @@ def decoded_paths(
     for k in range(1, steps):
         forward[k] = (forward[k - 1] @ transition) * emission[k]
         forward[k] /= forward[k].sum()
-    points = np.stack([columns, rows], axis=1) - float(size // 2)
+    points = np.stack([columns, rows], axis=1) - float(len(brightest) // 2)
     state = rng.choice(len(points), size=count, p=forward[-1])
     states = [state]
     for k in range(steps - 2, -1, -1):
-        # inverse transform of p(state_k | state_k+1); rounding may pass the last one
-        cdf = np.cumsum(forward[k] * transition[:, state].T, axis=1)
-        state = (cdf < rng.random((count, 1)) * cdf[:, -1:]).sum(axis=1)
-        state = np.minimum(state, len(points) - 1)
+        state = draw_index(forward[k] * transition[:, state].T, rng)  # p(state_k | state_k+1)
         states.append(state)
     smooth = ndimage.gaussian_filter1d(points[np.array(states[::-1])], 1.5, axis=0, mode="nearest")
     knot_times = np.linspace(0, 1, knots)
     paths = [interpolated(knot_times, times, smooth[:, i]).T for i in range(count)]
     return np.stack(paths).swapaxes(1, 2)  # sums over this layout keep the published digits
+
+
+def light_on_first(
+    kernels: Sequence[FloatArray],
+    codes: Sequence[str],
+    *,
+    blur_px: float,
+    shifts: FloatArray | None = None,
+) -> FloatArray:
+    """Kernels (I, S, S) with the light of their codes, blurred, and shifted onto the first one.
+
+    Parameters
+    ----------
+    shifts : (I, 2) float, optional
+        As of :func:`decoded_paths`.
+    """
+    size = max(len(kernel) for kernel in kernels)
+    soft = [
+        _open_share(code) * ndimage.gaussian_filter(in_frame(kernel / kernel.sum(), size), blur_px)
+        for kernel, code in zip(kernels, codes, strict=True)
+    ]
+    aligned = [soft[0]]
+    for i, kernel in enumerate(soft[1:], 1):
+        shift = register_shift(soft[0], kernel) if shifts is None else shifts[0] - shifts[i]
+        aligned.append(np.maximum(ndimage.shift(kernel, shift[::-1], order=1), 0))
+    return np.stack(aligned)
+
+
+def open_at(codes: Sequence[str], times: FloatArray) -> FloatArray:
+    """Whether each code is open, 1 or 0, at times (T,) of the exposure, 0..1: (I, T)."""
+    return np.stack(
+        [
+            np.array(list(code), dtype=np.float64)[(times * len(code)).astype(np.intp)]
+            for code in codes
+        ]
+    )
+
+
+def draw_index(weights: FloatArray, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Draw an index for each row of weights (N, M), by inverse transform."""
+    cdf = np.cumsum(weights, axis=1)
+    index = (cdf < rng.random((len(cdf), 1)) * cdf[:, -1:]).sum(axis=1)
+    return np.asarray(np.minimum(index, weights.shape[1] - 1))  # rounding may pass the last one
 
 
 def with_knots(paths: FloatArray, knots: int) -> FloatArray:
@@ -188,6 +222,10 @@ def _replaced(path: FloatArray, stretch: FloatArray, start: int) -> FloatArray:
     child = path.copy()
     child[start : stop + 1] = stretch + (1 - share) * gap_start + share * gap_stop
     return child
+
+
+def _open_share(code: str) -> float:
+    return code.count("1") / len(code)
 
 
 def _overlap(a: tuple[int, int], b: tuple[int, int]) -> bool:
