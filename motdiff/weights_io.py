@@ -1,4 +1,4 @@
-"""Weights files: float16 tensors in safetensors, described by a header."""
+"""Weights files: tensors of 8 bits and float16 in safetensors, described by a header."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from torch import Tensor, nn
 
     _Network = TypeVar("_Network", bound=nn.Module)
+
+_STEP = ".step"
+_SMALLEST_WEIGHT = 1e-30  # a filter may be all zeros
 
 
 def read_header(path: Path | str) -> dict[str, str]:
@@ -79,19 +82,14 @@ def halved(state: Mapping[str, Tensor], *, source: Path | str) -> dict[str, Tens
     return tensors
 
 
-def write_with_card(
-    state: Mapping[str, Tensor],
-    target: Path | str,
-    *,
-    schema: str,
-    card: Mapping[str, Any],
-    source: Path | str,
-) -> int:
-    """Write a network's state as float16 with a JSON card under its schema; returns the bytes.
+def packed(state: Mapping[str, Tensor], *, source: Path | str) -> dict[str, Tensor]:
+    """Pack a network's state in half the bytes of :func:`halved`: matrices and filters in 8 bits.
+
+    The weights of each output are whole multiples, -127 to 127, of a step of its own, which is
+    stored under the tensor's name and ".step". Biases and norms stay float16.
 
     Parameters
     ----------
-    target : .safetensors file to write
     source : path
         Name in error messages.
 
@@ -100,19 +98,47 @@ def write_with_card(
     ValueError
         If float16 cannot hold a value.
     """
+    tensors = halved(state, source=source)
+    for name, tensor in state.items():
+        # of biases and norms there are few, and no sum averages their errors out
+        if tensor.is_floating_point() and tensor.ndim > 1:
+            largest = tensor.float().abs().amax(dim=tuple(range(1, tensor.ndim)), keepdim=True)
+            step = largest.clamp(min=_SMALLEST_WEIGHT) / 127
+            tensors[name] = (tensor / step).round().char().contiguous()
+            tensors[name + _STEP] = step
+    return tensors
+
+
+def write_with_card(
+    tensors: Mapping[str, Tensor], target: Path | str, *, schema: str, card: Mapping[str, Any]
+) -> int:
+    """Write tensors, halved or packed, with a JSON card under their schema; returns the bytes.
+
+    Parameters
+    ----------
+    target : .safetensors file to write
+    """
     from safetensors.torch import save
 
     # safetensors shuffles a header's entries: one alone gives the same bytes for the same run
-    data = save(halved(state, source=source), {schema: json.dumps(card)})
+    data = save(dict(tensors), {schema: json.dumps(card)})
     write_bytes(Path(target), data)
     return len(data)
 
 
 def read_tensors(path: Path | str) -> dict[str, Tensor]:
-    """Read the tensors of a weights file, those of floating point as float32."""
+    """Read the tensors of a weights file, packed or not, those of floating point as float32."""
     with safe_open(str(path), framework="pt") as file:
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, not a dict
-    return {name: t.float() if t.is_floating_point() else t for name, t in tensors.items()}
+        stored = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, not a dict
+    tensors = {}
+    for name, tensor in stored.items():
+        if name + _STEP in stored:
+            tensors[name] = tensor.float() * stored[name + _STEP]
+        elif name.removesuffix(_STEP) in stored and name.endswith(_STEP):
+            continue
+        else:
+            tensors[name] = tensor.float() if tensor.is_floating_point() else tensor
+    return tensors
 
 
 def filled(network: _Network, path: Path | str, *, schema: str) -> _Network:

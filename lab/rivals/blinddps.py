@@ -33,7 +33,7 @@ from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.from_kernel import estimate_from_kernel
 from motdiff.files.inputs import one_line
 from motdiff.training.simulation import blurred
-from motdiff.weights_io import filled, read_card, write_with_card
+from motdiff.weights_io import filled, halved, read_card, write_with_card
 
 _SCHEMA = "motdiff.prior/1"
 _IMAGE = "image.safetensors"
@@ -200,7 +200,8 @@ def write_prior(state: Mapping[str, Tensor], target: Path | str, config: AdmConf
         network.load_state_dict(dict(state), assign=True)
     except RuntimeError as error:
         raise ValueError(f"{target}: these tensors do not fit a network of {config}") from error
-    return write_with_card(state, target, schema=_SCHEMA, card=asdict(config), source=target)
+    tensors = halved(state, source=target)
+    return write_with_card(tensors, target, schema=_SCHEMA, card=asdict(config))
 
 
 def linear_alpha_bar() -> tuple[float, ...]:

@@ -16,7 +16,7 @@ from motdiff.files.outputs import write_bytes
 from motdiff.network import MotDiffNetwork, NetworkConfig, PathNetwork, build_network
 from motdiff.training.checkpoint import read_checkpoint
 from motdiff.weights.correction import CORRECTION_WEIGHTS
-from motdiff.weights_io import halved, read_header, read_tensors
+from motdiff.weights_io import packed, read_header, read_tensors
 
 __all__ = [
     "DEFAULT_WEIGHTS",
@@ -55,7 +55,7 @@ def export_weights(
     card: Mapping[str, object] | None = None,
     validation_mnc: float | None = None,
 ) -> int:
-    """Write the averaged weights of a run as float16, with its configuration in the header.
+    """Write the averaged weights of a run, with its configuration in the header.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def export_weights(
     if trained is None:
         raise ValueError(f"{checkpoint}: holds no checkpoint")
     # ema: exponential moving averages of the weights over the steps
-    tensors = halved(trained.under("ema."), source=checkpoint)
+    tensors = packed(trained.under("ema."), source=checkpoint)
     if offset and _OUTPUT_BIAS not in tensors:
         raise ValueError(f"offset: must be 0 for weights without a denoiser, got {offset:g}")
     if offset:

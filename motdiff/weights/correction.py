@@ -1,4 +1,4 @@
-"""Weights file of the correction of searched kernels, float16."""
+"""Weights file of the correction of searched kernels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor
 
 from motdiff import weights_io
 from motdiff.network.correction import CorrectionNetwork
-from motdiff.weights_io import filled, write_with_card
+from motdiff.weights_io import filled, packed, write_with_card
 
 SCHEMA = "motdiff.correction/1"
 CORRECTION_WEIGHTS = Path(__file__).with_name("correction.safetensors")
@@ -20,7 +20,7 @@ CORRECTION_WEIGHTS = Path(__file__).with_name("correction.safetensors")
 def write_correction(
     state: Mapping[str, Tensor], target: Path | str, *, about: Mapping[str, Any]
 ) -> int:
-    """Write a network's weights as float16; returns the bytes.
+    """Write a network's weights; returns the bytes.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def write_correction(
     ValueError
         If float16 cannot hold them.
     """
-    return write_with_card(state, target, schema=SCHEMA, card=about, source=target)
+    return write_with_card(packed(state, source=target), target, schema=SCHEMA, card=about)
 
 
 def read_card(path: Path | str = CORRECTION_WEIGHTS) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from torch import Tensor
 from cep.restoration.denoiser.network import DenoisingNetwork
 from motdiff import weights_io
 from motdiff.types import FloatArray
-from motdiff.weights_io import filled, write_with_card
+from motdiff.weights_io import filled, halved, write_with_card
 
 SCHEMA = "cep.denoiser/1"
 SHIPPED = Path(__file__).with_name("denoiser.safetensors")
@@ -38,7 +38,7 @@ def write_weights(
     ValueError
         If float16 cannot hold them.
     """
-    return write_with_card(state, target, schema=SCHEMA, card=about, source=target)
+    return write_with_card(halved(state, source=target), target, schema=SCHEMA, card=about)
 
 
 def read_card(path: Path | str = SHIPPED) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from motdiff import weights_io
 from motdiff.files.inputs import one_line
 from motdiff.training.checkpoint import read_checkpoint
 from motdiff.types import FloatArray
-from motdiff.weights_io import filled, write_with_card
+from motdiff.weights_io import filled, halved, write_with_card
 
 SCHEMA = "cep.dce/1"
 WEIGHTS = Path(__file__).with_name("dce.safetensors")
@@ -144,6 +144,5 @@ def export_weights(
         "seconds": round(stored.seconds),
         "notes": dict(notes or {}),
     }
-    return write_with_card(
-        stored.under("model."), target, schema=SCHEMA, card=card, source=checkpoint
-    )
+    tensors = halved(stored.under("model."), source=checkpoint)
+    return write_with_card(tensors, target, schema=SCHEMA, card=card)

@@ -30,7 +30,10 @@ def test_weights_are_read_as_they_were_written(tmp_path):
     found = load_correction(tmp_path / "c.safetensors")
     assert not found.training
     for name, value in network.state_dict().items():
-        torch.testing.assert_close(found.state_dict()[name], value, atol=1e-3, rtol=1e-3)
+        # 8 bits: half of a 127th of the filter's largest weight
+        largest = value.abs().flatten(1).amax(dim=1) if value.ndim > 1 else value.abs()
+        bound = largest.view(-1, *(1,) * (value.ndim - 1)) / 254 + 1e-3 * value.abs() + 1e-6
+        assert ((found.state_dict()[name] - value).abs() <= bound).all()
 
 
 def test_other_files_are_refused(tmp_path):

@@ -88,7 +88,16 @@ def refused(call, file, said):
 # ---- there and back
 
 
-def test_the_averaged_weights_come_back_to_half_precision(trained, exported):
+def error_bound(weights):
+    """Half a step of 8 bits, a 127th of each filter's largest weight; of others float16's."""
+    bound = weights.abs() * 2**-11 + 2**-25
+    if weights.ndim > 1:
+        largest = weights.abs().amax(dim=tuple(range(1, weights.ndim)), keepdim=True)
+        bound = bound + largest / 254
+    return bound
+
+
+def test_the_averaged_weights_come_back_to_the_precision_of_the_file(trained, exported):
     trainer, _ = trained
     network = load_network(exported)
     expected = trainer.average.state_dict()
@@ -96,7 +105,10 @@ def test_the_averaged_weights_come_back_to_half_precision(trained, exported):
     assert found.keys() == expected.keys()
     for name, tensor in expected.items():
         assert found[name].dtype == tensor.dtype
-        torch.testing.assert_close(found[name], tensor, rtol=2**-11, atol=2**-25)
+        if tensor.is_floating_point():
+            assert ((found[name] - tensor).abs() <= error_bound(tensor)).all()
+        else:
+            assert torch.equal(found[name], tensor)
     differ = [
         name
         for name, now in trainer.network.state_dict().items()
@@ -158,7 +170,10 @@ def test_a_run_of_the_same_network_goes_on_from_all_weights_without_their_offset
     expected = trained[0].average.state_dict()
     for network in (begun.network, begun.average):
         for name, tensor in network.state_dict().items():
-            torch.testing.assert_close(tensor, expected[name], rtol=2**-10, atol=2**-10)
+            if tensor.is_floating_point():
+                # the output's bias lost its offset and got it back in float16
+                bound = error_bound(expected[name]) + 2**-10
+                assert ((tensor - expected[name]).abs() <= bound).all()
 
 
 def test_weights_remember_all_runs_that_led_to_them(trained, tmp_path):
@@ -227,10 +242,15 @@ def test_a_card_may_be_left_out(trained, tmp_path):
     assert size == (tmp_path / "w.safetensors").stat().st_size
 
 
-def test_the_file_holds_half_the_bytes_and_nothing_of_adam(trained, exported):
+def test_the_file_holds_a_quarter_of_the_bytes_and_nothing_of_adam(trained, exported):
+    state = trained[0].average.state_dict()
     stored = load_file(exported)
-    assert stored.keys() == trained[0].average.state_dict().keys()
-    assert {tensor.dtype for tensor in stored.values()} == {torch.float16, torch.int64}
+    assert {name.removesuffix(".step") for name in stored} == state.keys()
+    for name, tensor in state.items():
+        filters = tensor.is_floating_point() and tensor.ndim > 1
+        assert (stored[name].dtype == torch.int8) == filters
+    whole = sum(tensor.nbytes for tensor in state.values())
+    assert sum(tensor.nbytes for tensor in stored.values()) < 0.35 * whole
 
 
 def test_the_same_run_gives_the_same_bytes(trained, tmp_path):
