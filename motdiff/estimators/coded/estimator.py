@@ -27,12 +27,10 @@ _FIT_SHARE = 0.55  # the search of the path
 # (docs/decisions/motion-estimation.md): of one photo; of two and of more, where two searches ended
 # at it and the next path is dearer, where they ended at it, and else
 _ONE_PHOTO = 0.05
-_SHARES_OF_TWO = (0.9, 0.6, 0.2)
+_SHARES_OF_TWO = (0.9, 0.8, 0.6)
 _SHARES_OF_MORE = (0.95, 0.8, 0.25)
 _SHARE_CLEAR = 0.97  # three photos or more whose next path is much dearer
 _ERROR_RATIO = 2.8  # of true to computed error
-_TWO_VAGUE = 0.3  # two photos whose path has a large expected error, and a next path as good
-_VAGUE_PX = 0.25  # expected error from which a path counts as vague
 _DEARER = 100.0  # of the next path's cost
 # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
 _KERNELS_ALONE = 0.3
@@ -195,11 +193,4 @@ def _order_probability(
         share = shares[2 if times < 2 else int(gap < _DEARER)]
         if photos > 2 and gap > CLEAR_GAP:
             share = _SHARE_CLEAR
-        elif photos == 2 and gap < _DEARER and _is_vague(best):
-            share = min(share, _TWO_VAGUE)
     return share * explained_share(best.misfit)
-
-
-def _is_vague(path: CandidatePath) -> bool:
-    """Whether a path has a large expected error, as on scenes of little texture."""
-    return bool(_ERROR_RATIO * np.sqrt((path.deviation_px**2).mean()) > _VAGUE_PX)
