@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from scipy import fft, ndimage
+from skimage import data
 
-from cep.restoration.blur import Blur, power_law
+from cep.restoration.blur import Blur, extended_shape, membrane_extension, power_law
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
@@ -130,3 +131,47 @@ def test_single_precision_errs_by_its_rounding():
     x = single.nearest(photo, z, 0.05, rounds=20)
     assert x.dtype == np.float32
     np.testing.assert_allclose(x, double.nearest(photo, z, 0.05, rounds=20), atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def photo():
+    return ((data.camera() / 255.0) ** 2.2)[100:180, 90:190]
+
+
+@pytest.mark.parametrize("psf_shape", [(1, 1), (17, 17), (1, 41), (41, 3)])
+def test_extended_shape_leaves_a_gap_and_suits_the_fft(psf_shape):
+    shape = extended_shape((97, 210), psf_shape)
+    for side, reach, size in zip((97, 210), psf_shape, shape, strict=True):
+        assert size - side >= reach - 1
+        assert fft.next_fast_len(size, real=True) == size
+
+
+def test_membrane_keeps_the_photo_and_is_harmonic_in_each_tile(photo):
+    height, width = photo.shape
+    extended = membrane_extension(photo, (100, 120))
+    np.testing.assert_array_equal(extended[:height, :width], photo)
+    laplacian = (
+        sum(np.roll(extended, s, a) for s, a in ((1, 0), (-1, 0), (1, 1), (-1, 1))) - 4 * extended
+    )
+    for rows, columns in (
+        (slice(height, None), slice(1, width - 1)),
+        (slice(1, height - 1), slice(width, None)),
+        (slice(height, None), slice(width, None)),
+    ):
+        assert np.abs(laplacian[rows, columns]).max() < 1e-9
+    assert photo.min() <= extended.min()
+    assert extended.max() <= photo.max()
+
+
+def test_membrane_steps_across_the_seam_are_as_small_as_inside(photo):
+    extended = membrane_extension(photo, (100, 120))
+    around = (
+        np.abs(extended[0] - extended[-1]).mean(),
+        np.abs(extended[:, 0] - extended[:, -1]).mean(),
+    )
+    naive = np.abs(photo[0] - photo[-1]).mean(), np.abs(photo[:, 0] - photo[:, -1]).mean()
+    assert max(around) < 0.3 * min(naive)
+
+
+def test_no_gap_changes_nothing(photo):
+    np.testing.assert_array_equal(membrane_extension(photo, photo.shape), photo)
