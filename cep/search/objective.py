@@ -18,7 +18,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.response import open_time
 from cep.optics.scene import inverse_scene, noise_variance
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
-from cep.search.objectives.criterion import Spectrum
+from cep.search.objectives import Spectrum
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_rows
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cep.compiled import compiled
 from cep.search.annealing.terms import BLOCK, SMALLEST, Tables, decibels, sums_over
-from cep.search.objectives.criterion import FLATNESS, STEEP
+from cep.search.objectives import FLATNESS, STEEP
 
 Floats = NDArray[np.float32]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cep.compiled import compiled, inlined
 from cep.search.objective import Objective
-from cep.search.objectives.criterion import FLATNESS, NO_TERM, RECIPROCAL, STEEP, Columns
+from cep.search.objectives import FLATNESS, NO_TERM, RECIPROCAL, STEEP, Columns
 from cep.search.problem import SearchProblem
 from motdiff.types import FloatArray
 
