@@ -1,10 +1,13 @@
-"""The motion in each photo of a folder: ``cep calibrate FOLDER``."""
+"""The motion in each photo of a folder: ``cep calibrate FOLDER``.
+
+Which of its files are photos, which sharp photo belongs to each, and what is written of each.
+"""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,19 +15,14 @@ from typing import Any
 
 from joblib import cpu_count
 
-from cep.calibration.calibrate import (
-    CALIBRATION_FILES,
-    Calibration,
-    check_method,
-)
-from cep.calibration.folder_photos import photos_in, printable_name, sharp_of, unreadable
+from cep.calibration.calibrate import CALIBRATION_FILES, Calibration, check_method
 from cep.calibration.folder_processes import (
     PhotoEstimate,
     PhotoTask,
     content_hash,
     estimate_photos,
 )
-from cep.files.images import parse_gamma, read_image, read_photo
+from cep.files.images import PHOTO_SUFFIXES, parse_gamma, read_image, read_photo
 from cep.files.tables import csv_lines
 from motdiff.estimators.registry import METHODS
 from motdiff.files.json_files import plain
@@ -151,9 +149,9 @@ def calibrate_folder(
     claim_folder(output, [_SUMMARY], force=force)
     for photo in photos:
         claim_folder(output / photo.stem, CALIBRATION_FILES, force=force)
-    by_label = {printable_name(photo): photo for photo in photos}
+    by_label = {_printable_name(photo): photo for photo in photos}
     failures = {
-        label: reason for label, photo in by_label.items() if (reason := unreadable(photo))
+        label: reason for label, photo in by_label.items() if (reason := _unreadable(photo))
     }
     tasks = {}
     for label, photo in by_label.items():
@@ -168,6 +166,95 @@ def calibrate_folder(
         for label in run.failures:
             _discard(output / by_label[label].stem)
     return run.results(list(by_label))
+
+
+def photos_in(folder: Path | str, *, but: Path | None = None) -> tuple[Path, ...]:
+    """List the photos of a folder, sorted: no hidden files, no subfolders, no pictures of PSFs.
+
+    A ``NAME_psf.png`` beside ``NAME_psf.npy`` is what ``cep simulate`` writes beside a photo.
+
+    Parameters
+    ----------
+    folder : Path
+    but : Path, optional
+        A photo that is left out.
+
+    Raises
+    ------
+    ValueError
+        If there are none, or two would have the same name without its suffix.
+    """
+    root = Path(folder)
+    photos = [
+        path
+        for path in sorted(root.iterdir())  # file systems have orders of their own
+        if path.suffix.lower() in PHOTO_SUFFIXES
+        and not path.name.startswith(".")
+        and not (path.name.endswith("_psf.png") and path.with_suffix(".npy").is_file())
+        # a link that leads nowhere is reported as a failure, not passed over
+        and (path.is_file() or not path.exists())
+        # the sharp photo may lie among the blurred ones
+        and not (but is not None and path.exists() and path.samefile(but))
+    ]
+    if not photos:
+        raise ValueError(
+            f"{root}: holds no photos (.png, .tif, .jpg, .webp or RAW files; subfolders are left"
+            " alone)"
+        )
+    by_stem: dict[str, Path] = {}
+    for path in photos:
+        # some file systems do not tell A from a
+        namesake = by_stem.setdefault(path.stem.casefold(), path)
+        if namesake is not path:
+            raise ValueError(
+                f"{root}: {namesake.name} and {path.name} would be written to one folder"
+                f" {path.stem}; rename one of them"
+            )
+    return tuple(photos)
+
+
+def sharp_of(photos: Iterable[Path], sharp: Path | str) -> dict[Path, Path]:
+    """Find the sharp photo of each blurred one: the same for all, or of the same name in a folder.
+
+    Parameters
+    ----------
+    photos : iterable of Path
+    sharp : Path
+        A photo, or a folder with a photo for each.
+
+    Raises
+    ------
+    ValueError
+        If the folder lacks one; the line names it.
+    """
+    root = Path(sharp)
+    if not root.is_dir():
+        return dict.fromkeys(photos, root)
+    by_stem = {path.stem: path for path in photos_in(root)}
+    pairs = {}
+    for photo in photos:
+        if photo.stem not in by_stem:
+            raise ValueError(f"{root}: holds no sharp photo named {photo.stem}, for {photo}")
+        pairs[photo] = by_stem[photo.stem]
+    return pairs
+
+
+def _unreadable(photo: Path) -> str:
+    """Say why a photo cannot even be opened, or its name not be written; empty where both can."""
+    try:
+        photo.name.encode("utf-8")  # Python keeps other bytes as lone surrogates
+    except UnicodeEncodeError:
+        return "the name is no UTF-8, rename it"
+    try:
+        photo.open("rb").close()
+    except OSError as error:
+        return error.strerror or str(error)
+    return ""
+
+
+def _printable_name(photo: Path) -> str:
+    """Return the photo's name as it can be printed, whatever bytes it has."""
+    return photo.name.encode("utf-8", "backslashreplace").decode()
 
 
 class _Run:

@@ -19,10 +19,7 @@ from typing import Any
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-from cep.calibration.calibrate import (
-    estimate_motion,
-    read_options,
-)
+from cep.calibration.calibrate import estimate_motion, read_options
 from cep.files.images import read_photo
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.registry import blind_methods

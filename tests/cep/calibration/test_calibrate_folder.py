@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from cep.calibration.calibrate import CALIBRATION_FILES, Calibration
-from cep.calibration.calibrate_folder import calibrate_folder
-from cep.calibration.folder_photos import photos_in, sharp_of
+from cep.calibration.calibrate_folder import calibrate_folder, photos_in, sharp_of
 from cep.commands.console import FAILURE, INTERRUPTED
 from cep.files import images
 from cep.files.images import write_image
