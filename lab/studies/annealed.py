@@ -17,7 +17,7 @@ import numpy as np
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
 from cep.search.annealing.anneal import SearchResult, anneal
-from cep.search.bundled import proven_optimum
+from cep.search.optima import proven_optimum
 from cep.search.problem import SearchProblem
 
 CHIPS = (40, 41, 42, 43, 44, 45, 46, 47, 48, 52)

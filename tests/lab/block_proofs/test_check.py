@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cep.codes.optima import OPTIMA
+from cep.search.optima import OPTIMA
 from lab.block_proofs.blocks import VERSION, judge_block, plan_blocks
 from lab.block_proofs.check import _check_block, verify_proof
 from lab.block_proofs.proof_file import SCHEMA

@@ -10,8 +10,8 @@ import pytest
 from children import child
 from emulators.cluster import cluster_in, killing_one
 
-from cep.codes.optima import OPTIMA
 from cep.search.exhaustive.exact import exact
+from cep.search.optima import OPTIMA
 from cep.search.problem import SearchProblem
 from lab.block_proofs import prove as module
 from lab.block_proofs.blocks import plan_blocks

@@ -14,9 +14,9 @@ from cep.search.annealing.anneal import anneal
 from cep.search.annealing.chains import Crew
 from cep.search.annealing.sweeps import Sweeps, sweep, sweep_tables, swept
 from cep.search.annealing.terms import lay_out
-from cep.search.bundled import proven_optimum
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
+from cep.search.optima import proven_optimum
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
