@@ -2,7 +2,7 @@
 
     python -m lab.studies.named_scenes
 
-Prints the fit of each scene (`cep.photographs.spectra.fitted_scene`) and the mean distance of its
+Prints the fit of each scene (`cep.photographs.scene_photo.fitted_scene`) and the mean distance of its
 bands' levels from the fit: `text`, 12 pages of 256 x 256 px set in DejaVu Sans of 10 to 40 px to the
 em, ink 0.05 and paper 0.7 of full scale, through a lens of 0.5 px rms and square pixels; `texture`,
 four windows of 256 px each of scikit-image's brick, grass and gravel; `flat-part`, the quarter of the
@@ -16,9 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cep.photographs.scene_photo import windows
+from cep.photographs.scene_photo import band_levels, fitted_levels, fitted_scene, windows
 from cep.photographs.scenes import photographs
-from cep.photographs.spectra import band_levels, fitted_levels, fitted_scene
 from motdiff.simulate import to_linear
 from motdiff.types import FloatArray
 

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from cep.photographs.scene_photo import BANDS, band_levels
 from cep.photographs.scenes import photographs
-from cep.photographs.spectra import BANDS, band_levels
 from lab.photo_gains.photographs import load_scenes
 
 SIDE_PX = 300  # of a folder's

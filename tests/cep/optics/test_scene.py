@@ -6,8 +6,8 @@ import pytest
 from cep.optics.band import circle_samples
 from cep.optics.camera import Camera
 from cep.optics.scene import PHOTO, inverse_scene, noise_variance
+from cep.photographs.scene_photo import BANDS, band_levels
 from cep.photographs.scenes import photographs
-from cep.photographs.spectra import BANDS, band_levels
 
 
 def test_the_law_has_its_level_and_slopes():
