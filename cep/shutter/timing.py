@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from cep.optics.camera import Camera as CameraProfile
+from cep.plots.camera import exposure_window_figure
 from cep.plots.canvas import save as save_figure
-from cep.plots.timing import exposure_window_figure
 from cep.shutter.exposure_fit import ExposureTiming, Flashes
 from cep.shutter.exposure_sweep import (
     MOST_FRAMES,
