@@ -244,7 +244,7 @@ def _photos(options: ShootOptions) -> None:
     lines = [_headline(files, shots)]
     result: dict[str, object] = {"photos": files, **last.record.to_dict(), "restored": restored}
     if len(shots) > 1:
-        from cep.shutter.repeatability import repeatability
+        from cep.shutter.shoot import repeatability
 
         alike = repeatability([shot.record.light(shot.frame.values) for shot in shots])
         result["repeatability"] = alike

@@ -18,8 +18,7 @@ from cep.shutter.belt import play_on_triggers
 from cep.shutter.cameras import CAMERAS
 from cep.shutter.exposure_plan import ShotSettings
 from cep.shutter.release import Release
-from cep.shutter.repeatability import repeatability
-from cep.shutter.shoot import open_rig, shoot
+from cep.shutter.shoot import open_rig, repeatability, shoot
 from cep.shutter.twin import code_values
 from cep.shutter.wiring import wiring, wiring_lines
 from hw.cameras.camera import Frame, FrameLostError
