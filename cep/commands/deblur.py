@@ -215,7 +215,7 @@ def deblur(options: DeblurOptions) -> None:
         # the photo fits the curve on which it was searched
         is_curved = photo.bits < 32 and options.image.suffix.lower() not in RAW_SUFFIXES
         if record is None and is_curved and options.gamma == "srgb" and not is_blind:
-            from cep.restoration.tone import looks_linear
+            from cep.restoration.sharpen import looks_linear
 
             if looks_linear(photo.pixels, restored.psf):
                 warnings.append(
