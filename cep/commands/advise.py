@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.commands.code_options import Device, Direction, Exposure, chips_option, exposure_seconds
+from cep.commands.code_options import Device, Exposure, chips_option, exposure_seconds
 from cep.commands.console import Page, Table, announce, finish, part, progress
 from cep.commands.options import (
     CameraOptions,
@@ -50,7 +50,6 @@ class AdviseOptions(CommonOptions, CameraOptions, SceneOptions, MotionOptions):
             " chip time sets the exposure.",
         ),
     ] = None
-    direction: Direction = "auto"
     device: Device = None
     path_error: Annotated[
         float | None,
@@ -117,7 +116,6 @@ class AdviseOptions(CommonOptions, CameraOptions, SceneOptions, MotionOptions):
 
         exposure_s: float | None = exposure_seconds(self.exposure) or ASSUMED_EXPOSURE_S
         fields: ProblemFields = {
-            "direction": self.direction,  # type: ignore[typeddict-item]  # checked there
             "camera": self.load_camera(),
             "scene": self.load_scene(),
         }

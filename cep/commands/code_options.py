@@ -92,15 +92,6 @@ ObjectiveMix = Annotated[
         " straight motion.",
     ),
 ]
-Direction = Annotated[
-    str,
-    _option(
-        _OBJECTIVE,
-        "--direction",
-        "WAY",
-        "Of the motion: unknown (the worse way counts), forward, or auto: as the file says.",
-    ),
-]
 Device = Annotated[
     str | None,
     _option(
@@ -123,7 +114,6 @@ class CodeOptions(CameraOptions, SceneOptions):
     open_chips: OpenChips = None
     duty: Duty = None
     exposure: Exposure = None
-    direction: Direction = "auto"
     device: Device = None
     min_open: Annotated[int, _limit("--min-open", "Shortest open run, chips.")] = 1
     min_closed: Annotated[int, _limit("--min-closed", "Shortest closed run, chips.")] = 1
@@ -158,7 +148,6 @@ class CodeOptions(CameraOptions, SceneOptions):
             exposure_s=exposure_seconds(self.exposure) or exposure_s,
             device=self.device,
             objective=objective,
-            direction=self.direction,  # type: ignore[arg-type]  # checked there
             rule=rule,
             runs=RunLimits(
                 min_open=self.min_open, min_closed=self.min_closed, max_pulses=self.max_pulses

@@ -44,8 +44,10 @@ _PYTHON = "is for Python: cep.SearchProblem.along and cep.optimize"
 _PROVE = "proofs in blocks moved to the laboratory, in the repository: python -m lab prove"
 _CLASS = "moved to the laboratory, in the repository: python -m lab design-class"
 _DEVICE = "is a figure of the shutter: --device FILE.toml"
+_DIRECTION = "is a field of the motion: direction, known or unknown, in trajectory.json"
 # options of earlier versions, by command
 _MOVED_OPTIONS = {
+    "advise": {"--direction": _DIRECTION},
     "optimize": {
         "--all": _CLASS,
         "--alternatives": _PYTHON,
@@ -54,6 +56,7 @@ _MOVED_OPTIONS = {
         "--chip-ns": "is --exposure, of all chips together",
         "--class": _CLASS,
         "--dask": _PROVE,
+        "--direction": _DIRECTION,
         "--drift": _PYTHON,
         "--each": "is a loop: for each file one cep optimize --trajectory FILE -o CODE",
         "--figure": "is for cep audit and cep mtf, which measure the code",
@@ -67,7 +70,7 @@ _MOVED_OPTIONS = {
         "--rule": _PYTHON,
         "--table": "is for cep audit CODE, which prints the figures of the code",
         "--workers": _PROVE,
-    }
+    },
 }
 
 

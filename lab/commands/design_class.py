@@ -86,7 +86,6 @@ def design_class(options: DesignClassOptions) -> None:
     Example: python -m lab design-class shots_motion --chips 40 --duty 0.4:0.6
     """
     with progress("searching") as tick:
-        from cep.search.compare import as_designed
         from cep.search.scenarios import class_scenarios
         from cep.search.search import Search
         from lab.class_code.motions import motion_class
@@ -102,17 +101,15 @@ def design_class(options: DesignClassOptions) -> None:
             exposure_s=exposure_s,
             seed=options.seed,
         )
-        direction = options.direction
-        searched = [as_designed(path, direction) for path in motions.searched]
         problem = options.problem(
-            *class_scenarios(searched),
+            *class_scenarios(motions.searched),
             objective=objective_mix(options.objective or "mse"),
             rule="mean",
         )
         outputs = claim([options.output, *table_files(options.tables)], force=options.force)
         with saved_on_interrupt(outputs) as keep:
             best = optimize_class(
-                searched,
+                motions.searched,
                 problem,
                 Search(steps=options.steps, time_s=options.time_s, seed=options.seed),
                 held_out=motions.held_out,

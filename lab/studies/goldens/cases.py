@@ -152,10 +152,6 @@ CASES = [
         f"cep optimize {PATH_12} {SEARCH} --exposure 1/30 -o code_new.json --json",
     ),
     Case(
-        "optimize-path-forward",
-        f"cep optimize {PATH_12} {SEARCH} --direction forward -o code_new.json --json",
-    ),
-    Case(
         "optimize-chips-omitted",
         f"cep optimize --linear 10 {SEARCH} --exposure 20ms -o code_new.json",
     ),

@@ -361,7 +361,6 @@ def test_codes_longer_than_the_trajectory_can_resolve(refused, workplace):
         ["--duty", "0.51:0.52"],
         ["--duty", "0.5", "--open", "5"],
         ["--objective", "beauty"],
-        ["--direction", "up"],
         ["--method", "guess"],
         ["--min-open", "11"],
         ["--min-open", "4", "--open", "3"],

@@ -117,7 +117,7 @@ def completions(*words):
 def test_the_shell_completes_commands_and_options():
     assert completions("cep", "opt") == ["optimize"]
     assert completions("cep", "camera", "es") == ["estimate"]
-    assert completions("cep", "optimize", "--dir") == ["--direction"]
+    assert completions("cep", "optimize", "--obj") == ["--objective"]
 
 
 def test_completion_can_be_installed(cep):

@@ -38,10 +38,8 @@ def test_exact_proves_the_best_and_audit_confirms_it(cep, workplace):
     assert audited["verified"]["holds"]
 
 
-@pytest.mark.parametrize(
-    ("length_px", "direction"), [("13", "forward"), ("5.5", "unknown"), ("40", "unknown")]
-)
-def test_what_is_proven_already_is_returned_with_its_proof(cep, workplace, length_px, direction):
+@pytest.mark.parametrize("length_px", ["13", "5.5", "40"])
+def test_what_is_proven_already_is_returned_with_its_proof(cep, workplace, length_px):
     asked = (
         "optimize",
         "--linear",
@@ -50,8 +48,6 @@ def test_what_is_proven_already_is_returned_with_its_proof(cep, workplace, lengt
         "13",
         "--objective",
         "min-mtf",
-        "--direction",
-        direction,
     )
     found = cep.succeeds(*asked, "--time", "2", "-o", "best.json")
     assert (found["bits"], found["open"], found["stopped"], found["steps"]) == (
@@ -128,16 +124,9 @@ def test_a_forged_certificate_is_found_out(cep, workplace):
 
 
 def test_a_certificate_of_one_way_does_not_cover_both(cep, workplace):
-    options = (
-        "--trajectory",
-        "trajectory.json",
-        "--chips",
-        "8",
-        "--steps",
-        "500",
-        "--direction",
-        "forward",
-    )
+    motion = json.loads(Path("trajectory.json").read_text())
+    Path("one_way.json").write_text(json.dumps({**motion, "direction": "known"}))
+    options = ("--trajectory", "one_way.json", "--chips", "8", "--steps", "500")
     cep.succeeds("optimize", *options, "-o", "new.json")
     audited = cep.succeeds("audit", "new.json", "--trajectory", "trajectory.json")
     assert audited["verified"]["holds"]

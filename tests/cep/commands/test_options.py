@@ -149,7 +149,6 @@ def test_an_exposure_is_the_same_text_in_every_command(refused, command):
             ("optimize", ["--objective", value], "--objective")
             for value in ("min-mtf:nan", "noise:0", "x", ",")
         ),
-        ("optimize", ["--direction", "x"], "--direction"),
         ("optimize", ["--method", "x"], "--method"),
         ("optimize", ["--chips", "49"], "--chips"),
         ("optimize", ["--min-open", "13"], "--min-open"),

@@ -121,7 +121,6 @@ def test_repeatable(lab, workplace):
         ("--open", ("--open", "some")),
         ("--open", ("--open", "3:99")),
         ("duty", ("--duty", "0.9:0.2")),
-        ("--direction", ("--direction", "left")),
         ("--trajectory", ("--linear", "20", "--trajectory", "trajectory.json")),
         ("--linear", ("--linear", "-3")),
         ("chips", ("--linear", "1")),
