@@ -74,39 +74,3 @@ class Recording:
             count = "several signals" if matches else "no signal"
             raise ValueError(f"{self.source} has {count} {name[:40]!r}: its signals are {names}")
         return matches[0]
-
-
-class Signal:
-    """A signal while it is read, closed (0) before its first value."""
-
-    def __init__(self) -> None:
-        self._first = self._level = 0
-        self._edges: list[tuple[float, int]] = []
-
-    def set(self, value: str, time_ns: float, *, initial: bool) -> None:
-        """Take the value at a moment; what is neither 0 nor 1 leaves the level as it is.
-
-        Parameters
-        ----------
-        value : str
-            ``"0"``, ``"1"``, or anything else for no known level.
-        time_ns : float
-            Its moment.
-        initial : bool
-            Whether this is the level that the recording begins with.
-        """
-        if value not in ("0", "1"):
-            return
-        level = int(value)
-        if initial:  # no edge was seen, only a level
-            self._first = level
-        elif level != self._level:
-            if self._edges and self._edges[-1][0] == time_ns:
-                self._edges.pop()  # there and back at one moment is no edge
-            else:
-                self._edges.append((time_ns, level))
-        self._level = level
-
-    def trace(self, name: str, *, start_ns: float, end_ns: float) -> Trace:
-        """Return the signal as read, of a recording from `start_ns` to `end_ns`."""
-        return Trace(name, self._first, tuple(self._edges), start_ns, end_ns)

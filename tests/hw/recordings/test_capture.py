@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from hw.export import EXPORTERS
 from hw.program import Program
-from hw.recordings.capture import read_capture
+from hw.recordings.capture import parse_vcd, read_capture
 from hw.recordings.playback import align
 from hw.recordings.trace import Trace
-from hw.recordings.vcd import parse_vcd
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 PROGRAM = Program(RASKAR, 200_000)

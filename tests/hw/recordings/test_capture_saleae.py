@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from hw.export import EXPORTERS
 from hw.program import Program
-from hw.recordings.capture import read_capture
+from hw.recordings.capture import parse_saleae, read_capture
 from hw.recordings.playback import align
-from hw.recordings.saleae import parse_saleae
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 PROGRAM = Program(RASKAR, 200_000)
