@@ -1,8 +1,12 @@
-"""Check of codes that show the order in time of a motion; imports nothing slow."""
+"""Codes that show the order in time of a motion: their check, and when they are open."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+
+import numpy as np
+
+from motdiff.types import FloatArray
 
 
 def check_codes(codes: Sequence[str], *, photos: int | None = None) -> None:
@@ -43,3 +47,13 @@ def check_codes(codes: Sequence[str], *, photos: int | None = None) -> None:
             "code: the direction cannot be known from codes that are their own mirror images; take"
             " one through another"
         )
+
+
+def open_at(codes: Sequence[str], times: FloatArray) -> FloatArray:
+    """Whether each code is open, 1 or 0, at times (T,) of the exposure, 0..1: (I, T)."""
+    return np.stack(
+        [
+            np.array(list(code), dtype=np.float64)[(times * len(code)).astype(np.intp)]
+            for code in codes
+        ]
+    )

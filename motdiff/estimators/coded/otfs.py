@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from motdiff.estimators.coded.codes import open_at
 from motdiff.types import FloatArray
 
 _SMALL = 1e-2  # half phases below this are expanded: sin(h) / h loses digits there
@@ -32,12 +33,7 @@ class CodedOtfs:
         edges = [np.linspace(0, 1, len(code) + 1) for code in codes]
         # rounded, so that a knot and a chip's edge at one time make no piece of 1e-17 between them
         cuts = np.unique(np.round(np.concatenate([times, *edges]), 12))
-        middle = 0.5 * (cuts[1:] + cuts[:-1])
-        is_open = [
-            np.array(list(code), dtype=np.float64)[(middle * len(code)).astype(np.intp)]
-            for code in codes
-        ]
-        light = np.stack(is_open) * np.diff(cuts)
+        light = open_at(codes, 0.5 * (cuts[1:] + cuts[:-1])) * np.diff(cuts)
         self.open_share: FloatArray = light.sum(axis=1)
         """(I,) open fraction of each code."""
         # positions at the cuts from those at the knots

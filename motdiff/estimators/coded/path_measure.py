@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from motdiff.estimators.coded.codes import open_at
 from motdiff.estimators.coded.exposures import BLIND_WEIGHT, Exposures
 from motdiff.estimators.coded.fit import PhotoFit
-from motdiff.estimators.coded.starts import draw_index, light_on_first, open_at, with_knots
+from motdiff.estimators.coded.starts import draw_index, light_on_first, with_knots
 from motdiff.path_psfs import interpolated
 from motdiff.types import FloatArray
 

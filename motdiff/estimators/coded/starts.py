@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from motdiff.estimators.coded.codes import open_at
 from motdiff.metrics import register_shift
 from motdiff.path_psfs import interpolated
 from motdiff.psf_frame import in_frame
@@ -120,16 +121,6 @@ def light_on_first(
         shift = register_shift(soft[0], kernel) if shifts is None else shifts[0] - shifts[i]
         aligned.append(np.maximum(ndimage.shift(kernel, shift[::-1], order=1), 0))
     return np.stack(aligned)
-
-
-def open_at(codes: Sequence[str], times: FloatArray) -> FloatArray:
-    """Whether each code is open, 1 or 0, at times (T,) of the exposure, 0..1: (I, T)."""
-    return np.stack(
-        [
-            np.array(list(code), dtype=np.float64)[(times * len(code)).astype(np.intp)]
-            for code in codes
-        ]
-    )
 
 
 def draw_index(weights: FloatArray, rng: np.random.Generator) -> NDArray[np.intp]:
