@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +21,7 @@ UNEXPLAINED = 1.25
 """Misfit above which a path does not explain the photos."""
 SAME_PX = 1.0
 """Rms distance within which two paths count as one."""
+_APART_PX = 0.3  # candidates nearer to a better one are dropped
 _MOST_PATHS = 3  # the best, and alternatives
 _MISFIT_POWER = 4.0  # so steep that a misfit of 1.5 leaves a fifth
 
@@ -78,17 +79,72 @@ def distance_px(unknowns: Unknowns, x: Tensor, y: Tensor) -> float:
     return float((difference - difference.mean(0)).square().sum(1).mean().sqrt())
 
 
-def distinct(
-    unknowns: Unknowns, x: Tensor, costs: Tensor, *, keep: int, least_px: float = 0.3
-) -> tuple[Tensor, Tensor]:
-    """Best candidates of (B, N) and their costs, none nearer than ``least_px`` to a better one."""
+def distinct(unknowns: Unknowns, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
+    """Best candidates of (B, N) and their costs, none nearer than 0.3 px to a better one."""
     index = list[int]()
     for i in torch.argsort(costs).tolist():
-        if all(distance_px(unknowns, x[i], x[j]) > least_px for j in index):
+        if all(distance_px(unknowns, x[i], x[j]) > _APART_PX for j in index):
             index.append(i)
         if len(index) == keep:
             break
     return x[index], costs[index]
+
+
+@dataclass(frozen=True)
+class Evolution:
+    """Rounds in which changed candidates compete with those that they were made of.
+
+    Attributes
+    ----------
+    rounds : int
+        Most rounds.
+    patience : int
+        Rounds without improvement after which it ends.
+    improved : float
+        Share of the least cost: a smaller fall is no improvement.
+    population : int
+        Candidates kept after each round.
+    """
+
+    rounds: int
+    patience: int
+    improved: float
+    population: int
+
+    def run(
+        self,
+        unknowns: Unknowns,
+        x: Tensor,
+        costs: Tensor,
+        *,
+        changed: Callable[[Tensor], tuple[Tensor, Tensor]],
+        spend: Callable[[float], None] = lambda _share: None,
+    ) -> tuple[Tensor, Tensor]:
+        """Candidates and costs, best first, after changes of the best ones while that helps.
+
+        Parameters
+        ----------
+        changed : callable
+            Makes new candidates of (B, N), fitted, and returns them with their costs.
+        spend : callable, optional
+            Called with each share of the work that is done; all together are 1.
+        """
+        idle_rounds = 0
+        for index in range(self.rounds):
+            new, new_costs = changed(x)
+            least_cost = float(costs.min())
+            x, costs = distinct(
+                unknowns,
+                torch.cat([x, new]),
+                torch.cat([costs, new_costs]),
+                keep=self.population,
+            )
+            idle_rounds = 0 if float(costs[0]) < self.improved * least_cost else idle_rounds + 1
+            spend(1 / self.rounds)
+            if idle_rounds == self.patience:
+                spend((self.rounds - 1 - index) / self.rounds)
+                break
+        return x, costs
 
 
 def merged(

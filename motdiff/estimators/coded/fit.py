@@ -101,12 +101,8 @@ class PhotoFit:
         """Paths (B, K, 2) of candidates."""
         return self.unknowns.paths(x).numpy().astype(np.float64)
 
-    def distinct(self, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
-        """Best candidates, none near a better one."""
-        return distinct(self.unknowns, x, costs, keep=keep)
-
     def best(
         self, terms: Sequence[Term], x: Tensor, *, steps: int, keep: int
     ) -> tuple[Tensor, Tensor]:
         """Candidates after some steps of descent, the best of them."""
-        return self.distinct(*descend(terms, x, steps=steps), keep=keep)
+        return distinct(self.unknowns, *descend(terms, x, steps=steps), keep=keep)

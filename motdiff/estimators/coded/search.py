@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from motdiff.estimators.coded.candidates import (
     SAME_PX,
     CandidatePath,
+    Evolution,
     cost_gap,
     expected_deviation_px,
     merged,
@@ -41,12 +41,9 @@ Wrong ends of searches beside kernels had 730 before the next path, at most.
 _DECODED = 64  # starting paths of each kind
 _ORDERS = 48
 _WALKS = 48
-_POPULATION = 8  # candidates kept after each round
+_EVOLUTION = Evolution(rounds=6, patience=2, improved=0.98, population=8)
 _CHILDREN_FITTED = 10
-_PARENTS = 4  # of them, crossed with all
-_ROUNDS = 6
-_PATIENCE = 2  # rounds without improvement
-_IMPROVED = 0.98  # of the least cost: a smaller fall is no improvement
+_PARENTS = 4  # of the population, crossed with all
 
 # the search beside the photos alone
 _FEW_PHOTOS = 2  # their kernels mislead too often to be searched by themselves
@@ -56,11 +53,10 @@ _DRAWS = 64  # starts of a search, some from the kernels' light and some without
 _LONE_WALKS = 64
 _USUAL_PX = 50.0  # length of the walks where no kernel tells it
 _MOST_SEARCHES = 3
-_WIDE_ROUNDS = 20
-_WIDE_PATIENCE = 5  # longer: its rounds change less at a time
+# more rounds and patience, as each round changes less
+_WIDE_EVOLUTION = Evolution(rounds=20, patience=5, improved=0.998, population=8)
 _CHILDREN = 32  # of a round
 _WIDE_RESULTS = 6  # handed to the finest grid
-_WIDE_IMPROVED = 0.998
 # shares of the children; the others are bridged
 _REROUTED = 0.35
 _TURNED = 0.2
@@ -153,9 +149,15 @@ class _Search(PhotoFit):
     def run(self, x: Tensor) -> list[CandidatePath]:
         """Paths at the ends of descents and crossings of candidates, best first."""
         coarse: list[Term] = [*self.scenes[:1], self.sharpest, self.loose]
-        x, costs = self.best(coarse, x, steps=6, keep=_POPULATION)
+        x, costs = self.best(coarse, x, steps=6, keep=_EVOLUTION.population)
         self.spend(0.25)
-        x, costs = self._evolved(coarse, x, costs)
+        x, costs = _EVOLUTION.run(
+            self.unknowns,
+            x,
+            costs,
+            changed=lambda parents: self._changed(coarse, parents),
+            spend=lambda share: self.spend(0.5 * share),
+        )
         if not self.scenes:
             x, costs = self.best(coarse, x[:3], steps=20, keep=3)
             self.spend(0.25)
@@ -186,28 +188,17 @@ class _Search(PhotoFit):
             shifts=shifts,
         )
 
-    def _evolved(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> tuple[Tensor, Tensor]:
-        """Cross the best with each other and decoded paths, and reverse loops, while it helps."""
-        idle_rounds = 0
-        for index in range(_ROUNDS):
-            new = self.pack(np.stack(self._children(x)))
-            new, _ = descend([self.coarse_kernels[2.5], self.loose], new, steps=3)
-            new, _ = self.best(
-                [self.coarse_kernels[1.5], self.loose], new, steps=4, keep=_CHILDREN_FITTED
-            )
-            new, new_costs = descend(terms, self.registered(new), steps=5)
-            least_cost = float(costs.min())
-            x, costs = self.distinct(
-                torch.cat([x, new]), torch.cat([costs, new_costs]), keep=_POPULATION
-            )
-            idle_rounds = 0 if float(costs[0]) < _IMPROVED * least_cost else idle_rounds + 1
-            self.spend(0.5 / _ROUNDS)
-            if idle_rounds == _PATIENCE:
-                self.spend(0.5 * (_ROUNDS - 1 - index) / _ROUNDS)
-                break
-        return x, costs
+    def _changed(self, terms: Sequence[Term], x: Tensor) -> tuple[Tensor, Tensor]:
+        """Children of candidates, fitted coarse to fine, and their costs."""
+        new = self.pack(np.stack(self._children(x)))
+        new, _ = descend([self.coarse_kernels[2.5], self.loose], new, steps=3)
+        new, _ = self.best(
+            [self.coarse_kernels[1.5], self.loose], new, steps=4, keep=_CHILDREN_FITTED
+        )
+        return descend(terms, self.registered(new), steps=5)
 
     def _children(self, x: Tensor) -> list[FloatArray]:
+        """Cross the best with each other and decoded paths, and reverse loops."""
         shifts = self.unknowns.kernel_shifts(x)
         paths = self.paths(x) + shifts[:, :1].numpy()  # all aligned with the first kernel
         children = []
@@ -294,7 +285,7 @@ class _WideSearch(PhotoFit):
         x = self.registered(self.pack(np.concatenate([starts, samples, walks])))
         x, _ = self.best(self.beside_photos(0), x, steps=4, keep=32)
         x, _ = self.best(self.beside_photos(1), x, steps=4, keep=12)
-        x, costs = self.best(self.beside_photos(2), x, steps=4, keep=_POPULATION)
+        x, costs = self.best(self.beside_photos(2), x, steps=4, keep=_WIDE_EVOLUTION.population)
         spend(0.2)
         return self.evolved(x, costs, spend=lambda s: spend(0.8 * s))
 
@@ -302,22 +293,14 @@ class _WideSearch(PhotoFit):
         self, x: Tensor, costs: Tensor, *, spend: Callable[[float], None]
     ) -> tuple[Tensor, Tensor]:
         """Candidates and costs, best first, after changes of the best ones while that helps."""
-        idle_rounds = 0
-        for index in range(_WIDE_ROUNDS):
-            new = self.registered(self.pack(self._children(self.paths(x))))
-            new, _ = self.best(self.beside_photos(0), new, steps=2, keep=20)
-            new, _ = self.best(self.beside_photos(1), new, steps=3, keep=8)
-            new, new_costs = descend(self.beside_photos(2), new, steps=4)
-            least_cost = float(costs.min())
-            x, costs = self.distinct(
-                torch.cat([x, new]), torch.cat([costs, new_costs]), keep=_POPULATION
-            )
-            idle_rounds = 0 if float(costs[0]) < _WIDE_IMPROVED * least_cost else idle_rounds + 1
-            spend(1 / _WIDE_ROUNDS)
-            if idle_rounds == _WIDE_PATIENCE:
-                spend((_WIDE_ROUNDS - 1 - index) / _WIDE_ROUNDS)
-                break
-        return x, costs
+        return _WIDE_EVOLUTION.run(self.unknowns, x, costs, changed=self._changed, spend=spend)
+
+    def _changed(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Children of candidates, fitted on finer and finer grids, and their costs."""
+        new = self.registered(self.pack(self._children(self.paths(x))))
+        new, _ = self.best(self.beside_photos(0), new, steps=2, keep=20)
+        new, _ = self.best(self.beside_photos(1), new, steps=3, keep=8)
+        return descend(self.beside_photos(2), new, steps=4)
 
     def _children(self, paths: FloatArray) -> FloatArray:
         """Change parents drawn from (N, K, 2), the first likelier.

@@ -13,6 +13,7 @@ from torch import Tensor
 from motdiff.estimators.coded.candidates import (
     UNEXPLAINED,
     CandidatePath,
+    Evolution,
     distance_px,
     distinct,
     expected_deviation_px,
@@ -33,12 +34,9 @@ _ROUGHNESS = 10.0  # second differences of 0.3 px at 53 knots
 _COARSE = ((4.0, 0.06), (2.5, 0.04), (1.5, 0.02), (1.0, 0.007))
 _STARTS = 160  # random walks of a search
 _SELECTED = (80, 40, 20)  # after each coarse blur
-_POPULATION = 12
+_EVOLUTION = Evolution(rounds=40, patience=6, improved=0.98, population=12)
 _PARENTS = 6  # crossed with each other
 _NEWCOMERS = 8  # walks of each round, against inbreeding
-_ROUNDS = 40
-_PATIENCE = 6  # rounds without improvement
-_IMPROVED = 0.98
 _REROUTED = 5  # children of a parent with a stretch drawn anew
 _SEARCHES = 5
 _RESULTS = 4
@@ -100,7 +98,9 @@ def find_trail_paths(
     for index in range(_SEARCHES):
         results.append(search.evolved(search.starts(traced=not index)))
         progress.spend(1 / (_SEARCHES + 1))
-        x, costs, times = merged(search.unknowns, results, keep=_POPULATION, same_px=_SAME_PX)
+        x, costs, times = merged(
+            search.unknowns, results, keep=_EVOLUTION.population, same_px=_SAME_PX
+        )
         if times > 1 and search.misfit(x[:1]) < UNEXPLAINED:
             progress.spend((_SEARCHES - index) / (_SEARCHES + 1))
             break
@@ -201,29 +201,24 @@ class _TrailSearch:
         paths += [self._walk() for _ in range(_STARTS)]
         x = self._pack(np.stack(paths))
         for term, keep in zip(self.coarse[:3], _SELECTED, strict=True):
-            x, _ = self.distinct(*descend([term, self.rough], x, steps=6), keep=keep)
+            x, _ = self._best([term, self.rough], x, steps=6, keep=keep)
         return x
 
     def evolved(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Paths crossed with each other, loops reversed and stretches rerouted, while it helps."""
         finest: list[Term] = [self.coarse[3], self.rough]
-        x, costs = self.distinct(*descend(finest, x, steps=6), keep=_POPULATION)
-        idle_rounds = 0
-        for _ in range(_ROUNDS):
-            new = self._pack(np.stack(self._children(x)))
+        x, costs = self._best(finest, x, steps=6, keep=_EVOLUTION.population)
+
+        def changed(parents: Tensor) -> tuple[Tensor, Tensor]:
+            new = self._pack(np.stack(self._children(parents)))
             new, _ = descend([self.coarse[1], self.rough], new, steps=2)
-            new, _ = self.distinct(
-                *descend([self.coarse[2], self.rough], new, steps=4), keep=2 * _POPULATION
+            new, _ = self._best(
+                [self.coarse[2], self.rough], new, steps=4, keep=2 * _EVOLUTION.population
             )
-            new, new_costs = descend(finest, new, steps=5)
-            least_cost = float(costs[0])
-            x, costs = self.distinct(
-                torch.cat([x, new]), torch.cat([costs, new_costs]), keep=_POPULATION
-            )
-            idle_rounds = 0 if float(costs[0]) < _IMPROVED * least_cost else idle_rounds + 1
-            if idle_rounds == _PATIENCE:
-                break
-        return self.distinct(*descend([self.fine, self.rough], x[:6], steps=20), keep=_RESULTS)
+            return descend(finest, new, steps=5)
+
+        x, _ = _EVOLUTION.run(self.unknowns, x, costs, changed=changed)
+        return self._best([self.fine, self.rough], x[:6], steps=20, keep=_RESULTS)
 
     def _traced(self) -> list[FloatArray]:
         """Orders of paths traced in the first photo, gaps bridged by blur, timed by its light."""
@@ -304,9 +299,11 @@ class _TrailSearch:
         slipped = np.clip(times + self.rng.normal(0, _SLIP) * window, 0, 1)
         return interpolated(slipped, times, path)
 
-    def distinct(self, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
-        """Best candidates, none near a better one."""
-        return distinct(self.unknowns, x, costs, keep=keep, least_px=_SAME_PX)
+    def _best(
+        self, terms: Sequence[Term], x: Tensor, *, steps: int, keep: int
+    ) -> tuple[Tensor, Tensor]:
+        """Candidates after some steps of descent, the best of them."""
+        return distinct(self.unknowns, *descend(terms, x, steps=steps), keep=keep)
 
     def described(self, x: Tensor, costs: Tensor) -> list[CandidatePath]:
         """Candidates with their misfit and the standard deviations of their knots."""

@@ -1,0 +1,52 @@
+"""Rounds of changed candidates: the best are kept, and it ends where nothing improves."""
+
+import pytest
+import torch
+
+from motdiff.estimators.coded.candidates import Evolution
+from motdiff.estimators.coded.misfit import Unknowns
+
+UNKNOWNS = Unknowns(3, 1)
+
+
+def bent(*sizes_px):
+    """Candidates that differ by the bend in the middle of their paths."""
+    x = torch.zeros(len(sizes_px), UNKNOWNS.size)
+    x[:, 2] = torch.tensor(sizes_px)
+    return x
+
+
+def evolved(change, *, rounds=8, patience=2):
+    """Candidates, costs, the number of changes, and the shares that were spent."""
+    parents, shares = [], []
+
+    def changed(x):
+        parents.append(x)
+        new = change(x)
+        return new, new[:, 2]
+
+    evolution = Evolution(rounds=rounds, patience=patience, improved=0.9, population=3)
+    start = bent(90.0, 80.0, 70.0)
+    x, costs = evolution.run(UNKNOWNS, start, start[:, 2], changed=changed, spend=shares.append)
+    return x, costs, len(parents), shares
+
+
+def test_the_best_of_parents_and_children_survive():
+    x, costs, count, shares = evolved(lambda x: x * 0.5, rounds=1)
+    assert costs.tolist() == [35.0, 40.0, 45.0]
+    assert x[:, 2].tolist() == costs.tolist()
+    assert (count, shares) == (1, [1.0])
+
+
+@pytest.mark.parametrize("factor", [0.95, 1.5], ids=["a small fall", "no fall"])
+def test_it_ends_after_rounds_without_improvement(factor):
+    _, costs, count, shares = evolved(lambda x: x * factor)
+    assert count == 2
+    assert costs[0] <= 70
+    assert sum(shares) == pytest.approx(1)
+
+
+def test_improvement_goes_on_to_the_last_round():
+    _, _, count, shares = evolved(lambda x: x * 0.5, rounds=4)
+    assert count == len(shares) == 4
+    assert sum(shares) == pytest.approx(1)
