@@ -10,7 +10,7 @@ from cep.restoration.tv import tv
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.simulate import photograph, visible
 from motdiff.trajectory import Trajectory
-from tests.motdiff.estimators.test_edge_widths import discs
+from tests.motdiff.estimators.test_doubts import discs
 
 PATH = Trajectory.from_samples([[0, 0], [8, 1], [12, 7]])
 RIGHT = PATH.psf(33)
