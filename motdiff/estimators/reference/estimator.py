@@ -14,7 +14,6 @@ from scipy import fft, ndimage
 from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.reference import psf_fit
-from motdiff.estimators.reference.registration import coarse_shift, high_passed
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX, centroid_px, without_faint_light
 from motdiff.tracing import trace_psf_to_trajectory
@@ -23,6 +22,8 @@ from motdiff.types import BoolArray, FloatArray
 # sigma; slower differences (vignetting, lamps, haze) say little about a kernel and mislead it
 _HIGH_PASS_PX = 4.0
 _RIM_PX = int(3 * _HIGH_PASS_PX)  # the high-passed photo is not trusted this close to its border
+_LARGE_PX = 1_500_000  # photos with more pixels are first registered binned
+_WINDOW_PX = 768  # px: enough texture for a peak, at a fraction of the time of the whole photo
 _SPLINE_MARGIN_PX = 8  # beyond, a spline of order 5 has forgotten the border
 _LEAST_CROP_PX = 32
 _LAMP_REACH = 0.005  # share of a lamp's light that spoils a pixel
@@ -87,7 +88,7 @@ class ReferenceEstimator:
         sharp, blurred = (
             _Photo.of(*named_photo) for named_photo in _clean_channels(self.sharp, photo)
         )
-        shift = coarse_shift(sharp.light, blurred.light, sigma_px=_HIGH_PASS_PX)
+        shift = coarse_shift(sharp.light, blurred.light)
         places = self._places(sharp, blurred, shift)
         pairs = [self._pair(sharp, blurred, place, shift, None) for place in places]
         noise = psf_fit.residual_variance(pairs, psf_fit.fit_psf(pairs, self.size, steps=4))
@@ -281,10 +282,66 @@ class _Photo:
                 f"{name}: {light.shape[1]} x {light.shape[0]} px is too small to compare, "
                 f"at least {_LEAST_CROP_PX} x {_LEAST_CROP_PX} px are needed"
             )
-        detail = high_passed(light, sigma_px=_HIGH_PASS_PX)
+        detail = high_passed(light)
         if float(detail.std()) < 1e-6:
             raise ValueError(f"{name}: has no texture to compare (constant image?)")
         return cls(light, detail, crops.clipped_mask(photo), _noise_variance(light))
+
+
+def high_passed(light: FloatArray) -> FloatArray:
+    """Take away the light (H, W) that varies slowly (a Gaussian mean), and with it any offset."""
+    slow = ndimage.gaussian_filter(light, _HIGH_PASS_PX, truncate=3)
+    return np.asarray(light - slow, dtype=np.float64)
+
+
+def coarse_shift(sharp: FloatArray, blurred: FloatArray) -> tuple[float, float]:
+    """Whole-pixel (dy, dx) that moves ``sharp`` onto ``blurred``, by correlation of fine detail.
+
+    Parameters
+    ----------
+    sharp, blurred : (H, W) float
+        Photos of one scene, in the same scale and orientation; their sizes may differ.
+    """
+    pixels = max(sharp.size, blurred.size)
+    if pixels <= _LARGE_PX:
+        return _peak(high_passed(sharp), high_passed(blurred))
+    factor = int(np.ceil(np.sqrt(pixels / _LARGE_PX)))
+    dy, dx = (factor * d for d in coarse_shift(_binned(sharp, factor), _binned(blurred, factor)))
+    # the middle of the overlap, at full size, with room for what binning left open
+    starts = []
+    lengths = []
+    for s, b, d in zip(sharp.shape, blurred.shape, (round(dy), round(dx)), strict=True):
+        low = max(0, d)
+        high = min(b, s + d)
+        length = max(2, min(_WINDOW_PX, high - low))
+        starts.append((low + high - length) // 2)
+        lengths.append(length)
+    windows = [slice(f, f + n) for f, n in zip(starts, lengths, strict=True)]
+    firsts = [max(0, f - round(d)) for f, d in zip(starts, (dy, dx), strict=True)]
+    beneath = [slice(f, f + n) for f, n in zip(firsts, lengths, strict=True)]
+    fine = _peak(
+        high_passed(sharp[beneath[0], beneath[1]]), high_passed(blurred[windows[0], windows[1]])
+    )
+    return starts[0] - firsts[0] + fine[0], starts[1] - firsts[1] + fine[1]
+
+
+def _binned(image: FloatArray, factor: int) -> FloatArray:
+    rows, columns = (n // factor for n in image.shape)
+    blocks = image[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+    return np.asarray(blocks.mean(axis=(1, 3)), dtype=np.float64)
+
+
+def _peak(sharp: FloatArray, blurred: FloatArray) -> tuple[float, float]:
+    # padded to both sizes together, so that no lag wraps onto another
+    size = tuple(
+        fft.next_fast_len(a + b, real=True)
+        for a, b in zip(sharp.shape, blurred.shape, strict=True)
+    )
+    product = fft.rfft2(blurred, size) * np.conj(fft.rfft2(sharp, size))
+    peak = np.unravel_index(int(fft.irfft2(product, size).argmax()), size)
+    # lags from the blurred photo's size on are negative ones, wrapped round
+    dy, dx = (float(p - n * (p >= b)) for p, n, b in zip(peak, size, blurred.shape, strict=True))
+    return dy, dx
 
 
 def _clean_channels(

@@ -7,7 +7,11 @@ import pytest
 from scipy import ndimage
 from skimage import data
 
-from motdiff.estimators.reference.estimator import ReferenceEstimator
+from motdiff.estimators.reference.estimator import (
+    ReferenceEstimator,
+    coarse_shift,
+    high_passed,
+)
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, quadratic
 from motdiff.simulate import blur_valid, photograph, to_linear
@@ -134,3 +138,26 @@ def test_bad_construction() -> None:
         ReferenceEstimator(np.zeros(3))
     with pytest.raises(ValueError, match="size"):
         ReferenceEstimator(np.zeros((50, 50)), size=1)
+
+
+# -- registration to whole pixels -----------------------------------------------------------------
+
+
+def scene(shape: tuple[int, int]) -> np.ndarray:
+    return ndimage.gaussian_filter(np.random.default_rng(0).random(shape), 2.0)
+
+
+@pytest.mark.parametrize("shape", [(200, 240), (1500, 1600)])
+@pytest.mark.parametrize(("dy", "dx"), [(0, 0), (17, -30), (-41, 8)])
+def test_crops_of_one_scene(shape: tuple[int, int], dy: int, dx: int) -> None:
+    whole = scene(shape)
+    sharp = whole[50:-10, 50:-50]
+    blurred = whole[50 - dy : shape[0] - 50 - dy, 50 - dx : shape[1] - 50 - dx]
+    assert coarse_shift(sharp, blurred) == (dy, dx)
+    assert coarse_shift(sharp, 0.3 * blurred + 0.5) == (dy, dx)
+    assert coarse_shift(blurred, sharp) == (-dy, -dx)
+
+
+def test_high_pass_takes_offset_and_slope_away() -> None:
+    ramp = np.add.outer(np.arange(80.0), 2 * np.arange(90.0))
+    assert np.abs(high_passed(ramp + 7)[20:-20, 20:-20]).max() < 1e-9
