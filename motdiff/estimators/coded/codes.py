@@ -57,3 +57,8 @@ def open_at(codes: Sequence[str], times: FloatArray) -> FloatArray:
             for code in codes
         ]
     )
+
+
+def middles(steps: int) -> FloatArray:
+    """Middle of each of so many time steps of the exposure, 0..1."""
+    return np.asarray((np.arange(steps) + 0.5) / steps)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from motdiff.estimators.coded.codes import open_at
+from motdiff.estimators.coded.codes import middles, open_at
 from motdiff.estimators.coded.exposures import BLIND_WEIGHT, Exposures
 from motdiff.estimators.coded.fit import PhotoFit
 from motdiff.estimators.coded.starts import draw_index, light_on_first, with_knots
@@ -106,7 +106,7 @@ class PathMeasure:
         self._before, self._after = _neighbours(self._support)
         self._turns = _turns()
         lengths = [len(code) for code in codes if "0" in code]
-        bits = open_at(codes, _middles(max(lengths, default=steps)))
+        bits = open_at(codes, middles(max(lengths, default=steps)))
         light = lights[:, self._support] / lights[0, self._support].sum()
         self._centroid = light[0] @ self._points
         self._times, self._targets = _told(bits, light)
@@ -115,7 +115,7 @@ class PathMeasure:
         """Draw paths (count, knots, 2), px, at times spaced evenly over the exposure."""
         positions = self._drawn_back(self._forward(self._weights), count, rng)
         smooth = ndimage.gaussian_filter1d(positions, _SMOOTHED_STEPS, axis=1, mode="nearest")
-        times = _middles(smooth.shape[1])
+        times = middles(smooth.shape[1])
         at = np.linspace(0, 1, knots)
         return np.stack([interpolated(at, times, path) for path in smooth])
 
@@ -126,7 +126,7 @@ class PathMeasure:
         drawn between its ends, an end of the exposure being free.
         """
         steps = self._times.shape[1]
-        times = _middles(steps)
+        times = middles(steps)
         knots = np.linspace(0, 1, len(path))
         shift = self._centroid - path.mean(axis=0)
         positions = interpolated(times, knots, path + shift)
@@ -230,11 +230,6 @@ def _weights_of(multipliers: FloatArray, times: FloatArray) -> FloatArray:
     """Weights (T, P) of multipliers (M, P) that hold at times (M, T); the largest is 1."""
     exponent = times.T @ multipliers
     return np.asarray(np.exp(exponent - exponent.max(axis=1, keepdims=True)))
-
-
-def _middles(steps: int) -> FloatArray:
-    """Middle of each of so many time steps of the exposure, 0..1."""
-    return np.asarray((np.arange(steps) + 0.5) / steps)
 
 
 def _steps() -> NDArray[np.intp]:

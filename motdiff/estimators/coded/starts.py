@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from motdiff.estimators.coded.codes import open_at
+from motdiff.estimators.coded.codes import middles, open_at
 from motdiff.metrics import register_shift
 from motdiff.path_psfs import interpolated
 from motdiff.psf_frame import in_frame
@@ -66,7 +66,7 @@ def decoded_paths(
     support = brightest > _FAINT * brightest.max()
     rows, columns = np.nonzero(support)
     steps = knots - 1
-    times = (np.arange(steps) + 0.5) / steps
+    times = middles(steps)
     score = np.tile(_EMISSION * np.log(brightest[support] / brightest.max()), (steps, 1))
     for code, kernel, is_open in zip(codes, aligned, open_at(codes, times), strict=True):
         if "0" not in code:

@@ -19,6 +19,7 @@ from motdiff.estimators.coded.candidates import (
     expected_deviation_px,
     merged,
 )
+from motdiff.estimators.coded.codes import middles, open_at
 from motdiff.estimators.coded.misfit import Roughness, Term, descend
 from motdiff.estimators.coded.starts import bridged, crossed, loop_reversals, orders
 from motdiff.estimators.coded.trail_term import TrailTerm, TrailUnknowns
@@ -170,12 +171,7 @@ class _TrailSearch:
             for blur_px, share in _COARSE
         ]
         self.fine = self._term(trails.sigmas, 0.0)
-        self.is_open = [
-            np.repeat([bit == "1" for bit in code], (self.unknowns.knots - 1) // chips).astype(
-                np.float64
-            )
-            for code in trails.codes
-        ]
+        self.is_open = open_at(trails.codes, middles(self.unknowns.knots - 1))
         self.light = [
             image.sum() / is_open.mean()
             for image, is_open in zip(trails.images, self.is_open, strict=True)

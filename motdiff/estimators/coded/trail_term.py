@@ -11,6 +11,7 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
+from motdiff.estimators.coded.codes import middles, open_at
 from motdiff.estimators.coded.misfit import Unknowns
 from motdiff.types import FloatArray
 
@@ -110,10 +111,7 @@ class TrailTerm:
         step = max(1, round(_STEP * blur_px))
         points = 2 if blur_px > 1 else 3  # of the quadrature: smooth light needs fewer
         self._open = [
-            torch.tensor(
-                np.flatnonzero(np.repeat([bit == "1" for bit in code], pieces // len(code)))
-            )
-            for code in codes
+            torch.tensor(np.flatnonzero(is_open)) for is_open in open_at(codes, middles(pieces))
         ]
         node, weight = np.polynomial.legendre.leggauss(points)
         self._share = torch.tensor(0.5 + 0.5 * node, dtype=torch.float32)
