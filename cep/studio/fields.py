@@ -15,7 +15,6 @@ MOST_CHIPS = 512  # of a code on the page
 LIMITS = {
     "min_open": "chips",
     "min_closed": "chips",
-    "max_open": "chips",
     "max_pulses": "openings",
 }
 # fields of the page that set what an error of the library begins with

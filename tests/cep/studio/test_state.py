@@ -1,8 +1,10 @@
 import json
 import math
+import shlex
 
 import numpy as np
 import pytest
+from documented_commands import command_line
 
 import cep
 from cep.studio.fields import FieldError
@@ -233,6 +235,18 @@ def test_commands_quote_what_a_shell_would_read(setting):
     )  # only the file of the trajectory can state it
     assert "--linear" not in " ".join(off.commands(steps=7))
     assert json.dumps(read.commands(steps=7, seed=3)).count("--steps 7 --seed 3") == 1
+
+
+def test_commands_have_no_option_that_the_program_lacks(setting):
+    limited = {"min_open": 2, "min_closed": 2, "max_pulses": 3, "open": [4, 9]}
+    for line in read_setting({**setting, **limited}).commands(steps=7):
+        words = shlex.split(line)
+        offered = {
+            option
+            for parameter in command_line().commands[words[1]].params
+            for option in parameter.opts
+        }
+        assert offered.issuperset(word for word in words if word.startswith("-"))
 
 
 def test_times_of_a_fast_jump_stay_apart_in_the_address():
