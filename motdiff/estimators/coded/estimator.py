@@ -25,11 +25,10 @@ _KERNEL_SHARE = 0.45  # of the time
 _FIT_SHARE = 0.55  # the search of the path
 # how often the path was right, of simulated walks and shakes
 # (docs/decisions/motion-estimation.md): of one photo; of two and of more, where two searches ended
-# at it and the next path is dearer, where they ended at it, and else
+# at it and the next path is dearer (of more photos: or much dearer), where they ended at it, else
 _ONE_PHOTO = 0.05
 _SHARES_OF_TWO = (0.9, 0.8, 0.6)
 _SHARES_OF_MORE = (0.95, 0.8, 0.25)
-_SHARE_CLEAR = 0.97  # three photos or more whose next path is much dearer
 _ERROR_RATIO = 2.8  # of true to computed error
 _DEARER = 100.0  # of the next path's cost
 # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
@@ -190,7 +189,6 @@ def _order_probability(
     else:
         gap = np.inf if gap is None else gap
         shares = _SHARES_OF_TWO if photos == 2 else _SHARES_OF_MORE
-        share = shares[2 if times < 2 else int(gap < _DEARER)]
-        if photos > 2 and gap > CLEAR_GAP:
-            share = _SHARE_CLEAR
+        clear = photos > 2 and gap > CLEAR_GAP
+        share = shares[2 if times < 2 and not clear else int(gap < _DEARER)]
     return share * explained_share(best.misfit)
