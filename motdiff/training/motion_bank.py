@@ -155,7 +155,7 @@ def draw_motion(
 
 def drawn_kinds(mix: MotionMix, *, count: int, seed: int, first: int = 0) -> list[str]:
     """Kinds, as the mix names their shares, of the motions that :func:`build_bank` draws."""
-    trace = _trace(mix)
+    trace = mix_trace(mix)
     rngs = (np.random.default_rng([seed, i]) for i in range(first, first + count))
     return [_draw(mix, rng, trace)[0] for rng in rngs]
 
@@ -234,7 +234,7 @@ def build_bank(
     )
 
 
-def _trace(mix: MotionMix) -> GyroTrace | None:
+def mix_trace(mix: MotionMix) -> GyroTrace | None:
     """Read the recording of a mix that has gyro-driven motion."""
     if mix.gyro == 0:
         return None
@@ -253,7 +253,7 @@ def _motions(
     mix: MotionMix, seed: int, indices: range
 ) -> list[tuple[NDArray[np.float16], NDArray[np.int32], NDArray[np.float16]]]:
     """PSF, path pixels and dwell of each motion."""
-    trace = _trace(mix)
+    trace = mix_trace(mix)
     motions = []
     for index in indices:
         motion = draw_motion(mix, np.random.default_rng([seed, index]), trace)

@@ -86,7 +86,7 @@ def searched(photos: Tensor, *, searches: tuple[Start, ...] = SEARCHES) -> Tenso
 
     Photos are searched in batches of similar noise, for which a search has one setting.
     """
-    noise = _noise(photos)
+    noise = noise_of(photos)
     order = torch.from_numpy(np.argsort(noise)).to(photos.device)
     size = {"cpu": _CPU_BATCH}.get(photos.device.type, len(photos))
     rows = []
@@ -172,7 +172,7 @@ def described(
         If every kernel is lost.
     """
     light = light_of(samples.photos)
-    noise = _noise(light[:, 0])
+    noise = noise_of(light[:, 0])
     parts = []
     # photos of similar noise together: the maps of a batch have one setting
     for batch in np.array_split(np.argsort(noise), -(-len(samples) // SHARD_PHOTOS)):
@@ -196,10 +196,10 @@ def _described(
     sigma: float,
     network: CorrectionNetwork | None,
 ) -> tuple[Tensor, Tensor]:
-    maps = _maps(photos, kernels, sigma)
+    maps = kernel_maps(photos, kernels, sigma)
     if network is not None:
         kernels = corrected(network, maps.flatten(0, 1)).view_as(kernels)
-        maps = _maps(photos, kernels, sigma)
+        maps = kernel_maps(photos, kernels, sigma)
     truth = torch.stack(
         [
             psfs_of_maps(shifted(dwell, registration(kernel[:, None], dwell))[:, 0])
@@ -211,12 +211,12 @@ def _described(
     return maps.flatten(0, 1)[is_alike].half(), truth.flatten(0, 1)[is_alike].half()
 
 
-def _noise(photos: Tensor) -> NDArray[np.float64]:
+def noise_of(photos: Tensor) -> NDArray[np.float64]:
     """Estimate the standard deviation (B,) of the noise of photos (B, H, W)."""
     return np.array([noise_sigma(photo.double().cpu().numpy()) for photo in photos])
 
 
-def _maps(photos: Tensor, kernels: Tensor, sigma: float) -> Tensor:
+def kernel_maps(photos: Tensor, kernels: Tensor, sigma: float) -> Tensor:
     """Stack the maps (B, K, 11, 64, 64) of the kernels (B, K, 64, 64) of photos (B, 1, H, W)."""
     return torch.stack(
         [

@@ -1,0 +1,416 @@
+"""Training of the denoiser of paths, and the figures of its draws."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from lab.trainings.paths.network import SIGMA_DATA, UNIT_PX, PathDenoiser, draw, rendered
+from lab.trainings.paths.samples import (
+    LEAST_ALIKE,
+    PathSamples,
+    forward_in_time,
+    peaks,
+    turned,
+)
+from motdiff.network.symmetry import SYMMETRIES
+from motdiff.psf_frame import PSF_PX
+from motdiff.weights_io import packed, write_with_card
+
+SCHEMA = "lab.paths/1"
+_WARM_UP_STEPS = 300
+_LONGEST_GRADIENT = 1.0
+_EXPLODED = 30.0  # gradients so long are thrown away: they ruined a run
+_AVERAGED = 0.9995
+_SIGMA_LOG = (-1.3, 1.5)  # mean and deviation of the noise levels' logarithms
+_LARGEST_WEIGHT = 400.0  # of an error, at the smallest noise levels
+_SHAPED_BELOW = 0.6  # noise levels at which the denoised path has the shape of one
+_WRONG_MAPS = 0.15  # share of the second to fourth maps that are left out
+_SWAPPED = 0.3  # share of photos whose kernels change places
+_QUARTERS = (0.0, 0.25, 0.5, 0.75)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of a run.
+
+    Attributes
+    ----------
+    minutes : float
+        The rate falls to nothing when they are over.
+    batch : int
+        Photos in an update, each with ``repeats`` noise levels.
+    repeats : int
+    rate : float
+        AdamW's step size.
+    clean : float
+        Share of photos that are motions without a search, whose kernels have faults drawn on.
+    shape : float
+        Weight of the PSFs' correlation beside the error of the points.
+    channels, layers, width : int
+        Of :class:`~lab.trainings.paths.network.PathDenoiser`.
+    seed : int
+    """
+
+    minutes: float = 7.0
+    batch: int = 256
+    repeats: int = 4
+    rate: float = 3e-4
+    clean: float = 0.4
+    shape: float = 0.3
+    channels: int = 160
+    layers: int = 6
+    width: int = 32
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.minutes <= 0:
+            raise ValueError(f"minutes: must be positive, got {self.minutes}")
+        if self.batch < 1:
+            raise ValueError(f"batch: must be at least 1, got {self.batch}")
+
+    def network(self) -> PathDenoiser:
+        """Build a network of these sizes."""
+        return PathDenoiser(self.channels, self.layers, self.width)
+
+
+class Trainer:
+    """Network, its optimiser, and the running average of its weights.
+
+    Parameters
+    ----------
+    settings : Settings
+    device : str
+    """
+
+    def __init__(self, settings: Settings, *, device: str = "cpu") -> None:
+        self.settings = settings
+        self.device = device
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            self.network = settings.network().to(device)
+        self.average = settings.network().to(device).eval()
+        self.average.load_state_dict(self.network.state_dict())
+        self._adam = torch.optim.AdamW(
+            self.network.parameters(), lr=settings.rate, betas=(0.9, 0.98), weight_decay=0.02
+        )
+        self.generator = torch.Generator(device).manual_seed(settings.seed)
+        self.step = 0
+        self.thrown_away = 0
+
+    def update(self, maps: Tensor, points: Tensor, *, share: float) -> float:
+        """Make one update, when a ``share`` of the time has passed; returns the loss.
+
+        Parameters
+        ----------
+        maps : (B, 4, 64, 64) float
+        points : (B, 64, 2) float, px
+        """
+        rate = self.settings.rate * min(1.0, (self.step + 1) / _WARM_UP_STEPS)
+        for group in self._adam.param_groups:
+            group["lr"] = rate * max(0.02, 0.5 * (1 + math.cos(math.pi * share)))
+        loss = self._loss(maps, points.repeat_interleave(self.settings.repeats, dim=0))
+        self._adam.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        length = float(nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_GRADIENT))
+        self.step += 1
+        if not math.isfinite(length) or length > _EXPLODED:
+            self.thrown_away += 1
+            return float(loss.detach())
+        self._adam.step()
+        decay = min(_AVERAGED, self.step / (self.step + 10))
+        with torch.no_grad():
+            for average, value in zip(
+                self.average.parameters(), self.network.parameters(), strict=True
+            ):
+                average.lerp_(value, 1 - decay)
+        return float(loss.detach())
+
+    def _loss(self, maps: Tensor, points: Tensor) -> Tensor:
+        x0 = points / UNIT_PX
+        mean, deviation = _SIGMA_LOG
+        noise = torch.randn(x0.shape, generator=self.generator, device=x0.device)
+        levels = torch.randn(len(x0), generator=self.generator, device=x0.device)
+        sigma = torch.exp(mean + deviation * levels)
+        precision = (
+            torch.autocast("cuda", dtype=torch.bfloat16)
+            if self.device.startswith("cuda")
+            else nullcontext()
+        )
+        with precision:
+            condition = self.network.condition(maps)
+            denoised = self.network(x0 + sigma[:, None, None] * noise, sigma, condition).float()
+        weight = (sigma.square() + SIGMA_DATA**2) / (sigma * SIGMA_DATA).square()
+        error = (denoised - x0).square().mean(dim=(1, 2))
+        loss = (weight.clamp(max=_LARGEST_WEIGHT) * error).mean()
+        shaped = (sigma < _SHAPED_BELOW).float()
+        psfs, truth = rendered(UNIT_PX * denoised), rendered(points)
+        # the sharp ones are nearly MNC; the blurred ones pull from farther away
+        unlike = 1 - _correlation(psfs, truth) + 1 - _correlation(_blurred(psfs), _blurred(truth))
+        shape = (shaped * unlike).sum() / (2 * shaped.sum().clamp(min=1))
+        total: Tensor = loss + self.settings.shape * shape
+        return total
+
+
+class Batches:
+    """Maps and points of searched photos and of clean motions, turned and mirrored.
+
+    Parameters
+    ----------
+    samples : PathSamples
+        On the device.
+    motions : (M, 64, 2) float
+        Points of the clean motions, on the device.
+    generator : torch.Generator
+    """
+
+    def __init__(
+        self, samples: PathSamples, motions: Tensor, *, generator: torch.Generator
+    ) -> None:
+        self._index = torch.nonzero(samples.alike > LEAST_ALIKE)[:, 0]
+        if not len(self._index):
+            raise ValueError("samples: every photo is lost; prepare more shards")
+        self._samples = samples
+        self._motions = motions
+        self._generator = generator
+
+    def batch(self, count: int, clean: float) -> tuple[Tensor, Tensor]:
+        """Draw maps (count, 4, 64, 64) and points (count, 64, 2), a share of them clean."""
+        faulty = round(clean * count) if len(self._motions) else 0
+        index = self._index[self._whole(len(self._index), count - faulty)]
+        maps = self._samples.maps[index].float() / 127
+        points = self._samples.points[index]
+        if faulty:
+            motions = self._motions[self._whole(len(self._motions), faulty)]
+            maps = torch.cat([maps, self._with_faults(rendered(motions))])
+            points = torch.cat([points, motions])
+        order = torch.randperm(count, generator=self._generator, device=maps.device)
+        maps, points = self._disturbed(maps[order]), points[order]
+        groups = [
+            turned(some_maps, some_points, symmetry)
+            for symmetry, (some_maps, some_points) in enumerate(
+                zip(maps.tensor_split(SYMMETRIES), points.tensor_split(SYMMETRIES), strict=True)
+            )
+        ]
+        maps, points = (torch.cat(parts) for parts in zip(*groups, strict=True))
+        return maps, forward_in_time(points)
+
+    def _whole(self, limit: int, count: int) -> Tensor:
+        device = self._generator.device
+        return torch.randint(limit, (count,), generator=self._generator, device=device)
+
+    def _uniform(self, *shape: int) -> Tensor:
+        return torch.rand(shape, generator=self._generator, device=self._generator.device)
+
+    def _smooth(self, count: int, side: int) -> Tensor:
+        """Draw normal noise (count, 1, 64, 64), as smooth as a grid of so many pixels a side."""
+        shape = (count, 1, side, side)
+        noise = torch.randn(shape, generator=self._generator, device=self._generator.device)
+        return functional.interpolate(noise, size=(PSF_PX, PSF_PX), mode="bicubic")
+
+    def _with_faults(self, psfs: Tensor) -> Tensor:
+        """Make maps of kernels with a search's faults: uneven, blurred, cut, with specks."""
+        count = len(psfs)
+        peak = psfs.amax(dim=(1, 2)).clamp(min=1e-9)
+        psfs = psfs[:, None] / peak[:, None, None, None]
+        maps = []
+        for _ in range(3):
+            uneven = 1 + 0.5 * self._uniform(count, 1, 1, 1) * self._smooth(count, 16)
+            kernel = psfs * uneven.clamp(min=0)
+            softness = 0.6 * self._uniform(count, 1, 1, 1)
+            kernel = torch.lerp(kernel, functional.avg_pool2d(kernel, 3, 1, 1), softness)
+            specks = self._smooth(count, 32).clamp(min=0)
+            kernel = kernel + 0.1 * self._uniform(count, 1, 1, 1).square() * specks
+            kernel = kernel / kernel.amax(dim=(2, 3), keepdim=True).clamp(min=1e-9)
+            faint = 0.02 + 0.15 * self._uniform(count, 1, 1, 1)
+            maps.append(torch.where(kernel > faint, kernel, 0).clamp(min=0).sqrt())
+        least_squares = psfs + 0.15 * self._uniform(count, 1, 1, 1) * self._smooth(count, 32)
+        rough = 0.1 * self._uniform(count, 1, 1, 1) * self._smooth(count, PSF_PX)
+        least_squares = least_squares + rough
+        largest = least_squares.abs().amax(dim=(2, 3), keepdim=True).clamp(min=1e-9)
+        maps.append(least_squares.sign() * (least_squares.abs() / largest).sqrt())
+        return torch.cat(maps, dim=1)
+
+    def _disturbed(self, maps: Tensor) -> Tensor:
+        """Change places of kernels, leave some maps out, and add noise: 9,000 photos are few."""
+        count = len(maps)
+        swapped = self._uniform(count, 1, 1, 1) < _SWAPPED
+        maps = torch.where(swapped, maps[:, [1, 2, 0, 3]], maps)
+        absent = self._uniform(count, maps.shape[1], 1, 1) < _WRONG_MAPS
+        absent[:, 0] = False
+        noise = torch.randn(maps.shape, generator=self._generator, device=maps.device)
+        return maps.masked_fill(absent, 0) + 0.03 * self._uniform(count, 1, 1, 1) * noise
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures of draws: means over photos, and medians of errors.
+
+    Attributes
+    ----------
+    draw, best : float
+        MNC over quarters of a pixel, of one draw and of the best of all.
+    error_px, best_error_px : float
+        Rms distance at equal times in the better direction, of one draw and of the best.
+    alike : float
+        MNC of two draws, over whole pixels.
+    kernels : float
+        MNC of the kernels' mean, over whole pixels.
+    """
+
+    draw: float
+    best: float
+    error_px: float
+    best_error_px: float
+    alike: float
+    kernels: float
+
+
+@torch.no_grad()
+def figures(
+    network: PathDenoiser,
+    samples: PathSamples,
+    *,
+    draws: int,
+    generator: torch.Generator,
+    steps: int = 16,
+    batch: int = 128,
+) -> Figures:
+    """Compare draws with the truth, on samples that no training has seen, lost ones included."""
+    rows = []
+    for first in range(0, len(samples), batch):
+        batch_slice = slice(first, first + batch)
+        maps = samples.maps[batch_slice].float() / 127
+        paths = draw(network, maps, count=draws, steps=steps, generator=generator)
+        truth, points = (
+            samples.psfs[batch_slice].float()[:, None],
+            samples.points[batch_slice][:, None],
+        )
+        mnc = torch.stack(
+            [
+                peaks(rendered_draws(paths + paths.new_tensor([right, down])), truth)[0]
+                for right in _QUARTERS
+                for down in _QUARTERS
+            ]
+        ).amax(dim=0)
+        centred = paths - paths.mean(dim=2, keepdim=True)
+        errors = torch.stack(
+            [
+                (centred - (ordered - ordered.mean(dim=2, keepdim=True)))
+                .square()
+                .sum(-1)
+                .mean(-1)
+                .sqrt()
+                for ordered in (points, points.flip(2))
+            ]
+        ).amin(dim=0)
+        pair = rendered_draws(paths[:, [0, -1]])
+        kernels = maps[:, :3].square()
+        kernels = (kernels / kernels.sum(dim=(2, 3), keepdim=True)).mean(dim=1, keepdim=True)
+        columns = (
+            mnc[:, 0],
+            mnc.amax(dim=1),
+            errors[:, 0],
+            errors.amin(dim=1),
+            peaks(pair[:, :1], pair[:, 1:])[0][:, 0],
+            peaks(kernels, truth)[0][:, 0],
+        )
+        rows.append(torch.stack(columns, dim=1))
+    table = torch.cat(rows)
+    mean, median = table.mean(dim=0).tolist(), table.median(dim=0).values.tolist()
+    return Figures(mean[0], mean[1], median[2], median[3], mean[4], mean[5])
+
+
+def rendered_draws(paths: Tensor) -> Tensor:
+    """PSFs (B, K, 64, 64) of paths (B, K, 64, 2)."""
+    return rendered(paths.flatten(0, 1)).view(*paths.shape[:2], PSF_PX, PSF_PX)
+
+
+def train(
+    samples: PathSamples,
+    held_out: PathSamples,
+    motions: Tensor,
+    target: Path | str,
+    *,
+    settings: Settings = Settings(),
+    device: str = "cpu",
+    validate_s: float = 40.0,
+    clock: Callable[[], float] = time.monotonic,
+    report: Callable[[str], None] = lambda _line: None,
+) -> None:
+    """Train until the time is over; the file holds the weights that validated best.
+
+    Parameters
+    ----------
+    samples, held_out : PathSamples
+    motions : (M, 64, 2) float, px
+        Of :func:`~lab.trainings.paths.samples.clean_points`.
+    target : path
+        Weights file, written whole at each validation that is better than those before.
+    settings : Settings
+    device : str
+    validate_s : float
+        Seconds between validations.
+    clock : callable
+        Seconds.
+    report : callable
+        Called with a line at every validation.
+
+    Raises
+    ------
+    FloatingPointError
+        If more than a tenth of the updates exploded.
+    """
+    trainer = Trainer(settings, device=device)
+    samples, held_out = (
+        PathSamples(*(tensor.to(device) for tensor in vars(s).values()))
+        for s in (samples, held_out)
+    )
+    batches = Batches(samples, motions.to(device), generator=trainer.generator)
+    started = validated = clock()
+    best = 0.0
+    share = 0.0
+    while share < 1:
+        maps, points = batches.batch(settings.batch, settings.clean)
+        loss = trainer.update(maps, points, share=share)
+        moment = clock()
+        share = (moment - started) / (60 * settings.minutes)
+        if trainer.thrown_away > max(20, trainer.step / 10):
+            raise FloatingPointError(
+                f"rate: {trainer.thrown_away} of {trainer.step} updates exploded at"
+                f" {settings.rate:g}; train with a smaller one"
+            )
+        if moment - validated < validate_s and share < 1:
+            continue
+        generator = torch.Generator(device).manual_seed(settings.seed)
+        result = figures(trainer.average, held_out, draws=4, generator=generator)
+        if result.draw + result.best > best:
+            best = result.draw + result.best
+            card = {"settings": asdict(settings), "step": trainer.step, "figures": asdict(result)}
+            tensors = packed(trainer.average.state_dict(), source=target)
+            write_with_card(tensors, target, schema=SCHEMA, card=card)
+        values = ", ".join(f"{name} {value:.3f}" for name, value in asdict(result).items())
+        report(
+            f"{trainer.step} updates, {moment - started:.0f} s, loss {loss:.3f},"
+            f" {trainer.thrown_away} thrown away; {values}"
+        )
+        validated = clock()
+
+
+def _correlation(first: Tensor, second: Tensor) -> Tensor:
+    """Correlation (B,) of maps (B, H, W) where they lie."""
+    norms = first.flatten(1).norm(dim=1) * second.flatten(1).norm(dim=1)
+    correlation: Tensor = (first * second).sum(dim=(1, 2)) / norms.clamp(min=1e-9)
+    return correlation
+
+
+def _blurred(psfs: Tensor) -> Tensor:
+    return functional.avg_pool2d(functional.avg_pool2d(psfs[:, None], 3, 1, 1), 3, 1, 1)[:, 0]
