@@ -127,17 +127,26 @@ def write_with_card(
 
 
 def read_tensors(path: Path | str) -> dict[str, Tensor]:
-    """Read the tensors of a weights file, packed or not, those of floating point as float32."""
+    """Read the tensors of a weights file, packed or not, those of floating point as float32.
+
+    Raises
+    ------
+    ValueError
+        If a packed tensor's steps are not one for each output.
+    """
     with safe_open(str(path), framework="pt") as file:
         stored = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, not a dict
-    tensors = {}
-    for name, tensor in stored.items():
-        if name + _STEP in stored:
-            tensors[name] = tensor.float() * stored[name + _STEP]
-        elif name.removesuffix(_STEP) in stored and name.endswith(_STEP):
-            continue
-        else:
-            tensors[name] = tensor.float() if tensor.is_floating_point() else tensor
+    names = [name for name in stored if not name.endswith(_STEP) and name + _STEP in stored]
+    steps = {name: stored.pop(name + _STEP) for name in names}
+    tensors = {name: t.float() if t.is_floating_point() else t for name, t in stored.items()}
+    for name, step in steps.items():
+        shape = tensors[name].shape
+        # other shapes broadcast: a small file could ask for any amount of memory
+        if step.shape != (*shape[:1], *(1 for _ in shape[1:])):
+            raise ValueError(
+                f"{path}: its tensors do not fit: {one_line(name)} needs a step for each output"
+            )
+        tensors[name] = tensors[name] * step
     return tensors
 
 

@@ -105,6 +105,18 @@ class Source:
     photography: Photography
     seed: int
 
+    def photos_of(self, shard: int, count: int) -> Samples:
+        """Simulate the ``count`` photos of a shard, without searches of their kernels."""
+        return simulated_shard(
+            shard,
+            count,
+            scenes=self.scenes,
+            mix=self.mix,
+            photography=self.photography,
+            physics=False,
+            seed=self.seed,
+        )
+
 
 def read_source(config_file: Path | str, *, held_out: bool) -> Source:
     """Read the source of a run's samples from its TOML file, with its training or held-out scenes.

@@ -29,7 +29,6 @@ from motdiff.training.prepared import (
     light_of,
     sample_arrays,
     samples_of,
-    simulated_shard,
 )
 from motdiff.training.samples import Samples, registration
 from motdiff.training.shards import load_shards, write_shards
@@ -130,15 +129,7 @@ def prepare(
     """
 
     def searched_arrays(shard: int) -> dict[str, NDArray[np.generic]]:
-        samples = simulated_shard(
-            shard,
-            SHARD_PHOTOS,
-            scenes=source.scenes,
-            mix=source.mix,
-            photography=source.photography,
-            physics=False,
-            seed=source.seed,
-        )
+        samples = source.photos_of(shard, SHARD_PHOTOS)
         with torch.no_grad():
             kernels = searched(samples.photos.mean(dim=1).to(device), searches=SEARCHES)
         return sample_arrays(replace(samples, kernels=kernels.cpu()))

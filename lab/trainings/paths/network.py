@@ -69,7 +69,7 @@ def waves(values: Tensor, count: int) -> Tensor:
 
 @dataclass(frozen=True)
 class Condition:
-    """What the denoiser is told of B photos.
+    """Features of the maps of B photos, on which the denoiser is conditioned.
 
     Attributes
     ----------

@@ -22,7 +22,7 @@ from motdiff.network.correction import CorrectionNetwork, corrected
 from motdiff.network.symmetry import mirrored
 from motdiff.psf_frame import PSF_PX
 from motdiff.training.motion_bank import MotionMix, draw_motion
-from motdiff.training.prepared import Source, simulated_shard
+from motdiff.training.prepared import Source
 from motdiff.training.shards import load_shards, write_shards
 
 SHARD_PHOTOS = 128
@@ -99,15 +99,7 @@ def prepare(
     """
 
     def arrays(shard: int) -> dict[str, NDArray[Any]]:
-        samples = simulated_shard(
-            shard,
-            SHARD_PHOTOS,
-            scenes=source.scenes,
-            mix=source.mix,
-            photography=source.photography,
-            physics=False,
-            seed=source.seed,
-        )
+        samples = source.photos_of(shard, SHARD_PHOTOS)
         # the same draws as the shard's photos: motion i follows from (seed, i)
         first = shard * SHARD_PHOTOS
         motions = [

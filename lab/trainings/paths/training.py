@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Callable
@@ -33,7 +34,7 @@ _AVERAGED = 0.9995
 _SIGMA_LOG = (-1.3, 1.5)  # mean and deviation of the noise levels' logarithms
 _LARGEST_WEIGHT = 400.0  # of an error, at the smallest noise levels
 _SHAPED_BELOW = 0.6  # noise levels at which the denoised path has the shape of one
-_WRONG_MAPS = 0.15  # share of the second to fourth maps that are left out
+_ABSENT_MAPS = 0.15  # share of the second to fourth maps that are left out
 _SWAPPED = 0.3  # share of photos whose kernels change places
 _QUARTERS = (0.0, 0.25, 0.5, 0.75)
 
@@ -97,8 +98,7 @@ class Trainer:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
             self.network = settings.network().to(device)
-        self.average = settings.network().to(device).eval()
-        self.average.load_state_dict(self.network.state_dict())
+        self.average = copy.deepcopy(self.network).eval()
         self._adam = torch.optim.AdamW(
             self.network.parameters(), lr=settings.rate, betas=(0.9, 0.98), weight_decay=0.02
         )
@@ -244,7 +244,7 @@ class Batches:
         count = len(maps)
         swapped = self._uniform(count, 1, 1, 1) < _SWAPPED
         maps = torch.where(swapped, maps[:, [1, 2, 0, 3]], maps)
-        absent = self._uniform(count, maps.shape[1], 1, 1) < _WRONG_MAPS
+        absent = self._uniform(count, maps.shape[1], 1, 1) < _ABSENT_MAPS
         absent[:, 0] = False
         noise = torch.randn(maps.shape, generator=self._generator, device=maps.device)
         return maps.masked_fill(absent, 0) + 0.03 * self._uniform(count, 1, 1, 1) * noise

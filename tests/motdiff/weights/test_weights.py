@@ -301,6 +301,19 @@ def test_weights_beyond_half_precision_are_refused(tmp_path):
     assert not (tmp_path / "w.safetensors").exists()
 
 
+@pytest.mark.parametrize("shape", [(1, 2, 1), (3, 5), ()])
+def test_steps_that_would_broadcast_are_refused(exported, shape):
+    name = next(name for name in load_file(exported) if name.endswith(".step"))
+    rewritten(exported, change=lambda tensors: {**tensors, name: torch.ones(shape)})
+    refused(load_network, exported, "needs a step for each output")
+
+
+def test_steps_of_steps_are_refused(exported):
+    name = next(name for name in load_file(exported) if name.endswith(".step"))
+    rewritten(exported, change=lambda tensors: {**tensors, f"{name}.step": torch.ones(1)})
+    refused(load_network, exported, "its tensors do not fit")
+
+
 @pytest.mark.parametrize("call", [load_network, read_card])
 def test_what_are_no_weights_is_refused_in_one_line(tmp_path, call):
     refused(call, tmp_path / "none.safetensors", "cannot be read as weights")
