@@ -213,7 +213,7 @@ def _page(best: Optimum, file: Path) -> Page:
     yield Table("compared on this motion (worse direction where unknown)", columns, rows)
     yield (
         f"certified: min {modulus} lies within "
-        f"{best.certificate.lower:.6g}..{best.certificate.upper:.6g} ({best.certificate.method})"
+        f"{best.certificate.lower:.6g}..{best.certificate.upper:.6g}"
     )
     if search.stopped == "proven" and search.proof is not None:
         proven = "proven"

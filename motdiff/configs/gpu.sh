@@ -37,7 +37,7 @@ if [[ ${1:-} == --rehearse && $# -le 2 ]]; then
     device=cpu
     first=0.2
     every=0.1
-    most_weights=5000000
+    most_weights=3000000
     changes=(
         -e 's/^motions = .*/motions = 16\
 held_out = 3\
