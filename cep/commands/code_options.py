@@ -64,12 +64,8 @@ OpenChips = Annotated[
         "--open",
         metavar="K|LOW:HIGH",
         rich_help_panel=_CODE,
-        help="Open chips, as 26 or 20:30; any number when omitted.",
+        help="Open chips, as 26 or 20:30, or their share, as 40%:60%; any number when omitted.",
     ),
-]
-Duty = Annotated[
-    str | None,
-    _option(_CODE, "--duty", "LOW:HIGH", "Instead of --open: open fraction of the time, 0..1."),
 ]
 ChipTime = Annotated[int, _option(_CODE, "--chip-ns", "NS", "Chip time, ns.", min=1)]
 Exposure = Annotated[
@@ -112,7 +108,6 @@ class CodeOptions(CameraOptions, SceneOptions):
         int | None, chips_option(fewest=1, help="Number of chips; 52 when omitted.")
     ] = None
     open_chips: OpenChips = None
-    duty: Duty = None
     exposure: Exposure = None
     device: Device = None
     min_open: Annotated[int, _limit("--min-open", "Shortest open run, chips.")] = 1
@@ -144,7 +139,7 @@ class CodeOptions(CameraOptions, SceneOptions):
         return SearchProblem.along(
             *motions,
             chips=chips,
-            open_range=open_range(self.open_chips, chips, duty=self.duty),
+            open_range=open_range(self.open_chips, chips),
             exposure_s=exposure_seconds(self.exposure) or exposure_s,
             device=self.device,
             objective=objective,
@@ -187,28 +182,35 @@ class SearchOptions:
     output: Annotated[Path, output_option("File to write.")] = Path("code.json")
 
 
-def open_range(text: str | None, chips: int, *, duty: str | None = None) -> tuple[int, int]:
-    """Read ``--open`` or ``--duty``: fewest and most open chips.
+def open_range(text: str | None, chips: int) -> tuple[int, int]:
+    """Read ``--open``: fewest and most open chips.
 
     Examples
     --------
-    >>> open_range("3", 8), open_range("2:4", 8), open_range(None, 8, duty="0.25:0.5")
+    >>> open_range("3", 8), open_range("2:4", 8), open_range("25%:50%", 8)
     ((3, 3), (2, 4), (2, 4))
     """
-    if duty is not None:
-        from cep.search.problem import open_range_of_duty
-
-        if text is not None:
-            raise ValueError("--open and --duty: give one of them")
-        return open_range_of_duty(chips, *low_and_high("--duty", duty, "0.4:0.6"))
     if text is None:
         return 1, chips
     low, _, high = text.partition(":")
+    high = high or low
+    as_shares = low.endswith("%") and high.endswith("%")
     try:
-        fewest = int(low)
-        largest = int(high or low)
+        if as_shares:
+            least_share, largest_share = (
+                float(percent.removesuffix("%")) / 100 for percent in (low, high)
+            )
+        else:
+            fewest = int(low)
+            largest = int(high)
     except ValueError:
-        raise ValueError(f"--open: must be K or LOW:HIGH in whole chips, got {text!r}") from None
+        raise ValueError(
+            f"--open: must be K or LOW:HIGH in whole chips, or LOW%:HIGH%, got {text!r}"
+        ) from None
+    if as_shares:
+        from cep.search.problem import open_range_of_duty
+
+        return open_range_of_duty(chips, least_share, largest_share)
     if not 1 <= fewest <= largest <= chips:
         raise ValueError(f"--open: must lie within 1..{chips}, got {text}")
     return fewest, largest
@@ -236,15 +238,6 @@ def objective_mix(text: str) -> Mix:
     if len({name for name, _ in mix}) < len(mix):
         raise ValueError(f"--objective: names one objective twice, got {text!r}")
     return tuple(mix)
-
-
-def low_and_high(name: str, text: str, example: str) -> tuple[float, float]:
-    """Read an option's ``LOW:HIGH``, or one number for both."""
-    low, _, high = text.partition(":")
-    try:
-        return float(low), float(high or low)
-    except ValueError:
-        raise ValueError(f"{name}: must be LOW:HIGH as {example}, got {text!r}") from None
 
 
 def openings(code: ShutterCode) -> str:

@@ -15,7 +15,6 @@ from cep.commands.code_options import (
     SearchOptions,
     chips_option,
     ending,
-    low_and_high,
     objective_mix,
     openings,
 )
@@ -69,7 +68,11 @@ class OptimizeOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
         motions = (Scenario(stored.trajectory),)
         if self.speed is None:
             return motions
-        low, high = low_and_high("--speed", self.speed, "0.8:1.2")
+        first, _, second = self.speed.partition(":")
+        try:
+            low, high = float(first), float(second or first)
+        except ValueError:
+            raise ValueError(f"--speed: must be LOW:HIGH as 0.8:1.2, got {self.speed!r}") from None
         return speed_range(motions, low, high, _SPEEDS if low < high else 1)
 
     def searched(
@@ -117,7 +120,7 @@ def optimize(options: OptimizeOptions) -> None:
     - proven: no code is better, over the whole unit circle; or, unless one straight motion is all
       there is, at the band's samples.
 
-    Example: cep optimize --trajectory motion/trajectory.json --chips 40 --duty 0.4:0.6 -o
+    Example: cep optimize --trajectory motion/trajectory.json --chips 40 --open 40%:60% -o
     code.json
 
     Example: cep optimize --linear 36 --chips 36 --method exact

@@ -389,12 +389,15 @@ def open_range_of_duty(chips: int, low: float, high: float) -> tuple[int, int]:
         them.
     """
     if not 0 <= low <= high <= 1:
-        raise ValueError(f"duty: must be LOW:HIGH within 0..1, got {low:g}:{high:g}")
+        raise ValueError(
+            f"duty: must be LOW:HIGH within 0..100%, got {100 * low:g}%:{100 * high:g}%"
+        )
     # a product such as 0.07 * 100 = 7.000000000000001 must still count as whole
     fewest = max(1, int(np.ceil(low * chips - 1e-9)))
     largest = int(np.floor(high * chips + 1e-9))
     if fewest > largest:
         raise ValueError(
-            f"duty: no whole number of open chips out of {chips} lies within {low:g}:{high:g}"
+            f"duty: no whole number of open chips out of {chips} lies within"
+            f" {100 * low:g}%:{100 * high:g}%"
         )
     return fewest, largest

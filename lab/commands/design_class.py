@@ -83,7 +83,7 @@ def design_class(options: DesignClassOptions) -> None:
 
     Example: python -m lab design-class walks --length 60 --chips 32 --open 16
 
-    Example: python -m lab design-class shots_motion --chips 40 --duty 0.4:0.6
+    Example: python -m lab design-class shots_motion --chips 40 --open 40%:60%
     """
     with progress("searching") as tick:
         from cep.search.scenarios import class_scenarios

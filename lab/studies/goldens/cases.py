@@ -174,7 +174,7 @@ CASES = [
     ),
     Case(
         "optimize-duty",
-        f"cep optimize {PATH_12} --duty 0.4:0.6 {SEARCH} -o code_new.json --table search.md",
+        f"cep optimize {PATH_12} --open 40%:60% {SEARCH} -o code_new.json --table search.md",
     ),
     Case(
         "optimize-open-range",
@@ -259,7 +259,7 @@ CASES = [
     ),
     Case(
         "pareto-path-json",
-        f"cep pareto {PATH_12} --duty 0.3:0.7 {SEARCH} --camera video-8bit -o front.json"
+        f"cep pareto {PATH_12} --open 30%:70% {SEARCH} --camera video-8bit -o front.json"
         " --plot front.svg --json",
     ),
     # audit
@@ -547,7 +547,7 @@ CASES = [
     Case("bad-module", "cep audit nowhere:code"),
     Case("bad-motion-missing", "cep optimize --chips 12 --steps 10"),
     Case("bad-motion-twice", "cep optimize --linear 12 --trajectory path.json --steps 10"),
-    Case("bad-open-and-duty", "cep optimize --linear 12 --chips 12 --open 6 --duty 0.4:0.6"),
+    Case("bad-open-share", "cep optimize --linear 12 --chips 12 --open 40%:6"),
     Case("bad-open-range", "cep optimize --linear 12 --chips 12 --open 9:40 --steps 10"),
     Case(
         "bad-objective",

@@ -279,8 +279,8 @@ def test_optimize(cep, workplace):
         "trajectory.json",
         "--chips",
         "12",
-        "--duty",
-        "0.4:0.7",
+        "--open",
+        "40%:70%",
         "--steps",
         "3000",
     )

@@ -141,8 +141,8 @@ def test_an_exposure_is_the_same_text_in_every_command(refused, command):
             for value in ("0", "9:3", "1:13", "x", "nan", "")
         ),
         *(
-            ("optimize", ["--duty", value], "--duty")
-            for value in ("2:3", "nan:nan", "0.9:0.1", "x", "0.301:0.302")
+            ("optimize", ["--open", value], "--open")
+            for value in ("200%:300%", "nan%", "90%:10%", "x%", "30.1%:30.2%", "40%:6", "6:50%")
         ),
         *(("optimize", ["--speed", value], "--speed") for value in ("0:1", "nan", "2:1", "x")),
         *(
@@ -203,7 +203,7 @@ def param(name, *opts, kind="option", metavar=None):
             "--start and --exposure: need a recording",
         ),
         ("open_range: fewest 9 is above most 3", (), "--open: fewest 9 is above most 3"),
-        ("open_range: fewest 9 is above most 3", ("duty",), "--duty: fewest 9 is above most 3"),
+        ("duty: must be LOW:HIGH", (), "--open: must be LOW:HIGH"),
         ("min_open: conflicts with 3 (open_range)", (), "--min-open: conflicts with 3 (--open)"),
         ("sharp: not valid with method='pmp'", (), "--sharp: not valid with --method pmp"),
         (
@@ -215,18 +215,18 @@ def param(name, *opts, kind="option", metavar=None):
         ("fixed (1 open): no code", (), "fixed (1 open): no code"),
         ("method (1 open): no code", (), "--method (1 open): no code"),
         (
-            "open_range 9..12, min_open 4 and duty 3 conflict: no",
+            "open_range 9..12, min_open 4 and method 3 conflict: no",
             (),
-            "--open 9..12, --min-open 4 and --duty 3 conflict: no",
+            "--open 9..12, --min-open 4 and --method 3 conflict: no",
         ),
         ("method and sharp.png: no photo", (), "method and sharp.png: no photo"),
         ("shots/method: no photo", (), "shots/method: no photo"),
         ("scene: is empty", (), "scene: is empty"),
         ("scene: needs size=3", (), "scene: needs size=3"),
         (
-            "method: known are sharp=, duty=, method=",
+            "method: known are sharp=, code=, method=",
             (),
-            "--method: known are sharp=, duty=, method=",
+            "--method: known are sharp=, code=, method=",
         ),
         ("my_photo.png: is empty", (), "my_photo.png: is empty"),
         (
@@ -244,7 +244,6 @@ def test_parameters_are_translated_into_options(message, given, translated):
         param("exposure", "--exposure"),
         param("start", "--start"),
         param("open_chips", "--open", "-k"),
-        param("duty", "--duty"),
         param("min_open", "--min-open"),
         param("method", "--method"),
         param("sharp", "--sharp"),
@@ -299,6 +298,6 @@ def test_an_example_can_be_copied_as_it_stands(cep, monkeypatch):
     lines = [" ".join(line.split()) for line in examples.splitlines() if line.strip()]
     assert all(line.startswith("cep optimize ") for line in lines)
     assert (
-        "cep optimize --trajectory motion/trajectory.json --chips 40 --duty 0.4:0.6 -o code.json"
+        "cep optimize --trajectory motion/trajectory.json --chips 40 --open 40%:60% -o code.json"
         in lines
     )

@@ -47,7 +47,7 @@ def test_both_files_are_written(lab, workplace):
 
 def test_for_people_it_prints_the_knees(lab, workplace):
     assert (
-        lab("pareto", "--chips", "8", "--linear", "10", "--duty", "0.4:0.8", "--steps", "0").code
+        lab("pareto", "--chips", "8", "--linear", "10", "--open", "40%:80%", "--steps", "0").code
         == 0
     )
     for text in (
@@ -120,7 +120,7 @@ def test_repeatable(lab, workplace):
         ("--open", ("--open", "5:2")),
         ("--open", ("--open", "some")),
         ("--open", ("--open", "3:99")),
-        ("duty", ("--duty", "0.9:0.2")),
+        ("--open", ("--open", "90%:20%")),
         ("--trajectory", ("--linear", "20", "--trajectory", "trajectory.json")),
         ("--linear", ("--linear", "-3")),
         ("chips", ("--linear", "1")),
