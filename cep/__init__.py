@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from cep.restoration.direction import detect_direction
     from cep.restoration.restore import restore
     from cep.search.advise import advise
-    from cep.search.bounding.bounds import bound
+    from cep.search.bounds import bound
     from cep.search.compare import compare
     from cep.search.limits import RunLimits
     from cep.search.optimize import optimize
@@ -93,7 +93,7 @@ _MODULES = {
     "Trajectory": "motdiff.trajectory",
     "advise": "cep.search.advise",
     "audit": "cep.proofs.audit",
-    "bound": "cep.search.bounding.bounds",
+    "bound": "cep.search.bounds",
     "capture": "cep.optics.capture",
     "certify": "cep.proofs.certify.certificate",
     "coded_psf": "cep.optics.exposure",

@@ -215,7 +215,6 @@ def optimize(
     method: Literal["anneal", "exact"] = "anneal",
     steps: int | None = None,
     time_s: float | None = None,
-    effort: Literal["quick", "sdp"] = "quick",
     seed: int = 0,
     start: Sequence[ShutterCode] = (),
     along: Trajectory | None = None,
@@ -239,7 +238,7 @@ def optimize(
         A callable returns the problem with so many chips: as many as pay are chosen, see
         :func:`cep.search.chip_count.choose_chips`. After Ctrl-C within that choice the best of the
         codes to start from and to compare with is returned.
-    method, steps, time_s, effort, seed
+    method, steps, time_s, seed
         As of :class:`Search`. The choice of the number of chips is within the time.
     start : sequence of ShutterCode
         Codes to start an annealing from, besides those that the code is compared with.
@@ -280,7 +279,7 @@ def optimize(
     >>> best.code.bits, best.found.stopped
     ('1010111100100100', 'proven')
     """
-    how = Search(method=method, effort=effort, steps=steps, time_s=time_s, seed=seed)
+    how = Search(method=method, steps=steps, time_s=time_s, seed=seed)
     started = time.monotonic()
     chosen: ChipCount | None = None
     searched_s = time_s
@@ -367,9 +366,7 @@ def optimize(
     if problem.on_circle:
         path = None  # the certificate is for |P|, whatever the speed of the motion
     certificate = certify(code, path)
-    bounded = _bounded(
-        problem, outcome, comparison[0].metrics, straight=path is None, effort=effort
-    )
+    bounded = _bounded(problem, outcome, comparison[0].metrics, straight=path is None)
     tell(1.0, "")
     return Optimum(
         problem,
@@ -465,10 +462,9 @@ def _bounded(
     metrics: CodeMetrics,
     *,
     straight: bool,
-    effort: Literal["quick", "sdp"],
 ) -> tuple[str, float | None, float | None]:
     """Name, bound and gap of the figure that was optimised, None where nothing bounds it."""
-    from cep.search.bounding.bounds import bound
+    from cep.search.bounds import bound
 
     # no bound is known for a mix, the flatness or the expected error
     if problem.objective not in ("min-mtf", "noise"):
@@ -476,7 +472,7 @@ def _bounded(
     if straight and outcome.proof is not None and outcome.stopped == "proven":
         limit = outcome.proof["upper"]  # tighter than the bound: it counted every code
         return "min |P|, chips", limit, max(0.0, _gap(metrics.min_chip, limit))
-    limits = bound(problem, effort=effort)
+    limits = bound(problem)
     if problem.objective == "noise":
         return "noise gain, dB", limits.noise, metrics.noise_gain_db - limits.noise
     if straight:

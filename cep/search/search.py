@@ -20,9 +20,6 @@ STANDARD_TIME_S = 60.0
 NO_TIME_S = 1e-9
 """Time limit that ends an annealing at its start: the best of its starting codes is returned."""
 
-_RELAXED = 128  # chips to which the relaxation takes seconds
-_ROUNDED = 16  # codes drawn from its solution, each a start of the annealing
-
 
 @dataclass(frozen=True, kw_only=True)
 class Search:
@@ -31,8 +28,6 @@ class Search:
     Attributes
     ----------
     method : {"anneal", "exact"}
-    effort : {"quick", "sdp"}
-        Of the bound; "sdp" also draws codes from the relaxation to start from.
     steps : int, optional
         Moves of an annealing. The same seed and moves give the same code, unless the time ends the
         search.
@@ -45,12 +40,11 @@ class Search:
     Raises
     ------
     ValueError
-        If the method or the effort is another, the time is not above 0, or moves or a time are
+        If the method is another, the time is not above 0, or moves or a time are
         given for a proof.
     """
 
     method: Literal["anneal", "exact"] = "anneal"
-    effort: Literal["quick", "sdp"] = "quick"
     steps: int | None = None
     time_s: float | None = None
     seed: int = 0
@@ -58,8 +52,6 @@ class Search:
     def __post_init__(self) -> None:
         if self.method not in ("anneal", "exact"):
             raise ValueError(f"method: must be anneal or exact, got {self.method!r}")
-        if self.effort not in ("quick", "sdp"):
-            raise ValueError(f"effort: must be quick or sdp, got {self.effort!r}")
         if self.time_s is not None and not self.time_s > 0:
             raise ValueError(f"time_s: must be above 0 seconds, got {self.time_s}")
         for name in ("steps", "time_s"):
@@ -137,15 +129,12 @@ def search(
             progress=progress,
             threads=threads,
         )
-    starts = [*start]
-    if how.effort == "sdp":
-        starts += _rounded(problem, how.seed)
     return search_code(
         problem,
         rng=rng,
         steps=how.moves(problem),
         time_s=how.limit_s,
-        start=starts,
+        start=start,
         length_px=length_px,
         progress=progress,
         threads=threads,
@@ -185,26 +174,3 @@ def ended_early(how: Search, stopped: str, moves: int | None) -> list[str]:
             " run may give another code"
         ]
     return []
-
-
-def _rounded(problem: SearchProblem, seed: int) -> list[ShutterCode]:
-    """Codes drawn from the relaxation along a path, if any."""
-    from cep.search.bounding.bounds import relaxed_minimum
-    from cep.search.bounding.relaxation import rounded_codes
-
-    low, high = problem.open_limits
-    k = min(max((low + high) // 2, 2), problem.chips - 1)  # codes of one number of open chips
-    if (
-        not problem.scenarios
-        or problem.response is not None
-        or not low <= k <= high
-        or problem.chips > _RELAXED
-    ):
-        return []
-    try:
-        codes = rounded_codes(
-            relaxed_minimum(problem, k), _ROUNDED, rng=np.random.default_rng([seed, 3])
-        )
-    except ValueError:  # no solver found an optimum: the search does without
-        return []
-    return [ShutterCode.from_array(code) for code in codes]

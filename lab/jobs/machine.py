@@ -17,7 +17,6 @@ _MAKERS = (
     "scikit-image",
     "torch",
     "numba",
-    "cvxpy",
 )
 
 

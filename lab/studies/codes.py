@@ -153,7 +153,7 @@ def random_code(rng: np.random.Generator, chips: int) -> ShutterCode:
 
 def straight(seconds: float) -> None:
     from cep.search.annealing.anneal import anneal
-    from cep.search.bounding.bounds import bound
+    from cep.search.bounds import bound
     from cep.search.problem import SearchProblem
 
     print(f"\nAnnealing at n = 52, k = 26 on the unit circle, {seconds:g} s each, one core")

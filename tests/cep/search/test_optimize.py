@@ -108,9 +108,7 @@ def test_a_time_that_ends_the_search_is_told_with_its_moves():
     )
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"), [({"method": "magic"}, "^method: "), ({"effort": "much"}, "^effort: ")]
-)
+@pytest.mark.parametrize(("wrong", "message"), [({"method": "magic"}, "^method: ")])
 def test_an_unknown_method_is_refused_and_not_searched_by_another(wrong, message):
     with pytest.raises(ValueError, match=message):
         optimize(SearchProblem.along(BENT, chips=12), steps=10, **wrong)

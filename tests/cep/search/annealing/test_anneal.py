@@ -14,7 +14,7 @@ from cep.proofs.certify.minimum import min_chip
 from cep.proofs.measure import measure
 from cep.search.annealing.anneal import anneal
 from cep.search.annealing.proposals import Limits, keeps_runs
-from cep.search.bounding.bounds import bound
+from cep.search.bounds import bound
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, SearchProblem, open_range_of_duty

@@ -13,15 +13,10 @@ from numpy.typing import NDArray
 from cep.optics.band import band_samples, straight_axis
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis, coded_otf
-from cep.search.bounding.motion_basis import (
-    MotionBasis,
-    circle_average,
-    circle_grid,
-    form_matrix,
-    gram,
-    largest_form,
-)
-from cep.search.bounding.relaxation import Relaxation, Solver, relax
+from cep.search.bounds import count_bounds
+from cep.search.motion_basis import ROUNDING, MotionBasis, circle_average, circle_grid, gram
+from cep.search.problem import SearchProblem
+from lab.relaxed_bounds.relaxation import Relaxation, relax
 from motdiff.trajectory import Trajectory
 from motdiff.types import ComplexArray, FloatArray
 
@@ -32,6 +27,7 @@ _ROUNDS = 6  # the bound holds after any round; stop where one gains less
 _SETTLED = 2e-3
 _UNUSED = 1e-4  # weights below this share of the largest make room
 _MOST_FREQUENCIES = 2600  # of a relaxed mean: Newton's matrix takes 54 MB, a step up to a second
+_MOST_CHIPS = 256  # of a relaxation, whose steps invert n x n matrices
 _STRAIGHT_OVERSAMPLING = 8
 _LIGHTS = 6  # numbers of open chips that are relaxed, the weakest first
 _NEARLY_AS_WEAK = 0.01  # of a relaxed minimum: a number so little weaker is not relaxed as well
@@ -125,19 +121,49 @@ class DualProof:
         return float(np.sqrt(samples.weight * self.weights).sum()) ** 2
 
 
+def relaxed_bound(problem: SearchProblem) -> tuple[float, tuple[DualProof, ...]]:
+    """Bound the objective of all codes of a problem, in seconds to a minute.
+
+    Returns
+    -------
+    bound : float
+        Upper bound of the smallest |H| for the objective "min-mtf", or lower bound of 10 log10
+        mean 1/|H|^2 for "noise"; never weaker than that of :func:`cep.search.bounds.bound`.
+    proofs : tuple of DualProof
+        One for each number of open chips that the relaxation bounds better.
+
+    Raises
+    ------
+    ValueError
+        If the problem has another objective.
+    """
+    if problem.objective not in ("min-mtf", "noise"):
+        raise ValueError(f"objective: must be min-mtf or noise, got {problem.objective!r}")
+    by_count = count_bounds(problem)
+    affordable = problem.chips <= _MOST_CHIPS
+    if problem.objective == "noise":
+        if by_count.noisiest is None or not affordable:
+            return float(by_count.noise.min()), ()
+        noise, proofs = tightened([by_count.noisiest], by_count.counts, by_count.noise, "noise")
+        return float(noise.min()), tuple(proofs)
+    # on the circle a relaxation gains nothing: docs/decisions/proofs.md
+    if not (problem.scenarios and by_count.motions and affordable):
+        return float(by_count.min_mtf.max()), ()
+    lowest, proofs = tightened(by_count.motions, by_count.counts, by_count.min_mtf, "min")
+    return float(lowest.max()), tuple(proofs)
+
+
 def tightened(
     parts: Sequence[MotionBasis],
     counts: Counts,
     earlier: FloatArray,
     quantity: Literal["min", "noise"],
-    *,
-    solvers: Sequence[Solver] | None = None,
 ) -> tuple[FloatArray, list[DualProof]]:
     """Improve earlier bounds, (K,), one for each number of open chips, by the relaxation.
 
     The number of open chips with the weakest bound is relaxed, its multipliers are tried on all
-    others, and so on until the weakest has been relaxed. Where no solver finds an optimum, the
-    earlier bounds stay.
+    others, and so on until the weakest has been relaxed. Where the relaxation has no solution,
+    the earlier bounds stay.
 
     Parameters
     ----------
@@ -147,7 +173,6 @@ def tightened(
     earlier : (K,) float
         Light-true |H|, or dB.
     quantity : {"min", "noise"}
-    solvers : sequence of callables, optional
 
     Returns
     -------
@@ -172,8 +197,8 @@ def tightened(
             break
         solved.add(index)
         try:
-            proof, matrix, reached = prove(parts, k, solvers)
-        except ValueError:  # no solver found an optimum
+            proof, matrix, reached = prove(parts, k)
+        except ValueError:  # the relaxation found no optimum
             break
         for row, count in enumerate(counts):
             form = max(largest_form(matrix, proof.multipliers, int(count)), 1e-300)
@@ -191,7 +216,7 @@ def tightened(
 
 
 def relaxed(
-    parts: Sequence[MotionBasis], open_chips: int, *, solvers: Sequence[Solver] | None = None
+    parts: Sequence[MotionBasis], open_chips: int
 ) -> tuple[Relaxation, list[NDArray[np.intp]]]:
     """Relax the largest smallest |H| over all frequencies, by adding the worst ones to a few.
 
@@ -204,7 +229,7 @@ def relaxed(
     Raises
     ------
     ValueError
-        If no solver finds an optimum on the first frequencies.
+        If no optimum is found on the first frequencies.
     """
     power = np.concatenate([motion_basis.random_power(open_chips) for motion_basis in parts])
     sizes = [motion_basis.samples.fx.size for motion_basis in parts]
@@ -215,7 +240,7 @@ def relaxed(
     value_reached = 0.0
     for _ in range(_ROUNDS):
         try:
-            relaxation = relax(_columns(parts, _split(chosen, sizes)), open_chips, solvers=solvers)
+            relaxation = relax(_columns(parts, _split(chosen, sizes)), open_chips)
         except ValueError:
             if best is None:
                 raise
@@ -241,10 +266,8 @@ def relaxed(
     return best[0], _split(best[1], sizes)
 
 
-def _minimum(
-    parts: Sequence[MotionBasis], open_chips: int, solvers: Sequence[Solver] | None
-) -> tuple[DualProof, FloatArray, float]:
-    relaxation, chosen = relaxed(parts, open_chips, solvers=solvers)
+def _minimum(parts: Sequence[MotionBasis], open_chips: int) -> tuple[DualProof, FloatArray, float]:
+    relaxation, chosen = relaxed(parts, open_chips)
     weights = np.maximum(relaxation.weights, 0.0)
     sizes = [index.size for index in chosen]
     matrix = np.zeros_like(relaxation.products)
@@ -268,9 +291,7 @@ def _minimum(
     return proof, matrix, float(weights.sum())
 
 
-def _mean(
-    parts: Sequence[MotionBasis], open_chips: int, solvers: Sequence[Solver] | None
-) -> tuple[DualProof, FloatArray, float]:
+def _mean(parts: Sequence[MotionBasis], open_chips: int) -> tuple[DualProof, FloatArray, float]:
     motion_basis = coarse = parts[0]
     motion = motion_basis.motion
     samples = motion_basis.samples
@@ -289,7 +310,7 @@ def _mean(
     # the ends of a straight band may weigh nothing
     active = shares > 0
     columns = _columns([coarse], [np.flatnonzero(active)])
-    relaxation = relax(columns, open_chips, shares=shares[active], solvers=solvers)
+    relaxation = relax(columns, open_chips, shares=shares[active])
     ratio = np.zeros_like(shares)
     ratio[active] = np.sqrt(np.maximum(relaxation.weights, 0.0) / shares[active])
     if coarse is not motion_basis:
@@ -312,6 +333,18 @@ def _mean(
         bound=-np.inf,
     )
     return proof, motion_basis.gram(weights), float(samples.weight @ ratio) ** 2
+
+
+def form_matrix(matrix: FloatArray, multipliers: FloatArray, open_chips: int) -> FloatArray:
+    """Add terms that vanish on codes: ``A = G + (v 1' + 1 v') / 2 - k diag(v)``."""
+    return matrix + 0.5 * (multipliers[:, None] + multipliers) - open_chips * np.diag(multipliers)
+
+
+def largest_form(matrix: FloatArray, multipliers: FloatArray, open_chips: int) -> float:
+    """Upper bound of ``c' G c`` over 0/1 codes with k ones, from any multipliers v (n,)."""
+    form = form_matrix(matrix, multipliers, open_chips)
+    scale = float(np.linalg.norm(matrix) + np.linalg.norm(form))
+    return open_chips * float(np.linalg.eigvalsh(form)[-1] + ROUNDING * scale)
 
 
 def _frequencies(motion_basis: MotionBasis) -> FloatArray:

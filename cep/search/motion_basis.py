@@ -5,7 +5,8 @@ chip basis. A 0/1 code with k ones has ``c_i (sum_j c_j - k) = 0``, so for any v
 
     ``c' G c = c' A c <= k lambda_max(A)``,   ``A = G + (v 1' + 1 v') / 2 - k diag(v)``.
 
-Nothing is asked of v: a bad choice makes the bound loose, never wrong.
+Nothing is asked of v: a bad choice makes the bound loose, never wrong. Here all its numbers are
+equal.
 
 References
 ----------
@@ -26,7 +27,7 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import ComplexArray, FloatArray
 
 # of a basis, a Gram matrix and its eigenvalues, relative to the largest number that enters
-_ROUNDING = 1e-11
+ROUNDING = 1e-11
 MANY_CHIPS = 256  # beyond, samples and eigenvalues are taken more sparingly
 
 
@@ -86,18 +87,6 @@ def gram(basis: ComplexArray, weights: FloatArray) -> FloatArray:
     return np.asarray(root.real @ root.real.T + root.imag @ root.imag.T, dtype=np.float64)
 
 
-def form_matrix(matrix: FloatArray, multipliers: FloatArray, open_chips: int) -> FloatArray:
-    """Add terms that vanish on codes: ``A = G + (v 1' + 1 v') / 2 - k diag(v)``."""
-    return matrix + 0.5 * (multipliers[:, None] + multipliers) - open_chips * np.diag(multipliers)
-
-
-def largest_form(matrix: FloatArray, multipliers: FloatArray, open_chips: int) -> float:
-    """Upper bound of ``c' G c`` over 0/1 codes with k ones, from any multipliers v (n,)."""
-    form = form_matrix(matrix, multipliers, open_chips)
-    scale = float(np.linalg.norm(matrix) + np.linalg.norm(form))
-    return open_chips * float(np.linalg.eigvalsh(form)[-1] + _ROUNDING * scale)
-
-
 def largest_forms(matrix: FloatArray, counts: NDArray[np.intp]) -> FloatArray:
     """Upper bounds of ``c' G c`` for each number of ones, (K,), with the best ``v = x 1``.
 
@@ -123,7 +112,7 @@ def largest_forms(matrix: FloatArray, counts: NDArray[np.intp]) -> FloatArray:
             forms = (
                 multipliers
                 - x * counts
-                + _ROUNDING * (np.abs(multipliers) + np.abs(x) * (counts + values.size) + abs(top))
+                + ROUNDING * (np.abs(multipliers) + np.abs(x) * (counts + values.size) + abs(top))
             )
         forms = np.where(valid, forms, np.inf)
         pick = forms.argmin(axis=0)
@@ -134,8 +123,8 @@ def largest_forms(matrix: FloatArray, counts: NDArray[np.intp]) -> FloatArray:
         multipliers = low + (high - low) * np.linspace(0, 1, 24)[:, None]
     # the ends that the search only approaches: x = 0, and x without end, where only all chips open
     # are left
-    best = np.minimum(best, top + _ROUNDING * abs(top) * values.size)
-    all_open = float(matrix.sum()) / values.size + _ROUNDING * float(np.abs(matrix).sum())
+    best = np.minimum(best, top + ROUNDING * abs(top) * values.size)
+    all_open = float(matrix.sum()) / values.size + ROUNDING * float(np.abs(matrix).sum())
     return np.asarray(counts * np.where(counts == values.size, all_open, best), dtype=np.float64)
 
 

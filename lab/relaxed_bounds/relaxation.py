@@ -1,4 +1,4 @@
-"""Semidefinite relaxation of the search: its value bounds all codes, its solution suggests some.
+"""Semidefinite relaxation of the search, whose value bounds all codes.
 
 The products ``C = c c'`` of all codes with k ones are relaxed to symmetric ``C >= 0`` with ``tr C
 = k`` and ``C 1 = k diag C``, which imply the lifted ``[[1, c'], [c, C]] >= 0`` with ``c = diag
@@ -10,34 +10,29 @@ C``. The dual problem is solved,
 with ``g = sum a_f`` for the smallest |H|^2 (whose bound is k / g) and ``g = sum sqrt(w_f a_f)``
 for the mean of 1/|H|^2 (whose bound is g^2 / k). Newton steps on its logarithmic barrier cost
 little, as each G_f has two or four columns, and the barrier's inverse matrix is the relaxed C. The
-result of a solver is only used as multipliers of a
-:class:`cep.search.bounding.dual_proofs.DualProof`.
+result is only used as multipliers of a :class:`lab.relaxed_bounds.dual_proofs.DualProof`.
 
 References
 ----------
 Mo and Duarte, "Design of spectrally shaped binary sequences via randomized convex relaxation",
-2018: lifting and randomised rounding. Benson, Ye and Zhang, "Solving large-scale sparse
+2018: lifting. Benson, Ye and Zhang, "Solving large-scale sparse
 semidefinite programs for combinatorial optimization", SIAM J. Optim. 2000: the dual barrier for
 low-rank constraints.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
-from cep.search.bounding.motion_basis import mean_power
+from cep.search.motion_basis import mean_power
 from motdiff.types import FloatArray
 
-Solver = Callable[[FloatArray, int, "FloatArray | None"], "Relaxation"]
 _GAP = 1e-4  # relative, where Newton stops; 0.0004 dB of the bound, which holds at any gap
 _GAP_OF_MEAN = 2e-3  # the same of a mean, whose steps are the dearer ones; 0.02 dB
-_MOST_STEPS = 150  # after which the next solver is tried
+_MOST_STEPS = 150
 _COOLING = 0.15  # of the barrier's heat once a step gains little
 _COOLING_OF_MEAN = 0.1
 _SMALL_GAIN = 0.3  # of a step by the quadratic model: below it the path's centre is near enough
@@ -50,34 +45,21 @@ class Relaxation:
 
     Attributes
     ----------
-    open_chips : int
     weights : (m,) float
         a of the dual problem.
     multipliers : (n,) float
         v of the dual problem.
     products : (n, n) float
-        C, trace ``open_chips``.
-    status : str
-        "optimal", or another status of the solver.
-    solver : str
+        C, of trace k.
     """
 
-    open_chips: int
     weights: FloatArray
     multipliers: FloatArray
     products: FloatArray
-    status: str
-    solver: str
 
 
-def relax(
-    columns: FloatArray,
-    open_chips: int,
-    *,
-    shares: FloatArray | None = None,
-    solvers: Sequence[Solver] | None = None,
-) -> Relaxation:
-    """Solve the relaxation, by the first solver that ends as exactly "optimal".
+def relax(columns: FloatArray, open_chips: int, *, shares: FloatArray | None = None) -> Relaxation:
+    """Solve the relaxation: follow the barrier's central path by damped Newton steps.
 
     Parameters
     ----------
@@ -87,50 +69,15 @@ def relax(
         k, 1 < k < n.
     shares : (m,) float, optional
         Quadrature weights: bound the mean of 1/|H|^2. Without them, the smallest |H|.
-    solvers : sequence of callables, optional
-        Newton's, then Clarabel and SCS.
 
     Raises
     ------
     ValueError
-        If no solver ends as "optimal"; the line has the status of each.
+        If the steps end short of the optimum.
     """
-    failures = []
-    # solvers' tolerances suit matrices with entries of about 1
+    # the first step suits matrices with entries of about 1
     scale = float((columns**2).sum(axis=(0, 2)).mean())
-    for solver in solvers or SOLVERS:
-        relaxation = solver(columns / np.sqrt(scale), open_chips, shares)
-        finite = np.isfinite([*relaxation.weights, *relaxation.multipliers]).all()
-        if relaxation.status == "optimal" and finite:
-            return replace(relaxation, weights=relaxation.weights / scale)
-        failures.append(f"{relaxation.solver}: {relaxation.status}")
-    raise ValueError(f"relaxation: no solver found an optimum ({'; '.join(failures)})")
-
-
-def rounded_codes(
-    relaxation: Relaxation, count: int, *, rng: np.random.Generator
-) -> NDArray[np.int8]:
-    """Draw codes (count, n) whose first and second moments resemble the relaxed ones.
-
-    The k largest of a Gaussian vector with these moments are open.
-
-    References
-    ----------
-    Goemans and Williamson, "Improved approximation algorithms for maximum cut", JACM 1995.
-    """
-    mean = np.diag(relaxation.products)
-    values, vectors = np.linalg.eigh(relaxation.products - np.outer(mean, mean))
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    samples = mean + rng.standard_normal((count, mean.size)) @ root.T
-    codes = np.zeros((count, mean.size), dtype=np.int8)
-    np.put_along_axis(codes, np.argsort(-samples, axis=1)[:, : relaxation.open_chips], 1, axis=1)
-    return codes
-
-
-def newton_solver(
-    columns: FloatArray, open_chips: int, shares: FloatArray | None = None
-) -> Relaxation:
-    """Follow the barrier's central path by damped Newton steps."""
+    columns = columns / np.sqrt(scale)
     chips, m, rank = columns.shape
     flat = columns.reshape(chips, m * rank)
     # column i is what chip i's multiplier multiplies
@@ -171,15 +118,14 @@ def newton_solver(
     a *= 0.5 / float(np.linalg.eigvalsh((flat * np.repeat(a, rank)) @ flat.T)[-1])
     v = np.zeros(chips)
     heat = goal(a) / walls
-    status = "stalled"
     for _ in range(_MOST_STEPS):
         inverse = np.linalg.inv(slack(a, v))
         inverse = 0.5 * (inverse + inverse.T)
         step, gain = _newton_step(flat, rank, inverse, products, a, shares, heat)
         if gain < _SMALL_GAIN:
             if heat * walls < gap * goal(a):
-                status = "optimal"
-                break
+                relaxed = np.asarray(inverse * (open_chips / float(np.trace(inverse))))
+                return Relaxation(a / scale, v, relaxed)
             heat *= cooling
             continue
         down = step[:m] < 0
@@ -196,8 +142,7 @@ def newton_solver(
         else:
             break
         a, v = further
-    products = np.asarray(inverse * (open_chips / float(np.trace(inverse))))
-    return Relaxation(open_chips, a, v, products, status, "newton")
+    raise ValueError("relaxation: the steps ended short of the optimum")
 
 
 def _newton_step(
@@ -254,44 +199,3 @@ def _pairs(flat: FloatArray, through: FloatArray, rank: int) -> FloatArray:
                 block *= block
                 out[rows] += block
     return out
-
-
-def cvxpy_solver(
-    columns: FloatArray, open_chips: int, shares: FloatArray | None = None, *, name: str
-) -> Relaxation:
-    """Solve the same problem with one of cvxpy's solvers."""
-    import cvxpy
-
-    chips, m, _ = columns.shape
-    a = cvxpy.Variable(m, nonneg=True)
-    v = cvxpy.Variable(chips)
-    forms = np.einsum("ifr,jfr->ijf", columns, columns).reshape(chips * chips, m)
-    ones = np.ones((1, chips))
-    spread = cvxpy.reshape(v, (chips, 1), order="C") @ ones
-    gram = cvxpy.reshape(forms @ a, (chips, chips), order="C")
-    semidefinite = (
-        np.eye(chips) - gram - 0.5 * (spread + spread.T) + open_chips * cvxpy.diag(v) >> 0
-    )
-    goal = cvxpy.sum(a) if shares is None else np.sqrt(shares) @ cvxpy.sqrt(a)
-    problem = cvxpy.Problem(cvxpy.Maximize(goal), [semidefinite])
-    try:
-        problem.solve(solver=name)
-        status = str(problem.status)
-    except cvxpy.error.SolverError:
-        status = "failed"
-    if a.value is None or v.value is None or semidefinite.dual_value is None:
-        # relax() refuses what is not finite, whatever the status
-        weights, multipliers = np.full(m, np.nan), np.full(chips, np.nan)
-        return Relaxation(open_chips, weights, multipliers, np.eye(chips), status, name)
-    dual = np.asarray(semidefinite.dual_value, dtype=np.float64)
-    products = 0.5 * (dual + dual.T) * (open_chips / float(np.trace(dual)))
-    weights = np.maximum(a.value, 0.0)
-    return Relaxation(open_chips, weights, np.asarray(v.value), products, status, name)
-
-
-# 0.04 s by Newton's, 0.3 to 1 s by the others: docs/decisions/proofs.md
-SOLVERS: tuple[Solver, ...] = (
-    newton_solver,
-    partial(cvxpy_solver, name="CLARABEL"),
-    partial(cvxpy_solver, name="SCS"),
-)

@@ -1,1 +1,0 @@
-"""Bounds over all codes of a problem."""
