@@ -65,15 +65,14 @@ class OptimizeOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
         """Return the motion at the speeds that are designed for."""
         from cep.search.scenarios import Scenario, speed_range
 
-        motions = (Scenario(stored.trajectory),)
         if self.speed is None:
-            return motions
+            return (Scenario(stored.trajectory),)
         first, _, second = self.speed.partition(":")
         try:
             low, high = float(first), float(second or first)
         except ValueError:
             raise ValueError(f"--speed: must be LOW:HIGH as 0.8:1.2, got {self.speed!r}") from None
-        return speed_range(motions, low, high, _SPEEDS if low < high else 1)
+        return speed_range(stored.trajectory, low, high, _SPEEDS if low < high else 1)
 
     def searched(
         self, stored: StoredMotion, motions: tuple[Scenario, ...]

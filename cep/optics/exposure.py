@@ -1,6 +1,6 @@
 """A code along a trajectory: OTF of its chips, coded OTF and PSF, light-true (DC = open time).
 
-Chips may be played off their time (``edges``), and the shutter may have ramps (``response``). With
+A code may be played off its time (``edges``), and the shutter may have ramps (``response``). With
 c_k = 0 outside the code, the OTF is ``sum_k c_k B_k + c_k (1 - c_{k-1}) O_k + c_k (1 - c_{k+1})
 C_k``: chip k itself, light lost while the shutter opens (O_k, within chip k), and light passed
 while it closes (C_k, within chip k + 1).
@@ -109,8 +109,6 @@ def chip_basis(
     chips: int,
     fx_cy_px: ArrayLike,
     fy_cy_px: ArrayLike,
-    *,
-    edges: ArrayLike | None = None,
 ) -> ComplexArray:
     """OTF ``B_k(f)`` of every chip; for an instant shutter the coded OTF is ``sum_k c_k B_k``.
 
@@ -120,15 +118,11 @@ def chip_basis(
     chips : int
         Number n of chips in the exposure.
     fx_cy_px, fy_cy_px : (...) array_like, cycles/px
-    edges : (n + 1,) array_like, optional
-        As in :func:`open_path`.
 
     Returns
     -------
     (n, ...) complex ndarray
     """
-    if edges is not None:
-        return chip_parts(trajectory, chips, fx_cy_px, fy_cy_px, edges=edges)[0]
     return trajectory.slice_otfs(checked_edges(None, chips), fx_cy_px, fy_cy_px)
 
 
@@ -139,7 +133,6 @@ def chip_parts(
     fy_cy_px: ArrayLike,
     *,
     response: ShutterResponse | None = None,
-    edges: ArrayLike | None = None,
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Terms ``B_k``, ``O_k`` and ``C_k`` of the coded OTF, each (n, ...).
 
@@ -150,7 +143,7 @@ def chip_parts(
     fx, fy = np.broadcast_arrays(
         np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64)
     )
-    played = timeline(trajectory, checked_edges(edges, chips), response)
+    played = timeline(trajectory, checked_edges(None, chips), response)
     weights = np.stack([np.ones(played.dt.size), played.opening - 1, played.closing]) * played.dt
     f = np.stack([fx.ravel(), fy.ravel()])
     # one chip more: the tail of the last
@@ -168,7 +161,6 @@ def chip_rows(
     fy_cy_px: ArrayLike,
     *,
     response: ShutterResponse | None = None,
-    edges: ArrayLike | None = None,
 ) -> ComplexArray:
     """Change of the coded OTF when chip k opens between neighbours in states l and r.
 
@@ -185,11 +177,9 @@ def chip_rows(
     """
     shape = np.broadcast_shapes(np.shape(fx_cy_px), np.shape(fy_cy_px))
     if response is None or response.instant:
-        basis = chip_basis(trajectory, chips, fx_cy_px, fy_cy_px, edges=edges)
+        basis = chip_basis(trajectory, chips, fx_cy_px, fy_cy_px)
         return np.broadcast_to(basis[:, None, None], (chips, 2, 2, *shape))
-    basis, opening, closing = chip_parts(
-        trajectory, chips, fx_cy_px, fy_cy_px, response=response, edges=edges
-    )
+    basis, opening, closing = chip_parts(trajectory, chips, fx_cy_px, fy_cy_px, response=response)
     # axes: chip, left neighbour, right neighbour; 0 closed, 1 open
     rows = np.repeat(basis[:, None], 4, axis=1).reshape(chips, 2, 2, *shape)
     rows[:, 0] += opening[:, None]
@@ -212,7 +202,6 @@ def coded_otf(
     fy_cy_px: ArrayLike,
     *,
     response: ShutterResponse | None = None,
-    edges: ArrayLike | None = None,
 ) -> ComplexArray:
     """Exact OTF of the coded exposure at (...) frequencies, light-true.
 
@@ -222,10 +211,10 @@ def coded_otf(
     code : ShutterCode
         Its chips are spread evenly over the exposure; ``chip_ns`` does not count.
     fx_cy_px, fy_cy_px : (...) array_like, cycles/px
-    response, edges : optional
+    response : optional
         As in :func:`open_path`.
     """
-    return open_path(trajectory, code, response=response, edges=edges).otf(fx_cy_px, fy_cy_px)
+    return open_path(trajectory, code, response=response).otf(fx_cy_px, fy_cy_px)
 
 
 def mtf(

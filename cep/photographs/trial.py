@@ -41,8 +41,7 @@ class PhotoTrial:
 
     Parameters
     ----------
-    motions : sequence of (Trajectory, edges)
-        Paths, with the chips' boundaries as fractions of the exposure or None.
+    motions : sequence of Trajectory
     photographs : sequence of (H, W) float ndarrays, linear light
     camera : Camera
     response : ShutterResponse, optional
@@ -61,7 +60,7 @@ class PhotoTrial:
 
     def __init__(
         self,
-        motions: Sequence[tuple[Trajectory, FloatArray | None]],
+        motions: Sequence[Trajectory],
         photographs: Sequence[FloatArray],
         *,
         camera: Camera,
@@ -105,13 +104,13 @@ class PhotoTrial:
         return np.array(side_by_side(jobs, tell=tell)).reshape(len(codes), len(numbers))
 
     def _measured(self, code: ShutterCode, number: int) -> float:
-        path, edges = self._motions[number % len(self._motions)]
-        psf = self._psf(path, edges, code)
+        path = self._motions[number % len(self._motions)]
+        psf = self._psf(path, code)
         true_psf = psf
         if self._path_error_px > 0:
             rng = np.random.default_rng([self._seed, number, 1])
             true_path = with_smooth_error(path, self._path_error_px, rng=rng)
-            true_psf = self._psf(true_path, edges, code)
+            true_psf = self._psf(true_path, code)
         integration_ns = ShutterCode(code.bits, self._chip_ns).integration_ns
         camera = self._camera.with_dark_noise(integration_ns * 1e-9)
         scene_side = len(true_psf) - 1
@@ -128,9 +127,9 @@ class PhotoTrial:
         # a shift of the restored photo is no error
         return psnr_up_to_shift(compared, truth, max_shift_px=_MOST_SHIFT_PX)
 
-    def _psf(self, path: Trajectory, edges: FloatArray | None, code: ShutterCode) -> FloatArray:
+    def _psf(self, path: Trajectory, code: ShutterCode) -> FloatArray:
         size = (path.frame_size() + 4) | 1  # the shutter's ramps may reach beyond the path
-        return trimmed_psf(coded_psf(path, code, size, response=self._response, edges=edges))
+        return trimmed_psf(coded_psf(path, code, size, response=self._response))
 
 
 def default_restoration(photo: FloatArray, psf: FloatArray, *, camera: Camera) -> FloatArray:

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cep.files.formatting import number
 from cep.optics.band import band_samples, uniform_length_px
@@ -91,7 +90,6 @@ def measure(
     camera: Camera | None = None,
     budget: int = 20_000,
     response: ShutterResponse | None = None,
-    edges: ArrayLike | None = None,
     scene: Scene = PHOTO,
 ) -> CodeMetrics:
     """Measure a code along a trajectory taken as given; its reverse is another one.
@@ -106,11 +104,8 @@ def measure(
     budget : int
         Largest number of frequencies evaluated for the lower bound of the minimum.
     response : ShutterResponse, optional
-        How the shutter opens and closes; at once when omitted.
-    edges : (n + 1,) array_like, optional
-        Chip boundaries as fractions of the exposure; evenly spread over it when omitted. With
-        either, the duty that the figures are relative to is the light that came through, and
-        ``min_chip`` is None.
+        How the shutter opens and closes; at once when omitted. With it the duty that the figures
+        are relative to is the light that came through, and ``min_chip`` is None.
     scene : Scene
         For ``mse_db``.
 
@@ -120,15 +115,15 @@ def measure(
     deconvolution noise.
     """
     samples = band_samples(trajectory)
-    path = open_path(trajectory, code, response=response, edges=edges)
+    path = open_path(trajectory, code, response=response)
     duty = float(path.dt.sum())
     chip_units = None
-    if response is None and edges is None:
+    if response is None:
         duty = code.duty  # not the sum, which rounding puts a hair off
         if uniform_length_px(trajectory) is not None:
             chip_units = min_chip(code)
     modulus = np.abs(path.otf(samples.fx, samples.fy))
-    minimum = mtf_minimum(trajectory, code, budget=budget, response=response, edges=edges)
+    minimum = mtf_minimum(trajectory, code, budget=budget, response=response)
     # a quick search over the continuum may miss a valley that a sample happens to hit
     lowest = min(minimum.upper, float(modulus.min()))
     mean = float(samples.weight @ modulus)

@@ -61,7 +61,6 @@ from cep.search.motion_basis import (
     largest_forms,
 )
 from cep.search.problem import SearchProblem
-from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 Counts = NDArray[np.intp]
@@ -202,38 +201,24 @@ def _motions(problem: SearchProblem) -> tuple[list[MotionBasis], list[MotionBasi
         return circle, circle
     for_minima = []
     for_means = []
-    for motion, reversible, edges in _played(problem):
+    # through ramps |H|^2 is no quadratic form
+    if problem.response is not None and not problem.response.instant:
+        return [], []
+    for motion in (scenario.trajectory for scenario in problem.scenarios):
+        reversible = problem.both_directions(motion)
         samples = band_samples(motion)
         affordable = chips * samples.fx.size <= _MOST_NUMBERS
         if affordable:
-            basis = chip_basis(motion, chips, samples.fx, samples.fy, edges=edges)
-            for_means.append(MotionBasis(motion, reversible, samples, basis, edges))
+            basis = chip_basis(motion, chips, samples.fx, samples.fy)
+            for_means.append(MotionBasis(motion, reversible, samples, basis))
         if affordable and straight_axis(motion) is None:
             for_minima.append(for_means[-1])
             continue
         # a straight motion has few frequencies, so more are cheap; too many are thinned out
         samples = _thinned(band_samples(motion, oversampling=8), _MOST_NUMBERS // chips)
-        basis = chip_basis(motion, chips, samples.fx, samples.fy, edges=edges)
-        for_minima.append(MotionBasis(motion, reversible, samples, basis, edges))
+        basis = chip_basis(motion, chips, samples.fx, samples.fy)
+        for_minima.append(MotionBasis(motion, reversible, samples, basis))
     return for_minima, for_means
-
-
-def _played(problem: SearchProblem) -> list[tuple[Trajectory, bool, FloatArray | None]]:
-    """Motions, whether both directions count, and chip edges."""
-    # through ramps |H|^2 is no quadratic form
-    if problem.response is not None and not problem.response.instant:
-        return []
-    motions: list[tuple[Trajectory, bool, FloatArray | None]] = []
-    for scenario in problem.scenarios:
-        motion = scenario.trajectory
-        reversible = problem.both_directions(motion)
-        if scenario.edges is None:
-            motions.append((motion, reversible, None))
-            continue
-        motions.append((motion, False, scenario.edges))
-        if reversible:  # the reversed path's chips are not the forward ones in another order
-            motions.append((motion.reversed(), False, scenario.edges))
-    return motions
 
 
 def _light(problem: SearchProblem, counts: NDArray[np.intp]) -> FloatArray:
@@ -243,12 +228,7 @@ def _light(problem: SearchProblem, counts: NDArray[np.intp]) -> FloatArray:
     ceiling = np.full(counts.size, np.inf)
     for scenario in problem.scenarios:
         basis, _, tail = chip_parts(
-            scenario.trajectory,
-            problem.chips,
-            0.0,
-            0.0,
-            response=problem.response,
-            edges=scenario.edges,
+            scenario.trajectory, problem.chips, 0.0, 0.0, response=problem.response
         )
         # what opening takes away is left out: it only lowers the light; and each pulse has one
         # tail
@@ -329,7 +309,7 @@ def _gram_ceilings(motion_basis: MotionBasis, counts: Counts) -> dict[str, Float
 def _uniform_ceilings(motion_basis: MotionBasis, counts: Counts) -> dict[str, FloatArray]:
     """Find closed forms where a straight uniform motion's band covers the whole circle of |P|."""
     motion = motion_basis.motion
-    if motion is None or motion_basis.edges is not None or uniform_length_px(motion) is None:
+    if motion is None or uniform_length_px(motion) is None:
         return {}
     chips = len(motion_basis.basis)
     path = motion.xy[-1] - motion.xy[0]

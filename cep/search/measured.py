@@ -72,7 +72,7 @@ def measured_ways(
         return tuple(modelled)
     motions = _motions(problem)
     photographs = _pictures(problem, photographs)
-    size = grid_px([path for path, _ in motions])
+    size = grid_px(motions)
     affordable = int(len(photographs) * _USUAL_PX / size)
     count = min(len(photographs), max(affordable, _LEAST_PHOTOGRAPHS))
     trial = PhotoTrial(
@@ -110,7 +110,7 @@ def measured_ways(
 
 def is_measured(problem: SearchProblem, photographs: Sequence[FloatArray] | None = None) -> bool:
     """Whether there are photographs, and the motion is no longer than :data:`LONGEST_PX`."""
-    longest_px = max(path.extent_px for path, _ in _motions(problem))
+    longest_px = max(path.extent_px for path in _motions(problem))
     return len(_pictures(problem, photographs)) > 0 and longest_px <= LONGEST_PX
 
 
@@ -123,11 +123,10 @@ def _pictures(
     return scenes.photographs() if problem.scene.name == PHOTO.name else ()
 
 
-def _motions(problem: SearchProblem) -> list[tuple[Trajectory, FloatArray | None]]:
-    """Paths in both directions where they are unknown, with the boundaries of the chips."""
+def _motions(problem: SearchProblem) -> list[Trajectory]:
+    """Paths in both directions where they are unknown."""
     return [
-        (scenario.path(reversed_path=reversed_path), scenario.edges)
-        for scenario, reversed_path in problem.ways()
+        scenario.path(reversed_path=reversed_path) for scenario, reversed_path in problem.ways()
     ]
 
 

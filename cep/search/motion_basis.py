@@ -43,15 +43,12 @@ class MotionBasis:
         Whether both directions count.
     samples : BandSamples
     basis : (n, F) complex
-    edges : (n + 1,) float, optional
-        Chip edges as fractions of the exposure, where they are not evenly spread.
     """
 
     motion: Trajectory | None
     reversible: bool
     samples: BandSamples
     basis: NDArray[np.complex128]
-    edges: FloatArray | None = None
 
     def gram(self, weights: FloatArray) -> FloatArray:
         """``sum_f a_f G_f``, the mean of both directions where both count."""

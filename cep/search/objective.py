@@ -88,7 +88,7 @@ class Objective:
         for index, scenario in enumerate(problem.scenarios):
             samples = band_samples(scenario.trajectory, oversampling=oversampling, across=across)
             for reversed_path in problem.directions(scenario):
-                if reversed_path and scenario.edges is None and not ramps:
+                if reversed_path and not ramps:
                     # the forward rows, which come first: the chips are met in the opposite order
                     rows = rows[::-1]
                 else:
@@ -272,4 +272,4 @@ def continuum_minimum(
         return min_chip(code) / code.chips
     scenario, reversed_path = motion
     path = scenario.path(reversed_path=reversed_path)
-    return mtf_minimum(path, code, budget=0, response=problem.response, edges=scenario.edges).upper
+    return mtf_minimum(path, code, budget=0, response=problem.response).upper

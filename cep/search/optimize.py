@@ -444,11 +444,7 @@ def checked_motion(problem: SearchProblem, along: Trajectory | None = None) -> T
 
 def certificate_warnings(problem: SearchProblem) -> list[str]:
     """Warn where a certificate does not cover all that the search counted."""
-    if (
-        problem.response is None
-        and len(problem.scenarios) == 1
-        and problem.scenarios[0].edges is None
-    ):
+    if problem.response is None and len(problem.scenarios) == 1:
         return []
     return [
         "the certificate is for a shutter that opens at once and on time, along the motion as it"

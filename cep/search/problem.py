@@ -13,7 +13,6 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.optics.scene import PHOTO, Scene
-from cep.optics.timeline import check_lengths, checked_edges
 from cep.proofs.measure import CodeMetrics, measure, worst_of
 from cep.search.feasibility import check_feasible
 from cep.search.limits import Limits, RunLimits, checked_mask
@@ -132,16 +131,12 @@ class SearchProblem:
             raise ValueError("objective: needs at least one objective")
         if not all(np.isfinite(s.weight) and s.weight > 0 for s in self.scenarios):
             raise ValueError("scenarios: every weight must be above 0")
-        # ramps and shifted edges take a share of a chip along a path, not of a polynomial
+        # ramps take a share of a chip along a path, not of a polynomial
         if self.response is not None and not self.scenarios:
             raise ValueError(
                 "response: needs a motion (scenarios), the unit circle of a polynomial has no"
                 " ramps"
             )
-        for scenario in self.scenarios:
-            edges = checked_edges(scenario.edges, self.chips)
-            if self.response is not None:
-                check_lengths(edges, self.response)
         # a mask without forced chips is none: the closed form of the sampling needs no walks then
         fixed = checked_mask(self.runs.fixed, self.chips)
         object.__setattr__(self, "runs", replace(self.runs, fixed=fixed))
@@ -245,9 +240,7 @@ class SearchProblem:
         """
         if len(self.scenarios) != 1 or self.response is not None:
             return False
-        # shifted edges make chips of unequal length: H is no polynomial then
-        scenario = self.scenarios[0]
-        return scenario.edges is None and uniform_length_px(scenario.trajectory) is not None
+        return uniform_length_px(self.scenarios[0].trajectory) is not None
 
     @property
     def objective_mix(self) -> tuple[tuple[str, float], ...]:
@@ -326,8 +319,8 @@ class SearchProblem:
     def measure(self, code: ShutterCode, *, budget: int = 20_000) -> CodeMetrics:
         """Worst of each figure over all scenarios and directions.
 
-        The shutter opens and closes by :attr:`response`, and the chips are played at each
-        scenario's edges. They last as long as the problem's, whatever the code says.
+        The shutter opens and closes by :attr:`response`. The chips last as long as the problem's,
+        whatever the code says.
         """
         if code.chips != self.chips:
             raise ValueError(f"code: must have {self.chips} chips, got {code.chips}")
@@ -342,7 +335,6 @@ class SearchProblem:
                     camera=self.camera,
                     budget=budget,
                     response=self.response,
-                    edges=scenario.edges,
                     scene=self.scene,
                 )
                 for scenario, reversed_path in self.ways() or (circle,)

@@ -179,8 +179,7 @@ class Judge:
         self._coarse = (noise.instead("min-mtf"), noise)
         noise = Objective(self._problem, oversampling=64, dtype=np.float64)
         self._fine = (noise.instead("min-mtf"), noise, noise.instead("mse"))
-        plain = problem.response is None and all(s.edges is None for s in problem.scenarios)
-        self._mirrored = plain and all(
+        self._mirrored = problem.response is None and all(
             uniform_length_px(s.trajectory) is not None for s in problem.scenarios
         )
 

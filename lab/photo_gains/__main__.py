@@ -130,8 +130,7 @@ def motions() -> dict[str, Trajectory]:
 def trial_of(problem: SearchProblem, scenes: Sequence[FloatArray]) -> PhotoTrial:
     """Return photos of scenes along a problem's motions."""
     motions = [
-        (scenario.path(reversed_path=reversed_path), scenario.edges)
-        for scenario, reversed_path in problem.ways()
+        scenario.path(reversed_path=reversed_path) for scenario, reversed_path in problem.ways()
     ]
     return PhotoTrial(motions, scenes, camera=problem.camera, judged_px=JUDGED_PX)
 

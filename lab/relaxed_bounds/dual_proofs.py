@@ -50,9 +50,6 @@ class DualProof:
         chip.
     reversible : tuple of bool
         For each motion, whether both directions count: ``G_f`` is then the mean of both.
-    edges : tuple of (n + 1,) float or None
-        For each motion, its chips' edges as fractions of the exposure, where they are not evenly
-        spread.
     motion : (m,) int
         Which of them a frequency belongs to.
     frequencies : (m, 2) float, cycles/px
@@ -69,7 +66,6 @@ class DualProof:
     open_chips: int
     motions: tuple[Trajectory | None, ...]
     reversible: tuple[bool, ...]
-    edges: tuple[FloatArray | None, ...]
     motion: NDArray[np.intp]
     frequencies: FloatArray
     weights: FloatArray
@@ -87,12 +83,11 @@ class DualProof:
         if not ((self.weights >= 0).all() and self.weights.any()):
             return False
         total = np.zeros((self.chips, self.chips))
-        motions = zip(self.motions, self.reversible, self.edges, strict=True)
-        for index, (motion, reversible, edges) in enumerate(motions):
-            if reversible and edges is not None:
-                return False  # the reversed path is no mirror image then
+        for index, (motion, reversible) in enumerate(
+            zip(self.motions, self.reversible, strict=True)
+        ):
             of_motion = self.motion == index
-            basis = _basis_again(motion, self.chips, self.frequencies[of_motion], edges)
+            basis = _basis_again(motion, self.chips, self.frequencies[of_motion])
             matrix = gram(basis, self.weights[of_motion])
             if reversible:
                 matrix = 0.5 * (matrix + matrix[::-1, ::-1])
@@ -281,7 +276,6 @@ def _minimum(parts: Sequence[MotionBasis], open_chips: int) -> tuple[DualProof, 
         open_chips=open_chips,
         motions=tuple(motion_basis.motion for motion_basis in parts),
         reversible=tuple(motion_basis.reversible for motion_basis in parts),
-        edges=tuple(motion_basis.edges for motion_basis in parts),
         motion=np.repeat(np.arange(len(parts)), sizes),
         frequencies=np.concatenate(frequencies),
         weights=weights,
@@ -299,7 +293,7 @@ def _mean(parts: Sequence[MotionBasis], open_chips: int) -> tuple[DualProof, Flo
     if motion is not None and straight_axis(motion) is not None:
         # fewer frequencies, whose weights are then interpolated: any weights give a bound
         few = band_samples(motion, oversampling=_STRAIGHT_OVERSAMPLING)
-        basis = chip_basis(motion, chips, few.fx, few.fy, edges=motion_basis.edges)
+        basis = chip_basis(motion, chips, few.fx, few.fy)
         coarse = replace(motion_basis, samples=few, basis=basis)
     shares = coarse.samples.weight
     if shares.size > _MOST_FREQUENCIES:
@@ -325,7 +319,6 @@ def _mean(parts: Sequence[MotionBasis], open_chips: int) -> tuple[DualProof, Flo
         open_chips=open_chips,
         motions=(motion,),
         reversible=(motion_basis.reversible,),
-        edges=(motion_basis.edges,),
         motion=np.zeros(weights.size, dtype=np.intp),
         frequencies=_frequencies(motion_basis),
         weights=weights,
@@ -380,13 +373,11 @@ def _split(chosen: Counts, sizes: Sequence[int]) -> list[Counts]:
     return [chosen[(chosen >= low) & (chosen < high)] - low for low, high in pairwise(starts)]
 
 
-def _basis_again(
-    motion: Trajectory | None, chips: int, frequencies: FloatArray, edges: FloatArray | None
-) -> ComplexArray:
+def _basis_again(motion: Trajectory | None, chips: int, frequencies: FloatArray) -> ComplexArray:
     if motion is None:
         return np.asarray(
             np.exp(-2j * np.pi * np.outer(np.arange(chips), frequencies[:, 0])) / chips
         )
     fx, fy = frequencies.T
     single = [ShutterCode("0" * chip + "1" + "0" * (chips - chip - 1)) for chip in range(chips)]
-    return np.stack([coded_otf(motion, code, fx, fy, edges=edges) for code in single])
+    return np.stack([coded_otf(motion, code, fx, fy) for code in single])

@@ -58,7 +58,7 @@ def main() -> None:
             camera = Camera(photons_full_scale=photons, read_noise_e=read_noise_e, bits=16)
             problem = SearchProblem.along(path, chips=CHIPS, camera=camera)
             earlier = best_code(replace(problem, scene=EARLIER), photographs=())
-            trial = PhotoTrial([(path, None)], scenes, camera=camera, judged_px=_JUDGED_PX)
+            trial = PhotoTrial([path], scenes, camera=camera, judged_px=_JUDGED_PX)
             for_photographs_db, earlier_db = trial.psnr_db([best_code(problem), earlier])
             gains_db = for_photographs_db - earlier_db
             means_db.append(gains_db.mean())

@@ -54,7 +54,7 @@ def main() -> None:
             by_half = cep.advise(
                 replace(problem, scene=half.scene), levels=(), photographs=half.crops([path])
             ).here
-            trial = PhotoTrial([(path, None)], photographed.crops([path]), camera=camera)
+            trial = PhotoTrial([path], photographed.crops([path]), camera=camera)
             results = [_stated_and_measured(verdict, trial) for verdict in (bundled, by_half)]
             code_gain_db = results[1][2] - results[0][2]
             rows.append([*results[0][:2], *results[1][:2], code_gain_db])

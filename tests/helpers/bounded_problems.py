@@ -40,11 +40,11 @@ def best_of_all(problem):
     direction."""
     low, high = problem.open_limits
     codes = all_codes(problem.chips, range(low, high + 1))
-    paths = [(s.trajectory, s.edges) for s in problem.scenarios]
-    paths += [(path.reversed(), edges) for path, edges in paths if problem.both_directions(path)]
+    paths = [scenario.trajectory for scenario in problem.scenarios]
+    paths += [path.reversed() for path in paths if problem.both_directions(path)]
     lowest = np.full(len(codes), np.inf)
     noise = np.full(len(codes), -np.inf)
-    for path, edges in paths or [(None, None)]:
+    for path in paths or [None]:
         if path is None:
             size = 512 * problem.chips
             power = np.abs(np.fft.rfft(codes, size)) ** 2 / problem.chips**2
@@ -53,12 +53,7 @@ def best_of_all(problem):
         else:
             samples = band_samples(path)
             weight = samples.weight
-            power = (
-                np.abs(
-                    codes @ chip_basis(path, problem.chips, samples.fx, samples.fy, edges=edges)
-                )
-                ** 2
-            )
+            power = np.abs(codes @ chip_basis(path, problem.chips, samples.fx, samples.fy)) ** 2
         lowest = np.minimum(lowest, np.sqrt(power.min(axis=1)))
         noise = np.maximum(noise, 10 * np.log10(1 / np.maximum(power, 1e-30) @ weight))
     best = 0.0
@@ -98,13 +93,6 @@ PROBLEMS = {
     ),
     "curved, unknown": SearchProblem.along(
         arc(), chips=6, objective=BOTH_GOALS, direction="unknown"
-    ),
-    "late chips": SearchProblem(
-        chips=7,
-        open_range=(3, 4),
-        scenarios=(Scenario(accelerated(5.0), edges=np.linspace(0, 1, 8) ** 1.2 * 1.1),),
-        direction="unknown",
-        objective=BOTH_GOALS,
     ),
     "two motions": SearchProblem(
         chips=7,

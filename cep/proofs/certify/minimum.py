@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from cep.compiled import compiled
@@ -111,7 +111,6 @@ def mtf_minimum(
     *,
     budget: int = 300_000,
     response: ShutterResponse | None = None,
-    edges: ArrayLike | None = None,
 ) -> Minimum:
     """Bounds of the smallest |H| over the band [-0.5, 0.5]^2 along a trajectory, light-true.
 
@@ -122,18 +121,18 @@ def mtf_minimum(
     budget : int
         Largest number of cells of the subdivision, which may then end with a wider interval; 0 for
         a quick upper bound.
-    response, edges
-        How and when the shutter plays the chips, as in :func:`cep.optics.exposure.open_path`.
+    response : optional
+        As in :func:`cep.optics.exposure.open_path`.
     """
     axis = straight_axis(trajectory)
-    path = open_path(trajectory, code, response=response, edges=edges)
+    path = open_path(trajectory, code, response=response)
     if axis is None:
         pieces = pieces_of_path(path)
         return _bounded(pieces, _PATH_GAP, budget, lambda at: kantorovich(pieces, at))
 
     def first_zero(_: FloatArray) -> Zero | None:
-        # ramps and uneven chips have no closed form, nor has a changing speed: none are listed
-        if response is not None or edges is not None:
+        # ramps have no closed form, nor has a changing speed: none are listed
+        if response is not None:
             return None
         return next(iter(zeros_along(trajectory, code).found), None)
 

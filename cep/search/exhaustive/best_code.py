@@ -105,7 +105,7 @@ class BestCode:
         if self.on_circle:
             return chip_minimum(code)
         minima = [
-            mtf_minimum(scenario.path(reversed_path=is_reversed), code, edges=scenario.edges)
+            mtf_minimum(scenario.path(reversed_path=is_reversed), code)
             for scenario, is_reversed in self.problem.ways()
         ]
         worst = min(minima, key=lambda minimum: minimum.upper)
@@ -141,7 +141,7 @@ def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
     for scenario, is_reversed in problem.ways():
         path = scenario.path(reversed_path=is_reversed)
         samples = band_samples(path)
-        rows.append(chip_basis(path, problem.chips, samples.fx, samples.fy, edges=scenario.edges))
+        rows.append(chip_basis(path, problem.chips, samples.fx, samples.fy))
     return np.concatenate(rows, axis=1)
 
 

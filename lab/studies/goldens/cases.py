@@ -196,8 +196,7 @@ CASES = [
     ),
     Case(
         "optimize-uncertain",
-        f"cep optimize {PATH_12} {SEARCH} --speed 0.9:1.1 --jitter 0.05 --drift 0.01 -o"
-        " code_new.json --json",
+        f"cep optimize {PATH_12} {SEARCH} --speed 0.9:1.1 -o code_new.json --json",
     ),
     Case(
         "optimize-alternatives",

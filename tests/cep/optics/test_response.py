@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis, chip_parts, chip_rows, coded_otf, coded_psf, open_path
 from cep.optics.response import RAMP_STEPS, ShutterResponse
+from cep.optics.timeline import extended
 from motdiff.trajectory import Trajectory
 
 FX, FY = np.random.default_rng(1).uniform(-0.5, 0.5, (2, 40))
@@ -48,18 +49,11 @@ shutters = st.builds(
 )
 
 
-@st.composite
-def some_edges(draw, chips):
-    lengths = np.array(draw(st.lists(st.floats(1.0, 1.4), min_size=chips, max_size=chips)))
-    return draw(st.floats(-0.2, 0.1)) + np.concatenate([[0.0], np.cumsum(lengths)]) / chips
-
-
 @given(walks, codes, shutters, st.data())
 @settings(max_examples=60, deadline=None)
 def test_chips_opened_one_by_one_add_up_to_the_code(path, code, shutter, data):
-    edges = data.draw(st.none() | some_edges(code.chips))
     order = data.draw(st.permutations(range(code.chips)))
-    rows = chip_rows(path, code.chips, FX, FY, response=shutter, edges=edges)
+    rows = chip_rows(path, code.chips, FX, FY, response=shutter)
     state = np.zeros(code.chips + 2, dtype=int)
     otf = np.zeros(FX.size, dtype=complex)
     for chip in order:
@@ -69,7 +63,7 @@ def test_chips_opened_one_by_one_add_up_to_the_code(path, code, shutter, data):
         if code.bits[chip] == "0":
             otf = otf - rows[chip, state[chip], state[chip + 2]]
             state[chip + 1] = 0
-    assert np.abs(otf - coded_otf(path, code, FX, FY, response=shutter, edges=edges)).max() < 1e-12
+    assert np.abs(otf - coded_otf(path, code, FX, FY, response=shutter)).max() < 1e-12
 
 
 @given(walks, codes, shutters)
@@ -159,12 +153,12 @@ def test_an_instant_shutter_on_time_is_none_at_all(path, code):
         {"edges": edges},
         {"response": instant, "edges": edges},
     ):
-        assert np.abs(coded_otf(path, code, FX, FY, **options) - plain).max() < 1e-12
-        rows = chip_rows(path, code.chips, FX, FY, **options)
-        assert np.abs(rows - chip_basis(path, code.chips, FX, FY)[:, None, None]).max() < 1e-12
+        assert np.abs(open_path(path, code, **options).otf(FX, FY) - plain).max() < 1e-12
+    rows = chip_rows(path, code.chips, FX, FY, response=instant)
+    assert np.abs(rows - chip_basis(path, code.chips, FX, FY)[:, None, None]).max() < 1e-12
     basis, opening, closing = chip_parts(path, code.chips, FX, FY, response=instant)
     assert np.abs(opening).max() == np.abs(closing).max() == 0
-    assert np.abs(basis - chip_basis(path, code.chips, FX, FY, edges=edges)).max() < 1e-12
+    assert np.abs(basis - chip_basis(path, code.chips, FX, FY)).max() < 1e-12
 
 
 def test_the_tail_of_the_last_chip_follows_the_motion_on():
@@ -223,7 +217,7 @@ def test_slow_shutters_need_long_chips():
         ([0, np.nan, 1], "finite"),
     ]:
         with pytest.raises(ValueError, match=words):
-            coded_otf(walk(0), ShutterCode("11"), FX, FY, edges=edges)
+            open_path(walk(0), ShutterCode("11"), edges=edges)
 
 
 def test_long_codes_gather_no_rounding_errors():
@@ -233,3 +227,21 @@ def test_long_codes_gather_no_rounding_errors():
     whole = ShutterResponse(chip_ns=1, rise_ns=1, fall_ns=1)
     basis = chip_parts(path, 512, f, 0.0, response=whole)[0]
     assert 512 * np.abs(basis - chip_basis(path, 512, f, 0.0)).max() < 1e-11
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=20)
+def test_a_path_goes_on_smoothly_both_ways(seed):
+    rng = np.random.default_rng(seed)
+    path = Trajectory.from_samples(np.cumsum(rng.normal(size=(9, 2)), axis=0))
+    t, xy = extended(path)
+    assert (np.diff(t) > 0).all()
+    assert (t[0], t[-1]) == (-1, 2)
+    velocity = np.diff(xy, axis=0) / np.diff(t)[:, None]
+    assert velocity == pytest.approx(
+        np.concatenate([f := velocity[8:16], f, f])[
+            [*range(7, -1, -1), *range(8, 16), *range(23, 15, -1)]
+        ]
+    )
+    straight_t, straight_xy = extended(Trajectory.straight(5.0))
+    assert straight_xy[:, 0] == pytest.approx(5 * (straight_t - 0.5))

@@ -14,9 +14,7 @@ BRIGHT = Camera(photons_full_scale=1e7, read_noise_e=1e-3, bits=16)
 
 
 def trial(path, count=2, *, camera=BRIGHT, restore=None, **options):
-    return PhotoTrial(
-        [(path, None)], photographs()[:count], camera=camera, restore=restore, **options
-    )
+    return PhotoTrial([path], photographs()[:count], camera=camera, restore=restore, **options)
 
 
 def unrestored(photo, psf, *, camera):

@@ -39,7 +39,7 @@ def judged(problem, few):
 
 
 def test_every_figure_is_one_that_photographs_show(problem, few, judged):
-    trial = PhotoTrial([(Trajectory.straight(12.0), None)], few, camera=NOISY)
+    trial = PhotoTrial([Trajectory.straight(12.0)], few, camera=NOISY)
     assert judged.photographs == 2
     in_full = [way for way in judged.ways if len(way.photo_psnr_db) == 2]
     assert {"open", "code", "snapshot"} <= {way.kind for way in in_full}

@@ -16,7 +16,7 @@ from cep.proofs.measure import measure, worst_of
 from cep.search.feasibility import feasible
 from cep.search.limits import Limits, RunLimits, fixed_mask
 from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario, drifted
+from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
@@ -95,17 +95,6 @@ def test_forced_chips_are_a_limit_like_others():
             "min_open: runs of 5 open chips conflict with at most 4 open chips",
         ),
         ({"response": SLOW}, "response: needs a motion (scenarios)"),
-        (
-            {"scenarios": (Scenario(BENT, edges=np.linspace(0, 1, 9)),)},
-            "edges: 9 chips need 10 edges",
-        ),
-        (
-            {"scenarios": (Scenario(BENT, edges=np.linspace(0, 0.8, 10)),), "response": SLOW},
-            (
-                "response: opening or closing takes 90 ns, but the shortest chip of these edges"
-                " lasts 80 ns"
-            ),
-        ),
     ],
 )
 def test_bad_problems_are_named(options, line):
@@ -135,10 +124,6 @@ def test_measuring_counts_every_scenario_direction_and_the_shutter():
     ways = [measure(path, CODE, response=SLOW) for path in (BENT, BENT.reversed())]
     assert ways[0] != ways[1]
     assert both.measure(CODE) == worst_of(*ways)
-    (late,) = drifted(known, 9, 0.1)
-    assert replace(problem, scenarios=(late,)).measure(CODE) == measure(
-        known, CODE, edges=late.edges
-    )
 
 
 def test_figures_under_a_slow_shutter():

@@ -243,7 +243,7 @@ def test_published_values_by_number_of_ones(opened, chips, value):
 @pytest.mark.parametrize("direction", ["forward", "unknown"])
 def test_along_a_path_it_is_the_best_of_all_codes_at_the_samples(chips, direction):
     scenarios = (
-        Scenario(arc(), edges=np.linspace(0, 1, chips + 1) ** 1.1),
+        Scenario(arc()),
         Scenario(Trajectory.straight(3.0)),
     )
     problem = SearchProblem(
@@ -258,7 +258,7 @@ def test_along_a_path_it_is_the_best_of_all_codes_at_the_samples(chips, directio
             : 1 + (direction == "unknown")
         ]:
             samples = band_samples(path)
-            basis = chip_basis(path, chips, samples.fx, samples.fy, edges=scenario.edges)
+            basis = chip_basis(path, chips, samples.fx, samples.fy)
             lowest = np.minimum(lowest, sampled_minimum(codes, basis))
     assert found.proven
     assert found.proof.lower == pytest.approx(lowest.max(), rel=1e-9)
