@@ -1,11 +1,12 @@
 """Whether codes keep given limits, which limits conflict, and the code within them nearest to one.
 
-All are shortest walks between the states of :mod:`cep.search.limits`, from the end to the start.
+The nearest is a shortest walk between the states of :mod:`cep.search.limits`, from the end to the
+start.
 """
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from functools import lru_cache
 
 import numpy as np
@@ -24,13 +25,7 @@ def feasible(limits: Limits) -> bool:
     high = min(limits.open_range[1], limits.chips)
     if low > high or limits.runs.min_open > high:
         return False
-    if limits.runs.fixed is None:
-        fewest = _fewest_free_pulses(limits)
-    else:
-        # the same for every range: a front asks for each number of open chips
-        fewest = _fewest_pulses(
-            Limits(limits.chips, (1, limits.chips), replace(limits.runs, max_pulses=None))
-        )
+    fewest = _fewest_pulses(limits)
     most_pulses = limits.runs.max_pulses or limits.chips
     return bool(fewest[low : high + 1].min() <= most_pulses)
 
@@ -68,12 +63,8 @@ def check_feasible(limits: Limits) -> None:
     names = conflicting(limits)
     if not names:
         return
-    marks = limits.runs.fixed or ""
-    values = {
-        "open_range": "{}..{}".format(*limits.open_range),
-        "fixed": f"({marks.count('1')} forced open, {marks.count('0')} forced closed)",
-    }
-    words = [f"{name} {values.get(name) or getattr(limits.runs, name)}" for name in names]
+    values = {**asdict(limits.runs), "open_range": "{}..{}".format(*limits.open_range)}
+    words = [f"{name} {values[name]}" for name in names]
     code = f"no code of {limits.chips} chips keeps"
     if len(words) == 1:
         raise ValueError(f"{words[0]}: {code} it")
@@ -82,8 +73,8 @@ def check_feasible(limits: Limits) -> None:
     raise ValueError(f"{listed} conflict: {code} {number}")
 
 
-def _fewest_free_pulses(limits: Limits) -> NDArray[np.int64]:
-    """Fewest pulses of a code with each number of open chips, (n + 1,), where none is forced."""
+def _fewest_pulses(limits: Limits) -> NDArray[np.int64]:
+    """Fewest pulses of a code with each number of open chips, (n + 1,)."""
     open_chips = np.arange(limits.chips + 1)
     pulses = np.maximum(-(-open_chips // limits.longest), 1)
     # all but the last take a period at least, and within it may be open but for the gap
@@ -95,28 +86,6 @@ def _fewest_free_pulses(limits: Limits) -> NDArray[np.int64]:
     return np.where(
         (pulses * limits.runs.min_open <= open_chips) & (span <= limits.chips), pulses, _NEVER
     )
-
-
-@lru_cache(maxsize=8)
-def _fewest_pulses(limits: Limits) -> NDArray[np.int64]:
-    """Fewest pulses of a code by its number of open chips, (n + 1,): a shortest walk."""
-    n = limits.chips
-    steps = limits.steps()
-    # state, position, open chips to come
-    fewest = np.full((3, n + 1, n + 1), _NEVER, dtype=np.int64)
-    fewest[OVER, limits.rest(), 0] = 0
-    for i in reversed(range(n + 1)):
-        for state in (CLOSED, OPEN):
-            for open_chips, closed_chips, next_state, pulses, fits in steps[state]:
-                if fits[i]:
-                    target = fewest[state, i, open_chips:]
-                    np.minimum(
-                        target,
-                        fewest[next_state, i + open_chips + closed_chips, : n + 1 - open_chips]
-                        + pulses,
-                        out=target,
-                    )
-    return np.asarray(np.minimum(fewest[CLOSED, 0], _NEVER), dtype=np.int64)
 
 
 def nearest(limits: Limits, code: NDArray[np.integer] | BoolArray) -> NDArray[np.int8] | None:
@@ -151,7 +120,7 @@ def nearest(limits: Limits, code: NDArray[np.integer] | BoolArray) -> NDArray[np
 
     # state, position, open chips to come, pulses left
     cost = np.full((3, n + 1, high + 1, most_pulses + 1), _NEVER, dtype=np.int64)
-    cost[OVER, limits.rest(), 0] = 0  # what follows is counted by the step that leads there
+    cost[OVER, :, 0] = 0  # what follows is counted by the step that leads there
     for i in reversed(range(n + 1)):
         for state in (CLOSED, OPEN):
             for step in steps[state]:

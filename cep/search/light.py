@@ -23,7 +23,6 @@ _PERIODS = 64  # of strobes, and widths of each period
 _WIDTHS = 32
 _PAIRS = 256  # of strobes within limits: widths with numbers of pulses, and periods of each
 _PERIODS_WITHIN = 8
-_FIRSTS = 64  # and where chips are forced, where the first pulse begins
 _BATCH = 2**21  # numbers evaluated at once: 16 MB
 
 
@@ -111,8 +110,8 @@ def best_strobe(objective: Objective, *, within_limits: bool = False) -> Shutter
     ----------
     objective : Objective
     within_limits : bool
-        Whether it must keep the problem's limits. Then the pulses are whole, may be fewer than
-        there is time for, and where chips are forced may begin later.
+        Whether it must keep the problem's limits. Then the pulses are whole, and may be fewer than
+        there is time for.
 
     Returns
     -------
@@ -130,20 +129,11 @@ def _fitting_runs(limits: Limits) -> NDArray[np.bool_]:
     """Whether a single run of each length may start at each chip, (n + 1, n + 1)."""
     n = limits.chips
     length, first = np.ogrid[: n + 1, : n + 1]
-    end = np.minimum(first + length, n)
     longest = min(limits.open_range[1], limits.longest)
     fits = (
         (first + length <= n)
         & (length >= max(limits.open_range[0], limits.runs.min_open, 1))
         & (length <= longest)
-    )
-    # numbers of forced chips before each chip
-    forced_closed, forced_open = (
-        np.concatenate([[0], np.cumsum(~limits.may_be(bit))]) for bit in (1, 0)
-    )
-    # a run must hold no chip that is forced closed, and all that are forced open
-    fits &= (forced_closed[end] == forced_closed[first]) & (
-        forced_open[end] - forced_open[first] == forced_open[-1]
     )
     return np.asarray(fits, dtype=np.bool_)
 
@@ -177,12 +167,9 @@ def _strobes_within(problem: SearchProblem) -> Codes:
         shortest = max(limits.runs.min_period, width + limits.runs.min_closed)
         longest = (n - width) // (pulses - 1)
         for period in evenly_some(np.arange(shortest, longest + 1), _PERIODS_WITHIN):
-            later = 0
-            if limits.runs.fixed is not None:  # no strobe from the first chip may keep the mask
-                later = n - ((pulses - 1) * period + width)
             code = np.zeros(n, dtype=np.int8)
             code[(np.arange(pulses)[:, None] * period + np.arange(width)).ravel()] = 1
-            codes += [np.roll(code, first) for first in evenly_some(np.arange(later + 1), _FIRSTS)]
+            codes.append(code)
     strobes = np.array(codes, dtype=np.int8).reshape(-1, n)
     return strobes[problem.satisfied(strobes)]
 

@@ -9,8 +9,7 @@ the end of its gap. Every code within the limits is exactly one walk.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +37,7 @@ class Step(NamedTuple):
     pulses : int
         1 if it starts a pulse, else 0.
     fits : (n + 1,) bool
-        Whether the forced chips and the code's length allow it at each chip.
+        Whether the code's length allows it at each chip.
     """
 
     open_chips: int
@@ -64,9 +63,6 @@ class RunLimits:
     min_period : int
         Fewest chips from the start of one open run to the start of the next. Codes are not their
         mirror image's equals then: it swaps starts and ends.
-    fixed : str, optional
-        One character per chip: "1" forced open, "0" forced closed, "?" free; see
-        :func:`fixed_mask`.
 
     Raises
     ------
@@ -86,7 +82,6 @@ class RunLimits:
     max_open: int | None = None
     min_period: int = 1
     max_pulses: int | None = None
-    fixed: str | None = None
 
     def __post_init__(self) -> None:
         for name in ("min_open", "min_closed", "max_pulses", "max_open", "min_period"):
@@ -97,11 +92,11 @@ class RunLimits:
 
     @property
     def says_nothing(self) -> bool:
-        """Whether runs, pulses and their period are free, whatever chips are forced."""
-        return replace(self, fixed=None) == RunLimits()
+        """Whether runs, pulses and their period are free."""
+        return self == RunLimits()
 
     def tightened(self, limits: RunLimits) -> RunLimits:
-        """Return the limits of codes that keep these and others; a mask given here counts first.
+        """Return the limits of codes that keep these and others.
 
         Examples
         --------
@@ -119,7 +114,6 @@ class RunLimits:
             max_pulses=smallest(self.max_pulses, limits.max_pulses),
             max_open=smallest(self.max_open, limits.max_open),
             min_period=max(self.min_period, limits.min_period),
-            fixed=self.fixed or limits.fixed,
         )
 
 
@@ -174,35 +168,12 @@ class Limits:
             return None
         return self.runs.max_pulses
 
-    def may_be(self, bit: int) -> BoolArray:
-        """Which chips (n,) the mask lets be open (1) or closed (0)."""
-        return np.array([mark in ("?", str(bit)) for mark in self.runs.fixed or "?" * self.chips])
-
-    def room(self, bit: int, length: int) -> BoolArray:
-        """Whether a run of ``length`` chips of ``bit`` may start at each chip, (n + 1,)."""
-        # a run fits where as many chips are refused before its end as before its start
-        refused = np.concatenate([[0], np.cumsum(~self.may_be(bit))])
-        fits = np.zeros(self.chips + 1, dtype=np.bool_)
-        last = self.chips - length
-        if last >= 0:
-            fits[: last + 1] = refused[length:] == refused[: last + 1]
-        return fits
-
-    def rest(self) -> BoolArray:
-        """Whether every chip from each one on may be closed, (n + 1,)."""
-        return np.concatenate([np.logical_and.accumulate(self.may_be(0)[::-1])[::-1], [True]])
-
     def steps(self) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         """List the steps from CLOSED and those from OPEN."""
         gap = self.runs.min_closed
-        may_stay_closed = self.rest()
 
         def step(open_chips: int, closed_chips: int, next_state: int, pulses: int = 0) -> Step:
-            fits = self.room(1, open_chips)
-            after = self.room(0, closed_chips)
-            if next_state == OVER:
-                after = may_stay_closed
-            fits[: after.size - open_chips] &= after[open_chips:]
+            fits = np.arange(self.chips + 1) + open_chips + closed_chips <= self.chips
             return Step(open_chips, closed_chips, next_state, pulses, fits)
 
         bounded = self.longest < self.chips  # then each length of a pulse is a step of its own
@@ -242,9 +213,6 @@ class Limits:
             # pulses before each chip
             pulses_begun = np.pad(_starts(is_open).cumsum(axis=1), ((0, 0), (1, 0)))
             ok &= (pulses_begun[:, period:] - pulses_begun[:, :-period] <= 1).all(axis=1)
-        if runs.fixed is not None:
-            marks = np.frombuffer(runs.fixed.encode(), dtype=np.uint8)
-            ok &= ((marks == ord("?")) | (is_open == (marks == ord("1")))).all(axis=1)
         return np.asarray(ok, dtype=np.bool_)
 
 
@@ -262,74 +230,3 @@ def _opening(mask: BoolArray, length: int) -> BoolArray:
     for shift in range(length):
         covered[:, shift : shift + full.shape[1]] |= full
     return covered
-
-
-def fixed_mask(
-    chips: int,
-    *,
-    first_open: bool = False,
-    last_open: bool = False,
-    forced_open: Iterable[int] = (),
-    forced_closed: Iterable[int] = (),
-) -> str:
-    """Make a mask of forced chips: "1" open, "0" closed, "?" free.
-
-    Parameters
-    ----------
-    chips : int
-    first_open, last_open : bool
-        Whether the first and the last chip must be open.
-    forced_open, forced_closed : iterable of int
-        Chips by their index, 0 .. chips - 1.
-
-    Raises
-    ------
-    ValueError
-        If an index is outside the code, or a chip is forced both ways.
-
-    Examples
-    --------
-    >>> fixed_mask(8, first_open=True, forced_closed=[3, 4])
-    '1??00???'
-    """
-    open_indices = set(forced_open)
-    closed_indices = set(forced_closed)
-    for name, indices in (("forced_open", open_indices), ("forced_closed", closed_indices)):
-        outside = sorted(index for index in indices if not 0 <= index < chips)
-        if outside:
-            raise ValueError(
-                f"{name}: chips of a code of {chips} are 0..{chips - 1}, got {outside[0]}"
-            )
-    if first_open:
-        open_indices.add(0)
-    if last_open:
-        open_indices.add(chips - 1)
-    contradictory = sorted(open_indices & closed_indices)
-    if contradictory:
-        raise ValueError(f"forced_closed: chip {contradictory[0]} is forced open as well")
-    marks = dict.fromkeys(closed_indices, "0") | dict.fromkeys(open_indices, "1")
-    return "".join(marks.get(i, "?") for i in range(chips))
-
-
-def checked_mask(fixed: str | None, chips: int) -> str | None:
-    """Return a mask, or None when it leaves every chip free.
-
-    Raises
-    ------
-    ValueError
-        If it has another length or other characters.
-    """
-    if fixed is None:
-        return None
-    if not isinstance(fixed, str) or set(fixed) - set("01?"):
-        raise ValueError(
-            "fixed: must be a string of 0 (forced closed), 1 (forced open) and ? (free), got"
-            f" {fixed!r}"
-        )
-    if len(fixed) != chips:
-        raise ValueError(
-            f"fixed: must have one character for each of {chips} chips, got {len(fixed)}"
-        )
-    if set(fixed) == {"?"}:
-        return None
-    return fixed

@@ -124,7 +124,7 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
     -----
     The best of all codes is also the best of any part of them that it belongs to. So a proof
     covers every problem with no more chips, and no other numbers of open chips, than its own, if
-    some shift of the code or of its mirror image keeps the limits.
+    the code or its mirror image keeps the limits.
 
     Examples
     --------
@@ -143,7 +143,7 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
         if not covers:
             continue
         code = _within_limits(problem, entry)
-        if code is None:  # shifts and mirror image break the limits: another code may be the best
+        if code is None:  # it breaks the limits, and its mirror image: another may be the best
             continue
         minimum = chip_minimum(code)
         log = BundledLog(
@@ -177,12 +177,12 @@ def proven_starts(problem: SearchProblem) -> list[ShutterCode]:
 
 
 def _within_limits(problem: SearchProblem, entry: ProvenCode) -> ShutterCode | None:
-    """Place a proven code or its mirror image at the first chip where it keeps the limits."""
-    room = problem.chips - len(entry.bits)
-    # shifts and the mirror image have the same |P|
+    """Return a proven code or its mirror image, of the same |P|, whichever keeps the limits."""
+    if len(entry.bits) > problem.chips:
+        return None
+    # where it stands does not count: limits are on runs, and the shutter rests closed around it
     for bits in (entry.bits, entry.bits[::-1]):
-        for first in range(room + 1):
-            code = ShutterCode("0" * first + bits + "0" * (room - first))
-            if problem.allows(code):
-                return code
+        code = ShutterCode(bits.ljust(problem.chips, "0"))
+        if problem.allows(code):
+            return code
     return None

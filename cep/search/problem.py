@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal, TypedDict, Unpack
 
 import numpy as np
@@ -15,7 +15,7 @@ from cep.optics.response import ShutterResponse
 from cep.optics.scene import PHOTO, Scene
 from cep.proofs.measure import CodeMetrics, measure, worst_of
 from cep.search.feasibility import check_feasible
-from cep.search.limits import Limits, RunLimits, checked_mask
+from cep.search.limits import Limits, RunLimits
 from cep.search.objectives import OBJECTIVES, Criterion
 from cep.search.playable import chip_time_ns, within_camera, within_device
 from cep.search.sampling import draw
@@ -66,7 +66,7 @@ class SearchProblem:
         How scenarios combine: the worst of their decibels, or the weighted mean of their decibels,
         which one bad motion does not rule as it would the decibels of a mean.
     runs : RunLimits
-        Limits on runs and pulses, and forced chips.
+        Limits on runs and pulses.
     camera : Camera
         For the objective "mse".
     response : ShutterResponse, optional
@@ -137,9 +137,6 @@ class SearchProblem:
                 "response: needs a motion (scenarios), the unit circle of a polynomial has no"
                 " ramps"
             )
-        # a mask without forced chips is none: the closed form of the sampling needs no walks then
-        fixed = checked_mask(self.runs.fixed, self.chips)
-        object.__setattr__(self, "runs", replace(self.runs, fixed=fixed))
         self._check_feasible()
 
     @classmethod
@@ -284,11 +281,6 @@ class SearchProblem:
             self.direction == "auto" and trajectory.direction == "unknown"
         )
         return unknown and uniform_length_px(trajectory) is None
-
-    @property
-    def free_chips(self) -> NDArray[np.intp]:
-        """Chips, by their index, that nothing forces open or closed."""
-        return np.flatnonzero([mark == "?" for mark in self.runs.fixed or "?" * self.chips])
 
     def directions(self, scenario: Scenario) -> tuple[bool, ...]:
         """Directions of a scenario that count: whether each is the reversed one."""

@@ -1,8 +1,8 @@
 """Uniform random codes within limits.
 
-Without forced chips the codes of k open chips in p pulses are pairs of compositions (k into p
-runs, the rest into p + 1 gaps), a closed form. Forced chips, a longest run and a least period need
-dynamic programming over the walks of :mod:`cep.search.limits`.
+The codes of k open chips in p pulses are pairs of compositions (k into p runs, the rest into p + 1
+gaps), a closed form. A longest run and a least period need dynamic programming over the walks of
+:mod:`cep.search.limits`.
 """
 
 from __future__ import annotations
@@ -26,23 +26,18 @@ _TILT_ACCEPTED = 0.25  # share of walks drawn with a weight on pulses that keep 
 def draw(limits: Limits, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
     """Draw ``count`` codes within feasible limits, (count, n) of 0 and 1.
 
-    All codes are equally likely, with one exception: if chips are forced or runs limited by
-    ``max_open`` or ``min_period``, and the table over open chips and pulses would exceed 12
-    million numbers (as for 512 chips and 16 pulses), codes of few pulses are somewhat likelier
-    than others.
+    All codes are equally likely, with one exception: if runs are limited by ``max_open`` or
+    ``min_period``, and the table over open chips and pulses would exceed 12 million numbers (as
+    for 512 chips and 16 pulses), codes of few pulses are somewhat likelier than others.
     """
-    if _free(limits):
+    if not limits.counts_runs:
         return _draw_free(limits, count, rng)
     if _size(limits) <= MOST_NUMBERS:
         return _walks(limits, True, 0.0).draw(count, rng)
     return _draw_tilted(limits, count, rng)
 
 
-# -- no chip is forced, no pulse's length decides what may follow: compositions -------------------
-
-
-def _free(limits: Limits) -> bool:
-    return limits.runs.fixed is None and not limits.counts_runs
+# -- no pulse's length decides what may follow: compositions --------------------------------------
 
 
 @lru_cache(maxsize=4)
@@ -211,7 +206,7 @@ def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
     log_counts = np.full(
         (3, n + 1, limits.open_range[1] * opens + 1, (most_pulses or 0) + 1), -np.inf
     )
-    log_counts[OVER, limits.rest(), 0] = 0.0
+    log_counts[OVER, :, 0] = 0.0
     for i in reversed(range(n + 1)):
         for state in (CLOSED, OPEN):
             for open_chips, closed_chips, next_state, starts, fits in steps[state]:

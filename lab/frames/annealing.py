@@ -143,18 +143,16 @@ def anneal_frames(
     seeds = np.array([*starts, problem.random_codes(frames, rng=rng)], dtype=np.int8)
     seeds = seeds[[bool(problem.satisfied(codes).all()) for codes in seeds]]
     elites.offer(seeds)
-    free = problem.free_chips
     stopped: Stopped = "complete"
 
     try:
-        if free.size:
-            joint = _Joint.of(coarse, frames, free)
-            with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-                round_number = 0
-                while budget.remains():
-                    _round(joint, elites, budget, round_number, rng, pool, progress)
-                    round_number += 1
-            stopped = budget.stopped()
+        joint = _Joint.of(coarse, frames)
+        with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+            round_number = 0
+            while budget.remains():
+                _round(joint, elites, budget, round_number, rng, pool, progress)
+                round_number += 1
+        stopped = budget.stopped()
     except KeyboardInterrupt:
         stopped = "interrupted"
     # no start may beat what is returned on the fine grid
@@ -183,13 +181,12 @@ class _Joint:
     frames: int
     tables: Tables
     limits: Limits
-    free: NDArray[np.int64]
 
     @classmethod
-    def of(cls, coarse: Objective, frames: int, free: NDArray[np.intp]) -> _Joint:
+    def of(cls, coarse: Objective, frames: int) -> _Joint:
         problem = coarse.problem
         tables = joint_tables(coarse, frames)
-        return cls(problem, frames, tables, Limits.of(problem), free.astype(np.int64))
+        return cls(problem, frames, tables, Limits.of(problem))
 
     def chain(self, codes: Codes, seed: int) -> tuple[Tables, Chain]:
         """Start a chain at (M, n) codes, with the tables that it sorts for itself."""
@@ -212,7 +209,8 @@ class _Joint:
             heats = heats_db[0] * (heats_db[1] / heats_db[0]) ** (
                 np.array([first, first + count]) / moves
             )
-            cool(tables, limits, chain, self.free + chips_here.start, work, heats, count)
+            free = np.arange(chips_here.start, chips_here.stop)
+            cool(tables, limits, chain, free, work, heats, count)
 
 
 def _round(

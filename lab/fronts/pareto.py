@@ -149,7 +149,6 @@ class _Search:
         self._began = time.monotonic()
         self.moves = 0
         self.judge = Judge(problem)
-        self._free = problem.free_chips
         self._tables: dict[float, tuple[Tables, float]] = {}
         self.archives = {count: Archive(self.judge, p) for count, p in problems.items()}
 
@@ -178,7 +177,7 @@ class _Search:
         round.
         """
         moves = _FIRST_MOVES
-        while self._free.size and (self.steps is None or self.moves < self.steps):
+        while self.steps is None or self.moves < self.steps:
             counts = self._promising()
             if self.steps is not None:
                 moves = min(
@@ -280,9 +279,7 @@ class _Search:
             return True
 
         try:
-            Crew(archive.problem, tables, self._free, threads=self._threads).run(
-                plans, tick, codes.append
-            )
+            Crew(archive.problem, tables, threads=self._threads).run(plans, tick, codes.append)
         finally:
             archive.offer(np.concatenate([*codes, archive.codes[:0]]))
 

@@ -106,7 +106,7 @@ def speed(seconds: float, seed: int) -> None:
     path = boracchi_foi(np.random.default_rng(seed))
     problem = SearchProblem.along(path, chips=52, objective="noise", direction="forward")
     coarse = Objective(problem, oversampling=8)
-    crew = Crew(problem, lay_out(coarse), np.arange(52), threads=1)
+    crew = Crew(problem, lay_out(coarse), threads=1)
     code = problem.random_codes(1, rng=np.random.default_rng(seed))[0].astype(np.int8)
     columns = coarse.rows.shape[-1]
     print(f"| {columns} frequencies, one core | moves/s |\n|---|---|")

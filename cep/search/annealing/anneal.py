@@ -240,9 +240,8 @@ def hottest_db(problem: SearchProblem) -> float:
 
 def _movable(problem: SearchProblem, code: Codes) -> bool:
     """Whether any chip may change: alone, where the light may, or against another."""
-    free = problem.free_chips
     low, high = problem.open_limits
-    return free.size > 0 and (low < high or np.unique(code[free]).size == 2)
+    return low < high or np.unique(code).size == 2
 
 
 def _crews(coarse: Objective, judge: Objective | None, threads: int | None) -> list[Crew]:
@@ -255,10 +254,7 @@ def _crews(coarse: Objective, judge: Objective | None, threads: int | None) -> l
     if len(problem.objective_mix) > 1:
         # a part alone is one sum, by which a move is judged many times as fast
         objectives = [*(coarse.instead(name) for name, _ in problem.objective_mix), coarse]
-    return [
-        Crew(o.problem, lay_out(o), problem.free_chips, threads=threads, sweeping=sweeping)
-        for o in objectives
-    ]
+    return [Crew(o.problem, lay_out(o), threads=threads, sweeping=sweeping) for o in objectives]
 
 
 def _plans(

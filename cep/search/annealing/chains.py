@@ -28,8 +28,6 @@ class Crew:
     problem : SearchProblem
     tables : Tables
         Of the search's coarse samples.
-    free : (M,) int
-        Chips that may change.
     threads : int, optional
         As many as the processor has cores when omitted. The outcome does not depend on it.
     sweeping : SweepTables, optional
@@ -40,14 +38,12 @@ class Crew:
         self,
         problem: SearchProblem,
         tables: Tables,
-        free: NDArray[np.intp],
         *,
         threads: int | None = None,
         sweeping: SweepTables | None = None,
     ) -> None:
         self._problem = problem
         self._tables = tables
-        self._free = free.astype(np.int64)
         self._sweeping = sweeping
         self._threads = threads or os.cpu_count() or 1
 
@@ -107,5 +103,5 @@ class Crew:
             assert self._sweeping is not None
             return sweeps(self._problem, self._sweeping, plan)
         if isinstance(plan, Cooling):
-            return anneal_chain(self._problem, self._tables, self._free, plan)
-        return walk_often(self._problem, self._tables, self._free, plan)
+            return anneal_chain(self._problem, self._tables, plan)
+        return walk_often(self._problem, self._tables, plan)

@@ -54,7 +54,7 @@ class Cooling:
 
 
 def anneal_chain(
-    problem: SearchProblem, tables: Tables, free: NDArray[np.int64], plan: Cooling
+    problem: SearchProblem, tables: Tables, plan: Cooling
 ) -> Iterator[tuple[int, Codes]]:
     """Yield the moves made and the (R, n) best codes after every slice.
 
@@ -62,13 +62,12 @@ def anneal_chain(
     ----------
     problem : SearchProblem
     tables : Tables
-    free : (M,) int64
-        Chips that may change.
     plan : Cooling
     """
     tables = own_tables(tables)
     limits = Limits.of(problem)
     work = work_space(tables, problem)
+    free = np.arange(problem.chips)
     chain = new_chain(tables, plan.code, plan.seed)
     ratio = plan.cold_db / plan.hot_db
     moves = 0
@@ -103,7 +102,7 @@ def cool(
     limits : Limits
     chain : Chain
     free : (M,) int64
-        Chips that may change.
+        Chips that may change: all of the code, or those of one exposure of several.
     work : (3, 64) float32 or None
         Of :func:`cep.search.annealing.terms.work_space`.
     temperatures : (2,) float64, dB

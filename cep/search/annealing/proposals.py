@@ -44,7 +44,7 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, problem: SearchProblem) -> Limits:
-        """Limits of a problem on light, runs and pulses, without its forced chips."""
+        """Limits of a problem on light, runs and pulses."""
         runs = problem.runs
         chips = problem.chips
         return cls(

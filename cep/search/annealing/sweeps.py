@@ -62,8 +62,6 @@ class SweepTables(NamedTuple):
     by_frequency : (F, 2, lanes) float32
         The same, with zeros after the last chip.
     fine : (n, 2, G) float32
-    free : (n,) bool
-        Chips that may change.
     low, high : int
         Fewest and most open chips.
     """
@@ -71,7 +69,6 @@ class SweepTables(NamedTuple):
     by_chip: Floats
     by_frequency: Floats
     fine: Floats
-    free: NDArray[np.bool_]
     low: int
     high: int
 
@@ -100,11 +97,9 @@ def sweep_tables(objective: Objective, judge: Objective) -> SweepTables:
     lanes = -(-problem.chips // _LANES) * _LANES
     by_frequency = np.zeros((count, 2, lanes), np.float32)
     by_frequency[:, :, : problem.chips] = coarse.transpose(2, 1, 0)
-    free = np.zeros(problem.chips, np.bool_)
-    free[problem.free_chips] = True
     low, high = problem.open_limits
     return SweepTables(
-        np.ascontiguousarray(coarse), by_frequency, np.ascontiguousarray(fine), free, low, high
+        np.ascontiguousarray(coarse), by_frequency, np.ascontiguousarray(fine), low, high
     )
 
 
@@ -209,7 +204,6 @@ def sweep(
     by_chip = tables.by_chip
     by_frequency = tables.by_frequency
     fine = tables.fine
-    free = tables.free
     chips = by_chip.shape[0]
     size = by_chip.shape[2]
     lanes = by_frequency.shape[2]
@@ -238,8 +232,6 @@ def sweep(
         limit = np.float32(cost * (1.0 - uniform(random)) ** -heat)
         # partners from a random one on: the first that passes is taken
         start = int(uniform(random) * chips)
-        if not free[i]:
-            continue
         # one term alone exceeds the limit where |P|^2 is below this
         floor = np.float32(1.0 / np.sqrt(np.sqrt(limit)))
         sign_i = signs[i]
@@ -263,7 +255,7 @@ def sweep(
             j = start + step
             if j >= chips:
                 j -= chips
-            if refused[j] > 0 or not free[j]:
+            if refused[j] > 0:
                 continue
             sign_j = zero
             if j != i:

@@ -62,17 +62,13 @@ class Walks:
     seed: int
 
 
-def walk_often(
-    problem: SearchProblem, tables: Tables, free: NDArray[np.int64], plan: Walks
-) -> Iterator[tuple[int, Codes]]:
+def walk_often(problem: SearchProblem, tables: Tables, plan: Walks) -> Iterator[tuple[int, Codes]]:
     """Yield the moves judged and the (R, n) best codes after every slice of a walk.
 
     Parameters
     ----------
     problem : SearchProblem
     tables : Tables
-    free : (M,) int64
-        Chips that may change.
     plan : Walks
     """
     tables = own_tables(tables)
@@ -82,7 +78,7 @@ def walk_often(
     moves = 0
     finished: list[tuple[float, Codes]] = []
     while moves < plan.moves:
-        start = _start(problem, free, plan.pool, rng)
+        start = _start(problem, plan.pool, rng)
         chain = new_chain(tables, start, int(rng.integers(1, 2**62)))
         tabu_until = np.zeros(problem.chips, np.int64)
         step = 1
@@ -90,7 +86,7 @@ def walk_often(
         while since < _PATIENCE and moves < plan.moves:
             refresh(tables, chain, problem.chips)
             before = chain.best_cost[0]
-            step_moves = walk(tables, limits, chain, free, work, tabu_until, step, _SLICE)
+            step_moves = walk(tables, limits, chain, work, tabu_until, step, _SLICE)
             step += _SLICE
             moves += step_moves
             since += _SLICE
@@ -106,16 +102,14 @@ def walk_often(
         finished = ranked
 
 
-def _start(
-    problem: SearchProblem, free: NDArray[np.int64], pool: Codes, rng: np.random.Generator
-) -> Codes:
+def _start(problem: SearchProblem, pool: Codes, rng: np.random.Generator) -> Codes:
     """Draw a random code, or swap a few chips of one of the best."""
     if rng.random() < _FRESH:
         fresh: Codes = problem.random_codes(1, rng=rng)[0].astype(np.int8)
         return fresh
     code: Codes = pool[int(rng.integers(len(pool)))].copy()
-    open_chips = free[code[free] == 1]
-    closed_chips = free[code[free] == 0]
+    open_chips = np.flatnonzero(code == 1)
+    closed_chips = np.flatnonzero(code == 0)
     swaps = min(int(rng.integers(*_KICK)), open_chips.size, closed_chips.size)
     code[rng.choice(open_chips, swaps, replace=False)] = 0
     code[rng.choice(closed_chips, swaps, replace=False)] = 1
@@ -127,7 +121,6 @@ def walk(
     tables: Any,
     limits: Any,
     chain: Any,
-    free: NDArray[np.int64],
     work: Any,
     tabu_until: NDArray[np.int64],
     first: int,
@@ -140,8 +133,6 @@ def walk(
     tables : Tables
     limits : Limits
     chain : Chain
-    free : (M,) int64
-        Chips that may change.
     work : (3, 64) float32 or None
         Of :func:`cep.search.annealing.terms.work_space`.
     tabu_until : (chips,) int64
@@ -168,12 +159,10 @@ def walk(
         lowest = np.inf
         ceiling = np.inf
         best_count = 0
-        for a in range(len(free)):
-            # b = a is a flip, any other b a swap of two unlike chips
-            for b in range(a, len(free)):
-                i = free[a]
-                j = free[b]
-                if a == b:
+        for i in range(len(code)):
+            # j = i is a flip, any other j a swap of two unlike chips
+            for j in range(i, len(code)):
+                if i == j:
                     if not limits.low <= open_chips + 1 - 2 * code[i] <= limits.high:
                         continue
                 elif code[i] == code[j]:
@@ -185,7 +174,7 @@ def walk(
                     to_beat = best_cost[0]
                     limit = record
                 changed[0], changed[1] = i, j
-                count = 1 if a == b else 2
+                count = 1 if i == j else 2
                 more = turn(code, changed, count, limits.chips, variants, picked)
                 cost = np.inf
                 if not limits.constrained or keeps_runs(code, limits):

@@ -35,9 +35,8 @@ class BestCode:
     Attributes
     ----------
     on_circle : bool
-        Whether minima are over the whole unit circle, in chips; otherwise at band samples.
-    may_shift : bool
-        Whether shifts are as good as the code, and so its mirror images that keep the limits.
+        Whether minima are over the whole unit circle, in chips; otherwise at band samples. On the
+        circle shifts are as good as the code, and so its mirror images that keep the limits.
     basis : (n, Q) complex
         Contribution of each chip at all frequencies.
     bits : str
@@ -53,7 +52,6 @@ class BestCode:
     def __init__(self, problem: SearchProblem) -> None:
         self.problem = problem
         self.on_circle = not problem.scenarios
-        self.may_shift = self.on_circle and problem.runs.fixed is None
         self.basis = _basis(problem)
         if np.abs(self.basis).sum(axis=0).min() < _DARK:
             raise ValueError(
@@ -78,7 +76,7 @@ class BestCode:
 
     def _consider(self, bits: NDArray[np.int8], sampled: float) -> None:
         name = "".join(str(int(bit)) for bit in bits)
-        if self.may_shift:
+        if self.on_circle:
             # at the start; of two mirror images the one that opens more and earlier
             core = name.strip("0")
             if self.problem.mirrors:

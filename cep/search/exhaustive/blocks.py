@@ -103,8 +103,6 @@ class Scanner:
         Codes with both end chips open; otherwise all codes.
     mirrors : bool
         Of codes with both end chips open, one of each mirror pair.
-    fixed : str, optional
-        "1" forced open, "0" forced closed, "?" free, for every chip.
     """
 
     def __init__(
@@ -114,7 +112,6 @@ class Scanner:
         *,
         ends_open: bool,
         mirrors: bool,
-        fixed: str | None = None,
     ) -> None:
         self.tables = tables
         limits = tables.limits
@@ -131,10 +128,7 @@ class Scanner:
         seen_back = back[:, ::-1] @ (1 << np.arange(tail)[::-1])
         patterns = [front, all_patterns(near_chips), all_patterns(INNER), back]
         sides = [(True, False), (False, False), (False, False), (False, True)]
-        keep = [
-            possible(rows, limits, side) & _allowed(rows, int(place), fixed)
-            for rows, side, place in zip(patterns, sides, places[:4], strict=True)
-        ]
+        keep = [possible(rows, limits, side) for rows, side in zip(patterns, sides, strict=True)]
         order = np.argsort(seen_back, kind="stable")
         order = order[keep[3][order]]
         front = front[keep[0]]
@@ -262,11 +256,3 @@ def _order(basis: ComplexArray, limits: Limits, limit: float) -> NDArray[np.intp
 def _bits(patterns: Patterns, start: int) -> NDArray[np.uint64]:
     places = np.uint64(1) << (start + np.arange(patterns.shape[1])).astype(np.uint64)
     return np.asarray((patterns.astype(np.uint64) * places).sum(axis=1), dtype=np.uint64)
-
-
-def _allowed(patterns: Patterns, start: int, fixed: str | None) -> NDArray[np.bool_]:
-    """Which patterns of the chips from ``start`` on agree with the forced chips."""
-    marks = np.array(list((fixed or "")[start : start + patterns.shape[1]]))
-    if marks.size == 0:
-        return np.ones(len(patterns), dtype=np.bool_)
-    return np.asarray(((marks == "?") | (patterns == (marks == "1"))).all(axis=1), dtype=np.bool_)

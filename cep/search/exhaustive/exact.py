@@ -45,7 +45,7 @@ _GROWTH = 1.01  # of the limit, at which the scan's tables are made again
 
 def codes_to_count(problem: SearchProblem) -> int:
     """Count the codes that a proof goes through, mirror images mostly once."""
-    if problem.scenarios or problem.runs.fixed is not None:
+    if problem.scenarios:
         return int(2**problem.chips)
     return int(2 ** max(problem.chips - 1 - problem.mirrors, 0))
 
@@ -122,7 +122,7 @@ class _Proof:
         self.lock = Lock()
         n = best.problem.chips
         sizes = {n: 2**n - 1}
-        if best.may_shift:  # of each length those with both ends open
+        if best.on_circle:  # of each length those with both ends open
             sizes = {m: 2 ** max(m - 2, 0) for m in range(1, n + 1)}
         self.logs = {length: LengthLog(length, codes) for length, codes in sizes.items()}
         if resume is not None:
@@ -155,7 +155,7 @@ class _Proof:
 
     def _list(self, length: int) -> None:
         codes = np.arange(1, 2**length, dtype=np.uint64)
-        if self.best.may_shift:
+        if self.best.on_circle:
             codes = codes[((codes & np.uint64(1)) == 1) & ((codes >> np.uint64(length - 1)) == 1)]
         self.best.offer(codes)
         self.logs[length] = replace(
@@ -195,9 +195,8 @@ class _Proof:
         return Scanner(
             self.tables,
             length,
-            ends_open=self.best.may_shift,
+            ends_open=self.best.on_circle,
             mirrors=self.problem.mirrors,
-            fixed=self.problem.runs.fixed,
         )
 
     def _slice(

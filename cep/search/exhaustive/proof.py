@@ -63,7 +63,7 @@ class ProofLog:
     ----------
     chips : int
     limits : dict
-        Limits on light, runs and single chips.
+        Limits on light and runs.
     domain : str
         Frequencies of the minimum.
     lengths : tuple of LengthLog

@@ -1,4 +1,4 @@
-"""``cep optimize`` from the shell: proofs, forced chips, motions that may differ, a shutter's
+"""``cep optimize`` from the shell: proofs, motions that may differ, a shutter's
 ramps."""
 
 import errno

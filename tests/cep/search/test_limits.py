@@ -11,26 +11,20 @@ from hypothesis import strategies as st
 from cep.optics.code import ShutterCode
 from cep.search import sampling
 from cep.search.feasibility import (
-    _fewest_free_pulses,
     _fewest_pulses,
     check_feasible,
     conflicting,
     feasible,
     nearest,
 )
-from cep.search.limits import Limits, RunLimits, checked_mask, fixed_mask
+from cep.search.limits import Limits, RunLimits
 from cep.search.sampling import draw
 
 
 @st.composite
-def some_limits(draw_one, most_chips=10, masks=True, runs=True):
+def some_limits(draw_one, most_chips=10, runs=True):
     chips = draw_one(st.integers(1, most_chips))
     low = draw_one(st.integers(1, chips))
-    mask = (
-        draw_one(st.text("01???", min_size=chips, max_size=chips))
-        if masks and draw_one(st.booleans())
-        else None
-    )
     return Limits(
         chips,
         (low, draw_one(st.integers(low, chips))),
@@ -38,7 +32,6 @@ def some_limits(draw_one, most_chips=10, masks=True, runs=True):
             min_open=draw_one(st.integers(1, 4)),
             min_closed=draw_one(st.integers(1, 4)),
             max_pulses=draw_one(st.none() | st.integers(1, 4)),
-            fixed=checked_mask(mask, chips),
             max_open=draw_one(st.none() | st.integers(1, 6)) if runs else None,
             min_period=draw_one(st.integers(1, 8)) if runs else 1,
         ),
@@ -65,9 +58,6 @@ def keeps(bits, limits):
         and all(
             after - before >= limits.runs.min_period
             for before, after in itertools.pairwise(starts)
-        )
-        and all(
-            mark in ("?", bit) for mark, bit in zip(limits.runs.fixed or bits, bits, strict=True)
         )
     )
 
@@ -96,7 +86,7 @@ def test_counts_and_draws_are_those_of_enumeration(limits, seed):
         assert set(text_of(draw(limits, 30, rng=np.random.default_rng(seed)))) <= codes
 
 
-@given(some_limits(most_chips=12, masks=False))
+@given(some_limits(most_chips=12))
 @settings(max_examples=150, deadline=None)
 def test_longest_runs_and_least_periods_are_those_of_enumeration(limits):
     codes = every_code(limits)
@@ -105,16 +95,20 @@ def test_longest_runs_and_least_periods_are_those_of_enumeration(limits):
         assert count(limits) == pytest.approx(len(codes))
 
 
-@given(some_limits(most_chips=60, masks=False))
+@given(some_limits())
 @settings(max_examples=100, deadline=None)
-def test_fewest_pulses_of_free_codes_are_those_of_the_walks(limits):
-    """The closed form against the shortest walk that serves masks."""
-    closed_form = _fewest_free_pulses(limits)
-    low, high = limits.open_range
-    assert (closed_form == _fewest_pulses(limits))[low : high + 1].all()
+def test_fewest_pulses_are_those_of_enumeration(limits):
+    closed_form = _fewest_pulses(limits)
+    free = replace(limits, runs=replace(limits.runs, max_pulses=None))
+    fewest = {}
+    for bits in every_code(free):
+        pulses = ShutterCode(bits).pulses
+        fewest[bits.count("1")] = min(pulses, fewest.get(bits.count("1"), pulses))
+    for open_chips in range(limits.open_range[0], limits.open_range[1] + 1):
+        assert closed_form[open_chips] == fewest.get(open_chips, 1 << 30)
 
 
-@given(some_limits(most_chips=60, masks=False, runs=False))
+@given(some_limits(most_chips=60, runs=False))
 @settings(max_examples=60, deadline=None)
 def test_compositions_and_walks_count_the_same(limits):
     """Both are drawn from."""
@@ -130,15 +124,11 @@ def test_compositions_and_walks_count_the_same(limits):
         Limits(8, (4, 4)),
         Limits(9, (3, 6), RunLimits(min_open=2, min_closed=2, max_pulses=2)),
         Limits(9, (1, 9), RunLimits(min_closed=3)),
-        Limits(7, (1, 7), RunLimits(fixed="1?????1")),
-        Limits(9, (3, 6), RunLimits(min_open=2, min_closed=2, max_pulses=2, fixed="???0????1")),
-        Limits(9, (4, 5), RunLimits(min_closed=2, max_pulses=3, fixed="????1????")),
-        Limits(10, (1, 10), RunLimits(min_open=2, max_pulses=2, fixed="0?????????")),
         Limits(9, (1, 9), RunLimits(max_open=2)),
         Limits(9, (1, 9), RunLimits(min_period=4)),
         Limits(10, (3, 6), RunLimits(min_closed=2, max_open=3, min_period=4)),
         Limits(10, (1, 10), RunLimits(min_open=2, max_pulses=3, max_open=2, min_period=5)),
-        Limits(10, (2, 7), RunLimits(max_pulses=2, fixed="?1????????", max_open=4, min_period=6)),
+        Limits(10, (2, 7), RunLimits(max_pulses=2, max_open=4, min_period=6)),
     ],
 )
 @pytest.mark.parametrize("closed_form", [True, False])
@@ -177,16 +167,11 @@ def test_published_numbers():
 
 @pytest.mark.slow  # codes of 600 chips
 @pytest.mark.parametrize("chips", [200, 600])
-@pytest.mark.parametrize(
-    "mask", [None, {"first_open": True, "last_open": True, "forced_closed": range(40, 60)}]
-)
-def test_long_codes_keep_their_limits(chips, mask):
+def test_long_codes_keep_their_limits(chips):
     limits = Limits(
         chips,
         (chips // 3, chips // 2),
-        RunLimits(
-            min_open=2, min_closed=3, max_pulses=30, fixed=mask and fixed_mask(chips, **mask)
-        ),
+        RunLimits(min_open=2, min_closed=3, max_pulses=30),
     )
     for one in (
         limits,
@@ -199,14 +184,14 @@ def test_long_codes_keep_their_limits(chips, mask):
 
 
 @pytest.mark.parametrize("most", [2, 3, 12])
-@pytest.mark.parametrize("runs", [{}, {"max_open": 11, "min_period": 3}])
+@pytest.mark.parametrize("runs", [{"max_open": 11}, {"max_open": 11, "min_period": 3}])
 def test_too_large_a_table_tilts_towards_fewer_pulses_and_keeps_the_limits(
     monkeypatch, most, runs
 ):
     limits = Limits(
         40,
         (15, 20),
-        RunLimits(max_pulses=most, fixed=fixed_mask(40, first_open=True, last_open=True), **runs),
+        RunLimits(max_pulses=most, **runs),
     )
     exact = draw(limits, 400, rng=np.random.default_rng(0))
     monkeypatch.setattr(sampling, "MOST_NUMBERS", 5000)
@@ -255,28 +240,6 @@ def test_conflicts_are_real_and_smallest(limits):
     ("limits", "line"),
     [
         (
-            Limits(4, (1, 4), RunLimits(fixed="0000")),
-            "fixed (0 forced open, 4 forced closed): no code of 4 chips keeps it",
-        ),
-        (
-            Limits(
-                52,
-                (30, 30),
-                RunLimits(min_closed=3, max_pulses=9, fixed="1??" + "0?1?" * 12 + "1"),
-            ),
-            (
-                "max_pulses 9 and fixed (14 forced open, 12 forced closed) conflict: no code of 52"
-                " chips keeps both"
-            ),
-        ),
-        (
-            Limits(12, (9, 12), RunLimits(min_closed=4, fixed="1????0?????1")),
-            (
-                "open_range 9..12, min_closed 4 and fixed (2 forced open, 1 forced closed)"
-                " conflict: no code of 12 chips keeps all 3"
-            ),
-        ),
-        (
             Limits(9, (1, 9), RunLimits(min_open=4, max_open=3)),
             "min_open 4 and max_open 3 conflict: no code of 9 chips keeps both",
         ),
@@ -285,13 +248,6 @@ def test_conflicts_are_real_and_smallest(limits):
             (
                 "open_range 9..20, max_open 3 and min_period 9 conflict: no code of 20 chips keeps"
                 " all 3"
-            ),
-        ),
-        (
-            Limits(9, (1, 9), RunLimits(min_period=5, fixed="1?0?1????")),
-            (
-                "min_period 5 and fixed (2 forced open, 1 forced closed) conflict: no code of 9"
-                " chips keeps both"
             ),
         ),
         (
@@ -304,27 +260,3 @@ def test_the_line_names_what_conflicts(limits, line):
     with pytest.raises(ValueError, match=r".") as caught:
         check_feasible(limits)
     assert str(caught.value) == line
-
-
-def test_masks():
-    assert fixed_mask(5) == "?????"
-    assert (
-        fixed_mask(5, first_open=True, last_open=True, forced_open=[1], forced_closed=[3])
-        == "11?01"
-    )
-    assert checked_mask(None, 4) is checked_mask("????", 4) is None
-    assert checked_mask("1??0", 4) == "1??0"
-    for arguments, words in [
-        ({"forced_open": [5]}, "forced_open: chips of a code of 5 are 0..4, got 5"),
-        ({"forced_closed": [-1]}, "forced_closed: .* got -1"),
-        ({"first_open": True, "forced_closed": [0]}, "chip 0 is forced open as well"),
-    ]:
-        with pytest.raises(ValueError, match=words):
-            fixed_mask(5, **arguments)
-    for mask, words in [
-        ("1?", "for each of 4 chips, got 2"),
-        ("1?x0", "string of 0"),
-        (101, "string of 0"),
-    ]:
-        with pytest.raises(ValueError, match=words):
-            checked_mask(mask, 4)

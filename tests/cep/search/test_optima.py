@@ -29,8 +29,6 @@ LIMITED = {
     "any light": SearchProblem(chips=17),
     "a range of light": SearchProblem(chips=15, open_range=(6, 10)),
     "fixed light": SearchProblem(chips=14, open_range=(5, 5)),
-    "the first chip closed": SearchProblem(chips=14, runs=RunLimits(fixed="0?????????????")),
-    "mirrored": SearchProblem(chips=13, runs=RunLimits(fixed="1010?????????")),
     "few pulses": SearchProblem(chips=16, runs=RunLimits(max_pulses=5, max_open=5)),
     "period": SearchProblem(chips=15, runs=RunLimits(min_period=2)),
     "one chip": SearchProblem(chips=1),
@@ -114,7 +112,6 @@ def test_a_covered_problem_has_the_optimum_of_a_count_of_all_codes(name):
     [
         SearchProblem(chips=13, open_range=(10, 12)),  # the light excludes the best code
         SearchProblem(chips=13, runs=RunLimits(max_open=4)),
-        SearchProblem(chips=13, runs=RunLimits(fixed="0????????????")),
         SearchProblem(chips=13, runs=RunLimits(min_open=2)),
         SearchProblem(chips=49),  # no proof reaches so far
         SearchProblem(chips=50, open_range=(28, 28)),  # 48 chips were proven, not 50
@@ -135,7 +132,7 @@ def test_starts_are_for_the_minimum_of_straight_motions_within_the_limits():
         SearchProblem(chips=60),
         SearchProblem.along(STRAIGHT, chips=52, open_range=(20, 26), response=ramps),
         SearchProblem.along(slowing, chips=44, direction="unknown", runs=RunLimits(max_open=7)),
-        SearchProblem(chips=60, open_range=(24, 24), runs=RunLimits(fixed="0" * 9 + "?" * 51)),
+        SearchProblem(chips=60, open_range=(24, 24)),
     ):
         starts = proven_starts(problem)
         assert starts

@@ -1,4 +1,4 @@
-"""The search problem: forced chips, limits that conflict, and what measuring under a real shutter
+"""The search problem: limits that conflict, and what measuring under a real shutter
 means."""
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ from cep.optics.exposure import coded_otf
 from cep.optics.response import ShutterResponse
 from cep.proofs.measure import measure, worst_of
 from cep.search.feasibility import feasible
-from cep.search.limits import Limits, RunLimits, fixed_mask
+from cep.search.limits import Limits, RunLimits
 from cep.search.problem import SearchProblem
 from cep.search.scenarios import Scenario
 from motdiff.trajectory import Trajectory
@@ -35,7 +35,6 @@ def test_drawn_codes_keep_every_limit(seed, chips, data):
         max_pulses=data.draw(st.none() | st.integers(1, 6)),
         max_open=data.draw(st.none() | st.integers(1, 9)),
         min_period=data.draw(st.integers(1, 9)),
-        fixed=data.draw(st.none() | st.text("01" + "?" * 8, min_size=chips, max_size=chips)),
     )
     if not feasible(Limits(chips, light, runs)):
         with pytest.raises(ValueError, match=r"conflict|no code of"):
@@ -45,44 +44,11 @@ def test_drawn_codes_keep_every_limit(seed, chips, data):
     codes = problem.random_codes(12, rng=np.random.default_rng(seed))
     assert codes.shape == (12, chips)
     assert problem.satisfied(codes).all()
-    if problem.runs.fixed:
-        free = np.array([mark == "?" for mark in problem.runs.fixed])
-        assert (codes[:, ~free] == [int(mark) for mark in problem.runs.fixed if mark != "?"]).all()
-        broken = codes[:1].copy()
-        broken[0, int(np.flatnonzero(~free)[0])] ^= 1
-        assert not problem.satisfied(broken)[0]
-
-
-def test_forced_chips_are_a_limit_like_others():
-    mask = fixed_mask(6, first_open=True, forced_closed=[2])
-    problem = SearchProblem(chips=6, runs=RunLimits(fixed=mask))
-    assert problem.limits.runs.fixed == mask
-    assert SearchProblem(chips=6, runs=RunLimits(fixed="??????")).runs.fixed is None
-    kept = problem.satisfied(
-        np.array([[1, 1, 0, 0, 1, 1], [0, 1, 0, 0, 1, 1], [1, 1, 1, 0, 1, 1]])
-    )
-    assert kept.tolist() == [True, False, False]
 
 
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        (
-            {"runs": RunLimits(fixed="1?")},
-            "fixed: must have one character for each of 9 chips, got 2",
-        ),
-        ({"runs": RunLimits(fixed="1???????x")}, "fixed: must be a string of 0"),
-        (
-            {"runs": RunLimits(fixed="000000000")},
-            "fixed (0 forced open, 9 forced closed): no code of 9 chips keeps it",
-        ),
-        (
-            {"runs": RunLimits(fixed="10?????01", min_open=2)},
-            (
-                "min_open 2 and fixed (2 forced open, 2 forced closed) conflict: no code of 9"
-                " chips keeps both"
-            ),
-        ),
         (
             {"open_range": (7, 9), "runs": RunLimits(max_open=3, min_period=5)},
             (

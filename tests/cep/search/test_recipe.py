@@ -143,7 +143,7 @@ def test_a_search_that_ends_worse_than_a_baseline_returns_it(monkeypatch):
 
 @st.composite
 def problems(draw):
-    """Small problems: limits on light and runs, forced chips, ramps, motions that may differ, all
+    """Small problems: limits on light and runs, ramps, motions that may differ, all
     objectives."""
     chips = draw(st.integers(8, 20))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
@@ -163,7 +163,6 @@ def problems(draw):
             max_pulses=draw(st.none() | st.integers(1, 4)),
             max_open=draw(st.none() | st.integers(3, 6)),
             min_period=draw(st.integers(1, 5)),
-            fixed=draw(st.none() | st.text("1??0?", min_size=chips, max_size=chips)),
         )
     if kept and draw(st.booleans()):
         limits["response"] = ShutterResponse(chip_ns=1000, rise_ns=400, fall_ns=300)

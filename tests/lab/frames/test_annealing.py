@@ -145,7 +145,7 @@ def test_one_frame_is_the_search_of_one_code(objective):
     "limits",
     [
         {"open_range": (6, 6)},
-        {"open_range": (5, 8), "runs": RunLimits(fixed="1?0??????????0??")},
+        {"open_range": (5, 8), "runs": RunLimits(max_open=3)},
         {"open_range": (4, 9), "runs": RunLimits(min_open=2, min_closed=2, max_pulses=3)},
         {"open_range": (4, 9), "runs": RunLimits(max_open=3, min_period=4)},
     ],
@@ -282,7 +282,7 @@ def test_moves_in_several_frames_keep_the_books(name):
         if turn % 2:
             cool(tables, limits, chain, free, work, np.array([1.0, 0.5]), 40)
         else:
-            walk(tables, limits, chain, free, work, held, turn, 3)
+            walk(tables, limits, chain, work, held, turn, 3)
         claimed = chain.cost[0]
         otf = chain.otf.copy()
         fresh_otf(tables, chain.code, problem.chips, chain.otf)

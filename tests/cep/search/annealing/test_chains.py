@@ -38,9 +38,7 @@ def arc(length_px=12.0):
 
 PROBLEMS = {
     "circle": SearchProblem(chips=12, open_range=(4, 9)),
-    "fixed light": SearchProblem(
-        chips=14, open_range=(7, 7), runs=RunLimits(fixed="1????????????0")
-    ),
+    "fixed light": SearchProblem(chips=14, open_range=(7, 7)),
     "straight": SearchProblem(
         chips=11, scenarios=(Scenario(Trajectory.straight(14.0)),), open_range=(3, 8)
     ),
@@ -77,10 +75,6 @@ def started(problem, seed=0):
     fresh_otf(tables, chain.code, problem.chips, chain.otf)
     chain.cost[0] = total_cost(tables, problem.chips, chain.code, chain.otf)
     return objective, tables, chain
-
-
-def free_chips(problem):
-    return np.flatnonzero([mark == "?" for mark in problem.runs.fixed or "?" * problem.chips])
 
 
 def plain_cost(objective, code):
@@ -135,7 +129,7 @@ def test_cooling_keeps_limits_and_books(name, objective):
     _, tables, chain = started(problem, seed=1)
     work = work_space(tables, problem)
     limits = Limits.of(problem)
-    free = free_chips(problem)
+    free = np.arange(problem.chips)
     for _ in range(20):
         accepted = cool(tables, limits, chain, free, work, np.array([1.0, 0.5]), 40)
         assert 0 <= accepted <= 40
@@ -172,7 +166,6 @@ def test_a_walk_takes_the_best_neighbour(name, objective):
         tables,
         Limits.of(problem),
         chain,
-        free_chips(problem),
         work_space(tables, problem),
         held,
         1,
@@ -201,9 +194,7 @@ def test_the_crew_does_the_same_on_any_number_of_threads():
     found = []
     for threads in (1, 3):
         codes = []
-        Crew(problem, tables, np.arange(20), threads=threads).run(
-            plans, lambda _moves: True, codes.append
-        )
+        Crew(problem, tables, threads=threads).run(plans, lambda _moves: True, codes.append)
         assert len(codes) == len(plans)
         assert all(problem.satisfied(some).all() for some in codes)
         found.append(codes)
@@ -220,7 +211,7 @@ def test_a_stopped_crew_offers_what_it_has():
     def tick(_moves):
         raise KeyboardInterrupt
 
-    crew = Crew(problem, tables, np.arange(24), threads=2)
+    crew = Crew(problem, tables, threads=2)
     with pytest.raises(KeyboardInterrupt):
         crew.run(
             [Cooling(start[0], 0.5, 0.1, 10**12, 1), Walks(start, 10**12, 2)], tick, codes.append
@@ -237,7 +228,7 @@ def test_a_chain_leaves_a_code_with_zeros(objective):
     coarse = Objective(problem, oversampling=8)
     comb = (np.arange(chips) % 2 == 0).astype(np.int8)
     found = []
-    crew = Crew(problem, lay_out(coarse), np.arange(chips), threads=1)
+    crew = Crew(problem, lay_out(coarse), threads=1)
     crew.run(
         [Cooling(comb, 0.1, 0.05, 40_000, 1), Walks(comb[None], 400_000, 2)],
         lambda _moves: True,

@@ -204,22 +204,6 @@ def test_runs_are_kept_by_codes_and_their_parts(
             assert fits or not kept
 
 
-@pytest.mark.parametrize("fixed", ["1?????0???????1", "??111?????00???"])
-def test_forced_chips(fixed):
-    problem = SearchProblem(chips=15, runs=RunLimits(fixed=fixed))
-    found = exact(problem, threads=1)
-    assert problem.satisfied(found.code.array[None])[0]
-    codes = all_patterns(15)[1:]
-    codes = codes[problem.satisfied(codes)]
-    sampled = np.abs(np.fft.rfft(codes, 128)).min(axis=1)
-    best = 0.0
-    for index in np.argsort(-sampled):
-        if sampled[index] <= best:
-            break
-        best = max(best, min_chip(ShutterCode.from_array(codes[index])))
-    assert min_chip(found.code) == pytest.approx(best, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("opened", "chips", "value"),
     [
