@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import Minimum
 from cep.search.annealing.proposals import Limits
-from cep.search.exhaustive.best_code import BestCode, packed
+from cep.search.exhaustive.best_code import BestCode
 from cep.search.exhaustive.blocks import MARGIN, Scanner, Tables
 from cep.search.exhaustive.proof import ExactResult, LengthLog, ProofLog
 from cep.search.exhaustive.scan import BYTES, INNER
@@ -55,7 +55,6 @@ def exact(
     *,
     progress: Progress | None = None,
     threads: int | None = None,
-    resume: ProofLog | None = None,
 ) -> ExactResult:
     """Find the code with the largest minimum of |H|, and prove it.
 
@@ -69,8 +68,6 @@ def exact(
         KeyboardInterrupt.
     threads : int, optional
         All cores when omitted. The result does not depend on it.
-    resume : ProofLog, optional
-        Of an interrupted proof of the same problem.
 
     Returns
     -------
@@ -81,8 +78,7 @@ def exact(
     Raises
     ------
     ValueError
-        For another objective, too many chips, a motion that no code can serve, or another
-        problem's log.
+        For another objective, too many chips, or a motion that no code can serve.
     """
     start_s = time.monotonic()
     if [name for name, _ in problem.objective_mix] != ["min-mtf"] or problem.rule != "worst":
@@ -97,7 +93,7 @@ def exact(
             "response: a proof needs a shutter that opens at once, leave the response out"
         )
     best = BestCode(problem)
-    proof = _Proof(best, resume)
+    proof = _Proof(best)
     try:
         best.climb()
         proof.count(progress, threads or cpu_count() or 1)
@@ -112,9 +108,9 @@ def exact(
 
 
 class _Proof:
-    """All codes of a problem, length by length: which ranges are finished, and their counts."""
+    """All codes of a problem, length by length, and their counts."""
 
-    def __init__(self, best: BestCode, resume: ProofLog | None) -> None:
+    def __init__(self, best: BestCode) -> None:
         self.best = best
         self.problem = best.problem
         self.limits = Limits.of(best.problem)
@@ -125,15 +121,6 @@ class _Proof:
         if best.on_circle:  # of each length those with both ends open
             sizes = {m: 2 ** max(m - 2, 0) for m in range(1, n + 1)}
         self.logs = {length: LengthLog(length, codes) for length, codes in sizes.items()}
-        if resume is not None:
-            if (resume.chips, resume.limits, resume.domain) != (n, self._limits(), self._domain()):
-                raise ValueError(
-                    f"resume: the log is of another problem, of {resume.chips} chips on"
-                    f" {resume.domain}"
-                )
-            self.logs = {entry.length: entry for entry in resume.lengths}
-            best.ceiling = resume.ceiling
-            best.offer(packed(np.array([*map(int, resume.bits)], dtype=np.int8)))
 
     def count(self, progress: Progress | None, threads: int) -> None:
         """Go through all codes, length by length."""
@@ -146,9 +133,9 @@ class _Proof:
                     progress((before + share * codes) / total, ShutterCode(self.best.bits))
 
             # shorter codes have no chips beside the inner block and the two ends
-            if not entry.complete and length < INNER + 2:
+            if length < INNER + 2:
                 self._list(length)
-            elif not entry.complete:
+            else:
                 self._scan(length, threads, report)
             before += entry.codes
             report(1.0, before - entry.codes)
@@ -164,8 +151,9 @@ class _Proof:
 
     def _scan(self, length: int, threads: int, report: Callable[[float], None]) -> None:
         halt = np.zeros(1, dtype=np.bool_)
-        spans = list(self._scanner(length).spans(min(_SLICE, max(2**16, 2**length // _SLICES))))
-        todo = [span for span in spans if span not in self.logs[length].done]
+        todo = list(self._scanner(length).spans(min(_SLICE, max(2**16, 2**length // _SLICES))))
+        total = len(todo)
+        scanned = 0
         size = _FIRST_ROUND
         with ThreadPoolExecutor(threads) as pool:
             try:
@@ -175,17 +163,15 @@ class _Proof:
                     scanner = self._scanner(length)
                     batch = todo[:size]
                     todo = todo[size:]
-                    running = {
-                        pool.submit(self._slice, scanner, span, halt): span for span in batch
-                    }
+                    running = [pool.submit(self._slice, scanner, span, halt) for span in batch]
                     for future in as_completed(running):
-                        log = self.logs[length].grown(running[future], future.result())
-                        self.logs[length] = log
-                        report(len(log.done) / len(spans))
+                        self.logs[length] = self.logs[length].grown(future.result())
+                        scanned += 1
+                        report(scanned / total)
                     size *= 2
             finally:
                 halt[0] = True
-        self.logs[length] = replace(self.logs[length], done=(), complete=True)
+        self.logs[length] = replace(self.logs[length], complete=True)
 
     def _scanner(self, length: int) -> Scanner:
         if self.tables is None:
@@ -228,7 +214,6 @@ class _Proof:
             bits=best.bits,
             lower=minimum.lower if best.on_circle else best.value,
             upper=upper,
-            ceiling=best.ceiling,
             versions={name: version(name) for name in ("numpy", "numba")},
         )
 

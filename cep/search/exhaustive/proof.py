@@ -28,8 +28,6 @@ class LengthLog:
     left_by_tables, kept_runs, left_by_samples : int
         Of these, how many the bit tables left, kept every run limit, and were not below the limit
         at any sample. The last are judged one by one.
-    done : tuple of (int, int)
-        Ranges of heads that are finished, where not all are.
     complete : bool
     """
 
@@ -39,10 +37,9 @@ class LengthLog:
     left_by_tables: int = 0
     kept_runs: int = 0
     left_by_samples: int = 0
-    done: tuple[tuple[int, int], ...] = ()
     complete: bool = False
 
-    def grown(self, span: tuple[int, int], counts: NDArray[np.int64]) -> LengthLog:
+    def grown(self, counts: NDArray[np.int64]) -> LengthLog:
         """Log after another range of heads."""
         scanned, by_tables, within_runs, by_samples = (int(count) for count in counts)
         return replace(
@@ -51,13 +48,12 @@ class LengthLog:
             left_by_tables=self.left_by_tables + by_tables,
             kept_runs=self.kept_runs + within_runs,
             left_by_samples=self.left_by_samples + by_samples,
-            done=(*self.done, span),
         )
 
 
 @dataclass(frozen=True)
 class ProofLog:
-    """Log of a proof, sufficient to repeat it or to resume an interrupted one.
+    """Log of a proof, sufficient to repeat it.
 
     Attributes
     ----------
@@ -75,8 +71,6 @@ class ProofLog:
     lower, upper : float
         The largest minimum lies between them; ``upper`` is Parseval's bound until the proof is
         complete.
-    ceiling : float
-        Largest value judged so far.
     versions : dict
     """
 
@@ -88,7 +82,6 @@ class ProofLog:
     bits: str
     lower: float
     upper: float
-    ceiling: float
     versions: dict[str, str]
 
     @property
@@ -99,15 +92,6 @@ class ProofLog:
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON."""
         return asdict(self)
-
-    @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> ProofLog:
-        """Read :meth:`to_dict` back, from JSON as well, where tuples have become lists."""
-        lengths = (
-            LengthLog(**{**entry, "done": tuple((int(a), int(b)) for a, b in entry["done"])})
-            for entry in data["lengths"]
-        )
-        return cls(**{**data, "lengths": tuple(lengths)})
 
 
 @dataclass(frozen=True, kw_only=True)
