@@ -52,7 +52,6 @@ _BROKEN = {
     "max_open": "an opening is longer than {limit} chips",
     "max_pulses": "the shutter opens {pulses} times; the limit is {limit}",
     "min_period": "openings begin less than {limit} chips apart",
-    "fixed": "a chip that is fixed is changed",
 }
 
 
