@@ -16,7 +16,7 @@ from cep.commands.main import main
 from cep.files.code_files import StoredCode, write_code
 from cep.studio.state import read_setting
 from cep.studio.views import Views
-from motdiff.commands import run as motdiff
+from motdiff.__main__ import run as motdiff
 from motdiff.files.trajectories import StoredMotion, write_motion
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -178,10 +178,6 @@ class TrainingConfig:
                 'optimiser.only: must be "" for a network without a photo encoder, got "photo"'
             )
 
-    def as_dict(self) -> dict[str, Any]:
-        """Fields as plain values, ready for JSON."""
-        return asdict(self)
-
 
 _SECTIONS: dict[str, Any] = {
     "data": DataConfig,
@@ -230,6 +226,7 @@ def _section(name: str, values: object) -> Any:
     kind = _SECTIONS[name]
     if not isinstance(values, dict):
         raise ValueError(f"{name}: must be a section, [{name}]")
+    # annotations are texts here, as "float" or "tuple[float, float]"
     types = {item.name: str(item.type) for item in fields(kind)}
     plain: dict[str, Any] = {}
     for entry, value in values.items():
@@ -252,6 +249,7 @@ def _typed(name: str, value: object, kind: str) -> object:
         if not isinstance(value, list) or len(value) != len(kinds):
             raise ValueError(f"{name}: must be a list of {len(kinds)} numbers, got {value!r}")
         return tuple(_typed(name, *pair) for pair in zip(value, kinds, strict=True))
+    # exactly this type: to Python a bool is an int
     if type(value).__name__ != kind:
         raise ValueError(f"{name}: must be of type {kind}, got {value!r}")
     if isinstance(value, float) and not math.isfinite(value):

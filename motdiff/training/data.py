@@ -156,6 +156,7 @@ class PreparedSource:
     def batch(self, step: int, size: int, *, rank: int = 0) -> Batch:
         """Gather the batch of a step."""
         first = step * size
+        # a batch may run across the end of an epoch
         epochs = range(first // len(self), (first + size - 1) // len(self) + 1)
         order = torch.cat([self._order(epoch, rank) for epoch in epochs])
         index = order[first - epochs[0] * len(self) :][:size]
@@ -172,6 +173,7 @@ class PreparedSource:
         )
 
     def _order(self, epoch: int, rank: int) -> Tensor:
+        # negative numbers are no steps: the order has seeds of its own
         draw = torch.Generator().manual_seed(seed_of(self._seed, -1 - epoch, rank))
         return torch.randperm(len(self), generator=draw)
 

@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
@@ -174,9 +174,7 @@ class Trainer:
                 if key in state
             }
         tensors["loss"] = torch.tensor(self.loss, dtype=torch.float64)
-        write_checkpoint(
-            folder, Checkpoint(self.step, tensors, self.config.as_dict(), self.seconds)
-        )
+        write_checkpoint(folder, Checkpoint(self.step, tensors, asdict(self.config), self.seconds))
 
     def resume(self, folder: Path | str) -> bool:
         """Restore the state of ``folder``, False without one; ValueError for another network's."""

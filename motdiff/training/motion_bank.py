@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -25,6 +26,9 @@ _KINDS = ("boracchi_foi", "boracchi_foi_short", "gyro", "straight", "quadratic")
 _TRIES = 100
 _CHUNK = 200
 _TIMES = 6000  # some 20 for each map pixel of a long path
+
+_Row = tuple[NDArray[np.float16], NDArray[np.int32], NDArray[np.float16]]
+"""PSF, path pixels and dwell of a motion."""
 
 
 @dataclass(frozen=True)
@@ -153,11 +157,16 @@ def draw_motion(
     return _draw(mix, rng, trace)[1]
 
 
-def drawn_kinds(mix: MotionMix, *, count: int, seed: int, first: int = 0) -> list[str]:
+def drawn_motions(mix: MotionMix, *, seed: int, indices: range) -> list[Trajectory]:
+    """Draw motions as :func:`draw_motion`; motion i depends on (seed, i) only."""
+    trace = mix_trace(mix)
+    return [draw_motion(mix, np.random.default_rng([seed, i]), trace) for i in indices]
+
+
+def drawn_kinds(mix: MotionMix, *, count: int, seed: int) -> list[str]:
     """Kinds, as the mix names their shares, of the motions that :func:`build_bank` draws."""
     trace = mix_trace(mix)
-    rngs = (np.random.default_rng([seed, i]) for i in range(first, first + count))
-    return [_draw(mix, rng, trace)[0] for rng in rngs]
+    return [_draw(mix, np.random.default_rng([seed, i]), trace)[0] for i in range(count)]
 
 
 def _draw(
@@ -168,6 +177,7 @@ def _draw(
     shares = np.array(mix.shares) / sum(mix.shares)
     low_px = mix.min_length_px
     high_px = mix.max_length_px
+    # a motion that does not fit is drawn anew, its kind as well
     for _ in range(_TRIES):
         kind = _KINDS[int(rng.choice(len(shares), p=shares))]
         if kind == "boracchi_foi":
@@ -202,10 +212,8 @@ def dwell_on_map(motion: Trajectory, hr_map: NDArray[np.uint8]) -> NDArray[np.fl
     return np.asarray(dwell, dtype=np.float64)
 
 
-def build_bank(
-    mix: MotionMix, *, count: int, seed: int, first: int = 0, workers: int = 1
-) -> MotionBank:
-    """Draw ``count`` motions; motion i depends on (seed, first + i) only.
+def build_bank(mix: MotionMix, *, count: int, seed: int, workers: int = 1) -> MotionBank:
+    """Draw ``count`` motions, see :func:`drawn_motions`.
 
     Parameters
     ----------
@@ -214,17 +222,34 @@ def build_bank(
     """
     if count < 1:
         raise ValueError(f"count: must be at least 1, got {count}")
-    last = first + count
-    chunks = [range(start, min(start + _CHUNK, last)) for start in range(first, last, _CHUNK)]
-    draw = partial(_motions, mix, seed)
-    if workers > 1:
-        with ProcessPoolExecutor(
-            workers, initializer=end_with_parent, initargs=(os.getpid(),)
-        ) as pool:
-            motions = [motion for chunk in pool.map(draw, chunks) for motion in chunk]
-    else:
-        motions = [motion for chunk in chunks for motion in draw(chunk)]
-    psfs, pixels, dwell = zip(*motions, strict=True)
+    if workers == 1:
+        return bank_of(drawn_motions(mix, seed=seed, indices=range(count)))
+    chunks = [range(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK)]
+    with ProcessPoolExecutor(
+        workers, initializer=end_with_parent, initargs=(os.getpid(),)
+    ) as pool:
+        banked = pool.map(partial(_drawn_rows, mix, seed), chunks)
+        return _joined([row for rows in banked for row in rows])
+
+
+def bank_of(motions: Sequence[Trajectory]) -> MotionBank:
+    """Make the tensors of motions that fit the 64-px frame, at least one."""
+    return _joined([_row(motion) for motion in motions])
+
+
+def _drawn_rows(mix: MotionMix, seed: int, indices: range) -> list[_Row]:
+    return [_row(motion) for motion in drawn_motions(mix, seed=seed, indices=indices)]
+
+
+def _row(motion: Trajectory) -> _Row:
+    hr_map = motion.hr_map()
+    psf = motion.psf(PSF_PX).astype(np.float16)
+    pixels = np.flatnonzero(hr_map).astype(np.int32)
+    return psf, pixels, dwell_on_map(motion, hr_map).astype(np.float16)
+
+
+def _joined(rows: Sequence[_Row]) -> MotionBank:
+    psfs, pixels, dwell = zip(*rows, strict=True)
     starts = np.concatenate([[0], np.cumsum([len(flat) for flat in pixels])])
     return MotionBank(
         psfs=torch.from_numpy(np.stack(psfs)),
@@ -247,18 +272,3 @@ def mix_trace(mix: MotionMix) -> GyroTrace | None:
         return read_gyro(mix.gyro_trace)
     except ValueError as error:
         raise ValueError(f"motions.gyro_trace: {error}") from None
-
-
-def _motions(
-    mix: MotionMix, seed: int, indices: range
-) -> list[tuple[NDArray[np.float16], NDArray[np.int32], NDArray[np.float16]]]:
-    """PSF, path pixels and dwell of each motion."""
-    trace = mix_trace(mix)
-    motions = []
-    for index in indices:
-        motion = draw_motion(mix, np.random.default_rng([seed, index]), trace)
-        hr_map = motion.hr_map()
-        psf = motion.psf(PSF_PX).astype(np.float16)
-        pixels = np.flatnonzero(hr_map).astype(np.int32)
-        motions.append((psf, pixels, dwell_on_map(motion, hr_map).astype(np.float16)))
-    return motions

@@ -151,6 +151,7 @@ def crops(
             f"photos: must be at least {size} x {size} px for such crops, got a side of"
             f" {shortest} px"
         )
+    # corners as shares: the draws do not depend on the photos' sizes
     indices = torch.randint(len(photos), (count,), generator=generator).tolist()
     corners = torch.rand(count, 2, generator=generator).tolist()
     symmetries = torch.randint(8, (count,), generator=generator).tolist()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,84 +15,16 @@ from torch import Tensor
 from motdiff.network.condition import PHOTO_PX
 from motdiff.psf_frame import MAP_PX
 from motdiff.training.config import read_config
-from motdiff.training.motion_bank import MotionMix, build_bank
+from motdiff.training.motion_bank import MotionMix, bank_of, drawn_motions
 from motdiff.training.photos import load_scenes
 from motdiff.training.samples import Samples, simulate
 from motdiff.training.shards import load_shards, write_shards
 from motdiff.training.simulation import Photography
+from motdiff.trajectory import Trajectory
 
 SHARD_SAMPLES = 64  # about 7 MB in a file
 _NAME = "shard"
 _SEEDS_APART = 1_000_003  # of two runs: a shard of one has no seed of the other's
-
-
-def prepare(
-    folder: Path | str,
-    *,
-    scenes: Sequence[Tensor],
-    mix: MotionMix,
-    photography: Photography,
-    shards: range,
-    seed: int,
-    on_shard: Callable[[int], None] = lambda _shard: None,
-) -> None:
-    """Write the missing ones of the ``shards``, 64 samples each.
-
-    Parameters
-    ----------
-    folder : path, made when missing
-    scenes, mix, photography
-        As for :func:`motdiff.training.samples.simulate`.
-    shards : range
-        Numbers of the files; several processes can share the work by strides.
-    on_shard : callable, optional
-        Called with the number of every finished shard.
-    """
-    simulated = partial(
-        simulated_shard,
-        count=SHARD_SAMPLES,
-        scenes=scenes,
-        mix=mix,
-        photography=photography,
-        physics=True,
-        seed=seed,
-    )
-    write_shards(
-        folder,
-        shards,
-        name=_NAME,
-        make=lambda shard: sample_arrays(simulated(shard)),
-        on_shard=on_shard,
-    )
-
-
-def simulated_shard(
-    shard: int,
-    count: int,
-    *,
-    scenes: Sequence[Tensor],
-    mix: MotionMix,
-    photography: Photography,
-    physics: bool,
-    seed: int,
-) -> Samples:
-    """Simulate the ``count`` samples of a shard, which depend on its number and the seed only.
-
-    Parameters
-    ----------
-    scenes, mix, photography, physics
-        As for :func:`motdiff.training.samples.simulate`.
-    """
-    bank = build_bank(mix, count=count, seed=seed, first=shard * count)
-    with torch.no_grad():
-        return simulate(
-            bank,
-            scenes,
-            torch.arange(count),
-            photography=photography,
-            physics=physics,
-            seed=seed * _SEEDS_APART + shard,
-        )
 
 
 @dataclass(frozen=True)
@@ -105,17 +36,50 @@ class Source:
     photography: Photography
     seed: int
 
-    def photos_of(self, shard: int, count: int) -> Samples:
-        """Simulate the ``count`` photos of a shard, without searches of their kernels."""
-        return simulated_shard(
-            shard,
-            count,
-            scenes=self.scenes,
-            mix=self.mix,
-            photography=self.photography,
-            physics=False,
-            seed=self.seed,
-        )
+    def motions_of(self, shard: int, count: int) -> list[Trajectory]:
+        """Draw the motions of a shard of ``count``; they depend on its number and the seed."""
+        indices = range(shard * count, (shard + 1) * count)
+        return drawn_motions(self.mix, seed=self.seed, indices=indices)
+
+    def photos_of(
+        self, shard: int, motions: Sequence[Trajectory], *, physics: bool = False
+    ) -> Samples:
+        """Simulate a photo of each motion of a shard; ``physics`` as of :func:`simulate`."""
+        with torch.no_grad():
+            return simulate(
+                bank_of(motions),
+                self.scenes,
+                torch.arange(len(motions)),
+                photography=self.photography,
+                physics=physics,
+                seed=self.seed * _SEEDS_APART + shard,
+            )
+
+
+def prepare(
+    folder: Path | str,
+    source: Source,
+    *,
+    shards: range,
+    on_shard: Callable[[int], None] = lambda _shard: None,
+) -> None:
+    """Write the missing ones of the ``shards``, 64 samples each.
+
+    Parameters
+    ----------
+    folder : path, made when missing
+    source : Source
+    shards : range
+        Numbers of the files; several processes can share the work by strides.
+    on_shard : callable, optional
+        Called with the number of every finished shard.
+    """
+
+    def simulated_arrays(shard: int) -> dict[str, NDArray[np.generic]]:
+        motions = source.motions_of(shard, SHARD_SAMPLES)
+        return sample_arrays(source.photos_of(shard, motions, physics=True))
+
+    write_shards(folder, shards, name=_NAME, make=simulated_arrays, on_shard=on_shard)
 
 
 def read_source(config_file: Path | str, *, held_out: bool) -> Source:

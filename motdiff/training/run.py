@@ -76,6 +76,27 @@ class Pace:
             raise ValueError(f"validate_steps: must be at least 1, got {self.validate_steps}")
 
 
+def device_named(option: str) -> str:
+    """Torch's name of the device that ``--device`` asks for, which is made the current one.
+
+    Raises
+    ------
+    ValueError
+        If there is no such device.
+    """
+    name = option or ("cuda" if torch.cuda.is_available() else "cpu")
+    if name == "cuda":
+        name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}"  # torchrun's: one GPU for each process
+    kind, _, number = name.partition(":")
+    if kind not in ("cpu", "cuda") or (number and not number.isdecimal()):
+        raise ValueError(f"--device: must be cpu, cuda or cuda:NUMBER, got {option!r}")
+    if kind == "cuda":
+        if int(number) >= torch.cuda.device_count():
+            raise ValueError(f"--device: there is no GPU {name} here, use --device cpu")
+        torch.cuda.set_device(name)
+    return name
+
+
 def make_sources(
     config: TrainingConfig, *, device: torch.device | str = "cpu", workers: int = 1
 ) -> Sources:
@@ -120,6 +141,7 @@ def make_sources(
     scenes = load_scenes(
         data.photos, held_out=data.held_out, least_px=least_px, device=str(device)
     )
+    # other motions and other photos than those of the training
     seeds = (seed, seed_of(seed, _VALIDATION_SEED))
     banks = [
         build_bank(config.motions, count=n, seed=bank_seed, workers=workers).to(device)
@@ -255,9 +277,7 @@ def validation_mnc(trainer: Trainer, batches: tuple[Batch, ...]) -> float:
     return float(validation_scores(trainer, batches).mean())
 
 
-def validation_scores(
-    trainer: Trainer, batches: tuple[Batch, ...], *, steps: int = _SAMPLING_STEPS
-) -> NDArray[np.float64]:
+def validation_scores(trainer: Trainer, batches: tuple[Batch, ...]) -> NDArray[np.float64]:
     """MNC (N,), whole-pixel shifts, of one draw per photo by the averaged weights.
 
     The truth is the time-weighted HR map's own PSF.
@@ -268,7 +288,11 @@ def validation_scores(
     with torch.no_grad():
         for batch in batches:
             psfs = drawn_psfs(
-                network, batch, schedule=trainer.schedule, steps=steps, generator=generator
+                network,
+                batch,
+                schedule=trainer.schedule,
+                steps=_SAMPLING_STEPS,
+                generator=generator,
             )
             estimates = psfs.double().cpu().numpy()
             truths = psfs_of_maps(batch.dwell[:, 0]).double().cpu().numpy()

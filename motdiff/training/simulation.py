@@ -124,6 +124,7 @@ def photographed(
     photo = blurred(light, psfs[:, None])
     noise = torch.randn(photo.shape, generator=generator, device=device)
     photo = photo + sigma[per_photo] * noise
+    # a camera compresses and rounds display values, not light
     display = photo.clamp(0, 1) ** (1 / gamma[per_photo])
     lossy = jpeg_loss(display, uniform(*photography.qualities))
     compressed = with_share(photography.jpeg)[per_photo]

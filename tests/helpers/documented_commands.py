@@ -14,7 +14,7 @@ import typer
 
 from cep.commands.main import app
 from lab.commands.main import app as lab_app
-from motdiff.commands import parser
+from motdiff.__main__ import parser
 
 ROOT = Path(__file__).resolve().parents[2]
 GENERATED = {"command-line.md", "overview.md", "works.md"}

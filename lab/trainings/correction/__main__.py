@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from lab.trainings.command_line import run_command
+from lab.trainings.command_line import add_prepare, prepare_shards, run_command, training_parser
 
 _EXAMPLES = """a training like that of the shipped weights, in minutes on a GPU; CONFIG is motdiff/configs/gpu.toml, its paths set:
   python -m lab.trainings.correction prepare CONFIG -o kernels --shards 0:84 --device cuda
@@ -20,30 +20,9 @@ _EXAMPLES = """a training like that of the shipped weights, in minutes on a GPU;
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code (:func:`lab.trainings.command_line.run_command`)."""
-    parser = argparse.ArgumentParser(
-        prog="python -m lab.trainings.correction",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    prepare = commands.add_parser(
-        "prepare", help="simulate photos and search their kernels; about 3 s a photo on a CPU"
-    )
-    prepare.add_argument(
-        "config", type=Path, help="TOML file of a run of MoTDiff (photos, motions, photography)"
-    )
-    prepare.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        required=True,
-        help="folder of the shards; existing ones are kept",
-    )
-    prepare.add_argument(
-        "--shards", default="0:4", metavar="FIRST:LAST[:STEP]", help="128 photos each"
-    )
-    prepare.add_argument(
-        "--held-out", action="store_true", help="of the photos held out for validation"
+    parser, commands = training_parser("correction", _EXAMPLES)
+    prepare = add_prepare(
+        commands, "simulate photos and search their kernels; about 3 s a photo on a CPU"
     )
     prepare.set_defaults(command=_prepare)
     train = commands.add_parser(
@@ -69,31 +48,15 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _prepare(options: argparse.Namespace) -> None:
-    import torch
-
     from lab.trainings.correction.samples import prepare
-    from motdiff.commands import device_named
-    from motdiff.training.prepared import read_source
-    from motdiff.training.shards import shard_range
 
-    device = device_named(options.device)
-    torch.set_num_threads(1)  # the arrays are small: more threads are slower
-    shards = shard_range(options.shards)
-    prepare(
-        options.out,
-        read_source(options.config, held_out=options.held_out),
-        shards=shards,
-        device=device,
-        on_shard=lambda shard: print(
-            f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True
-        ),
-    )
+    prepare_shards(options, prepare)
 
 
 def _train(options: argparse.Namespace) -> None:
     from lab.trainings.correction.samples import read_samples
     from lab.trainings.correction.training import Settings, train
-    from motdiff.commands import device_named
+    from motdiff.training.run import device_named
 
     device = device_named(options.device)
     settings = Settings(steps=options.steps, batch=options.batch, seed=options.seed)
@@ -109,7 +72,7 @@ def _train(options: argparse.Namespace) -> None:
 def _evaluate(options: argparse.Namespace) -> None:
     from lab.trainings.correction.samples import read_samples
     from lab.trainings.correction.training import corrected_mnc
-    from motdiff.commands import device_named
+    from motdiff.training.run import device_named
     from motdiff.weights.correction import CORRECTION_WEIGHTS, load_correction
 
     device = device_named(options.device)

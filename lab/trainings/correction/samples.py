@@ -129,7 +129,7 @@ def prepare(
     """
 
     def searched_arrays(shard: int) -> dict[str, NDArray[np.generic]]:
-        samples = source.photos_of(shard, SHARD_PHOTOS)
+        samples = source.photos_of(shard, source.motions_of(shard, SHARD_PHOTOS))
         with torch.no_grad():
             kernels = searched(samples.photos.mean(dim=1).to(device), searches=SEARCHES)
         return sample_arrays(replace(samples, kernels=kernels.cpu()))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
+from lab.trainings.averaged import AveragedNetwork, set_rate
 from lab.trainings.correction.samples import Kernels, alike, described
 from motdiff.network.correction import CorrectionNetwork, corrected
 from motdiff.network.symmetry import SYMMETRIES, mirrored
@@ -41,7 +41,7 @@ class Settings:
                 raise ValueError(f"{name}: must be at least 1, got {getattr(self, name)}")
 
 
-class Trainer:
+class Trainer(AveragedNetwork[CorrectionNetwork]):
     """Network, its optimiser, and the running average of its weights, which is exported.
 
     Parameters
@@ -51,19 +51,12 @@ class Trainer:
     """
 
     def __init__(self, settings: Settings, *, device: str = "cpu") -> None:
+        super().__init__(CorrectionNetwork, seed=settings.seed, device=device, old_share=_AVERAGED)
         self.settings = settings
-        self._device = device
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(settings.seed)
-            self.network = CorrectionNetwork().to(device)
         self._adam = torch.optim.AdamW(
             self.network.parameters(), lr=settings.rate, weight_decay=_DECAY
         )
         self._generator = torch.Generator().manual_seed(settings.seed)
-        self.average: dict[str, Tensor] = {
-            name: value.clone() for name, value in self.network.state_dict().items()
-        }
-        self.step = 0
 
     def update(self, *passes: Kernels) -> float:
         """Make one update on kernels of one pass or both; returns the loss, 1 - MNC before
@@ -75,10 +68,10 @@ class Trainer:
             If the loss is not finite.
         """
         cosine = 0.5 * (1 + math.cos(math.pi * self.step / self.settings.steps))
-        for group in self._adam.param_groups:
-            group["lr"] = self.settings.rate * min(1.0, (self.step + 1) / _WARM_UP_STEPS) * cosine
+        warm_up = min(1.0, (self.step + 1) / _WARM_UP_STEPS)
+        set_rate(self._adam, self.settings.rate * warm_up * cosine)
         maps, truth = self._batch(passes)
-        with self._precision():
+        with self.single_or_bf16():
             estimates = self.network(maps)
         loss = (1 - alike(estimates.float(), truth)).mean()
         if not loss.isfinite():
@@ -89,22 +82,8 @@ class Trainer:
         torch.autograd.backward(loss)
         nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_GRADIENT)
         self._adam.step()
-        decay = min(_AVERAGED, (self.step + 1) / (self.step + 10))
-        for name, value in self.network.state_dict().items():
-            self.average[name].lerp_(value, 1 - decay)
-        self.step += 1
+        self.advance()
         return float(loss.detach())
-
-    def averaged(self) -> CorrectionNetwork:
-        """Network of the averaged weights, in eval mode."""
-        network = CorrectionNetwork().to(self._device)
-        network.load_state_dict(self.average)
-        return network.eval()
-
-    def _precision(self) -> torch.autocast | nullcontext[None]:
-        if self._device.startswith("cuda"):
-            return torch.autocast("cuda", dtype=torch.bfloat16)
-        return nullcontext()
 
     def _batch(self, passes: Sequence[Kernels]) -> tuple[Tensor, Tensor]:
         """Draw maps (B, 11, 64, 64) and true PSFs (B, 64, 64) at random, all turned or mirrored
@@ -156,7 +135,7 @@ def train(
     started = saved = clock()
     while trainer.step < settings.steps:
         if len(passes) == 1 and trainer.step >= _SECOND_PASS * settings.steps:
-            passes.append(described(samples, network=trainer.averaged(), device=device))
+            passes.append(described(samples, network=trainer.average, device=device))
         loss = trainer.update(*passes)
         moment = clock()
         if moment - saved >= save_s or trainer.step == settings.steps:
@@ -167,7 +146,9 @@ def train(
                 "device": device,
             }
             write_correction(
-                trainer.average, target, about={**about, "settings": asdict(settings)}
+                trainer.average.state_dict(),
+                target,
+                about={**about, "settings": asdict(settings)},
             )
             report(
                 f"{trainer.step} of {settings.steps} updates, {moment - started:.0f} s,"

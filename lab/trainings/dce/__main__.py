@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from lab.trainings.command_line import run_command
+from lab.trainings.command_line import run_command, training_parser
 
 _EXAMPLES = """the shipped weights:
   python -m lab.trainings.dce train PHOTOS --gyro gyro.txt -o run
@@ -20,12 +20,7 @@ _EXAMPLES = """the shipped weights:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code (:func:`lab.trainings.command_line.run_command`)."""
-    parser = argparse.ArgumentParser(
-        prog="python -m lab.trainings.dce",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser, commands = training_parser("dce", _EXAMPLES)
     train = commands.add_parser("train", help="train code and network, or go on training")
     train.add_argument("photos", type=Path, help="folder of sharp photos")
     train.add_argument(

@@ -12,11 +12,10 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.wiener import wiener
 from lab.trainings.dce.weights import WEIGHTS, read_card, restore
-from motdiff.files.gyro_tables import read_gyro
 from motdiff.metrics import psnr
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import photograph, to_linear, visible
-from motdiff.training.motion_bank import MotionMix, draw_motion
+from motdiff.training.motion_bank import MotionMix, drawn_motions
 from motdiff.training.photos import load_photos
 from motdiff.types import FloatArray
 
@@ -109,11 +108,9 @@ def evaluate(
         "start": card.start,
         "open shutter": ShutterCode("1" * card.code.chips),
     }
-    trace = read_gyro(mix.gyro_trace) if mix.gyro > 0 else None
     scores: dict[str, list[tuple[float, float, float]]] = {name: [] for name in codes}
-    for number in range(count):
+    for number, motion in enumerate(drawn_motions(mix, seed=seed, indices=range(count))):
         scene = scenes[number % len(scenes)]
-        motion = draw_motion(mix, np.random.default_rng([seed, number]), trace)
         sharp = visible(scene, PSF_PX)
         for name, code in codes.items():
             psf = coded_psf(motion, code, PSF_PX)

@@ -11,10 +11,9 @@ import torch
 from torch import Tensor
 
 from cep.optics.exposure import chip_psfs
-from motdiff.files.gyro_tables import read_gyro
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import to_linear, valid_window
-from motdiff.training.motion_bank import MotionMix, draw_motion
+from motdiff.training.motion_bank import MotionMix, draw_motion, mix_trace
 from motdiff.training.photos import crops
 
 SIGMA_MAX = 0.02
@@ -77,7 +76,7 @@ class Samples:
         self._chips = chips
         self._crop_px = crop_px
         self._seed = seed
-        self._trace = read_gyro(mix.gyro_trace) if mix.gyro > 0 else None
+        self._trace = mix_trace(mix)
 
     def batch(self, step: int, size: int) -> Batch:
         """Draw the ``size`` samples of an update; each takes one colour channel at random."""

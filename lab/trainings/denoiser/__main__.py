@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from lab.trainings.command_line import run_command
+from lab.trainings.command_line import run_command, training_parser
 
 _EXAMPLES = """a training like that of the shipped weights, ten minutes of a GPU:
   python -m lab.trainings.denoiser pack PHOTOS -o photos.zip
@@ -18,12 +18,7 @@ _EXAMPLES = """a training like that of the shipped weights, ten minutes of a GPU
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code (:func:`lab.trainings.command_line.run_command`)."""
-    parser = argparse.ArgumentParser(
-        prog="python -m lab.trainings.denoiser",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser, commands = training_parser("denoiser", _EXAMPLES)
     pack = commands.add_parser(
         "pack", help="shrink photos to where JPEG has left their colours whole, into one .zip file"
     )
@@ -65,8 +60,8 @@ def _train(options: argparse.Namespace) -> None:
     from lab.trainings.denoiser.photos import random_paths
     from lab.trainings.denoiser.samples import Photos
     from lab.trainings.denoiser.training import Settings, train
-    from motdiff.commands import device_named
     from motdiff.training.photos import load_photos
+    from motdiff.training.run import device_named
 
     device = device_named(options.device)
     settings = Settings(

@@ -10,9 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motdiff.files.gyro_tables import read_gyro
 from motdiff.simulate import to_display, to_linear
-from motdiff.training.motion_bank import MotionMix, draw_motion
+from motdiff.training.motion_bank import MotionMix, drawn_motions
 from motdiff.training.photos import load_photos
 
 _LARGE_PX = 500
@@ -54,7 +53,6 @@ def random_paths(gyro: Path | str | None, *, seed: int, count: int = _MOTIONS) -
     """Draw motions (count, 256, 2), px: walks, straight, curved and accelerated ones, and of a
     hand where there is a gyroscope's recording.
     """
-    trace = None if gyro is None else read_gyro(gyro)
     mix = MotionMix(
         boracchi_foi=0.3,
         boracchi_foi_short=0.1,
@@ -64,8 +62,6 @@ def random_paths(gyro: Path | str | None, *, seed: int, count: int = _MOTIONS) -
         gyro_trace=str(gyro or ""),
     )
     times = np.linspace(0, 1, _TIMES)
-    paths = [
-        draw_motion(mix, np.random.default_rng([seed, number]), trace).at(times)
-        for number in range(count)
-    ]
+    motions = drawn_motions(mix, seed=seed, indices=range(count))
+    paths = [motion.at(times) for motion in motions]
     return torch.from_numpy(np.array(paths, np.float32))

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from cep.restoration.denoiser.network import DenoisingNetwork
 from cep.restoration.denoiser.weights import write_weights
 from cep.restoration.pnp import FIRST_SIGMA, MOST_RATIO, PRIOR, STEPS
+from lab.trainings.averaged import AveragedNetwork, set_rate
 from lab.trainings.denoiser import samples
 from lab.trainings.denoiser.samples import Photos, column
 
@@ -55,7 +56,7 @@ class Settings:
     seed: int = 0
 
 
-class Trainer:
+class Trainer(AveragedNetwork[DenoisingNetwork]):
     """Network, its optimiser, and the running average of its weights, which is exported.
 
     Parameters
@@ -67,22 +68,16 @@ class Trainer:
     """
 
     def __init__(self, photos: Photos, paths: Tensor, settings: Settings) -> None:
+        device = photos.pixels.device
+        super().__init__(DenoisingNetwork, seed=settings.seed, device=device, old_share=_AVERAGED)
         self.settings = settings
         self._photos = photos
         self._paths = paths
-        device = photos.pixels.device
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(settings.seed)
-            self.network = DenoisingNetwork().to(device)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._draw = torch.Generator(device).manual_seed(settings.seed)
         self._adam = torch.optim.Adam(self.network.parameters(), lr=settings.rate)
         self._is_half = device.type == "cuda"
         self._scaler = torch.amp.GradScaler("cuda", enabled=self._is_half)
-        self.average: dict[str, Tensor] = {
-            name: value.clone() for name, value in self.network.state_dict().items()
-        }
-        self.step = 0
 
     def update(self, progress: float) -> Tensor:
         """Make one update at a share ``progress`` of the run, 0..1; returns the loss, a scalar."""
@@ -94,18 +89,14 @@ class Trainer:
             blurred = (progress - settings.white) / (1 - settings.white)
             rate = settings.blurred_rate * _cosine(blurred, last=_LAST_RATE)
             loss = self._blurred_loss()
-        for group in self._adam.param_groups:
-            group["lr"] = rate * min(1.0, (self.step + 1) / _WARM_UP_STEPS)
+        set_rate(self._adam, rate * min(1.0, (self.step + 1) / _WARM_UP_STEPS))
         self._adam.zero_grad()
         torch.autograd.backward(self._scaler.scale(loss))
         self._scaler.unscale_(self._adam)
         nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_GRADIENT)
         self._scaler.step(self._adam)
         self._scaler.update()
-        decay = min(_AVERAGED, (self.step + 1) / (self.step + 10))
-        for name, value in self.network.state_dict().items():
-            self.average[name].lerp_(value, 1 - decay)
-        self.step += 1
+        self.advance()
         return loss.detach()
 
     def restored(self, photos: Tensor, H: Tensor, sigma: Tensor, strength: Tensor) -> Tensor:
@@ -242,7 +233,7 @@ def train(
                 "seconds": round(moment - started),
                 "settings": asdict(settings),
             }
-            write_weights(trainer.average, target, about=about)
+            write_weights(trainer.average.state_dict(), target, about=about)
             report(f"{trainer.step} updates, {moment - started:.0f} s, loss {float(loss):.4f}")
             saved = moment
     return trainer.step

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from lab.trainings.command_line import run_command
+from lab.trainings.command_line import add_prepare, prepare_shards, run_command, training_parser
 
 _EXAMPLES = """on one GPU, 4 and 7 minutes; CONFIG is motdiff/configs/gpu.toml, its paths set:
   python -m lab.trainings.paths prepare CONFIG -o photos --shards 0:73 --device cuda
@@ -19,25 +19,8 @@ _EXAMPLES = """on one GPU, 4 and 7 minutes; CONFIG is motdiff/configs/gpu.toml, 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code (:func:`lab.trainings.command_line.run_command`)."""
-    parser = argparse.ArgumentParser(
-        prog="python -m lab.trainings.paths",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    prepare = commands.add_parser(
-        "prepare", help="simulate photos, search and correct their kernels"
-    )
-    prepare.add_argument(
-        "config", type=Path, help="TOML file of a run of MoTDiff (photos, motions, photography)"
-    )
-    prepare.add_argument("-o", "--out", type=Path, required=True, help="folder of the shards")
-    prepare.add_argument(
-        "--shards", default="0:4", metavar="FIRST:LAST[:STEP]", help="128 photos each"
-    )
-    prepare.add_argument(
-        "--held-out", action="store_true", help="of the photos held out for validation"
-    )
+    parser, commands = training_parser("paths", _EXAMPLES)
+    prepare = add_prepare(commands, "simulate photos, search and correct their kernels")
     prepare.set_defaults(command=_prepare)
     train = commands.add_parser("train", help="train; the file holds the best weights so far")
     train.add_argument("photos", type=Path, help="folder of prepared photos")
@@ -55,43 +38,23 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _prepare(options: argparse.Namespace) -> None:
-    import torch
-
     from lab.trainings.paths.samples import prepare
-    from motdiff.commands import device_named
-    from motdiff.training.motion_bank import mix_trace
-    from motdiff.training.prepared import read_source
-    from motdiff.training.shards import shard_range
     from motdiff.weights.correction import load_correction
 
-    torch.set_num_threads(1)  # the arrays are small: more threads are slower
-    source = read_source(options.config, held_out=options.held_out)
-    shards = shard_range(options.shards)
-    prepare(
-        options.out,
-        source,
-        mix_trace(source.mix),
-        load_correction(),
-        shards=shards,
-        device=device_named(options.device),
-        on_shard=lambda shard: print(
-            f"shard {shard} of {shards.stop}", file=sys.stderr, flush=True
-        ),
-    )
+    prepare_shards(options, partial(prepare, network=load_correction()))
 
 
 def _train(options: argparse.Namespace) -> None:
     from lab.trainings.paths.samples import clean_points, read_samples
     from lab.trainings.paths.training import Settings, train
-    from motdiff.commands import device_named
     from motdiff.training.config import read_config
-    from motdiff.training.motion_bank import mix_trace
+    from motdiff.training.run import device_named
 
     mix = read_config(options.config).motions
     settings = Settings(minutes=options.minutes, batch=options.batch, seed=options.seed)
     photos, held_out = (read_samples(folder) for folder in (options.photos, options.held_out))
     # seeds of the photos' motions are the run's and the next
-    motions = clean_points(mix, mix_trace(mix), count=options.motions, seed=options.seed + 77)
+    motions = clean_points(mix, count=options.motions, seed=options.seed + 77)
     train(
         photos,
         held_out,

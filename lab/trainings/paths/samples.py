@@ -5,7 +5,7 @@ Photos are searched in batches, on a GPU some forty in a second.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,13 @@ from torch import Tensor
 
 from lab.trainings.correction.samples import kernel_maps, noise_of, searched
 from lab.trainings.paths.network import POINTS
-from motdiff.gyro import GyroTrace
 from motdiff.network.correction import CorrectionNetwork, corrected
 from motdiff.network.symmetry import mirrored
 from motdiff.psf_frame import PSF_PX
-from motdiff.training.motion_bank import MotionMix, draw_motion
+from motdiff.training.motion_bank import MotionMix, drawn_motions
 from motdiff.training.prepared import Source
 from motdiff.training.shards import load_shards, write_shards
+from motdiff.trajectory import Trajectory
 
 SHARD_PHOTOS = 128
 LEAST_ALIKE = 0.35
@@ -62,20 +62,20 @@ class PathSamples:
         return len(self.points)
 
 
-def clean_points(mix: MotionMix, trace: GyroTrace | None, *, count: int, seed: int) -> Tensor:
+def clean_points(mix: MotionMix, *, count: int, seed: int) -> Tensor:
     """Points (count, 64, 2) of motions without photos, which cost a millisecond each."""
-    paths = [
-        draw_motion(mix, np.random.default_rng([seed, i]), trace).at(_TIMES) for i in range(count)
-    ]
-    return torch.from_numpy(np.array(paths, np.float32))
+    return _points(drawn_motions(mix, seed=seed, indices=range(count)))
+
+
+def _points(motions: Sequence[Trajectory]) -> Tensor:
+    return torch.from_numpy(np.array([motion.at(_TIMES) for motion in motions], np.float32))
 
 
 def prepare(
     folder: Path | str,
     source: Source,
-    trace: GyroTrace | None,
-    network: CorrectionNetwork,
     *,
+    network: CorrectionNetwork,
     shards: range,
     device: str = "cpu",
     on_shard: Callable[[int], None] = lambda _shard: None,
@@ -87,8 +87,6 @@ def prepare(
     ----------
     folder : path, made when missing
     source : Source
-    trace : GyroTrace, optional
-        The recording of the source's motions.
     network : CorrectionNetwork
         In eval mode.
     shards : range
@@ -99,17 +97,11 @@ def prepare(
     """
 
     def arrays(shard: int) -> dict[str, NDArray[Any]]:
-        samples = source.photos_of(shard, SHARD_PHOTOS)
-        # the same draws as the shard's photos: motion i follows from (seed, i)
-        first = shard * SHARD_PHOTOS
-        motions = [
-            draw_motion(source.mix, np.random.default_rng([source.seed, first + i]), trace)
-            for i in range(SHARD_PHOTOS)
-        ]
+        motions = source.motions_of(shard, SHARD_PHOTOS)
+        samples = source.photos_of(shard, motions)
         kernels, least_squares = photo_kernels(samples.photos.mean(dim=1).to(device), network)
         psfs = torch.from_numpy(np.stack([motion.psf(PSF_PX) for motion in motions])).float()
-        points = torch.from_numpy(np.stack([motion.at(_TIMES) for motion in motions])).float()
-        described = described_paths(kernels.cpu(), least_squares.cpu(), points, psfs)
+        described = described_paths(kernels.cpu(), least_squares.cpu(), _points(motions), psfs)
         return {name: value.numpy() for name, value in vars(described).items()}
 
     write_shards(folder, shards, name=_NAME, make=arrays, on_shard=on_shard)

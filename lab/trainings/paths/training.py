@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -14,6 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from lab.trainings.averaged import AveragedNetwork, set_rate
 from lab.trainings.paths.network import SIGMA_DATA, UNIT_PX, PathDenoiser, draw, rendered
 from lab.trainings.paths.samples import (
     LEAST_ALIKE,
@@ -30,7 +29,8 @@ SCHEMA = "lab.paths/1"
 _WARM_UP_STEPS = 300
 _LONGEST_GRADIENT = 1.0
 _EXPLODED = 30.0  # gradients so long are thrown away: they ruined a run
-_AVERAGED = 0.9995
+_AVERAGED = 0.9995  # share of the old weights in the running average, once there are enough
+_LAST_RATE = 0.02  # of the first, at the end of the cosine
 _SIGMA_LOG = (-1.3, 1.5)  # mean and deviation of the noise levels' logarithms
 _LARGEST_WEIGHT = 400.0  # of an error, at the smallest noise levels
 _SHAPED_BELOW = 0.6  # noise levels at which the denoised path has the shape of one
@@ -83,7 +83,7 @@ class Settings:
         return PathDenoiser(self.channels, self.layers, self.width)
 
 
-class Trainer:
+class Trainer(AveragedNetwork[PathDenoiser]):
     """Network, its optimiser, and the running average of its weights.
 
     Parameters
@@ -93,17 +93,12 @@ class Trainer:
     """
 
     def __init__(self, settings: Settings, *, device: str = "cpu") -> None:
+        super().__init__(settings.network, seed=settings.seed, device=device, old_share=_AVERAGED)
         self.settings = settings
-        self.device = device
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(settings.seed)
-            self.network = settings.network().to(device)
-        self.average = copy.deepcopy(self.network).eval()
         self._adam = torch.optim.AdamW(
             self.network.parameters(), lr=settings.rate, betas=(0.9, 0.98), weight_decay=0.02
         )
         self.generator = torch.Generator(device).manual_seed(settings.seed)
-        self.step = 0
         self.thrown_away = 0
 
     def update(self, maps: Tensor, points: Tensor, *, share: float) -> float:
@@ -115,23 +110,16 @@ class Trainer:
         points : (B, 64, 2) float, px
         """
         rate = self.settings.rate * min(1.0, (self.step + 1) / _WARM_UP_STEPS)
-        for group in self._adam.param_groups:
-            group["lr"] = rate * max(0.02, 0.5 * (1 + math.cos(math.pi * share)))
+        set_rate(self._adam, rate * max(_LAST_RATE, 0.5 * (1 + math.cos(math.pi * share))))
         loss = self._loss(maps, points.repeat_interleave(self.settings.repeats, dim=0))
         self._adam.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
         length = float(nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_GRADIENT))
-        self.step += 1
-        if not math.isfinite(length) or length > _EXPLODED:
+        if math.isfinite(length) and length <= _EXPLODED:
+            self._adam.step()
+        else:
             self.thrown_away += 1
-            return float(loss.detach())
-        self._adam.step()
-        decay = min(_AVERAGED, self.step / (self.step + 10))
-        with torch.no_grad():
-            for average, value in zip(
-                self.average.parameters(), self.network.parameters(), strict=True
-            ):
-                average.lerp_(value, 1 - decay)
+        self.advance()
         return float(loss.detach())
 
     def _loss(self, maps: Tensor, points: Tensor) -> Tensor:
@@ -140,12 +128,7 @@ class Trainer:
         noise = torch.randn(x0.shape, generator=self.generator, device=x0.device)
         levels = torch.randn(len(x0), generator=self.generator, device=x0.device)
         sigma = torch.exp(mean + deviation * levels)
-        precision = (
-            torch.autocast("cuda", dtype=torch.bfloat16)
-            if self.device.startswith("cuda")
-            else nullcontext()
-        )
-        with precision:
+        with self.single_or_bf16():
             condition = self.network.condition(maps)
             denoised = self.network(x0 + sigma[:, None, None] * noise, sigma, condition).float()
         weight = (sigma.square() + SIGMA_DATA**2) / (sigma * SIGMA_DATA).square()

@@ -2,7 +2,7 @@
 that is wrong."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -91,7 +91,7 @@ def test_a_configuration_is_json_and_back(tmp_path):
     config = read(
         tmp_path, "[network]\ndecoder_widths = [16, 8]\n[motions]\nexposure_s = [0.1, 0.2]"
     )
-    back = json.loads(json.dumps(config.as_dict(), allow_nan=False))
+    back = json.loads(json.dumps(asdict(config), allow_nan=False))
     assert back["data"]["photos"] == "photos"
     assert back["motions"]["exposure_s"] == [0.1, 0.2]
     assert NetworkConfig.from_dict(back["network"]) == config.network

@@ -14,9 +14,11 @@ from motdiff.metrics import mnc, register_shift
 from motdiff.training import motion_bank
 from motdiff.training.motion_bank import (
     MotionMix,
+    bank_of,
     build_bank,
     draw_motion,
     drawn_kinds,
+    drawn_motions,
     dwell_on_map,
 )
 from motdiff.trajectory import Trajectory
@@ -92,7 +94,7 @@ def test_dwell_on_the_map_is_the_psf():
 
 def test_motions_depend_on_seed_and_number_only():
     whole = build_bank(ALL_KINDS, count=8, seed=1)
-    tail = build_bank(ALL_KINDS, count=3, seed=1, first=5)
+    tail = bank_of(drawn_motions(ALL_KINDS, seed=1, indices=range(5, 8)))
     for mine, theirs in zip(
         tail.targets(torch.arange(3)), whole.targets(torch.arange(5, 8)), strict=True
     ):
@@ -193,10 +195,9 @@ def test_kinds_come_by_their_shares():
 
 def test_the_kinds_of_a_bank_are_those_of_its_motions():
     mix = MotionMix(boracchi_foi=0.5, straight=0.5, max_length_px=30)
-    kinds = drawn_kinds(mix, count=12, seed=4, first=5)
-    straight = [
-        draw_motion(mix, np.random.default_rng([4, index])).t.size == 2 for index in range(5, 17)
-    ]
+    kinds = drawn_kinds(mix, count=12, seed=4)
+    drawn = drawn_motions(mix, seed=4, indices=range(12))
+    straight = [motion.t.size == 2 for motion in drawn]
     assert [kind == "straight" for kind in kinds] == straight
     assert set(kinds) == {"boracchi_foi", "straight"}
 

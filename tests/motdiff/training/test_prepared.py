@@ -9,8 +9,8 @@ import torch
 from motdiff.network.physics_maps import QuickStart, quick_kernels
 from motdiff.training import prepared
 from motdiff.training import samples as samples_module
-from motdiff.training.motion_bank import MotionMix, build_bank
-from motdiff.training.prepared import prepare, read_shards
+from motdiff.training.motion_bank import MotionMix, bank_of, drawn_motions
+from motdiff.training.prepared import Source, prepare, read_shards
 from motdiff.training.samples import simulate
 from motdiff.training.simulation import Photography
 
@@ -41,9 +41,7 @@ def scenes():
 
 
 def write(folder, scenes, shards, **options):
-    prepare(
-        folder, scenes=scenes, mix=MIX, photography=PHOTOGRAPHY, shards=shards, seed=5, **options
-    )
+    prepare(folder, Source(scenes, MIX, PHOTOGRAPHY, 5), shards=shards, **options)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +76,7 @@ def test_shards_are_files_by_number_and_nothing_else_is_left(complete):
 def test_reading_gives_the_simulated_samples_back(complete, scenes):
     stored = read_shards(complete)
     assert len(stored) == 4
-    bank = build_bank(MIX, count=2, seed=5, first=2)
+    bank = bank_of(drawn_motions(MIX, seed=5, indices=range(2, 4)))
     again = simulate(
         bank,
         scenes,

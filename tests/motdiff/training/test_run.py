@@ -29,7 +29,7 @@ from motdiff.training.data import LiveSource, PreparedSource
 from motdiff.training.log import read_log
 from motdiff.training.loop import Losses, Trainer
 from motdiff.training.motion_bank import MotionMix
-from motdiff.training.prepared import prepare, read_shards
+from motdiff.training.prepared import Source, prepare, read_shards
 from motdiff.training.run import Pace, Sources, make_sources, train, validation_mnc
 from motdiff.training.simulation import Photography
 
@@ -88,14 +88,7 @@ def prepared(tmp_path_factory):
         patch.setattr(prepared_module, "SHARD_SAMPLES", 4)
         for name, shards, seed in (("samples", 2, 1), ("validation", 1, 2)):
             target = folder / name
-            prepare(
-                target,
-                scenes=[scene],
-                mix=SHORT,
-                photography=PLAIN,
-                shards=range(shards),
-                seed=seed,
-            )
+            prepare(target, Source([scene], SHORT, PLAIN, seed), shards=range(shards))
     return folder
 
 

@@ -182,10 +182,10 @@ def test_a_run_writes_as_it_goes_and_its_average_at_the_end(samples, tmp_path):
     passes = [first]
     for _ in range(5):
         if trainer.step == 2:  # 0.4 of the steps
-            passes.append(described(samples, network=trainer.averaged()))
+            passes.append(described(samples, network=trainer.average))
         trainer.update(*passes)
     for name, value in load_correction(target).state_dict().items():
-        torch.testing.assert_close(trainer.average[name], value, atol=2e-3, rtol=2e-3)
+        torch.testing.assert_close(trainer.average.state_dict()[name], value, atol=2e-3, rtol=2e-3)
 
 
 def test_a_network_that_changes_nothing_gains_nothing(samples):

@@ -189,10 +189,10 @@ def test_what_is_written_is_the_average_of_the_weights(joined, paths, tmp_path):
         trainer.update(step / 3)
         weights = trainer.network.head.weight.detach()
         average = old_share * average + (1 - old_share) * weights
-    torch.testing.assert_close(trainer.average["head.weight"], average)
+    torch.testing.assert_close(trainer.average.head.weight, average)
     image = np.tile(np.random.default_rng(0).random((1, 16, 16)), (1, 3, 3))
     network = DenoisingNetwork()
-    network.load_state_dict(trainer.average)
+    network.load_state_dict(trainer.average.state_dict())
     with torch.no_grad():
         expected = network(torch.from_numpy(image[None]).float(), torch.tensor([0.1]))[0].numpy()
     middle = (slice(None), slice(16, 32), slice(16, 32))  # one period

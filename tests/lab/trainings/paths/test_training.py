@@ -146,7 +146,7 @@ def test_a_file_holds_the_best_weights(tmp_path):
     train(
         samples,
         samples,
-        clean_points(MIX, None, count=3, seed=1),
+        clean_points(MIX, count=3, seed=1),
         tmp_path / "p.safetensors",
         settings=Settings(**SMALL, minutes=0.1, batch=4),
         validate_s=2,

@@ -17,7 +17,7 @@ import pytest
 import torch
 
 from lab.evaluation.methods import named_estimators
-from motdiff import commands
+from motdiff.__main__ import run
 from motdiff.network.physics_maps import QuickStart, quick_kernels
 from motdiff.training import prepared as prepared_module
 from motdiff.training import samples as samples_module
@@ -99,7 +99,7 @@ def motdiff(capsys):
 
     def call(*arguments):
         capsys.readouterr()
-        code = commands.run([str(argument) for argument in arguments])
+        code = run([str(argument) for argument in arguments])
         told = capsys.readouterr()
         assert told.out == ""
         return code, told.err
@@ -197,7 +197,7 @@ def first_minute(motdiff, text):
     assert motdiff("export", "run", "-o", "w.safetensors", "--offset", 1.8)[0] == 0
     network = load_network("w.safetensors")
     assert network.config == read_config("run.toml").network
-    assert network.photo.backbone.variant == "b0"
+    assert network.config.backbone == "b0"
     return network
 
 
@@ -255,16 +255,20 @@ def test_a_gpus_first_minute(photos, motdiff):
 
 def test_held_out_samples_are_of_other_photos(photos, motdiff, monkeypatch):
     used = []
-    monkeypatch.setattr(prepared_module, "prepare", lambda _folder, **given: used.append(given))
+    monkeypatch.setattr(
+        prepared_module,
+        "prepare",
+        lambda _folder, source, *, shards, **_: used.append((source, shards)),
+    )
     write("run.toml", PREPARED)
     motdiff("pack", "photos", "photos.zip")
     for extra in ([], ["--held-out"]):
         assert motdiff("prepare", "run.toml", "-o", "samples", "--shards", "2:9:3", *extra)[0] == 0
-    seen, unseen = used
-    assert [len(given["scenes"]) for given in used] == [2, 2]
-    assert not any(torch.equal(a, b) for a in seen["scenes"] for b in unseen["scenes"])
-    assert seen["seed"] != unseen["seed"]
-    assert seen["shards"] == range(2, 9, 3)
+    (training, shards), (held_out, _) = used
+    assert [len(source.scenes) for source in (training, held_out)] == [2, 2]
+    assert not any(torch.equal(a, b) for a in training.scenes for b in held_out.scenes)
+    assert training.seed != held_out.seed
+    assert shards == range(2, 9, 3)
 
 
 def test_it_is_a_module_with_help():
@@ -282,7 +286,7 @@ def test_it_is_a_module_with_help():
 
 def test_help_needs_no_torch():
     code = (
-        "import sys; from motdiff.commands import run\ntry: run(['train', '--help'])\nexcept"
+        "import sys; from motdiff.__main__ import run\ntry: run(['train', '--help'])\nexcept"
         " SystemExit: pass\n"
     )
     code += "print('torch' in sys.modules, file=sys.stderr)"
@@ -468,7 +472,7 @@ def test_a_run_of_another_network_is_left_alone(photos, motdiff):
 )
 def test_a_wrong_command_line_is_told_in_one_line(arguments, helper, capsys):
     with pytest.raises(SystemExit) as caught:
-        commands.run(arguments)
+        run(arguments)
     assert_mendable(
         (caught.value.code, capsys.readouterr().err), rf"\(see python -m {helper} --help\)$"
     )
