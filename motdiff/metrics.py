@@ -10,7 +10,7 @@ from scipy import fft
 
 from motdiff.path_psfs import interpolated
 from motdiff.psf_frame import moved
-from motdiff.trajectory import Trajectory, arc_lengths
+from motdiff.trajectory import Trajectory, arc_lengths, checked_points
 from motdiff.types import FloatArray
 
 SAME_KERNEL_MNC = 0.95
@@ -217,16 +217,7 @@ def _ssim(image: FloatArray, target: FloatArray) -> float:
 
 
 def _evenly_spaced(name: str, path: ArrayLike, step_px: float) -> FloatArray:
-    points = np.asarray(path, dtype=np.float64)
-    if (
-        points.ndim != 2
-        or points.shape[1:] != (2,)
-        or not len(points)
-        or not np.isfinite(points).all()
-    ):
-        raise ValueError(
-            f"{name}: must be finite (N, 2) points with N >= 1, got shape {points.shape}"
-        )
+    points = checked_points(name, path)
     arc = arc_lengths(points)
     where = np.linspace(0, arc[-1], max(2, int(np.ceil(arc[-1] / step_px)) + 1))
     return interpolated(where, arc, points)

@@ -40,6 +40,7 @@ class Progress:
         """Tell that so much of the plan is done."""
         with self._lock:
             if cost > 0:
+                # a plan that is used up: whatever share is left
                 share = 1.0
                 if self._left > 0:
                     share = min(1.0, cost / self._left)

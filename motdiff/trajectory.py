@@ -114,6 +114,7 @@ class Trajectory:
                 f"trajectory: time-mean must be at (0, 0), got ({mean[0]:.3g}, {mean[1]:.3g}); use"
                 " from_samples"
             )
+        # to the last digit: slices are cut at 0 and 1
         t[0], t[-1] = 0.0, 1.0
         t.setflags(write=False)
         xy.setflags(write=False)
@@ -142,6 +143,7 @@ class Trajectory:
         """
         points = np.asarray(xy, dtype=np.float64)
         times = np.linspace(0, 1, len(points)) if t is None else np.asarray(t, dtype=np.float64)
+        # what is malformed goes on as it is: the constructor says what is wrong
         well_formed = times.ndim == 1 and times.size > 1 and points.shape == (times.size, 2)
         if (
             well_formed
@@ -317,6 +319,7 @@ class Trajectory:
 
     def frame_size(self, least_px: int = 1) -> int:
         """Smallest PSF frame of at least ``least_px`` that holds the whole path, px."""
+        # the bilinear hat of a point touches the pixels on both sides of it
         low = np.floor(self.xy.min())
         high = np.floor(self.xy.max()) + 1
         return int(max(least_px, -2 * low, 2 * high + 1))
@@ -343,6 +346,16 @@ class Trajectory:
         pixels = thin_path(index)
         hr[pixels[:, 1], pixels[:, 0]] = 1
         return hr
+
+
+def checked_points(name: str, points: ArrayLike) -> FloatArray:
+    """Return points (N, 2), at least one, as float64; ValueError, which names them, for others."""
+    path = np.asarray(points, dtype=np.float64)
+    if path.ndim != 2 or path.shape[1:] != (2,) or not len(path) or not np.isfinite(path).all():
+        raise ValueError(
+            f"{name}: must be finite (N, 2) points with N >= 1, got shape {path.shape}"
+        )
+    return path
 
 
 def arc_lengths(points: FloatArray) -> FloatArray:

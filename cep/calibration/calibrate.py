@@ -23,7 +23,7 @@ from cep.optics.code import ShutterCode
 from cep.plots import png_bytes, save, trajectory_figure
 from cep.restoration.sharpen import sharpen
 from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
-from motdiff.estimators.from_kernel import as_estimate
+from motdiff.estimators.description import as_estimate
 from motdiff.estimators.method import Method, command_options
 from motdiff.estimators.registry import METHODS, check_options, make_method
 from motdiff.files.gyro_tables import read_gyro

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 from cep.shutter.folder import FolderCamera
 from hw.cameras.camera import Camera, CameraError, CameraSettings, Frame, FrameLostError, Trigger
 from hw.cameras.discovery import ConnectedCamera, choose_camera
-from hw.port import one_line
+from hw.errors import one_line
 
 _SPEED = re.compile(r"(?:1/)?\d+(?:\.\d+)?s?")
 _SPEED_NAMES = ("shutterspeed2", "shutterspeed")  # Nikon's first has exact fractions

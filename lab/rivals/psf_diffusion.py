@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from lab.rivals.conditioning import conditioning_maps
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.from_kernel import estimate_from_kernel
+from motdiff.estimators.description import estimate_from_kernel
 
 
 class PsfDiffusionEstimator:

@@ -58,6 +58,7 @@ class MotionEstimate:
     @property
     def path_error_px(self) -> float | None:
         """Expected error of the likeliest trajectory, px rms over time; None if not estimated."""
+        # an estimator of the user's own may put anything there
         uncertainty_px = self.details.get("path_uncertainty_px")
         if isinstance(uncertainty_px, float) and uncertainty_px > 0:
             return uncertainty_px

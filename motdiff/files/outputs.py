@@ -136,6 +136,7 @@ class Outputs:
         sources = [path for path in map(Path, self.inputs) if path.is_file()]
         claimed: set[Path] = set()
         for path in self.paths:
+            # two names may lead to one file
             if (real := _behind_links(path).absolute()) in claimed:
                 raise ValueError(
                     f"{path}: would be written twice, every output needs a name of its own"

@@ -141,6 +141,7 @@ def _trajectory(fields: Mapping[str, Any], direction: Direction) -> Trajectory:
     if t[0] != 0 or t[-1] != 1:
         raise ValueError(f"t must run from 0 to 1, got {t[0]:g} to {t[-1]:g}")
     check_length(exact)
+    # a recording at 1 kHz has more samples than its path needs
     if len(t) > _DENSE:
         return exact.thinned(_THINNED_PX)
     return exact

@@ -152,7 +152,7 @@ class ConditionNetwork(nn.Module):
     Attributes
     ----------
     photo : PhotoEncoder or None
-        `photo.backbone` takes ImageNet weights, see `motdiff.network.pvt.load_backbone`.
+        `photo.backbone` has timm's names of parameters, see `motdiff.network.pvt`.
     physics : GridUNet or None
         Encoder of the physics maps.
     fusion : Conv2d or None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 BACKBONES = ("b0", "b1", "b2", "b3", "b4", "b5", "none")
@@ -82,6 +82,7 @@ class NetworkConfig:
         _multiple("width", self.width, 1)
         _multiple("denoiser_width", self.denoiser_width, 4)
         _choice("denoiser_view", self.denoiser_view, (0, 1, 2))
+        # its U-Net normalises groups of 8 channels
         if self.denoiser_view:
             _multiple("denoiser_width", self.denoiser_width, 8)
         if not isinstance(self.decoder_widths, tuple) or len(self.decoder_widths) != 2:
@@ -111,13 +112,9 @@ class NetworkConfig:
                 " some"
             )
 
-    def as_dict(self) -> dict[str, Any]:
-        """Fields as plain values, ready for `json.dumps`."""
-        return asdict(self)
-
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> NetworkConfig:
-        """Inverse of `as_dict`, also after a JSON round trip (which makes tuples lists).
+        """Inverse of `asdict`, also after a JSON round trip (which makes tuples lists).
 
         Raises
         ------

@@ -160,7 +160,6 @@ def samples(
     steps: int,
     generator: torch.Generator,
     method: str = "ddim",
-    eta: float = 0.0,
     device: torch.device | str | None = None,
     dtype: torch.dtype = torch.float32,
 ) -> Iterator[Tensor]:
@@ -182,8 +181,6 @@ def samples(
         on all devices.
     method : {"ddim", "ddpm", "dpm++2m"}
         Implicit, ancestral, or DPM-Solver++(2M), whose first step is ddim's.
-    eta : float
-        Noise put back in "ddim", 0 (none) to 1 (as much as "ddpm"). The other methods fix it.
     device : torch.device or str, optional
         Where to work; the generator's device unless given.
     dtype : torch.dtype
@@ -197,8 +194,7 @@ def samples(
     Raises
     ------
     ValueError
-        At the call, if ``method`` is unknown, ``steps`` is outside 1..T, or ``eta`` is outside
-        0..1 or given to a method that fixes it.
+        At the call, if ``method`` is unknown or ``steps`` is outside 1..T.
 
     References
     ----------
@@ -207,20 +203,16 @@ def samples(
     """
     if method not in _ORDER:
         raise ValueError(f"method must be one of {', '.join(_ORDER)}; got {method!r}")
-    if not 0 <= eta <= 1:
-        raise ValueError(f"eta must be 0..1, got {eta}")
-    if eta and method != "ddim":
-        raise ValueError(f"eta must be left out with {method}, which fixes it; got {eta}")
     timesteps = schedule.timesteps(steps)
     target = torch.device(device or generator.device)
-    if method == "ddpm":
-        eta = 1.0  # Song et al., section 4.1: ddim with eta = 1 is ddpm
 
     def noise() -> Tensor:
         return torch.randn(
             tuple(shape), generator=generator, device=generator.device, dtype=dtype
         ).to(target)
 
+    # Song et al., section 4.1: ddim with eta = 1 is ddpm
+    eta = float(method == "ddpm")
     return _descend(predict_x0, noise, timesteps, schedule.alpha_bar.tolist(), eta, _ORDER[method])
 
 

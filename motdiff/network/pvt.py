@@ -1,22 +1,17 @@
 """Pyramid Vision Transformer v2: features of a photo at four scales.
 
-Parameters are named as in timm's `pvt_v2_b0` .. `pvt_v2_b5`, so its ImageNet weights load without
-a map of names. Stochastic depth is left out: it has no parameters, and the condition should not
-change from one call to the next.
+Parameters are named as in timm's `pvt_v2_b0` .. `pvt_v2_b5`: `load_state_dict` takes its ImageNet
+weights without a map of names. Stochastic depth is left out: it has no parameters, and the
+condition should not change from one call to the next.
 """
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import NamedTuple
 
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn import functional
-
-from motdiff.files.inputs import regular_file
 
 _HEADS = (1, 2, 5, 8)  # of the attention in each stage, here and below as published
 _REDUCTIONS = (8, 4, 2, 1)  # of the grid of keys and values
@@ -64,7 +59,6 @@ class PyramidVisionTransformer(nn.Module):
         if stages not in (1, 2, 3, 4):
             raise ValueError(f"stages is {stages!r}; it must be 1, 2, 3 or 4")
         dims, depths, mlp_ratios = VARIANTS[variant]
-        self.variant = variant
         self.channels = dims[:stages]
         self.patch_embed = _PatchEmbedding(3, dims[0], kernel=7, stride=4)
         self.stages = nn.ModuleList(
@@ -204,47 +198,3 @@ def _initialise(module: nn.Module) -> None:
         nn.init.normal_(module.weight, 0, math.sqrt(2 / fan_out))
     if isinstance(module, nn.Linear | nn.Conv2d) and module.bias is not None:
         nn.init.zeros_(module.bias)
-
-
-def load_backbone(model: PyramidVisionTransformer, path: str | Path) -> None:
-    """Load timm's PVT v2 weights into `model`, without `head.*` and stages that it lacks.
-
-    Parameters
-    ----------
-    model : PyramidVisionTransformer
-        The `backbone` of a network.
-    path : path of a .safetensors file
-        With timm's names, as `pvt_v2_b0.in1k` has them.
-
-    Raises
-    ------
-    ValueError
-        If `path` is no safetensors file, lacks parameters, has others besides, or is of another
-        variant's size.
-    """
-    try:
-        weights = load_file(regular_file(path))
-    except SafetensorError as error:
-        raise ValueError(
-            f"path {path} is not a safetensors file ({error}); it must be timm's pvt_v2 weights"
-        ) from None
-    state = model.state_dict()
-    absent = tuple(f"stages.{i}." for i in range(len(model.stages), 4))
-    weights = {
-        name: value for name, value in weights.items() if not name.startswith(("head.", *absent))
-    }
-    remedy = f"it must hold timm's pvt_v2_{model.variant}"
-    if missing := sorted(state.keys() - weights.keys()):
-        raise ValueError(
-            f"path {path} lacks {len(missing)} of {len(state)} parameters, first {missing[0]};"
-            f" {remedy}"
-        )
-    if extra := sorted(weights.keys() - state.keys()):
-        raise ValueError(
-            f"path {path} has {len(extra)} parameters too many, first {extra[0]}; {remedy}"
-        )
-    for name, value in weights.items():
-        if value.shape != state[name].shape:
-            sizes = f"{tuple(value.shape)}, not {tuple(state[name].shape)}"
-            raise ValueError(f"path {path} is of another size: {name} is {sizes}; {remedy}")
-    model.load_state_dict(weights)

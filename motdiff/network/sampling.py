@@ -31,9 +31,9 @@ class PathSamples:
     path: Tensor
     dwell: Tensor
 
-    def psfs(self, *, dwell: bool = True) -> Tensor:
-        """PSFs (B, K, 64, 64), with the dwell or (the paper's way) at constant speed."""
-        return psfs_of_maps(self.path * self.dwell if dwell else self.path)
+    def psfs(self) -> Tensor:
+        """PSFs (B, K, 64, 64), with the dwell."""
+        return psfs_of_maps(self.path * self.dwell)
 
 
 def sample_paths(
@@ -45,7 +45,6 @@ def sample_paths(
     steps: int,
     generator: torch.Generator,
     method: str = "ddim",
-    eta: float = 0.0,
 ) -> PathSamples:
     """Draw ``count`` trajectories per photo.
 
@@ -57,7 +56,7 @@ def sample_paths(
         From ``network.condition``: computed once, used at every step.
     count : int
         K.
-    schedule, steps, generator, method, eta
+    schedule, steps, generator, method
         As for :func:`motdiff.network.diffusion.samples`.
     """
     batch, _, height, width = condition.shape
@@ -67,6 +66,7 @@ def sample_paths(
     def predict_x0(x_t: Tensor, t: Tensor) -> Tensor:
         nonlocal speeds
         logits = network.denoise(x_t.to(condition.dtype), t, repeated)
+        # of the last step: the dwell belongs to the final map
         if logits.shape[1] > 1:
             speeds = functional.softplus(logits[:, 1:])
         return to_signal(torch.sigmoid(logits[:, :1].float()))
@@ -78,7 +78,6 @@ def sample_paths(
         steps=steps,
         generator=generator,
         method=method,
-        eta=eta,
         device=condition.device,
     )
     shape = (batch, count, *speeds.shape[-2:])
@@ -93,6 +92,7 @@ def psfs_of_maps(maps: Tensor) -> Tensor:
     """
     index = torch.arange(2 * MAP_PITCH, device=maps.device, dtype=maps.dtype)
     hat = 1 - ((index + 0.5) / MAP_PITCH - 1).abs()
+    # the hat is separable: rows and columns one after the other
     across = functional.conv2d(
         maps.reshape(-1, 1, *maps.shape[-2:]),
         hat[None, None, None, :],

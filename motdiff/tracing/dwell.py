@@ -9,7 +9,7 @@ from scipy import linalg, optimize
 from motdiff.metrics import register_shift
 from motdiff.path_psfs import interpolated, slice_psfs
 from motdiff.psf_frame import in_frame
-from motdiff.trajectory import Trajectory, arc_lengths
+from motdiff.trajectory import Trajectory, arc_lengths, checked_points
 from motdiff.types import FloatArray
 
 _SPACING_PX = 0.5
@@ -92,11 +92,7 @@ def _non_negative_fit(pieces: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def _nodes(path_px: ArrayLike) -> FloatArray:
-    path = np.asarray(path_px, dtype=np.float64)
-    if path.ndim != 2 or path.shape[1:] != (2,) or not len(path) or not np.isfinite(path).all():
-        raise ValueError(
-            f"path_px: must be finite (N, 2) points with N >= 1, got shape {path.shape}"
-        )
+    path = checked_points("path_px", path_px)
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     path = path[np.r_[True, steps > 1e-9]]
     if len(path) < 2 or steps.sum() < _SHORTEST_PX:

@@ -42,6 +42,7 @@ class PathOtf:
         part.
         """
         pulled = _single(np.conj(of_otf))
+        # the derivative of exp(-2 pi i f p) in p brings -2 pi i f down
         y = (self._slope_y[:, None] * self._rows * (pulled @ self._columns)).sum(axis=0).real
         x = (self._rows * (pulled @ (self._slope_x[:, None] * self._columns))).sum(axis=0).real
         return self._weight[:, None] * np.stack([x, y], axis=-1).astype(np.float64)
@@ -69,6 +70,7 @@ class KernelLikeness:
         blur_px: float = 0.0,
     ) -> None:
         radius2 = fy_cy_px[:, None] ** 2 + fx_cy_px**2
+        # of the half plane: each column but 0 stands for its conjugate as well
         both_signs = np.where(fx_cy_px > 0, 2.0, 1.0)
         self._weight = (both_signs * np.exp(-((2 * np.pi * blur_px) ** 2) * radius2)).astype(
             np.float32

@@ -11,6 +11,7 @@ from scipy import optimize
 
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX
+from motdiff.tracing.dwell import checked_psf
 from motdiff.tracing.path import trace_psf_to_trajectory
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -136,16 +137,7 @@ def quadratic_of_psf(psf: ArrayLike) -> QuadraticPath:
     ValueError
         If ``psf`` is no such array.
     """
-    light = np.asarray(psf, dtype=np.float64)
-    if (
-        light.ndim != 2
-        or not np.isfinite(light).all()
-        or light.min(initial=0) < 0
-        or not light.any()
-    ):
-        raise ValueError(
-            f"psf: must be a non-negative (H, W) array with some light, got shape {light.shape}"
-        )
+    light = checked_psf(psf)
     brightest = np.argsort(-light, axis=None)[: min(_MOST_POINTS, np.count_nonzero(light))]
     rows, columns = np.unravel_index(brightest, light.shape)
     weight = light[rows, columns] / light[rows, columns].sum()

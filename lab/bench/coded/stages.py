@@ -287,7 +287,7 @@ def estimate_motion(
     dict with ``paths``, ``mnc`` (sub-pixel, of the path's own PSF), ``cpu_s``
     """
     from lab.evaluation.methods import named_estimators
-    from motdiff.estimators.from_kernel import as_estimate
+    from motdiff.estimators.description import as_estimate
 
     truth = paths_from(motion)[0][0]
     rng = np.random.default_rng([seed, 1])

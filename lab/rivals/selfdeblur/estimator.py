@@ -16,7 +16,7 @@ from lab.rivals.selfdeblur.config import SelfDeblurConfig
 from lab.rivals.selfdeblur.fit import JointFit
 from motdiff.crops import best_crops, textured_luminance
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.from_kernel import estimate_from_kernel
+from motdiff.estimators.description import estimate_from_kernel
 
 _LEAST_PX = 32
 _SAVED_EVERY_S = 60.0

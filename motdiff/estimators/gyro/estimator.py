@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.gyro import Gyro
 from motdiff.gyro import DEFAULT_AXES, GyroTrace, roll_rad, trajectory_from_gyro
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import check_length
@@ -40,8 +41,6 @@ class GyroEstimator:
         Directions of the sensor's axes, as of :func:`motdiff.gyro.image_rates_rad_s`. When omitted
         they are taken as :data:`motdiff.gyro.DEFAULT_AXES`, with a warning: wrong axes give a
         mirrored or turned path.
-    size : int, px
-        Frame of the PSF; a longer path gets the frame it needs.
     """
 
     trace: GyroTrace
@@ -49,7 +48,6 @@ class GyroEstimator:
     start_s: float
     exposure_s: float
     axes: str | None = None
-    size: int = PSF_PX
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Return the motion during the exposure of ``photo``, (H, W) or (H, W, C).
@@ -96,11 +94,11 @@ class GyroEstimator:
                 f"Only {readings} gyro readings during the exposure ({1 / step_s:.0f} Hz): faster"
                 " shake is not seen."
             )
-        frame = max(self.size, needed)
-        if frame > self.size:
+        frame = max(PSF_PX, needed)
+        if frame > PSF_PX:
             warnings.append(
-                f"The path needs a PSF frame of {frame} px, more than the {self.size} px asked"
-                " for; if that is too long, the rates may be in deg/s."
+                f"The path needs a PSF frame of {frame} px, more than the usual {PSF_PX} px; if"
+                " that is too long, the rates may be in deg/s."
             )
         # the motion by roll at a corner, which one path for the whole photo cannot hold
         lost = roll * corner_px / max(trajectory.extent_px + roll * corner_px, 1e-9)
@@ -117,7 +115,7 @@ class GyroEstimator:
             "columns": self.trace.columns,
         }
         return MotionEstimate(
-            "gyro",
+            Gyro.name,
             (trajectory,),
             (1.0,),
             trajectory.psf(frame),

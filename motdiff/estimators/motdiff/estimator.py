@@ -28,7 +28,7 @@ from motdiff.estimators.motdiff.agreement import (
 from motdiff.estimators.motdiff.correcting import corrected_choice
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import BlindEstimator
-from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, alike, planned, refined
+from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, planned, refined
 from motdiff.estimators.simple_motion import simple_motion
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
@@ -39,6 +39,7 @@ from motdiff.weights import load_network
 from motdiff.weights.correction import load_correction
 
 _REFINED = 3
+_STEPS = 1  # of denoising, for each draw
 # processor time of the stages, in starts of the classical search
 _DRAW_COST = 0.4
 _JUDGE_COST = 0.2
@@ -72,14 +73,9 @@ class MotDiffEstimator(BlindEstimator):
     weights : path, optional
         A file from ``python -m motdiff export``; the shipped one when omitted.
     samples : int
-        Motions drawn.
-    steps : int
-        Denoising steps of each. With one, a draw is the network's mean guess from the photo turned
-        or mirrored its way: draws are alike (MNC 0.98), and those beyond the eighth add next to
+        Motions drawn, each in one denoising step: the network's mean guess from the photo turned
+        or mirrored its way. Draws are alike (MNC 0.98), and those beyond the eighth add next to
         nothing (0.99).
-    refine : bool
-        Whether the likeliest kernels, drawn or searched, are refined on the photo at the end, and
-        corrected.
     seed : int
         Of the draws.
     crops, progress
@@ -92,7 +88,7 @@ class MotDiffEstimator(BlindEstimator):
     are ours.
     """
 
-    method = "motdiff"
+    method = MotDiff.name
     largest_px = ODD_PX
     smallest_px = MotDiff.smallest_px
     plain_mnc = 0.95  # less like, the photo has refused it
@@ -102,41 +98,31 @@ class MotDiffEstimator(BlindEstimator):
         *,
         weights: Path | str | None = None,
         samples: int = 8,
-        steps: int = 1,
-        refine: bool = True,
         seed: int = 0,
         crops: int = 3,
         progress: Callable[[float], None] | None = None,
     ) -> None:
         super().__init__(crops=crops, progress=progress)
-        for name, value in (("samples", samples), ("steps", steps)):
-            if value < 1:
-                raise ValueError(f"{name}: must be at least 1, got {value}")
+        if samples < 1:
+            raise ValueError(f"samples: must be at least 1, got {samples}")
         self._network = load_network() if weights is None else load_network(weights)
         self._samples = samples
-        self._steps = steps
-        self._refine = refine
-        self._correction = load_correction() if refine else None
+        self._correction = load_correction()
         self._seed = seed
 
     def search(
         self, crops: FloatArray, *, halved: Callable[[], FloatArray] | None = None
     ) -> FoundKernels:
         """Sample, score and refine kernels of the crops (C, H, W)."""
-        after = _JUDGE_COST + _REFINE_COST
-        if len(crops) > 1:
-            after += _SINGLE_COST
-        after += _TRACE_COST
-        if self._refine:
-            after += _CORRECT_COST
-        self._progress.expect(planned(len(STARTS)) + _DRAW_COST + after)
+        at_the_end = _CORRECT_COST + _TRACE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0)
+        self._progress.expect(
+            planned(len(STARTS)) + _DRAW_COST + _JUDGE_COST + _REFINE_COST + at_the_end
+        )
         judge = Judge(crops, sigma=shared_sigma(crops))
         settled: FoundKernels | None = None
 
         def agreed(pair: Sequence[FloatArray]) -> bool:
             nonlocal settled
-            if self._correction is None:
-                return alike(pair)
             settled = agreed_kernels(self._correction, crops, pair, judge)
             if settled is None and halved is not None:
                 self._progress.expect_more(_HALVED_COST)
@@ -152,9 +138,7 @@ class MotDiffEstimator(BlindEstimator):
 
         searched = PmpEstimator().kernels(crops, progress=self._progress, agreed=agreed)
         if settled is not None:
-            self._progress.expect(
-                _CORRECT_COST + _TRACE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0)
-            )
+            self._progress.expect(at_the_end)
             return settled
         classical = framed(searched)
         conditions = _CONDITIONS_OF_ALL if len(classical) > 2 else _CONDITIONS_OF_TWO
@@ -163,7 +147,7 @@ class MotDiffEstimator(BlindEstimator):
             crops,
             classical[list(conditions)],
             count=self._samples,
-            steps=self._steps,
+            steps=_STEPS,
             generator=torch.Generator().manual_seed(self._seed),
         )
         self._progress.spend(_DRAW_COST)
@@ -176,25 +160,22 @@ class MotDiffEstimator(BlindEstimator):
         likeness = mnc_matrix(kernels)
         believed = candidate_probabilities(evidence, likeness, **groups)
         self._progress.spend(_JUDGE_COST)
-        best = int(np.argmax(believed))
-        if self._refine:
-            likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
-            chosen = distinct(likeness, [likeliest, mean], np.argsort(-believed), count=_REFINED)
-            sharpened = side_by_side(
-                [partial(refined, crops, kernels[i], judge.sigma) for i in chosen]
-            )
-            kernels += sharpened
-            evidence = np.vstack([evidence, judge.evidence(sharpened)])
-            believed = candidate_probabilities(evidence, mnc_matrix(kernels), **groups)
-            # only among the refined: each is better than the kernel it comes from
-            best = mean + 1 + int(np.argmax(believed[mean + 1 :]))
+        likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
+        chosen = distinct(likeness, [likeliest, mean], np.argsort(-believed), count=_REFINED)
+        sharpened = side_by_side(
+            [partial(refined, crops, kernels[i], judge.sigma) for i in chosen]
+        )
+        kernels += sharpened
+        evidence = np.vstack([evidence, judge.evidence(sharpened)])
+        believed = candidate_probabilities(evidence, mnc_matrix(kernels), **groups)
+        # only among the refined: each is better than the kernel it comes from
+        best = mean + 1 + int(np.argmax(believed[mean + 1 :]))
         self._progress.spend(_REFINE_COST)
         origins = ["sample"] * len(draws) + ["classical"] * len(classical) + ["mean of samples"]
-        if self._refine:
-            origins += [origins[i] for i in chosen]
+        origins += [origins[i] for i in chosen]
         details: dict[str, object] = {
             **groups,
-            "steps": self._steps,
+            "steps": _STEPS,
             "sample_agreement": _agreement(draws),
         }
         return FoundKernels(tuple(kernels), believed, best, details, origins=tuple(origins))
@@ -213,8 +194,6 @@ class MotDiffEstimator(BlindEstimator):
 
     def corrected(self, crops: FloatArray, candidates: FoundKernels) -> FoundKernels:
         """Correct the likeliest kernels, choose anew, and take a simple motion as likely."""
-        if self._correction is None:
-            return candidates
         if candidates.corrected:
             better = replace(candidates, kernels=candidates.corrected)
         else:

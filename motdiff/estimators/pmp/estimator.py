@@ -83,7 +83,7 @@ class PmpEstimator(BlindEstimator):
     Wen et al., IEEE TCSVT 2021 (the prior).
     """
 
-    method = "pmp"
+    method = Pmp.name
     smallest_px = Pmp.smallest_px
 
     def __init__(

@@ -5,21 +5,15 @@ from __future__ import annotations
 import math
 
 import torch
+from scipy import fft
 from torch import Tensor
 from torch.nn import functional
 
 
 def fast_size(size: int) -> int:
     """Smallest even length >= ``size`` without prime factors above 5: quick Fourier transforms."""
-    candidate = size + size % 2
-    while True:
-        cofactor = candidate
-        for prime in (2, 3, 5):
-            while cofactor % prime == 0:
-                cofactor //= prime
-        if cofactor == 1:
-            return candidate
-        candidate += 2
+    # SciPy's lengths for real transforms are those, but for the odd ones
+    return 2 * int(fft.next_fast_len(-(-size // 2), real=True))
 
 
 def gradient_power(height: int, width: int, template: Tensor) -> Tensor:

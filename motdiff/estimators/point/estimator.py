@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.point import Point
 from motdiff.metrics import mnc_subpixel, register_shift
 from motdiff.psf_frame import PSF_PX, centred, in_frame
 from motdiff.tracing import trace_psf_to_trajectory
@@ -19,6 +20,8 @@ _GAP_PX = 2  # breaks in a streak up to twice this are bridged: noise where the 
 _KEPT_SIGMA = 3.0  # of the noise: what belongs to a streak
 _FOUND_SIGMA = 5.0  # and what shows that there is one
 _LOST_TO_CLIPPING = 0.02  # share of a streak's pixels
+_AGREED_MNC = 0.9  # with the best streak, for another one to count
+_MOST_LIGHTS = 8  # averaged
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,6 @@ class _Streak:
     box: tuple[int, int, int, int]  # row, column, height, width
 
 
-@dataclass(frozen=True)
 class PointEstimator:
     """Take the streak of a point light, on a darker background, as the PSF.
 
@@ -46,24 +48,7 @@ class PointEstimator:
     snr^2)`` with the SNR of the whole PSF (its norm over the noise in its support), times the
     unsaturated share of the streak's pixels, times the share of comparable streaks that agree:
     things in an ordinary photo are no lights, and do not.
-
-    Parameters
-    ----------
-    size : int, px
-        Frame of the PSF: longer streaks are not considered.
-    agreement : float
-        Least MNC with the best streak for another one to count.
-    lights : int
-        Lights averaged at most.
     """
-
-    size: int = PSF_PX
-    agreement: float = 0.9
-    lights: int = 8
-
-    def __post_init__(self) -> None:
-        if self.size < 3:
-            raise ValueError(f"size: must be at least 3 px, got {self.size}")
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Estimate the motion from ``photo``, (H, W) or (H, W, C) float, linear light 0..1.
@@ -74,11 +59,11 @@ class PointEstimator:
             If the photo shows no streak that fits the frame.
         """
         light = crops.luminance(photo)
-        streaks, too_long, cut_off = _streaks(light, crops.clipped_mask(photo), self.size)
+        streaks, too_long, cut_off = _streaks(light, crops.clipped_mask(photo))
         if not streaks:
             why = ""
             if too_long:
-                why += f"; {too_long} longer than the {self.size} px frame"
+                why += f"; {too_long} longer than the {PSF_PX} px frame"
             if cut_off:
                 why += f"; {cut_off} cut off by the photo's border"
             raise ValueError(f"photo: shows no light streak above its background{why}")
@@ -91,10 +76,9 @@ class PointEstimator:
             for s in rivals
             if _snr(s) > 0.2 * _snr(best) and s.clipped_share <= _LOST_TO_CLIPPING
         ]
-        agreeing = [s for s in comparable if mnc_subpixel(best.psf, s.psf) >= self.agreement][
-            : self.lights - 1
-        ]
-        psf = in_frame(centred(_average([best, *agreeing])), self.size)
+        agreeing = [s for s in comparable if mnc_subpixel(best.psf, s.psf) >= _AGREED_MNC]
+        agreeing = agreeing[: _MOST_LIGHTS - 1]
+        psf = in_frame(centred(_average([best, *agreeing])))
         psf = psf / psf.sum()
         warnings = []
         if best.clipped_share > _LOST_TO_CLIPPING:
@@ -115,10 +99,10 @@ class PointEstimator:
             "box_row_col_height_width": list(best.box),
         }
         snr = _snr(best)
-        agreed = (1 + len(agreeing)) / (1 + min(len(comparable), self.lights - 1))
+        agreed = (1 + len(agreeing)) / (1 + min(len(comparable), _MOST_LIGHTS - 1))
         confidence = snr**2 / (1 + snr**2) * (1 - best.clipped_share) * agreed
         return MotionEstimate(
-            "point",
+            Point.name,
             (trace_psf_to_trajectory(psf),),
             (1.0,),
             psf,
@@ -136,9 +120,9 @@ def _snr(streak: _Streak) -> float:
     )
 
 
-def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_Streak], int, int]:
+def _streaks(light: FloatArray, clipped: BoolArray) -> tuple[list[_Streak], int, int]:
     """Streaks found, and how many were too long for the frame or cut off by the border."""
-    background = background_light(light, size)
+    background = background_light(light, PSF_PX)
     above = light - background
     # 1.4826: sigma over the median of |x|, which the few bright pixels hardly move
     noise = float(1.4826 * np.median(np.abs(above - np.median(above))))
@@ -168,11 +152,11 @@ def _streaks(light: FloatArray, clipped: BoolArray, size: int) -> tuple[list[_St
         ):
             cut_off += 1
             continue
-        if max(values.shape) > size:
+        if max(values.shape) > PSF_PX:
             too_long += 1
             continue
         values = np.maximum(values, 0)  # noise below the background is no dwell
-        frame = np.zeros((size, size))
+        frame = np.zeros((PSF_PX, PSF_PX))
         frame[: values.shape[0], : values.shape[1]] = values
         share = float(clipped[window][is_streak].sum()) / max(
             1, int((values > 0.1 * values.max()).sum())

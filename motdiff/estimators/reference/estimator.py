@@ -13,7 +13,7 @@ from scipy import fft, ndimage
 
 from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.reference import psf_fit
+from motdiff.estimators.reference import Reference, psf_fit
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX, centroid_px, without_faint_light
 from motdiff.tracing import trace_psf_to_trajectory
@@ -176,7 +176,7 @@ class ReferenceEstimator:
             details["uniformity"] = crops.uniformity(crop_psfs)
         confidence = min(1.0, max(0.0, explained)) * expected_mnc
         return MotionEstimate(
-            "reference",
+            Reference.name,
             (trace_psf_to_trajectory(psf),),
             (1.0,),
             psf,

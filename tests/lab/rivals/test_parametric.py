@@ -3,6 +3,7 @@ shipped weights."""
 
 import json
 import math
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -236,7 +237,7 @@ def config(steps=6, **network):
     optimiser = OptimiserConfig(steps=steps, batch=8, rate=3e-3, warm_up=5, ema=0.9, seed=2)
     data = DataConfig(photos="photos", physics_dropout=0.05)
     return TrainingConfig(
-        data, network=NetworkConfig(**{**TINY.as_dict(), **network}), optimiser=optimiser
+        data, network=NetworkConfig(**{**asdict(TINY), **network}), optimiser=optimiser
     )
 
 

@@ -6,17 +6,17 @@ import math
 import re
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import save_file
 from torch.utils.flop_counter import FlopCounterMode
 
 from motdiff.network import MotDiffNetwork, NetworkConfig
 from motdiff.network.condition import LocalEmphasis, PhotoEncoder, StepwiseAggregation
 from motdiff.network.denoiser import Denoiser, timestep_embedding
-from motdiff.network.pvt import PyramidVisionTransformer, load_backbone
+from motdiff.network.pvt import PyramidVisionTransformer
 from motdiff.network.unet import GridUNet
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -181,62 +181,6 @@ def test_backbone_equals_transformers():
         features = ours(photo)
     for feature, other in zip(features, expected, strict=True):
         torch.testing.assert_close(feature, other, rtol=1e-9, atol=1e-9)
-
-
-# -- its weights ----------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def weights():
-    state = PyramidVisionTransformer("b0").state_dict()
-    head = {"head.weight": torch.zeros(1000, 256), "head.bias": torch.zeros(1000)}
-    return {name: torch.randn_like(value) for name, value in state.items()} | head
-
-
-def test_weights_are_loaded_and_the_head_ignored(tmp_path, weights):
-    save_file(weights, tmp_path / "b0.safetensors")
-    backbone = PyramidVisionTransformer("b0")
-    load_backbone(backbone, tmp_path / "b0.safetensors")
-    for name, value in backbone.state_dict().items():
-        assert torch.equal(value, weights[name]), name
-    half = PyramidVisionTransformer("b0", stages=2)
-    load_backbone(half, tmp_path / "b0.safetensors")
-    assert torch.equal(half.stages[1].norm.weight, weights["stages.1.norm.weight"])
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            lambda w: w.pop("stages.1.norm.weight"),
-            "lacks 1 of 1[0-9]+ parameters, first stages.1.norm.weight",
-        ),
-        (
-            lambda w: w.update({"stages.2.blocks.2.norm1.bias": torch.zeros(160)}),
-            "1 parameters too many, first stages",
-        ),
-        (
-            lambda w: w.update({"patch_embed.norm.weight": torch.zeros(64)}),
-            r"norm.weight is \(64,\), not \(32,\)",
-        ),
-    ],
-    ids=["missing", "deeper variant", "wider variant"],
-)
-def test_weights_of_another_network_are_refused(tmp_path, weights, change, message):
-    change(weights)
-    save_file(weights, tmp_path / "w.safetensors")
-    backbone = PyramidVisionTransformer("b0")
-    before = {name: value.clone() for name, value in backbone.state_dict().items()}
-    with pytest.raises(ValueError, match=f"^path .*{message}.*pvt_v2_b0") as caught:
-        load_backbone(backbone, tmp_path / "w.safetensors")
-    assert "\n" not in str(caught.value)
-    assert all(torch.equal(value, before[name]) for name, value in backbone.state_dict().items())
-
-
-def test_a_file_of_another_kind_is_refused(tmp_path):
-    (tmp_path / "w.safetensors").write_bytes(b"PK\x03\x04 a pickle, perhaps")
-    with pytest.raises(ValueError, match=r"^path .*w.safetensors is not a safetensors file"):
-        load_backbone(PyramidVisionTransformer("b0"), tmp_path / "w.safetensors")
 
 
 def test_backbone_arguments_are_checked():
@@ -557,7 +501,7 @@ def test_wrong_inputs_are_named(config, photo, physics, message):
 
 def test_config_survives_json():
     config = NetworkConfig(backbone="b2", decoder_widths=(24, 8), physics_channels=3, dwell=True)
-    assert NetworkConfig.from_dict(json.loads(json.dumps(config.as_dict()))) == config
+    assert NetworkConfig.from_dict(json.loads(json.dumps(asdict(config)))) == config
     with pytest.raises(ValueError, match=r"^values has unknown fields depth, wdith"):
         NetworkConfig.from_dict({"wdith": 64, "depth": 2})
 

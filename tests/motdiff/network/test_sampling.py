@@ -88,7 +88,6 @@ def test_the_dwell_is_the_network_s(maps):
     torch.testing.assert_close(drawn.dwell, dwell.expand(3, 2, 64, 64))
     torch.testing.assert_close(drawn.path, maps.expand(3, 2, 64, 64), atol=1e-6, rtol=0)
     torch.testing.assert_close(drawn.psfs(), psfs_of_maps((maps * dwell).expand(3, 2, 64, 64)))
-    torch.testing.assert_close(drawn.psfs(dwell=False), psfs_of_maps(maps.expand(3, 2, 64, 64)))
 
 
 def test_every_step_is_one_call_for_all_draws(maps):
@@ -128,7 +127,11 @@ def test_a_real_network_s_draws_follow_from_the_generator(monkeypatch):
     def drawn(seed):
         with torch.no_grad():
             return draw(
-                network, network.condition(None, physics), count=2, generator=seeded(seed), eta=0.5
+                network,
+                network.condition(None, physics),
+                count=2,
+                generator=seeded(seed),
+                method="ddpm",
             )
 
     first = drawn(0)

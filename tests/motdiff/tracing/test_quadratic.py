@@ -69,7 +69,7 @@ def test_a_point_has_a_path():
     "bad", [np.zeros((5, 5)), np.ones(7), np.full((5, 5), np.nan), -np.ones((5, 5))]
 )
 def test_no_path_of_what_is_no_psf(bad):
-    with pytest.raises(ValueError, match="psf: must be a non-negative"):
+    with pytest.raises(ValueError, match="psf: must be a finite, non-negative"):
         quadratic_of_psf(bad)
 
 

@@ -9,7 +9,7 @@ from skimage.metrics import structural_similarity as reference_similarity
 from lab.rivals.selfdeblur import SelfDeblurConfig
 from lab.rivals.selfdeblur.fit import structural_similarity
 from lab.rivals.selfdeblur.generators import ImageGenerator, KernelGenerator, _NonLocal
-from motdiff.estimators.from_kernel import estimate_from_kernel
+from motdiff.estimators.description import estimate_from_kernel
 from motdiff.metrics import mnc
 from motdiff.simulate import blur_valid
 from motdiff.training.simulation import blurred

@@ -182,6 +182,17 @@ def no_search(monkeypatch):
 
 
 @pytest.fixture
+def unrefined(monkeypatch):
+    """Kernels stay as they are drawn or searched: nothing is refined or corrected."""
+    monkeypatch.setattr(module, "agreed_kernels", lambda *_: None)
+    monkeypatch.setattr(module, "refined", lambda _crops, kernel, _sigma: kernel)
+    monkeypatch.setattr(
+        module, "corrected_choice", lambda _network, _crops, candidates, **_: candidates
+    )
+    monkeypatch.setattr(module, "simple_motion", lambda *_, **__: None)
+
+
+@pytest.fixture
 def no_tracing(monkeypatch):
     """What a network that was never trained draws is no path, and long to trace."""
     for name in ("description.plain_trajectory", "description.simplest_trajectory"):
@@ -332,14 +343,10 @@ def shaken():
     return photo_of(STRAIGHT)
 
 
-@pytest.mark.parametrize("refine", [False, True])
-def test_an_oracle_s_motion_is_found(monkeypatch, no_search, shaken, refine):
+def test_an_oracle_s_motion_is_found(monkeypatch, no_search, shaken):
     oracle = Oracle(STRAIGHT)
-    options = {"refine": refine, "steps": 4}
-    estimate = estimator_with(monkeypatch, oracle, **options).estimate(shaken)
-    assert [(symmetry, draws) for symmetry, _, draws in oracle.steps] == [
-        (s, 1) for s in range(8) for _ in range(4)
-    ]
+    estimate = estimator_with(monkeypatch, oracle).estimate(shaken)
+    assert [(symmetry, draws) for symmetry, _, draws in oracle.steps] == [(s, 1) for s in range(8)]
     truth = STRAIGHT.psf(64)
     assert mnc_subpixel(estimate.psf, truth) > 0.98
     assert mnc_subpixel(estimate.trajectories[0].psf(), truth) > 0.95
@@ -359,27 +366,26 @@ def test_an_oracle_s_motion_is_found(monkeypatch, no_search, shaken, refine):
     assert details.pop("steep_edges") > 20
     assert details.pop("sharpest_edges_px") > 2
     assert details.pop("path_uncertainty_px", 0.1) < 0.5  # of a simple motion
-    assert details == {"crops": 1, "scale": 1.0, "samples": 8, "classical": 3, "steps": 4}
+    assert details == {"crops": 1, "scale": 1.0, "samples": 8, "classical": 3, "steps": 1}
 
 
-def test_refinement_finds_the_dwell_that_the_network_does_not_know(monkeypatch, no_search):
+def test_refinement_finds_the_dwell_that_the_network_does_not_know(
+    monkeypatch, no_search, request
+):
     """The map of a path says nothing of the time spent on it; the photo does."""
     photo = photo_of(bent(), 144, 144)
     truth = bent().psf(64)
-    likeness = {}
-    for refine in (False, True):
-        options = {"samples": 1, "steps": 2, "refine": refine}
-        estimate = estimator_with(monkeypatch, Oracle(bent()), **options).estimate(photo)
-        likeness[refine] = mnc_subpixel(estimate.psf, truth)
-    assert 0.8 < likeness[False] < 0.95
-    assert likeness[True] > 0.97
+    better = estimator_with(monkeypatch, Oracle(bent()), samples=1).estimate(photo)
+    request.getfixturevalue("unrefined")
+    drawn = estimator_with(monkeypatch, Oracle(bent()), samples=1).estimate(photo)
+    assert 0.8 < mnc_subpixel(drawn.psf, truth) < 0.95
+    assert mnc_subpixel(better.psf, truth) > 0.97
 
 
-def test_what_a_network_is_nearly_sure_of_is_exactly_0(monkeypatch, no_search):
+def test_what_a_network_is_nearly_sure_of_is_exactly_0(monkeypatch, no_search, unrefined):
     """Its probabilities never are; light all over the frame would be taken for a blur that
     outgrows it."""
-    options = {"samples": 2, "steps": 2, "refine": False}
-    estimator = estimator_with(monkeypatch, Oracle(STRAIGHT, logit=6.0), **options)
+    estimator = estimator_with(monkeypatch, Oracle(STRAIGHT, logit=6.0), samples=2)
     estimate = estimator.estimate(photo_of(STRAIGHT, 192, 192))
     assert {call[0] for call in no_search} == {(1, 1, 192, 192)}  # not once more at half size
     rows, columns = np.nonzero(estimate.psf)
@@ -432,10 +438,6 @@ def test_the_likeliest_different_kernels_are_corrected_and_the_photo_chooses(mon
         [0.9, 0.8, 0.0]
     )  # 4 is superseded by 3
     assert (better.details, better.origins) == (found.details, found.origins)
-    assert (
-        estimator_with(monkeypatch, Oracle(STRAIGHT), refine=False).corrected(shaken[None], found)
-        is found
-    )
 
 
 def test_a_correction_makes_no_kernel_likelier_than_the_best_was(monkeypatch, shaken):
@@ -556,26 +558,22 @@ def test_where_they_agree_at_half_the_size_nothing_more_is_searched_or_drawn(mon
 LOST = (Trajectory.straight(9.0, angle_rad=2.2), Trajectory.straight(20.0, angle_rad=1.4))
 
 
-@pytest.mark.parametrize("refine", [False, True])
 def test_a_classical_kernel_is_the_result_where_the_photo_believes_it_more(
-    monkeypatch, classical, shaken, refine
+    monkeypatch, classical, shaken
 ):
     classical(LOST[0], LOST[0], LOST[0], STRAIGHT)
-    options = {"samples": 2, "steps": 2, "refine": refine}
-    estimate = estimator_with(monkeypatch, Oracle(LOST[1]), **options).estimate(shaken)
+    estimate = estimator_with(monkeypatch, Oracle(LOST[1]), samples=2).estimate(shaken)
     assert estimate.details["chosen"] == "classical"
     assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.95
     assert estimate.details["classical"] == len(STARTS)
     assert estimate.method == "motdiff"
 
 
-@pytest.mark.parametrize("refine", [False, True])
 def test_the_network_s_motion_is_the_result_where_the_photo_believes_it_more(
-    monkeypatch, classical, shaken, refine
+    monkeypatch, classical, shaken
 ):
     classical(*[LOST[0]] * len(STARTS))
-    options = {"samples": 2, "steps": 2, "refine": refine}
-    estimate = estimator_with(monkeypatch, Oracle(STRAIGHT), **options).estimate(shaken)
+    estimate = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=2).estimate(shaken)
     assert estimate.details["chosen"] in ("sample", "mean of samples")
     assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.95
 
@@ -608,15 +606,14 @@ def test_the_mean_of_the_draws_and_the_likeliest_classical_kernel_are_always_ref
 
 
 def test_the_network_is_told_of_three_full_searches_smallest_frame_first(
-    monkeypatch, classical, shaken
+    monkeypatch, classical, unrefined, shaken
 ):
     """As in its training: frames of 29, 39 and 53 px, of the photo as it is, zero displacement at
     index 32."""
     motions = [Trajectory.straight(float(i + 5), angle_rad=0.3) for i in range(len(STARTS))]
     classical(*motions)
     network = Blind()
-    options = {"samples": 1, "steps": 1, "refine": False}
-    estimator_with(monkeypatch, network, **options).search(shaken[None])
+    estimator_with(monkeypatch, network, samples=1).search(shaken[None])
     told = [(29, 0), (39, 0), (53, 0)]
     index = [
         [(start.size, start.quarter_turns) for start in STARTS].index(wanted) for wanted in told
@@ -629,46 +626,42 @@ def test_the_network_is_told_of_three_full_searches_smallest_frame_first(
 
 
 def test_where_the_first_two_searches_agree_the_larger_stands_for_the_third(
-    monkeypatch, classical, shaken
+    monkeypatch, classical, unrefined, shaken
 ):
     monkeypatch.setattr(
         module.PmpEstimator, "kernels", lambda *_, **__: [STRAIGHT.psf(39), LOST[0].psf(53)]
     )
     network = Blind()
-    found = estimator_with(monkeypatch, network, samples=1, steps=1, refine=False).search(
-        shaken[None]
-    )
-    assert len(found.kernels) == 1 + 2 + 1
+    found = estimator_with(monkeypatch, network, samples=1).search(shaken[None])
+    assert found.details["classical"] == 2
     for kernel, told in zip(
         network.shown[0][0, 2:5].numpy(), (LOST[0], STRAIGHT, LOST[0]), strict=True
     ):
         np.testing.assert_allclose(kernel, told.psf(64) / told.psf(64).max(), atol=1e-6)
 
 
-def test_the_real_searches_fit(monkeypatch):
+def test_the_real_searches_fit(monkeypatch, unrefined):
     """One start of each kind, on a small photo: their frames shrink with it."""
     monkeypatch.setattr(
         module, "PmpEstimator", partial(PmpEstimator, starts=(Start(21, sparsity=1.0), Start(99)))
     )
     network = Blind()
-    options = {"samples": 1, "steps": 1, "refine": False}
-    found = estimator_with(monkeypatch, network, **options).search(
+    found = estimator_with(monkeypatch, network, samples=1).search(
         photo_of(STRAIGHT, 64, 64)[None]
     )
-    assert len(found.kernels) == 1 + 2 + 1
+    assert found.details["classical"] == 2
     assert network.shown[0].shape == (1, 8, 64, 64)
     assert np.ptp(np.nonzero(found.kernels[1]), axis=1).max() < 21
     assert all(kernel.sum() == pytest.approx(1) for kernel in found.kernels)
 
 
 def test_kernels_that_the_photo_does_not_believe_are_said_to_be_lost(
-    monkeypatch, classical, shaken
+    monkeypatch, classical, unrefined, shaken
 ):
     monkeypatch.setattr(
         module, "candidate_probabilities", lambda rows, *_, **__: np.full(len(rows), 0.3)
     )
-    options = {"samples": 1, "steps": 1, "refine": False}
-    estimate = estimator_with(monkeypatch, Oracle(STRAIGHT), **options).estimate(shaken)
+    estimate = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=1).estimate(shaken)
     (lost,) = estimate.warnings
     assert lost.startswith("the blind estimate is probably lost (confidence 0.30)")
     assert estimate.confidence == 0.3
@@ -678,7 +671,7 @@ def test_kernels_that_the_photo_does_not_believe_are_said_to_be_lost(
 
 
 def test_the_same_photo_and_seed_give_the_same_estimate(physics_only, no_tracing, shaken):
-    options = {"weights": physics_only, "samples": 2, "steps": 2, "seed": 4}
+    options = {"weights": physics_only, "samples": 2, "seed": 4}
     first, again = (MotDiffEstimator(**options).estimate(shaken[:72, :80]) for _ in range(2))
     np.testing.assert_array_equal(first.psf, again.psf)
     assert (first.confidence, first.details, first.weights) == (
@@ -689,8 +682,8 @@ def test_the_same_photo_and_seed_give_the_same_estimate(physics_only, no_tracing
     assert first.details["classical"] in (2, 4)
 
 
-def test_another_seed_gives_other_draws(physics_only, no_search, shaken):
-    options = {"weights": physics_only, "samples": 3, "steps": 2, "refine": False}
+def test_another_seed_gives_other_draws(physics_only, no_search, unrefined, shaken):
+    options = {"weights": physics_only, "samples": 3}
     one, same, other = (
         MotDiffEstimator(**options, seed=seed).search(shaken[None]).kernels[:3]
         for seed in (4, 4, 5)
@@ -699,9 +692,6 @@ def test_another_seed_gives_other_draws(physics_only, no_search, shaken):
         np.testing.assert_array_equal(one[i], same[i])
         assert np.abs(one[i] - other[i]).max() > 1e-3 * one[i].max()
         assert all(np.abs(one[i] - one[j]).max() > 1e-3 * one[i].max() for j in range(i))
-
-
-CHEAP = {"samples": 1, "steps": 1, "refine": False}
 
 
 @pytest.mark.parametrize(
@@ -714,8 +704,8 @@ CHEAP = {"samples": 1, "steps": 1, "refine": False}
         ((500, 700), (3, 256, 256)),
     ],
 )
-def test_photos_of_any_size(physics_only, no_search, no_tracing, shape, expected):
-    estimate = MotDiffEstimator(weights=physics_only, **CHEAP).estimate(dead_leaves(*shape))
+def test_photos_of_any_size(physics_only, no_search, no_tracing, unrefined, shape, expected):
+    estimate = MotDiffEstimator(weights=physics_only, samples=1).estimate(dead_leaves(*shape))
     assert no_search[0][0] == (1, *expected)
     assert estimate.psf.sum() == pytest.approx(1)
     assert np.isfinite(estimate.psf).all()
@@ -723,14 +713,14 @@ def test_photos_of_any_size(physics_only, no_search, no_tracing, shape, expected
         assert estimate.details["crops"] == 1
 
 
-def test_at_most_so_many_crops_as_asked_for(physics_only, no_search, no_tracing):
-    MotDiffEstimator(weights=physics_only, crops=2, **CHEAP).estimate(dead_leaves(500, 700))
+def test_at_most_so_many_crops_as_asked_for(physics_only, no_search, no_tracing, unrefined):
+    MotDiffEstimator(weights=physics_only, crops=2, samples=1).estimate(dead_leaves(500, 700))
     assert no_search[0][0] == (1, 2, 256, 256)
 
 
-def test_a_network_of_photo_and_physics(weights_of, no_search, no_tracing):
+def test_a_network_of_photo_and_physics(weights_of, no_search, no_tracing, unrefined):
     weights = weights_of("b0")
-    estimate = MotDiffEstimator(weights=weights, **CHEAP).estimate(dead_leaves(200, 300))
+    estimate = MotDiffEstimator(weights=weights, samples=1).estimate(dead_leaves(200, 300))
     assert estimate.details["classical"] == 3
     assert estimate.psf.sum() == pytest.approx(1)
     assert np.isfinite(estimate.psf).all()
@@ -779,7 +769,7 @@ def test_unusable_photos_are_refused_in_one_line(monkeypatch, photo, message):
     assert oracle.photos == []
 
 
-@pytest.mark.parametrize("name", ["samples", "steps", "crops"])
+@pytest.mark.parametrize("name", ["samples", "crops"])
 def test_counts_must_be_positive(name):
     with pytest.raises(ValueError, match=f"^{name}: must be at least 1, got 0$"):
         MotDiffEstimator(weights="nowhere.safetensors", **{name: 0})
@@ -792,8 +782,7 @@ def test_missing_weights_are_named(tmp_path):
 
 def test_progress_rises_to_one(monkeypatch, classical, shaken):
     seen = []
-    options = {"samples": 1, "steps": 1, "progress": seen.append}
-    estimator = estimator_with(monkeypatch, Oracle(STRAIGHT), **options)
+    estimator = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=1, progress=seen.append)
     for _ in range(2):  # of each photo from the start
         seen.clear()
         estimator.estimate(shaken)

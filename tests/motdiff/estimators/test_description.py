@@ -4,7 +4,7 @@ of them."""
 import numpy as np
 import pytest
 
-from motdiff.estimators.from_kernel import as_estimate
+from motdiff.estimators.description import as_estimate
 from motdiff.metrics import mnc
 from motdiff.trajectory import Trajectory
 
