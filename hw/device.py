@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from hw.errors import one_line
 from hw.files import content
 from hw.program import Program
 
@@ -127,7 +128,7 @@ class DeviceProfile:
         try:
             return cls(**figures)
         except (ValueError, OverflowError) as error:  # whole numbers that no float reaches
-            raise ValueError(f"{source}: {_one_line(error)}") from None
+            raise ValueError(f"{source}: {one_line(error)}") from None
 
     def to_dict(self) -> dict[str, Any]:
         """Content of the profile's file: its schema, and the fields that are not left out."""
@@ -234,7 +235,7 @@ def parse_profile(text: str, *, source: str = "profile") -> DeviceProfile:
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{source} is not TOML: {_one_line(error)}") from None
+        raise ValueError(f"{source} is not TOML: {one_line(error)}") from None
     return DeviceProfile.from_dict(table, source=source)
 
 
@@ -259,6 +260,7 @@ def load_profile(name: str | Path) -> DeviceProfile:
         If there is no such profile, or its file cannot be read or is wrong.
     """
     text_name = str(name)
+    # a path is a file's, whatever its suffix
     if isinstance(name, str) and not text_name.endswith(".toml"):
         names = profile_names()
         if text_name not in names:
@@ -275,7 +277,7 @@ def load_profile(name: str | Path) -> DeviceProfile:
     except UnicodeDecodeError:
         text = "\0"
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or _one_line(error)
+        reason = getattr(error, "strerror", None) or one_line(error)
         raise ValueError(
             f"{text_name} cannot be read: {reason}; name a built-in profile or a .toml file"
         ) from None
@@ -337,8 +339,3 @@ def _time(time_ns: int) -> str:
         if time_ns >= unit_ns:
             return f"{time_ns / unit_ns:.6g} {unit}"
     return f"{time_ns} ns"
-
-
-def _one_line(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return text if len(text) <= 200 else f"{text[:197]}..."

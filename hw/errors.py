@@ -1,4 +1,4 @@
-"""Errors of a device as typed exceptions."""
+"""Errors of a device as typed exceptions, and any error as one line."""
 
 from __future__ import annotations
 
@@ -86,3 +86,8 @@ def device_error(code: int, *, request: str, source: str) -> DeviceError:
     if kind is DutyLimitError and request == "ARM":
         text = _OWED
     return kind(f"{source} refuses {request}: {text}")
+
+
+def one_line(error: Exception) -> str:
+    """Text of an error in one line, of at most 160 characters."""
+    return " ".join(str(error).split())[:160] or type(error).__name__

@@ -7,6 +7,9 @@ import os
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from hw.errors import one_line
+
+_BAUD = 115200  # of CXP1; a port over USB, as the Pulse Pal's, has none
 _POLL_S = 0.01  # longest wait of a read: deadlines are checked as often
 _ERRNO_HINTS = {
     # The numbers of Linux, and 35 of macOS: pyserial passes on nothing else that tells them apart.
@@ -159,8 +162,8 @@ def port_named(name: str) -> str:
     return ports[0] if ports else name
 
 
-def open_port(port: str, *, baud: int = 115200) -> SerialPort:
-    """Open a serial port exclusively.
+def open_port(port: str) -> SerialPort:
+    """Open a serial port exclusively, at 115200 baud.
 
     Where the system allows it, the line that resets an Arduino is left as it is when the port is
     closed, so that opening it again finds the board and its program as they were.
@@ -169,25 +172,21 @@ def open_port(port: str, *, baud: int = 115200) -> SerialPort:
     ----------
     port : str
         Name of a serial port, as ``/dev/ttyUSB0`` or ``COM3``, or its USB serial number.
-    baud : int
-        Line rate.
 
     Raises
     ------
     PortError
-        If it is missing, busy, not a serial port, or the baud rate is impossible.
+        If it is missing, busy, or not a serial port.
     """
     import serial
 
     if not isinstance(port, str) or not port.strip():
         raise PortError(f"port is {port!r}: name a serial port")
-    if isinstance(baud, bool) or not isinstance(baud, int) or not 0 < baud <= 10**7:
-        raise PortError(f"baud is {baud!r}: a whole number 1..10000000 is needed, usually 115200")
     try:
         serial_port: Any = serial.Serial(
             # exclusive: two hosts on one line would take each other's replies
             port_named(port),
-            baud,
+            _BAUD,
             timeout=_POLL_S,
             write_timeout=1.0,
             exclusive=True,
@@ -202,11 +201,6 @@ def open_port(port: str, *, baud: int = 115200) -> SerialPort:
     with contextlib.suppress(Exception):
         _keep_lines_on_close(serial_port.fileno())
     return serial_port  # type: ignore[no-any-return]
-
-
-def one_line(error: Exception) -> str:
-    """Text of an error in one line, of at most 160 characters."""
-    return " ".join(str(error).split())[:160] or type(error).__name__
 
 
 def _errno(error: BaseException | None) -> int:

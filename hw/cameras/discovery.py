@@ -21,6 +21,7 @@ class ConnectedCamera:
     names: tuple[str, ...]
 
     def __str__(self) -> str:
+        # the camera's own words, which go to a terminal
         text = f"{self.model} {self.names[0]}"
         return "".join(character if character.isprintable() else "?" for character in text)[:80]
 
@@ -56,6 +57,7 @@ def choose_camera(kind: str, address: str, connected: Sequence[ConnectedCamera])
     if len(fits) > 1:
         several = ", ".join(str(connected[index]) for index in fits)
         names = connected[fits[0]].names
+        # a name that none of the others has, where there is one
         right = next((name for name in names if _owners(name, connected) == 1), names[0])
         raise ValueError(
             f"{kind}: {len(fits)} cameras fit: {several}; name one, as {kind}:{right}"

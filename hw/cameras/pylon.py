@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 from hw.cameras.camera import CameraError, Frame, FrameLostError
 from hw.cameras.discovery import ConnectedCamera, choose_camera
 from hw.cameras.genicam import GenicamCamera, Value
-from hw.port import one_line
+from hw.errors import one_line
 
 
 class PylonCamera(GenicamCamera):
@@ -98,6 +98,7 @@ class PylonCamera(GenicamCamera):
             result = self._device.RetrieveResult(
                 round(timeout_s * 1e3), pylon.TimeoutHandling_Return
             )
+            # no result at all: no frame came, or the camera is gone
             if not result.IsValid():
                 self._gone = self._device.IsCameraDeviceRemoved()
                 if self._gone:

@@ -57,6 +57,7 @@ class Framing:
 
     def split(self, buffer: bytes) -> tuple[list[bytes], bytes]:
         """Split received bytes into complete frames, without their ends, and the rest."""
+        # a sender begins with an end, which closes noise: such frames are empty
         *frames, unfinished = buffer.split(self.end)
         return [frame for frame in frames if frame], unfinished
 

@@ -70,12 +70,7 @@ class Link:
         self._rest = b""
         atexit.register(self._leave)  # an exit without close leaves no shutter armed
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the port is still open on our side."""
-        return self._port.is_open
-
-    def request(self, op: int, payload: bytes = b"", *, attempts: int | None = None) -> bytes:
+    def request(self, op: int, payload: bytes = b"") -> bytes:
         """Send one request until its reply comes, and return the reply's data.
 
         The same frame is sent each time, so that the device can distinguish a retry from a second
@@ -91,8 +86,7 @@ class Link:
         self._seq = (self._seq + 1) % 256  # another seq is another request, never a retry
         before = self._answerable
         self._answerable = self._answerable or op in _CHANGES
-        attempts = attempts or self.attempts
-        for attempt in range(attempts):
+        for attempt in range(self.attempts):
             self.retries += attempt > 0
             reply = self._ask(op, payload, self.framing, flush=attempt > 0)
             if reply is not None:
@@ -102,7 +96,7 @@ class Link:
                     self._answerable = False
                 return self._data(reply)
         raise LinkError(
-            f"{self.name} does not answer {op_name(op)}, asked {attempts} times: "
+            f"{self.name} does not answer {op_name(op)}, asked {self.attempts} times: "
             "check cable, power and firmware"
         )
 

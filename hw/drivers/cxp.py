@@ -31,6 +31,7 @@ from hw.program import Program
 
 PROVEN_FIRMWARE = frozenset({"cxp-avr 1", "cxp-rp2040 1"})
 """Firmware whose edges the tests prove on emulated processors."""
+_ASKED_S = 2.5  # each port: a board that its opening resets answers late
 
 
 class Controller:
@@ -118,15 +119,13 @@ class Controller:
         program: Program,
         *,
         profile: DeviceProfile | None = None,
-        verify: bool = True,
         arm: bool = False,
         lease_ms: int = LEASE_MS,
         clock_ppm: float = 0.0,
     ) -> UploadReport:
         """Check a program, load it, read it back, and arm if wanted.
 
-        As :meth:`hw.drivers.driver.Driver.upload`; without `verify` nothing is read back, and the
-        report's trust is B.
+        As :meth:`hw.drivers.driver.Driver.upload`.
         """
         problems = self.check(program, profile=profile)
         if problems:
@@ -137,8 +136,7 @@ class Controller:
         armed = False
         try:
             self.load(program, clock_ppm=clock_ppm)
-            if verify:
-                self.verify(program, clock_ppm=clock_ppm)
+            self.verify(program, clock_ppm=clock_ppm)
             if arm:
                 armed = self._armed(payload, self.status()).state is State.ARMED
         except WrongStateError:
@@ -154,8 +152,8 @@ class Controller:
             duration_ns=program.duration_ns,
             code_crc32=program.code_crc32,
             firmware=self.announced.firmware,
-            read_back=verify,
-            trust=self.trust if verify else Trust.B,
+            read_back=True,
+            trust=self.trust,
             armed=armed,
             lease_ms=lease_ms if armed else None,
             clock_ppm=clock_ppm,
@@ -245,13 +243,8 @@ class Controller:
         with self._closed_on_doubt():
             self.link.request(Op.TRIG)
 
-    def play(self, *, timeout_s: float | None = None) -> Status:
+    def play(self) -> Status:
         """Play the armed program once, wait for its end, and read back that it was played.
-
-        Parameters
-        ----------
-        timeout_s : float, optional
-            How long to wait for the end; by the stored program's length when omitted.
 
         Returns
         -------
@@ -261,16 +254,14 @@ class Controller:
         Raises
         ------
         VerifyError
-            If it still plays after `timeout_s`, or the status is another one; ABORT has then been
-            sent.
+            If it plays for longer than the stored program lasts, or the status is another one;
+            ABORT has then been sent.
         """
-        if timeout_s is None:
-            stored = self.read()
-            duration_ns = len(stored.bits) * float(stored.chip_ticks) * self.announced.tick_ns
-            timeout_s = 1.1e-9 * duration_ns + 2  # a clock may be 10 % slow, a line late
+        stored = self.read()
+        duration_ns = len(stored.bits) * float(stored.chip_ticks) * self.announced.tick_ns
         before = self.status()
         self.trigger()
-        status = self.wait(timeout_s=timeout_s)
+        status = self.wait(timeout_s=1.1e-9 * duration_ns + 2)  # a clock may be 10 % slow
         with self._closed_on_doubt():
             # The count of plays, not the state: DONE may be that of an earlier play.
             plays = (status.runs - before.runs) % 65536
@@ -382,7 +373,7 @@ class Controller:
             raise
 
 
-def ask_ports(*, hello_s: float = 2.5) -> tuple[tuple[PortInfo, Hello | str], ...]:
+def ask_ports() -> tuple[tuple[PortInfo, Hello | str], ...]:
     """Request a HELLO on every serial port: each HELLO, or the reason why there is none.
 
     Opening a port resets many boards, and other devices receive unexpected bytes.
@@ -390,7 +381,7 @@ def ask_ports(*, hello_s: float = 2.5) -> tuple[tuple[PortInfo, Hello | str], ..
     answers: list[tuple[PortInfo, Hello | str]] = []
     for info in list_ports():
         try:
-            link, hello = open_link(info.port, hello_s=hello_s)
+            link, hello = open_link(info.port, hello_s=_ASKED_S)
         except (PortError, LinkError) as error:
             answers.append((info, str(error)))
         else:

@@ -85,11 +85,6 @@ class PulsePalLink:
         self.firmware = 0
         self._port = OpenPort(port, name=name)
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the port is still open on our side."""
-        return self._port.is_open
-
     def hello(self, *, hello_s: float) -> None:
         """Greet the device for `hello_s` seconds and note its firmware.
 

@@ -9,9 +9,9 @@ from typing import Any, Self
 
 from hw.device import DeviceProfile
 from hw.drivers.write_only import WriteOnlyDevice
-from hw.errors import DeviceError, WrongStateError
+from hw.errors import DeviceError, WrongStateError, one_line
 from hw.export.scpi import WAVEFORM, commands, sample_rate, samples
-from hw.port import LinkError, PortError, one_line
+from hw.port import LinkError, PortError
 from hw.program import Program
 
 # Keysight's series that share these commands: 33500, 33600, EDU33210
@@ -47,11 +47,6 @@ class ScpiLink:
     def __init__(self, resource: Any, *, name: str) -> None:
         self.name = name
         self._resource = resource
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the resource is still open on our side."""
-        return self._resource is not None
 
     def send(self, command: str, data: bytes = b"") -> None:
         """Send a command, with binary data right behind it.

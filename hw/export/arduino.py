@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from string import Template
 
 from hw.device import DeviceProfile
-from hw.export.base import GENERIC, Exporter, closed_at, hex_rows, packed_bytes
+from hw.export.base import GENERIC, Exporter, hex_rows, packed_bytes, value_in
 from hw.program import Program
 
 _LEAST_TICKS = 100  # 50 us: the longest path through the interrupt, with some to spare
 _MOST_TICKS = 65_535  # Timer 1 counts 16 bits
 _MOST_CHIPS = 65_535  # the index of the chip has 16 bits
-_CHIPS = re.compile(r"^#define CHIPS (\S+)u$", re.MULTILINE)
-_TICKS = re.compile(r"^#define TICKS (\S+)u ", re.MULTILINE)
-_CLOSED = re.compile(r"^#define CLOSED_LEVEL ([01]) ", re.MULTILINE)
-_CRC = re.compile(r"^// CRC32 (\S+) ", re.MULTILINE)
-_ARRAY = re.compile(r"^static const uint8_t code\[\] PROGMEM = \{([^{}]*)\};$", re.MULTILINE)
 
 _SKETCH = Template("""\
 // Shutter program written by coded-exposure: $chips chips of $chip_ns ns.
@@ -143,7 +137,6 @@ class ArduinoSketch(Exporter):
     summary = "sketch for an Arduino Uno or Nano that plays the code on D9 at a trigger on D2"
     needs = "an Arduino Uno or Nano (ATmega328P, 16 MHz)"
     manual = "Microchip ATmega328P datasheet: Timer 1, output compare"
-    label = "Arduino sketch"
     tick_ns = 500
 
     def export(self, program: Program, device: DeviceProfile = GENERIC, /) -> str:
@@ -170,10 +163,7 @@ class ArduinoSketch(Exporter):
 
     def parse_back(self, text: str, /) -> Program:
         """Read the program back from the array and the timer's period."""
-        chips = self.only_integer(_CHIPS, text, "CHIPS")
-        ticks = self.only_integer(_TICKS, text, "TICKS")
-        closed_level = int(self.only(_CLOSED, text, "CLOSED_LEVEL"))
-        crc = self.only(_CRC, text, "CRC32 comment")
-        packed = packed_bytes(self.only(_ARRAY, text, "code array"), item=f"{self.label} code")
-        program = Program.from_bytes(packed, chips=chips, chip_ns=ticks * self.tick_ns)
-        return self.unaltered(self.verified(program, crc), text, closed_at(closed_level))
+        chips = int(value_in(text, r"^#define CHIPS (\d+)u$"))
+        ticks = int(value_in(text, r"^#define TICKS (\d+)u "))
+        packed = packed_bytes(value_in(text, r"code\[\] PROGMEM = \{([^{}]*)\};$"))
+        return Program.from_bytes(packed, chips=chips, chip_ns=ticks * self.tick_ns)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
-
 from hw.device import DeviceProfile
-from hw.export.base import GENERIC, Exporter, closed_at
+from hw.export.base import GENERIC, Exporter, value_in
 from hw.program import Program
 
 WAVEFORM = "SHUTTER"
@@ -15,10 +13,6 @@ _LEAST_SAMPLES = 8  # the instrument refuses shorter waveforms
 _MOST_SAMPLES = 1_000_000  # its memory without an option
 _LEAST_CHIP_NS = 16  # 62.5 MSa/s, the most with the filter off
 _HIGH_V = 5  # TTL
-_CHIPS = re.compile(r"^# chips: (\S+)$", re.MULTILINE)
-_CHIP_NS = re.compile(r"^# chip_ns: (\S+)$", re.MULTILINE)
-_CRC = re.compile(r"^# code_crc32: (\S+)$", re.MULTILINE)
-_DATA = re.compile(rf"^DATA:ARB {WAVEFORM},([-1,]+)$", re.MULTILINE)
 
 
 def samples(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[int, ...]:
@@ -108,7 +102,6 @@ class ScpiScript(Exporter):
     summary = "SCPI commands for a 33500-class waveform generator: triggered burst of one cycle"
     needs = "a waveform generator of the 33500 class"
     manual = "Keysight 33500 Series Operating and Service Guide"
-    label = "SCPI text"
 
     def export(self, program: Program, device: DeviceProfile = GENERIC, /) -> str:
         """Write the commands one per line, and remarks that begin with ``#``.
@@ -130,16 +123,8 @@ class ScpiScript(Exporter):
 
     def parse_back(self, text: str, /) -> Program:
         """Read the program back from the waveform data."""
-        chips = self.only_integer(_CHIPS, text, "'# chips:'")
-        chip_ns = self.only_integer(_CHIP_NS, text, "'# chip_ns:'")
-        crc = self.only(_CRC, text, "'# code_crc32:'")
-        levels = self.only(_DATA, text, f"DATA:ARB {WAVEFORM}").split(",")
-        if not set(levels) <= {"1", "-1"} or len(levels) < max(_LEAST_SAMPLES, chips + 2):
-            raise ValueError(
-                f"{self.label} DATA:ARB has not {chips + 2} samples of 1 or -1: it was altered,"
-                " export again"
-            )
-        closed_sample = levels[0]
-        bits = "".join("0" if level == closed_sample else "1" for level in levels[1 : chips + 1])
-        program = self.verified(Program(bits, chip_ns), crc)
-        return self.unaltered(program, text, closed_at(int(closed_sample == "1")))
+        chips = int(value_in(text, r"^# chips: (\d+)$"))
+        chip_ns = int(value_in(text, r"^# chip_ns: (\d+)$"))
+        closed_level, *levels = value_in(text, rf"^DATA:ARB {WAVEFORM},(\S+)$").split(",")
+        bits = "".join("0" if level == closed_level else "1" for level in levels[:chips])
+        return Program(bits, chip_ns)

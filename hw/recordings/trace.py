@@ -67,6 +67,7 @@ class Recording:
                     " into it"
                 )
             return busiest
+        # the name alone, or with the scopes that it lies in
         matches = [
             trace for trace in self.traces if name in {trace.name, trace.name.rpartition(".")[2]}
         ]

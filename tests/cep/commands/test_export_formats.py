@@ -39,7 +39,6 @@ def morse():
         summary = "dots and dashes, for lamps"
         needs = "a lamp"
         manual = "ITU-R M.1677-1"
-        label = "Morse text"
         tick_ns = 1000
 
         def export(self, program, _device=GENERIC, /):

@@ -167,9 +167,6 @@ def test_missing_wrong_and_busy_ports(tmp_path):
         ):
             open_port(device.port)
         open_port(device.port).close()
-        for baud in (0, -1, "fast", True, 10**9):
-            with pytest.raises(PortError, match="baud"):
-                open_port(device.port, baud=baud)
         with pytest.raises(ValueError, match="timeout_s"):
             open_link(device.port, timeout_s=0)
         open_port(device.port).close()

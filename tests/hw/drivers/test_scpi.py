@@ -360,7 +360,8 @@ def test_leaving_by_an_exception_switches_the_output_off(kind):
             raise kind("mine")
         assert not hasattr(caught.value, "__notes__")
         assert device.volts_now is None
-        assert not awg.link.is_open
+        with pytest.raises(LinkError, match="is closed"):
+            awg.link.ask("*IDN?")
 
 
 def test_leaving_normally_keeps_an_armed_instrument_armed():

@@ -1,4 +1,3 @@
-import contextlib
 import json
 import subprocess
 import tomllib
@@ -47,17 +46,6 @@ def exports(draw):
     return name, program, EXPORTERS[name].export(program, device)
 
 
-@contextlib.contextmanager
-def _one_short_line_if_refused():
-    message = ""
-    try:
-        yield
-    except ValueError as error:
-        message = str(error)
-    assert "\n" not in message
-    assert len(message) < 300
-
-
 @settings(deadline=None, max_examples=400)
 @given(exports())
 def test_parse_back_gives_the_identical_program(exported):
@@ -67,55 +55,13 @@ def test_parse_back_gives_the_identical_program(exported):
     assert (back.edges, back.duration_ns) == (program.edges, program.duration_ns)
 
 
-@settings(deadline=None, max_examples=1500)
-@given(exports(), st.data())
-def test_an_altered_text_is_refused_or_means_the_same(exported, data):
-    name, program, text = exported
-    at = data.draw(st.integers(0, len(text) - 1))
-    new = data.draw(
-        st.one_of(st.just(""), st.sampled_from('01579afx,.:"[]{}-#/ \n'), st.characters())
-    )
-    length = data.draw(st.sampled_from([0, 1, 1, 1, 5]))
-    altered = text[:at] + new + text[at + length :]
-    with _one_short_line_if_refused():
-        assert EXPORTERS[name].parse_back(altered) == program
-
-
-@settings(deadline=None, max_examples=300)
-@given(exports(), st.data())
-def test_a_truncated_text_is_refused_or_means_the_same(exported, data):
-    name, program, text = exported
-    cut = data.draw(st.integers(0, len(text) - 1))
-    with _one_short_line_if_refused():
-        assert EXPORTERS[name].parse_back(text[:cut]) == program
-        assert not text[cut:].strip()
-
-
-@pytest.mark.parametrize("name", sorted(set(EXPORTERS) - {"c", "csv", "json"}))
-def test_what_plays_is_compared_to_the_last_line(name):
-    """A file for a player holds more than the code, so that any altered line makes it another
-    program."""
-    program = Program.from_bits("0110", chip_ns=200_000)
-    lines = EXPORTERS[name].export(program).rstrip().split("\n")
-    for number in range(len(lines)):
-        altered = [line + " " * (k == number) for k, line in enumerate(lines)]
-        if number < len(lines) - 1:
-            with pytest.raises(ValueError, match=r"."):
-                EXPORTERS[name].parse_back("\n".join(altered))
-    assert EXPORTERS[name].parse_back("\n".join(lines)) == program
-
-
-def test_a_program_that_reads_back_with_other_edges_is_not_exported(monkeypatch):
+def test_a_format_that_is_not_known_is_refused():
     program = Program.from_bits("1011", chip_ns=200_000)
     assert export_program(program, "csv") == EXPORTERS["csv"].export(program)
     with pytest.raises(
         ValueError, match=r"^file_format: must be one of csv, json, .*, got 'nope'$"
     ):
         export_program(program, "nope")
-    other = EXPORTERS["csv"].export(Program.from_bits("1010", chip_ns=200_000))
-    monkeypatch.setattr(EXPORTERS["csv"], "export", lambda *_: other)
-    with pytest.raises(RuntimeError, match="csv: reading the text back gave other edges"):
-        export_program(program, "csv")
 
 
 def _files(program, device):
@@ -166,111 +112,29 @@ def test_json_fields():
     assert manifest["code_crc32"] == f"0x{program.code_crc32:08x}"
 
 
-def _csv(*, drop="", replace=("", "")):
-    text = EXPORTERS["csv"].export(Program.from_bits("1011", chip_ns=1000))
-    return "".join(line for line in text.splitlines(True) if not (drop and drop in line)).replace(
-        *replace
-    )
-
-
-def _json(**changes):
-    manifest = json.loads(EXPORTERS["json"].export(Program.from_bits("1011", chip_ns=1000)))
-    return json.dumps(
-        {key: value for key, value in (manifest | changes).items() if value is not None}
-    )
-
-
-def _c(old, new):
-    text = EXPORTERS["c"].export(Program.from_bits("1011", chip_ns=1000))
-    assert old in text
-    return text.replace(old, new)
-
-
-def _altered(name, old, new):
-    text = EXPORTERS[name].export(Program.from_bits("1011", chip_ns=200_000))
-    assert old in text
-    return text.replace(old, new)
-
-
 @pytest.mark.parametrize(
-    ("name", "text", "words"),
+    ("name", "written", "wrong"),
     [
-        ("csv", "", "no '# format:'"),
-        ("csv", "\x89PNG\r\n\x1a\n", "column line"),
-        ("csv", _csv(drop="chip_ns"), "no '# chip_ns:'"),
-        ("csv", _csv(drop="code_crc32"), "no '# code_crc32:'"),
-        ("csv", _csv(drop="time_us"), "column line"),
-        ("csv", _csv(drop="4.000,0"), "cut short"),
-        ("csv", _csv(drop="1.000,0"), "cut short|level"),
-        ("csv", _csv(replace=("hw.csv/1", "hw.csv/2")), "hw.csv/2"),
-        ("csv", _csv(replace=("1.000,0\n2.000,1", "2.000,1\n1.000,0")), "level|order"),
-        ("csv", _csv(replace=("1.000,0\n2.000,1", "2.000,0\n1.000,1")), "out of order"),
-        ("csv", _csv(replace=("2.000,1", "2.001,1")), "off the grid"),
-        ("csv", _csv(replace=("2.000,1", "nan,1")), "row like"),
-        ("csv", _csv(replace=("2.000,1", "3.000,1")), "CRC32"),
-        ("csv", _csv(replace=("chips: 4", "chips: 4000000000000000000")), "cut short"),
-        ("json", "", "cannot be read"),
-        ("json", "[" * 100_000, "cannot be read"),
-        ("json", "[]", "holds a list"),
-        ("json", _json(schema="hw.program/2"), "hw.program/2"),
-        ("json", _json(bits=None), "no field 'bits'"),
-        ("json", _json(edges=None), "no field 'edges'"),
-        ("json", _json(bits=[1, 0]), "bits is a list"),
-        ("json", _json(bits="10x1"), "chip 2"),
-        ("json", _json(chip_ns=1000.0), "whole number"),
-        ("json", _json(bits="1010"), "CRC32"),
-        ("json", _json(code_crc32="0x00000000"), "CRC32"),
-        ("json", _json(edges=[[1000, 0], [0, 1]]), "'edges' disagrees"),
-        ("json", _json(chips=True), "'chips' disagrees"),
-        ("c", "", "does not end with #endif"),
-        ("c", "#endif", "0 of SHUTTER_CODE_CHIPS"),
-        ("c", _c("0xb0", "0xd0"), "CRC32"),
-        ("c", _c("0xb0", "0xb1"), "padding"),
-        ("c", _c("0xb0", "0xb"), "bytes like"),
-        ("c", _c("0xb0", "0xb0, 0x00"), "SHUTTER_CODE_BYTES"),
-        ("c", _c("CHIP_NS 1000", "CHIP_NS 1001"), "CRC32"),
-        ("c", _c("CHIPS 4u", "CHIPS 5u"), "CRC32"),
-        ("c", _c("#define SHUTTER_CODE_CHIPS 4u\n", ""), "0 of SHUTTER_CODE_CHIPS"),
-        ("c", _c("CRC32", "crc"), "CRC32 comment"),
-        ("vcd", "", "0 of '\\$comment chip_ns'"),
-        ("vcd", _altered("vcd", "chips 4", "chips 5"), "CRC32"),
-        ("vcd", _altered("vcd", "chips 4", "chips 99999999999"), "at most 10000000"),
-        ("vcd", _altered("vcd", "1 ns $end", "1 us $end"), "line 3 .* altered"),
-        ("vcd", _altered("vcd", "#600000\n1s", "#600000\n0s"), "level"),
-        ("arduino", "", "0 of CHIPS"),
-        ("arduino", _altered("arduino", "TICKS 400u", "TICKS 4000u"), "CRC32"),
-        ("arduino", _altered("arduino", "WDTO_60MS", "WDTO_8S"), "line .* altered"),
-        ("rp2", "", "0 of CHIPS"),
-        ("rp2", _altered("rp2", "0xb0000000", "0xb"), "words like"),
-        ("rp2", _altered("rp2", "CHIPS = 4", "CHIPS = 40"), "hold 32 levels"),
-        ("rp2", _altered("rp2", "Pin(15", "Pin(16"), "line .* altered"),
-        ("pulsepal", "", "format 'None'"),
-        ("pulsepal", "\x00", "not TOML"),
-        ("pulsepal", _altered("pulsepal", "[channel]", "[other]"), "no table"),
-        ("pulsepal", _altered("pulsepal", "0, 8, 12", "0, 8, 13"), "onset '13'"),
-        ("pulsepal", _altered("pulsepal", "0, 8, 12", "0, 8, 16"), "onset '16'"),
-        (
-            "pulsepal",
-            _altered("pulsepal", "phase1_volts = 5.0", "phase1_volts = 3.3"),
-            "line .* altered",
-        ),
-        ("scpi", "", "0 of '# chips:'"),
-        ("scpi", _altered("scpi", ",-1,-1,-1\n", "\n"), "samples"),
-        ("scpi", _altered("scpi", "SRAT 5000", "SRAT 5001"), "line .* altered"),
-        ("camera", "", "format 'None'"),
-        ("camera", _altered("camera", ", 400.000", ", 400.0001"), "microseconds"),
-        ("camera", _altered("camera", ", 400.000", ", nan"), "microseconds"),
-        ("camera", _altered("camera", ", 400.000,", ", 400.000, 1.000,"), "one gap less"),
-        ("camera", _altered("camera", "0x83050002", "0x83050003"), "line .* altered"),
-        ("dmd", "", "0 of '# chip_ns:'"),
-        ("dmd", _altered("dmd", "400,0", "200,200"), "CRC32"),
-        ("dmd", _altered("dmd", "400,0", "400"), "row like"),
+        ("csv", "400.000,1", "600.000,1"),
+        ("json", "400000,\n   1", "600000,\n   1"),
+        ("vcd", "#600000\n1s", "#600000\n0s"),
+        ("c", "0xb0", "0xd0"),
+        ("arduino", "0xb0", "0xd0"),
+        ("rp2", "0xb0000000", "0xd0000000"),
+        ("pulsepal", "0, 8, 12", "0, 4, 12"),
+        ("pulsepal", "0, 8, 12", "0, 8, 13"),
+        ("scpi", "-1,1,-1,1,1,-1", "-1,1,1,-1,1,-1"),
+        ("camera", ", 400.000", ", 200.000"),
+        ("dmd", "200,200\n400,0", "200,400\n200,0"),
     ],
 )
-def test_corrupted_texts_get_one_clear_line(name, text, words):
-    with pytest.raises(ValueError, match=words) as caught:
-        EXPORTERS[name].parse_back(text)
-    assert "\n" not in str(caught.value)
+def test_the_edges_are_read_back_from_what_plays(monkeypatch, name, written, wrong):
+    program = Program.from_bits("1011", chip_ns=200_000)
+    text = EXPORTERS[name].export(program)
+    assert written in text
+    monkeypatch.setattr(EXPORTERS[name], "export", lambda *_: text.replace(written, wrong))
+    with pytest.raises(RuntimeError, match=f"{name}: reading the text back gave other edges"):
+        export_program(program, name)
 
 
 REFUSALS = [
