@@ -12,6 +12,9 @@ from cep.files.code_files import StoredCode, read_code
 from cep.optics.code import ShutterCode
 from motdiff.files.plugins import is_reference, load_object
 
+COMPLEMENT = "complement:"
+"""Before a code: the one that is open where that is closed, for a second shutter."""
+
 
 def load_code(source: str, *, chip_ns: int | None = None) -> ShutterCode:
     """Return a code by its bits, file or name: :func:`find_code` without what the file says of it.
@@ -51,7 +54,7 @@ def load_codes(sources: Sequence[str]) -> tuple[ShutterCode, ...]:
 
 def stated_chip_ns(source: str, code: ShutterCode) -> int | None:
     """Return the chip time, ns, that comes with a code; None for bits and published names."""
-    if code_file(source) is not None or is_reference(source):
+    if code_file(source) is not None or is_reference(source.removeprefix(COMPLEMENT)):
         return code.chip_ns
     return None
 
@@ -64,7 +67,7 @@ def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
     source : str
         Bits as ``1011``; a ``code.json``; the name of a published code as ``raskar-52``; or
         ``module:name``, a :class:`ShutterCode`, bits, or a function without arguments that returns
-        either.
+        either. ``complement:`` before any of them is open where that code is closed.
     chip_ns : int, optional
         Chip time, ns, instead of the code's own.
 
@@ -75,6 +78,9 @@ def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
     OSError
         If the file cannot be read.
     """
+    if source.startswith(COMPLEMENT):
+        code = load_code(source.removeprefix(COMPLEMENT), chip_ns=chip_ns)
+        return StoredCode(code.complement())
     file = code_file(source)
     # in this order: a file may be named as a code is, and bits are never looked up as a name
     if file is not None:
@@ -102,6 +108,7 @@ def code_file(source: str) -> Path | None:
     Bits are bits however many there are: a file name ends at some 255 characters, and asking for a
     longer one fails.
     """
+    source = source.removeprefix(COMPLEMENT)
     if not set(source) - set("01"):
         return None
     if source.endswith(".json") or os.path.isfile(source):
@@ -112,7 +119,7 @@ def code_file(source: str) -> Path | None:
 def code_label(source: str) -> str:
     """Name a code for tables and legends: a file by its stem, long bits by their head."""
     if (file := code_file(source)) is not None:
-        return file.stem
+        return COMPLEMENT * source.startswith(COMPLEMENT) + file.stem
     if len(source) <= 16:
         return source
     return f"{source[:12]}... ({len(source)})"

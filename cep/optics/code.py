@@ -130,6 +130,16 @@ class ShutterCode:
         """Number of open runs: how often the shutter opens."""
         return sum(bit for bit, _ in self.runs)
 
+    def complement(self) -> ShutterCode:
+        """Return the code that is open where this one is closed.
+
+        Raises
+        ------
+        ValueError
+            If no chip of this one is closed.
+        """
+        return ShutterCode(self.bits.translate(str.maketrans("01", "10")), self.chip_ns)
+
     def reversed(self) -> ShutterCode:
         """Return the code played backwards."""
         return replace(self, bits=self.bits[::-1])

@@ -1,14 +1,16 @@
 """Blur of a photo as a linear operator: PSF, OTF, photo's frame and borders in one object.
 
+Several photos of one scene, each with its PSF, are one operator as well.
+
 Beyond real borders the photo is extended periodically, by a membrane between opposite edges.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 from scipy import fft
 
 from motdiff.psf_frame import in_frame
@@ -16,6 +18,7 @@ from motdiff.threads import threads_here
 from motdiff.types import ComplexArray, FloatArray
 
 Border = Literal["real", "periodic"]
+_Number = TypeVar("_Number", bound=np.generic)
 SMALLEST_POWER = 1e-12  # of |H|^2 in a divisor: frequencies that the blur removes stay finite
 _SMALLEST_GAP_PX = 16  # a membrane over fewer pixels is a step at the seam, which rings
 
@@ -29,8 +32,8 @@ class Blur:
 
     Parameters
     ----------
-    psf : (S, S) array_like
-        Zero displacement at index ``size // 2``.
+    psf : (S, S) or (K, S, S) array_like
+        Zero displacement at index ``size // 2``; of K photos of one scene, one for each.
     photo_shape : (H, W)
     border : {"real", "periodic"}
         Whether light came in from outside the frame, or the photo is one period of its scene.
@@ -40,11 +43,13 @@ class Blur:
 
     Attributes
     ----------
-    psf : (K, K) float ndarray
+    psf : (S', S') or (K, S', S') float ndarray
         The PSF in the smallest odd frame around its zero displacement.
     grid_shape : (H', W')
-    H : (H', W' // 2 + 1) complex ndarray
+    H : (H', W' // 2 + 1) or (K, H', W' // 2 + 1) complex ndarray
         OTF on the ``rfft2`` grid.
+    power : (H', W' // 2 + 1) float ndarray
+        ``|H|^2``, summed over the photos: the spectrum of A^T A without borders.
 
     Raises
     ------
@@ -54,7 +59,8 @@ class Blur:
     Notes
     -----
     For a scene x, a photo y and the discrete Fourier transform F, with P cropping to the frame:
-    ``A x = P F^-1 H F x`` and ``A^T y = F^-1 conj(H) F P^T y``.
+    ``A x = P F^-1 H F x`` and ``A^T y = F^-1 conj(H) F P^T y``. Of K photos ``A x`` is all of
+    them, and ``A^T y`` the sum of what each gives.
 
     Examples
     --------
@@ -73,39 +79,51 @@ class Blur:
         dtype: DTypeLike = np.float64,
     ) -> None:
         self.dtype = dtype
-        self.psf = trimmed_psf(psf)
+        self.psf = trimmed_psfs(psf) if np.ndim(psf) == 3 else trimmed_psf(psf)
         self.photo_shape = photo_shape[0], photo_shape[1]
         self.grid_shape = self.photo_shape
-        rows, columns = np.nonzero(self.psf)
+        *photo, rows, columns = np.nonzero(self.psf)
         if border == "real":
             # a straight motion along an axis needs no gap across it
             reaches = (int(np.abs(axis - self.reach_px).max()) for axis in (rows, columns))
             height, width = (2 * reach + 1 for reach in reaches)
             self.grid_shape = extended_shape(self.photo_shape, (height, width))
-        wrapped = np.zeros(self.grid_shape)
+        wrapped = np.zeros((*self.psf.shape[:-2], *self.grid_shape))
         # np.add.at, since a PSF larger than a periodic photo wraps onto the same pixel twice
         np.add.at(
             wrapped,
             (
+                *photo,
                 (rows - self.reach_px) % self.grid_shape[0],
                 (columns - self.reach_px) % self.grid_shape[1],
             ),
-            self.psf[rows, columns],
+            self.psf[self.psf != 0],
         )
         self.H: ComplexArray = fft.rfft2(wrapped).astype(np.result_type(dtype, np.complex64))
+        self.power: FloatArray = self._over_photos(np.abs(self.H) ** 2)
 
     @property
     def reach_px(self) -> int:
         """Farthest row or column that light travels."""
-        return len(self.psf) // 2
+        return int(self.psf.shape[-1]) // 2
 
     def A(self, scene: FloatArray) -> FloatArray:
-        """Blur a scene (..., H', W') into a photo (..., H, W)."""
+        """Blur a scene (..., H', W') into a photo (..., H, W); (H', W') into K photos."""
         return self.crop(self.image(self.H * self.spectrum(scene)))
 
     def A_adjoint(self, photo: FloatArray) -> FloatArray:
-        """Correlate a photo (..., H, W), dark outside its frame, with the PSF: (..., H', W')."""
-        return self.image(np.conj(self.H) * self.spectrum(photo))
+        """Correlate a photo (..., H, W), dark outside its frame, with the PSF: (..., H', W').
+
+        K photos (K, H, W) become one image.
+        """
+        return self.image(self.correlated(self.spectrum(photo)))
+
+    def correlated(self, spectrum: ComplexArray) -> ComplexArray:
+        """``conj(H)`` times a spectrum, summed over K photos."""
+        return self._over_photos(np.conj(self.H) * spectrum)
+
+    def _over_photos(self, spectra: NDArray[_Number]) -> NDArray[_Number]:
+        return np.asarray(spectra.sum(axis=0)) if self.H.ndim == 3 else spectra
 
     def spectrum(self, image: FloatArray) -> ComplexArray:
         """``rfft2`` on the grid; an image smaller than the grid is padded with zeros."""
@@ -134,7 +152,7 @@ class Blur:
 
         Parameters
         ----------
-        photo : (H, W) float
+        photo : (H, W) or (K, H, W) float
         noise_to_scene : float
             Noise variance over the scene's 1/f^2 constant.
         rounds : int
@@ -142,16 +160,18 @@ class Blur:
         """
         if self.grid_shape == self.photo_shape:
             return photo
-        extended = membrane_extension(photo, self.grid_shape)
+        frames = photo.reshape(-1, *self.photo_shape)
+        extended = np.stack([membrane_extension(frame, self.grid_shape) for frame in frames])
+        extended = extended.reshape(*photo.shape[:-2], *self.grid_shape)
         if rounds <= 0:
             return extended
         penalty = (noise_to_scene * power_law(self.grid_shape)).astype(self.dtype)
-        start = np.conj(self.H) * self.spectrum(extended)
-        start /= np.maximum(np.abs(self.H) ** 2 + penalty, SMALLEST_POWER)
-        data = np.conj(self.H) * self.spectrum(photo)
+        start = self.correlated(self.spectrum(extended))
+        start /= np.maximum(self.power + penalty, SMALLEST_POWER)
+        data = self.correlated(self.spectrum(photo))
         extended = self.image(self.H * self._least_squares(data, penalty, start, rounds))
         # the measured pixels stay: only the surroundings are the model's
-        extended[: self.photo_shape[0], : self.photo_shape[1]] = photo
+        self.crop(extended)[:] = photo
         return extended
 
     def nearest(
@@ -164,7 +184,7 @@ class Blur:
 
         Parameters
         ----------
-        photo : (H, W) float
+        photo : (H, W) or (K, H, W) float
         z : (H', W') float
         a : float
         rounds : int
@@ -178,11 +198,11 @@ class Blur:
         if not periodic:
             guess = self.image(self.H * Z)
             self.crop(guess)[:] = photo
-        X = np.conj(self.H) * self.spectrum(guess) + a * Z
-        X /= np.maximum(np.abs(self.H) ** 2 + a, SMALLEST_POWER)
+        X = self.correlated(self.spectrum(guess)) + a * Z
+        X /= np.maximum(self.power + a, SMALLEST_POWER)
         if not periodic:
-            data = np.conj(self.H) * self.spectrum(photo) + a * Z
-            penalty = np.full(self.H.shape, a, self.dtype)
+            data = self.correlated(self.spectrum(photo)) + a * Z
+            penalty = np.full(self.power.shape, a, self.dtype)
             X = self._least_squares(data, penalty, X, rounds, tolerance)
         return self.image(X)
 
@@ -198,11 +218,11 @@ class Blur:
 
         They are preconditioned as if the grid were the frame.
         """
-        H = self.H
-        preconditioner = 1 / np.maximum(np.abs(H) ** 2 + penalty, SMALLEST_POWER)
+        preconditioner = 1 / np.maximum(self.power + penalty, SMALLEST_POWER)
 
         def normal_equations(X: ComplexArray) -> ComplexArray:
-            return np.conj(H) * self.spectrum(self.crop(self.image(H * X))) + penalty * X
+            photo = self.crop(self.image(self.H * X))
+            return self.correlated(self.spectrum(photo)) + penalty * X
 
         # each column of half a real image's spectrum stands for two, but that of f = 0, and of the
         # Nyquist frequency where there is one
@@ -276,21 +296,29 @@ def trimmed_psf(psf: ArrayLike) -> FloatArray:
         If it is not two-dimensional, not finite, negative somewhere, or dark.
     """
     kernel = np.asarray(psf, dtype=np.float64)
+    if kernel.ndim != 2:
+        raise ValueError(f"psf: must be (S, S), got shape {kernel.shape}")
+    trimmed: FloatArray = trimmed_psfs(kernel[None])[0]
+    return trimmed
+
+
+def trimmed_psfs(psfs: ArrayLike) -> FloatArray:
+    """PSFs (K, S, S), checked as by :func:`trimmed_psf`, in the smallest frame for all of them."""
+    kernels = np.asarray(psfs, dtype=np.float64)
     if (
-        kernel.ndim != 2
-        or kernel.size == 0
-        or not np.isfinite(kernel).all()
-        or kernel.min() < 0
-        or not kernel.any()
+        kernels.size == 0
+        or not np.isfinite(kernels).all()
+        or kernels.min() < 0
+        or not kernels.any(axis=(-2, -1)).all()
     ):
         raise ValueError(
             "psf: must be a finite, non-negative (S, S) array with some light, got shape"
-            f" {kernel.shape}"
+            f" {kernels.shape[1:]}"
         )
-    rows, columns = np.nonzero(kernel)
-    centre = (kernel.shape[0] // 2, kernel.shape[1] // 2)
+    _, rows, columns = np.nonzero(kernels)
+    centre = (kernels.shape[1] // 2, kernels.shape[2] // 2)
     reach = int(max(np.abs(rows - centre[0]).max(), np.abs(columns - centre[1]).max()))
-    return in_frame(kernel, 2 * reach + 1)
+    return in_frame(kernels, 2 * reach + 1)
 
 
 def frequencies(shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:

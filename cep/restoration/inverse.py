@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cep.restoration.blur import Blur, Border, channels_first, channels_last
+from cep.restoration.blur import Blur, Border, channels_first, channels_last, trimmed_psf
 from motdiff.types import FloatArray
 
 
@@ -43,7 +43,7 @@ def inverse_filter(
     if not 0 <= floor < 1:
         raise ValueError(f"floor: must lie within 0..1, got {floor}")
     channels = channels_first(photo)
-    blur = Blur(psf, channels.shape[1:], border)
+    blur = Blur(trimmed_psf(psf), channels.shape[1:], border)
     modulus = np.abs(blur.H)
     smallest = floor * blur.psf.sum()
     # conj(H) / (|H| max(|H|, floor)) keeps the phase of H where its modulus is raised

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.optics.camera import Camera
 from cep.restoration.blur import SMALLEST_POWER, Blur, Border, channels_last, normalised, power_law
-from cep.restoration.noise import check_noise, fit_spectrum
+from cep.restoration.noise import Spectrum, check_noise, fit_spectrum
+from motdiff.psf_frame import in_frame
 from motdiff.types import FloatArray
 
 Denoiser = Callable[[FloatArray, FloatArray], FloatArray]
@@ -87,36 +89,139 @@ def pnp(
     if noise_variance == np.inf:  # the Wiener filter takes it for a photo without signal
         raise ValueError(f"noise_variance: must be 0 or more, got {noise_variance}")
     channels, kernel, duty = normalised(photo, psf)
-    blur = Blur(kernel, channels.shape[1:], border, dtype=np.float32)
+    spectra = [
+        _spectrum(channel, kernel, duty, camera=camera, noise_variance=noise_variance)
+        for channel in channels
+    ]
+    return channels_last(
+        _alternated(
+            channels,
+            Blur(kernel, channels.shape[1:], border, dtype=np.float32),
+            noise=np.array([spectrum.noise for spectrum in spectra]),
+            scene=np.array([spectrum.scene for spectrum in spectra]),
+            denoiser=denoiser,
+            border_rounds=border_rounds,
+            progress=progress,
+        )
+    )
+
+
+def pnp_together(
+    photos: Sequence[ArrayLike],
+    psfs: Sequence[ArrayLike],
+    *,
+    camera: Camera | None = None,
+    progress: Callable[[float], None] = lambda _share: None,
+) -> FloatArray:
+    """Restore one scene from several photos of it, each with its PSF: as :func:`pnp`, with the
+    sum of ``|A_k x - y_k|^2 / 2 N_k`` for the data.
+
+    What one photo's OTF loses another's may keep.
+
+    Parameters
+    ----------
+    photos : sequence of K (H, W) or (H, W, 3) array_like, linear light
+    psfs : sequence of K (S, S) array_like
+        Light-true; a shift of a photo, and its brightness beyond that of its code, are the PSF's.
+    camera, progress
+        As for :func:`pnp`.
+
+    Returns
+    -------
+    float ndarray like the first photo
+
+    Raises
+    ------
+    ValueError
+        If an argument is malformed, or their numbers or the photos' shapes differ.
+
+    References
+    ----------
+    Agrawal, Xu and Raskar, "Invertible motion blur in video", SIGGRAPH 2009: several exposures
+    whose joint transform has no null.
+    """
+    if len(photos) != len(psfs) or len({np.shape(photo) for photo in photos}) != 1:
+        raise ValueError("photos: must be of one shape, with a PSF for each")
+    normalised_photos = [normalised(*pair) for pair in zip(photos, psfs, strict=True)]
+    spectra = [
+        [_spectrum(channel, kernel, duty, camera=camera) for channel in channels]
+        for channels, kernel, duty in normalised_photos
+    ]
+    N = np.array([[spectrum.noise for spectrum in of_photo] for of_photo in spectra])
+    A = np.array([[spectrum.scene for spectrum in of_photo] for of_photo in spectra])
+    # divided by their noise, all photos have the same: that of their weighted mean
+    weights = np.sqrt((1 / N).sum(axis=1) / (1 / N).sum())
+    frame = max(len(kernel) for _, kernel, _ in normalised_photos)
+    channels = np.stack(
+        [w * light for w, (light, _, _) in zip(weights, normalised_photos, strict=True)], axis=1
+    )
+    kernels = np.stack(
+        [
+            w * in_frame(psf, frame)
+            for w, (_, psf, _) in zip(weights, normalised_photos, strict=True)
+        ]
+    )
+    return channels_last(
+        _alternated(
+            channels,
+            Blur(kernels, channels.shape[2:], dtype=np.float32),
+            noise=1 / (1 / N).sum(axis=0),
+            scene=weights**2 @ A,
+            progress=progress,
+        )
+    )
+
+
+def _spectrum(
+    channel: FloatArray,
+    kernel: FloatArray,
+    duty: float,
+    *,
+    camera: Camera | None,
+    noise_variance: float | None = None,
+) -> Spectrum:
+    """Spectra of scene and noise of a channel that was divided by its duty."""
+    variance = noise_variance
+    if camera is not None:
+        variance = float(camera.noise_variance(duty * channel).mean())
+    if variance is not None:
+        variance /= duty**2
+    spectrum = fit_spectrum(
+        channel, Blur(kernel, channel.shape, "periodic"), noise_variance=variance
+    )
+    return replace(spectrum, noise=max(spectrum.noise, _SMALLEST_VARIANCE))
+
+
+def _alternated(
+    channels: FloatArray,
+    blur: Blur,
+    *,
+    noise: FloatArray,
+    scene: FloatArray,
+    denoiser: Denoiser | None = None,
+    border_rounds: int = 10,
+    progress: Callable[[float], None],
+) -> FloatArray:
+    """Scene (C, H, W) of channels (C, H, W) or (C, K, H, W) with noise N and spectrum A, (C,)."""
     if denoiser is None:
         from cep.restoration.denoiser.weights import load_denoiser
 
         denoiser = load_denoiser()
-    frame = Blur(kernel, channels.shape[1:], "periodic")
-    N = np.empty(len(channels))
-    extended = np.empty((len(channels), *blur.grid_shape), blur.dtype)
-    ratio = np.empty(len(channels))
+    ratio = noise / scene
+    X = np.empty((len(channels), *blur.power.shape), np.complex64)
     for i, channel in enumerate(channels):
-        variance = noise_variance
-        if camera is not None:
-            variance = float(camera.noise_variance(duty * channel).mean())
-        if variance is not None:
-            variance /= duty**2  # the channel was divided by the duty
-        spectrum = fit_spectrum(channel, frame, noise_variance=variance)
-        N[i] = max(spectrum.noise, _SMALLEST_VARIANCE)
-        ratio[i] = N[i] / spectrum.scene
-        extended[i] = blur.extend(channel, noise_to_scene=ratio[i], rounds=border_rounds)
+        extended = blur.extend(channel, noise_to_scene=ratio[i], rounds=border_rounds)
+        # the first step has no z yet: the Wiener filter stands in
+        power = blur.power + ratio[i] * power_law(blur.grid_shape)
+        X[i] = blur.correlated(blur.spectrum(extended)) / np.maximum(power, SMALLEST_POWER)
     channels = channels.astype(blur.dtype)
-    # the first step has no z yet: the Wiener filter stands in
-    power = np.abs(blur.H) ** 2 + ratio[:, None, None] * power_law(blur.grid_shape)
-    X = np.conj(blur.H) * blur.spectrum(extended) / np.maximum(power, SMALLEST_POWER)
-    noise_sigma = np.sqrt(N)
+    noise_sigma = np.sqrt(noise)
     first_sigma = np.maximum(np.minimum(FIRST_SIGMA, MOST_RATIO * noise_sigma), noise_sigma)
     first, *later = np.geomspace(first_sigma, noise_sigma, STEPS)
     z = denoiser(blur.image(X), first)
     for step, sigma in enumerate(later, 1):
         progress(step / STEPS)
-        a = PRIOR * N / sigma**2
+        a = PRIOR * noise / sigma**2
         # light is not negative; what comes last is left as it is, as its dips tell of a wrong PSF
         x = np.maximum(z, 0)
         for i, channel in enumerate(channels):
@@ -125,7 +230,7 @@ def pnp(
                 x[i],
                 float(a[i]),
                 rounds=_MOST_ROUNDS,
-                tolerance=float(_TOLERANCE * N[i]),
+                tolerance=float(_TOLERANCE * noise[i]),
             )
         z = denoiser(x, sigma)
-    return channels_last(blur.crop(z))
+    return blur.crop(z)

@@ -208,6 +208,7 @@ def restore(
         psf_confidence=psf_confidence,
         direction=direction,
         direction_test=test,
+        trajectory=test.trajectory if test is not None and test.trajectory else trajectory,
         residual=misfit(photo, image, psf),
         unreliable_px=reach,
         saturated_fraction=clipped,

@@ -13,6 +13,7 @@ from cep.files.images import encode_image, write_image
 from cep.restoration.blur import channels_first, trimmed_psf
 from cep.restoration.clipping import clipped_channels
 from cep.restoration.direction import DirectionResult
+from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 _BRIGHT = 0.999  # quantile of the restored light that has to fit below white
@@ -42,6 +43,8 @@ class Restoration:
         trajectory.
     direction_test : DirectionResult or None
         The test, where there was one.
+    trajectory : Trajectory or None
+        Path along which it was restored, in the order in time that was found; None with a PSF.
     residual : float
         RMS of the reblurred result against the photo, away from borders and clipped pixels;
         full-scale units.
@@ -62,6 +65,7 @@ class Restoration:
     psf_confidence: float | None = None
     direction: str | None = None
     direction_test: DirectionResult | None = None
+    trajectory: Trajectory | None = None
     residual: float = 0.0
     unreliable_px: int = 0
     saturated_fraction: float

@@ -6,7 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.optics.camera import Camera
-from cep.restoration.blur import Blur, Border, channels_first, channels_last, power_law
+from cep.restoration.blur import (
+    Blur,
+    Border,
+    channels_first,
+    channels_last,
+    power_law,
+    trimmed_psf,
+)
 from cep.restoration.noise import check_noise, fit_spectrum
 from motdiff.types import ComplexArray, FloatArray
 
@@ -59,7 +66,7 @@ def wiener(
     if scene_strength is not None and not (np.isfinite(scene_strength) and scene_strength > 0):
         raise ValueError(f"scene_strength: must be above 0, got {scene_strength}")
     channels = channels_first(photo)
-    blur = Blur(psf, channels.shape[1:], border)
+    blur = Blur(trimmed_psf(psf), channels.shape[1:], border)
     restored = np.empty_like(channels)
     for channel, out in zip(channels, restored, strict=True):
         N = noise_variance

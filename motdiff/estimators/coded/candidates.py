@@ -224,7 +224,8 @@ def motion_of_paths(
     trajectories = tuple(
         Trajectory.from_samples(scale * path.path, direction="known") for path in paths
     )
-    all_warnings = [*unexplained_warnings(best.misfit), *warnings]
+    psf_warnings = [*unexplained_warnings(best.misfit), *warnings]
+    all_warnings = list(psf_warnings)
     if probability < 0.5:
         all_warnings.insert(
             0,
@@ -238,6 +239,7 @@ def motion_of_paths(
         psf=trajectories[0].psf(trajectories[0].frame_size(PSF_PX)),
         confidence=probability,
         warnings=tuple(all_warnings),
+        psf_warnings=tuple(psf_warnings),
         details={
             "order_confidence": probability,
             "path_uncertainty_px": float(np.sqrt((deviation_px**2).mean())),

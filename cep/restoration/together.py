@@ -1,0 +1,265 @@
+"""Restoration of one scene from several photos of one motion, each through its own code.
+
+Two cameras behind a beam splitter, or side by side before a far scene, whose shutters play
+complementary codes during one exposure, see one motion, which need not repeat. The photos show its
+order in time, and together they keep the frequencies that each of them loses.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import fft, ndimage, signal
+
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.restoration.blur import channels_first
+from cep.restoration.clipping import fill_clipped
+from cep.restoration.direction import orders_in_time
+from cep.restoration.pnp import pnp_together
+from cep.restoration.result import Restoration, misfit
+from motdiff.crops import clipped_mask, luminance
+from motdiff.path_psfs import slice_psfs
+from motdiff.psf_frame import in_frame
+from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
+
+_SEARCHING = "searching the motion"
+_ESTIMATE_SHARE = 0.8  # of the time, where the motion is not given
+_DOUBTFUL = 0.5  # probability of the path
+_MOST_STEPS = 12  # of the registration, which takes three or four
+_STILL_PX = 1e-3
+_INSIDE = 0.1  # of the window, below which a pixel is border
+_FLAT = 1e-12  # variance of an image that shows nothing
+
+
+@dataclass(frozen=True)
+class RegisteredPsfs:
+    """PSFs of photos of one scene, each where its photo has the scene, and as bright.
+
+    Attributes
+    ----------
+    psfs : (K, S, S) float
+        Light-true beside the first, zero displacement at index ``S // 2``.
+    shifts_px : (K, 2) float
+        Of each photo's scene against the first one's, (right, down).
+    gains : (K,) float
+        Brightness of each photo against the first, beyond what the codes explain.
+    misfit : float
+        Rms of what one photo blurred by another's PSF and the other blurred by the first's leave
+        between them, over the norm of both PSFs: about the noise, where the path is right.
+    """
+
+    psfs: FloatArray
+    shifts_px: FloatArray
+    gains: FloatArray
+    misfit: float
+
+
+def restore_together(
+    photos: Sequence[ArrayLike],
+    codes: Sequence[ShutterCode],
+    trajectory: Trajectory | None = None,
+    *,
+    camera: Camera | None = None,
+    seed: int = 0,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+) -> Restoration:
+    """Restore one scene from photos of one motion, each taken through its own code.
+
+    Photos may be shifted by some px and differ in brightness. Without a trajectory it is estimated
+    from them, with its order in time
+    (:class:`motdiff.estimators.coded.estimator.CodedEstimator`).
+
+    Parameters
+    ----------
+    photos : sequence of K (H, W) or (H, W, 3) array_like, linear light 0..1, K >= 2
+    codes : sequence of K ShutterCode
+        Of one duration.
+    trajectory : Trajectory, optional
+        Of an unknown direction, the order in time is that which leaves least between the photos.
+    camera : Camera, optional
+        Gives the noise, which is estimated in each photo when omitted.
+    seed : int
+        Of the search of the motion.
+    progress : callable, optional
+        Called with the finished share 0..1 and what is being done.
+
+    Returns
+    -------
+    Restoration
+        At the place and brightness of the first photo; its ``psf`` is that photo's.
+
+    Raises
+    ------
+    ValueError
+        If photos and codes do not fit each other, a photo cannot be searched, or the motion does
+        not fit into the photos.
+
+    References
+    ----------
+    Agrawal, Xu and Raskar, "Invertible motion blur in video", SIGGRAPH 2009: exposures whose joint
+    transform has no null, restored together.
+    """
+    from motdiff.estimators.coded.codes import check_codes
+
+    started = time.perf_counter()
+    check_codes([code.bits for code in codes], photos=len(photos))
+    if len(photos) < 2:
+        raise ValueError("photos: need at least two; restore() takes a single one")
+    images = [channels_first(photo) for photo in photos]
+    if len({image.shape for image in images}) != 1:
+        raise ValueError("photos: must be of one size, all grey or all colour")
+    confidence: float | None = None
+    warnings: list[str] = []
+    estimated = 0.0
+    paths = []
+    if trajectory is None:
+        progress(0.02, "loading torch")  # some seconds
+        from motdiff.estimators.coded.estimator import CodedEstimator
+
+        estimated = _ESTIMATE_SHARE
+        estimator = CodedEstimator(
+            [code.bits for code in codes],
+            seed=seed,
+            progress=lambda share: progress(0.05 + (estimated - 0.05) * share, _SEARCHING),
+        )
+        estimate = estimator.estimate_from(photos)
+        paths = [estimate.best]
+        confidence = estimate.confidence
+        warnings += estimate.psf_warnings
+        if confidence < _DOUBTFUL:
+            warnings.insert(
+                0,
+                f"the motion found is doubtful (confidence {confidence:.2f}): compare the restored"
+                " photo with those taken",
+            )
+    else:
+        paths = [trajectory]
+        if trajectory.direction == "unknown":
+            paths = orders_in_time(trajectory)
+        side = min(images[0].shape[1:])
+        if (reach := trajectory.frame_size()) > side:
+            raise ValueError(
+                f"trajectory: the motion spans {reach} px around its zero, the photos are only"
+                f" {side} px on their shorter side"
+            )
+    progress(estimated, "aligning the photos")
+    fits = [registered_psfs(photos, path, codes) for path in paths]
+    best = min(range(len(fits)), key=lambda i: fits[i].misfit)
+    psfs = fits[best].psfs
+    image = pnp_together(
+        [fill_clipped(photo, psf) for photo, psf in zip(photos, psfs, strict=True)],
+        list(psfs),
+        camera=camera,
+        progress=lambda share: progress(estimated + (1 - estimated) * share, "restoring"),
+    )
+    residuals = [misfit(photo, image, psf) for photo, psf in zip(photos, psfs, strict=True)]
+    return Restoration(
+        image=image,
+        method="pnp",
+        psf=psfs[0],
+        psf_source="photo" if trajectory is None else "trajectory",
+        psf_confidence=confidence,
+        direction="known",
+        trajectory=Trajectory(paths[best].t, paths[best].xy, direction="known"),
+        residual=float(np.sqrt(np.mean(np.square(residuals)))),
+        unreliable_px=psfs.shape[-1] // 2,
+        saturated_fraction=float(np.mean([clipped_mask(photo).mean() for photo in photos])),
+        warnings=tuple(warnings),
+        seconds=time.perf_counter() - started,
+    )
+
+
+def registered_psfs(
+    photos: Sequence[ArrayLike], trajectory: Trajectory, codes: Sequence[ShutterCode]
+) -> RegisteredPsfs:
+    """Draw the PSF of each photo, moved and scaled as its photo is against the first.
+
+    The first photo blurred by the PSF of another is that photo blurred by the PSF of the first,
+    but for a shift and a factor.
+
+    Parameters
+    ----------
+    photos : sequence of K (H, W) or (H, W, 3) array_like, linear light
+    trajectory : Trajectory
+    codes : sequence of K ShutterCode
+
+    References
+    ----------
+    Lucas and Kanade, "An iterative image registration technique", IJCAI 1981.
+    """
+    greys = [luminance(np.asarray(photo, dtype=np.float64)) for photo in photos]
+    psfs = [_psf(trajectory, codes[0])]
+    shifts = [(0.0, 0.0)]
+    gains = [1.0]
+    squares = []
+    for grey, code in zip(greys[1:], codes[1:], strict=True):
+        psf = _psf(trajectory, code)
+        shift_px, gain, rms = shift_and_gain(
+            _blurred(greys[0], psf, psfs[0]), _blurred(grey, psfs[0], psf)
+        )
+        psfs.append(gain * _psf(trajectory, code, shift_px))
+        shifts.append(shift_px)
+        gains.append(gain)
+        squares.append(rms**2 / (np.sum(psfs[0] ** 2) + np.sum(psfs[-1] ** 2)))
+    frame = max(map(len, psfs))
+    return RegisteredPsfs(
+        np.stack([in_frame(psf, frame) for psf in psfs]),
+        np.array(shifts),
+        np.array(gains),
+        float(np.sqrt(np.mean(squares))),
+    )
+
+
+def _psf(
+    trajectory: Trajectory, code: ShutterCode, shift_px: tuple[float, float] = (0.0, 0.0)
+) -> FloatArray:
+    xy = trajectory.xy + np.asarray(shift_px)
+    frame = 2 * int(np.ceil(np.abs(xy).max())) + 3
+    chips = slice_psfs(trajectory.t, xy, np.linspace(0, 1, code.chips + 1), frame)
+    return np.asarray(np.tensordot(code.array, chips, axes=1), dtype=np.float64)
+
+
+def _blurred(photo: FloatArray, psf: FloatArray, other: FloatArray) -> FloatArray:
+    """Blur a photo where no light comes from beyond its border, nor would with the other PSF."""
+    frame = max(len(psf), len(other))
+    return np.asarray(
+        signal.fftconvolve(photo, in_frame(psf, frame), mode="valid"), dtype=np.float64
+    )
+
+
+def shift_and_gain(a: FloatArray, b: FloatArray) -> tuple[tuple[float, float], float, float]:
+    """Shift (right, down), px, and factor that make an image ``a`` (H, W) into ``b``.
+
+    Returns
+    -------
+    shift, factor, and rms of what they leave
+    """
+    window = np.outer(*(np.hanning(side + 2)[1:-1] for side in a.shape))
+    cross = fft.irfft2(
+        fft.rfft2(window * (b - b.mean())) * np.conj(fft.rfft2(window * (a - a.mean()))), a.shape
+    )
+    peak = np.unravel_index(int(cross.argmax()), cross.shape)
+    down_right = np.array(
+        [(i + n // 2) % n - n // 2 for i, n in zip(peak, cross.shape, strict=True)], np.float64
+    )
+    is_inside = window > _INSIDE
+    gain = float(b.sum() / a.sum()) if a.sum() > 0 else 1.0
+    for _ in range(_MOST_STEPS):
+        if min(a.var(), b.var()) < _FLAT:
+            break
+        moved = ndimage.shift(a, down_right, mode="nearest")
+        slopes = [-gain * slope[is_inside] for slope in np.gradient(moved)]
+        design = np.stack([moved[is_inside], *slopes], axis=1)
+        gain, *step = np.linalg.lstsq(design, b[is_inside], rcond=None)[0].tolist()
+        down_right += step
+        if np.hypot(*step) < _STILL_PX:
+            break
+    moved = ndimage.shift(a, down_right, mode="nearest")
+    rms = float(np.sqrt(np.mean((b - gain * moved)[is_inside] ** 2)))
+    return (float(down_right[1]), float(down_right[0])), gain, rms

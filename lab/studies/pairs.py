@@ -1,0 +1,173 @@
+"""What two photos of one exposure through complementary codes show of a motion that never repeats.
+
+    python -m lab.studies.pairs --photos FOLDER --gyro FILE [--motions gyro walks arcs] [--count 4]
+        [--code raskar-52] [--read-noise 50] [--photons 10000] [--seed 1] [--results pairs.jsonl]
+
+Each motion is photographed once, and each photo restored without being told the motion, as `cep
+deblur` does: with the shutter open, through the code alone, in the better of two snapshots (a
+quarter and an eighth of the time, in the middle), by two cameras through the code and its
+complement (`pair`), and by the same two behind a beam splitter, with half the light each
+(`split`). `pair, true path` and `open, true path` are told the motion. PSNR in dB, light 0..1,
+over shifts, without the outer 30 px. With `--results` each finished motion is a line of that file;
+the same command goes on from it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+from cep.codes.sources import load_code
+from cep.optics.camera import Camera
+from cep.optics.capture import capture
+from cep.optics.code import ShutterCode
+from cep.restoration.restore import restore
+from cep.restoration.together import restore_together
+from lab.bench.statistics import mean_interval
+from lab.studies.inputs import kept_rows
+from lab.studies.order import MOTIONS, Case, key, motion_of, scene_of
+from motdiff.metrics import psnr_up_to_shift, timed_distance_px
+from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
+
+BORDER_PX = 30
+SIDE_PX = 256
+ROWS = ("open", "snapshot", "coded", "pair", "split", "open, true path", "pair, true path")
+KINDS = {"gyro": "shakes", "walks": "walks", "arcs": "arcs"}
+
+
+def snapshot(chips: int, share: float) -> ShutterCode:
+    count = round(share * chips)
+    before = (chips - count) // 2
+    return ShutterCode("0" * before + "1" * count + "0" * (chips - before - count))
+
+
+def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, object]:
+    """PSNR of each row, and of the pairs the error, stated probability and seconds."""
+    code = load_code(options.code)
+    case = Case(
+        set="",
+        codes=(code.bits,),
+        motions=motions,
+        index=index,
+        noise=0,
+        moved_px=0,
+        brightness=0,
+        scaled=0,
+        wobble_px=0,
+        side_px=SIDE_PX,
+        seed=options.seed,
+        photos=options.photos,
+        gyro=options.gyro,
+        light=False,
+    )
+    rng = np.random.default_rng([options.seed, MOTIONS.index(motions), index])
+    drawn = motion_of(case, rng)
+    path = Trajectory(drawn.t, drawn.xy, direction="known")
+    frame = path.frame_size() | 1
+    margin = (2 * SIDE_PX - (SIDE_PX + frame - 1)) // 2
+    scene = scene_of(case, rng)[margin:, margin:][: SIDE_PX + frame - 1, : SIDE_PX + frame - 1]
+    sharp = scene[frame // 2 :, frame // 2 :][:SIDE_PX, :SIDE_PX]
+    camera = Camera(photons_full_scale=options.photons, read_noise_e=options.read_noise)
+
+    def photo(played: ShutterCode, light: float = 1.0) -> FloatArray:
+        return capture(light * scene, path, played, camera, rng=rng)
+
+    def psnr_db(image: FloatArray) -> float:
+        return psnr_up_to_shift(
+            np.clip(image, 0, 1), np.clip(sharp, 0, 1), max_shift_px=8, crop_px=BORDER_PX
+        )
+
+    open_photo = photo(ShutterCode("1" * code.chips))
+    row: dict[str, object] = {"open": psnr_db(restore(open_photo, anyway=True).image)}
+    row["open, true path"] = psnr_db(
+        restore(open_photo, trajectory=path, method="pnp", camera=camera).image
+    )
+    shots = [snapshot(code.chips, share) for share in (1 / 4, 1 / 8)]
+    row["snapshot"] = max(psnr_db(restore(photo(shot), code=shot).image) for shot in shots)
+    row["coded"] = psnr_db(restore(photo(code), code=code).image)
+    codes = [code, code.complement()]
+    for name, light in (("pair", 1.0), ("split", 0.5)):
+        photos = [photo(played, light) for played in codes]
+        began = time.process_time()
+        restored = restore_together(photos, codes, camera=camera)
+        row[name] = psnr_db(restored.image / light)
+        row[f"{name}: cpu_s"] = time.process_time() - began
+        row[f"{name}: probability"] = restored.psf_confidence
+        row[f"{name}: error_px"] = timed_distance_px(restored.trajectory, path)
+        if name == "pair":
+            told = restore_together(photos, codes, path, camera=camera)
+            row["pair, true path"] = psnr_db(told.image)
+    return row
+
+
+def table(rows: list[tuple[str, dict[str, object]]]) -> None:
+    rng = np.random.default_rng(0)
+    for kind in sorted({motions for motions, _ in rows}):
+        chosen = [row for motions, row in rows if motions == kind]
+        print(f"\n{KINDS[kind]}: {len(chosen)}")
+        for name in ROWS:
+            gains = [row[name] - row["open"] for row in chosen]
+            low = high = float("nan")
+            if len(gains) > 2:
+                interval = mean_interval(gains, rng=rng)
+                low, high = interval.low, interval.high
+            mean_db = np.mean([row[name] for row in chosen])
+            print(
+                f"  {name:<16}{mean_db:>7.2f} dB, less open {np.mean(gains):+.2f}"
+                f" ({low:+.2f}..{high:+.2f}), in {sum(gain > 0 for gain in gains)}"
+            )
+        for name in ("pair", "split"):
+            errors = np.array([row[f"{name}: error_px"] for row in chosen])
+            stated = np.mean([row[f"{name}: probability"] for row in chosen])
+            print(
+                f"  {name}: path within 1 px in {np.sum(errors < 1)}, median"
+                f" {np.median(errors):.2f} px; stated {stated:.2f}; CPU-s, median"
+                f" {np.median([row[f'{name}: cpu_s'] for row in chosen]):.0f}"
+            )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--photos", default="", help="folder; scikit-image's when omitted")
+    parser.add_argument("--gyro", default="", help="recording; noise when omitted")
+    parser.add_argument("--motions", nargs="+", choices=MOTIONS, default=MOTIONS)
+    parser.add_argument("--count", type=int, default=4, help="motions of each kind")
+    parser.add_argument("--code", default="raskar-52")
+    parser.add_argument("--photons", type=float, default=10_000.0)
+    parser.add_argument("--read-noise", type=float, default=50.0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--results", type=Path)
+    options = parser.parse_args()
+    shared = {
+        name: getattr(options, name) for name in ("code", "photons", "read_noise", "seed")
+    } | {"photos": options.photos, "gyro": options.gyro}
+    finished = {}
+    if options.results is not None and options.results.exists():
+        finished = {key(row.pop("case")): row for row in kept_rows(options.results)}
+    rows = []
+    for index in range(options.count):
+        for motions in options.motions:
+            case = {"motions": motions, "index": index, **shared}
+            row = finished.get(key(case))
+            if row is None:
+                row = figures(motions, index, options)
+                if options.results is not None:
+                    with options.results.open("a", encoding="utf-8") as lines:
+                        lines.write(json.dumps({"case": case, **row}) + "\n")
+            brief = "  ".join(
+                f"{name} {value:.2f}" for name, value in row.items() if value is not None
+            )
+            print(f"{motions} {index}: {brief}", flush=True)
+            rows.append((motions, row))
+    table(rows)
+
+
+if __name__ == "__main__":
+    main()
