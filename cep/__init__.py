@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from cep.proofs.verify.certificates import verify
     from cep.restoration.direction import detect_direction
     from cep.restoration.restore import restore
+    from cep.restoration.together import restore_together
     from cep.search.advise import advise
     from cep.search.bounds import bound
     from cep.search.compare import compare
@@ -77,6 +78,7 @@ __all__ = [
     "read_playback",
     "refine_motion",
     "restore",
+    "restore_together",
     "shoot",
     "time_camera",
     "verify",
@@ -109,6 +111,7 @@ _MODULES = {
     "read_playback": "cep.shutter.playback",
     "refine_motion": "cep.calibration.refine",
     "restore": "cep.restoration.restore",
+    "restore_together": "cep.restoration.together",
     "shoot": "cep.shutter.shoot",
     "time_camera": "cep.shutter.timing",
     "verify": "cep.proofs.verify.certificates",

@@ -39,6 +39,7 @@ NOT_RUN = {
     "python -m lab bench": "takes minutes to days; .ci/run runs the quick one of all tables",
     "cep calibrate open.png coded.png": "40 CPU-s; tests/cep/commands/test_calibrate_coded.py",
     "cep calibrate light.png": "as above",
+    "cep deblur left.png": "a minute; tests/cep/commands/test_deblur.py",
     "cep calibration-set": "14 CPU-s; tests/cep/commands/test_calibration_set.py",
     "cep calibrate p1.png": "a minute; as above",
     "cep calibrate run1.png": "9 CPU-s; tests/cep/commands/test_calibrate_together.py",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, make_dataclass
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cep.commands.code_options import exposure_seconds
-from cep.commands.commands import in_options
+from cep.commands.commands import in_options, with_photo_file
 from cep.commands.console import finish, part, progress
 from cep.commands.jobs import Workers, finish_folder
 from cep.commands.next_photo import NextOptions, next_step, write_next
@@ -290,16 +289,8 @@ def _with_file(error: str, images: Sequence[Path]) -> str:
     if error.partition(": ")[0] in (*_OPTIONS, "method", "code"):
         return error
     if len(images) > 1:
-        return _with_file_of_several(error, images)
+        return with_photo_file(error, images)
     return f"{images[0]}: {error.removeprefix('photo: ')}"
-
-
-def _with_file_of_several(error: str, images: Sequence[Path]) -> str:
-    """Name the file of ``photo 2`` in an error of several photos; others stay as they are."""
-    prefix = re.match(r"photo(?: (\d+))?: ", error)
-    if prefix is None:
-        return error
-    return f"{images[int(prefix[1] or 1) - 1]}: {error[prefix.end() :]}"
 
 
 def _summary(
@@ -427,7 +418,7 @@ def _refine(
                 progress=part(tick, 0.03, 0.99),
             )
         except ValueError as error:
-            raise ValueError(_with_file_of_several(str(error), images)) from None
+            raise ValueError(with_photo_file(str(error), images)) from None
         source = {
             "method": "refined",
             "trajectory": str(trajectory),

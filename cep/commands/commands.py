@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import shutil
 import textwrap
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -38,6 +40,14 @@ _FILE = re.compile(r"/|\.\w+$")  # or with a file, whose fields are not options
 # behind the colon only what cannot be an English word: method='pmp', and names with underscores
 _ASSIGNED = re.compile(rf"\b({_NAME})=(?:'([^']*)'|([^\s,]\S*))")
 _WITHIN = re.compile(r"""(?<![\w.'"/-])([a-z][a-z0-9]*(?:_[a-z0-9]+)+)(?![\w.'"/-])""")
+
+
+def with_photo_file(error: str, images: Sequence[Path]) -> str:
+    """Name the file of ``photo 2`` in an error of several photos; others stay as they are."""
+    prefix = re.match(r"photo(?: (\d+))?: ", error)
+    if prefix is None:
+        return error
+    return f"{images[int(prefix[1] or 1) - 1]}: {error[prefix.end() :]}"
 
 
 def in_options(message: str, context: Any) -> str:

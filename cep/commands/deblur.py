@@ -1,4 +1,7 @@
-"""``cep deblur``: restore a photo along a trajectory, with a PSF, or from the photo alone."""
+"""``cep deblur``: restore a photo along a trajectory, with a PSF, or from the photo alone.
+
+Several photos of one scene and motion, each through its own code, are restored together.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cep.commands.commands import with_photo_file
 from cep.commands.console import Page, finish, part, progress
 from cep.commands.options import (
     MOTION,
@@ -28,18 +32,22 @@ if TYPE_CHECKING:
 class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
     """Options of ``cep deblur``."""
 
-    image: Annotated[
-        Path,
+    images: Annotated[
+        list[Path],
         typer.Argument(
-            metavar="IMAGE", help="Blurred photo, coded or not: PNG, TIFF, JPEG, WebP or RAW."
+            metavar="IMAGE...",
+            help="Blurred photo, coded or not: PNG, TIFF, JPEG, WebP or RAW; or several of one"
+            " scene and motion, each through its own code.",
         ),
     ]
-    code: Annotated[
-        str | None,
+    codes: Annotated[
+        list[str] | None,
         typer.Option(
             "--code",
             metavar="CODE",
-            help="Code of the exposure: bits, code.json or a name; the open shutter when omitted.",
+            help="Code of the exposure: bits, code.json or a name; the open shutter when omitted;"
+            " complement:CODE is open where CODE is closed. Of several photos once for each, in"
+            " order.",
             rich_help_panel=MOTION,
         ),
     ] = None
@@ -77,6 +85,16 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
     ] = None
 
     @property
+    def image(self) -> Path:
+        """The photo, or the first of several."""
+        return self.images[0]
+
+    @property
+    def target(self) -> Path:
+        """File of the restored photo."""
+        return self.output or self.image.with_name(f"{self.image.stem}_sharp.png")
+
+    @property
     def is_blind(self) -> bool:
         """Whether neither motion nor PSF is given."""
         return not self.has_motion and self.psf is None
@@ -84,7 +102,7 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
     @property
     def is_photo_alone(self) -> bool:
         """Whether what suits the photo is to be chosen, since nothing is said of it."""
-        is_plain = self.code is None and not self.has_camera
+        is_plain = not self.codes and not self.has_camera
         return self.method == "auto" and self.is_blind and is_plain
 
     def check(self) -> None:
@@ -95,9 +113,20 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
             raise ValueError(
                 "--trajectory FILE, --linear PX and --psf FILE: give one of them at most"
             )
-        if self.psf is not None and self.code is not None:
+        if self.psf is not None and self.codes:
             raise ValueError("--code: not valid with --psf, whose file already holds the code")
-        if self.anyway and not self.is_photo_alone:
+        if len(self.images) > 1:
+            if self.psf is not None:
+                raise ValueError("--psf: not valid with several photos; give the --code of each")
+            if self.method not in ("auto", "pnp"):
+                raise ValueError(
+                    f"--method: several photos are restored by pnp, not by {self.method}"
+                )
+        elif self.codes and len(self.codes) > 1:
+            raise ValueError(
+                f"--code: needs one for each photo, got {len(self.codes)} for 1 photo"
+            )
+        if self.anyway and not (self.is_photo_alone and len(self.images) == 1):
             raise ValueError(
                 "--anyway: not valid here: only a photo that is given alone, without a motion,"
                 " PSF, code, camera or method, may be kept as it is"
@@ -132,6 +161,10 @@ def deblur(options: DeblurOptions) -> None:
     A photo of cep shoot brings its code, motion and code values along, in the .json beside it; an
     option replaces the file's.
 
+    Several photos of one scene and one motion, as of two cameras in one exposure, are restored
+    together, each with its --code; the motion, which need not repeat, is found in them. A code and
+    its complement show the motion of a hand.
+
     Example: cep deblur photo.jpg
 
     Example: cep deblur photo.jpg --anyway -o tried.png
@@ -143,7 +176,12 @@ def deblur(options: DeblurOptions) -> None:
     Example: cep deblur coded.png --linear 40 --code code.json -o sharp.png
 
     Example: cep deblur coded.png --code code.json -o sharp.png
+
+    Example: cep deblur a.png b.png --code raskar-52 --code complement:raskar-52 -o sharp.png
     """
+    if len(options.images) > 1:
+        _deblur_together(options)
+        return
     with progress("restoring") as tick:
         tick(0.0, "reading the photo")
         from cep.codes.sources import load_code
@@ -152,9 +190,9 @@ def deblur(options: DeblurOptions) -> None:
 
         parse_gamma(options.gamma)
         code = None
-        if options.code is not None:
-            code = load_code(options.code)
-        target = options.output or options.image.with_name(f"{options.image.stem}_sharp.png")
+        if options.codes:
+            code = load_code(options.codes[0])
+        target = options.target
         check_image_name(target)
         outputs = claim([target], force=options.force, inputs=[options.image])
 
@@ -238,15 +276,100 @@ def deblur(options: DeblurOptions) -> None:
     )
 
 
+def _deblur_together(options: DeblurOptions) -> None:
+    """Restore one scene from several photos of one motion, each through its own code."""
+    images = options.images
+    with progress("restoring") as tick:
+        tick(0.0, "reading the photos")
+        from cep.calibration.photo_checks import check_apart, check_photos, check_times
+        from cep.codes.sources import code_file, load_codes
+        from cep.files.images import check_image_name, parse_gamma
+        from cep.files.shot_files import read_light, record_beside
+        from cep.optics.path_limits import check_resolved
+        from cep.restoration.together import restore_together
+        from motdiff.estimators.coded.codes import check_codes
+        from motdiff.files.outputs import claim
+
+        options.check()
+        parse_gamma(options.gamma)
+        check_image_name(options.target)
+        sources = options.codes or []
+        code_files = filter(None, map(code_file, sources))
+        outputs = claim([options.target], force=options.force, inputs=[*images, *code_files])
+        records = [record_beside(image) for image in images]
+        codes = load_codes(sources)
+        if not codes:
+            codes = tuple(record.code for record in records if record is not None)
+        check_codes([code.bits for code in codes], photos=len(images))
+        check_times(codes)
+        camera = next((record.noise for record in records if record and record.noise), None)
+        if options.has_camera:
+            camera = options.load_camera()
+        trajectory = None
+        if options.has_motion:
+            trajectory = options.load_motion().trajectory
+            check_resolved(trajectory, codes[0].chips)
+        photos = [read_light(image, gamma=options.gamma) for image in images]
+        warnings = [line for photo in photos for line in photo.warnings]
+        for image, record in zip(images, records, strict=True):
+            problems = () if record is None else record.problems
+            warnings += [f"{image}: does not count: {text}" for text in problems]
+        pixels = [photo.pixels for photo in photos]
+        try:
+            check_photos(pixels, "coded")
+            check_apart(pixels)
+            restored = restore_together(
+                pixels,
+                codes,
+                trajectory,
+                camera=camera,
+                seed=options.seed,
+                progress=part(tick, 0.02, 0.98),
+            )
+        except ValueError as error:
+            raise ValueError(with_photo_file(str(error), images)) from None
+        restored = restored.below_white()
+        with outputs.written() as folder:
+            restored.save(folder[options.target], bits=photos[0].bits, gamma=options.gamma)
+        tick(1.0)
+    result = {
+        "images": images,
+        "image": options.target,
+        **restored.to_dict(),
+        "seed": options.seed,
+        "warnings": [*warnings, *restored.warnings],
+    }
+    motion = "along the given motion"
+    if restored.psf_confidence is not None:
+        motion = (
+            "along the motion found in them, which is right with probability"
+            f" {restored.psf_confidence:.2f}"
+        )
+    finish(
+        result,
+        as_json=options.as_json,
+        page=[
+            f"{options.target}: restored from {len(images)} photos together, {motion};"
+            f" {_figures(restored)}"
+        ],
+    )
+
+
+def _figures(restored: Restoration) -> str:
+    """Say what the photo leaves unexplained, and how wide its border is."""
+    return (
+        f"residual {restored.residual:.3g} of full scale; the outer {restored.unreliable_px} px"
+        " lean on a guess"
+    )
+
+
 def _page(restored: Restoration, target: Path) -> Page:
     """Say how the photo was restored."""
-    figures = f"residual {restored.residual:.3g} of full scale"
-    # beyond its borders the scene is extrapolated
-    border = f"the outer {restored.unreliable_px} px lean on a guess"
     if restored.kept:
         return [f"{restored.summary}; --anyway restores it all the same.", f"{target}"]
+    figures = _figures(restored)
     if restored.summary:
-        return [f"{restored.summary}.", f"{target}; {figures}, {border}"]
+        return [f"{restored.summary}.", f"{target}; {figures}"]
     if restored.psf_source == "photo":
         about = (
             "restored with the PSF found in this photo alone, which is good with probability"
@@ -256,4 +379,4 @@ def _page(restored: Restoration, target: Path) -> Page:
         about = f"{restored.method}, direction {restored.to_dict()['direction']}"
         if restored.direction_test is not None:
             about += f" (confidence {restored.direction_test.confidence:.2f})"
-    return [f"{target}: {about}, {figures}; {border}"]
+    return [f"{target}: {about}, {figures}"]

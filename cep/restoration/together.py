@@ -112,8 +112,13 @@ def restore_together(
     if len(photos) < 2:
         raise ValueError("photos: need at least two; restore() takes a single one")
     images = [channels_first(photo) for photo in photos]
-    if len({image.shape for image in images}) != 1:
-        raise ValueError("photos: must be of one size, all grey or all colour")
+    for i, image in enumerate(images[1:], 2):
+        if image.shape != images[0].shape:
+            first_size, size = (
+                f"{w} x {h} px in {'colour' if colours > 1 else 'grey'}"
+                for colours, h, w in (images[0].shape, image.shape)
+            )
+            raise ValueError(f"photo {i}: has {size}, the first one {first_size}")
     confidence: float | None = None
     warnings: list[str] = []
     estimated = 0.0
@@ -200,8 +205,9 @@ def registered_psfs(
     squares = []
     for grey, code in zip(greys[1:], codes[1:], strict=True):
         psf = _psf(trajectory, code)
+        frame = max(len(psf), len(psfs[0]))
         shift_px, gain, rms = shift_and_gain(
-            _blurred(greys[0], psf, psfs[0]), _blurred(grey, psfs[0], psf)
+            _blurred(greys[0], in_frame(psf, frame)), _blurred(grey, in_frame(psfs[0], frame))
         )
         psfs.append(gain * _psf(trajectory, code, shift_px))
         shifts.append(shift_px)
@@ -225,12 +231,9 @@ def _psf(
     return np.asarray(np.tensordot(code.array, chips, axes=1), dtype=np.float64)
 
 
-def _blurred(photo: FloatArray, psf: FloatArray, other: FloatArray) -> FloatArray:
-    """Blur a photo where no light comes from beyond its border, nor would with the other PSF."""
-    frame = max(len(psf), len(other))
-    return np.asarray(
-        signal.fftconvolve(photo, in_frame(psf, frame), mode="valid"), dtype=np.float64
-    )
+def _blurred(photo: FloatArray, psf: FloatArray) -> FloatArray:
+    """Blur a photo where no light comes from beyond its border."""
+    return np.asarray(signal.fftconvolve(photo, psf, mode="valid"), dtype=np.float64)
 
 
 def shift_and_gain(a: FloatArray, b: FloatArray) -> tuple[tuple[float, float], float, float]:
@@ -253,13 +256,13 @@ def shift_and_gain(a: FloatArray, b: FloatArray) -> tuple[tuple[float, float], f
     for _ in range(_MOST_STEPS):
         if min(a.var(), b.var()) < _FLAT:
             break
-        moved = ndimage.shift(a, down_right, mode="nearest")
-        slopes = [-gain * slope[is_inside] for slope in np.gradient(moved)]
-        design = np.stack([moved[is_inside], *slopes], axis=1)
+        a_there = ndimage.shift(a, down_right, mode="nearest")
+        slopes = [-gain * slope[is_inside] for slope in np.gradient(a_there)]
+        design = np.stack([a_there[is_inside], *slopes], axis=1)
         gain, *step = np.linalg.lstsq(design, b[is_inside], rcond=None)[0].tolist()
         down_right += step
         if np.hypot(*step) < _STILL_PX:
             break
-    moved = ndimage.shift(a, down_right, mode="nearest")
-    rms = float(np.sqrt(np.mean((b - gain * moved)[is_inside] ** 2)))
+    a_there = ndimage.shift(a, down_right, mode="nearest")
+    rms = float(np.sqrt(np.mean((b - gain * a_there)[is_inside] ** 2)))
     return (float(down_right[1]), float(down_right[0])), gain, rms

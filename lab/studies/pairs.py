@@ -66,8 +66,8 @@ def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, 
         light=False,
     )
     rng = np.random.default_rng([options.seed, MOTIONS.index(motions), index])
-    drawn = motion_of(case, rng)
-    path = Trajectory(drawn.t, drawn.xy, direction="known")
+    random_path = motion_of(case, rng)
+    path = Trajectory(random_path.t, random_path.xy, direction="known")
     frame = path.frame_size() | 1
     margin = (2 * SIDE_PX - (SIDE_PX + frame - 1)) // 2
     scene = scene_of(case, rng)[margin:, margin:][: SIDE_PX + frame - 1, : SIDE_PX + frame - 1]
@@ -93,15 +93,15 @@ def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, 
     codes = [code, code.complement()]
     for name, light in (("pair", 1.0), ("split", 0.5)):
         photos = [photo(played, light) for played in codes]
-        began = time.process_time()
+        start_s = time.process_time()
         restored = restore_together(photos, codes, camera=camera)
         row[name] = psnr_db(restored.image / light)
-        row[f"{name}: cpu_s"] = time.process_time() - began
+        row[f"{name}: cpu_s"] = time.process_time() - start_s
         row[f"{name}: probability"] = restored.psf_confidence
         row[f"{name}: error_px"] = timed_distance_px(restored.trajectory, path)
         if name == "pair":
-            told = restore_together(photos, codes, path, camera=camera)
-            row["pair, true path"] = psnr_db(told.image)
+            informed = restore_together(photos, codes, path, camera=camera)
+            row["pair, true path"] = psnr_db(informed.image)
     return row
 
 
@@ -123,10 +123,10 @@ def table(rows: list[tuple[str, dict[str, object]]]) -> None:
             )
         for name in ("pair", "split"):
             errors = np.array([row[f"{name}: error_px"] for row in chosen])
-            stated = np.mean([row[f"{name}: probability"] for row in chosen])
+            probability = np.mean([row[f"{name}: probability"] for row in chosen])
             print(
                 f"  {name}: path within 1 px in {np.sum(errors < 1)}, median"
-                f" {np.median(errors):.2f} px; stated {stated:.2f}; CPU-s, median"
+                f" {np.median(errors):.2f} px; stated {probability:.2f}; CPU-s, median"
                 f" {np.median([row[f'{name}: cpu_s'] for row in chosen]):.0f}"
             )
 

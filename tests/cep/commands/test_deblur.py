@@ -66,3 +66,74 @@ def test_one_source_of_the_motion(cep, workplace):
             == "cep: --trajectory FILE, --linear PX and --psf FILE: give one of them at most\n"
         )
     assert "--linear: must be a length" in cep.refuses("deblur", "blurred.png", "--linear", "0")
+
+
+# ---- several photos of one motion
+
+COMPLEMENT = f"complement:{CODE}"
+
+
+@pytest.fixture
+def pair(cep, workplace):
+    """Names of two photos of one exposure along trajectory.json, through a code and its
+    complement."""
+    for seed, (name, code) in enumerate([("left.png", CODE), ("right.png", COMPLEMENT)]):
+        motion = ("--trajectory", "trajectory.json", "--code", code)
+        cep.succeeds("simulate", "sharp.png", *motion, "--seed", str(seed), "-o", name)
+    return "left.png", "right.png"
+
+
+def test_two_photos_are_restored_together(cep, pair):
+    """Along a path without direction: the photos have it run forward."""
+    codes = ("--code", CODE, "--code", COMPLEMENT)
+    both = cep.succeeds("deblur", *pair, *codes, "--trajectory", "trajectory.json", "-o", "c.png")
+    assert both["images"] == list(pair)
+    assert both["direction"] == "known"
+    assert both["psf_confidence"] is None
+    assert both["residual"] < 0.01
+    sharp = read_photo("sharp.png").pixels
+    restored = read_photo("c.png").pixels
+    margin = (sharp.shape[0] - restored.shape[0]) // 2
+    scene = sharp[margin:, margin:][: restored.shape[0], : restored.shape[1]]
+    assert np.sqrt(np.mean((restored - scene)[20:-20, 20:-20] ** 2)) < 0.03
+
+
+@pytest.mark.slow(reason="searches the motion in two photos")
+def test_the_motion_of_two_photos_is_found_in_them(cep, pair):
+    cep("deblur", *pair, "--code", CODE, "--code", COMPLEMENT)
+    assert cep.code == 0
+    assert cep.out.startswith("left_sharp.png: restored from 2 photos together, along the motion")
+    assert "right with probability" in cep.out
+    assert Path("left_sharp.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("left.png", "right.png"), "--code: needs one for each photo, got 0 for 2 photos"),
+        (("left.png", "right.png", "--code", CODE), "--code: needs one for each photo, got 1"),
+        (("left.png", "--code", CODE, "--code", CODE), "--code: needs one for each photo, got 2"),
+        (
+            ("left.png", "left.png", "--code", CODE, "--code", COMPLEMENT),
+            "left.png: is the same as photo 1",
+        ),
+        (("left.png", "blurred.png", "--code", CODE, "--code", "11"), "--code 2: has 2 chips"),
+        (("left.png", "right.png", "--psf", "p.npy"), "--psf: not valid with several photos"),
+        (("left.png", "right.png", "--method", "tv"), "--method: several photos are restored by"),
+        (("left.png", "right.png", "--anyway"), "--anyway: not valid here"),
+        (
+            ("left.png", "small.png", "--code", CODE, "--code", COMPLEMENT),
+            "small.png: has 150 x 150 px",
+        ),
+        (
+            ("left.png", "right.png", "--code", CODE, "--code", "complement:nil"),
+            "'nil' is no code",
+        ),
+        (("left.png", "right.png", "--code", CODE, "--code", "complement:11"), "closed"),
+    ],
+)
+def test_photos_and_codes_that_do_not_fit(cep, pair, arguments, named):
+    write_image("small.png", read_photo("left.png").pixels[:150, :150])
+    line = cep.refuses("deblur", *arguments)
+    assert named in line
+    assert not Path("left_sharp.png").exists()

@@ -175,3 +175,41 @@ def test_membrane_steps_across_the_seam_are_as_small_as_inside(photo):
 
 def test_no_gap_changes_nothing(photo):
     np.testing.assert_array_equal(membrane_extension(photo, photo.shape), photo)
+
+
+# ---- several photos of one scene
+
+
+@pytest.mark.parametrize("border", ["real", "periodic"])
+def test_the_adjoint_of_several_photos(border):
+    """<A x, y> = <x, A^T y>, of all photos together."""
+    rng = np.random.default_rng(3)
+    psfs = rng.random((3, 5, 7)) * (rng.random((3, 5, 7)) > 0.5)
+    psfs[:, 2, 3] = 1
+    blur = Blur(psfs, (20, 27), border)
+    scene = rng.standard_normal(blur.grid_shape)
+    photos = rng.standard_normal((3, 20, 27))
+    assert blur.A(scene).shape == photos.shape
+    assert np.vdot(blur.A(scene), photos) == pytest.approx(np.vdot(scene, blur.A_adjoint(photos)))
+
+
+def test_several_photos_are_their_single_ones():
+    rng = np.random.default_rng(4)
+    psfs = rng.random((2, 5, 5))
+    together = Blur(psfs, (30, 31))
+    scene = rng.random(together.grid_shape)
+    for photo, psf in zip(together.A(scene), psfs, strict=True):
+        np.testing.assert_allclose(photo, Blur(psf, (30, 31)).A(scene), atol=1e-12)
+
+
+def test_the_proximal_step_of_several_photos_is_the_least_squares_solution():
+    """Against the dense normal equations, at real borders."""
+    rng = np.random.default_rng(5)
+    blur = Blur(rng.random((2, 3, 3)), (5, 6))
+    photos = rng.random((2, 5, 6))
+    z = rng.random(blur.grid_shape)
+    size = z.size
+    A = np.stack([blur.A(row.reshape(z.shape)).ravel() for row in np.eye(size)], axis=1)
+    dense = np.linalg.solve(A.T @ A + 0.1 * np.eye(size), A.T @ photos.ravel() + 0.1 * z.ravel())
+    nearest = blur.nearest(photos, z, 0.1, rounds=300)
+    np.testing.assert_allclose(nearest.ravel(), dense, atol=1e-7)
