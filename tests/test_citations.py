@@ -4,9 +4,9 @@ import re
 
 import pytest
 from citations import SOFTWARE, citable, cite, software
+from works import works
 
 from cep.codes.published import names as code_names
-from cep.files.works import works
 from cep.restoration.registry import METHODS as RESTORATIONS
 from cep.search.problem import OBJECTIVES
 from lab.bench.coded.designs import DESIGNS

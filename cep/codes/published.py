@@ -9,7 +9,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from cep.files.works import work
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
 
@@ -91,7 +90,7 @@ class PublishedCode:
     name : str
     code : ShutterCode
     works : tuple of str
-        Keys in :mod:`cep.files.works`.
+        Keys of ``cep/files/works.bib``.
     note : str
         How the code comes from them.
     periodic : bool
@@ -103,11 +102,6 @@ class PublishedCode:
     works: tuple[str, ...]
     note: str = ""
     periodic: bool = False
-
-    @property
-    def source(self) -> str:
-        """Its works in short, and the note."""
-        return "; ".join(filter(None, [*(work(key).short for key in self.works), self.note]))
 
 
 def names() -> tuple[str, ...]:

@@ -13,7 +13,6 @@ import typer
 
 if TYPE_CHECKING:
     from cep.optics.camera import Camera
-    from cep.optics.code import ShutterCode
     from cep.optics.scene import Scene
     from cep.photographs.scene_photo import ScenePhoto
     from motdiff.files.trajectories import StoredMotion
@@ -336,8 +335,3 @@ def table_files(table: Path | None) -> list[Path]:
     except ValueError as error:
         raise ValueError(f"--table: {error}") from None
     return [table]
-
-
-def code_figures(code: ShutterCode) -> dict[str, object]:
-    """Return what is known of a code without a motion, as every command's JSON names it."""
-    return {"bits": code.bits, "chips": code.chips, "open": code.open_chips, "duty": code.duty}

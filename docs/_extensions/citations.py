@@ -11,9 +11,10 @@ from difflib import get_close_matches
 from functools import cache
 from types import MappingProxyType
 
+from works import Work, works
+
 from cep.codes.published import names as code_names
 from cep.codes.published import published_works
-from cep.files.works import Work, works
 from cep.restoration.registry import METHODS as RESTORATIONS
 from cep.search.objectives import OBJECTIVES
 from motdiff.estimators.registry import METHODS as ESTIMATORS

@@ -10,9 +10,9 @@ from typing import Any
 import typer
 from citations import citable, cite
 from sphinx.application import Sphinx
+from works import works
 
 from cep.commands.main import app as cep
-from cep.files.works import works
 
 
 def commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:

@@ -119,9 +119,7 @@ class FrontComparison:
                 "chips": problem.chips,
                 "open_range": problem.open_limits,
                 "direction": problem.direction,
-                **{
-                    name: limit for name, limit in asdict(problem.runs).items() if name != "fixed"
-                },  # no such option
+                **asdict(problem.runs),
                 "camera": problem.camera.to_dict(),
                 "steps": front.steps,
                 "stopped": front.stopped,

@@ -16,7 +16,6 @@ _FIELDS = (
     *("unit", "lower", "upper", "at", "method", "relative_width"),
     *("bits", "directions", "direction", "trajectory", "zero"),
 )
-FORWARD = ("forward",)
 BOTH = ("forward", "backward")
 
 

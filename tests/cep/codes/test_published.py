@@ -64,7 +64,7 @@ TABLE = [
 
 def test_table_is_complete():
     assert {row[0] for row in TABLE} == set(names()) == set(PUBLISHED)
-    assert all(published(name).source for name in names())
+    assert all(published(name).works for name in names())
 
 
 @pytest.mark.parametrize(("name", "chips", "opened", "minimum", "noise_db"), TABLE)

@@ -4,8 +4,8 @@ import subprocess
 import sys
 
 import pytest
+from works import works
 
-from cep.files.works import works
 from cep.restoration.registry import METHODS, find_method, is_registered
 
 DUMMY = """

@@ -5,8 +5,8 @@ import sys
 
 import numpy as np
 import pytest
+from works import works
 
-from cep.files.works import works
 from cep.search.annealing.terms import lay_out
 from cep.search.objective import Objective
 from cep.search.objectives import OBJECTIVES, Criterion

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from cep.codes.published import PUBLISHED, names
 from cep.files.code_files import StoredCode, read_code, write_code
 from cep.optics.code import ShutterCode
-from cep.proofs.certify.certificate import BOTH, FORWARD, Certificate, certify
+from cep.proofs.certify.certificate import BOTH, Certificate, certify
 from cep.proofs.verify.certificates import verify
 from cep.proofs.verify.sums import path_lines
 from motdiff.motions import boracchi_foi
@@ -110,7 +110,7 @@ def test_minima_above_zero_along_a_curve_are_confirmed(seed, direction):
     certificate = confirmed(code, shake(seed, 4.0, direction))
     assert certificate.lower > 0
     assert certificate.relative_width <= 1e-3
-    assert certificate.directions == (FORWARD if direction == "known" else BOTH)
+    assert certificate.directions == (("forward",) if direction == "known" else BOTH)
 
 
 def test_straight_motion_is_confirmed_in_light_true_units():

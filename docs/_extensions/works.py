@@ -6,10 +6,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
+from pathlib import Path
 from types import MappingProxyType
 
-# works.bib is our own, one field a line: no parser of all of BibTeX is needed
+_WORKS_FILE = Path(__file__).parents[2] / "cep" / "files" / "works.bib"
+# it is our own, one field a line: no parser of all of BibTeX is needed
 _ENTRY = re.compile(r"^@(\w+)\{([\w-]+),\n(.*?)\n\}$", re.MULTILINE | re.DOTALL)
 _FIELD = re.compile(r"^  (\w+) = \{(.*?)\},?$", re.MULTILINE | re.DOTALL)
 _ACCENTS = {
@@ -22,7 +23,6 @@ _ACCENTS = {
     r"\&": "&",
     "--": "–",
 }
-_HALF_LINE = 3  # authors: more are "et al." where a citation is short
 
 
 @dataclass(frozen=True)
@@ -78,25 +78,11 @@ class Work:
         title = re.sub(r"(?<![.?!])$", ".", self.text("title"))
         return f"{', '.join(self.authors)}: *{title}* {self.venue}."
 
-    @property
-    def short(self) -> str:
-        """Authors, first half of the title, and year.
-
-        Examples
-        --------
-        >>> work("raskar2006").short
-        'Raskar, Agrawal, Tumblin, Coded exposure photography, 2006'
-        """
-        who = self.authors
-        if len(who) > _HALF_LINE:
-            who = (f"{who[0]} et al.",)
-        return ", ".join(filter(None, (*who, self.text("title").split(":")[0], self.text("year"))))
-
 
 @cache
 def works() -> Mapping[str, Work]:
     """Return all works by their keys, in the order of the file."""
-    text = (resources.files("cep.files") / "works.bib").read_text(encoding="utf-8")
+    text = _WORKS_FILE.read_text(encoding="utf-8")
     entries = (
         Work(
             key,

@@ -4,10 +4,9 @@ import re
 from pathlib import Path
 
 import pytest
+from works import work, works
 
-from cep.files.works import work, works
-
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[1]
 SOURCE = (ROOT / "cep" / "files" / "works.bib").read_text(encoding="utf-8")
 REQUIRED = {
     "article": {"author", "title", "journal", "year"},
@@ -51,7 +50,6 @@ def test_a_citation_has_authors_title_and_venue():
     )
     assert work("koehler2012").authors == ("Köhler", "Hirsch", "Mohler", "Schölkopf", "Harmeling")
     assert work("emva1288").authors == ("European Machine Vision Association",)
-    assert work("jeon2013").short.startswith("Jeon et al., Fluttering pattern generation")
 
 
 def test_the_theory_cites_these_works():
