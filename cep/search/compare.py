@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
 from cep.optics.code import ShutterCode
-from cep.proofs.measure import (
-    CodeMetrics,
-    FigureOfMerit,
-    OwnFigure,
-    figure_head,
-    figure_in_words,
-    own_figures,
-)
+from cep.proofs.measure import CodeMetrics
 from cep.search.problem import SearchProblem
 from cep.search.recipe import Baseline
 from cep.search.recipe import baselines as find_baselines
-from motdiff.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -41,8 +32,6 @@ class BaselineRow:
     stopped_early : bool
         Whether the time limit or Ctrl-C ended the search of this code: another run may give
         another.
-    figures : mapping from a name to a number, or to those of both directions
-        Figures of merit of the user's own.
     """
 
     name: str
@@ -50,14 +39,6 @@ class BaselineRow:
     metrics: CodeMetrics
     within_limits: bool
     stopped_early: bool = False
-    figures: Mapping[str, OwnFigure] = field(default_factory=dict)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Figures for JSON: the metrics, and the user's own as ``figures`` where there are any."""
-        fields = self.metrics.to_dict()
-        if self.figures:
-            return fields | {"figures": dict(self.figures)}
-        return fields
 
     @property
     def label(self) -> str:
@@ -73,13 +54,7 @@ class Comparison(tuple[BaselineRow, ...]):
     __slots__ = ()
 
     def __repr__(self) -> str:
-        figure_names = tuple(
-            figure_head(*item) for row in self[:1] for item in row.figures.items()
-        )
-        cells = [
-            ("", "open", "min MTF", "noise gain, dB", "MSE, dB", *figure_names),
-            *map(_cells, self),
-        ]
+        cells = [("", "open", "min MTF", "noise gain, dB", "MSE, dB"), *map(_cells, self)]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         return "\n".join(
             "  ".join(
@@ -98,8 +73,6 @@ def compare(
     *,
     baselines: Iterable[Baseline] | None = None,
     seed: int = 0,
-    figures: Mapping[str, FigureOfMerit] | None = None,
-    along: Trajectory | None = None,
 ) -> Comparison:
     """Measure a code, and what would be used instead of it, on the same motions.
 
@@ -112,16 +85,11 @@ def compare(
         omitted.
     seed : int
         Of the baselines that are searched or drawn here.
-    figures : mapping from a name to a function, optional
-        Figures of merit of the user's own, see :func:`cep.proofs.measure.own_figures`.
-    along : Trajectory, optional
-        What these are taken along; the first scenario's path when omitted, on the unit circle
-        ``chips`` px straight.
 
     Raises
     ------
     ValueError
-        If the code has another number of chips, or a figure of the user's own fails.
+        If the code has another number of chips.
 
     Examples
     --------
@@ -134,10 +102,6 @@ def compare(
     """
     if baselines is None:
         baselines = find_baselines(problem, rng=np.random.default_rng(seed))
-    first = Trajectory.straight(float(problem.chips))  # stands for the unit circle: a px a chip
-    if problem.scenarios:
-        first = problem.scenarios[0].trajectory
-    path = as_designed(along or first, problem.direction)
     rows = (
         BaselineRow("this code", code, problem.measure(code), problem.allows(code)),
         *(
@@ -151,23 +115,11 @@ def compare(
             for baseline in baselines
         ),
     )
-    return Comparison(
-        replace(row, figures=own_figures(figures or {}, path, row.code)) for row in rows
-    )
-
-
-def as_designed(motion: Trajectory, direction: str) -> Trajectory:
-    """Return a motion with the direction that a problem counts: "auto" is the motion's own."""
-    if direction == "auto":
-        return motion
-    return replace(motion, direction="known" if direction == "forward" else "unknown")
+    return Comparison(rows)
 
 
 def _cells(row: BaselineRow) -> tuple[str, ...]:
-    figures: tuple[float | str | None, ...] = (
-        *(row.metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db")),
-        *map(figure_in_words, row.figures.values()),
-    )
+    figures = [row.metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db")]
     return (
         row.label,
         str(row.code.open_chips),

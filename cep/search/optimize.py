@@ -16,9 +16,9 @@ from cep.optics.camera import LIGHT_RANGE
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
-from cep.proofs.measure import CodeMetrics, FigureOfMerit, own_figures
+from cep.proofs.measure import CodeMetrics
 from cep.search.chip_count import ChipCount, choose_chips
-from cep.search.compare import Comparison, as_designed, compare
+from cep.search.compare import Comparison, compare
 from cep.search.exhaustive.exact import codes_to_count
 from cep.search.objective import Objective
 from cep.search.playable import unplayable
@@ -142,7 +142,7 @@ class Optimum:
             "duty": code.duty,
             "chip_ns": code.chip_ns,
             "exposure_s": code.duration_ns * 1e-9,
-            **self.comparison[0].to_dict(),
+            **self.metrics.to_dict(),
             "objective": outcome.objective,
             "proven": outcome.stopped == "proven",
             "proof": (outcome.proof or {}).get("file"),
@@ -161,7 +161,7 @@ class Optimum:
                         "within_limits": row.within_limits,
                         "stopped_early": row.stopped_early,
                     }
-                    | row.to_dict()
+                    | row.metrics.to_dict()
                 )
                 for row in self.comparison[1:]
             },
@@ -220,7 +220,6 @@ def optimize(
     along: Trajectory | None = None,
     path_error_px: float = 0.0,
     photographs: Sequence[FloatArray] | None = None,
-    figures: Mapping[str, FigureOfMerit] | None = None,
     threads: int | None = None,
     announce: Callable[[str], None] = lambda _text: None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
@@ -251,9 +250,6 @@ def optimize(
         On which the verdict is measured, as of :func:`cep.search.advise.advise`. With the
         objective "mse" the code is the best on them of those searched for its light, a third and a
         tenth of it, unless a limit or Ctrl-C ended the search.
-    figures : mapping from a name to a function, optional
-        Figures of merit of the user's own for the comparison, taken along the same motion; see
-        :func:`cep.proofs.measure.own_figures`. The search knows nothing of them.
     threads : int, optional
         As many as there are cores when omitted; the code does not depend on it.
     announce : callable, optional
@@ -270,7 +266,7 @@ def optimize(
     ValueError
         If the problem has no motion, its paths cannot be measured or are too short for so many
         chips, even the shortest opening saturates at its light, the method does not solve it, or
-        its device cannot play the code; or a user-defined figure fails.
+        its device cannot play the code.
 
     Examples
     --------
@@ -311,9 +307,6 @@ def optimize(
         tell(_SEARCH_SHARE * share, f"{best.open_chips} open")
 
     motion = checked_motion(problem, along)
-    designed = as_designed(motion, problem.direction)
-    # a figure that fails does so before the search
-    own_figures(figures or {}, designed, ShutterCode("1" * problem.chips))
     searched = searched_problem(problem)
     note = ""
     if method == "exact":
@@ -361,10 +354,10 @@ def optimize(
         outcome = replace(outcome, code=ShutterCode(bits), objective=cost_db)
         code = keep(outcome.code)
     tell(_MEASURED_SHARE, "comparing with other codes")
-    comparison = compare(problem, code, baselines=outcome.baselines, figures=figures, along=motion)
-    path: Trajectory | None = designed
-    if problem.on_circle:
-        path = None  # the certificate is for |P|, whatever the speed of the motion
+    comparison = compare(problem, code, baselines=outcome.baselines)
+    path: Trajectory | None = None  # of a straight motion |P| is certified, whatever its speed
+    if not problem.on_circle:
+        path = _as_designed(motion, problem.direction)
     certificate = certify(code, path)
     bounded = _bounded(problem, outcome, comparison[0].metrics, straight=path is None)
     tell(1.0, "")
@@ -440,6 +433,13 @@ def checked_motion(problem: SearchProblem, along: Trajectory | None = None) -> T
     check_resolved(motion, problem.chips)
     check_light(problem)
     return motion
+
+
+def _as_designed(motion: Trajectory, direction: str) -> Trajectory:
+    """Return a motion with the direction that a problem counts: "auto" is the motion's own."""
+    if direction == "auto":
+        return motion
+    return replace(motion, direction="known" if direction == "forward" else "unknown")
 
 
 def certificate_warnings(problem: SearchProblem) -> list[str]:

@@ -150,44 +150,28 @@ def test_a_figure_of_ones_own():
         "start": lambda trajectory, _code: trajectory.xy[0, 0],
         "open": lambda _path, code: code.open_chips,
     }
-    for motion, direction in ((path, "auto"), (replace(path, direction="known"), "unknown")):
-        problem = package.SearchProblem.along(
-            motion, chips=8, objective="mse", direction=direction
-        )
-        first, second, *_ = rows = package.compare(problem, code, figures=figures)
-        start = first.figures["start"]
-        opened = first.figures["open"]
-        assert start == (motion.xy[0, 0], motion.xy[-1, 0])
-        assert (
-            start[0] != start[1]
-        )  # no one number: nothing says which of the directions is the worse
-        assert (opened, second.figures["open"]) == ((5.0, 5.0), (8.0, 8.0))
-        assert "start, forward / backward" in repr(rows)
+    both = package.audit(code, path, flips=0, figures=figures).figures
+    # no one number: nothing says which of the directions is the worse
+    assert both == {"start": (path.xy[0, 0], path.xy[-1, 0]), "open": (5.0, 5.0)}
     known = replace(path, direction="known")
     assert package.audit(code, known, flips=0, figures=figures).figures == {
         "start": known.xy[0, 0],
         "open": 5.0,
     }
-    forward = package.SearchProblem.along(path, chips=8, objective="mse", direction="forward")
-    best = package.optimize(forward, steps=200, figures=figures)
-    assert [row.figures["open"] for row in best.comparison] == [
-        row.code.open_chips for row in best.comparison
-    ]
-    assert "figures" not in package.optimize(forward, steps=200).to_dict()
 
 
-def test_a_figure_that_fails_is_named_before_the_search(monkeypatch):
+def test_a_figure_that_fails_is_named_before_the_work(monkeypatch):
     monkeypatch.setattr(
-        "cep.search.optimize.search", lambda *_args, **_options: pytest.fail("it was searched")
+        "cep.proofs.audit.measure_worst", lambda *_args, **_options: pytest.fail("it was measured")
     )
-    problem = package.SearchProblem.along(package.Trajectory.straight(9.0), chips=8)
+    path = package.Trajectory.straight(9.0)
     for figure in (
         lambda _path, _code: 1 / 0,
         lambda _path, _code: None,
         lambda _path, _code: True,
     ):
         with pytest.raises(ValueError, match=r"^figure mine: "):
-            package.optimize(problem, figures={"mine": figure})
+            package.audit(package.ShutterCode("11100101"), path, figures={"mine": figure})
 
 
 def test_an_estimator_of_ones_own(plugin, tmp_path):

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from cep.optics.band import straight_axis
 from cep.optics.code import ShutterCode
-from cep.proofs.measure import CodeMetrics
 from cep.search.annealing.chains import Crew
 from cep.search.annealing.cooling import Cooling
 from cep.search.annealing.polish import Polished, judging_objective, polish
@@ -68,8 +67,6 @@ class SearchResult:
     objective : float
         Cost in dB, lower is better, with minima over the continuum; see
         :mod:`cep.search.objective`.
-    metrics : CodeMetrics
-        Worst of each figure over the problem's scenarios and directions.
     seconds : float
     steps : int
         Moves tried.
@@ -80,7 +77,6 @@ class SearchResult:
 
     code: ShutterCode
     objective: float
-    metrics: CodeMetrics
     seconds: float
     steps: int
     stopped: Stopped
@@ -139,8 +135,7 @@ def anneal(
     time_s : float
         Upper limit of the moves, seconds; ``math.inf`` for none. The closing polish ends at the
         latest a tenth of it, or half a second, later; after Ctrl-C, within half a second.
-        Preparing the moves (seconds for a class of motions), preparing the polish and measuring
-        the code (together milliseconds for 52 chips, 2 to 3 s for 512) are not included.
+        Preparing the moves (seconds for a class of motions) and the polish is not included.
     start : iterable of ShutterCode
         Codes to start from besides random ones, such as published ones; those that break a limit
         are left out.
@@ -214,9 +209,8 @@ def anneal(
     polished, stopped = budget.polished(
         polished, polish(fine, elites.ranked(), swaps=swaps), report, stopped=stopped
     )
-    metrics = problem.measure(polished.code)
     seconds = time.monotonic() - started
-    return SearchResult(polished.code, polished.cost, metrics, seconds, budget.moves, stopped)
+    return SearchResult(polished.code, polished.cost, seconds, budget.moves, stopped)
 
 
 def standard_moves(problem: SearchProblem) -> int:
