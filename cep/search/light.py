@@ -1,7 +1,7 @@
-"""Codes without a search over chips: best snapshot, best strobe, and a random code.
+"""Codes used instead of a searched one: best snapshot, best strobe, DNF's code, a random code.
 
-They are judged by a problem's own objective. The random code keeps its limits, the others keep
-them on request.
+All but DNF's are judged by a problem's own objective. The random code keeps its limits, the
+snapshot and the strobe keep them on request.
 """
 
 from __future__ import annotations
@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.optics.code import ShutterCode
-from cep.search.limits import Limits
+from cep.search.annealing.anneal import SearchResult, anneal
+from cep.search.limits import Limits, RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
+from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 Codes = NDArray[np.int8]
@@ -23,6 +25,7 @@ _PERIODS = 64  # of strobes, and widths of each period
 _WIDTHS = 32
 _PAIRS = 256  # of strobes within limits: widths with numbers of pulses, and periods of each
 _PERIODS_WITHIN = 8
+_SHORTEST_PX = 1.0  # paths that are shorter are designed for like one of a pixel
 _BATCH = 2**21  # numbers evaluated at once: 16 MB
 
 
@@ -123,6 +126,68 @@ def best_strobe(objective: Objective, *, within_limits: bool = False) -> Shutter
     if not len(codes):
         return None
     return ShutterCode.from_array(codes[int(_costs(objective, codes).argmin())])
+
+
+def dnf_problem(
+    length_px: float,
+    chips: int,
+    *,
+    open_range: tuple[int, int] | None = None,
+    runs: RunLimits | None = None,
+) -> SearchProblem:
+    """Make DNF's problem: least deconvolution noise for a straight blur of the path's length.
+
+    The deconvolution noise factor of a code is ``sqrt(mean(max|H|^2 / |H|^2))``; since |H| is
+    largest at frequency 0, it is the noise of the inverse filter relative to the light that came
+    through. A single open chip has the least there is, 1, whatever the light it loses: so the
+    noise itself is the objective, which ranks codes of equal light alike. Parameters are those of
+    :func:`dnf_search`.
+    """
+    if not (np.isfinite(length_px) and length_px >= 0):
+        raise ValueError(f"length_px: must be 0 or more, got {length_px}")
+    straight = Trajectory.straight(max(_SHORTEST_PX, float(length_px)))
+    return SearchProblem.along(
+        straight, chips=chips, open_range=open_range, objective="noise", runs=runs or RunLimits()
+    )
+
+
+def dnf_search(
+    length_px: float,
+    chips: int,
+    *,
+    rng: np.random.Generator,
+    steps: int | None = 1_000_000,
+    time_s: float = 60.0,
+    open_range: tuple[int, int] | None = None,
+    runs: RunLimits | None = None,
+    threads: int | None = None,
+) -> SearchResult:
+    """Search DNF's code with the project's search, for a straight motion of the given length.
+
+    Parameters
+    ----------
+    length_px : float, px
+        Arc length of the path.
+    chips : int
+    rng : numpy Generator
+    steps, time_s, threads
+        As :func:`cep.search.annealing.anneal.anneal` takes them.
+    open_range : (int, int), optional
+        Fewest and most open chips; any number when omitted.
+    runs : RunLimits, optional
+        Limits on runs and pulses; none when omitted.
+
+    Raises
+    ------
+    ValueError
+        If the length is negative or not finite, or the problem or the budget is malformed.
+
+    References
+    ----------
+    Agrawal and Raskar, "Optimal single image capture for motion deblurring", CVPR 2009.
+    """
+    problem = dnf_problem(length_px, chips, open_range=open_range, runs=runs)
+    return anneal(problem, rng=rng, steps=steps, time_s=time_s, threads=threads)
 
 
 def _fitting_runs(limits: Limits) -> NDArray[np.bool_]:

@@ -23,11 +23,10 @@ import numpy as np
 from cep.codes.published import for_chips
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import Stopped, anneal
-from cep.search.dnf import dnf_search
 from cep.search.exhaustive.exact import codes_to_count, exact
 from cep.search.exhaustive.proof import ExactResult, ProofLog
 from cep.search.feasibility import nearest
-from cep.search.light import best_snapshot, best_strobe, median_random_code
+from cep.search.light import best_snapshot, best_strobe, dnf_search, median_random_code
 from cep.search.objective import Objective
 from cep.search.optima import proven_optimum, proven_starts
 from cep.search.problem import SearchProblem

@@ -12,8 +12,7 @@ import numpy as np
 from cep.codes.published import DCE_CODE, published
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.search.dnf import dnf_problem
-from cep.search.light import best_snapshot, best_strobe, median_random_code
+from cep.search.light import best_snapshot, best_strobe, dnf_problem, median_random_code
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.recipe import search_code

@@ -15,9 +15,8 @@ from cep.optics.exposure import chip_basis
 from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip
 from cep.search.annealing.proposals import Limits
-from cep.search.exhaustive.best_code import BestCode
 from cep.search.exhaustive.blocks import Tables
-from cep.search.exhaustive.exact import codes_to_count, exact
+from cep.search.exhaustive.exact import BestCode, codes_to_count, exact
 from cep.search.exhaustive.scan import INNER, all_patterns, keeps_runs, possible
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem

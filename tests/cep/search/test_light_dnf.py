@@ -9,7 +9,7 @@ import pytest
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import chip_noise_db
 from cep.proofs.measure import measure
-from cep.search.dnf import dnf_problem, dnf_search
+from cep.search.light import dnf_problem, dnf_search
 from cep.search.limits import RunLimits
 from motdiff.trajectory import Trajectory
 
