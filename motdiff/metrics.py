@@ -19,6 +19,7 @@ docs/decisions/network.md."""
 _SUBPIXEL_STEP_PX = 0.05
 _ALIGNED_STEP_PX = 0.25  # of images: 1 px halved twice
 _TIMES = 401  # compared of two paths
+_SPACING_PX = 0.25  # of the points that are matched
 
 
 def mnc(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
@@ -143,7 +144,7 @@ def rms_distance_px(p: FloatArray, q: FloatArray) -> float:
     return float(np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
-def ordered_distance_px(a: ArrayLike, b: ArrayLike, *, step_px: float = 0.25) -> float:
+def ordered_distance_px(a: ArrayLike, b: ArrayLike) -> float:
     """Mean distance, px, of two paths under their best monotone matching, better direction.
 
     Dynamic time warping over points evenly spaced along both paths: small errors of arc length do
@@ -154,18 +155,14 @@ def ordered_distance_px(a: ArrayLike, b: ArrayLike, *, step_px: float = 0.25) ->
     ----------
     a, b : (N, 2) and (M, 2) array_like, px
         Ordered points.
-    step_px : float, px
-        Spacing of the points compared.
 
     Raises
     ------
     ValueError
-        If a path is not finite (N, 2) points, or the spacing is not positive.
+        If a path is not finite (N, 2) points.
     """
-    if not (np.isfinite(step_px) and step_px > 0):
-        raise ValueError(f"step_px: must be a positive number, got {step_px}")
-    p = _evenly_spaced("a", a, step_px)
-    q = _evenly_spaced("b", b, step_px)
+    p = _evenly_spaced("a", a)
+    q = _evenly_spaced("b", b)
     distance = np.linalg.norm(p[:, None] - q[None], axis=-1)
     return min(_warped_mean(distance), _warped_mean(distance[:, ::-1]))
 
@@ -216,10 +213,10 @@ def _ssim(image: FloatArray, target: FloatArray) -> float:
     return float(score)
 
 
-def _evenly_spaced(name: str, path: ArrayLike, step_px: float) -> FloatArray:
+def _evenly_spaced(name: str, path: ArrayLike) -> FloatArray:
     points = checked_points(name, path)
     arc = arc_lengths(points)
-    where = np.linspace(0, arc[-1], max(2, int(np.ceil(arc[-1] / step_px)) + 1))
+    where = np.linspace(0, arc[-1], max(2, int(np.ceil(arc[-1] / _SPACING_PX)) + 1))
     return interpolated(where, arc, points)
 
 

@@ -19,6 +19,7 @@ _SMOOTH_OVER = 0.12  # of the exposure: an error of a path changes over such tim
 _WINDOW_TRIES = 200  # until the recording is called still
 # a phone's; other axes would draw the mirror images of the published tables' motions
 _RECORDED_AXES = "right,up,back"
+_PARABOLA_POINTS = 200
 _ERROR_KNOTS = 101  # well within the 0.12 of the exposure over which errors change
 
 
@@ -111,7 +112,6 @@ def quadratic(
     min_length_px: float = 5.0,
     max_length_px: float = 40.0,
     max_bend: float = 1.0,
-    samples: int = 200,
 ) -> Trajectory:
     """Draw a motion of constant acceleration: a piece of a parabola at its own pace.
 
@@ -123,23 +123,18 @@ def quadratic(
     max_bend : float
         Largest change of velocity during the exposure over the mean velocity; below 2 the motion
         never turns back.
-    samples : int
-        Points on the path, evenly spaced in time.
 
     Raises
     ------
     ValueError
-        If the lengths are not positive and ordered, ``max_bend`` is negative, or there are fewer
-        than 2 samples.
+        If the lengths are not positive and ordered, or ``max_bend`` is negative.
     """
-    if samples < 2:
-        raise ValueError(f"samples: needs at least 2, got {samples}")
     if not (math.isfinite(max_bend) and max_bend >= 0):
         raise ValueError(f"max_bend: must be a non-negative number, got {max_bend}")
     length_px = _drawn_length(rng, min_length_px, max_length_px)
     mean_rad, change_rad = rng.uniform(0, 2 * np.pi, 2)
     change = max_bend * math.sqrt(rng.random())  # uniform over the disc
-    t = np.linspace(0, 1, samples) - 0.5
+    t = np.linspace(0, 1, _PARABOLA_POINTS) - 0.5
     points = t * np.exp(1j * mean_rad) + 0.5 * t**2 * change * np.exp(1j * change_rad)
     points *= length_px / np.abs(np.diff(points)).sum()
     return Trajectory.from_samples(np.column_stack([points.real, points.imag]), direction="known")
@@ -151,9 +146,8 @@ def random_gyro_motion(
     *,
     exposure_s: float,
     extent_px: float,
-    rotate: bool = True,
 ) -> Trajectory:
-    """Draw a hand shake: a random window of ``trace``, its focal length for ``extent_px``.
+    """Draw a hand shake: a window of ``trace``, turned, its focal length for ``extent_px``.
 
     Parameters
     ----------
@@ -162,8 +156,6 @@ def random_gyro_motion(
     exposure_s : float, seconds
     extent_px : float, px
         Larger side of the path's bounding box.
-    rotate : bool
-        Turn the path by a random angle: a recording may have a preferred direction.
 
     Raises
     ------
@@ -184,12 +176,12 @@ def random_gyro_motion(
         )
         if motion.extent_px < _MIN_EXTENT_RAD:
             continue
-        if rotate:
-            turn = rng.uniform(0, 2 * np.pi)
-            c = math.cos(turn)
-            s = math.sin(turn)
-            xy = motion.xy @ np.array([[c, s], [-s, c]])
-            motion = Trajectory.from_samples(xy, t=motion.t, direction="known")
+        # turned at random: a recording may have a preferred direction
+        turn = rng.uniform(0, 2 * np.pi)
+        c = math.cos(turn)
+        s = math.sin(turn)
+        xy = motion.xy @ np.array([[c, s], [-s, c]])
+        motion = Trajectory.from_samples(xy, t=motion.t, direction="known")
         return motion.scaled(extent_px / motion.extent_px)
     raise ValueError(
         f"trace: {_WINDOW_TRIES} windows of {exposure_s} s turned by less than min_extent_rad ="

@@ -412,7 +412,7 @@ def _denoiser(path):
 
 
 def _correction(path):
-    from motdiff.weights.correction import load_correction
+    from motdiff.weights import load_correction
 
     return load_correction(path)
 

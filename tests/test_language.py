@@ -30,8 +30,6 @@ MOST = {
     "lab/fronts": 1,
     "lab/jobs": 2,
     "motdiff/estimators": 1,
-    "motdiff/network": 1,
-    "motdiff/training": 3,
 }
 """The vague names that a room still has; one that is missing here has none."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import time
-from types import TracebackType
 from typing import Self
 
 from hw.cxp.framing import BINARY, TEXT, FrameError, Framing
@@ -154,12 +153,7 @@ class Link:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is not None and self._answerable:
             self.abort_after(error)
         self.close()

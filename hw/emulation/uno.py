@@ -16,7 +16,6 @@ import tempfile
 import threading
 from importlib.resources import as_file, files
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 CLOCK_HZ = 16_000_000
@@ -226,12 +225,7 @@ class EmulatedUno:
     def __enter__(self) -> Self:
         return self.start()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self.stop()
 
     def _known_events(self) -> tuple[tuple[int, str, int], ...]:

@@ -72,8 +72,7 @@ class NetworkAlone:
         import torch
 
         from motdiff.network.diffusion import cosine_schedule, samples
-        from motdiff.weights import load_network
-        from motdiff.weights.correction import load_correction
+        from motdiff.weights import load_correction, load_network
 
         # refuses an unknown sampler or number of steps now, not at every photo
         samples(

@@ -52,8 +52,7 @@ from motdiff.threads import one_thread, side_by_side
 from motdiff.training.config import read_config
 from motdiff.training.motion_bank import drawn_kinds
 from motdiff.training.prepared import read_shards
-from motdiff.weights import load_network
-from motdiff.weights.correction import load_correction
+from motdiff.weights import load_correction, load_network
 
 FloatArray = np.ndarray
 

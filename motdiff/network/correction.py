@@ -66,8 +66,8 @@ def corrected(network: CorrectionNetwork, maps: Tensor) -> Tensor:
     -------
     (B, 64, 64) float: non-negative, sum 1, 0 below 2 % of the peak.
     """
-    turned = torch.cat([mirrored(maps, symmetry, pitch=1) for symmetry in range(SYMMETRIES)])
-    kernels = network(turned)[:, None].chunk(SYMMETRIES)
+    all_ways = torch.cat([mirrored(maps, symmetry, pitch=1) for symmetry in range(SYMMETRIES)])
+    kernels = network(all_ways)[:, None].chunk(SYMMETRIES)
     aligned = [
         mirrored(kernel, inverse_symmetry(symmetry), pitch=1)
         for symmetry, kernel in enumerate(kernels)

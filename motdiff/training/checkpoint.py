@@ -78,8 +78,8 @@ def write_checkpoint(folder: Path | str, checkpoint: Checkpoint) -> None:
         parts[-1][name] = plain
         room -= size
     files = [f"part_{i:03d}.safetensors" for i in range(len(parts))]
-    for file, part in zip(files, parts, strict=True):
-        save_file(part, new / file)
+    for file, tensors in zip(files, parts, strict=True):
+        save_file(tensors, new / file)
     index = {
         "schema": _SCHEMA,
         "step": checkpoint.step,

@@ -147,11 +147,11 @@ def make_sources(
         build_bank(config.motions, count=n, seed=bank_seed, workers=workers).to(device)
         for n, bank_seed in zip((data.motions, data.validation), seeds, strict=True)
     ]
-    training, held = (
+    training, validation_source = (
         LiveSource(bank, photos, config.photography, seed=source_seed, **inputs)
         for bank, photos, source_seed in zip(banks, scenes, (seed, _VALIDATION_SEED), strict=True)
     )
-    return Sources(training, tuple(held.batch(i, n) for i, n in enumerate(sizes)))
+    return Sources(training, tuple(validation_source.batch(i, n) for i, n in enumerate(sizes)))
 
 
 def train(

@@ -14,15 +14,18 @@ from safetensors.torch import save
 from motdiff.files.inputs import one_line
 from motdiff.files.outputs import write_bytes
 from motdiff.network import MotDiffNetwork, NetworkConfig, PathNetwork, build_network
+from motdiff.network.correction import CorrectionNetwork
 from motdiff.training.checkpoint import read_checkpoint
-from motdiff.weights.correction import CORRECTION_WEIGHTS
-from motdiff.weights_io import packed, read_header, read_tensors
+from motdiff.weights_io import filled, packed, read_header, read_tensors
 
 __all__ = [
+    "CORRECTION_SCHEMA",
+    "CORRECTION_WEIGHTS",
     "DEFAULT_WEIGHTS",
     "MOTDIFF_FILES",
     "PHOTO_PARTS",
     "export_weights",
+    "load_correction",
     "load_network",
     "load_path_network",
     "load_start",
@@ -30,6 +33,8 @@ __all__ = [
 ]
 
 DEFAULT_WEIGHTS = Path(__file__).with_name("motdiff.safetensors")
+CORRECTION_WEIGHTS = Path(__file__).with_name("correction.safetensors")
+CORRECTION_SCHEMA = "motdiff.correction/1"
 MOTDIFF_FILES = (DEFAULT_WEIGHTS, CORRECTION_WEIGHTS)
 """All that the method ``motdiff`` reads: what is cached of it depends on them."""
 PHOTO_PARTS = ("photo.", "fusion.")
@@ -176,6 +181,17 @@ def load_path_network(path: Path | str) -> PathNetwork:
             f"{path}: holds a network of target {network.config.target!r}, wanted 'path'"
         )
     return network
+
+
+def load_correction(path: Path | str = CORRECTION_WEIGHTS) -> CorrectionNetwork:
+    """Build the network that corrects searched kernels, in eval mode and float32.
+
+    Raises
+    ------
+    ValueError
+        If the file is not one of ours.
+    """
+    return filled(CorrectionNetwork(), path, schema=CORRECTION_SCHEMA)
 
 
 def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:

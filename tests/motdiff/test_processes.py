@@ -33,7 +33,7 @@ def drawn(mix, seed, indices):
     Path({busy!r}).touch()
     time.sleep(600)
 
-motion_bank._motions = drawn
+motion_bank._drawn_rows = drawn
 motion_bank.build_bank(None, count=1000, seed=0, workers=2)
 """
 

@@ -10,8 +10,7 @@ from lab.evaluation.methods import METHODS, named_estimators, split_weights
 from lab.jobs.fingerprint import source_version
 from lab.weights import PATH_WEIGHTS, PSF_WEIGHTS
 from motdiff.files.plugins import is_reference
-from motdiff.weights import DEFAULT_WEIGHTS
-from motdiff.weights.correction import CORRECTION_WEIGHTS
+from motdiff.weights import CORRECTION_WEIGHTS, DEFAULT_WEIGHTS
 
 USUAL = ("pmp", "motdiff", "network", "parametric", "psf-diffusion")
 """Estimators of every table."""

@@ -73,7 +73,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     from lab.trainings.correction.samples import read_samples
     from lab.trainings.correction.training import corrected_mnc
     from motdiff.training.run import device_named
-    from motdiff.weights.correction import CORRECTION_WEIGHTS, load_correction
+    from motdiff.weights import CORRECTION_WEIGHTS, load_correction
 
     device = device_named(options.device)
     samples = read_samples(options.kernels)

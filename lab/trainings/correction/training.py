@@ -16,7 +16,8 @@ from lab.trainings.correction.samples import Kernels, alike, described
 from motdiff.network.correction import CorrectionNetwork, corrected
 from motdiff.network.symmetry import SYMMETRIES, mirrored
 from motdiff.training.samples import Samples
-from motdiff.weights.correction import write_correction
+from motdiff.weights import CORRECTION_SCHEMA
+from motdiff.weights_io import packed, write_with_card
 
 _EVALUATED = 256  # kernels at a time
 _WARM_UP_STEPS = 100
@@ -145,10 +146,11 @@ def train(
                 "seconds": round(moment - started),
                 "device": device,
             }
-            write_correction(
-                trainer.average.state_dict(),
+            write_with_card(
+                packed(trainer.average.state_dict(), source=target),
                 target,
-                about={**about, "settings": asdict(settings)},
+                schema=CORRECTION_SCHEMA,
+                card={**about, "settings": asdict(settings)},
             )
             report(
                 f"{trainer.step} of {settings.steps} updates, {moment - started:.0f} s,"

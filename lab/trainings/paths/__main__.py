@@ -39,7 +39,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 def _prepare(options: argparse.Namespace) -> None:
     from lab.trainings.paths.samples import prepare
-    from motdiff.weights.correction import load_correction
+    from motdiff.weights import load_correction
 
     prepare_shards(options, partial(prepare, network=load_correction()))
 

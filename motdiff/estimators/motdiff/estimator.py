@@ -35,8 +35,7 @@ from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
 from motdiff.psf_frame import ODD_PX
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
-from motdiff.weights import load_network
-from motdiff.weights.correction import load_correction
+from motdiff.weights import load_correction, load_network
 
 _REFINED = 3
 _STEPS = 1  # of denoising, for each draw

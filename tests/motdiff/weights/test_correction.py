@@ -9,13 +9,19 @@ from motdiff.metrics import mnc_subpixel
 from motdiff.network.correction import CorrectionNetwork
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
-from motdiff.weights import DEFAULT_WEIGHTS
-from motdiff.weights.correction import (
+from motdiff.weights import (
+    CORRECTION_SCHEMA,
     CORRECTION_WEIGHTS,
+    DEFAULT_WEIGHTS,
     load_correction,
-    read_card,
-    write_correction,
 )
+from motdiff.weights_io import packed, read_card, write_with_card
+
+
+def write(state, target, **card):
+    tensors = packed(state, source=target)
+    return write_with_card(tensors, target, schema=CORRECTION_SCHEMA, card=card)
+
 
 WHOLE = [[0, 0], [9, 2], [14, 12]]
 
@@ -24,9 +30,9 @@ def test_weights_are_read_as_they_were_written(tmp_path):
     torch.manual_seed(0)
     network = CorrectionNetwork()
     torch.nn.init.normal_(network.out.weight)
-    size = write_correction(network.state_dict(), tmp_path / "c.safetensors", about={"steps": 3})
+    size = write(network.state_dict(), tmp_path / "c.safetensors", steps=3)
     assert (tmp_path / "c.safetensors").stat().st_size == size
-    assert read_card(tmp_path / "c.safetensors") == {"steps": 3}
+    assert read_card(tmp_path / "c.safetensors", CORRECTION_SCHEMA) == {"steps": 3}
     found = load_correction(tmp_path / "c.safetensors")
     assert not found.training
     for name, value in network.state_dict().items():
@@ -39,17 +45,17 @@ def test_weights_are_read_as_they_were_written(tmp_path):
 def test_other_files_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"is no motdiff\.correction/1 file"):
         load_correction(DEFAULT_WEIGHTS)
-    write_correction({"unet.stem.weight": torch.ones(2)}, tmp_path / "c.safetensors", about={})
+    write({"unet.stem.weight": torch.ones(2)}, tmp_path / "c.safetensors")
     with pytest.raises(ValueError, match="its tensors do not fit the network"):
         load_correction(tmp_path / "c.safetensors")
     with pytest.raises(ValueError, match="holds values that float16 cannot"):
-        write_correction({"out.bias": torch.tensor([1e6])}, tmp_path / "d.safetensors", about={})
+        write({"out.bias": torch.tensor([1e6])}, tmp_path / "d.safetensors")
     assert not (tmp_path / "d.safetensors").exists()
 
 
 def test_the_shipped_ones_are_small_and_in_their_card():
     assert CORRECTION_WEIGHTS.stat().st_size <= 3 * 2**20
-    card = read_card()
+    card = read_card(CORRECTION_WEIGHTS, CORRECTION_SCHEMA)
     readme = CORRECTION_WEIGHTS.with_name("README.md").read_text(encoding="utf-8")
     assert f"{card['photos']:,}" in readme
     assert f"{card['kernels']:,}" in readme

@@ -26,7 +26,8 @@ from motdiff.network.correction import MAPS, CorrectionNetwork
 from motdiff.training.motion_bank import MotionMix
 from motdiff.training.prepared import Source
 from motdiff.training.simulation import Photography
-from motdiff.weights.correction import load_correction, read_card
+from motdiff.weights import CORRECTION_SCHEMA, load_correction
+from motdiff.weights_io import read_card
 
 MIX = MotionMix(max_length_px=25)
 
@@ -173,7 +174,7 @@ def test_a_run_writes_as_it_goes_and_its_average_at_the_end(samples, tmp_path):
         report=lines.append,
     )
     assert len(lines) == 2
-    card = read_card(target)
+    card = read_card(target, CORRECTION_SCHEMA)
     assert card["steps"] == 5
     assert card["seconds"] == 50
     assert card["settings"] == {"steps": 5, "batch": 2, "rate": 1.5e-3, "seed": 0}
@@ -215,7 +216,7 @@ def test_the_commands_prepare_train_and_evaluate(monkeypatch, tmp_path, capsys):
     target = tmp_path / "c.safetensors"
     assert run(["prepare", str(config), "-o", str(folder), "--shards", "0:1"]) == 0
     assert run(["train", str(folder), "-o", str(target), "--steps", "1", "--batch", "2"]) == 0
-    assert read_card(target)["steps"] == 1
+    assert read_card(target, CORRECTION_SCHEMA)["steps"] == 1
     assert run(["evaluate", str(folder), "--weights", str(target)]) == 0
     assert re.fullmatch(
         r"1 photos: MNC [\d.]+, corrected [\d.]+, twice [\d.]+\n", capsys.readouterr().out

@@ -11,7 +11,7 @@ from motdiff.metrics import mnc_subpixel
 from motdiff.progress import Progress
 from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory
-from motdiff.weights.correction import load_correction
+from motdiff.weights import load_correction
 
 BENT = Trajectory.from_samples([[0, 0], [9, 2], [17, 8], [22, 17]])
 LOST = (Trajectory.straight(9.0, angle_rad=2.2), Trajectory.straight(20.0, angle_rad=1.4))

@@ -27,8 +27,7 @@ from motdiff.threads import one_thread
 from motdiff.training.config import DataConfig, TrainingConfig
 from motdiff.training.loop import Trainer
 from motdiff.trajectory import Trajectory
-from motdiff.weights import export_weights
-from motdiff.weights.correction import load_correction
+from motdiff.weights import export_weights, load_correction
 
 STRAIGHT = Trajectory.straight(15.0, angle_rad=0.5)
 TINY = {
