@@ -188,6 +188,7 @@ def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list
 
 def best_windows(grey: FloatArray, *, count: int) -> list[tuple[slice, slice]]:
     """Windows of a photo (H, W) to search its blur in: all of it, or :func:`pick_crops`."""
+    # of a photo hardly larger than a crop they would all be the same
     if max(grey.shape) <= _WHOLE * CROP_PX:
         return [(slice(0, grey.shape[0]), slice(0, grey.shape[1]))]
     size = min(CROP_PX, *grey.shape)

@@ -125,6 +125,7 @@ def _camera_rates_rad_s(trace: GyroTrace, axes: str) -> FloatArray:
             f" of {', '.join(_DIRECTIONS)}; got {axes!r}"
         )
     rotation = np.array([_DIRECTIONS[name] for name in names], dtype=np.float64)
+    # the determinant of a rotation; a mirrored triple has -1, a repeated axis 0
     if round(float(np.linalg.det(rotation))) != 1:
         raise ValueError(
             f"axes: must be at right angles and right-handed, as {DEFAULT_AXES} or right,up,back"

@@ -162,6 +162,7 @@ def filled(network: _Network, path: Path | str, *, schema: str) -> _Network:
 
     read_card(path, schema)
     try:
+        # the tensors become the network's own: nothing is copied
         network.load_state_dict(read_tensors(path), assign=True)
     except RuntimeError as error:
         raise ValueError(f"{path}: its tensors do not fit the network") from error

@@ -189,6 +189,7 @@ class GenicamCamera(Camera, ABC):
 
     def _change(self, name: str, value: Value) -> None:
         before = self.features.get(name)
+        # what stays as it is need not be put back
         if before != value:
             self.features.set(name, value)
             self._changes.append((name, before))

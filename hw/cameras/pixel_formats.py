@@ -74,6 +74,7 @@ class PixelFormat:
                 " are needed"
             )
         octets = octets[: self._bytes(pixels)]
+        # GenICam's numbers are little-endian, the array is in the machine's order
         if not self.packing:
             return octets.copy() if self.bits == 8 else octets.view("<u2").astype(np.uint16)
         # the shortest run of whole bytes that holds whole pixels

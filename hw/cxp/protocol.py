@@ -189,6 +189,7 @@ def unpack_hello(data: bytes) -> Hello:
         raise FrameError(f"HELLO reply has protocol version {data[4]}: version 1 is needed")
     if len(data) < _HELLO.size:
         raise FrameError(f"HELLO reply has {len(data)} bytes: at least {_HELLO.size} are needed")
+    # the layout, and which values stand for no limit, is in docs/cxp1.md
     _, version, flags, chips, tick_ns, *limits, lead_ns, cause = _HELLO.unpack_from(data)
     min_ticks, max_ticks, max_on_ticks, permille = limits
     if not chips or not tick_ns or not 1 <= min_ticks <= max_ticks:

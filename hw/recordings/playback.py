@@ -241,6 +241,7 @@ def _verification(
         )
     if fit.stays_open:
         problems.append("the shutter stays open after the last chip")
+    # half a chip: an edge that is a little late is not cut off
     if fit.open_at + fit.scale * program.edges[-1][0] > end_ns + program.chip_ns / 2:
         problems.append("the recording ends before the code does: record longer")
     scale_ppm = (fit.scale - 1) * 1e6

@@ -259,6 +259,7 @@ def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
     """
     count = len(kernels)
     alike = mnc_matrix(kernels)
+    # a kernel's likeness with itself is no agreement
     np.fill_diagonal(alike, 0)
     top = max(min(_TOP, count - 1), 1)
     agreement = np.ones(1)  # a lone kernel agrees with itself

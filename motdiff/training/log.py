@@ -90,6 +90,7 @@ class RunLog:
         path = self._folder / "log.csv"
         if not path.exists():
             return False
+        # the lines as they are: those that stay are written back to the byte
         with path.open(newline="", encoding="utf-8") as file:
             header, *lines = file.readlines() or [""]
         rows = [header]
