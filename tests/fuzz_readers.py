@@ -348,9 +348,9 @@ def _dng_seeds():
 
 
 def _psf(path):
-    from cep.files.psf_files import read_psf
+    from cep.files.psf_files import load_psf
 
-    return read_psf(path)
+    return load_psf(path)[0]
 
 
 def _npy_seeds():

@@ -8,8 +8,8 @@ _UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _ROUNDING = 1e-12  # of figures around 1, in dB or px: smaller values are rounding errors of a zero
 
 
-def number(value: float, *, digits: int = 4) -> str:
-    """Format a number to some digits; rounding errors of a zero become 0.
+def number(value: float) -> str:
+    """Format a number to four digits; rounding errors of a zero become 0.
 
     Examples
     --------
@@ -18,7 +18,7 @@ def number(value: float, *, digits: int = 4) -> str:
     """
     if abs(value) < _ROUNDING:
         return "0"
-    return f"{value:.{digits}g}"
+    return f"{value:.4g}"
 
 
 def formatted(value: float | None, spec: str) -> str | None:

@@ -64,12 +64,6 @@ def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple
     return paths[0], paths[1], paths[2]
 
 
-def read_psf(path: Path | str) -> NDArray[np.float64]:
-    """Read a PSF without the warnings of :func:`load_psf`, whose errors it has too."""
-    kernel, _ = load_psf(path)
-    return kernel
-
-
 def load_psf(path: Path | str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """Read a PSF from ``.npy``, ``.mat`` or an image (whose samples are taken as linear).
 

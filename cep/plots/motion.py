@@ -20,20 +20,19 @@ _TIME_MAP = "cividis"  # of even lightness, for colour-blind readers too
 _VISIBLE = 0.01  # of a PSF's peak
 
 
-def trajectory_figure(photo: ArrayLike, trajectory: Trajectory, *, title: str = "") -> Figure:
+def trajectory_figure(photo: ArrayLike, trajectory: Trajectory) -> Figure:
     """Draw the path over its photo, enlarged beside it, coloured by time.
 
     Parameters
     ----------
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1
     trajectory : Trajectory
-    title : str
     """
     small = thumbnail(photo, 1600)
     figure = new_figure(10.0, 4.6)
     photo_axes, path_axes = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
     show_photo(photo_axes, small)
-    photo_axes.set_title(plot_text(title) or "Photo and its motion (same scale)")
+    photo_axes.set_title("Photo and its motion (same scale)")
     scale = small.shape[1] / np.asarray(photo).shape[1]
     centre = 0.5 * np.array([small.shape[1] - 1, small.shape[0] - 1])
     on_photo = trajectory.xy * scale + centre

@@ -93,7 +93,7 @@ class Audit:
     grids : tuple of GridClaim
         Minima that common frequency grids show.
     neighbours : tuple of Neighbour
-        Better codes few flips away, best first for each number of flips.
+        Better codes few flips away, the best for each number of flips.
     flips : int
         Most chips changed in looking for them.
     figures : mapping from a name to a number, or to those of both directions
@@ -297,9 +297,9 @@ def grid_claims(
 
 
 def better_neighbours(
-    code: ShutterCode, trajectory: Trajectory | None = None, *, flips: int = 2, keep: int = 1
+    code: ShutterCode, trajectory: Trajectory | None = None, *, flips: int = 2
 ) -> tuple[Neighbour, ...]:
-    """Find, for each number of flips up to ``flips``, the best codes that beat this one's minimum.
+    """Find, for each number of flips up to ``flips``, the best code that beats this one's minimum.
 
     Every combination is evaluated on a grid of frequencies, up to the first at which it is no
     better than this code. The minima of the best ones are then found over the continuum.
@@ -312,13 +312,10 @@ def better_neighbours(
         omitted.
     flips : int
         Most chips changed, up to 3.
-    keep : int
-        Codes returned per number of flips.
 
     Returns
     -------
-    tuple of Neighbour, fewest flips first, better ones first within; empty when no neighbour is
-    better.
+    tuple of Neighbour, fewest flips first; empty when no neighbour is better.
 
     Raises
     ------
@@ -354,8 +351,10 @@ def better_neighbours(
             if neighbour is not None:
                 minimum = _exact(neighbour, trajectory)
                 exact.append(Neighbour(tuple(k + 1 for k in row), neighbour, minimum))
-        exact.sort(key=lambda n: n.minimum, reverse=True)
-        neighbours.extend(n for n in exact[:keep] if n.minimum > to_beat)
+        best = max(exact, key=lambda neighbour: neighbour.minimum, default=None)
+        # the grid may have missed a dip: the minimum over the continuum decides
+        if best is not None and best.minimum > to_beat:
+            neighbours.append(best)
     return tuple(neighbours)
 
 

@@ -95,8 +95,6 @@ class ExpectedPsnr:
         Its motions, directions and shutter; its objective and camera do not matter.
     path_error_px : float
         Rms over time, smooth; see :func:`motdiff.motions.with_smooth_error`.
-    rng : numpy Generator, optional
-        Of the paths drawn where there is such an error; of seed 0 when omitted.
     most_bytes : int
         The chips' OTFs are computed once and kept, in single precision, where they take at most so
         much memory. With an error of the path, a code is then judged some 50 times as fast.
@@ -112,14 +110,13 @@ class ExpectedPsnr:
         problem: SearchProblem,
         *,
         path_error_px: float = 0.0,
-        rng: np.random.Generator | None = None,
         most_bytes: int = 0,
     ) -> None:
         if not (np.isfinite(path_error_px) and path_error_px >= 0):
             raise ValueError(f"path_error_px: must be 0 px or more, got {path_error_px:g}")
         _check_moves(problem)
         self.problem = problem
-        rng = rng or np.random.default_rng(0)  # the same draws for all codes: only they differ
+        rng = np.random.default_rng(0)  # the same draws for all codes: only they differ
         self._motions = [
             [
                 _DirectedMotion(problem, directed, path_error_px, rng)

@@ -245,17 +245,15 @@ class LiveScene:
     Parameters
     ----------
     light : (H, W) or (H, W, 3) array_like, linear light 0..1
-    seed : int
-        Of the noise.
     """
 
-    def __init__(self, light: ArrayLike, *, seed: int = 0) -> None:
+    def __init__(self, light: ArrayLike) -> None:
         pixels = np.asarray(light, dtype=np.float32)
         self._is_grey = pixels.ndim == 2
         layers = np.moveaxis(np.atleast_3d(pixels), 2, 0)
         self.shape = pixels.shape[:2]
         self._spectrum = fft.rfft2(layers)
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(0)
         self._photon, self._read = rng.standard_normal((2, *layers.shape), dtype=np.float32)
 
     def photo(self, psf: FloatArray, camera: Camera, *, side_px: int) -> FloatArray:

@@ -31,6 +31,7 @@ from cep.studio.fields import (
 )
 
 _MOST_SAMPLES = 512  # of a path in the address
+_KEPT_SAMPLES = 160  # to which the page thins one
 _TIME_STEPS = 65_535  # of a path in the address: 16 bits
 _FARTHEST_PX = 500.0  # of a bent path: the work grows with its area, to some seconds of a picture
 _MOST_ERROR_PX = 20.0
@@ -309,14 +310,14 @@ def saved_setting(state: Mapping[str, Any]) -> Setting:
     return read_setting({**_FIRST_PAGE, **state})
 
 
-def path_fields(trajectory: cep.Trajectory, *, max_samples: int = 160) -> dict[str, Any]:
+def path_fields(trajectory: cep.Trajectory) -> dict[str, Any]:
     """Return a motion as the page keeps it in its address: thinned, with times in 16 bits.
 
     Samples of a fast jump that fall on the same time are moved to the next ones.
     """
     path = trajectory
     tolerance_px = 0.005
-    while path.t.size > max_samples:
+    while path.t.size > _KEPT_SAMPLES:
         path = trajectory.thinned(tolerance_px)
         tolerance_px = 1.4 * tolerance_px
     order = np.arange(path.t.size)

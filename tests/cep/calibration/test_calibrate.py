@@ -12,7 +12,7 @@ import pytest
 
 from cep.calibration.calibrate import CALIBRATION_FILES, Calibration, estimate_motion
 from cep.files.images import read_image, write_image
-from cep.files.psf_files import read_psf
+from cep.files.psf_files import load_psf
 from cep.optics.code import ShutterCode
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.method import is_needed
@@ -208,7 +208,7 @@ def test_the_files_hold_the_estimate(tmp_path):
     assert stored.weight == 0.5
     assert len(stored.alternatives) == 1
     assert stored.source == {"method": "pmp", "image": "a.png", "seed": 4}
-    np.testing.assert_allclose(read_psf(written["psf.npy"]), found.psf, rtol=1e-6)
+    np.testing.assert_allclose(load_psf(written["psf.npy"])[0], found.psf, rtol=1e-6)
     np.testing.assert_array_equal(read_image(written["map.png"], gamma="linear"), BENT.hr_map())
 
 
@@ -301,4 +301,4 @@ def test_the_command_runs_a_network(cep, workplace, small_weights, monkeypatch):
     assert found["details"]["samples"] in (0, 1)  # none where two searches agree
     assert found["details"]["classical"] in (2, 4)
     assert set(CALIBRATION_FILES) == {item.name for item in (workplace / "motion").iterdir()}
-    assert read_psf(found["psf"]).sum() == pytest.approx(1, rel=1e-5)
+    assert load_psf(found["psf"])[0].sum() == pytest.approx(1, rel=1e-5)

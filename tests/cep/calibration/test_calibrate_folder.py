@@ -14,7 +14,7 @@ from cep.calibration.calibrate_folder import calibrate_folder, photos_in, sharp_
 from cep.commands.console import FAILURE, INTERRUPTED
 from cep.files import images
 from cep.files.images import write_image
-from cep.files.psf_files import read_psf
+from cep.files.psf_files import load_psf
 from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
@@ -103,7 +103,7 @@ def test_each_photo_gets_the_files_of_the_single_command(cep, tmp_path, monkeypa
     assert [row["photo"] for row in rows] == list(MOTIONS)
     for row, (name, motion) in zip(rows, MOTIONS.items(), strict=True):
         one = found["photos"][name]
-        assert mnc_subpixel(read_psf(one["psf"]), motion.psf(64)) > 0.95
+        assert mnc_subpixel(load_psf(one["psf"])[0], motion.psf(64)) > 0.95
         assert float(row["length_px"]) == one["length_px"]
         single = cep.succeeds(
             "calibrate", f"lamps/{name}", "--method", "point", "-o", "single", "--force"

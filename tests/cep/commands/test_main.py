@@ -20,7 +20,7 @@ from cep.commands import console
 from cep.commands.main import app
 from cep.files.code_files import read_code
 from cep.files.images import read_image, read_photo, write_image
-from cep.files.psf_files import read_psf
+from cep.files.psf_files import load_psf
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf, coded_psf
 from cep.proofs.measure import measure
@@ -591,7 +591,7 @@ def test_simulate_then_deblur(cep, workplace):
     motion = read_motion("trajectory.json").trajectory
     code = read_code("code.json").code
     np.testing.assert_array_equal(
-        read_psf(taken["psf"]), coded_psf(motion, code).astype(np.float32)
+        load_psf(taken["psf"])[0], coded_psf(motion, code).astype(np.float32)
     )
     coded = read_photo("coded.png")
     assert coded.bits == 16
@@ -680,7 +680,7 @@ def test_calibrate_with_a_sharp_photo(cep, workplace):
     stored = read_motion(found["trajectory"])
     assert stored.source["method"] == "reference"
     assert stored.trajectory.direction == "unknown"
-    assert mnc_subpixel(read_psf(found["psf"]), truth.psf(64)) > 0.95
+    assert mnc_subpixel(load_psf(found["psf"])[0], truth.psf(64)) > 0.95
 
 
 def test_files_of_levins_data_set_as_photos_and_psfs(cep, workplace):
@@ -697,8 +697,8 @@ def test_files_of_levins_data_set_as_photos_and_psfs(cep, workplace):
     )
     assert Path("im01_ker01_motion/trajectory.json").exists()
     assert any('"y" was taken as linear light' in line for line in found["warnings"])
-    assert mnc_subpixel(read_psf(found["psf"]), truth) > 0.95
-    assert mnc_subpixel(read_psf(found["psf"]), truth[::-1, ::-1]) < 0.9
+    assert mnc_subpixel(load_psf(found["psf"])[0], truth) > 0.95
+    assert mnc_subpixel(load_psf(found["psf"])[0], truth[::-1, ::-1]) < 0.9
     found = cep.succeeds(
         "deblur",
         "im01_ker01.mat",

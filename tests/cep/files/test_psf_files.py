@@ -11,7 +11,7 @@ from scipy.io import loadmat, savemat
 from scipy.signal import convolve2d
 
 from cep.files.images import read_image, write_image
-from cep.files.psf_files import load_psf, read_psf, write_psf
+from cep.files.psf_files import load_psf, write_psf
 from lab.evaluation.sets import levin_photo
 from motdiff.files.trajectories import read_motion
 from motdiff.trajectory import Trajectory
@@ -27,17 +27,17 @@ def test_a_psf_survives_its_files(tmp_path_factory, psf):
     npy, mat, png = write_psf(folder, psf)
     single = psf.astype(np.float32)
     assert np.load(npy).dtype == np.float32
-    np.testing.assert_array_equal(read_psf(npy), single)
+    np.testing.assert_array_equal(load_psf(npy)[0], single)
     np.testing.assert_array_equal(loadmat(mat)["psf"], single.astype(np.float64))
     # people's version: eight bits, largest value white, orientation kept
-    shown = read_psf(png)
+    shown = load_psf(png)[0]
     np.testing.assert_allclose(shown / shown.max(), psf / psf.max(), rtol=0, atol=0.501 / 255)
 
 
 def test_a_psf_survives_mat(tmp_path):
     psf = np.random.default_rng(0).random((5, 4))
     _, mat, _ = write_psf(tmp_path, psf)
-    np.testing.assert_array_equal(read_psf(mat), psf.astype(np.float32))
+    np.testing.assert_array_equal(load_psf(mat)[0], psf.astype(np.float32))
 
 
 def test_the_kernel_of_levins_files_is_turned(tmp_path):
@@ -48,11 +48,11 @@ def test_the_kernel_of_levins_files_is_turned(tmp_path):
     kernel = rng.random((5, 5))
     blurred = convolve2d(sharp, kernel[::-1, ::-1] / kernel.sum(), mode="valid")
     savemat(tmp_path / "im01_ker01.mat", {"x": sharp[2:-2, 2:-2], "y": blurred, "f": kernel})
-    psf = read_psf(tmp_path / "im01_ker01.mat")
+    psf = load_psf(tmp_path / "im01_ker01.mat")[0]
     np.testing.assert_allclose(convolve2d(sharp, psf / psf.sum(), mode="valid"), blurred)
     np.testing.assert_allclose(psf / psf.sum(), levin_photo(tmp_path / "im01_ker01.mat").psf)
     savemat(tmp_path / "both.mat", {"f": kernel, "psf": kernel})
-    np.testing.assert_array_equal(read_psf(tmp_path / "both.mat"), kernel)
+    np.testing.assert_array_equal(load_psf(tmp_path / "both.mat")[0], kernel)
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_a_damaged_header_of_numpys_format(tmp_path, header):
         b"\x93NUMPY\x01\x00" + struct.pack("<H", len(padded)) + padded + bytes(8 * 15)
     )
     with pytest.raises(ValueError, match=r"psf\.npy: not a NumPy array file") as caught:
-        read_psf(path)
+        load_psf(path)[0]
     assert "\n" not in str(caught.value)
 
 
@@ -83,13 +83,13 @@ def test_a_renamed_zip_is_no_numpy_array(tmp_path):
     for content in ((tmp_path / "a.npz").read_bytes(), b"PK\3\4"):
         (tmp_path / "psf.npy").write_bytes(content)
         with pytest.raises(ValueError, match=r"psf\.npy: not a NumPy array file"):
-            read_psf(tmp_path / "psf.npy")
+            load_psf(tmp_path / "psf.npy")[0]
 
 
 def test_a_psf_from_somebody_elses_picture(tmp_path):
     kernel = np.outer([0.0, 1.0, 0.5], [1.0, 0.25, 0.0])
     write_image(tmp_path / "k.png", np.dstack([kernel] * 3), bits=16, gamma="linear")
-    np.testing.assert_allclose(read_psf(tmp_path / "k.png"), kernel / kernel.sum(), atol=1e-5)
+    np.testing.assert_allclose(load_psf(tmp_path / "k.png")[0], kernel / kernel.sum(), atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_an_impossible_psf_is_refused(tmp_path, psf, message, suffix):
     else:
         savemat(path, {"psf": psf})
     with pytest.raises(ValueError, match=message):
-        read_psf(path)
+        load_psf(path)[0]
 
 
 def shifted_line(x, y, *, side=33, duty=1.0):
@@ -161,17 +161,17 @@ def test_a_restored_photo_moves_as_the_warning_of_its_psf_says(cep, workplace):
 def test_broken_psf_files(tmp_path):
     for name in ("a.npy", "a.mat", "a.png"):
         with pytest.raises(FileNotFoundError):
-            read_psf(tmp_path / name)
+            load_psf(tmp_path / name)[0]
         for content in (b"", b"hello"):
             (tmp_path / name).write_bytes(content)
             with pytest.raises(ValueError, match=name):
-                read_psf(tmp_path / name)
+                load_psf(tmp_path / name)[0]
     np.save(tmp_path / "pickle.npy", np.array([{}], dtype=object), allow_pickle=True)
     with pytest.raises(ValueError, match="not a NumPy array file"):
-        read_psf(tmp_path / "pickle.npy")
+        load_psf(tmp_path / "pickle.npy")[0]
     savemat(tmp_path / "other.mat", {"kernel": np.eye(3)})
     with pytest.raises(ValueError, match=r'wanted a variable "psf" or "f", found kernel'):
-        read_psf(tmp_path / "other.mat")
+        load_psf(tmp_path / "other.mat")[0]
 
 
 def test_a_psf_that_the_disk_does_not_take_whole_says_why_and_leaves_nothing(tmp_path):

@@ -80,7 +80,7 @@ def test_photos_of_two_codes_have_the_same_noise_and_restore_towards_the_scene(n
     )
     bench = LiveBench(problem)
     light = 0.2 + 0.6 * np.kron(np.random.default_rng(1).random((40, 40)), np.ones((6, 6)))
-    scene = LiveScene(light, seed=3)
+    scene = LiveScene(light)
     photo = bench.photo(CODE, scene, side_px=120)
     assert photo.shape == (120, 120)
     assert np.array_equal(photo, bench.photo(CODE, scene, side_px=120))
