@@ -194,6 +194,7 @@ def open_range(text: str | None, chips: int) -> tuple[int, int]:
         return 1, chips
     low, _, high = text.partition(":")
     high = high or low
+    # a share beside a number, 40%:6, is a slip: it is refused below
     as_shares = low.endswith("%") and high.endswith("%")
     try:
         if as_shares:

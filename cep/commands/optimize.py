@@ -72,6 +72,7 @@ class OptimizeOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
             low, high = float(first), float(second or first)
         except ValueError:
             raise ValueError(f"--speed: must be LOW:HIGH as 0.8:1.2, got {self.speed!r}") from None
+        # a single factor is one speed, not a range
         return speed_range(stored.trajectory, low, high, _SPEEDS if low < high else 1)
 
     def searched(

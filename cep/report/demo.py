@@ -78,6 +78,7 @@ def write_demo(
         # the first photo is blurred.png; a user's own has no others
         for name, photo in zip(_SET, chain.motion.photos[1:], strict=False):
             write_image(temporary / name, photo, bits=16)
+        # where no code is advised its files would show what is advised against
         restored = {shot.kind: shot.restored for shot in chain.shots}
         for name, kind in _RESTORED.items():
             if kind in restored and (chain.coded or name not in _OF_A_CODE):

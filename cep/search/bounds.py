@@ -137,6 +137,7 @@ def bound(problem: SearchProblem) -> Bound:
     no code has a minimum above 2.000 chips
     """
     by_count = count_bounds(problem)
+    # a code may have any of these numbers of open chips: what holds for all is the weakest bound
     return Bound(
         min_mtf=float(by_count.min_mtf.max()),
         min_chip=float(by_count.min_chip.max()),
@@ -196,6 +197,7 @@ def _motions(problem: SearchProblem) -> tuple[list[MotionBasis], list[MotionBasi
     chips = problem.chips
     if not problem.scenarios:
         samples = circle_grid(chips)
+        # light-true, as along a motion: P over n
         basis = np.exp(-2j * np.pi * np.outer(np.arange(chips), samples.fx)) / chips
         circle = [MotionBasis(None, False, samples, basis)]
         return circle, circle

@@ -55,6 +55,7 @@ class Comparison(tuple[BaselineRow, ...]):
 
     def __repr__(self) -> str:
         cells = [("", "open", "min MTF", "noise gain, dB", "MSE, dB"), *map(_cells, self)]
+        # names flush left, figures flush right, as in the commands' tables
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         return "\n".join(
             "  ".join(

@@ -106,6 +106,7 @@ class RunLimits:
         """
 
         def smallest(*values: int | None) -> int | None:
+            # None is no limit
             return min((limit for limit in values if limit is not None), default=None)
 
         return RunLimits(

@@ -384,6 +384,7 @@ def _for_less_light(
     finder = WayFinder(problem)
     camera = problem.camera
     starts = [outcome.code]
+    # each search starts from the codes for more light: they are near
     for factor in _LESS_LIGHT:
         darker = camera.at(max(camera.photons_full_scale / factor, LIGHT_RANGE[0]))
         starts += finder.codes(darker, starts, seed=seed, threads=threads)

@@ -59,6 +59,7 @@ def class_scenarios(motions: Iterable[Trajectory]) -> tuple[Scenario, ...]:
     """
     scenarios: list[Scenario] = []
     for path in motions:
+        # the reverse of a uniform straight motion blurs as the motion does
         if path.direction == "unknown" and uniform_length_px(path) is None:
             scenarios += [Scenario(path, 0.5), Scenario(path.reversed(), 0.5)]
         else:

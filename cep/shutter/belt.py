@@ -74,6 +74,7 @@ def play_on_triggers(
             while plays is None or count < plays:
                 status = controller.status()
                 now_s = time.monotonic()
+                # the controller counts plays in 16 bits
                 if (counted := (status.runs - start.runs) % 65536) != count:
                     count, last_s = counted, now_s
                     tell(count)
@@ -83,6 +84,7 @@ def play_on_triggers(
                 if is_wanted and status.state is State.ARMED and now_s - beat_s > HEARTBEAT_S:
                     controller.renew(lease_ms=LEASE_MS)
                     beat_s = now_s
+                # a play uses the arming up
                 elif is_wanted and status.state not in (State.ARMED, State.PLAY):
                     controller.arm(lease_ms=LEASE_MS)
                     beat_s = now_s

@@ -127,6 +127,7 @@ class BurstCamera(Camera):
                 )
             times_ms.append(self._video.get(cv2.CAP_PROP_POS_MSEC))
             if is_open:
+                # OpenCV gives blue first
                 rgb = frame[:, :, ::-1] if frame.ndim == 3 else frame
                 clipped += float(np.mean(rgb == 255))
                 exposed = self._light[rgb]
@@ -135,6 +136,7 @@ class BurstCamera(Camera):
         self.warnings = self._doubts(np.diff(times_ms), clipped / chips.sum())
         self._next += chips.size
         self._photos += 1
+        # the sum over the whole exposure: a dark chip counts as a frame of no light
         values = np.rint(light / chips.size * 65535).astype(np.uint16)
         if values.ndim == 3 and (values == values[:, :, :1]).all():
             values = np.ascontiguousarray(values[:, :, 0])

@@ -186,6 +186,7 @@ class Rig:
             return self._checked(prepared, self.camera.read(wait_s), plays=None, missed=None)
         with _closed_on_failure(self.controller):
             before = self.controller.status()
+            # the camera first: the shutter must not play before it can expose
             self.camera.arm()
             self.camera.wait_ready(_READY_S)
             self.controller.arm(lease_ms=LEASE_MS)
@@ -201,7 +202,7 @@ class Rig:
         return self._checked(
             prepared,
             frame,
-            plays=(after.runs - before.runs) % 65536,
+            plays=(after.runs - before.runs) % 65536,  # counted in 16 bits
             missed=after.late - before.late,
         )
 

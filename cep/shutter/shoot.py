@@ -133,6 +133,7 @@ def repeatability(photos: Sequence[FloatArray]) -> Repeatability:
 
     stack = np.stack([np.atleast_3d(photo).mean(axis=2) for photo in photos])
     means = stack.mean(axis=(1, 2))
+    # without a window the borders, which do not move, would decide
     window = cv2.createHanningWindow(stack.shape[:0:-1], cv2.CV_64F)
     shifts = [cv2.phaseCorrelate(stack[0], photo, window)[0] for photo in stack[1:]]
     return Repeatability(

@@ -141,6 +141,7 @@ class Setting:
 
     def problem(self, *, limited: bool = True) -> cep.SearchProblem:
         """Return the search problem; without its limits where codes are only to be measured."""
+        # a camera's shortest exposure is a limit on codes too
         limits: dict[str, Any] = {"camera": replace(self.sensor, least_exposure_s=0.0)}
         if limited:
             limits = {

@@ -275,7 +275,7 @@ def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
         seed=seed,
         threads=1,
         progress=lambda share, note: tell(share, note),
-        on_best=best,
+        on_best=best,  # the page draws each better code
         path_error_px=setting.path_error_px,
         photographs=(),  # beside the live figures, which are the model's
     )

@@ -153,6 +153,7 @@ class _Proof:
             report(1.0, before - entry.codes)
 
     def _list(self, length: int) -> None:
+        # so few codes that each is judged
         codes = np.arange(1, 2**length, dtype=np.uint64)
         if self.best.on_circle:
             codes = codes[((codes & np.uint64(1)) == 1) & ((codes >> np.uint64(length - 1)) == 1)]
@@ -200,6 +201,7 @@ class _Proof:
     def _slice(
         self, scanner: Scanner, heads: tuple[int, int], halt: NDArray[np.bool_]
     ) -> NDArray[np.int64]:
+        # the scan leaves off here where its buffer is full, and goes on from here
         span = np.array([*heads, 0], dtype=np.int64)
         counts = np.zeros(4, dtype=np.int64)
         room = scanner.buffer()
