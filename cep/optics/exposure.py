@@ -9,9 +9,10 @@ while it closes (C_k, within chip k + 1).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
@@ -168,7 +169,8 @@ def chip_rows(
     needs no edge towards chip k any more. Closing chip k is the negative. Outside the code every
     chip is closed.
 
-    Parameters and errors are those of :func:`open_path` and :func:`chip_basis`.
+    Parameters and errors are those of :func:`open_path` and :func:`chip_basis`. Only for an
+    instant shutter are the rows of the reversed path those of the path in the opposite order.
 
     Returns
     -------
@@ -188,6 +190,32 @@ def chip_rows(
     rows[:-1, :, 1] -= opening[1:, None]
     rows.setflags(write=False)  # as the broadcast ones of an instant shutter
     return rows
+
+
+def distinct_rows(rows: NDArray[Any], response: ShutterResponse | None) -> NDArray[Any]:
+    """Rows (n, V, ...) of those (n, 2, 2, ...) of :func:`chip_rows`.
+
+    V is 4 where the shutter's response makes neighbours matter (2 left + right, 1 for open), else
+    1.
+    """
+    if response is None:
+        return rows[:, 0, :1]  # all four are the same
+    return rows.reshape(len(rows), 4, *rows.shape[3:])
+
+
+def coded_sum(rows: NDArray[Any], codes: NDArray[Any]) -> NDArray[Any]:
+    """OTFs (R, ...) of (R, n) codes from rows (n, V, ...), as :func:`distinct_rows` gives them."""
+    on = codes.astype(rows.real.dtype)
+    flat = rows.reshape(*rows.shape[:2], -1)
+    if rows.shape[1] == 1:
+        total = on @ flat[:, 0]
+    else:
+        # chips open one after the other from the first: the left neighbour stands, the right one
+        # is closed yet
+        open_before = np.pad(on, ((0, 0), (1, 0)))[:, :-1]
+        total = (on * (1 - open_before)) @ flat[:, 0]
+        total += (on * open_before) @ flat[:, 2]
+    return np.asarray(total.reshape(len(codes), *rows.shape[2:]))
 
 
 def chip_psfs(trajectory: Trajectory, chips: int, size: int = PSF_PX) -> FloatArray:

@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from cep.optics.band import BandSamples, band_samples, grid_samples, straight_axis
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
+from cep.optics.exposure import chip_rows, coded_sum, distinct_rows
 from cep.optics.mtf import wiener_mse
 from cep.optics.response import ShutterResponse, open_time
 from cep.optics.scene import PHOTO, Scene, inverse_scene, noise_variance
 from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_rows
+from cep.search.scenarios import Scenario
 from motdiff.motions import with_smooth_error
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -289,8 +290,8 @@ def _rows(
     problem: SearchProblem, scenario: Scenario, samples: BandSamples
 ) -> NDArray[np.complex128]:
     """OTFs of the chips at the samples, (n, V, frequencies)."""
-    rows = scenario_rows(
-        scenario, problem.chips, samples.fx, samples.fy, response=problem.response
+    rows = chip_rows(
+        scenario.trajectory, problem.chips, samples.fx, samples.fy, response=problem.response
     )
     return distinct_rows(rows, problem.response)
 

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from cep.optics.band import ACROSS, BandSamples, band_samples, circle_samples
 from cep.optics.code import ShutterCode
+from cep.optics.exposure import chip_rows, coded_sum, distinct_rows
 from cep.optics.response import open_time
 from cep.optics.scene import inverse_scene, noise_variance
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.search.objectives import Spectrum
 from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario, coded_sum, distinct_rows, scenario_rows
+from cep.search.scenarios import Scenario
 
 RealArray = NDArray[Any]
 
@@ -92,13 +93,12 @@ class Objective:
                     # the forward rows, which come first: the chips are met in the opposite order
                     rows = rows[::-1]
                 else:
-                    rows = scenario_rows(
-                        scenario,
+                    rows = chip_rows(
+                        scenario.path(reversed_path=reversed_path),
                         problem.chips,
                         samples.fx,
                         samples.fy,
                         response=problem.response,
-                        reversed_path=reversed_path,
                     )
                 blocks.append(distinct_rows(rows, problem.response))
                 stop = start + samples.fx.size

@@ -1,17 +1,13 @@
-"""Scenarios of a search: motions that may occur, and the OTFs of codes along them."""
+"""Scenarios of a search: motions that may occur."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from cep.optics.band import uniform_length_px
-from cep.optics.exposure import chip_rows
-from cep.optics.response import ShutterResponse
 from motdiff.trajectory import Trajectory
 
 MOST_SCENARIOS = 256
@@ -90,47 +86,3 @@ def speed_range(motion: Trajectory, low: float, high: float, count: int) -> tupl
         Scenario(motion.scaled(factor), 1 / count)
         for factor in np.linspace(low, high, count).tolist()
     )
-
-
-def scenario_rows(
-    scenario: Scenario,
-    chips: int,
-    fx_cy_px: ArrayLike,
-    fy_cy_px: ArrayLike,
-    *,
-    response: ShutterResponse | None = None,
-    reversed_path: bool = False,
-) -> NDArray[np.complex128]:
-    """Rows (n, 2, 2, ...) of :func:`cep.optics.exposure.chip_rows` along a scenario.
-
-    The code is played in its own order either way. Only for an instant shutter are the rows of the
-    reversed path those of the path in the opposite order.
-    """
-    path = scenario.path(reversed_path=reversed_path)
-    return chip_rows(path, chips, fx_cy_px, fy_cy_px, response=response)
-
-
-def distinct_rows(rows: NDArray[Any], response: ShutterResponse | None) -> NDArray[Any]:
-    """Rows (n, V, ...) of those (n, 2, 2, ...) of :func:`scenario_rows`.
-
-    V is 4 where the shutter's response makes neighbours matter (2 left + right, 1 for open), else
-    1.
-    """
-    if response is None:
-        return rows[:, 0, :1]  # all four are the same
-    return rows.reshape(len(rows), 4, *rows.shape[3:])
-
-
-def coded_sum(rows: NDArray[Any], codes: NDArray[Any]) -> NDArray[Any]:
-    """OTFs (R, ...) of (R, n) codes from rows (n, V, ...), as :func:`distinct_rows` gives them."""
-    on = codes.astype(rows.real.dtype)
-    flat = rows.reshape(*rows.shape[:2], -1)
-    if rows.shape[1] == 1:
-        total = on @ flat[:, 0]
-    else:
-        # chips open one after the other from the first: the left neighbour stands, the right one
-        # is closed yet
-        open_before = np.pad(on, ((0, 0), (1, 0)))[:, :-1]
-        total = (on * (1 - open_before)) @ flat[:, 0]
-        total += (on * open_before) @ flat[:, 2]
-    return np.asarray(total.reshape(len(codes), *rows.shape[2:]))

@@ -18,7 +18,7 @@ from scipy import fft
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.optics.exposure import coded_psf
+from cep.optics.exposure import chip_rows, coded_psf, coded_sum, distinct_rows
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.plots.codes import main_axis
 from cep.proofs.audit import with_proven_zero
@@ -29,7 +29,6 @@ from cep.search.gain_table import shifts_db
 from cep.search.limits import Limits, RunLimits
 from cep.search.measured import corrected
 from cep.search.problem import SearchProblem
-from cep.search.scenarios import coded_sum, distinct_rows, scenario_rows
 from cep.search.verdict import Verdict, verdict_of
 from cep.search.ways import Way, WayFinder, check_light, judged_ways, kind_of
 from hw.device import DeviceProfile
@@ -145,8 +144,12 @@ class LiveBench:
         x, y = np.meshgrid(np.linspace(-0.5, 0.5, MAP_COLUMNS), np.linspace(0, 0.5, MAP_ROWS))
         fx = np.concatenate([self.freq_cy_px * self.axis[0], x.ravel()])
         fy = np.concatenate([self.freq_cy_px * self.axis[1], y.ravel()])
-        rows = scenario_rows(
-            self.problem.scenarios[0], self.problem.chips, fx, fy, response=self.problem.response
+        rows = chip_rows(
+            self.problem.scenarios[0].trajectory,
+            self.problem.chips,
+            fx,
+            fy,
+            response=self.problem.response,
         )
         return distinct_rows(rows, self.problem.response).astype(np.complex64)
 

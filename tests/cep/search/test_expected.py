@@ -8,7 +8,7 @@ import pytest
 from cep.optics.band import grid_samples
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.optics.exposure import coded_otf
+from cep.optics.exposure import chip_rows, coded_otf
 from cep.optics.scene import inverse_scene, noise_variance
 from cep.proofs.measure import measure, measure_worst
 from cep.search.expected import (
@@ -19,7 +19,6 @@ from cep.search.expected import (
 )
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
-from cep.search.scenarios import scenario_rows
 from motdiff.motions import boracchi_foi, with_smooth_error
 from motdiff.trajectory import Trajectory
 
@@ -57,8 +56,8 @@ def test_otfs_are_kept_where_the_memory_allows_it(monkeypatch, path_error_px, de
     fresh = ExpectedPsnr(both, path_error_px=path_error_px, most_bytes=1_000)
     computed = []
     monkeypatch.setattr(
-        "cep.search.expected.scenario_rows",
-        lambda *args, **more: computed.append(1) or scenario_rows(*args, **more),
+        "cep.search.expected.chip_rows",
+        lambda *args, **more: computed.append(1) or chip_rows(*args, **more),
     )
     assert kept.psnr_db(CODES, noise=noise) == pytest.approx(expected, abs=1e-4)
     assert not computed

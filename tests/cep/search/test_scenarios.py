@@ -6,13 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cep.optics.code import ShutterCode
-from cep.optics.exposure import coded_otf
+from cep.optics.exposure import chip_rows, coded_otf
 from cep.optics.response import ShutterResponse
 from cep.search.scenarios import (
     MOST_SCENARIOS,
     Scenario,
     class_scenarios,
-    scenario_rows,
     speed_range,
 )
 from motdiff.trajectory import Trajectory
@@ -43,14 +42,14 @@ def test_another_speed_stretches_the_frequencies(low, high, count):
 def test_the_reversed_path_plays_the_code_in_its_own_order(response):
     scenario = Scenario(BENT)
     for turned, path in ((False, BENT), (True, BENT.reversed())):
-        rows = scenario_rows(scenario, 10, FX, FY, response=response, reversed_path=turned)
+        rows = chip_rows(scenario.path(reversed_path=turned), 10, FX, FY, response=response)
         assert rows.shape == (10, 2, 2, FX.size)
         bits = [0, *CODE.array.astype(int), 0]
         total = sum(
             rows[k, bits[k], 0] for k in range(10) if bits[k + 1]
         )  # from the first: the right one is closed yet
         assert np.abs(total - coded_otf(path, CODE, FX, FY, response=response)).max() < 1e-12
-    mirrored = scenario_rows(scenario, 10, FX, FY, response=response)[::-1].transpose(0, 2, 1, 3)
+    mirrored = chip_rows(BENT, 10, FX, FY, response=response)[::-1].transpose(0, 2, 1, 3)
     assert (np.abs(rows - mirrored).max() < 1e-12) == (response is None)
 
 
