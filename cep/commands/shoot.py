@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,11 +18,12 @@ from cep.commands.options import (
     command,
     output_option,
 )
+from cep.commands.shoot_calibration import calibrate_in_loop, calibrate_with_set
+from cep.commands.shots import doubts, end_unless_counted, headline, taken
 
 if TYPE_CHECKING:
     from cep.optics.code import ShutterCode
     from cep.shutter.exposure_plan import ShotSettings
-    from cep.shutter.rig import Shot
 
 _RUN = "Instead of one photo"
 _FOLDER = Path("shot")
@@ -119,6 +120,15 @@ class ShootOptions(MotionOptions):
             rich_help_panel=_RUN,
         ),
     ] = None
+    is_calibrating: Annotated[
+        bool,
+        typer.Option(
+            "--calibrate",
+            help="Take photos of a motion that repeats until its order in time is sure: the first"
+            " with the shutter open, each other through a code chosen by those before it.",
+            rich_help_panel=_RUN,
+        ),
+    ] = False
     arm: Annotated[
         str | None,
         typer.Option(
@@ -162,12 +172,21 @@ class ShootOptions(MotionOptions):
             raise ValueError(
                 f"--trigger: must be one of {', '.join(Release)}, got {self.trigger[:40]!r}"
             )
-        runs = {"--set": self.set_folder, "--arm": self.arm, "--wiring": self.wiring or None}
+        runs = {
+            "--set": self.set_folder,
+            "--calibrate": self.is_calibrating or None,
+            "--arm": self.arm,
+            "--wiring": self.wiring or None,
+        }
         options = [name for name, value in runs.items() if value is not None]
         if len(options) > 1:
             raise ValueError(f"{' and '.join(options)}: give one of them at most")
         if self.set_folder is not None and (self.code is not None or self.repeat > 1):
             raise ValueError("--code and --repeat: not valid with --set, which has the codes")
+        if self.is_calibrating and (self.code is not None or self.repeat > 1):
+            raise ValueError(
+                "--code and --repeat: not valid with --calibrate, which chooses codes"
+            )
         if self.arm is not None and (self.camera is not None or self.port is None):
             raise ValueError(
                 "--arm: needs --port and no --camera; photos of a camera on a belt are --trigger"
@@ -221,6 +240,8 @@ def shoot(options: ShootOptions) -> None:
     Example: cep shoot --camera pylon: --wiring --code code.json -o wiring.svg
 
     Example: cep shoot --camera pylon: --port auto --set set -o calibration
+
+    Example: cep shoot --camera pylon: --port auto --calibrate --chip-ns 200000 -o calibration
     """
     options.check()
     if options.wiring:
@@ -228,7 +249,9 @@ def shoot(options: ShootOptions) -> None:
     elif options.arm is not None:
         _arm(options, options.arm)
     elif options.set_folder is not None:
-        _set(options, options.set_folder)
+        calibrate_with_set(options, options.set_folder)
+    elif options.is_calibrating:
+        calibrate_in_loop(options)
     else:
         _photos(options)
 
@@ -239,9 +262,9 @@ def _photos(options: ShootOptions) -> None:
     stems = ["photo"]
     if options.repeat > 1:
         stems = [f"photo_{number:03d}" for number in range(1, options.repeat + 1)]
-    shots, files, restored = _taken(options, [code], stems, count=options.repeat)
+    shots, files, restored = taken(options, [code], stems, count=options.repeat)
     last = shots[-1]
-    lines = [_headline(files, shots)]
+    lines = [headline(files, shots)]
     result: dict[str, object] = {"photos": files, **last.record.to_dict(), "restored": restored}
     if len(shots) > 1:
         from cep.shutter.shoot import repeatability
@@ -250,121 +273,15 @@ def _photos(options: ShootOptions) -> None:
         result["repeatability"] = alike
         lines.append(f"{len(shots)} photos: {alike}")
     lines.append(_next(files, restored))
-    result["warnings"] = _doubts(shots)
+    result["warnings"] = doubts(shots)
     finish(result, as_json=options.as_json, page=lines)
-    _end(files, shots)
-
-
-def _taken(
-    options: ShootOptions, codes: list[ShutterCode], stems: list[str], *, count: int = 1
-) -> tuple[list[Shot], list[Path], Path | None]:
-    """Take the photos, each of which is on the disk before the next; restore the first."""
-    from cep.optics.path_limits import check_resolved
-    from cep.shutter.shoot import shoot as take
-    from cep.shutter.shot_folder import ShotFolder
-
-    folder = ShotFolder(options.output, stems, force=options.force)
-    settings = options.settings()
-    if settings.motion is not None:
-        check_resolved(settings.motion, codes[0].chips)
-    assert options.camera is not None
-    with progress("taking photos") as tick:
-
-        def keep(shot: Shot) -> None:
-            folder.keep(shot)
-            tick(len(folder.files) / len(stems), str(folder.files[-1]))
-
-        shots = list(
-            take(
-                options.camera,
-                codes,
-                port=options.port,
-                count=count,
-                settings=settings,
-                keep=keep,
-            )
-        )
-    if settings.motion is None or not shots[0].counts or len(codes) > 1:
-        folder.drop_restored()
-        return shots, folder.files, None
-    with progress("restoring") as tick:
-        doubts = folder.restore(shots[0], tick)
-    shots[0] = replace(shots[0], warnings=(*shots[0].warnings, *doubts))
-    return shots, folder.files, folder.restored
-
-
-def _headline(files: list[Path], shots: list[Shot]) -> str:
-    """Say what was taken, and whether it counts."""
-    photos = f"{files[-1]}" if len(files) == 1 else f"{files[0]} to {files[-1].name}"
-    if not shots[-1].counts:
-        return f"{photos}: the last does not count"
-    return f"{photos}: {shots[-1].verdict}"
+    end_unless_counted(files, shots)
 
 
 def _next(files: list[Path], restored: Path | None) -> str:
     if restored is not None:
         return f"{restored}: the photo restored along the motion that was given"
     return f"then: cep deblur {files[0]}"
-
-
-def _doubts(shots: list[Shot]) -> list[str]:
-    """Warnings of all photos, each once; none where one does not count, which is said instead."""
-    if not shots[-1].counts:
-        return []
-    return [*dict.fromkeys(text for shot in shots for text in shot.warnings)]
-
-
-def _end(files: list[Path], shots: list[Shot]) -> None:
-    if not shots[-1].counts:
-        problems = "; ".join(shots[-1].record.problems)
-        complain(
-            f"{files[-1]} does not count: {problems}; {len(shots) - 1} photos before it count"
-        )
-        raise typer.Exit(1)
-
-
-def _set(options: ShootOptions, folder: Path) -> None:
-    """Take the photos of a calibration set, and estimate the motion from them."""
-    from cep.calibration.calibrate import CALIBRATION_FILES, estimate_motion
-    from cep.calibration.calibration_set import SET_FILE, SET_SCHEMA
-    from cep.optics.code import ShutterCode
-    from motdiff.files.inputs import one_line
-    from motdiff.files.json_files import fault, load_schema, read_versioned
-    from motdiff.files.outputs import claim_folder
-
-    source = folder / SET_FILE
-    document = read_versioned(source, SET_SCHEMA)
-    if (wrong := fault(document, load_schema("cep.files", "calibration-set"))) is not None:
-        raise ValueError(f"{source}: {wrong}")
-    chip_ns = options.chip_ns or int(document["chip_ns"])
-    try:
-        codes = [ShutterCode(photo["bits"], chip_ns) for photo in document["photos"]]
-    except ValueError as error:
-        raise ValueError(f"{source}: {one_line(error)}") from None
-    motion_folder = options.output / "motion"
-    claim_folder(motion_folder, CALIBRATION_FILES, force=options.force)
-    stems = [f"P{number}" for number in range(1, len(codes) + 1)]
-    shots, files, _ = _taken(options, codes, stems)
-    result: dict[str, object] = {"photos": files, "counts": shots[-1].counts}
-    lines = [_headline(files, shots)]
-    if shots[-1].counts:
-        with progress("estimating the motion") as tick:
-            lights = [shot.record.light(shot.frame.values) for shot in shots]
-            calibration = estimate_motion(lights, codes=codes, progress=tick)
-            about = {"images": list(map(str, files)), "codes": [code.bits for code in codes]}
-            paths = calibration.save(motion_folder, source=about, force=options.force)
-        best = calibration.best
-        result |= {"trajectory": paths["trajectory.json"], "confidence": calibration.confidence}
-        lines = [
-            f"{motion_folder}: path of {best.length_px:.1f} px from {len(files)} photos, in this"
-            f" order in time with probability {calibration.confidence:.2f}",
-            *lines,
-            f"then: cep optimize --trajectory {paths['trajectory.json']} --chips"
-            f" {codes[0].chips} -o code.json",
-        ]
-    result["warnings"] = _doubts(shots)
-    finish(result, as_json=options.as_json, page=lines)
-    _end(files, shots)
 
 
 def _arm(options: ShootOptions, count: str) -> None:

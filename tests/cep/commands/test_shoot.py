@@ -13,6 +13,7 @@ from cep.files.images import read_image, write_image
 from cep.files.shot_files import ShotRecord, record_beside
 from cep.optics.code import ShutterCode
 from hw.emulation.uno import EmulatedUno
+from motdiff.files.trajectories import read_motion
 
 CODE = "1011001110100110"
 TIMED = ("--code", CODE, "--chip-ns", 400_000)
@@ -94,6 +95,23 @@ def test_several_photos_say_how_repeatable_they_are(cep, twin, tmp_path):
     assert names == {f"photo_00{k}{suffix}" for k in (1, 2, 3) for suffix in (".tif", ".json")}
 
 
+@pytest.mark.slow(reason="a minute: the motion is searched in two photos or more")
+def test_a_calibration_takes_photos_until_the_order_is_sure(cep, twin, workplace):
+    twin = "twin:scene=sharp.png,photons=50000"
+    motion = ("--trajectory", "trajectory.json")
+    result = cep.succeeds(
+        "shoot", "--camera", twin, "--calibrate", *motion, "--chip-ns", 400_000, "-o", "loop"
+    )
+    assert [len(bits) for bits in result["codes"]] == [52] * len(result["photos"])
+    assert "0" not in result["codes"][0]
+    assert result["sure"] == (result["confidence"] >= 0.95)
+    assert result["confidence"] == result["confidences"][-1]
+    assert read_motion("loop/motion/trajectory.json").trajectory.direction == "known"
+    records = [record_beside(photo) for photo in result["photos"]]
+    assert [record.code.bits for record in records] == result["codes"]
+    assert not (workplace / "loop" / "restored.png").exists()
+
+
 @pytest.mark.slow(reason="40 CPU-s: the motion is searched in both photos and its order in time")
 def test_a_calibration_set_is_taken_and_calibrated(cep, twin, tmp_path):
     (tmp_path / "set").mkdir()
@@ -167,6 +185,8 @@ def test_wiring_is_told_without_hardware(cep):
         (("--camera", "twin:", *TIMED, "--trigger", "me"), "--trigger: must be one of shutter"),
         (("--camera", "twin:", "--set", "x", "--arm", "2"), "--set and --arm: give one"),
         (("--camera", "twin:", *TIMED, "--set", "x"), "--code and --repeat: not valid with --set"),
+        (("--camera", "twin:", "--calibrate", "--set", "x"), "--set and --calibrate: give one"),
+        (("--camera", "twin:", "--calibrate", *TIMED), "not valid with --calibrate, which"),
         (("--arm", "2", *TIMED), "--arm: needs --port"),
         (("--arm", "soon", "--port", "x", *TIMED), "--arm: must be a number of plays or always"),
         (("--camera", "folder:.", *TIMED), "--port: camera folder: needs a controller"),

@@ -1,0 +1,129 @@
+"""Calibration in a closed loop: each code is chosen by what the photos before it left open.
+
+The first photo is taken with the shutter open, and shows the path; the codes of the others tell
+its orders in time apart, until one is stated as sure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cep.calibration.calibrate import Calibration, estimate_motion
+from cep.calibration.next_code import SURE, NextCode, next_code
+from cep.optics.code import ShutterCode
+from hw.device import DeviceProfile
+
+MOST_PHOTOS = 5
+"""Photos after which the loop ends, sure or not."""
+_DESIGN_SHARE = 0.15  # of the time of a step
+
+
+@dataclass(frozen=True)
+class CalibrationStep:
+    """What the photos so far show.
+
+    Attributes
+    ----------
+    photos : tuple of I array, linear light
+    codes : tuple of I ShutterCode
+    calibration : Calibration
+        Of all of them together.
+    choice : NextCode or None
+        Why the last photo's code was chosen; None for the first, with the shutter open.
+    is_sure : bool
+        Whether no other photo is needed: the order in time is stated as probable as asked for, or
+        the photo shows no motion.
+    """
+
+    photos: tuple[ArrayLike, ...]
+    codes: tuple[ShutterCode, ...]
+    calibration: Calibration
+    choice: NextCode | None
+    is_sure: bool
+
+
+def calibration_steps(
+    take: Callable[[ShutterCode], ArrayLike],
+    *,
+    chips: int = 52,
+    chip_ns: int = 1_000_000,
+    device: DeviceProfile | str | None = None,
+    least_probability: float = SURE,
+    most_photos: int = MOST_PHOTOS,
+    seed: int = 0,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+) -> Iterator[CalibrationStep]:
+    """Take photos of one motion, one after the other, until its order in time is sure.
+
+    Parameters
+    ----------
+    take : callable
+        Takes a photo through a code, (H, W) or (H, W, 3) in linear light 0..1, while the motion
+        runs anew.
+    chips, chip_ns : int
+        Of all codes: the motion lasts as long as they do.
+    device : DeviceProfile or str, optional
+        That can play the codes.
+    least_probability : float
+        Stated probability of the order in time from which no other photo is taken.
+    most_photos : int
+    seed : int
+        Of what is drawn at random.
+    progress : callable, optional
+        Called with the finished share 0..1 of each step, and what is being done.
+
+    Yields
+    ------
+    CalibrationStep
+        After each photo.
+
+    Raises
+    ------
+    ValueError
+        If the device can play no such code, or a photo cannot be searched.
+
+    Examples
+    --------
+    ::
+
+        for step in calibration_steps(take, chip_ns=200_000, device="flc"):
+            print(step.codes[-1].bits, step.calibration.confidence)
+        step.calibration.save("motion")
+    """
+    rng = np.random.default_rng(seed)
+    code = ShutterCode("1" * chips, chip_ns)
+    choice = None
+    photos: tuple[ArrayLike, ...] = ()
+    codes: tuple[ShutterCode, ...] = ()
+    while True:
+        progress(0.0, f"taking photo {len(photos) + 1}")
+        photos = (*photos, take(code))
+        codes = (*codes, code)
+        calibration = estimate_motion(
+            list(photos),
+            codes=codes if len(codes) > 1 else None,
+            seed=seed,
+            progress=lambda share, note: progress((1 - _DESIGN_SHARE) * share, note),
+        )
+        previous = choice
+        choice = next_code(
+            photos,
+            codes if len(codes) > 1 else (),
+            calibration,
+            least_probability=least_probability,
+            chips=chips,
+            chip_ns=chip_ns,
+            device=device,
+            rng=rng,
+            progress=lambda share: progress(
+                1 - _DESIGN_SHARE * (1 - share), "choosing the next code"
+            ),
+        )
+        yield CalibrationStep(photos, codes, calibration, previous, is_sure=choice is None)
+        if choice is None or len(photos) == most_photos:
+            return
+        code = choice.code

@@ -1,0 +1,141 @@
+"""``--set`` and ``--calibrate`` of ``cep shoot``: photos of one motion, and the motion in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cep.commands.console import finish, progress
+from cep.commands.shots import doubts, end_unless_counted, headline, taken
+
+if TYPE_CHECKING:
+    from cep.calibration.calibrate import Calibration
+    from cep.commands.shoot import ShootOptions
+    from cep.optics.code import ShutterCode
+    from cep.shutter.rig import Shot
+    from motdiff.types import FloatArray
+
+
+def calibrate_with_set(options: ShootOptions, folder: Path) -> None:
+    """Take the photos of a calibration set, and estimate the motion from them."""
+    from cep.calibration.calibrate import CALIBRATION_FILES, estimate_motion
+    from cep.calibration.calibration_set import SET_FILE, SET_SCHEMA
+    from cep.optics.code import ShutterCode
+    from motdiff.files.inputs import one_line
+    from motdiff.files.json_files import fault, load_schema, read_versioned
+    from motdiff.files.outputs import claim_folder
+
+    source = folder / SET_FILE
+    document = read_versioned(source, SET_SCHEMA)
+    if (wrong := fault(document, load_schema("cep.files", "calibration-set"))) is not None:
+        raise ValueError(f"{source}: {wrong}")
+    chip_ns = options.chip_ns or int(document["chip_ns"])
+    try:
+        codes = [ShutterCode(photo["bits"], chip_ns) for photo in document["photos"]]
+    except ValueError as error:
+        raise ValueError(f"{source}: {one_line(error)}") from None
+    motion_folder = options.output / "motion"
+    claim_folder(motion_folder, CALIBRATION_FILES, force=options.force)
+    stems = [f"P{number}" for number in range(1, len(codes) + 1)]
+    shots, files, _ = taken(options, codes, stems)
+    result: dict[str, object] = {"photos": files, "counts": shots[-1].counts}
+    lines = [headline(files, shots)]
+    if shots[-1].counts:
+        with progress("estimating the motion") as tick:
+            lights = [shot.record.light(shot.frame.values) for shot in shots]
+            calibration = estimate_motion(lights, codes=codes, progress=tick)
+            about = {"images": list(map(str, files)), "codes": [code.bits for code in codes]}
+            paths = calibration.save(motion_folder, source=about, force=options.force)
+        result |= {"trajectory": paths["trajectory.json"], "confidence": calibration.confidence}
+        lines = _motion_lines(calibration, paths, photos=len(files), more=lines, code=codes[0])
+    result["warnings"] = doubts(shots)
+    finish(result, as_json=options.as_json, page=lines)
+    end_unless_counted(files, shots)
+
+
+def _motion_lines(
+    calibration: Calibration,
+    paths: Mapping[str, Path],
+    *,
+    photos: int,
+    more: list[str],
+    code: ShutterCode,
+) -> list[str]:
+    """Say what motion the photos show, and the command that searches a code for it."""
+    trajectory = paths["trajectory.json"]
+    return [
+        f"{trajectory.parent}: path of {calibration.best.length_px:.1f} px from {photos} photos,"
+        f" in this order in time with probability {calibration.confidence:.2f}",
+        *more,
+        f"then: cep optimize --trajectory {trajectory} --chips {code.chips} --exposure"
+        f" {code.duration_ns * 1e-6:g}ms -o code.json",
+    ]
+
+
+def calibrate_in_loop(options: ShootOptions) -> None:
+    """Take photos of one motion, each code chosen by those before, until its order is sure."""
+    from cep.calibration.calibrate import CALIBRATION_FILES
+    from cep.calibration.closed_loop import MOST_PHOTOS, CalibrationStep, calibration_steps
+    from cep.shutter.shoot import open_rig
+    from cep.shutter.shot_folder import ShotFolder
+    from hw.cameras.camera import CameraError
+    from motdiff.files.outputs import claim_folder
+
+    stems = [f"P{number}" for number in range(1, MOST_PHOTOS + 1)]
+    folder = ShotFolder(options.output, stems, force=options.force)
+    motion_folder = options.output / "motion"
+    claim_folder(motion_folder, CALIBRATION_FILES, force=options.force)
+    settings = options.settings()
+    assert options.camera is not None
+    shots: list[Shot] = []
+    steps: list[CalibrationStep] = []
+    with progress("calibrating") as tick, open_rig(options.camera, options.port) as rig:
+
+        def take(code: ShutterCode) -> FloatArray:
+            rig.prepare(code, settings)
+            shots.extend(rig.series(1, keep=folder.keep))
+            if not shots[-1].counts:
+                raise CameraError(f"{folder.files[-1]} {shots[-1].verdict}")
+            return shots[-1].record.light(shots[-1].frame.values)
+
+        try:
+            for step in calibration_steps(
+                take,
+                chip_ns=options.chip_ns or 1_000_000,
+                device=None if rig.controller is None else rig.controller.limits,
+                progress=lambda share, note: tick(
+                    (len(steps) + share) / MOST_PHOTOS, f"photo {len(steps) + 1}: {note}"
+                ),
+            ):
+                steps.append(step)
+        except BaseException as error:  # Ctrl-C as well: the photos are there
+            error.add_note(f"{len(folder.files)} photos are in {options.output}")
+            raise
+        last = steps[-1]
+        codes = [code.bits for code in last.codes]
+        paths = last.calibration.save(
+            motion_folder,
+            source={"images": list(map(str, folder.files)), "codes": codes},
+            force=options.force,
+        )
+    outcome = f"{len(steps)} photos, the order in time is sure"
+    if last.calibration.details.get("motion_blur") is False:
+        outcome = "the photo shows no motion blur: there is nothing to calibrate"
+    elif not last.is_sure:
+        outcome = f"{len(steps)} photos, and the order in time is not sure: take others"
+    finish(
+        {
+            "photos": folder.files,
+            "codes": codes,
+            "sure": last.is_sure,
+            "trajectory": paths["trajectory.json"],
+            "confidence": last.calibration.confidence,
+            "confidences": [step.calibration.confidence for step in steps],
+            "warnings": [*doubts(shots), *last.calibration.warnings],
+        },
+        as_json=options.as_json,
+        page=_motion_lines(
+            last.calibration, paths, photos=len(steps), more=[outcome], code=last.codes[0]
+        ),
+    )
