@@ -42,7 +42,7 @@ _CHOSEN = {
     "strobe": (_LIGHT,),
     "random": (_LIGHT,),
     "raskar-52": (_PUBLISHED,),
-    "dnf": ("cep.search.dnf", *_SEARCHED),
+    "dnf": _SEARCHED,
     "dce": (_PUBLISHED,),
 }
 
