@@ -104,6 +104,18 @@ def restore_together(
     ----------
     Agrawal, Xu and Raskar, "Invertible motion blur in video", SIGGRAPH 2009: exposures whose joint
     transform has no null, restored together.
+
+    Examples
+    --------
+    >>> from cep.optics.capture import capture
+    >>> rng = np.random.default_rng(0)
+    >>> scene = np.kron(rng.random((12, 12)), np.ones((8, 8)))
+    >>> path = Trajectory.from_samples([[0, 0], [8, 1], [12, 9]], direction="known")
+    >>> codes = [ShutterCode("1101000101101111"), ShutterCode("1101000101101111").complement()]
+    >>> photos = [capture(scene, path, code, rng=rng) for code in codes]
+    >>> sharp = restore_together(photos, codes, path)
+    >>> sharp.image.shape == photos[0].shape, sharp.method
+    (True, 'pnp')
     """
     from motdiff.estimators.coded.codes import check_codes
 
