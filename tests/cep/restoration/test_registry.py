@@ -1,5 +1,6 @@
 """A restoration of the registry is in every list that the product and the laboratory have."""
 
+import inspect
 import subprocess
 import sys
 
@@ -46,7 +47,9 @@ def test_what_a_method_says_of_itself_holds(name):
     assert find_method(name) == (name, method.function)
     assert is_registered(method.function)
     assert set(method.cites) <= works().keys()
-    assert method.uses_camera == ("camera" in method.function.__kwdefaults__)
+    options = inspect.signature(method.function).parameters
+    assert method.uses_camera == ("camera" in options)
+    assert method.reports_progress == ("progress" in options)
 
 
 def test_a_function_of_your_own_is_not_registered():
