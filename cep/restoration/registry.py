@@ -37,6 +37,9 @@ class Method:
         Whether it takes ``camera``, for the variance of the noise.
     reports_progress : bool
         Whether it takes ``progress``, a function that it calls with the finished share.
+    fills_clipped : bool
+        Whether :func:`cep.restoration.restore.restore` fills clipped pixels before it, see
+        :func:`cep.restoration.clipping.fill_clipped`; False for one that handles them itself.
     """
 
     name: str
@@ -45,6 +48,7 @@ class Method:
     cites: tuple[str, ...] = ()
     uses_camera: bool = False
     reports_progress: bool = False
+    fills_clipped: bool = True
 
     @property
     def function(self) -> Callable[..., FloatArray]:
@@ -117,6 +121,6 @@ def find_method(method: str | Callable[..., ArrayLike]) -> tuple[str, Callable[.
     return method, function
 
 
-def is_registered(function: Callable[..., Any]) -> bool:
-    """Whether a function is one of the product's own restorations."""
-    return any(function is method.function for method in METHODS.values())
+def registered_method(function: Callable[..., Any]) -> Method | None:
+    """Return the entry of a function of the product, or None for a user-defined one."""
+    return next((method for method in METHODS.values() if function is method.function), None)

@@ -17,7 +17,7 @@ from cep.restoration.blind import find_psf
 from cep.restoration.blur import channels_first, trimmed_psf
 from cep.restoration.clipping import fill_clipped
 from cep.restoration.direction import DirectionResult, detect_direction
-from cep.restoration.registry import METHODS, find_method, is_registered
+from cep.restoration.registry import find_method, registered_method
 from cep.restoration.result import Restoration, misfit
 from cep.restoration.sharpen import (
     FEW_CLIPPED,
@@ -54,7 +54,8 @@ def restore(
     Along a trajectory of unknown direction a coded photo is tested for its orders in time, see
     :func:`cep.restoration.direction.detect_direction`. Without trajectory and PSF the PSF is
     searched in the photo, see :func:`cep.restoration.blind.find_psf`. Clipped pixels are replaced
-    before a method of ours, see :func:`cep.restoration.clipping.fill_clipped`.
+    before a registered method that declares ``fills_clipped``, as all of ours do, see
+    :func:`cep.restoration.clipping.fill_clipped`; a function of your own gets them as they are.
 
     Parameters
     ----------
@@ -171,7 +172,9 @@ def restore(
             )
     reach = len(kernel) // 2
     clipped = float(clipped_mask(photo).mean())
-    fills = is_registered(apply)  # a user-defined function gets the photo as it is
+    entry = registered_method(apply)
+    # a user-defined function gets the photo as it is
+    fills = entry is not None and entry.fills_clipped
     meaning = "expect ringing around them"
     if fills:
         meaning = "their light was inferred from the other pixels"
@@ -196,7 +199,7 @@ def restore(
         image = image / gain
     else:
         light = fill_clipped(photo, psf) if fills else photo
-        if fills and METHODS[label].reports_progress:
+        if entry is not None and entry.reports_progress:
             options["progress"] = restoring
         image = _checked_image(apply(light, psf, **options), np.shape(photo), label)
     restoring(1.0)

@@ -1,6 +1,8 @@
 """Clipped pixels: replaced by what the others show, whatever their values; a photo without any
 stays as it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from skimage import data
@@ -36,8 +38,8 @@ PHOTO = np.clip(LIGHT + 0.004 * np.random.default_rng(0).standard_normal(LIGHT.s
 CLIPPED = clipped_mask(PHOTO)
 
 
-@pytest.mark.parametrize("method", ["wiener", "inverse", "tv", "l0", "tv-ring", "pnp"])
-def test_every_method_restores_a_night_scene_better(method):
+@pytest.mark.parametrize("method", [m.name for m in METHODS.values() if m.fills_clipped])
+def test_every_method_before_which_they_are_filled_restores_a_night_scene_better(method):
     assert 0.002 < CLIPPED.mean() < 0.05
     without = METHODS[method].function(PHOTO, PSF)
     found = restore(PHOTO, PSF, method=method)
@@ -45,6 +47,22 @@ def test_every_method_restores_a_night_scene_better(method):
     assert gain > 1.5
     assert "clipped" in found.warnings[0]
     assert found.residual < misfit(PHOTO, without, PSF)
+
+
+@pytest.mark.parametrize("fills_clipped", [False, True])
+def test_a_method_says_whether_they_are_filled_before_it(monkeypatch, fills_clipped):
+    photos = []
+    monkeypatch.setattr("cep.restoration.tv.tv", lambda photo, _psf: photos.append(photo) or photo)
+    entry = replace(METHODS["tv"], fills_clipped=fills_clipped)
+    monkeypatch.setitem(METHODS, "tv", entry)
+    restored = restore(PHOTO, PSF, method="tv")
+    assert (photos[0] is PHOTO) != fills_clipped
+    assert ("their light was inferred" in restored.warnings[0]) == fills_clipped
+
+
+def test_a_registered_function_is_called_as_its_name_is():
+    by_function = restore(PHOTO, PSF, method=METHODS["inverse"].function)
+    np.testing.assert_array_equal(by_function.image, restore(PHOTO, PSF, method="inverse").image)
 
 
 def test_light_beneath_clipped_pixels_is_found():

@@ -7,7 +7,7 @@ import sys
 import pytest
 from works import works
 
-from cep.restoration.registry import METHODS, find_method, is_registered
+from cep.restoration.registry import METHODS, find_method, registered_method
 
 DUMMY = """
 import sys
@@ -45,7 +45,7 @@ def test_a_new_method_is_in_every_list():
 def test_what_a_method_says_of_itself_holds(name):
     method = METHODS[name]
     assert find_method(name) == (name, method.function)
-    assert is_registered(method.function)
+    assert registered_method(method.function) is method
     assert set(method.cites) <= works().keys()
     options = inspect.signature(method.function).parameters
     assert method.uses_camera == ("camera" in options)
@@ -55,4 +55,4 @@ def test_what_a_method_says_of_itself_holds(name):
 def test_a_function_of_your_own_is_not_registered():
     name, function = find_method("skimage.restoration:richardson_lucy")
     assert name == "skimage.restoration:richardson_lucy"
-    assert not is_registered(function)
+    assert registered_method(function) is None
