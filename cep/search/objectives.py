@@ -59,6 +59,13 @@ class Columns(NamedTuple):
 class Criterion(ABC):
     """An objective: ``10 log10`` of :meth:`figure` is minimised.
 
+    A code is judged by :meth:`figure`, which may be any. The search's compiled loops know three
+    kinds of sums over frequencies alone (:mod:`cep.search.annealing.terms`), of a term's x, see
+    :meth:`terms`: RECIPROCAL, the sum of ``1 / x``; STEEP, of ``1 / x^4``; FLATNESS, the variance
+    of ``|H|``. The kind, its terms and :meth:`light` must rank codes as the figure does, or the
+    search ends at other codes than the best: a test asks that of every objective in the list. A
+    figure that is none of these needs a fourth kind in the loops.
+
     Attributes
     ----------
     name, unit, help : str
@@ -112,7 +119,7 @@ class MinMtf(Criterion):
 
     name = "min-mtf"
     help = "smallest MTF"
-    cites = ("raskar2006",)
+    cites: ClassVar[tuple[str, ...]] = ("raskar2006",)
     hot_db = 0.8
     continuum = True
     kind = STEEP
@@ -136,7 +143,7 @@ class Flatness(Criterion):
 
     name = "flatness"
     help = "variance of the MTF"
-    cites = ("raskar2006", "jeon2017")
+    cites: ClassVar[tuple[str, ...]] = ("raskar2006", "jeon2017")
     kind = FLATNESS
 
     def figure(self, spectrum: Spectrum) -> FloatArray:
@@ -165,7 +172,7 @@ class NoiseGain(Criterion):
 
     name = "noise"
     help = "noise gain of the inverse filter"
-    cites = ("agrawal2009capture",)
+    cites: ClassVar[tuple[str, ...]] = ("agrawal2009capture",)
     hot_db = 0.3
     averages = True
 
@@ -193,8 +200,8 @@ class WienerError(Criterion):
 
     name = "mse"
     help = "expected error of the restored photo"
-    cites = ("wiener1949", "field1987")
-    needs = ("camera",)
+    cites: ClassVar[tuple[str, ...]] = ("wiener1949", "field1987")
+    needs: ClassVar[tuple[Literal["camera"], ...]] = ("camera",)
     most_moves = 2**22  # four times as many gain the best code less than 0.03 dB
     averages = True
 

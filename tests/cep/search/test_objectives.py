@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from works import works
 
-from cep.search.annealing.terms import lay_out
+from cep.search.annealing.states import fresh_otf, total_cost
+from cep.search.annealing.terms import BLOCK, lay_out
 from cep.search.objective import Objective
-from cep.search.objectives import OBJECTIVES, Criterion
+from cep.search.objectives import OBJECTIVES, RECIPROCAL, STEEP, Criterion
 from cep.search.optimize import optimize
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
@@ -53,7 +54,52 @@ def test_each_says_what_it_is():
         assert criterion.hot_db > 0
 
 
+def rank_correlation(name):
+    """Of the compiled loops' costs of random codes with those by the objective's figure."""
+    # curved: along a straight path random codes have true zeros
+    time = np.linspace(0, 1, 24) ** 1.4
+    path = Trajectory.from_samples(np.stack([9 * time, 4 * np.sin(3 * time)], axis=1))
+    problem = SearchProblem.along(path, chips=16, objective=name, open_range=(3, 13))
+    judge = Objective(problem, oversampling=8)
+    tables = lay_out(judge)
+    codes = problem.random_codes(64, rng=np.random.default_rng(0)).astype(np.int8)
+    otf = np.empty((1, tables.rows.shape[2], 2, BLOCK), np.float32)
+    loop_costs = []
+    for code in codes:
+        fresh_otf(tables, code, problem.chips, otf)
+        loop_costs.append(total_cost(tables, problem.chips, code, otf))
+    ranks = [np.argsort(np.argsort(costs)) for costs in (loop_costs, judge.cost_of(codes))]
+    return np.corrcoef(ranks)[0, 1]
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+def test_the_compiled_loops_rank_codes_as_the_figure_does(name):
+    assert rank_correlation(name) > 0.99, (
+        f"objective {name}: the search's compiled loops rank codes otherwise than its figure does;"
+        " its kind (RECIPROCAL, STEEP or FLATNESS), terms and light must belong to that figure, or"
+        " cep/search/annealing/terms.py needs another kind"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "mistake"),
+    [
+        ("noise", {"kind": STEEP}),
+        ("min-mtf", {"kind": RECIPROCAL}),
+        ("flatness", {"kind": RECIPROCAL}),
+        ("flatness", {"light": Criterion.light}),
+        ("mse", {"light": Criterion.light}),
+        ("mse", {"figure": type(OBJECTIVES["noise"]).figure}),
+    ],
+)
+def test_an_objective_whose_terms_are_not_of_its_figure_is_noticed(monkeypatch, name, mistake):
+    wrong = type("Wrong", (type(OBJECTIVES[name]),), mistake)
+    monkeypatch.setitem(OBJECTIVES, "wrong", wrong())
+    assert rank_correlation("wrong") < 0.99
+
+
 def test_another_one_is_searched(dummy):
+    assert rank_correlation("dummy") > 0.99
     path = Trajectory.straight(8.0)
     problem = SearchProblem.along(path, chips=8, objective="dummy", open_range=(3, 5))
     best = optimize(problem, steps=500)
