@@ -25,7 +25,7 @@ from cep.restoration.tv import gradient_sparsity, tv
 from cep.restoration.wiener import wiener
 from motdiff.crops import clipped_mask, exposure_gain, luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.kernel_score import noise_sigma
+from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import to_display
 from motdiff.threads import side_by_side
@@ -42,7 +42,6 @@ FEW_CLIPPED = 1e-3
 """Share of clipped pixels up to which they are specks of noise or glints, no lights."""
 
 _CROP_PX = 384
-_LEAST_SIGMA = 1e-3  # of the noise: a quarter of a step of 8 bit
 # in dB of PSNR that a factor of e in the residual, and a full scale of impossible light (rms),
 # cost on simulated photos
 _RESIDUAL_DB = 0.3
@@ -217,7 +216,7 @@ def choose_psf(
     """
     crop = _textured_crop(photo)
     clipped = clipped_mask(crop)
-    sigma = max(noise_sigma(luminance(crop)), _LEAST_SIGMA)
+    sigma = max(noise_sigma(luminance(crop)), LEAST_SIGMA)
     photo_sparsity = gradient_sparsity(luminance(crop)) or 1.0
     scores = {}
     sparsity = {}
@@ -310,7 +309,7 @@ def _suitable_method(photo: ArrayLike, psf: ArrayLike, trusted: bool) -> tuple[s
     """Name of the method, and the factor of TV's weight, as the evidence of a crop has them."""
     evidence = _evidence(photo, psf)
     residual = evidence.residual / evidence.noise
-    impossible = evidence.impossible / max(evidence.contrast, _LEAST_SIGMA)
+    impossible = evidence.impossible / max(evidence.contrast, LEAST_SIGMA)
     if trusted:
         residual /= _CREDIT_RESIDUAL
         impossible /= _CREDIT_IMPOSSIBLE
@@ -351,7 +350,7 @@ def _unexplained(photo: ArrayLike, psf: ArrayLike) -> tuple[float, bool]:
     little as of a PSF that is rather known than estimated.
     """
     evidence = _evidence(photo, psf)
-    contrast = max(evidence.contrast, _LEAST_SIGMA)
+    contrast = max(evidence.contrast, LEAST_SIGMA)
     explains = (
         evidence.residual <= _CREDIT_RESIDUAL * _WRONG * evidence.noise
         and evidence.impossible <= _CREDIT_IMPOSSIBLE * _LITTLE_IMPOSSIBLE * contrast
@@ -364,7 +363,7 @@ def _evidence(photo: ArrayLike, psf: ArrayLike) -> _Evidence:
     clipped = clipped_mask(crop)
     light = float(np.sum(psf))
     filled = luminance(fill_clipped(crop, psf))
-    sigma = max(noise_sigma(filled), _LEAST_SIGMA)
+    sigma = max(noise_sigma(filled), LEAST_SIGMA)
     restored = tv(filled, psf, weight=_tv_weight(sigma / light))
     return _Evidence(
         residual=misfit(filled, restored, psf, clipped=clipped),

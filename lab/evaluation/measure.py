@@ -163,9 +163,9 @@ def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:
     """
     import torch
 
-    from motdiff.estimators.kernel_score import noise_sigma
     from motdiff.estimators.pmp.grids import fast_size, periodic_extension
     from motdiff.estimators.pmp.latent import Coupling, l0_pmp_latent
+    from motdiff.photo_noise import noise_sigma
 
     height, width = photo.shape
     # 2.5 sigma^2 is near the best of 1e-4..1e-2 at sigma 0.01 and 0.03; without noise PMP's 2e-4

@@ -97,9 +97,9 @@ class NetworkAlone:
         import torch
 
         from motdiff.crops import luminance
-        from motdiff.estimators.kernel_score import noise_sigma
         from motdiff.estimators.motdiff.correcting import corrected_kernel
         from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
+        from motdiff.photo_noise import noise_sigma
         from motdiff.tracing import simplest_trajectory
 
         grey = luminance(photo)

@@ -31,9 +31,9 @@ def conditioning_maps(photo: ArrayLike) -> Tensor:
     """
     import torch
 
-    from motdiff.estimators.kernel_score import noise_sigma
     from motdiff.estimators.motdiff.drawing import quick_search
     from motdiff.network.physics_maps import physics_maps
+    from motdiff.photo_noise import noise_sigma
 
     grey = textured_luminance(photo, least_px=PSF_PX)  # of the lag maps
     crops = best_crops(grey, count=_MOST_CROPS)

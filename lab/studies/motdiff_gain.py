@@ -38,7 +38,7 @@ from lab.evaluation.sets import levin_photo
 from lab.studies.inputs import kept_rows
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, FoundKernels
-from motdiff.estimators.kernel_score import distinct, noise_sigma, rank_kernels, shared_sigma
+from motdiff.estimators.kernel_score import distinct, rank_kernels
 from motdiff.estimators.motdiff.correcting import corrected_choice, corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
@@ -48,6 +48,7 @@ from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network import MotDiffNetwork
 from motdiff.network.correction import CorrectionNetwork
 from motdiff.network.sampling import psfs_of_maps
+from motdiff.photo_noise import noise_sigma, shared_sigma
 from motdiff.threads import one_thread, side_by_side
 from motdiff.training.config import read_config
 from motdiff.training.motion_bank import drawn_kinds

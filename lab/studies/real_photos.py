@@ -38,7 +38,7 @@ from cep.restoration.result import Restoration
 from cep.restoration.sharpen import sharpen
 from cep.restoration.tv import gradient_sparsity
 from motdiff.crops import luminance
-from motdiff.estimators.kernel_score import noise_sigma
+from motdiff.photo_noise import noise_sigma
 from motdiff.types import FloatArray
 
 _FLAT_SIGMA = 2.0  # of the noise: detail up to it is none

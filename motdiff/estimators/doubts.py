@@ -17,8 +17,8 @@ from scipy import ndimage
 
 from motdiff.crops import CLIPPED_LEVEL
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.kernel_score import noise_sigma
 from motdiff.metrics import mnc_subpixel
+from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -48,7 +48,6 @@ _LEAST_EDGES = 6  # in a direction, to say anything
 _QUANTILE = 0.25  # of the widths in a direction: a scene has wide edges of its own
 _STEP_SHARE = 0.6  # of a profile's range: a line, or the end of one, is no step
 _OVER_NOISE = 12.0  # contrast of an edge, in sigmas: fainter ones look wide or narrow by chance
-_LEAST_SIGMA = 1e-3  # of full scale: files that were smoothed show less
 _LENS_PX = 0.6  # sigma of the sharpest photo's edges, sampling included
 
 
@@ -294,7 +293,7 @@ def _eighth(normal_rad: FloatArray) -> NDArray[np.intp]:
 
 def _edges(grey: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Measure the normal, 0..pi, and the width of each step edge of a crop."""
-    sigma = max(noise_sigma(grey), _LEAST_SIGMA)
+    sigma = max(noise_sigma(grey), LEAST_SIGMA)
     down, right = np.gradient(ndimage.gaussian_filter(grey, 1.0))
     steepness = np.hypot(down, right)
     peak = steepness == ndimage.maximum_filter(steepness, 5)

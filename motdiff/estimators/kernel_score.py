@@ -18,12 +18,12 @@ from scipy import fft, ndimage
 
 from motdiff.crops import uniformity
 from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
+from motdiff.photo_noise import LEAST_SIGMA, shared_sigma
 from motdiff.psf_frame import in_frame
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 
 _TOP = 3  # how many like-minded candidates count as agreement
-_LEAST_SIGMA = 1e-3  # of full scale: simulated photos have no noise, and nothing divides by 0
 _BAND_CY_PX = (0.02, 0.4)  # below, the scene dominates; above, noise
 _SPARSE_NORM = 0.8
 _CLEARLY = 0.02  # docs/decisions/motion-estimation.md
@@ -58,25 +58,6 @@ class Ranking:
     agreement: float
 
 
-def noise_sigma(photo: FloatArray) -> float:
-    """Estimate the sigma of white noise in a photo (H, W) from mixed second differences.
-
-    References
-    ----------
-    Immerkaer, "Fast noise variance estimation", CVIU 1996; here with the median, which blurred
-    edges leave alone.
-    """
-    second = photo[:, :-2] - 2 * photo[:, 1:-1] + photo[:, 2:]
-    mixed = second[:-2] - 2 * second[1:-1] + second[2:]
-    # 0.6745: median of |x| for a standard normal x; 6: norm of the mask (1, -2, 1) x (1, -2, 1)
-    return float(np.median(np.abs(mixed)) / 0.6745 / 6)
-
-
-def shared_sigma(crops: FloatArray) -> float:
-    """Noise that crops (C, H, W) share: the median of their :func:`noise_sigma`."""
-    return float(np.median([noise_sigma(crop) for crop in crops]))
-
-
 class Spectrum:
     r"""A photo's power spectrum, prepared to be compared with those of kernels.
 
@@ -109,7 +90,7 @@ class Spectrum:
         self._in_band = (radius2 > _BAND_CY_PX[0] ** 2) & (radius2 < _BAND_CY_PX[1] ** 2)
         radius2[0, 0] = 1.0  # outside the band: only kept from dividing by 0
         self._radius2 = radius2
-        self._floor = max(sigma, _LEAST_SIGMA) ** 2
+        self._floor = max(sigma, LEAST_SIGMA) ** 2
         self._power = power[self._in_band].astype(np.float32)
         self._log_median = float(np.median(np.log(power[self._in_band])))
         log_radius = np.log(radius2)[self._in_band]
@@ -209,7 +190,7 @@ class Judge:
     photos : (C, H, W) float
         Crops that share one blur.
     sigma : float, optional
-        Standard deviation of their noise; :func:`shared_sigma` when omitted.
+        Standard deviation of their noise; :func:`motdiff.photo_noise.shared_sigma` when omitted.
     """
 
     def __init__(self, photos: FloatArray, *, sigma: float | None = None) -> None:

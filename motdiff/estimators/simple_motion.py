@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize
 
 from motdiff.metrics import mnc_subpixel
+from motdiff.photo_noise import LEAST_SIGMA
 from motdiff.psf_frame import centroid_px
 from motdiff.tracing.path_otf import KernelLikeness, PathOtf, kernel_otf, power
 from motdiff.tracing.quadratic import QuadraticPath, quadratic_of_psf
@@ -38,7 +39,6 @@ _ERROR_SCALE = 4.0  # of true errors over those by the curvature
 
 # likelihood of a blur
 _BAND_CY_PX = (0.015, 0.4)  # below, the window; above, noise
-_LEAST_SIGMA = 1e-3  # of full scale: simulated photos have no noise
 # A scene's power scatters about any smooth law by more than a periodogram's exponential, as edges
 # and patterns do: the exponential's mean has an inverse gamma distribution of this shape.
 _TAIL = 3.0
@@ -227,7 +227,7 @@ class PhotoSpectrum:
             & ((self.fx > 0) | (self.fy[:, None] > 0))  # each pair of conjugates once
         )
         self._power = np.where(self._in_band, power[np.ix_(rows, columns)], 0).astype(np.float32)
-        self._noise = np.float32(max(sigma, _LEAST_SIGMA) ** 2)
+        self._noise = np.float32(max(sigma, LEAST_SIGMA) ** 2)
         log_radius = np.log(np.maximum(radius, low / 2))
         angle_rad = np.arctan2(self.fy[:, None], self.fx)
         laws = [np.ones_like(radius), log_radius, log_radius**2]

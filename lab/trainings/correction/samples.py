@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from motdiff.estimators.kernel_score import noise_sigma
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
 from motdiff.estimators.pmp.estimator import STARTS, Start
 from motdiff.estimators.pmp.grids import shifted
 from motdiff.network.correction import CorrectionNetwork, corrected, photos_correction_maps
 from motdiff.network.sampling import psfs_of_maps
+from motdiff.photo_noise import noise_sigma
 from motdiff.psf_frame import margins
 from motdiff.training.prepared import (
     Source,

@@ -14,12 +14,13 @@ import cv2
 import numpy as np
 
 from motdiff.estimators.base import FoundKernels
-from motdiff.estimators.kernel_score import Judge, kernel_score, probability_good, shared_sigma
+from motdiff.estimators.kernel_score import Judge, kernel_score, probability_good
 from motdiff.estimators.motdiff.correcting import corrected_kernel
 from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator
 from motdiff.metrics import mnc_subpixel
 from motdiff.network.correction import CorrectionNetwork
 from motdiff.network.sampling import DOUBT
+from motdiff.photo_noise import shared_sigma
 from motdiff.progress import Progress
 from motdiff.psf_frame import ODD_PX, PSF_PX, in_frame, without_faint_light
 from motdiff.threads import side_by_side

@@ -11,13 +11,7 @@ import numpy as np
 import torch
 
 from motdiff.estimators.base import FoundKernels
-from motdiff.estimators.kernel_score import (
-    Judge,
-    candidate_probabilities,
-    distinct,
-    noise_sigma,
-    shared_sigma,
-)
+from motdiff.estimators.kernel_score import Judge, candidate_probabilities, distinct
 from motdiff.estimators.motdiff import MotDiff
 from motdiff.estimators.motdiff.agreement import (
     agreed_kernels,
@@ -32,6 +26,7 @@ from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, planned, refi
 from motdiff.estimators.simple_motion import simple_motion
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
+from motdiff.photo_noise import noise_sigma, shared_sigma
 from motdiff.psf_frame import ODD_PX
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray

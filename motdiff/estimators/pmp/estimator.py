@@ -10,11 +10,12 @@ import numpy as np
 import torch
 
 from motdiff.estimators.base import FoundKernels
-from motdiff.estimators.kernel_score import rank_kernels, shared_sigma
+from motdiff.estimators.kernel_score import rank_kernels
 from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp import Pmp
 from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
 from motdiff.metrics import mnc_subpixel
+from motdiff.photo_noise import shared_sigma
 from motdiff.progress import Progress
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray

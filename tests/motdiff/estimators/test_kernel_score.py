@@ -12,10 +12,10 @@ from motdiff.estimators.kernel_score import (
     candidate_probabilities,
     distinct,
     kernel_score,
-    noise_sigma,
     rank_kernels,
 )
 from motdiff.metrics import mnc_matrix
+from motdiff.photo_noise import noise_sigma
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 

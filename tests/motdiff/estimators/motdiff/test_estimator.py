@@ -9,7 +9,6 @@ import torch
 
 from lab.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.estimators.base import FoundKernels
-from motdiff.estimators.kernel_score import noise_sigma, shared_sigma
 from motdiff.estimators.motdiff import agreement, correcting, drawing
 from motdiff.estimators.motdiff import estimator as module
 from motdiff.estimators.motdiff.agreement import in_odd_frames
@@ -22,6 +21,7 @@ from motdiff.network import NetworkConfig
 from motdiff.network.physics_maps import QUICK_STARTS, autocorrelation, spectral_maps
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.network.symmetry import mirrored
+from motdiff.photo_noise import noise_sigma, shared_sigma
 from motdiff.simulate import blur_valid
 from motdiff.threads import one_thread
 from motdiff.training.config import DataConfig, TrainingConfig

@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy import ndimage, optimize, signal
 
-from motdiff.estimators.kernel_score import Phase, Spectrum, noise_sigma
+from motdiff.estimators.kernel_score import Phase, Spectrum
 from motdiff.estimators.pmp import grids, kernel, latent
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
@@ -272,15 +272,6 @@ def test_only_the_darkest_pixel_of_each_patch_is_shrunk(soft):
                 patch[patch == darkest] = 0
     assert not torch.equal(expected, photos)
     torch.testing.assert_close(latent._shrink_minimal_pixels(photos, 0.02, 6, soft=soft), expected)
-
-
-def test_noise_is_measured_on_a_blurred_photo(scene):
-    rng = np.random.default_rng(8)
-    blurred = blur_valid(scene, curved(25))
-    for sigma in (0.005, 0.02):
-        assert noise_sigma(blurred + rng.normal(0, sigma, blurred.shape)) == pytest.approx(
-            sigma, rel=0.15
-        )
 
 
 def test_spectrum_and_phase_tell_the_kernel_from_lost_ones(scene):
