@@ -163,8 +163,8 @@ def restored(photo: FloatArray, psf: FloatArray) -> FloatArray:
     """
     import torch
 
-    from motdiff.estimators.pmp.grids import fast_size, periodic_extension
-    from motdiff.estimators.pmp.latent import Coupling, l0_pmp_latent
+    from motdiff.blind_search.grids import fast_size, periodic_extension
+    from motdiff.blind_search.latent import Coupling, l0_pmp_latent
     from motdiff.photo_noise import noise_sigma
 
     height, width = photo.shape

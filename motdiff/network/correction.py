@@ -10,10 +10,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from motdiff.estimators.pmp.blind import fine_latent
-from motdiff.estimators.pmp.grids import fast_size, gradient_power, periodic_extension, psf_to_otf
-from motdiff.estimators.pmp.kernel import without_faint_light
-from motdiff.estimators.pmp.latent import salient_gradients
+from motdiff.blind_search.coarse_to_fine import fine_latent
+from motdiff.blind_search.grids import fast_size, gradient_power, periodic_extension, psf_to_otf
+from motdiff.blind_search.kernel import without_faint_light
+from motdiff.blind_search.latent import salient_gradients
 from motdiff.network.physics_maps import autocorrelation, lags, spectral_maps
 from motdiff.network.sampling import DOUBT
 from motdiff.network.symmetry import SYMMETRIES, inverse_symmetry, mirrored

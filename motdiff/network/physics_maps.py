@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
-from motdiff.estimators.pmp.latent import Coupling
+from motdiff.blind_search.coarse_to_fine import PmpSettings, estimate_kernels
+from motdiff.blind_search.latent import Coupling
 from motdiff.psf_frame import PSF_PX, margins
 
 _QUICK_COUPLING = Coupling(start=16.0, end=100.0, growth=2.0)
@@ -29,7 +29,7 @@ class QuickStart:
     size : int
         Odd side of the kernel frame, px.
     sparsity, gradient_weight : float
-        See :class:`motdiff.estimators.pmp.blind.PmpSettings`.
+        See :class:`motdiff.blind_search.coarse_to_fine.PmpSettings`.
     """
 
     size: int
@@ -89,7 +89,7 @@ def quick_kernels(
     iterations : int
         Alternations of photo and kernel at each scale.
     fine_weights : tuple of float
-        See :class:`motdiff.estimators.pmp.blind.PmpSettings`; with none in half the time.
+        See :class:`motdiff.blind_search.coarse_to_fine.PmpSettings`; with none in half the time.
 
     Returns
     -------

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from motdiff.estimators.pmp.grids import shifted
+from motdiff.blind_search.grids import shifted
 from motdiff.network.condition import PHOTO_PX
 from motdiff.network.physics_maps import quick_kernels
 from motdiff.psf_frame import MAP_PITCH, PSF_PX

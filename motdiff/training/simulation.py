@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from motdiff.estimators.pmp.grids import fast_size
+from motdiff.blind_search.grids import fast_size
 from motdiff.simulate import border_px
 
 # ITU-T T.81 (JPEG), Annex K, table K.1: luminance

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
+from motdiff.blind_search.coarse_to_fine import PmpSettings, estimate_kernels
+from motdiff.blind_search.grids import shifted
 from motdiff.estimators.pmp.estimator import STARTS, Start
-from motdiff.estimators.pmp.grids import shifted
 from motdiff.network.correction import CorrectionNetwork, corrected, photos_correction_maps
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.photo_noise import noise_sigma

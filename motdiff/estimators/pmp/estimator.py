@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 import torch
 
+from motdiff.blind_search.coarse_to_fine import PmpSettings, estimate_kernels, refine_kernel
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import rank_kernels
 from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp import Pmp
-from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels, refine_kernel
 from motdiff.metrics import mnc_subpixel
 from motdiff.photo_noise import shared_sigma
 from motdiff.progress import Progress

@@ -8,6 +8,7 @@ import zipfile
 import numpy as np
 import pytest
 import torch
+from dead_leaves import dead_leaves
 from safetensors.torch import save_file
 
 from lab.evaluation.measure import measure_estimator
@@ -135,17 +136,6 @@ def test_every_step_is_the_closed_form():
 
 
 # ---- from a pair of priors
-
-
-def dead_leaves(side, seed):
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[:side, :side]
-    image = np.full((side, side), 0.5)
-    for _ in range(side * 3):
-        radius = 3 / rng.uniform(0.05, 1)
-        cx, cy = rng.uniform(0, side, 2)
-        image[(x - cx) ** 2 + (y - cy) ** 2 < radius**2] = rng.uniform(0.05, 0.95)
-    return image
 
 
 def gaussian_priors(sharp, *, more_channels=0):

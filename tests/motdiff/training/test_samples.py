@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from motdiff.estimators.pmp.grids import shifted
+from motdiff.blind_search.grids import shifted
 from motdiff.network.condition import PHOTO_PX
 from motdiff.network.physics_maps import QuickStart, quick_kernels
 from motdiff.training import samples as samples_module

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from dead_leaves import dead_leaves
 
 from lab.evaluation.measure import measure_estimator
 from lab.evaluation.methods import METHODS, SLOW_METHODS, named_estimators
@@ -39,17 +40,6 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(threads)
-
-
-def dead_leaves(side, seed):
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[:side, :side]
-    image = np.full((side, side), 0.5)
-    for _ in range(side * 3):
-        radius = 3 / rng.uniform(0.05, 1)
-        cx, cy = rng.uniform(0, side, 2)
-        image[(x - cx) ** 2 + (y - cy) ** 2 < radius**2] = rng.uniform(0.05, 0.95)
-    return image
 
 
 PHOTO = blur_valid(dead_leaves(52, 1), PSF)

@@ -1,32 +1,16 @@
 """The blind estimator as its users see it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-import torch
+from dead_leaves import dead_leaves
 
-from motdiff.estimators.pmp import blind
-from motdiff.estimators.pmp.blind import PmpSettings, estimate_kernels
 from motdiff.estimators.pmp.estimator import PmpEstimator, Start, planned
-from motdiff.estimators.pmp.latent import l0_pmp_latent
 from motdiff.metrics import mnc_subpixel
 from motdiff.progress import Progress
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
 FEW = (Start(29), Start(21, sparsity=1.0))
-
-
-def dead_leaves(side, seed):
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[:side, :side]
-    image = np.full((side, side), 0.5)
-    for _ in range(side * 3):
-        radius = 3 / rng.uniform(0.05, 1)
-        cx, cy = rng.uniform(0, side, 2)
-        image[(x - cx) ** 2 + (y - cy) ** 2 < radius**2] = rng.uniform(0.05, 0.95)
-    return image
 
 
 @pytest.fixture(scope="module")
@@ -80,16 +64,6 @@ def test_a_photo_without_a_trace_of_the_blur_is_not_believed(shaken):
     lost = PmpEstimator(starts=FEW).estimate(noise)
     assert lost.confidence < 0.5
     assert any("lost" in warning for warning in lost.warnings)
-
-
-def test_a_batch_gives_what_its_photos_give_alone(shaken):
-    one = torch.from_numpy(shaken[0][:160, :160].astype(np.float32))
-    two = torch.from_numpy(shaken[0][40:200, 40:200].astype(np.float32))
-    with torch.no_grad():
-        together = estimate_kernels(torch.stack([one, two])[:, None], size=21)
-        alone = [estimate_kernels(photo[None, None], size=21)[0] for photo in (one, two)]
-    for i in range(2):  # hard thresholds magnify the last digit, which differs between processors
-        assert mnc_subpixel(together[i].double().numpy(), alone[i].double().numpy()) > 0.98
 
 
 def test_progress_rises_to_one(shaken):
@@ -156,53 +130,3 @@ def test_unusable_options_are_refused():
         PmpEstimator(starts=())
     with pytest.raises(ValueError, match="crops"):
         PmpEstimator(crops=0)
-
-
-@pytest.mark.parametrize("fine", [(), (3e-3, 1e-3)])
-def test_each_scale_has_its_alternations_and_the_refinement_closes_where_all_gradients_count(
-    monkeypatch, fine
-):
-    """Thirteen px: scales of 7, 11 and 13 px."""
-    seen = []
-    refined = []
-
-    def latent(wrapped, kernel, *, intensity_weight, **_):
-        seen.append((kernel.shape[-1], intensity_weight > 0))
-        return l0_pmp_latent(wrapped, kernel, intensity_weight=intensity_weight, **_)
-
-    monkeypatch.setattr(blind, "l0_pmp_latent", latent)
-    monkeypatch.setattr(
-        blind, "refine_kernel", lambda _photos, kernel, *, sigma: refined.append(sigma) or kernel
-    )
-    settings = PmpSettings(iterations=3, last_iterations=2, fine_weights=fine, sigma=0.01)
-    light = torch.from_numpy(dead_leaves(60, 0).astype(np.float32))[None, None]
-    kernel = estimate_kernels(light, size=13, settings=settings)
-    on_the_way = [True] * 3 + [False] * len(fine)
-    assert (
-        seen == [(side, salient) for side in (7, 11) for salient in on_the_way] + [(13, True)] * 2
-    )
-    assert refined == ([0.01] if fine else [])
-    assert kernel.shape == (1, 13, 13)
-
-
-def test_looking_at_all_gradients_at_each_scale_brings_the_search_nearer():
-    """Six shaken photos, the search shortened: salient edges alone lead away, even from the
-    truth."""
-    t = np.linspace(0, 1, 60)
-    gains = []
-    for seed in range(6):
-        psf = Trajectory.from_samples(np.c_[14 * t, 9 * np.sin(4 * t + seed)]).psf(29)
-        photo = blur_valid(dead_leaves(190, seed), psf)
-        photo = np.clip(photo + np.random.default_rng(seed).normal(0, 0.005, photo.shape), 0, 1)
-        light = torch.from_numpy(photo.astype(np.float32))[None, None]
-        salient = replace(
-            PmpSettings.for_noise(0.005), iterations=2, sparsity=1.0, fine_weights=()
-        )
-        fine = replace(salient, fine_weights=PmpSettings().fine_weights)
-        with torch.no_grad():
-            found = [
-                estimate_kernels(light, size=29, settings=settings)[0].numpy()
-                for settings in (salient, fine)
-            ]
-        gains.append(mnc_subpixel(found[1], psf) - mnc_subpixel(found[0], psf))
-    assert np.mean(gains) > 0.03

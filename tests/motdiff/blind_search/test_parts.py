@@ -4,10 +4,10 @@ least squares."""
 import numpy as np
 import pytest
 import torch
+from dead_leaves import dead_leaves
 from scipy import ndimage, optimize, signal
 
-from motdiff.estimators.kernel_score import Phase, Spectrum
-from motdiff.estimators.pmp import grids, kernel, latent
+from motdiff.blind_search import grids, kernel, latent
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
@@ -18,16 +18,7 @@ def tensor(array):
 
 @pytest.fixture
 def scene():
-    """Dead leaves: discs of random grey, the standard model of an image with edges at all
-    scales."""
-    rng = np.random.default_rng(3)
-    y, x = np.mgrid[:200, :200]
-    image = np.full((200, 200), 0.5)
-    for _ in range(500):
-        radius = 3 / rng.uniform(0.05, 1)
-        cx, cy = rng.uniform(0, 200, 2)
-        image[(x - cx) ** 2 + (y - cy) ** 2 < radius**2] = rng.uniform(0.05, 0.95)
-    return image
+    return dead_leaves(200, 3)
 
 
 def curved(size=25):
@@ -272,49 +263,3 @@ def test_only_the_darkest_pixel_of_each_patch_is_shrunk(soft):
                 patch[patch == darkest] = 0
     assert not torch.equal(expected, photos)
     torch.testing.assert_close(latent._shrink_minimal_pixels(photos, 0.02, 6, soft=soft), expected)
-
-
-def test_spectrum_and_phase_tell_the_kernel_from_lost_ones(scene):
-    psf = curved(25)
-    photo = blur_valid(scene, psf) + np.random.default_rng(9).normal(0, 0.005, (176, 176))
-    spectrum = Spectrum(photo, sigma=0.005)
-    phase = Phase(photo, sigma=0.005)
-    right = spectrum.fit(psf)
-    gaussian = np.exp(-0.5 * (np.mgrid[-12:13, -12:13] ** 2).sum(axis=0) / 9)
-    assert right > 0.5
-    assert right > spectrum.fit(gaussian / gaussian.sum()) + 0.2
-    assert right > spectrum.fit(psf.T) + 0.2
-    assert right == pytest.approx(spectrum.fit(psf[::-1, ::-1]), abs=1e-9)  # no phase in it
-    assert phase.evidence(psf) > 0.02
-    assert phase.evidence(psf[::-1, ::-1]) < -0.02
-
-
-@pytest.mark.parametrize(("contrast", "level"), [(1.0, 0.0), (1e-6, 0.9)])
-def test_evidence_in_single_precision_is_that_in_double(scene, contrast, level):
-    """The formulas in double precision, for a plain photo and for one whose contrast single
-    precision hardly holds."""
-    psf = curved(25)
-    photo = (
-        contrast * (blur_valid(scene, psf) + np.random.default_rng(9).normal(0, 0.005, (176, 176)))
-        + level
-    )
-    sigma = 0.005 * contrast
-    energy = np.mean(np.diff(photo, axis=0) ** 2) + np.mean(np.diff(photo, axis=1) ** 2)
-    padded = np.pad(photo - photo.mean(), 32, mode="symmetric")
-    radius2 = np.fft.fftfreq(240)[:, None] ** 2 + np.fft.rfftfreq(240)[None, :] ** 2
-    penalty = 40 * max(sigma, 2e-3) ** 2 / max(energy - 4 * sigma**2, 1e-6) * radius2 + 1e-12
-    frame = np.zeros((240, 240))
-    frame[:25, :25] = psf
-    transfer = np.fft.rfft2(np.roll(frame, (-12, -12), axis=(0, 1)))
-    sparsities = []
-    for response in (transfer, transfer.conj()):
-        restored = np.fft.irfft2(
-            np.fft.rfft2(padded) * response.conj() / (np.abs(transfer) ** 2 + penalty)
-        )
-        inner = restored[40:-40, 40:-40]
-        energies = np.concatenate([np.diff(inner, axis=axis).ravel() ** 2 for axis in (0, 1)])
-        sparsities.append(
-            np.mean(energies**0.4) / np.mean(energies) ** 0.4
-        )  # 0.8-norm over 2-norm
-    expected = np.log(sparsities[1] / sparsities[0])
-    assert Phase(photo, sigma=sigma).evidence(psf) == pytest.approx(expected, abs=2e-6)

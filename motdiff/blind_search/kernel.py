@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from motdiff.estimators.pmp.grids import fast_size, gradient_power, shifted
+from motdiff.blind_search.grids import fast_size, gradient_power, shifted
 
 _SPECK_MASS = 0.1  # of the light; a stroke of the path has more
 _SPARSITY_CAP = 0.3  # of the correlation's peak: above it no kernel would be left

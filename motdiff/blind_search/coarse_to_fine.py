@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from motdiff.estimators.pmp.grids import downsampled, fast_size, periodic_extension, resized_kernel
-from motdiff.estimators.pmp.kernel import centred, fit_kernel, without_faint_light, without_specks
-from motdiff.estimators.pmp.latent import (
+from motdiff.blind_search.grids import downsampled, fast_size, periodic_extension, resized_kernel
+from motdiff.blind_search.kernel import centred, fit_kernel, without_faint_light, without_specks
+from motdiff.blind_search.latent import (
     Coupling,
     l0_pmp_latent,
     salient_gradients,
@@ -51,7 +51,7 @@ class PmpSettings:
     gradient_weight, gradient_floor : float
         Weight of the gradient count: start, and where its decay ends.
     ridge, smoothness, sparsity : float
-        Regularisation of the kernel, see :func:`motdiff.estimators.pmp.kernel.fit_kernel`.
+        Regularisation of the kernel, see :func:`motdiff.blind_search.kernel.fit_kernel`.
     patch_share : float
         Side of the minimal-pixel patches as a share of the photo's mean side.
     coupling : Coupling

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from motdiff.estimators.pmp.grids import gradient_power, psf_to_otf
+from motdiff.blind_search.grids import gradient_power, psf_to_otf
 
 _INTENSITY_CAP = 0.1  # of the adaptive threshold: a bright photo must keep its minima
 

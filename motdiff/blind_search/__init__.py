@@ -1,0 +1,1 @@
+"""The classical blind search of a blur kernel, from coarse to fine (PMP), in torch."""
