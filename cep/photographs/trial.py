@@ -14,7 +14,7 @@ from cep.optics.exposure import coded_psf
 from cep.optics.response import ShutterResponse
 from cep.restoration.blur import trimmed_psf
 from cep.restoration.clipping import fill_clipped
-from cep.restoration.pnp import pnp
+from cep.restoration.plug_and_play import pnp
 from motdiff.crops import centre_crop
 from motdiff.metrics import psnr, psnr_up_to_shift
 from motdiff.motions import with_smooth_error

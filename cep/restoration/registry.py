@@ -85,7 +85,7 @@ METHODS: dict[str, Method] = {
         Method(
             "pnp",
             "a trained denoiser",
-            "cep.restoration.pnp:pnp",
+            "cep.restoration.plug_and_play:pnp",
             ("venkatakrishnan2013", "zhang2022dpir", "zhang2018ffdnet", "mohan2020"),
             uses_camera=True,
             reports_progress=True,

@@ -19,7 +19,7 @@ from cep.restoration.blind import LEAST_CONFIDENCE
 from cep.restoration.blur import Blur, channels_first, channels_last, trimmed_psf
 from cep.restoration.clipping import fill_clipped, lights_cut
 from cep.restoration.noise import fit_spectrum
-from cep.restoration.pnp import pnp
+from cep.restoration.plug_and_play import pnp
 from cep.restoration.result import Restoration, misfit
 from cep.restoration.tv import gradient_sparsity, tv
 from cep.restoration.wiener import wiener

@@ -20,7 +20,7 @@ from cep.optics.code import ShutterCode
 from cep.restoration.blur import channels_first
 from cep.restoration.clipping import fill_clipped
 from cep.restoration.direction import orders_in_time
-from cep.restoration.pnp import pnp_together
+from cep.restoration.plug_and_play import pnp_together
 from cep.restoration.result import Restoration, misfit
 from motdiff.crops import clipped_mask, luminance
 from motdiff.path_psfs import slice_psfs

@@ -5,7 +5,7 @@ from types import MappingProxyType
 
 from hw.drivers.cxp import Controller
 from hw.drivers.driver import Driver, Trust, UploadReport
-from hw.drivers.pulsepal import PulsePal
+from hw.drivers.pulse_pal import PulsePal
 from hw.drivers.scpi import ScpiAwg
 
 __all__ = ["DRIVERS", "Driver", "Trust", "UploadReport"]

@@ -18,7 +18,7 @@ _MODULES = (
     "c_header",
     "arduino",
     "rp2_script",
-    "pulsepal",
+    "pulse_pal",
     "scpi",
     "camera",
     "dmd",

@@ -21,7 +21,7 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.restoration.pnp import pnp
+from cep.restoration.plug_and_play import pnp
 from cep.restoration.sharpen import restore_chosen
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener

@@ -13,7 +13,7 @@ if not hasattr(signal, "SIGALRM"):
         "cxp/test_clock.py",
         "cxp/test_link.py",
         "drivers/test_cxp.py",
-        "drivers/test_pulsepal.py",
+        "drivers/test_pulse_pal.py",
         "emulation/test_uno.py",
         "firmware/*",
     ]

@@ -11,7 +11,7 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.restoration.pnp import pnp
+from cep.restoration.plug_and_play import pnp
 from cep.restoration.wiener import wiener
 from motdiff.metrics import psnr
 from motdiff.motions import boracchi_foi

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from cep.restoration.denoiser.network import DenoisingNetwork
 from cep.restoration.denoiser.weights import write_weights
-from cep.restoration.pnp import FIRST_SIGMA, MOST_RATIO, PRIOR, STEPS
+from cep.restoration.plug_and_play import FIRST_SIGMA, MOST_RATIO, PRIOR, STEPS
 from lab.trainings.averaged import AveragedNetwork, set_rate
 from lab.trainings.denoiser import samples
 from lab.trainings.denoiser.samples import Photos, column
@@ -100,7 +100,9 @@ class Trainer(AveragedNetwork[DenoisingNetwork]):
         return loss.detach()
 
     def restored(self, photos: Tensor, H: Tensor, sigma: Tensor, strength: Tensor) -> Tensor:
-        """Restore photos (B, 1, S, S) at periodic borders as :func:`cep.restoration.pnp.pnp` does.
+        """Restore photos (B, 1, S, S) at periodic borders as the plug-and-play restoration does.
+
+        It is :func:`cep.restoration.plug_and_play.pnp`.
 
         Parameters
         ----------

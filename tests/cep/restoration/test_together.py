@@ -8,7 +8,7 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.restoration.pnp import pnp, pnp_together
+from cep.restoration.plug_and_play import pnp, pnp_together
 from cep.restoration.restore import restore
 from cep.restoration.together import registered_psfs, restore_together, shift_and_gain
 from motdiff.metrics import psnr_up_to_shift, timed_distance_px

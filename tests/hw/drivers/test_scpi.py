@@ -575,7 +575,7 @@ def test_without_pyvisa_it_says_what_to_install(monkeypatch):
 
 def test_importing_the_drivers_imports_no_visa():
     assert (
-        imported_with("hw.drivers.scpi, hw.drivers.pulsepal", {"serial", "pyvisa", "numpy"})
+        imported_with("hw.drivers.scpi, hw.drivers.pulse_pal", {"serial", "pyvisa", "numpy"})
         == set()
     )
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hw.device import DeviceProfile
 from hw.export import EXPORTERS, export_program
-from hw.export.pulsepal import pulse_train
+from hw.export.pulse_pal import pulse_train
 from hw.export.scpi import commands, sample_rate, samples
 from hw.program import Program
 

@@ -13,7 +13,7 @@ from cep.restoration.blur import Blur
 from cep.restoration.denoiser.network import DenoisingNetwork
 from cep.restoration.denoiser.weights import load_denoiser, read_card
 from cep.restoration.noise import fit_spectrum
-from cep.restoration.pnp import pnp
+from cep.restoration.plug_and_play import pnp
 from lab.trainings.denoiser import samples
 from lab.trainings.denoiser.__main__ import run
 from lab.trainings.denoiser.samples import Photos

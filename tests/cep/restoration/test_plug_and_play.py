@@ -8,7 +8,7 @@ from skimage import data
 from cep.files.images import read_photo
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
-from cep.restoration.pnp import pnp
+from cep.restoration.plug_and_play import pnp
 from cep.restoration.registry import METHODS
 from cep.restoration.restore import restore
 from cep.restoration.wiener import wiener

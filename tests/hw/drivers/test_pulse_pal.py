@@ -24,8 +24,8 @@ from hypothesis import strategies as st
 
 from hw.device import DeviceProfile
 from hw.drivers.driver import Trust
-from hw.drivers.pulsepal import PulsePal
-from hw.drivers.pulsepal_link import PulsePalLink, dac_code
+from hw.drivers.pulse_pal import PulsePal
+from hw.drivers.pulse_pal_link import PulsePalLink, dac_code
 from hw.errors import DeviceError, WrongStateError
 from hw.port import LinkError, PortError, open_port
 from hw.program import Program
@@ -321,7 +321,7 @@ def test_leaving_normally_keeps_an_armed_device_armed():
 def test_a_script_that_ends_without_closing_leaves_the_shutter_closed(ending):
     script = f"""
 import sys
-from hw.drivers.pulsepal import PulsePal
+from hw.drivers.pulse_pal import PulsePal
 from hw.program import Program
 driver = PulsePal.open(sys.argv[1])
 driver.upload(Program.from_bits("1" * 100, chip_ns=300_000_000), arm=True)

@@ -6,9 +6,9 @@ import contextlib
 from typing import Self
 
 from hw.device import DeviceProfile
-from hw.drivers.pulsepal_link import Parameter, PulsePalLink, dac_code, open_pulsepal
+from hw.drivers.pulse_pal_link import Parameter, PulsePalLink, dac_code, open_pulsepal
 from hw.drivers.write_only import WriteOnlyDevice
-from hw.export.pulsepal import MAX_PULSES, pulse_train
+from hw.export.pulse_pal import MAX_PULSES, pulse_train
 from hw.port import LinkError
 from hw.program import Program
 
