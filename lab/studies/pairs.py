@@ -4,10 +4,10 @@
         [--code raskar-52] [--read-noise 50] [--photons 10000] [--seed 1] [--results pairs.jsonl]
 
 Each motion is photographed once, and each photo restored without being told the motion, as `cep
-deblur` does: with the shutter open, through the code alone, in the better of two snapshots (a
-quarter and an eighth of the time, in the middle), by two cameras through the code and its
-complement (`pair`), and by the same two behind a beam splitter, with half the light each
-(`split`). `pair, true path` and `open, true path` are told the motion. PSNR in dB, light 0..1,
+deblur` does: with the shutter open, by two such cameras (`two open`, their mean), through the code
+alone, in the better of two snapshots (a quarter and an eighth of the time, in the middle), by two
+cameras through the code and its complement (`pair`), and by the same two behind a beam splitter,
+with half the light each (`split`). `pair, true path` and `open, true path` are told the motion. PSNR in dB, light 0..1,
 over shifts, without the outer 30 px. With `--results` each finished motion is a line of that file;
 the same command goes on from it.
 """
@@ -36,7 +36,16 @@ from motdiff.types import FloatArray
 
 BORDER_PX = 30
 SIDE_PX = 256
-ROWS = ("open", "snapshot", "coded", "pair", "split", "open, true path", "pair, true path")
+ROWS = (
+    "open",
+    "two open",
+    "snapshot",
+    "coded",
+    "pair",
+    "split",
+    "open, true path",
+    "pair, true path",
+)
 KINDS = {"gyro": "shakes", "walks": "walks", "arcs": "arcs"}
 
 
@@ -84,6 +93,8 @@ def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, 
 
     open_photo = photo(ShutterCode("1" * code.chips))
     row: dict[str, object] = {"open": psnr_db(restore(open_photo, anyway=True).image)}
+    mean_photo = (open_photo + photo(ShutterCode("1" * code.chips))) / 2
+    row["two open"] = psnr_db(restore(mean_photo, anyway=True).image)
     row["open, true path"] = psnr_db(
         restore(open_photo, trajectory=path, method="pnp", camera=camera).image
     )
