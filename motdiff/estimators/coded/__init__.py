@@ -20,7 +20,12 @@ class Coded(Method):
 
     name = "coded"
     about = "with --code"
-    cites: ClassVar = ("harikumar1999", "levenberg1944", "marquardt1963", "inokuchi1984")
+    cites: ClassVar[tuple[str, ...]] = (
+        "harikumar1999",
+        "levenberg1944",
+        "marquardt1963",
+        "inokuchi1984",
+    )
     smallest_px = 48  # of the search of each photo's kernel, by PMP
 
     codes: tuple[str, ...] = codes_option()

@@ -21,7 +21,7 @@ class MotDiff(Method):
 
     name = "motdiff"
     about = "blind, diffusion model"
-    cites: ClassVar = (
+    cites: ClassVar[tuple[str, ...]] = (
         "choi2025motdiff",
         "ho2020",
         "nichol2021",

@@ -20,7 +20,14 @@ class Pmp(Method):
 
     name = "pmp"
     about = "blind, classical"
-    cites: ClassVar = ("wen2021pmp", "xu2013", "cho2009", "beck2009", "liu2008", "hu2012")
+    cites: ClassVar[tuple[str, ...]] = (
+        "wen2021pmp",
+        "xu2013",
+        "cho2009",
+        "beck2009",
+        "liu2008",
+        "hu2012",
+    )
     smallest_px = 48  # as motdiff.crops.LEAST_PX, which loads OpenCV
     is_blind = True
 

@@ -20,7 +20,7 @@ class Point(Method):
 
     name = "point"
     about = "of a small light; with --code in its order in time"
-    cites: ClassVar = ("howie2017",)
+    cites: ClassVar[tuple[str, ...]] = ("howie2017",)
 
     codes: tuple[str, ...] | None = codes_option(default=None)
 
