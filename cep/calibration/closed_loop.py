@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.calibration.calibrate import Calibration, estimate_motion
-from cep.calibration.next_code import SURE, NextCode, next_code
+from cep.calibration.next_code import SURE, NextCode, is_sure, next_code
+from cep.calibration.order_codes import allowed_limits
 from cep.optics.code import ShutterCode
 from hw.device import DeviceProfile
 
 MOST_PHOTOS = 5
 """Photos after which the loop ends, sure or not."""
+_LEAST_CHIPS = 4
 _DESIGN_SHARE = 0.15  # of the time of a step
 
 
@@ -84,7 +86,8 @@ def calibration_steps(
     Raises
     ------
     ValueError
-        If the device can play no such code, or a photo cannot be searched.
+        If an argument is malformed, the device can play no such code, or a photo cannot be
+        searched.
 
     Examples
     --------
@@ -94,36 +97,43 @@ def calibration_steps(
             print(step.codes[-1].bits, step.calibration.confidence)
         step.calibration.save("motion")
     """
+    if most_photos < 1:
+        raise ValueError(f"most_photos: must be at least 1, got {most_photos}")
+    if chips < _LEAST_CHIPS:
+        raise ValueError(f"chips: must be at least {_LEAST_CHIPS}, got {chips}")
+    allowed_limits(chips, chip_ns, device)  # refused before a photo is taken
     rng = np.random.default_rng(seed)
     code = ShutterCode("1" * chips, chip_ns)
     choice = None
     photos: tuple[ArrayLike, ...] = ()
     codes: tuple[ShutterCode, ...] = ()
     while True:
-        progress(0.0, f"taking photo {len(photos) + 1}")
+        progress(_DESIGN_SHARE, f"taking photo {len(photos) + 1}")
         photos = (*photos, take(code))
         codes = (*codes, code)
+        coded = codes if len(codes) > 1 else ()
         calibration = estimate_motion(
             list(photos),
-            codes=codes if len(codes) > 1 else None,
+            codes=coded or None,
             seed=seed,
-            progress=lambda share, note: progress((1 - _DESIGN_SHARE) * share, note),
+            progress=lambda share, note: progress(
+                _DESIGN_SHARE + (1 - _DESIGN_SHARE) * share, note
+            ),
         )
-        previous = choice
+        is_last = is_sure(calibration, coded, least_probability=least_probability)
+        yield CalibrationStep(photos, codes, calibration, choice, is_last)
+        if is_last or len(photos) >= most_photos:
+            return
         choice = next_code(
             photos,
-            codes if len(codes) > 1 else (),
+            coded,
             calibration,
             least_probability=least_probability,
             chips=chips,
             chip_ns=chip_ns,
             device=device,
             rng=rng,
-            progress=lambda share: progress(
-                1 - _DESIGN_SHARE * (1 - share), "choosing the next code"
-            ),
+            progress=lambda share: progress(_DESIGN_SHARE * share, "choosing the next code"),
         )
-        yield CalibrationStep(photos, codes, calibration, previous, is_sure=choice is None)
-        if choice is None or len(photos) == most_photos:
-            return
+        assert choice is not None  # as the order is not sure
         code = choice.code

@@ -136,10 +136,7 @@ def next_code(
     ValueError
         If the device can play no such code.
     """
-    if estimate.details.get("motion_blur") is False:
-        return None
-    probability = estimate.details.get("order_confidence", 0.0)
-    if codes and isinstance(probability, float) and probability >= least_probability:
+    if is_sure(estimate, codes, least_probability=least_probability):
         return None
     timed = [code for code in codes if code.chips > 1]  # an open shutter alone has no chips
     if timed:
@@ -160,6 +157,19 @@ def next_code(
         before=float(contrast.taken().min()),
         device=profile,
     )
+
+
+def is_sure(
+    estimate: MotionEstimate, codes: Sequence[ShutterCode], *, least_probability: float = SURE
+) -> bool:
+    """Whether no other photo is needed: the order is sure, or the photos show no motion.
+
+    Parameters are those of :func:`next_code`.
+    """
+    if estimate.details.get("motion_blur") is False:
+        return True
+    probability = estimate.details.get("order_confidence", 0.0)
+    return bool(codes) and isinstance(probability, float) and probability >= least_probability
 
 
 def open_orders(paths: Sequence[Trajectory]) -> FloatArray:
@@ -184,7 +194,9 @@ def with_other_paths(
     """
     kernel = path.psf(path.frame_size(PSF_PX))
     alternatives = explaining_paths(kernel, starts=listed, count=_DRAWN_PATHS, rng=rng)
-    return _distinct([*listed, *with_knots(alternatives, _KNOTS)], limit=2 * _MOST_ORDERS)
+    distinct = _distinct([*listed, *with_knots(alternatives, _KNOTS)], limit=2 * _MOST_ORDERS)
+    # of a motion shorter than what counts as apart its two directions are left
+    return distinct if len(distinct) > 1 else listed
 
 
 def _distinct(paths: Sequence[FloatArray], *, limit: int) -> FloatArray:

@@ -118,8 +118,10 @@ def code_file(source: str) -> Path | None:
 
 def code_label(source: str) -> str:
     """Name a code for tables and legends: a file by its stem, long bits by their head."""
+    if source.startswith(COMPLEMENT):
+        return COMPLEMENT + code_label(source.removeprefix(COMPLEMENT))
     if (file := code_file(source)) is not None:
-        return COMPLEMENT * source.startswith(COMPLEMENT) + file.stem
+        return file.stem
     if len(source) <= 16:
         return source
     return f"{source[:12]}... ({len(source)})"

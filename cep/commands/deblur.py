@@ -25,7 +25,13 @@ from cep.commands.options import (
 from cep.restoration.registry import METHODS, find_method
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cep.files.shot_files import ShotRecord
     from cep.restoration.result import Restoration
+    from motdiff.trajectory import Trajectory
+
+_SAME_PX = 1e-3  # distance of paths that differ by the rounding of files alone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -287,7 +293,6 @@ def _deblur_together(options: DeblurOptions) -> None:
         from cep.files.shot_files import read_light, record_beside
         from cep.optics.path_limits import check_resolved
         from cep.restoration.together import restore_together
-        from motdiff.estimators.coded.codes import check_codes
         from motdiff.files.outputs import claim
 
         options.check()
@@ -300,14 +305,18 @@ def _deblur_together(options: DeblurOptions) -> None:
         codes = load_codes(sources)
         if not codes:
             codes = tuple(record.code for record in records if record is not None)
-        check_codes([code.bits for code in codes], photos=len(images))
+        if len(codes) != len(images):
+            raise ValueError(
+                f"--code: needs one for each photo, got {len(codes)} for {len(images)} photos"
+            )
         check_times(codes)
-        camera = next((record.noise for record in records if record and record.noise), None)
+        cameras = [None if record is None else record.noise for record in records]
         if options.has_camera:
-            camera = options.load_camera()
-        trajectory = None
+            cameras = [options.load_camera()] * len(images)
+        trajectory = _stated_motion(images, records)
         if options.has_motion:
             trajectory = options.load_motion().trajectory
+        if trajectory is not None:
             check_resolved(trajectory, codes[0].chips)
         photos = [read_light(image, gamma=options.gamma) for image in images]
         warnings = [line for photo in photos for line in photo.warnings]
@@ -322,7 +331,7 @@ def _deblur_together(options: DeblurOptions) -> None:
                 pixels,
                 codes,
                 trajectory,
-                camera=camera,
+                cameras=cameras,
                 seed=options.seed,
                 progress=part(tick, 0.02, 0.98),
             )
@@ -339,7 +348,7 @@ def _deblur_together(options: DeblurOptions) -> None:
         "seed": options.seed,
         "warnings": [*warnings, *restored.warnings],
     }
-    motion = "along the given motion"
+    motion = f"along the given motion, direction {restored.direction}"
     if restored.psf_confidence is not None:
         motion = (
             "along the motion found in them, which is right with probability"
@@ -353,6 +362,26 @@ def _deblur_together(options: DeblurOptions) -> None:
             f" {_figures(restored)}"
         ],
     )
+
+
+def _stated_motion(
+    images: Sequence[Path], records: Sequence[ShotRecord | None]
+) -> Trajectory | None:
+    """Return the motion that the photos' records have; None where none has one."""
+    motions = [
+        (image, record.trajectory)
+        for image, record in zip(images, records, strict=True)
+        if record is not None and record.trajectory is not None
+    ]
+    from motdiff.metrics import timed_distance_px
+
+    for image, trajectory in motions[1:]:
+        if timed_distance_px(trajectory, motions[0][1]) > _SAME_PX:
+            raise ValueError(
+                f"{image}: its record has another motion than that of {motions[0][0]}; give"
+                " --trajectory"
+            )
+    return motions[0][1] if motions else None
 
 
 def _figures(restored: Restoration) -> str:

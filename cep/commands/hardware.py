@@ -41,7 +41,7 @@ def export(options: ExportOptions) -> None:
 
     Example: cep export code.json --format c -o shutter_code.h
     """
-    from cep.codes.sources import code_file
+    from cep.codes.sources import COMPLEMENT, code_file
     from cep.shutter.play import on_ticks
     from hw.drivers import Trust
     from hw.export import export_program, find_exporter
@@ -54,6 +54,8 @@ def export(options: ExportOptions) -> None:
     profile = options.checked_profile(program, stored)
     file = code_file(options.code)
     stem = Path(file or "code").stem
+    if options.code.startswith(COMPLEMENT):
+        stem += "_complement"  # beside the file of the first shutter
     target = options.output or Path(exporter.file_name(stem))
     outputs = claim([target], force=options.force, inputs=filter(None, [file]))
     text = export_program(program, options.file_format, device=profile)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cep.commands.commands import with_photo_file
 from cep.commands.console import finish, progress
 from cep.commands.shots import doubts, end_unless_counted, headline, taken
 
 if TYPE_CHECKING:
     from cep.calibration.calibrate import Calibration
+    from cep.calibration.closed_loop import CalibrationStep
     from cep.commands.shoot import ShootOptions
     from cep.optics.code import ShutterCode
     from cep.shutter.rig import Shot
@@ -48,7 +49,10 @@ def calibrate_with_set(options: ShootOptions, folder: Path) -> None:
             about = {"images": list(map(str, files)), "codes": [code.bits for code in codes]}
             paths = calibration.save(motion_folder, source=about, force=options.force)
         result |= {"trajectory": paths["trajectory.json"], "confidence": calibration.confidence}
-        lines = _motion_lines(calibration, paths, photos=len(files), more=lines, code=codes[0])
+        about_motion, command = _motion_lines(
+            calibration, paths["trajectory.json"], photos=len(files), code=codes[0]
+        )
+        lines = [about_motion, *lines, command]
     result["warnings"] = doubts(shots)
     finish(result, as_json=options.as_json, page=lines)
     end_unless_counted(files, shots)
@@ -56,18 +60,15 @@ def calibrate_with_set(options: ShootOptions, folder: Path) -> None:
 
 def _motion_lines(
     calibration: Calibration,
-    paths: Mapping[str, Path],
+    trajectory: Path,
     *,
     photos: int,
-    more: list[str],
     code: ShutterCode,
 ) -> list[str]:
     """Say what motion the photos show, and the command that searches a code for it."""
-    trajectory = paths["trajectory.json"]
     return [
         f"{trajectory.parent}: path of {calibration.best.length_px:.1f} px from {photos} photos,"
         f" in this order in time with probability {calibration.confidence:.2f}",
-        *more,
         f"then: cep optimize --trajectory {trajectory} --chips {code.chips} --exposure"
         f" {code.duration_ns * 1e-6:g}ms -o code.json",
     ]
@@ -76,7 +77,9 @@ def _motion_lines(
 def calibrate_in_loop(options: ShootOptions) -> None:
     """Take photos of one motion, each code chosen by those before, until its order is sure."""
     from cep.calibration.calibrate import CALIBRATION_FILES
-    from cep.calibration.closed_loop import MOST_PHOTOS, CalibrationStep, calibration_steps
+    from cep.calibration.closed_loop import MOST_PHOTOS, calibration_steps
+    from cep.commands.code_options import STANDARD_CHIPS
+    from cep.optics.path_limits import check_resolved
     from cep.shutter.shoot import open_rig
     from cep.shutter.shot_folder import ShotFolder
     from hw.cameras.camera import CameraError
@@ -87,9 +90,23 @@ def calibrate_in_loop(options: ShootOptions) -> None:
     motion_folder = options.output / "motion"
     claim_folder(motion_folder, CALIBRATION_FILES, force=options.force)
     settings = options.settings()
+    if settings.motion is not None:
+        check_resolved(settings.motion, STANDARD_CHIPS)
     assert options.camera is not None
     shots: list[Shot] = []
     steps: list[CalibrationStep] = []
+
+    def save(step: CalibrationStep) -> Path:
+        paths = step.calibration.save(
+            motion_folder,
+            source={
+                "images": list(map(str, folder.files)),
+                "codes": [code.bits for code in step.codes],
+            },
+            force=options.force or len(steps) > 1,  # over that of the photos before
+        )
+        return paths["trajectory.json"]
+
     with progress("calibrating") as tick, open_rig(options.camera, options.port) as rig:
 
         def take(code: ShutterCode) -> FloatArray:
@@ -99,43 +116,58 @@ def calibrate_in_loop(options: ShootOptions) -> None:
                 raise CameraError(f"{folder.files[-1]} {shots[-1].verdict}")
             return shots[-1].record.light(shots[-1].frame.values)
 
+        if rig.controller is None:
+            raise ValueError(
+                f"--calibrate: camera {rig.camera.name}: each photo needs the motion anew; a video"
+                " has it once"
+            )
         try:
             for step in calibration_steps(
                 take,
+                chips=STANDARD_CHIPS,
                 chip_ns=options.chip_ns or 1_000_000,
-                device=None if rig.controller is None else rig.controller.limits,
+                device=rig.controller.limits,
                 progress=lambda share, note: tick(
                     (len(steps) + share) / MOST_PHOTOS, f"photo {len(steps) + 1}: {note}"
                 ),
             ):
                 steps.append(step)
+                trajectory = save(step)  # each: what fails later does not cost it
         except BaseException as error:  # Ctrl-C as well: the photos are there
-            error.add_note(f"{len(folder.files)} photos are in {options.output}")
+            if folder.files:
+                error.add_note(f"photos so far: {', '.join(map(str, folder.files))}")
+            if isinstance(error, ValueError):
+                raise ValueError(with_photo_file(str(error), folder.files)) from None
             raise
-        last = steps[-1]
-        codes = [code.bits for code in last.codes]
-        paths = last.calibration.save(
-            motion_folder,
-            source={"images": list(map(str, folder.files)), "codes": codes},
-            force=options.force,
-        )
-    outcome = f"{len(steps)} photos, the order in time is sure"
-    if last.calibration.details.get("motion_blur") is False:
-        outcome = "the photo shows no motion blur: there is nothing to calibrate"
-    elif not last.is_sure:
-        outcome = f"{len(steps)} photos, and the order in time is not sure: take others"
+    folder.drop_others()
+    last = steps[-1]
+    moves = last.calibration.details.get("motion_blur") is not False
     finish(
         {
             "photos": folder.files,
-            "codes": codes,
-            "sure": last.is_sure,
-            "trajectory": paths["trajectory.json"],
+            "codes": [code.bits for code in last.codes],
+            "sure": last.is_sure and moves,
+            "trajectory": trajectory,
             "confidence": last.calibration.confidence,
             "confidences": [step.calibration.confidence for step in steps],
             "warnings": [*doubts(shots), *last.calibration.warnings],
         },
         as_json=options.as_json,
-        page=_motion_lines(
-            last.calibration, paths, photos=len(steps), more=[outcome], code=last.codes[0]
-        ),
+        page=_outcome(last, trajectory, moves=moves),
     )
+
+
+def _outcome(step: CalibrationStep, trajectory: Path, *, moves: bool) -> list[str]:
+    """Say what the photos show, and what to do with it."""
+    if not moves:
+        return ["The photo shows no motion blur: there is nothing to calibrate."]
+    lines = _motion_lines(
+        step.calibration, trajectory, photos=len(step.photos), code=step.codes[0]
+    )
+    if not step.is_sure:
+        return [
+            lines[0],
+            f"The order in time is not sure after {len(step.photos)} photos: repeat it with more"
+            " light, or with a scene of more detail.",
+        ]
+    return lines

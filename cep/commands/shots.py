@@ -49,8 +49,8 @@ def taken(
         folder.drop_restored()
         return shots, folder.files, None
     with progress("restoring") as tick:
-        doubts = folder.restore(shots[0], tick)
-    shots[0] = replace(shots[0], warnings=(*shots[0].warnings, *doubts))
+        warnings = folder.restore(shots[0], tick)
+    shots[0] = replace(shots[0], warnings=(*shots[0].warnings, *warnings))
     return shots, folder.files, folder.restored
 
 

@@ -31,7 +31,7 @@ from motdiff.types import FloatArray
 
 Direction = Literal["forward", "reverse", "reordered", "undecidable"]
 
-_DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse", "reordered")
+DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse", "reordered")
 _LARGEST_CROP_PX = 512
 _ONE_PSF_MNC = 0.9995  # both PSFs are computed, not estimated: small differences count
 _FEATURELESS = 1e-6  # range of a photo that holds rounding errors alone
@@ -152,7 +152,7 @@ def orders_in_time(trajectory: Trajectory) -> list[Trajectory]:
 
 def _compared(photo: ArrayLike, psfs: Sequence[FloatArray]) -> tuple[DirectionResult, int]:
     """Return the result and the index of the chosen PSF; repeated PSFs are not tested."""
-    image = _middle(channels_first(photo).mean(axis=0))
+    image = middle_crop(channels_first(photo).mean(axis=0))
     blurs = [Blur(psf, image.shape, "periodic") for psf in psfs]
     kernels = [blur.psf for blur in blurs]
     spectra = [fit_spectrum(image, blur, shaped=True) for blur in blurs]
@@ -184,7 +184,7 @@ def _compared(photo: ArrayLike, psfs: Sequence[FloatArray]) -> tuple[DirectionRe
         for i in tested
     ]
     confidence = float(odds[best, same].sum() / odds[best].sum())
-    direction = _DIRECTIONS[min(chosen, 2)]
+    direction = DIRECTIONS[min(chosen, 2)]
     return DirectionResult(direction, confidence, likelihoods, residuals, psfs[chosen]), chosen
 
 
@@ -210,8 +210,8 @@ def _log_odds(likelihoods: FloatArray, ringing: FloatArray) -> FloatArray:
     return np.asarray(sum(weighed), dtype=np.float64)
 
 
-def _middle(image: FloatArray) -> FloatArray:
-    """Return the middle of the photo: enough to decide, and quick on large photos."""
+def middle_crop(image: FloatArray) -> FloatArray:
+    """Return the middle of a photo (H, W): enough to decide, and quick on large photos."""
     height, width = (min(side, _LARGEST_CROP_PX) for side in image.shape)
     top = (image.shape[0] - height) // 2
     left = (image.shape[1] - width) // 2

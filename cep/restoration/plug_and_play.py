@@ -110,7 +110,7 @@ def pnp_together(
     photos: Sequence[ArrayLike],
     psfs: Sequence[ArrayLike],
     *,
-    camera: Camera | None = None,
+    cameras: Sequence[Camera | None] | None = None,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> FloatArray:
     """Restore one scene from several photos of it, each with its PSF: as :func:`pnp`, with the
@@ -123,7 +123,9 @@ def pnp_together(
     photos : sequence of K (H, W) or (H, W, 3) array_like, linear light
     psfs : sequence of K (S, S) array_like
         Light-true; a shift of a photo, and its brightness beyond that of its code, are the PSF's.
-    camera, progress
+    cameras : sequence of K Camera or None, optional
+        Of each photo: gives the variance of its noise, which is estimated where it is None.
+    progress : callable, optional
         As for :func:`pnp`.
 
     Returns
@@ -145,7 +147,9 @@ def pnp_together(
     normalised_photos = [normalised(*pair) for pair in zip(photos, psfs, strict=True)]
     spectra = [
         [_spectrum(channel, kernel, duty, camera=camera) for channel in channels]
-        for channels, kernel, duty in normalised_photos
+        for (channels, kernel, duty), camera in zip(
+            normalised_photos, cameras or [None] * len(photos), strict=True
+        )
     ]
     N = np.array([[spectrum.noise for spectrum in of_photo] for of_photo in spectra])
     A = np.array([[spectrum.scene for spectrum in of_photo] for of_photo in spectra])

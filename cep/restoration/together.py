@@ -17,13 +17,15 @@ from scipy import fft, ndimage, signal
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.restoration.blur import channels_first
+from cep.restoration.blur import channels_first, channels_last, trimmed_psfs
 from cep.restoration.clipping import fill_clipped
-from cep.restoration.direction import orders_in_time
+from cep.restoration.direction import DIRECTIONS, middle_crop, orders_in_time
 from cep.restoration.plug_and_play import pnp_together
 from cep.restoration.result import Restoration, misfit
+from cep.restoration.sharpen import FEW_CLIPPED, LARGEST_PX
 from motdiff.crops import clipped_mask, luminance
 from motdiff.path_psfs import slice_psfs
+from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
 from motdiff.psf_frame import in_frame
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -31,7 +33,12 @@ from motdiff.types import FloatArray
 _SEARCHING = "searching the motion"
 _ESTIMATE_SHARE = 0.8  # of the time, where the motion is not given
 _DOUBTFUL = 0.5  # probability of the path
+_ALIKE = 1.05  # ratio of two orders' misfits: so near, the photos tell neither
+_UNEXPLAINED = 3.0  # misfit, over the noise; along paths that are 0.2 px off it is 1 to 2
+_LEAST_OVERLAP_PX = 32  # of the photos without the reach of their blur
+_FARTHEST = 0.25  # shift, of that overlap: farther off, photos hardly show one scene
 _MOST_STEPS = 12  # of the registration, which takes three or four
+_LONGEST_STEP_PX = 8.0  # from the peak of the correlation, which is a pixel off or two
 _STILL_PX = 1e-3
 _INSIDE = 0.1  # of the window, below which a pixel is border
 _FLAT = 1e-12  # variance of an image that shows nothing
@@ -65,7 +72,7 @@ def restore_together(
     codes: Sequence[ShutterCode],
     trajectory: Trajectory | None = None,
     *,
-    camera: Camera | None = None,
+    cameras: Sequence[Camera | None] | None = None,
     seed: int = 0,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> Restoration:
@@ -82,8 +89,8 @@ def restore_together(
         Of one duration.
     trajectory : Trajectory, optional
         Of an unknown direction, the order in time is that which leaves least between the photos.
-    camera : Camera, optional
-        Gives the noise, which is estimated in each photo when omitted.
+    cameras : sequence of K Camera or None, optional
+        Of each photo: gives its noise, which is estimated in the photo where it is None.
     seed : int
         Of the search of the motion.
     progress : callable, optional
@@ -97,8 +104,8 @@ def restore_together(
     Raises
     ------
     ValueError
-        If photos and codes do not fit each other, a photo cannot be searched, or the motion does
-        not fit into the photos.
+        If photos and codes do not fit each other, a photo cannot be searched, the motion does not
+        fit into the photos, or they lie too far apart to show one scene.
 
     References
     ----------
@@ -120,7 +127,8 @@ def restore_together(
     from motdiff.estimators.coded.codes import check_codes
 
     started = time.perf_counter()
-    check_codes([code.bits for code in codes], photos=len(photos))
+    tells_order = trajectory is None or trajectory.direction == "unknown"
+    check_codes([code.bits for code in codes], photos=len(photos), tell_order=tells_order)
     if len(photos) < 2:
         raise ValueError("photos: need at least two; restore() takes a single one")
     images = [channels_first(photo) for photo in photos]
@@ -131,6 +139,10 @@ def restore_together(
                 for colours, h, w in (images[0].shape, image.shape)
             )
             raise ValueError(f"photo {i}: has {size}, the first one {first_size}")
+    if images[0][0].size > LARGEST_PX:
+        raise ValueError(
+            f"photos: at most {LARGEST_PX / 1e6:g} megapixels are restored together; crop them"
+        )
     confidence: float | None = None
     warnings: list[str] = []
     estimated = 0.0
@@ -159,20 +171,29 @@ def restore_together(
         paths = [trajectory]
         if trajectory.direction == "unknown":
             paths = orders_in_time(trajectory)
-        side = min(images[0].shape[1:])
-        if (reach := trajectory.frame_size()) > side:
-            raise ValueError(
-                f"trajectory: the motion spans {reach} px around its zero, the photos are only"
-                f" {side} px on their shorter side"
-            )
+    direction = "known"
+    if len(paths) > 1:
+        progress(estimated, "finding the order in time")
+        crops = [middle_crop(luminance(channels_last(image))) for image in images]
+        misfits = [registered_psfs(crops, path, codes).misfit for path in paths]
+        first, second = np.argsort(misfits)[:2]
+        paths = [paths[first]]
+        direction = DIRECTIONS[min(first, 2)]
+        if misfits[second] < _ALIKE * misfits[first]:
+            direction = "undecidable"
+            warnings.append("the photos do not tell the order in time of the motion")
     progress(estimated, "aligning the photos")
-    fits = [registered_psfs(photos, path, codes) for path in paths]
-    best = min(range(len(fits)), key=lambda i: fits[i].misfit)
-    psfs = fits[best].psfs
+    light = [
+        fill_clipped(photo, _psf(paths[0], code))
+        for photo, code in zip(photos, codes, strict=True)
+    ]
+    registered = registered_psfs(light, paths[0], codes)
+    psfs = registered.psfs
+    warnings += _doubts(photos, registered)
     image = pnp_together(
-        [fill_clipped(photo, psf) for photo, psf in zip(photos, psfs, strict=True)],
+        light,
         list(psfs),
-        camera=camera,
+        cameras=cameras,
         progress=lambda share: progress(estimated + (1 - estimated) * share, "restoring"),
     )
     residuals = [misfit(photo, image, psf) for photo, psf in zip(photos, psfs, strict=True)]
@@ -182,14 +203,36 @@ def restore_together(
         psf=psfs[0],
         psf_source="photo" if trajectory is None else "trajectory",
         psf_confidence=confidence,
-        direction="known",
-        trajectory=Trajectory(paths[best].t, paths[best].xy, direction="known"),
+        direction=direction,
+        trajectory=Trajectory(paths[0].t, paths[0].xy, direction="known"),
         residual=float(np.sqrt(np.mean(np.square(residuals)))),
-        unreliable_px=psfs.shape[-1] // 2,
-        saturated_fraction=float(np.mean([clipped_mask(photo).mean() for photo in photos])),
+        unreliable_px=trimmed_psfs(psfs).shape[-1] // 2,
+        saturated_fraction=_clipped_share(photos),
         warnings=tuple(warnings),
         seconds=time.perf_counter() - started,
     )
+
+
+def _clipped_share(photos: Sequence[ArrayLike]) -> float:
+    return float(np.mean([clipped_mask(photo).mean() for photo in photos]))
+
+
+def _doubts(photos: Sequence[ArrayLike], registered: RegisteredPsfs) -> list[str]:
+    """Warn of what a photo alone would be warned of, and where the photos do not fit together."""
+    doubts = []
+    noise = np.mean([max(noise_sigma(luminance(np.asarray(p))), LEAST_SIGMA) for p in photos])
+    if (ratio := registered.misfit / noise) > _UNEXPLAINED:
+        doubts.append(
+            f"the photos do not fit together along this motion ({ratio:.1f} times the noise is"
+            " left between them): do they show one scene and one motion, and are the codes given"
+            " in the order of the photos?"
+        )
+    if (clipped := _clipped_share(photos)) > FEW_CLIPPED:
+        doubts.append(
+            f"{100 * clipped:.1f} % of the pixels are clipped: their light was inferred from the"
+            " other pixels"
+        )
+    return doubts
 
 
 def registered_psfs(
@@ -215,12 +258,23 @@ def registered_psfs(
     shifts = [(0.0, 0.0)]
     gains = [1.0]
     squares = []
-    for grey, code in zip(greys[1:], codes[1:], strict=True):
+    for i, (grey, code) in enumerate(zip(greys[1:], codes[1:], strict=True), 2):
         psf = _psf(trajectory, code)
         frame = max(len(psf), len(psfs[0]))
+        overlap_px = min(grey.shape) - frame + 1
+        if overlap_px < _LEAST_OVERLAP_PX:
+            raise ValueError(
+                f"trajectory: the motion spans {frame} px around its zero, the photos are only"
+                f" {min(grey.shape)} px on their shorter side"
+            )
         shift_px, gain, rms = shift_and_gain(
             _blurred(greys[0], in_frame(psf, frame)), _blurred(grey, in_frame(psfs[0], frame))
         )
+        if not max(map(abs, shift_px)) < _FARTHEST * overlap_px or gain <= 0:
+            raise ValueError(
+                f"photo {i}: does not show the scene of the first one where this motion leaves it;"
+                " give photos of one scene, and their codes in the same order"
+            )
         psfs.append(gain * _psf(trajectory, code, shift_px))
         shifts.append(shift_px)
         gains.append(gain)
@@ -265,16 +319,25 @@ def shift_and_gain(a: FloatArray, b: FloatArray) -> tuple[tuple[float, float], f
     )
     is_inside = window > _INSIDE
     gain = float(b.sum() / a.sum()) if a.sum() > 0 else 1.0
+
+    def remainder(shift: FloatArray, gain: float) -> tuple[FloatArray, float]:
+        a_there: FloatArray = ndimage.shift(a, shift, mode="nearest")
+        return a_there, float(np.sqrt(np.mean((b - gain * a_there)[is_inside] ** 2)))
+
+    a_there, rms = remainder(down_right, gain)
     for _ in range(_MOST_STEPS):
         if min(a.var(), b.var()) < _FLAT:
             break
-        a_there = ndimage.shift(a, down_right, mode="nearest")
-        slopes = [-gain * slope[is_inside] for slope in np.gradient(a_there)]
+        slopes = [-gain * np.gradient(a_there, axis=axis)[is_inside] for axis in (0, 1)]
         design = np.stack([a_there[is_inside], *slopes], axis=1)
-        gain, *step = np.linalg.lstsq(design, b[is_inside], rcond=None)[0].tolist()
-        down_right += step
+        new_gain, *step = np.linalg.lstsq(design, b[is_inside], rcond=None)[0].tolist()
+        if np.hypot(*step) > _LONGEST_STEP_PX:  # beyond the range of the linear model
+            break
+        a_next, new_rms = remainder(down_right + step, new_gain)
+        if not new_rms < rms:
+            break
+        down_right = down_right + step
+        a_there, rms, gain = a_next, new_rms, new_gain
         if np.hypot(*step) < _STILL_PX:
             break
-    a_there = ndimage.shift(a, down_right, mode="nearest")
-    rms = float(np.sqrt(np.mean((b - gain * a_there)[is_inside] ** 2)))
     return (float(down_right[1]), float(down_right[0])), gain, rms

@@ -76,6 +76,13 @@ class ShotFolder:
             raise
         return sharp.warnings
 
+    def drop_others(self) -> None:
+        """Remove what an earlier run left under names that this one did not need."""
+        for stem in self._stems[len(self.files) :]:
+            for suffix in (".tif", ".json"):
+                (self.folder / f"{stem}{suffix}").unlink(missing_ok=True)
+        self.drop_restored()
+
     def drop_restored(self) -> None:
         """Remove the restored photo of other photos, which these have replaced."""
         self.restored.unlink(missing_ok=True)

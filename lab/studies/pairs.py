@@ -105,13 +105,13 @@ def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, 
     for name, light in (("pair", 1.0), ("split", 0.5)):
         photos = [photo(played, light) for played in codes]
         start_s = time.process_time()
-        restored = restore_together(photos, codes, camera=camera)
+        restored = restore_together(photos, codes)
         row[name] = psnr_db(restored.image / light)
         row[f"{name}: cpu_s"] = time.process_time() - start_s
         row[f"{name}: probability"] = restored.psf_confidence
         row[f"{name}: error_px"] = timed_distance_px(restored.trajectory, path)
         if name == "pair":
-            informed = restore_together(photos, codes, path, camera=camera)
+            informed = restore_together(photos, codes, path, cameras=[camera] * 2)
             row["pair, true path"] = psnr_db(informed.image)
     return row
 

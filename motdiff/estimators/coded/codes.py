@@ -9,7 +9,9 @@ import numpy as np
 from motdiff.types import FloatArray
 
 
-def check_codes(codes: Sequence[str], *, photos: int | None = None) -> None:
+def check_codes(
+    codes: Sequence[str], *, photos: int | None = None, tell_order: bool = True
+) -> None:
     """Refuse codes from which no order in time follows.
 
     Parameters
@@ -18,6 +20,8 @@ def check_codes(codes: Sequence[str], *, photos: int | None = None) -> None:
         Bits, one code per photo.
     photos : int, optional
         Number of photos.
+    tell_order : bool
+        Whether the photos are to show the order in time.
 
     Raises
     ------
@@ -37,6 +41,8 @@ def check_codes(codes: Sequence[str], *, photos: int | None = None) -> None:
                 f"code {i}: has {len(code)} chips, the first one {len(codes[0])}; one motion is"
                 " divided in one way"
             )
+    if not tell_order:
+        return
     if all("0" not in code for code in codes):
         raise ValueError(
             "code: order cannot be known from photos with the shutter open throughout; take one"

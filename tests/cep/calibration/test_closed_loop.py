@@ -89,6 +89,28 @@ def test_the_device_can_play_every_code(stated):
         assert device.check(Program.from_bits(code.bits, chip_ns=code.chip_ns)) == ()
 
 
+def test_a_motion_shorter_than_what_counts_as_apart(stated, monkeypatch):
+    """Its two directions are what is left to tell."""
+    stated([0.9, 0.97])
+    short = Trajectory.from_samples([[0, 0], [0.8, 0.1], [1.1, 0.9]], direction="known")
+    monkeypatch.setitem(globals(), "bow", lambda: short)
+    steps = list(calibration_steps(camera_of(short), chips=24))
+    assert [step.is_sure for step in steps] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ({"most_photos": 0}, "most_photos: must be at least 1"),
+        ({"chips": 3}, "chips: must be at least 4"),
+        ({"device": "mechanical", "chip_ns": 10}, "mechanical"),
+    ],
+)
+def test_no_photo_is_taken_of_what_cannot_be(arguments, named):
+    with pytest.raises(ValueError, match=named):
+        next(calibration_steps(lambda _code: pytest.fail("a photo was taken"), **arguments))
+
+
 def test_progress_of_each_step_only_grows(stated):
     stated([0.9, 0.97])
     shares = []

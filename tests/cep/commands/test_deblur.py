@@ -5,8 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cep.codes.sources import load_code
 from cep.files.images import read_photo, write_image
-from motdiff.files.trajectories import StoredMotion, write_motion
+from cep.files.shot_files import ShotRecord, write_shot
+from cep.optics.camera import Camera
+from cep.optics.capture import capture
+from hw.cameras.camera import Frame
+from motdiff.files.trajectories import StoredMotion, read_motion, write_motion
 from motdiff.trajectory import Trajectory
 
 CODE = "1101000101101111"
@@ -88,7 +93,7 @@ def test_two_photos_are_restored_together(cep, pair):
     codes = ("--code", CODE, "--code", COMPLEMENT)
     both = cep.succeeds("deblur", *pair, *codes, "--trajectory", "trajectory.json", "-o", "c.png")
     assert both["images"] == list(pair)
-    assert both["direction"] == "known"
+    assert both["direction"] == "forward"
     assert both["psf_confidence"] is None
     assert both["residual"] < 0.01
     sharp = read_photo("sharp.png").pixels
@@ -105,6 +110,29 @@ def test_the_motion_of_two_photos_is_found_in_them(cep, pair):
     assert cep.out.startswith("left_sharp.png: restored from 2 photos together, along the motion")
     assert "right with probability" in cep.out
     assert Path("left_sharp.png").exists()
+
+
+def test_the_motion_and_the_codes_of_two_shots_come_along(cep, workplace):
+    """Beside each photo its record: nothing has to be said again."""
+    path = read_motion("trajectory.json").trajectory
+    for name, code in (("a", CODE), ("b", COMPLEMENT)):
+        chips = load_code(code)
+        photo = capture(
+            read_photo("sharp.png").pixels, path, chips, rng=np.random.default_rng(len(name))
+        )
+        values = np.rint(4095 * photo).astype(np.uint16)
+        record = ShotRecord(code=chips, bits=12, trajectory=path, noise=Camera())
+        Path(name).mkdir()
+        write_shot(
+            Path(name),
+            "photo",
+            Frame(values=values, bits=12, frame_id=0, camera="test"),
+            record,
+            force=False,
+        )
+    both = cep.succeeds("deblur", "a/photo.tif", "b/photo.tif", "-o", "c.png")
+    assert both["psf_source"] == "trajectory"
+    assert both["residual"] < 0.01
 
 
 @pytest.mark.parametrize(

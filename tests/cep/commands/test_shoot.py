@@ -109,7 +109,24 @@ def test_a_calibration_takes_photos_until_the_order_is_sure(cep, twin, workplace
     assert read_motion("loop/motion/trajectory.json").trajectory.direction == "known"
     records = [record_beside(photo) for photo in result["photos"]]
     assert [record.code.bits for record in records] == result["codes"]
-    assert not (workplace / "loop" / "restored.png").exists()
+    assert (workplace / result["trajectory"]).exists()
+
+
+@pytest.mark.slow(reason="searches the motion in a photo")
+def test_a_camera_at_rest_has_nothing_to_calibrate(cep, twin, workplace):
+    loop = workplace / "loop"
+    loop.mkdir()
+    for name in ("P1.tif", "P4.tif", "P4.json", "restored.png"):
+        (loop / name).touch()
+    arguments = ("shoot", "--camera", "twin:scene=sharp.png", "--calibrate", "-o", "loop")
+    assert "P1.tif" in cep.refuses(*arguments)
+    cep(*arguments, "--force")
+    assert (cep.code, cep.out.splitlines()[0]) == (
+        0,
+        "The photo shows no motion blur: there is nothing to calibrate.",
+    )
+    names = {path.name for path in loop.iterdir()}
+    assert names == {"P1.tif", "P1.json", "motion"}
 
 
 @pytest.mark.slow(reason="40 CPU-s: the motion is searched in both photos and its order in time")

@@ -1,5 +1,7 @@
 """One scene from several photos of one motion, each through its own code."""
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -13,12 +15,14 @@ from cep.restoration.restore import restore
 from cep.restoration.together import registered_psfs, restore_together, shift_and_gain
 from motdiff.metrics import psnr_up_to_shift, timed_distance_px
 from motdiff.path_psfs import slice_psfs
+from motdiff.psf_frame import in_frame
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 
 CODE = ShutterCode("1010000111000001010000110011110111010111001001100111")
 PAIR = (CODE, CODE.complement())
 CAMERA = Camera(photons_full_scale=10_000, read_noise_e=50)
+CAMERAS = (CAMERA, CAMERA)
 
 
 def hook():
@@ -83,6 +87,8 @@ def test_photos_are_registered_through_their_blur():
     fit = registered_psfs([first, second], path, PAIR)
     np.testing.assert_allclose(fit.shifts_px, [[0, 0], [1.4, -2.2]], atol=0.03)
     np.testing.assert_allclose(fit.gains, [1, 0.8], rtol=0.01)
+    for psf, true in zip(fit.psfs, psfs, strict=True):
+        np.testing.assert_allclose(in_frame(psf, frame), true, atol=0.05 * true.max())
     assert fit.misfit == pytest.approx(np.sqrt(CAMERA.noise_variance(first).mean()), rel=0.3)
 
 
@@ -99,7 +105,7 @@ def test_two_photos_that_are_one_have_half_its_noise():
     scene = blocks()
     photos = photos_of(scene, path, (ShutterCode("1"), ShutterCode("1")))
     psf = coded_psf(path, ShutterCode("1"), 11)
-    together = pnp_together(photos, [psf, psf], camera=CAMERA)
+    together = pnp_together(photos, [psf, psf], cameras=CAMERAS)
     mean = np.mean(photos, axis=0)
     halved = pnp(mean, psf, noise_variance=CAMERA.noise_variance(mean).mean() / 2)
     # their scenes' spectra are fitted apart: far below the noise of 0.006
@@ -125,7 +131,7 @@ def test_a_pair_keeps_what_each_photo_loses():
     def psnr_db(image):
         return psnr_up_to_shift(np.clip(image, 0, 1), sharp, crop_px=25)
 
-    both = restore_together(photos, PAIR, path, camera=CAMERA)
+    both = restore_together(photos, PAIR, path, cameras=CAMERAS)
     singles = [
         restore(photo, trajectory=path, code=code, camera=CAMERA)
         for photo, code in zip(photos, PAIR, strict=True)
@@ -137,9 +143,66 @@ def test_of_a_path_without_direction_the_photos_tell_it():
     path = hook()
     photos = photos_of(blocks(), path.reversed(), PAIR)
     unknown = Trajectory(path.t, path.xy, direction="unknown")
-    restored = restore_together(photos, PAIR, unknown, camera=CAMERA)
+    restored = restore_together(photos, PAIR, unknown, cameras=CAMERAS)
     assert timed_distance_px(restored.trajectory, path.reversed()) < 0.1
-    assert restored.direction == restored.trajectory.direction == "known"
+    assert restored.direction == "reverse"
+    assert restored.trajectory.direction == "known"
+
+
+def test_photos_that_do_not_belong_together_are_noticed():
+    path = hook()
+    photos = photos_of(blocks(), path, PAIR)
+    (elsewhere,) = photos_of(blocks(seed=9), path, PAIR[1:])
+    for second, codes in ((elsewhere, PAIR), (photos[1], (CODE, CODE))):
+        try:
+            warnings = restore_together([photos[0], second], codes, path).warnings
+        except ValueError as error:
+            warnings = (str(error),)
+        assert any("scene" in text for text in warnings)
+    assert not restore_together(photos, PAIR, path).warnings
+
+
+def test_clipped_light_is_inferred():
+    """A lamp that is white in both photos: around it the scene is restored as without it."""
+    path = hook()
+    scene = blocks()
+    lamp = scene.copy()
+    lamp[95:105, 95:105] = 12
+    photos = photos_of(lamp, path, PAIR)
+    restored = restore_together(photos, PAIR, path)
+    assert restored.saturated_fraction > 0.005
+    assert any("clipped" in text for text in restored.warnings)
+    frame = path.frame_size() | 1
+    sharp = visible(scene, frame)
+    far = np.ones(sharp.shape, dtype=bool)
+    far[40:-40, 40:-40] = False
+    far[:20] = far[-20:] = far[:, :20] = far[:, -20:] = False
+    assert np.sqrt(np.mean((restored.image - sharp)[far] ** 2)) < 0.05
+
+
+def test_three_photos_in_colour():
+    path = hook()
+    scene = np.stack([blocks(), blocks(seed=1), blocks(seed=2)], axis=-1)
+    codes = (*PAIR, ShutterCode("1" * CODE.chips))
+    photos = photos_of(scene, path, codes)
+    restored = restore_together(photos, codes, path)
+    sharp = visible(scene, path.frame_size() | 1)
+    assert restored.image.shape == sharp.shape
+    assert np.sqrt(np.mean((restored.image - sharp)[25:-25, 25:-25] ** 2)) < 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_photos_without_a_common_scene_do_not_run_away(seed):
+    """Neither noise nor opposite slopes have a shift: none is made up that is out of reach."""
+    rng = np.random.default_rng(seed)
+    slope = np.linspace(0.2, 0.8, 120) * np.ones((100, 1))
+    pairs = [(slope, slope[:, ::-1]), tuple(0.5 + 0.02 * rng.standard_normal((2, 100, 120)))]
+    for pair in pairs:
+        shift_px, gain, rms = shift_and_gain(*pair)
+        assert np.abs(shift_px).max() < 70  # half a side, and steps from there
+        assert np.isfinite([gain, rms]).all()
+        with suppress(ValueError):  # the other outcome: refused, as photos of different scenes
+            assert np.isfinite(registered_psfs(pair, Trajectory.straight(9.0), PAIR).psfs).all()
 
 
 @pytest.mark.slow(reason="searches the motion of two photos")
@@ -149,13 +212,13 @@ def test_a_motion_that_nobody_told_is_found_in_the_pair():
     photos = photos_of(scene, path, PAIR)
     shares = []
     restored = restore_together(
-        photos, PAIR, camera=CAMERA, progress=lambda share, _: shares.append(share)
+        photos, PAIR, cameras=CAMERAS, progress=lambda share, _: shares.append(share)
     )
     assert timed_distance_px(restored.trajectory, path) < 0.5
     assert restored.psf_confidence >= 0.5
     assert shares == sorted(shares)
     sharp = visible(scene, path.frame_size() | 1)
-    told = restore_together(photos, PAIR, path, camera=CAMERA)
+    told = restore_together(photos, PAIR, path, cameras=CAMERAS)
     gap_db = psnr_up_to_shift(told.image, sharp) - psnr_up_to_shift(restored.image, sharp)
     assert gap_db < 1.5
 
