@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +20,7 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.restoration.blur import channels_first, channels_last, trimmed_psfs
 from cep.restoration.clipping import fill_clipped
-from cep.restoration.direction import DIRECTIONS, middle_crop, orders_in_time
+from cep.restoration.direction import DIRECTIONS, Direction, middle_crop, orders_in_time
 from cep.restoration.plug_and_play import pnp_together
 from cep.restoration.result import Restoration, misfit
 from cep.restoration.sharpen import FEW_CLIPPED, LARGEST_PX
@@ -30,11 +31,15 @@ from motdiff.psf_frame import in_frame
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
-_SEARCHING = "searching the motion"
+if TYPE_CHECKING:
+    from motdiff.estimators.base import MotionEstimate
+
 _ESTIMATE_SHARE = 0.8  # of the time, where the motion is not given
 _DOUBTFUL = 0.5  # probability of the path
 _ALIKE = 1.05  # ratio of two orders' misfits: so near, the photos tell neither
-_UNEXPLAINED = 3.0  # misfit, over the noise; along paths that are 0.2 px off it is 1 to 2
+# misfit beyond the noise, over the contrast: 0.1 along a path that is half a pixel off, 0.4 and
+# more through a wrong code or in the reverse order
+_UNEXPLAINED = 0.2
 _LEAST_OVERLAP_PX = 32  # of the photos without the reach of their blur
 _FARTHEST = 0.25  # shift, of that overlap: farther off, photos hardly show one scene
 _MOST_STEPS = 12  # of the registration, which takes three or four
@@ -124,41 +129,18 @@ def restore_together(
     >>> sharp.image.shape == photos[0].shape, sharp.method
     (True, 'pnp')
     """
-    from motdiff.estimators.coded.codes import check_codes
-
     started = time.perf_counter()
-    tells_order = trajectory is None or trajectory.direction == "unknown"
-    check_codes([code.bits for code in codes], photos=len(photos), tell_order=tells_order)
-    if len(photos) < 2:
-        raise ValueError("photos: need at least two; restore() takes a single one")
-    images = [channels_first(photo) for photo in photos]
-    for i, image in enumerate(images[1:], 2):
-        if image.shape != images[0].shape:
-            first_size, size = (
-                f"{w} x {h} px in {'colour' if colours > 1 else 'grey'}"
-                for colours, h, w in (images[0].shape, image.shape)
-            )
-            raise ValueError(f"photo {i}: has {size}, the first one {first_size}")
-    if images[0][0].size > LARGEST_PX:
-        raise ValueError(
-            f"photos: at most {LARGEST_PX / 1e6:g} megapixels are restored together; crop them"
-        )
+    images = _checked(photos, codes, trajectory)
     confidence: float | None = None
+    direction = "known"
     warnings: list[str] = []
     estimated = 0.0
-    paths = []
     if trajectory is None:
-        progress(0.02, "loading torch")  # some seconds
-        from motdiff.estimators.coded.estimator import CodedEstimator
-
         estimated = _ESTIMATE_SHARE
-        estimator = CodedEstimator(
-            [code.bits for code in codes],
-            seed=seed,
-            progress=lambda share: progress(0.05 + (estimated - 0.05) * share, _SEARCHING),
+        estimate = _estimate(
+            photos, codes, seed, lambda share, note: progress(estimated * share, note)
         )
-        estimate = estimator.estimate_from(photos)
-        paths = [estimate.best]
+        path = estimate.best
         confidence = estimate.confidence
         warnings += estimate.psf_warnings
         if confidence < _DOUBTFUL:
@@ -167,27 +149,18 @@ def restore_together(
                 f"the motion found is doubtful (confidence {confidence:.2f}): compare the restored"
                 " photo with those taken",
             )
-    else:
-        paths = [trajectory]
-        if trajectory.direction == "unknown":
-            paths = orders_in_time(trajectory)
-    direction = "known"
-    if len(paths) > 1:
-        progress(estimated, "finding the order in time")
-        crops = [middle_crop(luminance(channels_last(image))) for image in images]
-        misfits = [registered_psfs(crops, path, codes).misfit for path in paths]
-        first, second = np.argsort(misfits)[:2]
-        paths = [paths[first]]
-        direction = DIRECTIONS[min(first, 2)]
-        if misfits[second] < _ALIKE * misfits[first]:
-            direction = "undecidable"
+    elif trajectory.direction == "unknown":
+        progress(0.0, "finding the order in time")
+        path, direction = _order_in_time(images, codes, trajectory)
+        if direction == "undecidable":
             warnings.append("the photos do not tell the order in time of the motion")
+    else:
+        path = trajectory
     progress(estimated, "aligning the photos")
     light = [
-        fill_clipped(photo, _psf(paths[0], code))
-        for photo, code in zip(photos, codes, strict=True)
+        fill_clipped(photo, _psf(path, code)) for photo, code in zip(photos, codes, strict=True)
     ]
-    registered = registered_psfs(light, paths[0], codes)
+    registered = registered_psfs(light, path, codes)
     psfs = registered.psfs
     warnings += _doubts(photos, registered)
     image = pnp_together(
@@ -204,13 +177,69 @@ def restore_together(
         psf_source="photo" if trajectory is None else "trajectory",
         psf_confidence=confidence,
         direction=direction,
-        trajectory=Trajectory(paths[0].t, paths[0].xy, direction="known"),
+        trajectory=Trajectory(path.t, path.xy, direction="known"),
         residual=float(np.sqrt(np.mean(np.square(residuals)))),
         unreliable_px=trimmed_psfs(psfs).shape[-1] // 2,
         saturated_fraction=_clipped_share(photos),
         warnings=tuple(warnings),
         seconds=time.perf_counter() - started,
     )
+
+
+def _checked(
+    photos: Sequence[ArrayLike], codes: Sequence[ShutterCode], trajectory: Trajectory | None
+) -> list[FloatArray]:
+    """Return the photos as (C, H, W), of one size, with a code for each."""
+    from motdiff.estimators.coded.codes import check_codes
+
+    tell_order = trajectory is None or trajectory.direction == "unknown"
+    check_codes([code.bits for code in codes], photos=len(photos), tell_order=tell_order)
+    if len(photos) < 2:
+        raise ValueError("photos: need at least two; restore() takes a single one")
+    images = [channels_first(photo) for photo in photos]
+    for i, image in enumerate(images[1:], 2):
+        if image.shape != images[0].shape:
+            first_size, size = (
+                f"{w} x {h} px in {'colour' if colours > 1 else 'grey'}"
+                for colours, h, w in (images[0].shape, image.shape)
+            )
+            raise ValueError(f"photo {i}: has {size}, the first one {first_size}")
+    if images[0][0].size > LARGEST_PX:
+        raise ValueError(
+            f"photos: at most {LARGEST_PX / 1e6:g} megapixels are restored together; crop them"
+        )
+    return images
+
+
+def _estimate(
+    photos: Sequence[ArrayLike],
+    codes: Sequence[ShutterCode],
+    seed: int,
+    progress: Callable[[float, str], None],
+) -> MotionEstimate:
+    """Estimate the motion, with its order in time, from the photos."""
+    progress(0.02, "loading torch")  # some seconds
+    from motdiff.estimators.coded.estimator import CodedEstimator
+
+    estimator = CodedEstimator(
+        [code.bits for code in codes],
+        seed=seed,
+        progress=lambda share: progress(0.05 + 0.95 * share, "searching the motion"),
+    )
+    return estimator.estimate_from(photos)
+
+
+def _order_in_time(
+    images: Sequence[FloatArray], codes: Sequence[ShutterCode], trajectory: Trajectory
+) -> tuple[Trajectory, Direction]:
+    """Path in the order in time that leaves least between the photos, and how it was run."""
+    paths = orders_in_time(trajectory)
+    crops = [middle_crop(luminance(channels_last(image))) for image in images]
+    misfits = [registered_psfs(crops, path, codes).misfit for path in paths]
+    best, second = np.argsort(misfits)[:2]
+    if misfits[second] < _ALIKE * misfits[best]:
+        return paths[best], "undecidable"
+    return paths[best], DIRECTIONS[min(best, 2)]
 
 
 def _clipped_share(photos: Sequence[ArrayLike]) -> float:
@@ -220,12 +249,13 @@ def _clipped_share(photos: Sequence[ArrayLike]) -> float:
 def _doubts(photos: Sequence[ArrayLike], registered: RegisteredPsfs) -> list[str]:
     """Warn of what a photo alone would be warned of, and where the photos do not fit together."""
     doubts = []
-    noise = np.mean([max(noise_sigma(luminance(np.asarray(p))), LEAST_SIGMA) for p in photos])
-    if (ratio := registered.misfit / noise) > _UNEXPLAINED:
+    greys = [luminance(np.asarray(photo, dtype=np.float64)) for photo in photos]
+    noise = float(np.mean([max(noise_sigma(grey), LEAST_SIGMA) for grey in greys]))
+    unexplained = max(registered.misfit**2 - noise**2, 0.0) ** 0.5
+    if unexplained > _UNEXPLAINED * greys[0].std():
         doubts.append(
-            f"the photos do not fit together along this motion ({ratio:.1f} times the noise is"
-            " left between them): do they show one scene and one motion, and are the codes given"
-            " in the order of the photos?"
+            "the photos do not fit together along this motion: do they show one scene and one"
+            " motion, and are the codes given in the order of the photos?"
         )
     if (clipped := _clipped_share(photos)) > FEW_CLIPPED:
         doubts.append(
