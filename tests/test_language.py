@@ -22,7 +22,7 @@ MOST = {
     "cep/calibration": 1,
     "cep/files": 3,
     "cep/proofs": 1,
-    "cep/restoration": 2,
+    "cep/restoration": 1,
     "cep/search": 7,
     "cep/shutter": 1,
     "lab/bench": 4,

@@ -312,3 +312,21 @@ def coded_psf(
             transmission[lo : lo + step], slice_psfs(played.t, played.xy, cuts, size), axes=1
         )
     return psf
+
+
+def shifted_psf(
+    trajectory: Trajectory, code: ShutterCode, shift_px: ArrayLike = (0.0, 0.0)
+) -> FloatArray:
+    """Light-true coded PSF of a path that is moved as a whole, in the odd frame that holds it.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    code : ShutterCode
+    shift_px : (2,) array_like, px
+        To the right and down.
+    """
+    xy = trajectory.xy + np.asarray(shift_px)
+    frame = 2 * int(np.ceil(np.abs(xy).max())) + 3
+    chips = slice_psfs(trajectory.t, xy, np.linspace(0, 1, code.chips + 1), frame)
+    return np.asarray(np.tensordot(code.array, chips, axes=1), dtype=np.float64)

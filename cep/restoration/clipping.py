@@ -136,9 +136,7 @@ def _blurred_light(photo: FloatArray, clipped: BoolArray, kernel: FloatArray) ->
     start = blur.extend(np.where(clipped, 1.0, photo))
     H_adjoint = _BLUR_PENALTY * np.conj(blur.H)
     divisor = (
-        _BLUR_PENALTY * np.abs(blur.H) ** 2
-        + _GRADIENT_PENALTY * gradient_power(shape)
-        + _LIGHT_PENALTY
+        _BLUR_PENALTY * blur.power + _GRADIENT_PENALTY * gradient_power(shape) + _LIGHT_PENALTY
     )
     across, down = forward_differences(start)
     blurred = start

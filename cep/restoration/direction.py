@@ -23,6 +23,7 @@ from cep.restoration.blur import Blur, channels_first
 from cep.restoration.noise import fit_spectrum
 from cep.restoration.tv import gradient_sparsity
 from cep.restoration.wiener import wiener
+from motdiff.crops import centre_crop
 from motdiff.estimators.coded.starts import orders
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX
@@ -32,7 +33,7 @@ from motdiff.types import FloatArray
 Direction = Literal["forward", "reverse", "reordered", "undecidable"]
 
 DIRECTIONS: tuple[Direction, ...] = ("forward", "reverse", "reordered")
-_LARGEST_CROP_PX = 512
+LARGEST_CROP_PX = 512
 _ONE_PSF_MNC = 0.9995  # both PSFs are computed, not estimated: small differences count
 _FEATURELESS = 1e-6  # range of a photo that holds rounding errors alone
 # log odds = sum of weight * tanh(clue / scale), a logistic fit on 340 simulated photos;
@@ -152,7 +153,9 @@ def orders_in_time(trajectory: Trajectory) -> list[Trajectory]:
 
 def _compared(photo: ArrayLike, psfs: Sequence[FloatArray]) -> tuple[DirectionResult, int]:
     """Return the result and the index of the chosen PSF; repeated PSFs are not tested."""
-    image = middle_crop(channels_first(photo).mean(axis=0))
+    grey = channels_first(photo).mean(axis=0)
+    # the middle is enough to decide, and quick on large photos
+    image = centre_crop(grey, LARGEST_CROP_PX, LARGEST_CROP_PX)
     blurs = [Blur(psf, image.shape, "periodic") for psf in psfs]
     kernels = [blur.psf for blur in blurs]
     spectra = [fit_spectrum(image, blur, shaped=True) for blur in blurs]
@@ -208,14 +211,6 @@ def _log_odds(likelihoods: FloatArray, ringing: FloatArray) -> FloatArray:
         w * np.tanh(clue / scale) for w, clue, scale in zip(_WEIGHTS, clues, _SCALES, strict=True)
     ]
     return np.asarray(sum(weighed), dtype=np.float64)
-
-
-def middle_crop(image: FloatArray) -> FloatArray:
-    """Return the middle of a photo (H, W): enough to decide, and quick on large photos."""
-    height, width = (min(side, _LARGEST_CROP_PX) for side in image.shape)
-    top = (image.shape[0] - height) // 2
-    left = (image.shape[1] - width) // 2
-    return np.ascontiguousarray(image[top : top + height, left : left + width])
 
 
 def _without_border(image: FloatArray, border_px: int) -> FloatArray:

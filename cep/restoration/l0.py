@@ -54,12 +54,11 @@ def l0(
     check_weight(weight)
     channels, kernel, _ = normalised(photo, psf)
     blur = Blur(kernel, channels.shape[1:], border)
-    power = np.abs(blur.H) ** 2
     gradients = gradient_power(blur.grid_shape)
     image = np.stack(
         [blur.extend(channel, noise_to_scene=weight, rounds=border_rounds) for channel in channels]
     )
-    data = np.conj(blur.H) * blur.spectrum(image)
+    data = blur.correlated(blur.spectrum(image))
     beta = 2 * weight
     while beta < _LARGEST_BETA:
         across, down = forward_differences(image)
@@ -67,7 +66,7 @@ def l0(
         across[:, flat] = 0
         down[:, flat] = 0
         edges = blur.spectrum(divergence(across, down))
-        image = blur.image((data + beta * edges) / (power + beta * gradients))
+        image = blur.image((data + beta * edges) / (blur.power + beta * gradients))
         beta *= 2
     return channels_last(np.ascontiguousarray(blur.crop(image)))
 

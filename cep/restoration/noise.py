@@ -119,7 +119,7 @@ def _periodogram(
     usable = f2 > (3 / min(image.shape)) ** 2
     return (
         density[usable],
-        (np.abs(blur.H) ** 2)[usable],
+        blur.power[usable],
         0.5 * np.log(f2[usable]),
         np.arctan2(fy + 0 * fx, fx + 0 * fy)[usable],
     )

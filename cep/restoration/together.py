@@ -18,14 +18,14 @@ from scipy import fft, ndimage, signal
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.restoration.blur import channels_first, channels_last, trimmed_psfs
+from cep.optics.exposure import shifted_psf
+from cep.restoration.blur import channels_first, trimmed_psfs
 from cep.restoration.clipping import fill_clipped
-from cep.restoration.direction import DIRECTIONS, Direction, middle_crop, orders_in_time
+from cep.restoration.direction import DIRECTIONS, LARGEST_CROP_PX, Direction, orders_in_time
 from cep.restoration.plug_and_play import pnp_together
 from cep.restoration.result import Restoration, misfit
 from cep.restoration.sharpen import FEW_CLIPPED, LARGEST_PX
-from motdiff.crops import clipped_mask, luminance
-from motdiff.path_psfs import slice_psfs
+from motdiff.crops import centre_crop, clipped_mask, luminance
 from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
 from motdiff.psf_frame import in_frame
 from motdiff.trajectory import Trajectory
@@ -130,7 +130,7 @@ def restore_together(
     (True, 'pnp')
     """
     started = time.perf_counter()
-    images = _checked(photos, codes, trajectory)
+    _check(photos, codes, trajectory)
     confidence: float | None = None
     direction = "known"
     warnings: list[str] = []
@@ -151,14 +151,15 @@ def restore_together(
             )
     elif trajectory.direction == "unknown":
         progress(0.0, "finding the order in time")
-        path, direction = _order_in_time(images, codes, trajectory)
+        path, direction = _order_in_time(photos, codes, trajectory)
         if direction == "undecidable":
             warnings.append("the photos do not tell the order in time of the motion")
     else:
         path = trajectory
     progress(estimated, "aligning the photos")
     light = [
-        fill_clipped(photo, _psf(path, code)) for photo, code in zip(photos, codes, strict=True)
+        fill_clipped(photo, shifted_psf(path, code))
+        for photo, code in zip(photos, codes, strict=True)
     ]
     registered = registered_psfs(light, path, codes)
     psfs = registered.psfs
@@ -186,10 +187,10 @@ def restore_together(
     )
 
 
-def _checked(
+def _check(
     photos: Sequence[ArrayLike], codes: Sequence[ShutterCode], trajectory: Trajectory | None
-) -> list[FloatArray]:
-    """Return the photos as (C, H, W), of one size, with a code for each."""
+) -> None:
+    """Refuse photos of several sizes, and codes that do not fit them."""
     from motdiff.estimators.coded.codes import check_codes
 
     tell_order = trajectory is None or trajectory.direction == "unknown"
@@ -208,7 +209,6 @@ def _checked(
         raise ValueError(
             f"photos: at most {LARGEST_PX / 1e6:g} megapixels are restored together; crop them"
         )
-    return images
 
 
 def _estimate(
@@ -230,11 +230,11 @@ def _estimate(
 
 
 def _order_in_time(
-    images: Sequence[FloatArray], codes: Sequence[ShutterCode], trajectory: Trajectory
+    photos: Sequence[ArrayLike], codes: Sequence[ShutterCode], trajectory: Trajectory
 ) -> tuple[Trajectory, Direction]:
     """Path in the order in time that leaves least between the photos, and how it was run."""
     paths = orders_in_time(trajectory)
-    crops = [middle_crop(luminance(channels_last(image))) for image in images]
+    crops = [centre_crop(luminance(photo), LARGEST_CROP_PX, LARGEST_CROP_PX) for photo in photos]
     misfits = [registered_psfs(crops, path, codes).misfit for path in paths]
     best, second = np.argsort(misfits)[:2]
     if misfits[second] < _ALIKE * misfits[best]:
@@ -249,7 +249,7 @@ def _clipped_share(photos: Sequence[ArrayLike]) -> float:
 def _doubts(photos: Sequence[ArrayLike], registered: RegisteredPsfs) -> list[str]:
     """Warn of what a photo alone would be warned of, and where the photos do not fit together."""
     doubts = []
-    greys = [luminance(np.asarray(photo, dtype=np.float64)) for photo in photos]
+    greys = [luminance(photo) for photo in photos]
     noise = float(np.mean([max(noise_sigma(grey), LEAST_SIGMA) for grey in greys]))
     unexplained = max(registered.misfit**2 - noise**2, 0.0) ** 0.5
     if unexplained > _UNEXPLAINED * greys[0].std():
@@ -283,13 +283,13 @@ def registered_psfs(
     ----------
     Lucas and Kanade, "An iterative image registration technique", IJCAI 1981.
     """
-    greys = [luminance(np.asarray(photo, dtype=np.float64)) for photo in photos]
-    psfs = [_psf(trajectory, codes[0])]
+    greys = [luminance(photo) for photo in photos]
+    psfs = [shifted_psf(trajectory, codes[0])]
     shifts = [(0.0, 0.0)]
     gains = [1.0]
     squares = []
     for i, (grey, code) in enumerate(zip(greys[1:], codes[1:], strict=True), 2):
-        psf = _psf(trajectory, code)
+        psf = shifted_psf(trajectory, code)
         frame = max(len(psf), len(psfs[0]))
         overlap_px = min(grey.shape) - frame + 1
         if overlap_px < _LEAST_OVERLAP_PX:
@@ -305,7 +305,7 @@ def registered_psfs(
                 f"photo {i}: does not show the scene of the first one where this motion leaves it;"
                 " give photos of one scene, and their codes in the same order"
             )
-        psfs.append(gain * _psf(trajectory, code, shift_px))
+        psfs.append(gain * shifted_psf(trajectory, code, shift_px))
         shifts.append(shift_px)
         gains.append(gain)
         squares.append(rms**2 / (np.sum(psfs[0] ** 2) + np.sum(psfs[-1] ** 2)))
@@ -316,15 +316,6 @@ def registered_psfs(
         np.array(gains),
         float(np.sqrt(np.mean(squares))),
     )
-
-
-def _psf(
-    trajectory: Trajectory, code: ShutterCode, shift_px: tuple[float, float] = (0.0, 0.0)
-) -> FloatArray:
-    xy = trajectory.xy + np.asarray(shift_px)
-    frame = 2 * int(np.ceil(np.abs(xy).max())) + 3
-    chips = slice_psfs(trajectory.t, xy, np.linspace(0, 1, code.chips + 1), frame)
-    return np.asarray(np.tensordot(code.array, chips, axes=1), dtype=np.float64)
 
 
 def _blurred(photo: FloatArray, psf: FloatArray) -> FloatArray:

@@ -55,19 +55,18 @@ def tv(
     check_weight(weight)
     channels, kernel, _ = normalised(photo, psf)
     blur = Blur(kernel, channels.shape[1:], border)
-    power = np.abs(blur.H) ** 2
     gradients = gradient_power(blur.grid_shape)
     restored = np.empty_like(channels)
     for channel, out in zip(channels, restored, strict=True):
         image = blur.extend(channel, noise_to_scene=weight, rounds=border_rounds)
-        data = np.conj(blur.H) * blur.spectrum(image)
+        data = blur.correlated(blur.spectrum(image))
         beta = 1 / weight
         while beta > _SMALLEST_BETA:
             gamma = 1 / (2 * beta)
             across, down = shrink_gradients(image, beta * weight)
             # x of the penalised problem: (A^T A + gamma D^T D) x = A^T y + gamma D^T W
             edges = blur.spectrum(divergence(across, down))
-            image = blur.image((data + gamma * edges) / (power + gamma * gradients))
+            image = blur.image((data + gamma * edges) / (blur.power + gamma * gradients))
             beta /= 2
         out[:] = blur.crop(image)
     return channels_last(restored)

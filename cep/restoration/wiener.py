@@ -95,7 +95,7 @@ def _wiener_gain(blur: Blur, ratio: float) -> ComplexArray:
     f2 = power_law(blur.grid_shape)
     # nothing is added at f = 0, also where the ratio is infinite: the mean light stays exact
     penalty = np.multiply(ratio, f2, out=np.zeros_like(f2), where=f2 > 0)
-    divisor = np.abs(blur.H) ** 2 + penalty
+    divisor = blur.power + penalty
     # frequencies without signal are left out
     alive = divisor > np.finfo(float).tiny
     inverse = np.divide(1.0, divisor, out=np.zeros_like(divisor), where=alive)

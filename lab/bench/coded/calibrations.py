@@ -18,12 +18,13 @@ from cep.files.images import read_image
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
+from cep.optics.exposure import shifted_psf
 from lab.bench.coded.protocol import paths_from, paths_to
 from motdiff.crops import luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.metrics import mnc_subpixel, timed_distance_px
-from motdiff.path_psfs import slice_psfs
+from motdiff.psf_frame import in_frame
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
@@ -119,17 +120,19 @@ def moved_psfs(
     (I, S, S) float, the smallest odd frame that holds them all, zero displacement at index ``S //
     2``
     """
-    shifts = np.asarray(shifts_px, dtype=np.float64)
-    shifted = [
-        path.xy - 0.5 * (path.xy.min(axis=0) + path.xy.max(axis=0)) + shift
-        for path, shift in zip(paths, shifts, strict=True)
+    psfs = [
+        shifted_psf(path, ShutterCode(bits), shift_px - _middle_px(path))
+        for path, bits, shift_px in zip(
+            paths, codes, np.asarray(shifts_px, dtype=np.float64), strict=True
+        )
     ]
-    frame = 2 * int(np.ceil(max(np.abs(xy).max() for xy in shifted))) + 3
-    psfs = []
-    for path, xy, bits in zip(paths, shifted, codes, strict=True):
-        chips = slice_psfs(path.t, xy, np.linspace(0, 1, len(bits) + 1), frame)
-        psfs.append(np.tensordot(ShutterCode(bits).array, chips, axes=1))
-    return np.stack(psfs)
+    frame = max(map(len, psfs))
+    return np.stack([in_frame(psf, frame) for psf in psfs])
+
+
+def _middle_px(path: Trajectory) -> FloatArray:
+    """Middle of the path's bounding box."""
+    return np.asarray(0.5 * (path.xy.min(axis=0) + path.xy.max(axis=0)), dtype=np.float64)
 
 
 def calibration_photos(
