@@ -182,6 +182,7 @@ class Rig:
         plan = prepared.plan
         if self.controller is None or plan is None:
             self.camera.arm()
+            self.camera.wait_ready(_READY_S)  # a trigger that comes earlier is lost
             self.camera.fire()
             return self._checked(prepared, self.camera.read(wait_s), plays=None, missed=None)
         with _closed_on_failure(self.controller):
