@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from cep.commands.code_options import Device, Exposure, chips_option, exposure_seconds
 from cep.commands.console import Page, Table, announce, finish, part, progress
@@ -17,6 +15,7 @@ from cep.commands.options import (
     SceneOptions,
     TableFile,
     command,
+    option,
     output_option,
     table_files,
 )
@@ -37,32 +36,22 @@ _SAME_TIME = 0.01  # relative: a device's ticks round the chip times
 class AdviseOptions(CommonOptions, CameraOptions, SceneOptions, MotionOptions):
     """Options of ``cep advise``."""
 
-    chips: Annotated[
-        int | None, chips_option(fewest=2, help="Number of chips; as many as pay when omitted.")
-    ] = None
+    chips: int | None = chips_option("Number of chips; as many as pay when omitted.", fewest=2)
     exposure: Exposure = None
-    code: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--code",
-            metavar="CODE",
-            help="A code to judge as well: bits, code.json or a name; may be repeated. A file's"
-            " chip time sets the exposure.",
-        ),
-    ] = None
+    code: list[str] | None = option(
+        "--code",
+        "CODE",
+        "A code to judge as well: bits, code.json or a name; may be repeated. A file's"
+        " chip time sets the exposure.",
+    )
     device: Device = None
-    path_error: Annotated[
-        float | None,
-        typer.Option(
-            "--path-error",
-            metavar="PX",
-            min=0,
-            help="Error of the trajectory, px rms; as its file states it when omitted, else none.",
-        ),
-    ] = None
-    output: Annotated[
-        Path | None, output_option("Also draw the gains over the light: .png, .pdf or .svg.")
-    ] = None
+    path_error: float | None = option(
+        "--path-error",
+        "PX",
+        "Error of the trajectory, px rms; as its file states it when omitted, else none.",
+        min=0,
+    )
+    output: Path | None = output_option("Also draw the gains over the light: .png, .pdf or .svg.")
     tables: TableFile = None
 
     def codes(self) -> list[ShutterCode]:

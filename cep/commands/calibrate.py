@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, make_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -15,7 +15,7 @@ from cep.commands.commands import in_options, with_photo_file
 from cep.commands.console import finish, part, progress
 from cep.commands.jobs import Workers, finish_folder
 from cep.commands.next_photo import NextOptions, next_step, write_next
-from cep.commands.options import CommonOptions, Gamma, command, output_option
+from cep.commands.options import CommonOptions, Gamma, argument, command, option, output_option
 from motdiff.estimators.method import Kind, Option, command_options
 from motdiff.estimators.registry import METHODS, blind_methods
 
@@ -42,7 +42,9 @@ _TYPES: Mapping[Kind, Any] = {
 
 # of all registered methods, by the names of their fields
 _OPTIONS: Mapping[str, Option] = {
-    name: option for method in METHODS.values() for name, option in command_options(method).items()
+    name: declared
+    for method in METHODS.values()
+    for name, declared in command_options(method).items()
 }
 # heads of the table of a folder
 _COLUMNS = {
@@ -55,19 +57,18 @@ _COLUMNS = {
 }
 
 
-def _annotation(name: str) -> Any:
-    """Declare a method's option to typer, in a panel of the method if no other has it."""
-    option = _OPTIONS[name]
+def _method_field(name: str, declared: Option) -> tuple[str, Any, Any]:
+    """Make the field of a method's option, in a panel of the method if no other has it."""
     owners = [key for key, method in METHODS.items() if name in command_options(method)]
-    declared = typer.Option(
-        option.flag,
-        metavar=option.metavar,
-        help=option.help,
-        min=1 if option.kind == "count" else None,
-        show_default=option.shown_default or False,
-        rich_help_panel=f"With --method {owners[0]}" if len(owners) == 1 else None,
+    field = option(
+        declared.flag,
+        declared.metavar,
+        declared.help,
+        panel=f"With --method {owners[0]}" if len(owners) == 1 else None,
+        min=1 if declared.kind == "count" else None,
+        show_default=declared.shown_default or False,
     )
-    return Annotated[_TYPES[option.kind] | None, declared]
+    return name, _TYPES[declared.kind] | None, field
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,49 +76,37 @@ class CalibrateOptions(NextOptions, CommonOptions):
     """Options of ``cep calibrate`` that do not depend on the registered methods."""
 
     context: typer.Context
-    images: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="IMAGE...",
-            help="Blurred photo: PNG, TIFF, JPEG, WebP or RAW; several of one motion; or a folder,"
-            " each by itself.",
-        ),
-    ]
-    method: Annotated[
-        str | None,
-        typer.Option(
-            "--method",
-            metavar="NAME",
-            show_default="motdiff; coded with --code",
-            help=", ".join(f"{name} ({method.about})" for name, method in METHODS.items())
-            + ", or module:name of a user-defined estimator.",
-        ),
-    ] = None
-    trajectory: Annotated[
-        Path | None,
-        typer.Option(
-            "--trajectory",
-            metavar="FILE",
-            help="A calibration, trajectory.json, to be improved by photos of its motion, each"
-            " through a known --code.",
-        ),
-    ] = None
+    images: list[Path] = argument(
+        "IMAGE...",
+        "Blurred photo: PNG, TIFF, JPEG, WebP or RAW; several of one motion; or a folder,"
+        " each by itself.",
+    )
+    method: str | None = option(
+        "--method",
+        "NAME",
+        ", ".join(f"{name} ({method.about})" for name, method in METHODS.items())
+        + ", or module:name of a user-defined estimator.",
+        show_default="motdiff; coded with --code",
+    )
+    trajectory: Path | None = option(
+        "--trajectory",
+        "FILE",
+        "A calibration, trajectory.json, to be improved by photos of its motion, each"
+        " through a known --code.",
+    )
     gamma: Gamma = "srgb"
     workers: Workers = None
-    output: Annotated[
-        Path | None,
-        output_option(
-            "Folder to write into, IMAGE_motion when omitted; with --trajectory the file to write,"
-            " FILE_refined.json when omitted.",
-            metavar="PATH",
-        ),
-    ] = None
+    output: Path | None = output_option(
+        "Folder to write into, IMAGE_motion when omitted; with --trajectory the file to write,"
+        " FILE_refined.json when omitted.",
+        metavar="PATH",
+    )
 
     def method_options(self) -> dict[str, Any]:
         """Return the values of the methods' options, None for those that are not given."""
         values = {name: getattr(self, name) for name in _OPTIONS}
-        for name, option in _OPTIONS.items():
-            if option.kind == "duration":
+        for name, declared in _OPTIONS.items():
+            if declared.kind == "duration":
                 values[name] = exposure_seconds(values[name])
         return values
 
@@ -125,7 +114,7 @@ class CalibrateOptions(NextOptions, CommonOptions):
 @command(
     make_dataclass(
         "AllCalibrateOptions",
-        [(name, _annotation(name), None) for name in _OPTIONS],
+        [_method_field(name, declared) for name, declared in _OPTIONS.items()],
         bases=(CalibrateOptions,),
         frozen=True,
         kw_only=True,

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from cep.commands.code_options import STANDARD_CHIPS, ChipTime, Device, chips_option
+from cep.commands.code_options import CODE, STANDARD_CHIPS, Device, chips_option
 from cep.commands.console import Page, Table, finish, progress
-from cep.commands.options import CommonOptions, TableFile, command, output_option, table_files
+from cep.commands.options import (
+    CommonOptions,
+    TableFile,
+    command,
+    option,
+    output_option,
+    table_files,
+)
 from cep.commands.search_run import in_bits
 
 if TYPE_CHECKING:
@@ -21,23 +26,15 @@ if TYPE_CHECKING:
 class CalibrationSetOptions(CommonOptions):
     """Options of ``cep calibration-set``."""
 
-    photos: Annotated[
-        int,
-        typer.Option(
-            "--photos", metavar="N", min=1, max=8, help="Photos to be taken of the motion."
-        ),
-    ] = 4
-    chips: Annotated[int, chips_option(fewest=4)] = STANDARD_CHIPS
-    chip_ns: ChipTime = 1_000_000
+    photos: int = option("--photos", "N", "Photos to be taken of the motion.", 4, min=1, max=8)
+    chips: int = chips_option(default=STANDARD_CHIPS, fewest=4)
+    chip_ns: int = option("--chip-ns", "NS", "Chip time, ns.", 1_000_000, panel=CODE, min=1)
     device: Device = None
-    file_format: Annotated[
-        str,
-        typer.Option(
-            "--format", "-f", metavar="NAME", help="Of the timed programs, as of cep export."
-        ),
-    ] = "csv"
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
-        "calibration_set"
+    file_format: str = option(
+        "--format", "NAME", "Of the timed programs, as of cep export.", "csv", short="-f"
+    )
+    output: Path = output_option(
+        "Folder to write into.", Path("calibration_set"), metavar="FOLDER"
     )
     tables: TableFile = None
 

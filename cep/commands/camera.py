@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -14,7 +14,9 @@ from cep.commands.options import (
     Json,
     PlotFile,
     TableFile,
+    argument,
     command,
+    option,
     output_option,
     table_files,
 )
@@ -31,10 +33,9 @@ camera = typer.Typer(
 class ListOptions:
     """Options of ``cep camera list``."""
 
-    camera: Annotated[
-        str | None,
-        typer.Argument(metavar="NAME", help="One camera in full, or a .json or .toml file."),
-    ] = None
+    camera: str | None = argument(
+        "NAME", "One camera in full, or a .json or .toml file.", default=None
+    )
     table: TableFile = None
     force: Force = False
     as_json: Json = False
@@ -107,46 +108,24 @@ def _figures_of(profile: Camera) -> Table:
 class EstimateOptions:
     """Options of ``cep camera estimate``."""
 
-    flats: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FLAT...",
-            help="Frames of an evenly lit surface, two of each level of light, one after the"
-            " other.",
-        ),
-    ]
-    dark: Annotated[
-        tuple[Path, Path] | None,
-        typer.Option("--dark", metavar="D1 D2", help="Two frames without light."),
-    ] = None
-    black: Annotated[
-        float | None,
-        typer.Option(
-            "--black",
-            metavar="DN",
-            min=0,
-            help="Code value without light, where there are no dark frames; RAW files state it.",
-        ),
-    ] = None
-    bits: Annotated[
-        int | None,
-        typer.Option(
-            "--bits",
-            metavar="N",
-            min=1,
-            max=16,
-            help="Of the camera; found from the values when omitted.",
-        ),
-    ] = None
-    gamma: Annotated[
-        str,
-        typer.Option(
-            "--gamma", metavar="CURVE", help="Curve of PNG and TIFF files: linear or srgb."
-        ),
-    ] = "linear"
-    output: Annotated[Path, output_option("Camera to write, .toml or .json.")] = Path(
-        "camera.toml"
+    flats: list[Path] = argument(
+        "FLAT...",
+        "Frames of an evenly lit surface, two of each level of light, one after the other.",
     )
+    dark: tuple[Path, Path] | None = option("--dark", "D1 D2", "Two frames without light.")
+    black: float | None = option(
+        "--black",
+        "DN",
+        "Code value without light, where there are no dark frames; RAW files state it.",
+        min=0,
+    )
+    bits: int | None = option(
+        "--bits", "N", "Of the camera; found from the values when omitted.", min=1, max=16
+    )
+    gamma: str = option(
+        "--gamma", "CURVE", "Curve of PNG and TIFF files: linear or srgb.", "linear"
+    )
+    output: Path = output_option("Camera to write, .toml or .json.", Path("camera.toml"))
     plot: PlotFile = None
     table: TableFile = None
     force: Force = False

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import (
@@ -19,6 +17,7 @@ from cep.commands.options import (
     MotionOptions,
     TableFile,
     command,
+    option,
     output_option,
     table_files,
 )
@@ -63,19 +62,16 @@ class AuditOptions(FigureOptions, CameraOptions):
     """Options of ``cep audit``."""
 
     code: CodeSource
-    flips: Annotated[
-        int | None,
-        typer.Option(
-            "--flips",
-            metavar="N",
-            min=0,
-            max=3,
-            help="Look for better codes up to this many flips away; 3 when omitted, for more than"
-            " 256 chips 2.",
-        ),
-    ] = None
+    flips: int | None = option(
+        "--flips",
+        "N",
+        "Look for better codes up to this many flips away; 3 when omitted, for more than"
+        " 256 chips 2.",
+        min=0,
+        max=3,
+    )
     chip_ns: ChipNs = None
-    output: Annotated[Path | None, output_option("Also write the result as JSON.")] = None
+    output: Path | None = output_option("Also write the result as JSON.")
 
 
 @command(AuditOptions)
@@ -290,17 +286,10 @@ def _in_words(verified: Verdict | None) -> str:
 class MtfOptions(FigureOptions):
     """Options of ``cep mtf``."""
 
-    codes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--code",
-            metavar="CODE",
-            help="Code to draw: bits, code.json or a name; may be repeated.",
-        ),
-    ] = None
-    output: Annotated[Path, output_option("Figure to write: .png, .pdf or .svg.")] = Path(
-        "mtf.png"
+    codes: list[str] | None = option(
+        "--code", "CODE", "Code to draw: bits, code.json or a name; may be repeated."
     )
+    output: Path = output_option("Figure to write: .png, .pdf or .svg.", Path("mtf.png"))
 
 
 @command(MtfOptions)

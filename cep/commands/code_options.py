@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cep.commands.options import CameraOptions, SceneOptions, output_option
+from cep.commands.options import CameraOptions, SceneOptions, option, output_option
 from cep.search.objectives import OBJECTIVES
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from motdiff.trajectory import Trajectory
 
 # panels of the help pages
-_CODE = "Code"
+CODE = "Code"
 _OBJECTIVE = "Objective"
 _LIMITS = "Limits of the shutter"
 SEARCH = "Search"
@@ -27,17 +27,11 @@ SEARCH = "Search"
 STANDARD_CHIPS = 52
 
 
-def _option(panel: str, name: str, metavar: str | None, help: str, **more: Any) -> Any:
-    return typer.Option(name, metavar=metavar, help=help, rich_help_panel=panel, **more)
-
-
-def _limit(name: str, help: str) -> Any:
-    return _option(_LIMITS, name, "N", help, min=1)
-
-
-def chips_option(*, fewest: int, help: str = "Number of chips.") -> Any:
-    """Make the option ``--chips`` of a command."""
-    return typer.Option("--chips", "-n", metavar="N", min=fewest, help=help, rich_help_panel=_CODE)
+def chips_option(
+    help: str = "Number of chips.", default: int | None = None, *, fewest: int
+) -> Any:
+    """Make the field of the option ``--chips``."""
+    return option("--chips", "N", help, default, short="-n", panel=CODE, min=fewest)
 
 
 def exposure_seconds(text: str | None) -> float | None:
@@ -63,39 +57,27 @@ OpenChips = Annotated[
     typer.Option(
         "--open",
         metavar="K|LOW:HIGH",
-        rich_help_panel=_CODE,
+        rich_help_panel=CODE,
         help="Open chips, as 26 or 20:30, or their share, as 40%:60%; any number when omitted.",
     ),
 ]
-ChipTime = Annotated[int, _option(_CODE, "--chip-ns", "NS", "Chip time, ns.", min=1)]
 Exposure = Annotated[
     str | None,
-    _option(
-        _CODE,
+    typer.Option(
         "--exposure",
-        "S",
-        "Length of the exposure, which sets the chip time: 1/30, 0.02, 20ms or 500us.",
-    ),
-]
-ObjectiveMix = Annotated[
-    str | None,
-    _option(
-        _OBJECTIVE,
-        "--objective",
-        "NAME",
-        f"{'; '.join(f'{name} ({term.help})' for name, term in OBJECTIVES.items())}; or a mix as"
-        " min-mtf:0.15,noise:1. mse when omitted; min-mtf with --method exact along a uniform"
-        " straight motion.",
+        metavar="S",
+        rich_help_panel=CODE,
+        help="Length of the exposure, which sets the chip time: 1/30, 0.02, 20ms or 500us.",
     ),
 ]
 Device = Annotated[
     str | None,
-    _option(
-        _LIMITS,
+    typer.Option(
         "--device",
-        "NAME|FILE",
-        "What this shutter can play: a built-in profile or a .toml file. Stricter limits may be"
-        " added.",
+        metavar="NAME|FILE",
+        rich_help_panel=_LIMITS,
+        help="What this shutter can play: a built-in profile or a .toml file. Stricter limits may"
+        " be added.",
     ),
 ]
 
@@ -104,15 +86,15 @@ Device = Annotated[
 class CodeOptions(CameraOptions, SceneOptions):
     """Number of chips, light, exposure and limits of the codes that are searched."""
 
-    chips: Annotated[
-        int | None, chips_option(fewest=1, help="Number of chips; 52 when omitted.")
-    ] = None
+    chips: int | None = chips_option("Number of chips; 52 when omitted.", fewest=1)
     open_chips: OpenChips = None
     exposure: Exposure = None
     device: Device = None
-    min_open: Annotated[int, _limit("--min-open", "Shortest open run, chips.")] = 1
-    min_closed: Annotated[int, _limit("--min-closed", "Shortest closed run, chips.")] = 1
-    max_pulses: Annotated[int | None, _limit("--max-pulses", "Most open runs.")] = None
+    min_open: int = option("--min-open", "N", "Shortest open run, chips.", 1, panel=_LIMITS, min=1)
+    min_closed: int = option(
+        "--min-closed", "N", "Shortest closed run, chips.", 1, panel=_LIMITS, min=1
+    )
+    max_pulses: int | None = option("--max-pulses", "N", "Most open runs.", panel=_LIMITS, min=1)
 
     def problem(
         self,
@@ -156,30 +138,31 @@ class CodeOptions(CameraOptions, SceneOptions):
 class SearchOptions:
     """Objective, moves and time of a search, and the file of its code."""
 
-    objective: ObjectiveMix = None
-    steps: Annotated[
-        int | None,
-        _option(
-            SEARCH,
-            "--steps",
-            "N",
-            "Make so many moves, however long it takes: the same seed and moves give the same"
-            " code. With --time whichever ends first; without either as many as suit the motion,"
-            " for 60 s at most.",
-            min=1,
-        ),
-    ] = None
-    time_s: Annotated[
-        float | None,
-        _option(
-            SEARCH,
-            "--time",
-            "S",
-            "Search for so many seconds, however many moves that is: the code depends on the"
-            " machine. The choice of the number of chips is within it.",
-        ),
-    ] = None
-    output: Annotated[Path, output_option("File to write.")] = Path("code.json")
+    objective: str | None = option(
+        "--objective",
+        "NAME",
+        f"{'; '.join(f'{name} ({term.help})' for name, term in OBJECTIVES.items())}; or a mix as"
+        " min-mtf:0.15,noise:1. mse when omitted; min-mtf with --method exact along a uniform"
+        " straight motion.",
+        panel=_OBJECTIVE,
+    )
+    steps: int | None = option(
+        "--steps",
+        "N",
+        "Make so many moves, however long it takes: the same seed and moves give the same"
+        " code. With --time whichever ends first; without either as many as suit the motion,"
+        " for 60 s at most.",
+        panel=SEARCH,
+        min=1,
+    )
+    time_s: float | None = option(
+        "--time",
+        "S",
+        "Search for so many seconds, however many moves that is: the code depends on the"
+        " machine. The choice of the number of chips is within it.",
+        panel=SEARCH,
+    )
+    output: Path = output_option("File to write.", Path("code.json"))
 
 
 def open_range(text: str | None, chips: int) -> tuple[int, int]:

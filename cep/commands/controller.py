@@ -6,13 +6,13 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from cep.commands.console import Page, Table, finish, print_page, progress
 from cep.commands.emulate import emulate
-from cep.commands.options import Json, command
+from cep.commands.options import Json, command, flag, option
 from cep.commands.programs import Driver, Port, named_port, open_controller
 from cep.commands.timing import timing
 from cep.commands.verify import verify
@@ -32,23 +32,13 @@ hw = typer.Typer(
 class InfoOptions:
     """Options of ``cep hw info``."""
 
-    port: Annotated[
-        str | None, typer.Option("--port", "-p", help="Controller to ask, as in cep upload.")
-    ] = None
-    ask: Annotated[
-        bool,
-        typer.Option(
-            "--ask", help="Greet every port: resets many boards, and foreign devices hear it too."
-        ),
-    ] = False
-    watch: Annotated[
-        float | None,
-        typer.Option(
-            "--watch",
-            metavar="SECONDS",
-            help="Follow the controller's state for so long; Ctrl-C ends it sooner.",
-        ),
-    ] = None
+    port: str | None = option("--port", None, "Controller to ask, as in cep upload.", short="-p")
+    ask: bool = flag(
+        "--ask", "Greet every port: resets many boards, and foreign devices hear it too."
+    )
+    watch: float | None = option(
+        "--watch", "SECONDS", "Follow the controller's state for so long; Ctrl-C ends it sooner."
+    )
     as_json: Json = False
 
 
@@ -145,9 +135,7 @@ def abort(options: AbortOptions) -> None:
 class CalibrateOptions(PortOptions):
     """Options of ``cep hw calibrate``."""
 
-    seconds: Annotated[
-        float, typer.Option("--seconds", help="How long to compare the clocks, s.")
-    ] = 10.0
+    seconds: float = option("--seconds", None, "How long to compare the clocks, s.", 10.0)
 
 
 @hw.command("calibrate")

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from cep.commands.commands import with_photo_file
 from cep.commands.console import Page, finish, part, progress
@@ -19,7 +17,10 @@ from cep.commands.options import (
     CommonOptions,
     Gamma,
     MotionOptions,
+    argument,
     command,
+    flag,
+    option,
     output_option,
 )
 from cep.restoration.registry import METHODS, find_method
@@ -38,57 +39,38 @@ _SAME_PX = 1e-3  # distance of paths that differ by the rounding of files alone
 class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
     """Options of ``cep deblur``."""
 
-    images: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="IMAGE...",
-            help="Blurred photo, coded or not: PNG, TIFF, JPEG, WebP or RAW; or several of one"
-            " scene and motion, each through its own code.",
-        ),
-    ]
-    codes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--code",
-            metavar="CODE",
-            help="Code of the exposure: bits, code.json or a name; the open shutter when omitted;"
-            " complement:CODE is open where CODE is closed. Of several photos once for each, in"
-            " order.",
-            rich_help_panel=MOTION,
-        ),
-    ] = None
-    psf: Annotated[
-        Path | None,
-        typer.Option(
-            "--psf",
-            metavar="FILE",
-            help="Instead of --trajectory, --linear and --code: a PSF as .npy, .mat or .png.",
-            rich_help_panel=MOTION,
-        ),
-    ] = None
-    method: Annotated[
-        str,
-        typer.Option(
-            "--method",
-            metavar="NAME",
-            help=(
-                ", ".join(f"{method.name} ({method.about})" for method in METHODS.values())
-                + ", or module:name; auto is pnp for a coded photo along its motion, and where"
-                " the photo shows that the motion fits, else tv."
-            ),
-        ),
-    ] = "auto"
-    anyway: Annotated[
-        bool,
-        typer.Option(
-            "--anyway",
-            help="Of a photo alone: restore it even where it would be kept as it is.",
-        ),
-    ] = False
+    images: list[Path] = argument(
+        "IMAGE...",
+        "Blurred photo, coded or not: PNG, TIFF, JPEG, WebP or RAW; or several of one"
+        " scene and motion, each through its own code.",
+    )
+    codes: list[str] | None = option(
+        "--code",
+        "CODE",
+        "Code of the exposure: bits, code.json or a name; the open shutter when omitted;"
+        " complement:CODE is open where CODE is closed. Of several photos once for each, in"
+        " order.",
+        panel=MOTION,
+    )
+    psf: Path | None = option(
+        "--psf",
+        "FILE",
+        "Instead of --trajectory, --linear and --code: a PSF as .npy, .mat or .png.",
+        panel=MOTION,
+    )
+    method: str = option(
+        "--method",
+        "NAME",
+        ", ".join(f"{method.name} ({method.about})" for method in METHODS.values())
+        + ", or module:name; auto is pnp for a coded photo along its motion, and where"
+        " the photo shows that the motion fits, else tv.",
+        "auto",
+    )
+    anyway: bool = flag(
+        "--anyway", "Of a photo alone: restore it even where it would be kept as it is."
+    )
     gamma: Gamma = "srgb"
-    output: Annotated[
-        Path | None, output_option("Restored photo; IMAGE_sharp.png when omitted.")
-    ] = None
+    output: Path | None = output_option("Restored photo; IMAGE_sharp.png when omitted.")
 
     @property
     def image(self) -> Path:

@@ -5,13 +5,17 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from cep.commands.code_options import Device, Exposure, exposure_seconds
 from cep.commands.console import finish, part, progress
-from cep.commands.options import CameraOptions, CommonOptions, Gamma, command, output_option
+from cep.commands.options import (
+    CameraOptions,
+    CommonOptions,
+    Gamma,
+    command,
+    option,
+    output_option,
+)
 
 _UNNAMED = (
     "No camera was named (--camera): the figures are those of a camera with 10,000 photo-electrons"
@@ -24,26 +28,17 @@ _CHAIN = (0.09, 0.85)  # where in the time of the command the chain begins and e
 class DemoOptions(CameraOptions, CommonOptions):
     """Options of ``cep demo``."""
 
-    output: Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")] = Path(
-        "demo"
-    )
-    photo: Annotated[
-        Path | None,
-        typer.Option("--photo", metavar="FILE", help="A blurred photo of your own, instead."),
-    ] = None
+    output: Path = output_option("Folder to write into.", Path("demo"), metavar="FOLDER")
+    photo: Path | None = option("--photo", "FILE", "A blurred photo of your own, instead.")
     gamma: Gamma = "srgb"
     exposure: Exposure = None
-    chips: Annotated[
-        int | None,
-        typer.Option(
-            "--chips",
-            "-n",
-            metavar="N",
-            min=2,
-            help="Number of chips; one for each px of the path when omitted, with --device as many"
-            " as pay.",
-        ),
-    ] = None
+    chips: int | None = option(
+        "--chips",
+        "N",
+        "Number of chips; one for each px of the path when omitted, with --device as many as pay.",
+        short="-n",
+        min=2,
+    )
     device: Device = None
 
 

@@ -8,12 +8,10 @@ import time
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from cep.commands.console import finish
-from cep.commands.options import Force, Json, command
+from cep.commands.options import Force, Json, argument, command, option
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,20 +26,14 @@ _LOOK_S = 0.05  # at its pins' record and the keyboard: a hand does not notice t
 class EmulateOptions:
     """Options of ``cep hw emulate``."""
 
-    board: Annotated[
-        str, typer.Argument(metavar="BOARD", help="uno: an ATmega328P with the shipped firmware.")
-    ]
-    link: Annotated[
-        Path | None,
-        typer.Option("--link", help="Symbolic link to make to its port, for a name that stays."),
-    ] = None
-    vcd: Annotated[
-        Path | None,
-        typer.Option("--vcd", help="At the end, write what its pins did: shutter, busy, trigger."),
-    ] = None
-    seconds: Annotated[
-        float | None, typer.Option("--seconds", help="End after this, s; else at Ctrl-C.")
-    ] = None
+    board: str = argument("BOARD", "uno: an ATmega328P with the shipped firmware.")
+    link: Path | None = option(
+        "--link", None, "Symbolic link to make to its port, for a name that stays."
+    )
+    vcd: Path | None = option(
+        "--vcd", None, "At the end, write what its pins did: shutter, busy, trigger."
+    )
+    seconds: float | None = option("--seconds", None, "End after this, s; else at Ctrl-C.")
     force: Force = False
     as_json: Json = False
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from cep.commands.console import finish
-from cep.commands.options import Force, Json, command, output_option
+from cep.commands.options import Force, Json, command, flag, option, output_option
 from cep.commands.programs import ClockPpm, Driver, PlayableCode, Port, named_port, program_figures
 from hw.export import EXPORTERS
 
@@ -20,13 +17,10 @@ _FORMATS = "\n\n".join(f"{name}: {exporter.summary}" for name, exporter in EXPOR
 class ExportOptions(PlayableCode):
     """Options of ``cep export``."""
 
-    file_format: Annotated[str, typer.Option("--format", "-f", help=_FORMATS)]
-    output: Annotated[
-        Path | None,
-        output_option(
-            "File to write; CODE.SUFFIX when omitted (json: CODE.program.json, rp2: CODE_rp2.py)."
-        ),
-    ] = None
+    file_format: str = option("--format", None, _FORMATS, default=MISSING, short="-f")
+    output: Path | None = output_option(
+        "File to write; CODE.SUFFIX when omitted (json: CODE.program.json, rp2: CODE_rp2.py)."
+    )
     force: Force = False
     as_json: Json = False
 
@@ -86,13 +80,8 @@ class UploadOptions(PlayableCode):
 
     port: Port
     driver: Driver = "cxp"
-    arm: Annotated[
-        bool,
-        typer.Option("--arm", help="Arm when the program is verified: the next trigger plays it."),
-    ] = False
-    play: Annotated[
-        bool, typer.Option("--play", help="Play it once, now, and wait for its end.")
-    ] = False
+    arm: bool = flag("--arm", "Arm when the program is verified: the next trigger plays it.")
+    play: bool = flag("--play", "Play it once, now, and wait for its end.")
     clock_ppm: ClockPpm = 0.0
     as_json: Json = False
 

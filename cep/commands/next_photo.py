@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from cep.commands.code_options import STANDARD_CHIPS, Device
+from cep.commands.options import option
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -34,52 +33,40 @@ _OPTIONS = {
 class NextOptions:
     """Options of the next photo's code."""
 
-    next_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--next",
-            metavar="FILE",
-            rich_help_panel=_PANEL,
-            help="Code file to write: the code of the next photo, chosen for this motion, until"
-            " its order in time is sure. The first photo has an open shutter.",
-        ),
-    ] = None
-    least_probability: Annotated[
-        float | None,
-        typer.Option(
-            "--sure",
-            metavar="P",
-            min=0,
-            max=1,
-            rich_help_panel=_PANEL,
-            show_default="0.95",
-            help="Probability of the order from which no other photo is asked for.",
-        ),
-    ] = None
-    chips: Annotated[
-        int | None,
-        typer.Option(
-            "--chips",
-            "-n",
-            metavar="N",
-            min=4,
-            max=512,
-            rich_help_panel=_PANEL,
-            show_default=f"as in the codes, else {STANDARD_CHIPS}",
-            help="Chips of the first code.",
-        ),
-    ] = None
-    chip_ns: Annotated[
-        int | None,
-        typer.Option(
-            "--chip-ns",
-            metavar="NS",
-            min=1,
-            rich_help_panel=_PANEL,
-            show_default="1000000",
-            help="Chip time of the first code.",
-        ),
-    ] = None
+    next_file: Path | None = option(
+        "--next",
+        "FILE",
+        "Code file to write: the code of the next photo, chosen for this motion, until"
+        " its order in time is sure. The first photo has an open shutter.",
+        panel=_PANEL,
+    )
+    least_probability: float | None = option(
+        "--sure",
+        "P",
+        "Probability of the order from which no other photo is asked for.",
+        panel=_PANEL,
+        min=0,
+        max=1,
+        show_default="0.95",
+    )
+    chips: int | None = option(
+        "--chips",
+        "N",
+        "Chips of the first code.",
+        short="-n",
+        panel=_PANEL,
+        min=4,
+        max=512,
+        show_default=f"as in the codes, else {STANDARD_CHIPS}",
+    )
+    chip_ns: int | None = option(
+        "--chip-ns",
+        "NS",
+        "Chip time of the first code.",
+        panel=_PANEL,
+        min=1,
+        show_default="1000000",
+    )
     device: Device = None
 
     def check_next(self, sources: Sequence[str], *, is_blind: bool, photos: int) -> None:

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from cep.commands.code_options import (
     SEARCH,
@@ -19,7 +17,7 @@ from cep.commands.code_options import (
     openings,
 )
 from cep.commands.console import Page, Table, announce, finish, progress
-from cep.commands.options import MOTION, CommonOptions, MotionOptions, command
+from cep.commands.options import MOTION, CommonOptions, MotionOptions, command, option
 from cep.commands.search_run import saved_on_interrupt
 
 if TYPE_CHECKING:
@@ -35,31 +33,22 @@ _SPEEDS = 5  # of a range: the worst speed lies at one of its ends or near the m
 class OptimizeOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
     """Options of ``cep optimize``."""
 
-    chips: Annotated[
-        int | None,
-        chips_option(
-            fewest=1,
-            help="Number of chips; when omitted as many as pay where mse is searched, else 52.",
-        ),
-    ] = None
-    speed: Annotated[
-        str | None,
-        typer.Option(
-            "--speed",
-            metavar="LOW:HIGH",
-            rich_help_panel=MOTION,
-            help="Design for these factors of the path's length, as 0.8:1.2; the worst counts.",
-        ),
-    ] = None
-    method: Annotated[
-        str,
-        typer.Option(
-            "--method",
-            metavar="NAME",
-            rich_help_panel=SEARCH,
-            help="anneal; or exact, which proves the best min-mtf, to about 40 chips.",
-        ),
-    ] = "anneal"
+    chips: int | None = chips_option(
+        "Number of chips; when omitted as many as pay where mse is searched, else 52.", fewest=1
+    )
+    speed: str | None = option(
+        "--speed",
+        "LOW:HIGH",
+        "Design for these factors of the path's length, as 0.8:1.2; the worst counts.",
+        panel=MOTION,
+    )
+    method: str = option(
+        "--method",
+        "NAME",
+        "anneal; or exact, which proves the best min-mtf, to about 40 chips.",
+        "anneal",
+        panel=SEARCH,
+    )
 
     def scenarios(self, stored: StoredMotion) -> tuple[Scenario, ...]:
         """Return the motion at the speeds that are designed for."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
@@ -141,6 +141,54 @@ SceneSource = Annotated[
 ]
 
 
+def option(
+    name: str,
+    metavar: str | None,
+    help: str,
+    default: Any = None,
+    *,
+    short: str | None = None,
+    panel: str | None = None,
+    **more: Any,
+) -> Any:
+    """Make the field of an option; ``default=MISSING`` where it is needed.
+
+    Parameters
+    ----------
+    name, short : str
+        As ``--chips`` and ``-n``.
+    metavar, help : str
+        Of the help page.
+    panel : str
+        Of the help page; its first when omitted.
+    **more
+        As of :func:`typer.Option`.
+    """
+    names = filter(None, (name, short))
+    info = typer.Option(*names, metavar=metavar, help=help, rich_help_panel=panel, **more)
+    return field(default=default, metadata={"typer": info})
+
+
+def flag(name: str, help: str, *, panel: str | None = None) -> Any:
+    """Make the field of an option without a value: whether it is given."""
+    return option(name, None, help, default=False, panel=panel)
+
+
+def argument(metavar: str, help: str, *, default: Any = MISSING) -> Any:
+    """Make the field of an argument, needed unless it has a default."""
+    return field(default=default, metadata={"typer": typer.Argument(metavar=metavar, help=help)})
+
+
+def output_option(help: str, default: Path | None = None, *, metavar: str = "FILE") -> Any:
+    """Make the field of the option ``-o``."""
+    return option("--output", metavar, help, default, short="-o", panel=COMMON)
+
+
+def _annotated(kind: Any, metadata: Mapping[Any, Any]) -> Any:
+    """Annotate a field's type with typer's declaration of it, unless it is already."""
+    return Annotated[kind, metadata["typer"]] if "typer" in metadata else kind
+
+
 def command(options: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
     """Declare a command's arguments and options by the dataclass that they fill.
 
@@ -150,14 +198,14 @@ def command(options: type[Options]) -> Callable[[Callable[[Options], None]], Cal
     Parameters
     ----------
     options : a dataclass with ``kw_only=True``
-        One field per argument or option: its annotation holds typer's declaration, its default
-        is the option's. Bases come first on the help page.
+        One field per argument or option: by :func:`option`, :func:`flag` or :func:`argument`, or
+        annotated with one that commands share. Bases come first on the help page.
 
     Examples
     --------
     >>> @dataclass(frozen=True, kw_only=True)
     ... class Greeting:
-    ...     name: Annotated[str, typer.Option("--name")] = "you"
+    ...     name: str = option("--name", "TEXT", "Whom to greet.", "you")
     >>> @command(Greeting)
     ... def greet(options: Greeting) -> None:
     ...     print("hello", options.name)
@@ -167,12 +215,12 @@ def command(options: type[Options]) -> Callable[[Callable[[Options], None]], Cal
     hints = get_type_hints(options, include_extras=True)
     parameters = [
         inspect.Parameter(
-            field.name,
+            entry.name,
             inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty if field.default is MISSING else field.default,
-            annotation=hints[field.name],
+            default=inspect.Parameter.empty if entry.default is MISSING else entry.default,
+            annotation=_annotated(hints[entry.name], entry.metadata),
         )
-        for field in fields(options)  # type: ignore[arg-type]
+        for entry in fields(options)  # type: ignore[arg-type]
     ]
 
     def declare(run: Callable[[Options], None]) -> Callable[..., None]:
@@ -317,11 +365,6 @@ class CommonOptions:
     force: Force = False
     seed: Seed = 0
     as_json: Json = False
-
-
-def output_option(help: str, *, metavar: str = "FILE") -> Any:
-    """Make the option ``-o`` of a command."""
-    return typer.Option("-o", "--output", metavar=metavar, help=help, rich_help_panel=COMMON)
 
 
 def table_files(table: Path | None) -> list[Path]:

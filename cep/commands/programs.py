@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.commands.options import ChipNs, CodeSource
+from cep.commands.options import ChipNs, CodeSource, option
 
 if TYPE_CHECKING:
     from cep.files.code_files import StoredCode
@@ -67,15 +67,12 @@ class TimedCode:
 class PlayableCode(TimedCode):
     """A code with its chip time and the shutter that is to play it."""
 
-    device: Annotated[
-        str | None,
-        typer.Option(
-            "--device",
-            metavar="NAME|FILE",
-            help="Check against this profile: a built-in name or a .toml file. When omitted the"
-            " one that the code was searched for; generic has no limits.",
-        ),
-    ] = None
+    device: str | None = option(
+        "--device",
+        "NAME|FILE",
+        "Check against this profile: a built-in name or a .toml file. When omitted the"
+        " one that the code was searched for; generic has no limits.",
+    )
 
     def checked_profile(self, program: Program, stored: StoredCode) -> DeviceProfile | None:
         """Return the profile of ``--device``, or else the one the code was searched for.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -16,6 +16,8 @@ from cep.commands.options import (
     Json,
     MotionOptions,
     command,
+    flag,
+    option,
     output_option,
 )
 from cep.commands.shoot_calibration import calibrate_in_loop, calibrate_with_set
@@ -33,126 +35,81 @@ _FOLDER = Path("shot")
 class ShootOptions(MotionOptions):
     """Options of ``cep shoot``."""
 
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            "--camera",
-            metavar="KIND:ADDRESS",
-            help="Camera, as pylon: or pylon:22845317; twin: is an emulated one, burst:VIDEO a"
-            " slow-motion video, folder:PATH the next photo that another program saves.",
-        ),
-    ] = None
-    port: Annotated[
-        str | None,
-        typer.Option(
-            "--port",
-            "-p",
-            help="Serial port of the shutter's controller, its USB serial number, or auto.",
-        ),
-    ] = None
-    code: Annotated[
-        str | None,
-        typer.Option(
-            "--code", metavar="CODE", help="Code of the exposure: bits, code.json or a name."
-        ),
-    ] = None
-    chip_ns: ChipNs = None
-    trigger: Annotated[
-        str | None,
-        typer.Option(
-            "--trigger",
-            metavar="WHO",
-            help="Who begins: shutter (its output busy triggers the camera), camera (its output"
-            " exposure active triggers the shutter), external (the machine triggers the shutter,"
-            " that the camera), host (this computer both, without a wire between them).",
-        ),
-    ] = None
-    profile: Annotated[
-        str | None,
-        typer.Option(
-            "--profile",
-            metavar="NAME|FILE",
-            help="The camera's file: its noise, for the restoration, and the times that cep hw"
-            " timing has measured.",
-        ),
-    ] = None
-    lead_in: Annotated[
-        str | None,
-        typer.Option(
-            "--lead-in",
-            metavar="TIME",
-            help="Closed time before the code, for the camera's delay: that of --profile, or 1ms.",
-        ),
-    ] = None
-    exposure: Annotated[
-        str | None,
-        typer.Option(
-            "--exposure",
-            metavar="TIME",
-            help="Of the camera; the least that holds the code when omitted.",
-        ),
-    ] = None
-    gain: Annotated[float | None, typer.Option("--gain", metavar="DB", help="Of the camera.")] = (
-        None
+    camera: str | None = option(
+        "--camera",
+        "KIND:ADDRESS",
+        "Camera, as pylon: or pylon:22845317; twin: is an emulated one, burst:VIDEO a"
+        " slow-motion video, folder:PATH the next photo that another program saves.",
     )
-    wait: Annotated[
-        str,
-        typer.Option(
-            "--wait", metavar="TIME", help="For the machine's trigger, or another program's photo."
-        ),
-    ] = "10s"
-    repeat: Annotated[
-        int,
-        typer.Option(
-            "--repeat",
-            metavar="N",
-            min=1,
-            help="Take so many photos, and say how repeatable they are.",
-            rich_help_panel=_RUN,
-        ),
-    ] = 1
-    set_folder: Annotated[
-        Path | None,
-        typer.Option(
-            "--set",
-            metavar="DIR",
-            help="Take all photos of a set of cep calibration-set, and calibrate.",
-            rich_help_panel=_RUN,
-        ),
-    ] = None
-    is_calibrating: Annotated[
-        bool,
-        typer.Option(
-            "--calibrate",
-            help="Take photos of a motion that repeats until its order in time is sure: the first"
-            " with the shutter open, each other through a code chosen by those before it.",
-            rich_help_panel=_RUN,
-        ),
-    ] = False
-    arm: Annotated[
-        str | None,
-        typer.Option(
-            "--arm",
-            metavar="N|always",
-            help="Without --camera: play on every trigger of a running belt, so many times.",
-            rich_help_panel=_RUN,
-        ),
-    ] = None
-    wiring: Annotated[
-        bool,
-        typer.Option(
-            "--wiring",
-            help="Say which pin goes where, and how long the camera has to expose; -o wiring.svg"
-            " draws it.",
-            rich_help_panel=_RUN,
-        ),
-    ] = False
-    output: Annotated[
-        Path,
-        output_option(
-            "Folder to write into, made when missing; of --wiring a picture.", metavar="FOLDER"
-        ),
-    ] = _FOLDER
+    port: str | None = option(
+        "--port",
+        None,
+        "Serial port of the shutter's controller, its USB serial number, or auto.",
+        short="-p",
+    )
+    code: str | None = option("--code", "CODE", "Code of the exposure: bits, code.json or a name.")
+    chip_ns: ChipNs = None
+    trigger: str | None = option(
+        "--trigger",
+        "WHO",
+        "Who begins: shutter (its output busy triggers the camera), camera (its output"
+        " exposure active triggers the shutter), external (the machine triggers the shutter,"
+        " that the camera), host (this computer both, without a wire between them).",
+    )
+    profile: str | None = option(
+        "--profile",
+        "NAME|FILE",
+        "The camera's file: its noise, for the restoration, and the times that cep hw"
+        " timing has measured.",
+    )
+    lead_in: str | None = option(
+        "--lead-in",
+        "TIME",
+        "Closed time before the code, for the camera's delay: that of --profile, or 1ms.",
+    )
+    exposure: str | None = option(
+        "--exposure", "TIME", "Of the camera; the least that holds the code when omitted."
+    )
+    gain: float | None = option("--gain", "DB", "Of the camera.")
+    wait: str = option(
+        "--wait", "TIME", "For the machine's trigger, or another program's photo.", "10s"
+    )
+    repeat: int = option(
+        "--repeat",
+        "N",
+        "Take so many photos, and say how repeatable they are.",
+        1,
+        panel=_RUN,
+        min=1,
+    )
+    set_folder: Path | None = option(
+        "--set",
+        "DIR",
+        "Take all photos of a set of cep calibration-set, and calibrate.",
+        panel=_RUN,
+    )
+    is_calibrating: bool = flag(
+        "--calibrate",
+        "Take photos of a motion that repeats until its order in time is sure: the first"
+        " with the shutter open, each other through a code chosen by those before it.",
+        panel=_RUN,
+    )
+    arm: str | None = option(
+        "--arm",
+        "N|always",
+        "Without --camera: play on every trigger of a running belt, so many times.",
+        panel=_RUN,
+    )
+    wiring: bool = flag(
+        "--wiring",
+        "Say which pin goes where, and how long the camera has to expose; -o wiring.svg draws it.",
+        panel=_RUN,
+    )
+    output: Path = output_option(
+        "Folder to write into, made when missing; of --wiring a picture.",
+        _FOLDER,
+        metavar="FOLDER",
+    )
     force: Force = False
     as_json: Json = False
 

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from cep.commands.console import finish, progress
 from cep.commands.options import (
@@ -14,7 +11,9 @@ from cep.commands.options import (
     CommonOptions,
     Gamma,
     MotionOptions,
+    argument,
     command,
+    option,
     output_option,
 )
 
@@ -23,24 +22,14 @@ from cep.commands.options import (
 class SimulateOptions(MotionOptions, CameraOptions, CommonOptions):
     """Options of ``cep simulate``."""
 
-    sharp: Annotated[
-        Path,
-        typer.Argument(
-            metavar="SHARP", help="Sharp photo of the scene: PNG, TIFF, JPEG, WebP or RAW."
-        ),
-    ]
-    code: Annotated[
-        str | None,
-        typer.Option(
-            "--code",
-            metavar="CODE",
-            help="Code of the exposure: bits, code.json or a name; the open shutter when omitted.",
-        ),
-    ] = None
+    sharp: Path = argument("SHARP", "Sharp photo of the scene: PNG, TIFF, JPEG, WebP or RAW.")
+    code: str | None = option(
+        "--code",
+        "CODE",
+        "Code of the exposure: bits, code.json or a name; the open shutter when omitted.",
+    )
     gamma: Gamma = "srgb"
-    output: Annotated[
-        Path | None, output_option("Photo to write; SHARP_coded.png when omitted.")
-    ] = None
+    output: Path | None = output_option("Photo to write; SHARP_coded.png when omitted.")
 
 
 @command(SimulateOptions)

@@ -5,44 +5,28 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from cep.commands.console import finish
-from cep.commands.options import Force, Json, command
+from cep.commands.options import Force, Json, argument, command, flag, option
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudioOptions:
     """Options of ``cep studio``."""
 
-    file: Annotated[
-        Path | None,
-        typer.Argument(metavar="FILE", help="A studio.json that the page saved, to begin with."),
-    ] = None
-    port: Annotated[
-        int,
-        typer.Option(
-            "--port",
-            metavar="N",
-            min=0,
-            max=65535,
-            help="Port on 127.0.0.1; a free one when omitted.",
-        ),
-    ] = 0
-    no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Print the address, and leave the browser alone.")
-    ] = False
-    extract: Annotated[
-        Path | None,
-        typer.Option(
-            "--extract",
-            metavar="FOLDER",
-            help="Instead of the page: write the trajectory.json, code.json and commands.sh of"
-            " FILE's state.",
-        ),
-    ] = None
+    file: Path | None = argument(
+        "FILE", "A studio.json that the page saved, to begin with.", default=None
+    )
+    port: int = option(
+        "--port", "N", "Port on 127.0.0.1; a free one when omitted.", 0, min=0, max=65535
+    )
+    no_browser: bool = flag("--no-browser", "Print the address, and leave the browser alone.")
+    extract: Path | None = option(
+        "--extract",
+        "FOLDER",
+        "Instead of the page: write the trajectory.json, code.json and commands.sh of"
+        " FILE's state.",
+    )
     force: Force = False
     as_json: Json = False
 

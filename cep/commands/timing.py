@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from cep.commands.code_options import exposure_seconds
 from cep.commands.console import Page, Table, finish, progress
-from cep.commands.options import Force, Json, PlotFile, command, output_option
+from cep.commands.options import Force, Json, PlotFile, command, option, output_option
 
 if TYPE_CHECKING:
     from cep.shutter.exposure_fit import Interval
@@ -22,39 +20,22 @@ if TYPE_CHECKING:
 class TimingOptions:
     """Options of ``cep hw timing``."""
 
-    camera: Annotated[
-        str, typer.Option("--camera", metavar="KIND:ADDRESS", help="Camera, as in cep shoot.")
-    ]
-    port: Annotated[
-        str | None,
-        typer.Option("--port", "-p", help="Controller of the light, as in cep shoot."),
-    ] = None
-    exposure: Annotated[
-        str, typer.Option("--exposure", metavar="TIME", help="Exposure to set and to time.")
-    ] = "2ms"
-    gain: Annotated[float | None, typer.Option("--gain", metavar="DB", help="Of the camera.")] = (
-        None
+    camera: str = option("--camera", "KIND:ADDRESS", "Camera, as in cep shoot.", default=MISSING)
+    port: str | None = option(
+        "--port", None, "Controller of the light, as in cep shoot.", short="-p"
     )
-    trigger: Annotated[
-        str | None,
-        typer.Option(
-            "--trigger",
-            metavar="WHO",
-            help="shutter: the controller's output busy triggers the camera; camera: its output"
-            " exposure active triggers the controller.",
-        ),
-    ] = None
-    profile: Annotated[
-        str | None,
-        typer.Option(
-            "--profile",
-            metavar="NAME|FILE",
-            help="Camera whose noise figures are written with the times.",
-        ),
-    ] = None
-    output: Annotated[Path, output_option("Camera to write, .toml or .json.")] = Path(
-        "camera.toml"
+    exposure: str = option("--exposure", "TIME", "Exposure to set and to time.", "2ms")
+    gain: float | None = option("--gain", "DB", "Of the camera.")
+    trigger: str | None = option(
+        "--trigger",
+        "WHO",
+        "shutter: the controller's output busy triggers the camera; camera: its output"
+        " exposure active triggers the controller.",
     )
+    profile: str | None = option(
+        "--profile", "NAME|FILE", "Camera whose noise figures are written with the times."
+    )
+    output: Path = output_option("Camera to write, .toml or .json.", Path("camera.toml"))
     plot: PlotFile = None
     force: Force = False
     as_json: Json = False

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -16,6 +15,7 @@ from cep.commands.options import (
     MotionOptions,
     TableFile,
     command,
+    option,
     output_option,
     table_files,
 )
@@ -26,31 +26,23 @@ from cep.commands.programs import ClockPpm, TimedCode, open_controller, program_
 class VerifyOptions(TimedCode, MotionOptions):
     """Options of ``cep hw verify``."""
 
-    port: Annotated[
-        str | None, typer.Option("--port", "-p", help="Read it back from the controller there.")
-    ] = None
-    capture: Annotated[
-        Path | None,
-        typer.Option(
-            "--capture",
-            "--vcd",
-            help="Compare a logic analyser's recording: VCD, or a CSV export of Saleae Logic.",
-        ),
-    ] = None
-    signal: Annotated[
-        str | None,
-        typer.Option(
-            "--signal", help="Shutter's signal in the recording; the busiest one without."
-        ),
-    ] = None
-    trigger: Annotated[
-        str | None, typer.Option("--trigger", help="Trigger's signal in the recording.")
-    ] = None
+    port: str | None = option(
+        "--port", None, "Read it back from the controller there.", short="-p"
+    )
+    capture: Path | None = option(
+        "--capture",
+        None,
+        "Compare a logic analyser's recording: VCD, or a CSV export of Saleae Logic.",
+        short="--vcd",
+    )
+    signal: str | None = option(
+        "--signal", None, "Shutter's signal in the recording; the busiest one without."
+    )
+    trigger: str | None = option("--trigger", None, "Trigger's signal in the recording.")
     clock_ppm: ClockPpm = 0.0
-    output: Annotated[
-        Path | None,
-        output_option("Write the code as played; beside it its PSF, with a trajectory."),
-    ] = None
+    output: Path | None = output_option(
+        "Write the code as played; beside it its PSF, with a trajectory."
+    )
     table: TableFile = None
     force: Force = False
     as_json: Json = False
@@ -83,9 +75,9 @@ def _verify_stored(options: VerifyOptions) -> None:
         "-o": options.output,
         "--table": options.table,
     }
-    for option, value in with_capture.items():
+    for name, value in with_capture.items():
         if value is not None:
-            raise ValueError(f"{option}: not valid with --port, only with --capture")
+            raise ValueError(f"{name}: not valid with --port, only with --capture")
     program, _ = options.timed_program()
     port = options.port or ""
     with open_controller(port) as controller:

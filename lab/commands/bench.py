@@ -12,9 +12,8 @@ import typer
 
 from cep.commands.console import Page, complain, finish, progress
 from cep.commands.jobs import end
-from cep.commands.options import Seed, command
+from cep.commands.options import Seed, argument, command, option, output_option
 from lab.commands.tables import (
-    Folder,
     Gyro,
     PhotoOptions,
     TableOptions,
@@ -45,96 +44,74 @@ UserCodes = Annotated[
 class SpeedOptions(TableOptions, PhotoOptions):
     """Options of ``python -m lab bench speed``."""
 
-    protocol: Annotated[
-        str,
-        typer.Option(
-            "--protocol",
-            metavar="NAME|FILE",
-            help="paper, ours, card-walks, card-gyro, or a .toml file like these.",
-        ),
-    ] = "paper"
-    methods: Annotated[
-        str,
-        typer.Option(
-            "--methods",
-            metavar="NAME,...",
-            help=(
-                "Estimators, as pmp,motdiff; all that take seconds when omitted. Others:"
-                " selfdeblur (hours), blinddps:FOLDER of weights, network:ddpm:1000,"
-                " network:ddim:10:8 (eight draws), networks:ddim:10:8 (corrected ones),"
-                " motdiff@FILE and network:ddim:10@FILE of other weights, module:name of an"
-                " estimator of your own."
-            ),
-        ),
-    ] = ""
+    protocol: str = option(
+        "--protocol",
+        "NAME|FILE",
+        "paper, ours, card-walks, card-gyro, or a .toml file like these.",
+        "paper",
+    )
+    methods: str = option(
+        "--methods",
+        "NAME,...",
+        "Estimators, as pmp,motdiff; all that take seconds when omitted. Others:"
+        " selfdeblur (hours), blinddps:FOLDER of weights, network:ddpm:1000,"
+        " network:ddim:10:8 (eight draws), networks:ddim:10:8 (corrected ones),"
+        " motdiff@FILE and network:ddim:10@FILE of other weights, module:name of an"
+        " estimator of your own.",
+        "",
+    )
     gyro: Gyro = None
-    output: Folder = Path("bench-speed")
+    output: Path = output_option("Folder to write into.", Path("bench-speed"), metavar="FOLDER")
 
 
 @dataclass(frozen=True, kw_only=True)
 class BlindOptions(SpeedOptions, WorkerOptions):
     """Options of ``python -m lab bench blind``."""
 
-    output: Folder = Path("bench-blind")
+    output: Path = output_option("Folder to write into.", Path("bench-blind"), metavar="FOLDER")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CepOptions(TableOptions, WorkerOptions, PhotoOptions):
     """Options of ``python -m lab bench cep``."""
 
-    protocol: Annotated[
-        str,
-        typer.Option(
-            "--protocol",
-            metavar="NAME|FILE",
-            help="paper, ours, or a .toml file like lab/bench/coded/ours.toml, in "
-            "which the restoration may be module:name of a function (photo, psf) of your own.",
-        ),
-    ] = "paper"
-    designs: Annotated[
-        str,
-        typer.Option(
-            "--designs",
-            metavar="NAME,...",
-            help=(
-                "Ways to choose the code, as open,dnf,both-ways; when omitted all but those that"
-                " take long: "
-                "calibrated-1, calibrated-2, calibrated-4 (from so many coded photos),"
-                " calibrated-point, class-snapshot."
-            ),
-        ),
-    ] = ""
+    protocol: str = option(
+        "--protocol",
+        "NAME|FILE",
+        "paper, ours, or a .toml file like lab/bench/coded/ours.toml, in "
+        "which the restoration may be module:name of a function (photo, psf) of your own.",
+        "paper",
+    )
+    designs: str = option(
+        "--designs",
+        "NAME,...",
+        "Ways to choose the code, as open,dnf,both-ways; when omitted all but those that"
+        " take long: "
+        "calibrated-1, calibrated-2, calibrated-4 (from so many coded photos),"
+        " calibrated-point, class-snapshot.",
+        "",
+    )
     code: UserCodes = None
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="FIELD=VALUE",
-            help=(
-                "Another value of the protocol's field, as motions=20, photons=[10000,100000],"
-                " read_noise_e=50 or "
-                "restored_by=blind; may be repeated."
-            ),
-        ),
-    ] = None
-    output: Folder = Path("bench-cep")
+    changes: list[str] | None = option(
+        "--set",
+        "FIELD=VALUE",
+        "Another value of the protocol's field, as motions=20, photons=[10000,100000],"
+        " read_noise_e=50 or "
+        "restored_by=blind; may be repeated.",
+    )
+    output: Path = output_option("Folder to write into.", Path("bench-cep"), metavar="FOLDER")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CodesOptions(TableOptions, WorkerOptions):
     """Options of ``python -m lab bench codes``."""
 
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="NAME", help="Published codes; Jeon's table when no code is named."
-        ),
-    ] = None
+    names: list[str] | None = argument(
+        "NAME", "Published codes; Jeon's table when no code is named.", default=None
+    )
     code: UserCodes = None
-    time_s: Annotated[
-        float, typer.Option("--time", metavar="S", help="Time of each search, seconds.")
-    ] = _SEARCH_S
-    output: Folder = Path("bench-codes")
+    time_s: float = option("--time", "S", "Time of each search, seconds.", _SEARCH_S)
+    output: Path = output_option("Folder to write into.", Path("bench-codes"), metavar="FOLDER")
     seed: Seed = 0
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from cep.commands.code_options import (
     STANDARD_CHIPS,
@@ -18,7 +16,15 @@ from cep.commands.code_options import (
     openings,
 )
 from cep.commands.console import Page, Table, finish, progress
-from cep.commands.options import MOTION, CommonOptions, TableFile, command, table_files
+from cep.commands.options import (
+    MOTION,
+    CommonOptions,
+    TableFile,
+    argument,
+    command,
+    option,
+    table_files,
+)
 from cep.commands.search_run import saved_on_interrupt
 
 if TYPE_CHECKING:
@@ -31,40 +37,26 @@ _CHIP_S = 1e-3  # where no exposure is given
 class DesignClassOptions(CommonOptions, SearchOptions, CodeOptions):
     """Options of ``python -m lab design-class``."""
 
-    motion_class: Annotated[
-        str,
-        typer.Argument(
-            metavar="CLASS",
-            help=(
-                "walks (simulated hand shakes); a gyro recording, its z axis along the line of"
-                " sight, cut into shakes as long as the exposure; or a folder with motions,"
-                " FOLDER/*/trajectory.json."
-            ),
-        ),
-    ]
-    length: Annotated[
-        float | None,
-        typer.Option(
-            "--length",
-            metavar="PX",
-            rich_help_panel=MOTION,
-            help="Length of each walk, or larger side of each shake; 60 when omitted.",
-        ),
-    ] = None
-    motions: Annotated[
-        int | None,
-        typer.Option(
-            "--motions",
-            metavar="N",
-            min=2,
-            max=256,
-            rich_help_panel=MOTION,
-            help=(
-                "Motions to draw for the search; 100 when omitted. The code is judged on 300"
-                " others."
-            ),
-        ),
-    ] = None
+    motion_class: str = argument(
+        "CLASS",
+        "walks (simulated hand shakes); a gyro recording, its z axis along the line of"
+        " sight, cut into shakes as long as the exposure; or a folder with motions,"
+        " FOLDER/*/trajectory.json.",
+    )
+    length: float | None = option(
+        "--length",
+        "PX",
+        "Length of each walk, or larger side of each shake; 60 when omitted.",
+        panel=MOTION,
+    )
+    motions: int | None = option(
+        "--motions",
+        "N",
+        "Motions to draw for the search; 100 when omitted. The code is judged on 300 others.",
+        panel=MOTION,
+        min=2,
+        max=256,
+    )
     tables: TableFile = None
 
 

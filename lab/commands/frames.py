@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from cep.commands.code_options import CodeOptions, SearchOptions, ending, objective_mix
 from cep.commands.console import Page, Table, finish, progress
@@ -15,6 +13,7 @@ from cep.commands.options import (
     MotionOptions,
     TableFile,
     command,
+    option,
     output_option,
     table_files,
 )
@@ -30,12 +29,10 @@ if TYPE_CHECKING:
 class FramesOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
     """Options of ``python -m lab frames``."""
 
-    frames: Annotated[
-        int, typer.Option("--frames", metavar="N", min=2, help="Exposures, each with its code.")
-    ] = 2
-    output: Annotated[
-        Path, output_option("Files to write: code.json becomes code_1.json, code_2.json, ...")
-    ] = Path("code.json")
+    frames: int = option("--frames", "N", "Exposures, each with its code.", 2, min=2)
+    output: Path = output_option(
+        "Files to write: code.json becomes code_1.json, code_2.json, ...", Path("code.json")
+    )
     tables: TableFile = None
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from cep.commands.code_options import SEARCH, CodeOptions, chips_option, ending
 from cep.commands.console import Page, Table, finish, progress
@@ -16,6 +14,7 @@ from cep.commands.options import (
     PlotFile,
     TableFile,
     command,
+    option,
     output_option,
     table_files,
 )
@@ -32,35 +31,23 @@ _FIGURES = (".png", ".pdf", ".svg")
 class ParetoOptions(CommonOptions, CodeOptions, MotionOptions):
     """Options of ``python -m lab pareto``."""
 
-    chips: Annotated[
-        int | None, chips_option(fewest=2, help="Number of chips; 52 when omitted.")
-    ] = None
-    time_s: Annotated[
-        float | None,
-        typer.Option(
-            "--time",
-            metavar="S",
-            rich_help_panel=SEARCH,
-            help=(
-                "Search for so many seconds, 60 when --steps is omitted too: the front depends on"
-                " the machine."
-            ),
-        ),
-    ] = None
-    steps: Annotated[
-        int | None,
-        typer.Option(
-            "--steps",
-            metavar="N",
-            min=0,
-            rich_help_panel=SEARCH,
-            help=(
-                "Make so many moves, however long it takes: the same seed and moves give the same"
-                " front. With --time whichever ends first."
-            ),
-        ),
-    ] = None
-    output: Annotated[Path, output_option("File to write.")] = Path("front.json")
+    chips: int | None = chips_option("Number of chips; 52 when omitted.", fewest=2)
+    time_s: float | None = option(
+        "--time",
+        "S",
+        "Search for so many seconds, 60 when --steps is omitted too: the front depends on"
+        " the machine.",
+        panel=SEARCH,
+    )
+    steps: int | None = option(
+        "--steps",
+        "N",
+        "Make so many moves, however long it takes: the same seed and moves give the same"
+        " front. With --time whichever ends first.",
+        panel=SEARCH,
+        min=0,
+    )
+    output: Path = output_option("File to write.", Path("front.json"))
     plot: PlotFile = None
     tables: TableFile = None
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from cep.commands.code_options import OpenChips, open_range
 from cep.commands.console import INTERRUPTED, Page, finish, progress
-from cep.commands.options import CommonOptions, command, output_option
+from cep.commands.options import CommonOptions, command, option, output_option
 from lab.commands.tables import Dask
 
 if TYPE_CHECKING:
@@ -23,42 +23,24 @@ if TYPE_CHECKING:
 class ProveOptions(CommonOptions):
     """Options of ``python -m lab prove``."""
 
-    chips: Annotated[
-        int | None,
-        typer.Option("--chips", metavar="N", min=1, max=60, help="Most chips of the codes."),
-    ] = None
+    chips: int | None = option("--chips", "N", "Most chips of the codes.", min=1, max=60)
     open_chips: OpenChips = None
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            "--workers",
-            metavar="N",
-            min=1,
-            help="Threads that judge blocks; as many as cores when omitted.",
-        ),
-    ] = None
+    workers: int | None = option(
+        "--workers", "N", "Threads that judge blocks; as many as cores when omitted.", min=1
+    )
     dask: Dask = None
-    output: Annotated[
-        Path | None,
-        output_option(
-            "Folder of the proof, proof.jsonl; one that is there is continued. With --check a JSON"
-            " file of the verdict.",
-            metavar="PATH",
-        ),
-    ] = None
-    check: Annotated[
-        Path | None,
-        typer.Option("--check", metavar="FILE", help="Check this proof.jsonl instead."),
-    ] = None
-    blocks: Annotated[
-        int | None,
-        typer.Option(
-            "--blocks",
-            metavar="N",
-            min=1,
-            help="With --check: blocks to judge again, drawn by --seed; 4 when omitted.",
-        ),
-    ] = None
+    output: Path | None = output_option(
+        "Folder of the proof, proof.jsonl; one that is there is continued. With --check a JSON"
+        " file of the verdict.",
+        metavar="PATH",
+    )
+    check: Path | None = option("--check", "FILE", "Check this proof.jsonl instead.")
+    blocks: int | None = option(
+        "--blocks",
+        "N",
+        "With --check: blocks to judge again, drawn by --seed; 4 when omitted.",
+        min=1,
+    )
 
 
 @command(ProveOptions)

@@ -12,7 +12,7 @@ import typer
 from cep.commands.console import Page, finish, progress
 from cep.commands.console import Table as SheetTable
 from cep.commands.jobs import MANY, Workers, end
-from cep.commands.options import Force, Json, output_option
+from cep.commands.options import Force, Json, flag, option, output_option
 
 if TYPE_CHECKING:
     from cep.files.tables import Bold
@@ -43,15 +43,12 @@ Cache = Annotated[
 ]
 
 
-Folder = Annotated[Path, output_option("Folder to write into.", metavar="FOLDER")]
-
-
 @dataclass(frozen=True, kw_only=True)
 class TableOptions:
     """Options of every table."""
 
     cache: Cache = None
-    output: Folder = Path("bench")
+    output: Path = output_option("Folder to write into.", Path("bench"), metavar="FOLDER")
     force: Force = False
     as_json: Json = False
 
@@ -75,15 +72,12 @@ class TableOptions:
 class PhotoOptions:
     """Photos of a table, and its size."""
 
-    data: Annotated[
-        Path | None,
-        typer.Option(
-            "--data",
-            metavar="FOLDER",
-            help="Folder of photos; scikit-image's own when omitted, fit to try it only.",
-        ),
-    ] = None
-    quick: Annotated[bool, typer.Option("--quick", help="The protocol's small size.")] = False
+    data: Path | None = option(
+        "--data",
+        "FOLDER",
+        "Folder of photos; scikit-image's own when omitted, fit to try it only.",
+    )
+    quick: bool = flag("--quick", "The protocol's small size.")
 
 
 @dataclass(frozen=True, kw_only=True)
