@@ -10,13 +10,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
 from motdiff.files.inputs import printable
 from motdiff.files.outputs import check_file, check_folder
 from motdiff.types import FloatArray
+
+if TYPE_CHECKING:
+    from motdiff.training.loop import Trainer
 
 _TILE_IN = 1.3  # inches of each picture on the sheet
 
@@ -46,9 +49,18 @@ def parser() -> argparse.ArgumentParser:
     return root
 
 
-def run(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code: 0 done, 2 bad input, 1 a failure, 130 Ctrl-C."""
+def run(arguments: Sequence[str] | None = None, *, trainers: Sequence[type[Trainer]] = ()) -> int:
+    """Run a command; returns the exit code: 0 done, 2 bad input, 1 a failure, 130 Ctrl-C.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Those of the process when omitted.
+    trainers : sequence of types
+        Of other networks' targets than MoTDiff's.
+    """
     options = parser().parse_args(arguments)
+    options.trainers = trainers
     command: Callable[[argparse.Namespace], None] = options.command
     try:
         options.check(options.out)  # before anything is read: training would fail only at its end
@@ -117,12 +129,16 @@ def _add_train(commands: _Commands[argparse.ArgumentParser]) -> None:
 
 def _train(options: argparse.Namespace) -> None:
     from motdiff.training.config import read_config
+    from motdiff.training.loop import Trainer
     from motdiff.training.run import Pace, device_named, train
 
     with _entries_of(options.config):
+        config = read_config(options.config)
+        trainers = {trainer.target: trainer for trainer in (Trainer, *options.trainers)}
         train(
-            read_config(options.config),
+            config,
             options.out,
+            trainer_type=trainers.get(config.network.target, Trainer),
             device=device_named(options.device),
             pace=Pace(
                 minutes=options.minutes,
@@ -213,7 +229,8 @@ def _add_export(commands: _Commands[argparse.ArgumentParser]) -> None:
 def _export(options: argparse.Namespace) -> None:
     from motdiff.files.inputs import read_json
     from motdiff.training.log import last_validation
-    from motdiff.weights import export_weights, read_card
+    from motdiff.training.weight_files import export_weights
+    from motdiff.weights import read_card
 
     card = None if options.card is None else read_json(options.card)
     if not isinstance(card, dict | None):

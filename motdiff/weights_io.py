@@ -150,8 +150,13 @@ def read_tensors(path: Path | str) -> dict[str, Tensor]:
     return tensors
 
 
-def filled(network: _Network, path: Path | str, *, schema: str) -> _Network:
+def filled(network: _Network, path: Path | str, *, schema: str | None = None) -> _Network:
     """Fill a network on the CPU from a weights file: eval mode, no gradients, channels last.
+
+    Parameters
+    ----------
+    schema : str, optional
+        Of the file, as in :func:`read_card`; not checked when omitted.
 
     Raises
     ------
@@ -160,7 +165,8 @@ def filled(network: _Network, path: Path | str, *, schema: str) -> _Network:
     """
     import torch
 
-    read_card(path, schema)
+    if schema is not None:
+        read_card(path, schema)
     try:
         # the tensors become the network's own: nothing is copied
         network.load_state_dict(read_tensors(path), assign=True)

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import fft
 
+from lab.evaluation.quadratic_limits import most_alike_quadratic
 from motdiff.psf_frame import PSF_PX, centred, in_frame
-from motdiff.tracing.quadratic import most_alike_quadratic
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 

@@ -18,8 +18,8 @@ class ParametricEstimator:
 
     It has the condition network of the shipped MoTDiff and started from its former weights. Its
     output and its training differ: the shipped one saw 16,016 samples drawn from 704 prepared
-    ones, MoTDiff 209,600 from 13,376. :func:`motdiff.tracing.quadratic.most_alike_quadratic` is
-    the limit of the class.
+    ones, MoTDiff 209,600 from 13,376. The limit of the class is
+    :func:`~lab.evaluation.quadratic_limits.most_alike_quadratic`.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ class ParametricEstimator:
     """
 
     def __init__(self, *, weights: Path | str | None = None) -> None:
+        from lab.rivals.path_network import load_path_network
         from lab.weights import PATH_WEIGHTS
-        from motdiff.weights import load_path_network
 
         self._network = load_path_network(PATH_WEIGHTS if weights is None else weights)
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
 from lab.rivals.conditioning import conditioning_maps
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.description import estimate_from_kernel
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class PsfDiffusionEstimator:
@@ -59,7 +63,7 @@ class PsfDiffusionEstimator:
         """
         import torch
 
-        from motdiff.network.sampling import psfs_of_signals, sample_paths
+        from motdiff.network.sampling import sample_paths
 
         with torch.no_grad():
             condition = self._network.condition(None, conditioning_maps(photo))
@@ -73,3 +77,17 @@ class PsfDiffusionEstimator:
             )
             psf = psfs_of_signals(samples.path[0, 0].double()).numpy()
         return estimate_from_kernel("psf-diffusion", psf, {"steps": self._steps})
+
+
+def psf_signals(psfs: Tensor) -> Tensor:
+    """Signals 0..1 of PSFs (..., S, S): the root of each over its peak.
+
+    Kernel-Diff diffuses PSFs of sum 1, most of which lie within 0.01 of 0; the root spreads them.
+    """
+    return (psfs / psfs.amax(dim=(-2, -1), keepdim=True).clamp(min=1e-12)).sqrt()
+
+
+def psfs_of_signals(signals: Tensor) -> Tensor:
+    """PSFs (..., S, S), sum 1, of signals 0..1: inverse of :func:`psf_signals`."""
+    psfs = signals.square()
+    return psfs / psfs.sum(dim=(-2, -1), keepdim=True).clamp(min=1e-12)

@@ -22,7 +22,7 @@ import torch
 
 from motdiff.metrics import mnc
 from motdiff.network import MotDiffNetwork
-from motdiff.network.sampling import psfs_of_maps
+from motdiff.network.sampling import psfs_of_maps, sample_paths
 from motdiff.training.config import TrainingConfig, read_config
 from motdiff.training.data import Batch, PreparedSource
 from motdiff.training.loop import Trainer, loss_of
@@ -30,7 +30,6 @@ from motdiff.training.motion_bank import drawn_kinds
 from motdiff.training.prepared import read_shards
 from motdiff.training.run import Pace, train
 from motdiff.training.samples import Samples
-from motdiff.training.targets import drawn_psfs
 from motdiff.weights import DEFAULT_WEIGHTS
 
 _BLANKED = 1 - 1e-9
@@ -105,9 +104,15 @@ def measured(trainer: Trainer, batches: list[Batch]) -> tuple[float, np.ndarray]
         truth = psfs_of_maps(conditions.dwell[:, 0]).double().numpy()
         for score, steps in zip(scores, _STEPS, strict=True):
             generator = torch.Generator().manual_seed(number)
-            psfs = drawn_psfs(
-                sampler, conditions, schedule=trainer.schedule, steps=steps, generator=generator
+            draws = sample_paths(
+                sampler,
+                sampler.condition(photo, physics),
+                count=1,
+                schedule=trainer.schedule,
+                steps=steps,
+                generator=generator,
             )
+            psfs = draws.psfs()[:, 0]
             score.append([mnc(a, b) for a, b in zip(psfs.double().numpy(), truth, strict=True)])
     return float(np.mean(losses)), np.array([np.concatenate(score) for score in scores])
 

@@ -18,9 +18,9 @@ class NetworkConfig:
     Parameters
     ----------
     target : str
-        "map": diffusion of HR path maps, MoTDiff. "psf" and "path" are the baselines over the same
-        condition: diffusion of 64x64 PSFs, and one quadratic path predicted at once, without a
-        denoiser.
+        "map": diffusion of HR path maps, MoTDiff. "psf" and "path" are the laboratory's baselines
+        over the same condition: diffusion of 64x64 PSFs, and one quadratic path predicted at once,
+        without a denoiser.
     backbone : str
         Size of the PVT v2 photo encoder, "b0".."b5"; "none": no photo encoder, physics maps only.
     features : str

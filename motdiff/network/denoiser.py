@@ -164,7 +164,7 @@ class MotDiffNetwork(ConditionNetwork):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
-        self.pitch = {"map": MAP_PITCH, "psf": 1}[config.target]
+        self.pitch = 1 if config.target == "psf" else MAP_PITCH
         self.denoiser = Denoiser(
             self.condition_channels,
             width=config.denoiser_width,

@@ -51,7 +51,7 @@ def sample_paths(
     Parameters
     ----------
     network : MotDiffNetwork
-        In eval mode. One of PSFs gives them as `path`, for :func:`psfs_of_signals`.
+        In eval mode. One of PSFs gives their signals as `path`.
     condition : (B, C, h, w) float
         From ``network.condition``: computed once, used at every step.
     count : int
@@ -107,17 +107,3 @@ def psfs_of_maps(maps: Tensor) -> Tensor:
     total = psfs.sum(dim=(1, 2), keepdim=True)
     psfs = torch.where(total > 1e-6, psfs / total.clamp(min=1e-6), point)
     return psfs.reshape(*maps.shape[:-2], *psfs.shape[-2:])
-
-
-def psf_signals(psfs: Tensor) -> Tensor:
-    """Signals 0..1 of PSFs (..., S, S): the root of each over its peak.
-
-    Kernel-Diff diffuses PSFs of sum 1, most of which lie within 0.01 of 0; the root spreads them.
-    """
-    return (psfs / psfs.amax(dim=(-2, -1), keepdim=True).clamp(min=1e-12)).sqrt()
-
-
-def psfs_of_signals(signals: Tensor) -> Tensor:
-    """PSFs (..., S, S), sum 1, of signals 0..1: inverse of :func:`psf_signals`."""
-    psfs = signals.square()
-    return psfs / psfs.sum(dim=(-2, -1), keepdim=True).clamp(min=1e-12)

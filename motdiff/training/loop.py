@@ -9,11 +9,14 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import ClassVar, cast
 
 import torch
 from torch import Tensor, nn
 
-from motdiff.network import build_network
+from motdiff.network import MotDiffNetwork
+from motdiff.network.condition import ConditionNetwork
+from motdiff.network.config import NetworkConfig
 from motdiff.network.diffusion import (
     Schedule,
     cosine_schedule,
@@ -22,12 +25,12 @@ from motdiff.network.diffusion import (
     to_signal,
 )
 from motdiff.network.losses import denoising_loss, dwell_loss, structure_loss
+from motdiff.network.sampling import sample_paths
 from motdiff.psf_frame import PSF_PX
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from motdiff.training.config import LossConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch, BatchSource, seed_of
-from motdiff.training.targets import path_loss, psf_batch
-from motdiff.weights import PHOTO_PARTS, load_start
+from motdiff.training.weight_files import PHOTO_PARTS, load_start
 
 _SMOOTH = 0.95  # decay of the running mean of the loss, over about twenty steps
 # seeds other than the batch's: else a motion would get the same noise every time
@@ -59,11 +62,16 @@ class Losses:
 class Trainer:
     """A run: weights, their average, Adam's moments and the step.
 
+    A subclass trains a network of another target over the same condition: it overrides
+    ``target``, :meth:`build`, :meth:`losses` and :meth:`draw_psfs`.
+
     Attributes
     ----------
-    network : MotDiffNetwork or PathNetwork
+    target : str
+        ``network.target`` of the runs that are trained.
+    network : ConditionNetwork
         Being trained.
-    average : MotDiffNetwork or PathNetwork
+    average : ConditionNetwork
         Exponential average of its weights: the one to use.
     step : int
         Updates done.
@@ -75,14 +83,20 @@ class Trainer:
         Of the noise.
     """
 
+    target: ClassVar[str] = "map"
+
     def __init__(self, config: TrainingConfig, *, device: str | torch.device = "cpu") -> None:
+        if config.network.target != self.target:
+            raise ValueError(
+                f'network.target: must be "{self.target}", got "{config.network.target}"'
+            )
         self.config = config
         self.device = torch.device(device)
         # the caller's global generator stays as it is: a run must not change what follows it
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.optimiser.seed)
-            self.network = build_network(config.network)
-            self.average = build_network(config.network)
+            self.network = self.build(config.network)
+            self.average = self.build(config.network)
         if config.optimiser.start:
             load_start(self.network, config.optimiser.start)
         self._frozen: list[nn.Module] = []
@@ -110,9 +124,13 @@ class Trainer:
         model: nn.Module = self.network
         if self._world > 1:
             model = nn.parallel.DistributedDataParallel(model)
-        self._model: Callable[..., Tensor] = model
+        self.model: Callable[..., Tensor] = model
         if config.optimiser.compile:
-            self._model = torch.compile(model)
+            self.model = torch.compile(model)
+
+    def build(self, config: NetworkConfig) -> ConditionNetwork:
+        """Build the network with random weights."""
+        return MotDiffNetwork(config)
 
     @property
     def leads(self) -> bool:
@@ -137,7 +155,7 @@ class Trainer:
             generator = torch.Generator(self.device)
             generator.manual_seed(seed_of(optimiser.seed, self.step, self._rank, _NOISE))
             with self._precision():
-                path, dwell = self._losses(batch, generator)
+                path, dwell = self.losses(batch, generator)
             total = path + self.config.loss.dwell * dwell
             self._adam.zero_grad(set_to_none=True)
             total.backward()  # type: ignore[no-untyped-call]
@@ -203,24 +221,30 @@ class Trainer:
         self.loss = float(checkpoint.tensors.get("loss", math.nan))  # earlier versions lack it
         return True
 
-    def _losses(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        target = self.config.network.target
-        blank = self.config.data.physics_dropout
-        if target == "psf":
-            batch = psf_batch(batch)
-        elif target == "path":
-            physics = _blanked(batch.physics, blank, generator)
-            loss = path_loss(self._model(batch.photo, physics).float(), batch.dwell)
-            return loss, torch.zeros_like(loss)
+    def losses(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Loss of the path, and of the dwell before its weight."""
         return loss_of(
-            self._model,
+            self.model,
             batch,
             self.config.loss,
             schedule=self.schedule,
             generator=generator,
-            physics_dropout=blank,
+            physics_dropout=self.config.data.physics_dropout,
             window=self.config.optimiser.window,
         )
+
+    def draw_psfs(self, batch: Batch, *, steps: int, generator: torch.Generator) -> Tensor:
+        """PSF (B, 64, 64) of one draw for each photo, by the averaged weights."""
+        network = cast("MotDiffNetwork", self.average)
+        draws = sample_paths(
+            network,
+            network.condition(batch.photo, batch.physics),
+            count=1,
+            schedule=self.schedule,
+            steps=steps,
+            generator=generator,
+        )
+        return draws.psfs()[:, 0]
 
     def _precision(self) -> torch.autocast | nullcontext[None]:
         if self.config.optimiser.precision == "bf16":
@@ -285,7 +309,7 @@ def loss_of(
     # eq. 8: pixels are dropped before noising, the target x0 has them all
     signal = to_signal(stochastic_trajectory_pixel_dropout(batch.x0, loss.stpd, generator))
     eps = torch.randn(signal.shape, generator=generator, device=device)
-    physics = _blanked(batch.physics, physics_dropout, generator)
+    physics = blanked(batch.physics, physics_dropout, generator)
     # the mean of two: paths are centred, so windows near the middle hold them oftener
     spread = torch.rand(2, 2, generator=generator, device=device).mean(dim=0)
     row, column = (int(share * (PSF_PX - window) + 0.5) for share in spread.tolist())
@@ -303,7 +327,7 @@ def loss_of(
     return path, dwell_loss(logits[:, 1:], batch.dwell[view], x0)
 
 
-def _blanked(physics: Tensor | None, share: float, generator: torch.Generator) -> Tensor | None:
+def blanked(physics: Tensor | None, share: float, generator: torch.Generator) -> Tensor | None:
     """Set a share of the physics maps to 0, each independently."""
     if physics is None or share == 0:
         return physics

@@ -28,7 +28,6 @@ from motdiff.training.motion_bank import build_bank
 from motdiff.training.photos import load_scenes
 from motdiff.training.prepared import read_shards
 from motdiff.training.samples import Samples
-from motdiff.training.targets import drawn_psfs
 
 _VALIDATION_SEED = 7  # any, but the same: runs are compared on the same draws
 _VALIDATION_BATCH = 32
@@ -161,6 +160,7 @@ def train(
     device: str | torch.device = "cpu",
     pace: Pace | None = None,
     workers: int = 1,
+    trainer_type: type[Trainer] = Trainer,
 ) -> Trainer:
     """Train, or go on, until the configured steps are done, the time is up, or a signal comes.
 
@@ -170,6 +170,8 @@ def train(
         Of ``checkpoint/``, ``log.csv`` and ``progress.png``.
     workers : int
         Processes that draw motions.
+    trainer_type : type, optional
+        Of the network's target.
 
     Raises
     ------
@@ -189,7 +191,7 @@ def train(
         backends = {"cuda": "nccl"}
         torch.distributed.init_process_group(backends.get(torch.device(device).type, "gloo"))
     try:
-        trainer = Trainer(config, device=device)
+        trainer = trainer_type(config, device=device)
         resumed = trainer.resume(target / "checkpoint")
         log = RunLog(target, steps=config.optimiser.steps, enabled=trainer.leads)
         opening = "resumed at" if resumed else "new run, from"
@@ -282,18 +284,11 @@ def validation_scores(trainer: Trainer, batches: tuple[Batch, ...]) -> NDArray[n
 
     The truth is the time-weighted HR map's own PSF.
     """
-    network = trainer.average
     scores: list[float] = []
     generator = torch.Generator(trainer.device).manual_seed(_VALIDATION_SEED)
     with torch.no_grad():
         for batch in batches:
-            psfs = drawn_psfs(
-                network,
-                batch,
-                schedule=trainer.schedule,
-                steps=_SAMPLING_STEPS,
-                generator=generator,
-            )
+            psfs = trainer.draw_psfs(batch, steps=_SAMPLING_STEPS, generator=generator)
             estimates = psfs.double().cpu().numpy()
             truths = psfs_of_maps(batch.dwell[:, 0]).double().cpu().numpy()
             scores += [mnc(*pair) for pair in zip(estimates, truths, strict=True)]

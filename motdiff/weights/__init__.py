@@ -3,32 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
-from safetensors.torch import save
-
 from motdiff.files.inputs import one_line
-from motdiff.files.outputs import write_bytes
-from motdiff.network import MotDiffNetwork, NetworkConfig, PathNetwork, build_network
+from motdiff.network import MotDiffNetwork, NetworkConfig
 from motdiff.network.correction import CorrectionNetwork
-from motdiff.training.checkpoint import read_checkpoint
-from motdiff.weights_io import filled, packed, read_header, read_tensors
+from motdiff.weights_io import filled, read_header
 
 __all__ = [
     "CORRECTION_SCHEMA",
     "CORRECTION_WEIGHTS",
     "DEFAULT_WEIGHTS",
     "MOTDIFF_FILES",
-    "PHOTO_PARTS",
-    "export_weights",
+    "SCHEMA",
     "load_correction",
     "load_network",
-    "load_path_network",
-    "load_start",
+    "network_config",
     "read_card",
 ]
 
@@ -37,118 +28,7 @@ CORRECTION_WEIGHTS = Path(__file__).with_name("correction.safetensors")
 CORRECTION_SCHEMA = "motdiff.correction/1"
 MOTDIFF_FILES = (DEFAULT_WEIGHTS, CORRECTION_WEIGHTS)
 """All that the method ``motdiff`` reads: what is cached of it depends on them."""
-PHOTO_PARTS = ("photo.", "fusion.")
-"""First parts of the names of a photo encoder's parameters, and of the layer that adds its
-features to others."""
-_SCHEMA = "motdiff.weights/1"
-_OUTPUT_BIAS = "denoiser.output.1.bias"
-_PHOTO_FIELDS = ("backbone", "features", "photo_pool", "width")
-_PATHS = (  # entries of a run that name files
-    ("data", "photos"),
-    ("data", "prepared"),
-    ("data", "prepared_validation"),
-    ("motions", "gyro_trace"),
-    ("optimiser", "start"),
-)
-
-
-def export_weights(
-    checkpoint: Path | str,
-    target: Path | str,
-    *,
-    offset: float = 0.0,
-    card: Mapping[str, object] | None = None,
-    validation_mnc: float | None = None,
-) -> int:
-    """Write the averaged weights of a run, with its configuration in the header.
-
-    Parameters
-    ----------
-    checkpoint : folder of a checkpoint
-    target : .safetensors file to write
-    offset : float
-        Taken from the path's logits. A loss that weighs path pixels more makes the network say too
-        often that a pixel is on the path; sampled with such probabilities, uncertain regions are
-        filled in.
-    card : mapping, optional
-        Further entries of the header: figures, data.
-    validation_mnc : float, optional
-        Of the run's log, for its line of the history.
-
-    Returns
-    -------
-    int, bytes written
-
-    Raises
-    ------
-    ValueError
-        If there is no checkpoint, float16 cannot hold its weights, or they draw no map that an
-        offset could change.
-    """
-    trained = read_checkpoint(checkpoint)
-    if trained is None:
-        raise ValueError(f"{checkpoint}: holds no checkpoint")
-    # ema: exponential moving averages of the weights over the steps
-    tensors = packed(trained.under("ema."), source=checkpoint)
-    if offset and _OUTPUT_BIAS not in tensors:
-        raise ValueError(f"offset: must be 0 for weights without a denoiser, got {offset:g}")
-    if offset:
-        bias = tensors[_OUTPUT_BIAS].clone()
-        bias[0] -= offset
-        tensors[_OUTPUT_BIAS] = bias
-    header = {
-        "schema": _SCHEMA,
-        "config": json.dumps(_without_folders(trained.config)),
-        "step": str(trained.step),
-        "seconds": f"{trained.seconds:.0f}",
-        "offset": f"{offset:g}",
-        "history": json.dumps(
-            [
-                *_earlier(trained.config),
-                _line(trained.step, trained.seconds, trained.config, validation_mnc),
-            ]
-        ),
-        "card": json.dumps(dict(card or {})),
-    }
-    data = _in_order(save(tensors, header), header)
-    write_bytes(Path(target), data)
-    return len(data)
-
-
-def _earlier(config: Mapping[str, Any]) -> list[dict[str, float | None]]:
-    """History of the weights that a run started from; empty without such a file."""
-    start = str(config.get("optimiser", {}).get("start", ""))
-    if not start or not Path(start).is_file():
-        return []
-    header = read_card(start)
-    history: list[dict[str, float | None]] = header["run"]["history"]
-    return history or [
-        _line(header["run"]["steps"], header["run"]["seconds"], header["config"], None)
-    ]
-
-
-def _line(
-    steps: int, seconds: float, config: Mapping[str, Any], validation_mnc: float | None
-) -> dict[str, float | None]:
-    batch = int(config.get("optimiser", {}).get("batch", 1))
-    return {
-        "samples": steps * batch,
-        "hours": round(seconds / 3600, 2),
-        "validation_mnc": validation_mnc,
-    }
-
-
-def _without_folders(config: Mapping[str, object]) -> dict[str, object]:
-    """Replace paths by file names: folders of the training machine are not published."""
-    sections = {
-        name: dict(values) if isinstance(values, Mapping) else values
-        for name, values in config.items()
-    }
-    for name, entry in _PATHS:
-        section = sections.get(name)
-        if isinstance(section, dict) and section.get(entry):
-            section[entry] = Path(str(section[entry])).name
-    return sections
+SCHEMA = "motdiff.weights/1"
 
 
 def load_network(path: Path | str = DEFAULT_WEIGHTS, *, target: str = "map") -> MotDiffNetwork:
@@ -165,22 +45,7 @@ def load_network(path: Path | str = DEFAULT_WEIGHTS, *, target: str = "map") -> 
     ValueError
         If the file is not one of ours, or draws something else.
     """
-    network = _loaded(path)
-    if not isinstance(network, MotDiffNetwork) or network.config.target != target:
-        raise ValueError(
-            f"{path}: holds a network of target {network.config.target!r}, wanted {target!r}"
-        )
-    return network
-
-
-def load_path_network(path: Path | str) -> PathNetwork:
-    """Build a weights file's network of quadratic paths; otherwise as :func:`load_network`."""
-    network = _loaded(path)
-    if not isinstance(network, PathNetwork):
-        raise ValueError(
-            f"{path}: holds a network of target {network.config.target!r}, wanted 'path'"
-        )
-    return network
+    return filled(MotDiffNetwork(network_config(path, target=target)), path)
 
 
 def load_correction(path: Path | str = CORRECTION_WEIGHTS) -> CorrectionNetwork:
@@ -194,64 +59,29 @@ def load_correction(path: Path | str = CORRECTION_WEIGHTS) -> CorrectionNetwork:
     return filled(CorrectionNetwork(), path, schema=CORRECTION_SCHEMA)
 
 
-def load_start(network: MotDiffNetwork | PathNetwork, path: Path | str) -> None:
-    """Copy a weights file into ``network``: all if they are the same, else its condition network.
+def network_config(path: Path | str, *, target: str | None = None) -> NetworkConfig:
+    """Read the configuration of a weights file's network.
 
-    A photo encoder or a global view that the file lacks makes no other network: it keeps its
-    values, which are silent.
+    Parameters
+    ----------
+    target : str, optional
+        Expected target; any when omitted.
 
     Raises
     ------
     ValueError
-        If the file is not one of ours, or its condition network has other sizes.
+        If the file is not one of ours, or of another target.
     """
-    source = _loaded(path)
-    state = network.state_dict()
-    parts = source.state_dict()
-    ours = network.config
-    theirs = replace(source.config, dropout=ours.dropout)  # dropout has no weights
-    added: tuple[str, ...] = ()
-    if theirs.backbone == "none" and network.physics is not None:
-        theirs = replace(theirs, **{name: getattr(ours, name) for name in _PHOTO_FIELDS})
-        added += PHOTO_PARTS
-    if theirs.denoiser_view == 0:
-        theirs = replace(theirs, denoiser_view=ours.denoiser_view)
-        added += ("denoiser.view.",)
-    if theirs != ours:
-        parts = {name: tensor for name, tensor in parts.items() if _of_condition(name)}
-    elif _OUTPUT_BIAS in parts:
-        bias = parts[_OUTPUT_BIAS].clone()
-        bias[0] += read_card(path)["run"]["offset"]  # the logits as they were trained
-        parts = parts | {_OUTPUT_BIAS: bias}
-    expected = {
-        name: t.shape for name, t in state.items() if theirs == ours or _of_condition(name)
-    }
-    expected = {name: shape for name, shape in expected.items() if not name.startswith(added)}
-    if {name: tensor.shape for name, tensor in parts.items()} != expected:
-        raise ValueError(f"{path}: its condition network has other sizes than the one to start")
-    network.load_state_dict(state | parts)
-
-
-def _of_condition(name: str) -> bool:
-    return name.split(".")[0] in ("photo", "physics", "fusion")
-
-
-def _loaded(path: Path | str) -> MotDiffNetwork | PathNetwork:
     header = read_card(path)
     try:
-        network = build_network(NetworkConfig.from_dict(header["config"]["network"]))
+        config = NetworkConfig.from_dict(header["config"]["network"])
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"{path}: its header describes no network known here: {one_line(error)}"
         ) from error
-    try:
-        network.load_state_dict(read_tensors(path))
-    except RuntimeError as error:
-        raise ValueError(
-            f"{path}: its tensors do not fit the network in its own header"
-        ) from error
-    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    return network.eval().requires_grad_(False)
+    if target is not None and config.target != target:
+        raise ValueError(f"{path}: holds a network of target {config.target!r}, wanted {target!r}")
+    return config
 
 
 def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
@@ -266,9 +96,9 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
         If the file is not one of ours.
     """
     header = read_header(path)
-    if header.get("schema") != _SCHEMA:
+    if header.get("schema") != SCHEMA:
         raise ValueError(
-            f"{path}: is no {_SCHEMA} file, its schema is {one_line(repr(header.get('schema')))}"
+            f"{path}: is no {SCHEMA} file, its schema is {one_line(repr(header.get('schema')))}"
         )
     try:
         run: dict[str, Any] = {
@@ -284,13 +114,3 @@ def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
         }
     except (KeyError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: its header is not whole: {one_line(error)}") from error
-
-
-def _in_order(data: bytes, header: Mapping[str, str]) -> bytes:
-    """Sort the header's entries, which safetensors shuffles: one run gives the same bytes."""
-    start = 8 + int.from_bytes(data[:8], "little")
-    text = json.dumps(
-        json.loads(data[8:start]) | {"__metadata__": header}, separators=(",", ":")
-    ).encode()
-    text += b" " * (-len(text) % 8)
-    return len(text).to_bytes(8, "little") + text + data[start:]

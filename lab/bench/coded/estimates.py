@@ -15,8 +15,8 @@ from lab.bench.coded.protocol import (
     paths_from,
     paths_to,
 )
+from lab.evaluation.quadratic_limits import nearest_quadratic
 from lab.jobs.cells import Figure
-from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
 
 ESTIMATORS = {"ours": "motdiff", "parametric": "parametric"}

@@ -38,7 +38,8 @@ def small_weights(tmp_path, monkeypatch):
     from motdiff.network import NetworkConfig
     from motdiff.training.config import DataConfig, TrainingConfig
     from motdiff.training.loop import Trainer
-    from motdiff.weights import export_weights, load_network
+    from motdiff.training.weight_files import export_weights
+    from motdiff.weights import load_network
 
     network = NetworkConfig(
         backbone="none",

@@ -14,8 +14,8 @@ from cep.commands.console import FAILURE, INTERRUPTED
 from cep.files.images import read_image, write_image
 from lab.bench.blind import work
 from lab.bench.blind.job import blind_job, speed_job
+from lab.evaluation.quadratic_limits import nearest_quadratic
 from motdiff.estimators.base import MotionEstimate
-from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
 
 TINY = """\

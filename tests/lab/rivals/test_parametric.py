@@ -4,6 +4,7 @@ shipped weights."""
 import json
 import math
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,28 +14,25 @@ from hypothesis import strategies as st
 from scipy import optimize
 
 from lab.evaluation.floors import delta
+from lab.evaluation.quadratic_limits import most_alike_quadratic, nearest_quadratic
 from lab.rivals.parametric import ParametricEstimator
+from lab.rivals.path_network import PathHead, PathNetwork, load_path_network
+from lab.trainings import rivals
+from lab.trainings.rivals import PathTrainer, path_loss, path_psfs
 from lab.weights import PATH_WEIGHTS
+from motdiff import __main__ as motdiff_commands
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi
-from motdiff.network import NetworkConfig, PathNetwork, build_network
-from motdiff.network.parametric import PathHead
+from motdiff.network import NetworkConfig
 from motdiff.simulate import blur_valid
-from motdiff.tracing.quadratic import QuadraticPath, most_alike_quadratic, nearest_quadratic
+from motdiff.tracing.quadratic import QuadraticPath
 from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch
-from motdiff.training.loop import Trainer
 from motdiff.training.motion_bank import dwell_on_map
 from motdiff.training.run import validation_mnc
-from motdiff.training.targets import path_loss, path_psfs
+from motdiff.training.weight_files import export_weights
 from motdiff.trajectory import Trajectory
-from motdiff.weights import (
-    DEFAULT_WEIGHTS,
-    export_weights,
-    load_network,
-    load_path_network,
-    read_card,
-)
+from motdiff.weights import DEFAULT_WEIGHTS, load_network, read_card
 
 TINY = NetworkConfig(
     target="path",
@@ -76,7 +74,7 @@ def test_a_path_is_the_polynomial_and_is_centred():
     middle = motion.at(0.5)
     assert motion.at(0.0) + motion.at(1.0) - 2 * middle == pytest.approx(PARABOLA.b / 2, abs=1e-9)
     assert middle == pytest.approx(-PARABOLA.b / 12, abs=1e-5)
-    backwards = PARABOLA.reversed().trajectory(samples=2001)
+    backwards = QuadraticPath(-PARABOLA.a, PARABOLA.b).trajectory(samples=2001)
     np.testing.assert_allclose(backwards.xy, motion.xy[::-1], atol=1e-9)
 
 
@@ -151,8 +149,7 @@ def test_the_most_alike_is_a_limit_of_the_class():
 
 
 def test_the_head_gives_one_path_per_photo():
-    network = build_network(TINY)
-    assert isinstance(network, PathNetwork)
+    network = PathNetwork(TINY)
     found = network(None, torch.randn(3, 2, 64, 64, generator=torch.Generator().manual_seed(0)))
     assert found.shape == (3, 2, 2)
     assert found.isfinite().all()
@@ -193,9 +190,9 @@ def test_the_loss_is_least_at_the_truth_and_blind_to_direction():
     dwell = dwell_of(PARABOLA.trajectory())
     right = path_loss(coefficients(PARABOLA), dwell).item()
     assert right < 0.01
-    assert path_loss(coefficients(PARABOLA.reversed()), dwell).item() == pytest.approx(
-        right, abs=1e-6
-    )
+    assert path_loss(
+        coefficients(QuadraticPath(-PARABOLA.a, PARABOLA.b)), dwell
+    ).item() == pytest.approx(right, abs=1e-6)
     moved = torch.roll(dwell, (12, -20), (2, 3))
     assert path_loss(coefficients(PARABOLA), moved).item() == pytest.approx(right, abs=1e-4)
     for wrong in (QuadraticPath(PARABOLA.a, -PARABOLA.b), QuadraticPath([-6.0, 14.0], PARABOLA.b)):
@@ -242,19 +239,19 @@ def config(steps=6, **network):
 
 
 def test_a_resumed_run_is_bit_equal(tmp_path):
-    whole = Trainer(config())
+    whole = PathTrainer(config())
     straight_on = [whole.update(Eight()) for _ in range(4)]
-    first = Trainer(config())
+    first = PathTrainer(config())
     pieces = [first.update(Eight()) for _ in range(2)]
     first.save(tmp_path / "checkpoint")
-    second = Trainer(config())
+    second = PathTrainer(config())
     assert second.resume(tmp_path / "checkpoint")
     assert pieces + [second.update(Eight()) for _ in range(2)] == straight_on
     assert straight_on[-1].dwell == 0
 
 
 def test_the_network_learns_paths_and_travels(tmp_path):
-    trainer = Trainer(config(steps=60))
+    trainer = PathTrainer(config(steps=60))
     losses = [trainer.update(Eight()).total for _ in range(60)]
     assert np.mean(losses[-5:]) < 0.5 * losses[0]
     (batch,) = Eight().batch(0, 8).split(8)
@@ -344,3 +341,16 @@ def test_large_photos_are_looked_at_in_crops(estimator, photo):
 def test_photos_that_say_nothing_are_refused(estimator, bad, said):
     with pytest.raises(ValueError, match=said):
         estimator.estimate(bad)
+
+
+def test_each_command_trains_its_targets(tmp_path, capsys):
+    """``python -m motdiff`` trains maps alone, and the baselines' command their targets too."""
+    file = tmp_path / "run.toml"
+    config = Path(rivals.__file__).with_name("configs") / "parametric.toml"
+    text = config.read_text(encoding="utf-8")
+    file.write_text(text.replace("motdiff/weights/", f"{DEFAULT_WEIGHTS.parent}/"), "utf-8")
+    command = ["train", str(file), "-o", str(tmp_path / "run"), "--device", "cpu"]
+    assert motdiff_commands.run(command) == 2
+    assert 'network.target: must be "map", got "path"' in capsys.readouterr().err
+    assert rivals.run(command) == 2
+    assert "data.prepared: samples: holds no prepared samples" in capsys.readouterr().err

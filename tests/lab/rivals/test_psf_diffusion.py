@@ -9,20 +9,20 @@ import torch
 
 from lab.evaluation.floors import delta
 from lab.evaluation.methods import named_estimators
-from lab.rivals.psf_diffusion import PsfDiffusionEstimator
+from lab.rivals.psf_diffusion import PsfDiffusionEstimator, psf_signals, psfs_of_signals
+from lab.trainings.rivals import PsfTrainer, psf_batch
 from lab.weights import PSF_WEIGHTS
 from motdiff.metrics import mnc_subpixel
-from motdiff.network import NetworkConfig, build_network
+from motdiff.network import MotDiffNetwork, NetworkConfig
 from motdiff.network.diffusion import cosine_schedule
-from motdiff.network.sampling import psf_signals, psfs_of_maps, psfs_of_signals, sample_paths
+from motdiff.network.sampling import psfs_of_maps, sample_paths
 from motdiff.simulate import blur_valid
 from motdiff.training.config import DataConfig, LossConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch
-from motdiff.training.loop import Trainer
 from motdiff.training.run import validation_mnc
-from motdiff.training.targets import psf_batch
+from motdiff.training.weight_files import export_weights
 from motdiff.trajectory import Trajectory
-from motdiff.weights import DEFAULT_WEIGHTS, export_weights, load_network, read_card
+from motdiff.weights import DEFAULT_WEIGHTS, load_network, read_card
 
 TINY = NetworkConfig(
     target="psf",
@@ -101,7 +101,7 @@ def test_the_network_is_taught_the_psf_of_path_and_dwell():
 
 
 def test_it_draws_on_the_grid_of_the_condition():
-    network = build_network(TINY).eval()
+    network = MotDiffNetwork(TINY).eval()
     draw = torch.Generator().manual_seed(0)
     physics = torch.randn(2, 2, 64, 64, generator=draw)
     with torch.no_grad():
@@ -124,7 +124,7 @@ def test_it_draws_on_the_grid_of_the_condition():
 
 def test_a_window_is_a_part_of_the_whole():
     """Away from its rim, which sees zeros instead of the rest."""
-    network = build_network(TINY).eval()
+    network = MotDiffNetwork(TINY).eval()
     draw = torch.Generator().manual_seed(1)
     x_t = torch.randn(1, 1, 64, 64, generator=draw)
     physics = torch.randn(1, 2, 64, 64, generator=draw)
@@ -167,18 +167,18 @@ def test_the_number_of_steps_is_part_of_the_name(monkeypatch):
 
 
 def test_a_resumed_run_is_bit_equal(tmp_path):
-    whole = Trainer(config(window=24))
+    whole = PsfTrainer(config(window=24))
     straight_on = [whole.update(Straight()) for _ in range(4)]
-    first = Trainer(config(window=24))
+    first = PsfTrainer(config(window=24))
     pieces = [first.update(Straight()) for _ in range(2)]
     first.save(tmp_path / "checkpoint")
-    second = Trainer(config(window=24))
+    second = PsfTrainer(config(window=24))
     assert second.resume(tmp_path / "checkpoint")
     assert pieces + [second.update(Straight()) for _ in range(2)] == straight_on
 
 
 def test_a_small_network_learns_psfs_that_it_is_told(tmp_path):
-    trainer = Trainer(config(steps=80, rate=1e-2))
+    trainer = PsfTrainer(config(steps=80, rate=1e-2))
     first = validation_mnc(trainer, (straight_batch(),))
     for _ in range(80):
         trainer.update(Straight())
@@ -186,13 +186,13 @@ def test_a_small_network_learns_psfs_that_it_is_told(tmp_path):
 
 
 def test_a_run_starts_from_the_condition_of_another(tmp_path):
-    other = Trainer(config())
+    other = PsfTrainer(config())
     other.update(Straight())
     other.save(tmp_path / "checkpoint")
     file = tmp_path / "psf.safetensors"
     export_weights(tmp_path / "checkpoint", file)
     kept = load_network(file, target="psf").state_dict()
-    begun = Trainer(replace(config(start=str(file)), network=replace(TINY, denoiser_width=12)))
+    begun = PsfTrainer(replace(config(start=str(file)), network=replace(TINY, denoiser_width=12)))
     begun.save(tmp_path / "begun")
     export_weights(tmp_path / "begun", tmp_path / "begun.safetensors")
     assert (
@@ -200,7 +200,7 @@ def test_a_run_starts_from_the_condition_of_another(tmp_path):
         == "psf.safetensors"
     )
     alone = replace(begun.config, optimiser=config().optimiser)
-    fresh = Trainer(alone).network.state_dict()
+    fresh = PsfTrainer(alone).network.state_dict()
     for network in (begun.network, begun.average):
         for name, tensor in network.state_dict().items():
             assert torch.equal(tensor, (kept if name.startswith("physics.") else fresh)[name]), (
@@ -210,7 +210,7 @@ def test_a_run_starts_from_the_condition_of_another(tmp_path):
     with pytest.raises(
         ValueError, match=r"psf.safetensors: its condition network has other sizes"
     ):
-        Trainer(wider)
+        PsfTrainer(wider)
 
 
 # ---- the shipped weights

@@ -22,7 +22,7 @@ from motdiff.training.loop import Trainer, learning_rate, loss_of
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.training.samples import simulate
 from motdiff.training.simulation import Photography
-from motdiff.weights import export_weights
+from motdiff.training.weight_files import export_weights
 
 TINY = NetworkConfig(
     backbone="none",

@@ -10,14 +10,15 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from motdiff import weights as module
-from motdiff.network import NetworkConfig, build_network
+from motdiff.network import MotDiffNetwork, NetworkConfig
 from motdiff.network.sampling import sample_paths
+from motdiff.training import weight_files as module
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig, read_config
 from motdiff.training.data import Batch
 from motdiff.training.loop import Trainer
-from motdiff.weights import DEFAULT_WEIGHTS, export_weights, load_network, load_start, read_card
+from motdiff.training.weight_files import export_weights, load_start
+from motdiff.weights import DEFAULT_WEIGHTS, load_network, read_card
 
 CONFIGS = Path(module.__file__).parents[1] / "configs"
 TINY = NetworkConfig(
@@ -199,7 +200,7 @@ def test_a_photo_encoder_and_a_global_view_can_be_put_on_the_shipped_weights():
     took from them."""
     shipped = load_network()
     offset = read_card(DEFAULT_WEIGHTS)["run"]["offset"]
-    larger = build_network(
+    larger = MotDiffNetwork(
         replace(read_config(CONFIGS / "cpu_encoder.toml").network, denoiser_view=1)
     ).eval()
     assert larger.photo is not None
@@ -224,7 +225,7 @@ def test_a_start_of_other_sizes_is_refused(exported):
         replace(TINY, physics_width=16),
         replace(TINY, backbone="b0", physics_channels=0),
     ):
-        network = build_network(other)
+        network = MotDiffNetwork(other)
         before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
         refused(
             lambda file, network=network: load_start(network, file),

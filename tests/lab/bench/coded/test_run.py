@@ -30,11 +30,11 @@ from lab.bench.coded.tables import coded_tables
 from lab.bench.coded.versions import photo_version
 from lab.bench.datasets import sharp_scene
 from lab.bench.harness import TABLE_ENDINGS
+from lab.evaluation.quadratic_limits import nearest_quadratic
 from lab.jobs.engine import Engine
 from motdiff.estimators.base import MotionEstimate
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import visible
-from motdiff.tracing.quadratic import nearest_quadratic
 from motdiff.trajectory import Trajectory
 
 KNOWING = ("open", "dnf", "oracle", "parametric-oracle")

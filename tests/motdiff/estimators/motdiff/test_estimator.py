@@ -26,8 +26,9 @@ from motdiff.simulate import blur_valid
 from motdiff.threads import one_thread
 from motdiff.training.config import DataConfig, TrainingConfig
 from motdiff.training.loop import Trainer
+from motdiff.training.weight_files import export_weights
 from motdiff.trajectory import Trajectory
-from motdiff.weights import export_weights, load_correction
+from motdiff.weights import load_correction
 
 STRAIGHT = Trajectory.straight(15.0, angle_rad=0.5)
 TINY = {

@@ -1,19 +1,77 @@
-"""Training targets of the baselines: PSFs, and quadratic paths with a PSF loss."""
+"""Training of the baselines over MoTDiff's condition: diffusion of PSFs, and one quadratic path.
+
+    python -m lab.trainings.rivals train lab/trainings/configs/parametric.toml -o run
+
+Options and commands are those of ``python -m motdiff``, which prepares the samples and exports.
+"""
 
 from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import cast
 
 import torch
 from torch import Tensor
 
-from motdiff.network import MotDiffNetwork, PathNetwork
-from motdiff.network.diffusion import Schedule
-from motdiff.network.sampling import psf_signals, psfs_of_maps, psfs_of_signals, sample_paths
+from lab.rivals.path_network import PathNetwork
+from lab.rivals.psf_diffusion import psf_signals, psfs_of_signals
+from motdiff import __main__ as motdiff_commands
+from motdiff.network import MotDiffNetwork, NetworkConfig
+from motdiff.network.sampling import psfs_of_maps, sample_paths
 from motdiff.psf_frame import PSF_PX
 from motdiff.training.data import Batch
+from motdiff.training.loop import Trainer, blanked
 
 _POINTS = 64  # dots along a path
 _HAT_VARIANCE_PX2 = 1 / 6  # of the bilinear hat through which PSFs see the path
 _BLURS_PX = (0.6, 1.8, 5.0)  # the sharpest is nearly MNC; the others pull from farther away
+
+
+class PsfTrainer(Trainer):
+    """Run of the diffusion of PSFs."""
+
+    target = "psf"
+
+    def losses(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Loss of the PSFs' signals; no dwell."""
+        return super().losses(psf_batch(batch), generator)
+
+    def draw_psfs(self, batch: Batch, *, steps: int, generator: torch.Generator) -> Tensor:
+        """PSF (B, 64, 64) of one draw for each photo, by the averaged weights."""
+        network = cast("MotDiffNetwork", self.average)
+        draws = sample_paths(
+            network,
+            network.condition(batch.photo, batch.physics),
+            count=1,
+            schedule=self.schedule,
+            steps=steps,
+            generator=generator,
+        )
+        return psfs_of_signals(draws.path[:, 0])
+
+
+class PathTrainer(Trainer):
+    """Run of the network that predicts a quadratic path."""
+
+    target = "path"
+
+    def build(self, config: NetworkConfig) -> PathNetwork:
+        """Build the network with random weights."""
+        return PathNetwork(config)
+
+    def losses(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """:func:`path_loss`; no dwell."""
+        physics = blanked(batch.physics, self.config.data.physics_dropout, generator)
+        loss = path_loss(self.model(batch.photo, physics).float(), batch.dwell)
+        return loss, torch.zeros_like(loss)
+
+    def draw_psfs(self, batch: Batch, *, steps: int, generator: torch.Generator) -> Tensor:
+        """PSF (B, 64, 64) of each photo's path, which is no draw."""
+        del steps, generator
+        paths: Tensor = self.average(batch.photo, batch.physics)
+        psfs = path_psfs(paths, torch.zeros_like(paths[:, 0]), variance_px2=_HAT_VARIANCE_PX2)
+        return psfs / psfs.sum(dim=(1, 2), keepdim=True)
 
 
 def psf_batch(batch: Batch) -> Batch:
@@ -28,7 +86,7 @@ def path_psfs(coefficients: Tensor, centre_px: Tensor, *, variance_px2: float) -
     Parameters
     ----------
     coefficients : (B, 2, 2) float, px
-        As :class:`motdiff.network.PathNetwork` gives them.
+        As :class:`~lab.rivals.path_network.PathNetwork` gives them.
     centre_px : (B, 2) float, px
         Where the path's time-mean lies, x before y, from index 32.
     variance_px2 : float, px^2
@@ -70,36 +128,6 @@ def path_loss(coefficients: Tensor, dwell: Tensor) -> Tensor:
     return torch.stack(losses).mean()
 
 
-def drawn_psfs(
-    network: MotDiffNetwork | PathNetwork,
-    batch: Batch,
-    *,
-    schedule: Schedule,
-    steps: int,
-    generator: torch.Generator,
-) -> Tensor:
-    """PSF (B, 64, 64) that a network of any target gives for each photo: one draw, or the path's.
-
-    Parameters
-    ----------
-    network : MotDiffNetwork or PathNetwork
-        In eval mode.
-    schedule, steps, generator
-        As for :func:`motdiff.network.sampling.sample_paths`; a quadratic path needs none.
-    """
-    if isinstance(network, PathNetwork):
-        paths: Tensor = network(batch.photo, batch.physics)
-        psfs = path_psfs(paths, torch.zeros_like(paths[:, 0]), variance_px2=_HAT_VARIANCE_PX2)
-        return psfs / psfs.sum(dim=(1, 2), keepdim=True)
-    condition = network.condition(batch.photo, batch.physics)
-    draws = sample_paths(
-        network, condition, count=1, schedule=schedule, steps=steps, generator=generator
-    )
-    if network.pitch == 1:  # it diffuses PSFs themselves
-        return psfs_of_signals(draws.path[:, 0])
-    return draws.psfs()[:, 0]
-
-
 def _peak_correlation(first: Tensor, second: Tensor) -> Tensor:
     """Mean over the batch of the greatest normalised correlation over whole-pixel shifts."""
     frame = (2 * PSF_PX, 2 * PSF_PX)
@@ -108,3 +136,12 @@ def _peak_correlation(first: Tensor, second: Tensor) -> Tensor:
     norms = first.flatten(1).norm(dim=1) * second.flatten(1).norm(dim=1)
     correlation: Tensor = (peaks / norms.clamp(min=1e-12)).mean()
     return correlation
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run a command of ``python -m motdiff`` on a baseline; returns its exit code."""
+    return motdiff_commands.run(arguments, trainers=(PsfTrainer, PathTrainer))
+
+
+if __name__ == "__main__":
+    sys.exit(run())

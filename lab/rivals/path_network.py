@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
@@ -10,6 +11,8 @@ from torch import Tensor, nn
 from motdiff.network.condition import ConditionNetwork
 from motdiff.network.config import NetworkConfig
 from motdiff.psf_frame import PSF_PX
+from motdiff.weights import network_config
+from motdiff.weights_io import filled
 
 _SCALE_PX = 16.0  # of a coefficient where the output is 1
 _HIDDEN = 128
@@ -42,7 +45,9 @@ class PathHead(nn.Module):
         self.output.bias = nn.Parameter(torch.tensor([0.5, 0.0, 0.0, 0.0]))
 
     def forward(self, condition: Tensor) -> Tensor:
-        """Coefficients (B, 2, 2): ``a`` and ``b`` of :class:`QuadraticPath`, x before y, px."""
+        """Coefficients (B, 2, 2), px: ``a`` and ``b`` of
+        :class:`~motdiff.tracing.quadratic.QuadraticPath`, x before y.
+        """
         hidden = nn.functional.silu(self.hidden(self.narrow(condition).flatten(1)))
         real, imaginary, *bend = (_SCALE_PX * self.output(hidden)).unbind(dim=1)
         length = torch.sqrt(real.square() + imaginary.square() + 1e-6)
@@ -52,7 +57,7 @@ class PathHead(nn.Module):
 
 
 class PathNetwork(ConditionNetwork):
-    """Quadratic path from photo and physics maps, by the condition network of `MotDiffNetwork`.
+    """Quadratic path from photo and physics maps, by the condition network of MoTDiff.
 
     Parameters
     ----------
@@ -73,3 +78,14 @@ class PathNetwork(ConditionNetwork):
         """Coefficients (B, 2, 2), px, of the path in each photo."""
         coefficients: Tensor = self.head(self.condition(photo, physics))
         return coefficients
+
+
+def load_path_network(path: Path | str) -> PathNetwork:
+    """Build a weights file's network of quadratic paths, in eval mode and float32.
+
+    Raises
+    ------
+    ValueError
+        If the file is not one of ours, or predicts something else.
+    """
+    return filled(PathNetwork(network_config(path, target="path")), path)
